@@ -1,0 +1,58 @@
+# Every target prepares .venv by itself. Another interpreter: make test PYTHON=python3.12
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
+CORE := $(VENV)/.installed-core
+DEV := $(VENV)/.installed-dev
+
+# `train` never writes into a used folder, so every `make swim` gets a new one.
+RUN := runs/swim-$(shell date +%Y%m%d-%H%M%S)
+
+.DEFAULT_GOAL := help
+.PHONY: help swim test test-slow check bench docs format clean
+.DELETE_ON_ERROR:
+
+help: ## list the targets
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' Makefile
+
+swim: $(CORE) ## evolve the swimmer of Iwadate 2010 and film the best (RUN=folder)
+	$(BIN)/evo-cpg train configs/iwadate2010_swimmer.yaml --out $(RUN)
+	$(BIN)/evo-cpg render $(RUN)
+
+test: $(DEV) ## run the tests
+	$(BIN)/pytest
+
+test-slow: $(DEV) ## run the slow tests too
+	$(BIN)/pytest -m "slow or not slow"
+
+check: $(DEV) docs ## format, lint, types, layers and docs, as CI does
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/pyright
+	$(BIN)/lint-imports
+
+bench: $(DEV) ## run the benchmark suite
+	$(BIN)/evo-cpg bench
+
+docs: $(DEV) ## build the documentation into docs/_build/html
+	$(BIN)/sphinx-build --quiet --fresh-env --fail-on-warning --keep-going -b html docs docs/_build/html
+
+format: $(DEV) ## format the code and mend what ruff can
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+clean: ## remove environments, builds and caches; runs/ stays
+	rm -rf $(VENV) build dist docs/_build .hypothesis .import_linter_cache .pytest_cache .ruff_cache
+
+$(BIN)/python:
+	$(PYTHON) -m venv $(VENV)
+
+$(CORE): pyproject.toml constraints.txt | $(BIN)/python
+	$(PIP) -e .
+	touch $@
+
+$(DEV): pyproject.toml constraints.txt | $(BIN)/python
+	$(PIP) -e '.[dev,docs]'
+	touch $(CORE) $@

@@ -1,0 +1,19 @@
+"""Which errors are about the user's input."""
+
+import sys
+
+
+class UsageError(Exception):
+    """Input that no other part of the program is responsible for."""
+
+
+def is_users_fault(error: Exception) -> bool:
+    """Whether an error is about the input, and its message meant for the user as it stands."""
+    from evo_cpg.config.errors import ConfigError
+    from evo_cpg.training.run_folder import RunFolderError
+
+    kinds: tuple[type[Exception], ...] = (ConfigError, RunFolderError, UsageError)
+    output = sys.modules.get("evo_cpg.view.output")
+    if output is not None:
+        kinds += (output.OutputError,)
+    return isinstance(error, kinds)

@@ -1,0 +1,162 @@
+"""`evo-cpg`: train, resume, render, plot, preview, verify, validate, bench.
+
+Every command imports what it needs only when it runs: `--help` must be quick, and training must
+not load VTK.
+"""
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+# Exit codes: 0 done, 1 a fault of ours, 2 wrong input, 130 interrupted.
+_WRONG_INPUT, _INTERRUPTED = 2, 130
+
+app = typer.Typer(
+    name="evo-cpg",
+    help="Evolve the motion of virtual creatures.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+Config = Annotated[Path, typer.Argument(metavar="CONFIG", help="A YAML configuration file.")]
+Run = Annotated[Path, typer.Argument(metavar="RUN", help="A run folder made by `train`.")]
+Overrides = Annotated[
+    list[str] | None,
+    typer.Argument(metavar="[KEY=VALUE]...", help="Settings to change, such as seed=3."),
+]
+Cores = Annotated[int | None, typer.Option(min=1, help="Cores to use; all by default.")]
+
+
+@app.command()
+def train(
+    config: Config,
+    overrides: Overrides = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Run folder; runs/NAME by default.")
+    ] = None,
+    cores: Cores = None,
+) -> None:
+    """Evolve a population and keep the champion."""
+    from evo_cpg.cli.training import start_run
+
+    start_run(config, overrides or [], out, cores)
+
+
+@app.command()
+def resume(
+    run: Run,
+    generations: Annotated[
+        int | None, typer.Option(min=1, help="Evolve up to this many generations in all.")
+    ] = None,
+    cores: Cores = None,
+) -> None:
+    """Go on with a run from its newest checkpoint."""
+    from evo_cpg.cli.training import resume_run
+
+    resume_run(run, generations, cores)
+
+
+@app.command()
+def render(
+    run: Run,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="A .mp4, .gif or .png file; in RUN/videos by default."),
+    ] = None,
+    size: Annotated[str, typer.Option(help="WIDTHxHEIGHT in pixels.")] = "1280x720",
+    fps: Annotated[float, typer.Option(min=1, max=240, help="Frames per second.")] = 30.0,
+    speed: Annotated[float, typer.Option(min=0.01, help="Speed of the film; 1 is real.")] = 1.0,
+    seconds: Annotated[
+        float | None, typer.Option(min=0.1, help="Show only the first seconds of the trial.")
+    ] = None,
+) -> None:
+    """Film the champion of a run."""
+    from evo_cpg.cli.pictures import render_run
+
+    render_run(run, output, size, fps, speed, seconds)
+
+
+@app.command()
+def plot(
+    run: Run,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Folder; RUN/plots by default.")
+    ] = None,
+) -> None:
+    """Plot the fitness over the generations and the champion's joint signals and path."""
+    from evo_cpg.cli.pictures import plot_run
+
+    plot_run(run, output)
+
+
+@app.command()
+def preview(
+    config: Config,
+    overrides: Overrides = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="A .png file; NAME.png by default.")
+    ] = None,
+    size: Annotated[str, typer.Option(help="WIDTHxHEIGHT in pixels.")] = "1280x720",
+) -> None:
+    """Draw the creature of a config at rest."""
+    from evo_cpg.cli.pictures import preview_config
+
+    preview_config(config, overrides or [], output, size)
+
+
+@app.command()
+def verify(run: Run, cores: Cores = None) -> None:
+    """Replay the champion and compare it with what was recorded."""
+    from evo_cpg.cli.training import verify_run
+
+    verify_run(run, cores)
+
+
+@app.command()
+def validate(
+    configs: Annotated[
+        list[Path], typer.Argument(metavar="CONFIG...", help="YAML configuration files.")
+    ],
+) -> None:
+    """Check configuration files without running them."""
+    from evo_cpg.cli.training import validate_configs
+
+    validate_configs(configs)
+
+
+@app.command()
+def bench(
+    json: Annotated[
+        Path | None, typer.Option("--json", help="Also write the rows to this file.")
+    ] = None,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Fewer steps and repeats, for a first look.")
+    ] = False,
+) -> None:
+    """Measure this program beside its peers on this machine."""
+    from evo_cpg.cli.bench import run_suite
+
+    run_suite(json, quick)
+
+
+def main() -> None:
+    """Run the command line; errors of the user's become one or two lines and exit code 2."""
+    try:
+        app()
+    except KeyboardInterrupt:
+        raise SystemExit(_INTERRUPTED) from None
+    except Exception as error:
+        from evo_cpg.cli.errors import is_users_fault
+
+        if not is_users_fault(error):
+            raise
+        print(f"evo-cpg: {error}", file=sys.stderr)
+        raise SystemExit(_WRONG_INPUT) from None
+
+
+if __name__ == "__main__":
+    main()

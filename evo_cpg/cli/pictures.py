@@ -1,0 +1,79 @@
+"""The commands that make films and pictures: render, plot, preview."""
+
+import re
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import Progress
+
+from evo_cpg.cli.errors import UsageError
+from evo_cpg.cli.training import champion_motion
+from evo_cpg.config.build import build_creature
+from evo_cpg.config.load import load_config
+
+
+def render_run(
+    run: Path,
+    output: Path | None,
+    size: str,
+    fps: float,
+    speed: float,
+    seconds: float | None,
+) -> None:
+    """`evo-cpg render`."""
+    pixels = _pixels(size)
+    experiment, _, recording, folder = champion_motion(run)
+    from evo_cpg.view.film import film
+
+    wet = experiment.simulation.world.water is not None
+    path = output or folder.path / "videos" / "champion.mp4"
+    console = Console(stderr=True)
+    with Progress(console=console, disable=not console.is_terminal) as progress:
+        task = progress.add_task("rendering", total=None)
+        made = film(
+            experiment.creature,
+            recording,
+            path,
+            size=pixels,
+            fps=fps,
+            seconds=seconds,
+            speed=speed,
+            title=experiment.name,
+            world="water" if wet else "land",
+            progress=lambda done, total: progress.update(task, completed=done, total=total),
+        )
+    print(made)
+
+
+def plot_run(run: Path, output: Path | None) -> None:
+    """`evo-cpg plot`."""
+    experiment, _, recording, folder = champion_motion(run)
+    from evo_cpg.view.plots import plot_fitness, plot_joint_signals, plot_path
+
+    place = output or folder.path / "plots"
+    history = folder.history()
+    history["best_so_far"] = history["champion"]
+    print(plot_fitness(history, place / "fitness.png"))
+    if recording.dof_names:
+        print(plot_joint_signals(recording, place / "joint_signals.png"))
+    print(plot_path(recording, place / "path.png"))
+
+
+def preview_config(
+    path: Path, overrides: Sequence[str], output: Path | None, size: str
+) -> None:
+    """`evo-cpg preview`."""
+    pixels = _pixels(size)
+    creature = build_creature(load_config(path, overrides), path)
+    from evo_cpg.view.preview import preview
+
+    print(preview(creature, output or Path(f"{creature.name}.png"), pixels))
+
+
+def _pixels(size: str) -> tuple[int, int]:
+    match = re.fullmatch(r"(\d{2,5})x(\d{2,5})", size)
+    if not match:
+        raise UsageError(f"--size: {size!r} is not WIDTHxHEIGHT, such as 1280x720")
+    return int(match[1]), int(match[2])

@@ -1,0 +1,219 @@
+"""The commands that evolve and check: train, resume, verify, validate."""
+
+import contextlib
+import math
+import platform
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from evo_cpg.cli.errors import UsageError
+from evo_cpg.config.build import build_experiment
+from evo_cpg.config.errors import ConfigError
+from evo_cpg.config.load import dump_config, load_config
+from evo_cpg.config.schema import ExperimentConfig
+from evo_cpg.training.devices import use_cores
+from evo_cpg.training.experiment import Experiment
+from evo_cpg.training.run_folder import Champion, RunFolder, RunFolderError, genes_digest
+
+# The replayed fitness and terms must agree with those recorded to this relative accuracy. On the
+# machine of the training run they are equal; another processor rounds differently.
+_REPLAY_TOLERANCE = 1e-3
+
+_PACKAGES = ("evo-cpg", "jax", "jaxlib", "equinox", "numpy")
+
+
+def start_run(
+    path: Path, overrides: Sequence[str], out: Path | None, cores: int | None
+) -> None:
+    """`evo-cpg train`."""
+    config = load_config(path, overrides)
+    experiment = build_experiment(config, path)
+    folder = RunFolder(out or Path("runs") / config.name)
+    # The folder is made before JAX starts, so that a wrong path costs no time.
+    devices = use_cores(cores)
+    folder.create(dump_config(config), _meta(config, devices, path))
+    _evolve(experiment, folder)
+
+
+def resume_run(run: Path, generations: int | None, cores: int | None) -> None:
+    """`evo-cpg resume`."""
+    folder, config = _open(run)
+    if generations is not None:
+        evolution = config.evolution.model_copy(update={"generations": generations})
+        config = config.model_copy(update={"evolution": evolution})
+    devices = use_cores(cores or folder.read_meta().get("devices"))
+    done = folder.load()
+    if done is not None and done.generation > config.evolution.generations:
+        raise UsageError(
+            f"{run}: {done.generation} generations are done already, "
+            f"--generations {config.evolution.generations} would take some back"
+        )
+    folder.rewrite_config(dump_config(config))
+    folder.update_meta(devices=devices, resumed=_now())
+    _evolve(build_experiment(config, folder.config), folder)
+
+
+def verify_run(run: Path, cores: int | None) -> None:
+    """`evo-cpg verify`."""
+    folder, config = _open(run)
+    champion, _, digests = folder.load_champion()
+    differences = []
+    if digests["genes_sha256"] != genes_digest(champion.genes):
+        differences.append("champion.npz: the genome is not the one that was evolved")
+    if digests["config_sha256"] != folder.config_digest():
+        differences.append("config.yaml is not the one that the champion was evolved with")
+    experiment = build_experiment(config, folder.config)
+    expected = experiment.simulation.controller.gene_count
+    if champion.genes.shape != (expected,):
+        _report(run, [*differences, f"the genome has {champion.genes.size} genes, not {expected}"])
+    devices = folder.read_meta().get("devices", 1)
+    use_cores(cores or devices)
+    from evo_cpg.training.loop import replay_champion
+
+    fitness, terms, _ = replay_champion(experiment, champion, devices)
+    recorded = {"fitness": champion.fitness, **champion.terms}
+    replayed = {"fitness": fitness, **terms}
+    for name, value in recorded.items():
+        now = replayed.get(name, math.nan)
+        if not math.isclose(now, value, rel_tol=_REPLAY_TOLERANCE, abs_tol=_REPLAY_TOLERANCE):
+            differences.append(f"{name}: recorded {value:.6g}, replayed {now:.6g}")
+    _report(run, differences)
+    exact = "exactly" if replayed == recorded else f"to {_REPLAY_TOLERANCE:g}"
+    print(f"{run}: the champion's fitness {champion.fitness:.6f} comes out as recorded ({exact})")
+
+
+def validate_configs(paths: Sequence[Path]) -> None:
+    """`evo-cpg validate`."""
+    wrong = 0
+    for path in paths:
+        try:
+            experiment = build_experiment(load_config(path), path)
+        except ConfigError as error:
+            wrong += 1
+            print(f"evo-cpg: {error}", file=sys.stderr)
+        else:
+            tree = experiment.simulation.world.tree
+            print(
+                f"{path}: {tree.body_count} bodies, {tree.dof_count} joint axes, "
+                f"{experiment.creature.mass:.3g} kg, "
+                f"{experiment.simulation.controller.gene_count} genes"
+            )
+    if wrong:
+        raise SystemExit(2)
+
+
+def champion_motion(run: Path) -> tuple[Experiment, Champion, Any, RunFolder]:
+    """The champion of a run with its motion, which is replayed where it was not recorded."""
+    folder, config = _open(run)
+    experiment = build_experiment(config, folder.config)
+    champion, recording, digests = folder.load_champion()
+    if recording is None or digests["config_sha256"] != folder.config_digest():
+        devices = folder.read_meta().get("devices", 1)
+        use_cores(devices)
+        from evo_cpg.training.loop import replay_champion
+
+        _, _, recording = replay_champion(experiment, champion, devices)
+    return experiment, champion, recording, folder
+
+
+def _evolve(experiment: Experiment, folder: RunFolder) -> None:
+    # Importing the loop starts nothing, but it takes JAX a second.
+    from evo_cpg.training.loop import replay_champion, train
+
+    console = Console(stderr=True)
+    try:
+        with _progress(console, experiment, folder) as show:
+            checkpoint = train(experiment, folder, show)
+    except KeyboardInterrupt:
+        console.print(f"interrupted; go on with `evo-cpg resume {folder.path}`", highlight=False)
+        raise
+    champion = checkpoint.champion
+    if champion is None:
+        raise RunFolderError(
+            f"{folder.path}: every individual of every generation diverged, so there is no "
+            "champion; try more substeps or weaker motors"
+        )
+    devices = folder.read_meta()["devices"]
+    folder.save_champion(champion, replay_champion(experiment, champion, devices)[2])
+    folder.update_meta(finished=_now())
+    terms = ", ".join(f"{name} {value:.3g}" for name, value in champion.terms.items())
+    console.print(
+        f"champion of generation {champion.generation}: fitness {champion.fitness:.4f} ({terms})",
+        highlight=False,
+    )
+    print(folder.path)
+
+
+@contextlib.contextmanager
+def _progress(
+    console: Console, experiment: Experiment, folder: RunFolder
+) -> Iterator[Callable[[dict[str, float]], None]]:
+    """Show every generation: a bar on a terminal, a line elsewhere."""
+    done = folder.load()
+    start = done.generation if done else 0
+
+    def line(row: dict[str, float]) -> str:
+        return (
+            f"best {row['best']:8.4f}  mean {row['mean']:8.4f}  "
+            f"diverged {row['diverged']:3d}  {row['steps_per_second'] / 1e3:6.0f} k steps/s"
+        )
+
+    if not console.is_terminal:
+
+        def show(row: dict[str, float]) -> None:
+            number = f"generation {row['generation'] + 1:4d}/{experiment.generations}"
+            print(f"{number}  {line(row)}  {row['seconds']:6.2f} s", file=sys.stderr, flush=True)
+
+        yield show
+        return
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(bar_width=24),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[state]}"),
+    )
+    with Progress(*columns, console=console) as progress:
+        task = progress.add_task(
+            experiment.name, total=experiment.generations, completed=start, state="compiling"
+        )
+        yield lambda row: progress.update(task, advance=1, state=line(row))
+
+
+def _open(run: Path) -> tuple[RunFolder, ExperimentConfig]:
+    folder = RunFolder(run)
+    folder.require()
+    return folder, load_config(folder.config)
+
+
+def _report(run: Path, differences: list[str]) -> None:
+    if differences:
+        for difference in differences:
+            print(f"evo-cpg: {run}: {difference}", file=sys.stderr)
+        raise SystemExit(2)
+
+
+def _meta(config: ExperimentConfig, devices: int, path: Path) -> dict[str, Any]:
+    return {
+        "name": config.name,
+        "seed": config.seed,
+        "config": str(path),
+        "command": sys.argv[1:],
+        "versions": {package: metadata.version(package) for package in _PACKAGES},
+        "python": platform.python_version(),
+        "machine": platform.machine(),
+        "system": platform.platform(),
+        "devices": devices,
+        "started": _now(),
+    }
+
+
+def _now() -> str:
+    return time.strftime("%Y-%m-%dT%H:%M:%S%z")

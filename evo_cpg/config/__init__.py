@@ -1,0 +1,1 @@
+"""YAML files to validated settings to creatures, worlds, controllers and tasks."""

@@ -1,0 +1,164 @@
+"""From a checked configuration to an experiment."""
+
+import importlib
+import sys
+from pathlib import Path
+
+import numpy as np
+from typing import Any
+
+from evo_cpg.config.errors import ConfigError
+from evo_cpg.config.schema import CustomConfig, ExperimentConfig, WaterConfig
+from evo_cpg.control.brain_cpg import BrainCpgSettings, build_brain_cpg
+from evo_cpg.control.controller import Controller
+from evo_cpg.creature.creature import Creature, CreatureError
+from evo_cpg.creature.shapes import Surface
+from evo_cpg.creature.surface import outer_surfaces, random_surfaces
+from evo_cpg.creature.tree import Tree, build_tree
+from evo_cpg.evolution.generation import RealGenetics
+from evo_cpg.physics.fluid import Patch, Water, make_patches
+from evo_cpg.physics.step import World
+from evo_cpg.simulation.reach_light import ReachLight
+from evo_cpg.simulation.rollout import Simulation
+from evo_cpg.simulation.sensors import place_sensors
+from evo_cpg.simulation.task import Task
+from evo_cpg.training.experiment import Experiment
+
+# Random surface points are drawn from a quadrature this fine.
+_DENSE_RESOLUTION = 24
+
+
+def build_experiment(config: ExperimentConfig, source: Path | str) -> Experiment:
+    """Build what a configuration describes.
+
+    Args:
+        config: the configuration.
+        source: file it came from, for messages.
+
+    Raises:
+        ConfigError: parts that do not fit together.
+    """
+    creature = build_creature(config, source)
+    tree = build_tree(creature)
+    genetics = config.evolution
+    return Experiment(
+        name=config.name,
+        creature=creature,
+        simulation=Simulation(
+            world=_build_world(config, creature, tree),
+            sensors=place_sensors(creature, tree),
+            controller=_build_controller(config, creature, tree, source),
+            task=_build_task(config, source),
+            control_rate=config.simulation.control_rate_hz,
+            substeps=config.simulation.substeps,
+            steps=config.simulation.steps,
+        ),
+        genetics=RealGenetics(
+            population=genetics.population,
+            elite_count=genetics.elites,
+            parent_fraction=genetics.parent_fraction,
+            crossover_probability=genetics.crossover_probability,
+            mutation_rate=genetics.mutation_rate,
+            mutation_sigma=genetics.mutation_sigma,
+            gene_bound=genetics.gene_bound,
+        ),
+        generations=genetics.generations,
+        seed=config.seed,
+    )
+
+
+def build_creature(config: ExperimentConfig, source: Path | str) -> Creature:
+    """The creature alone.
+
+    Raises:
+        ConfigError: its bodies do not form one tree.
+    """
+    try:
+        return config.creature.build()
+    except CreatureError as error:
+        where: list[str | int] = list(error.where)
+        if len(where) > 1 and isinstance(where[1], int):
+            where[1] = config.creature.entry_of(where[1])
+        raise ConfigError(source, ("creature", *where), str(error)) from None
+
+
+def _build_world(config: ExperimentConfig, creature: Creature, tree: Tree) -> World:
+    water = config.world.water
+    if water is None:
+        return World(tree, config.world.gravity)
+    return World(
+        tree,
+        config.world.gravity,
+        Water(water.density, water.form_drag, water.skin_drag, water.current, water.law),
+        _surface_points(water, creature, tree),
+    )
+
+
+def _surface_points(water: WaterConfig, creature: Creature, tree: Tree) -> tuple[Patch, ...]:
+    def by_name(surfaces: tuple[Surface, ...]) -> dict[str, Surface]:
+        return {body.name: s for body, s in zip(creature.bodies, surfaces, strict=True)}
+
+    if water.points == "random":
+        rng = np.random.default_rng(water.points_seed)
+        dense = outer_surfaces(creature, _DENSE_RESOLUTION, water.sheltered)
+        points = by_name(random_surfaces(dense, water.random_points, rng))
+        return make_patches(tree, points, points, water.law)
+    form = by_name(outer_surfaces(creature, water.form_resolution, water.sheltered))
+    skin = by_name(outer_surfaces(creature, water.skin_resolution, water.sheltered))
+    return make_patches(tree, form, skin, water.law)
+
+
+def _build_controller(
+    config: ExperimentConfig, creature: Creature, tree: Tree, source: Path | str
+) -> Controller:
+    given = config.controller
+    eyes, pressure = len(creature.light_sensors), len(creature.pressure_sensors)
+    step = 1.0 / config.simulation.control_rate_hz
+    if isinstance(given, CustomConfig):
+        return _custom(
+            given, Controller, "controller", source,
+            tree=tree, light_count=eyes, pressure_count=pressure, control_step=step,
+        )
+    options = {name: getattr(given, name) for name in type(given).model_fields if name != "type"}
+    try:
+        return build_brain_cpg(tree, eyes, pressure, BrainCpgSettings(**options), step)
+    except ValueError as error:
+        raise ConfigError(source, ("controller",), str(error)) from None
+
+
+def _build_task(config: ExperimentConfig, source: Path | str) -> Task:
+    given = config.task
+    if isinstance(given, CustomConfig):
+        return _custom(given, Task, "task", source)
+    return ReachLight(
+        light=given.light.position(),
+        distance_weight=given.distance_weight,
+        energy_weight=given.energy_weight,
+        light_weight=given.light_weight,
+        final_steps=max(1, round(given.final_seconds * config.simulation.control_rate_hz)),
+    )
+
+
+def _custom(given: CustomConfig, kind: type, section: str, source: Path | str, **extra) -> Any:
+    """Build a user's own class, looked for in the working folder and beside the config, too."""
+    module_name, _, class_name = given.type.partition(":")
+    for folder in (str(Path(source).resolve().parent), str(Path.cwd())):
+        if folder not in sys.path:
+            sys.path.append(folder)
+    try:
+        made = getattr(importlib.import_module(module_name), class_name)
+    except (ImportError, AttributeError) as error:
+        raise ConfigError(
+            source, (section, "type"), f"{given.type!r} cannot be imported ({error})"
+        ) from None
+    if not (isinstance(made, type) and issubclass(made, kind)):
+        raise ConfigError(
+            source, (section, "type"),
+            f"{given.type!r} is not a subclass of {kind.__module__}:{kind.__name__}",
+        )
+    try:
+        return made(**given.options, **extra)
+    except (TypeError, ValueError) as error:
+        raise ConfigError(
+            source, (section, "options"), f"{given.type} cannot be built with them ({error})"
+        ) from None

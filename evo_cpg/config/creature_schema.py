@@ -1,0 +1,310 @@
+"""How a creature is written in YAML: lengths in m, angles in degrees, z up, facing +x."""
+
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from evo_cpg.creature.creature import (
+    Actuator,
+    Body,
+    Creature,
+    Joint,
+    LightSensor,
+    Material,
+    topological_order,
+)
+from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
+from evo_cpg.spatial.rotation import euler_to_matrix
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Share = Annotated[float, Field(ge=0, le=1)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Vector = tuple[Finite, Finite, Finite]
+Size = tuple[Positive, Positive, Positive]
+
+# The middle one of three axes must keep this far from 90 degrees, where the first and the last
+# axis coincide.
+_SINGULARITY_MARGIN_DEG = 5.0
+
+_AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+
+
+class Section(BaseModel):
+    """A part of a configuration file; unknown keys are refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class BoxConfig(Section):
+    """Cuboid; edges along x, y and z (m)."""
+
+    type: Literal["box"]
+    size: Size
+
+    def build(self) -> Shape:
+        """The shape."""
+        return Box(self.size)
+
+
+class SphereConfig(Section):
+    """Sphere (m)."""
+
+    type: Literal["sphere"]
+    radius: Positive
+
+    def build(self) -> Shape:
+        """The shape."""
+        return Sphere(self.radius)
+
+
+class EllipsoidConfig(Section):
+    """Ellipsoid; semi-axes along x, y and z (m)."""
+
+    type: Literal["ellipsoid"]
+    radii: Size
+
+    def build(self) -> Shape:
+        """The shape."""
+        return Ellipsoid(self.radii)
+
+
+class CapsuleConfig(Section):
+    """Cylinder along x with half-spherical ends; ``length`` is the cylinder's (m)."""
+
+    type: Literal["capsule"]
+    radius: Positive
+    length: Positive
+
+    def build(self) -> Shape:
+        """The shape."""
+        return Capsule(self.radius, self.length)
+
+
+ShapeConfig = Annotated[
+    BoxConfig | SphereConfig | EllipsoidConfig | CapsuleConfig, Field(discriminator="type")
+]
+
+
+class MaterialConfig(Section):
+    """Density (kg/m^3) and contact properties (Iwadate 2010, Table 1)."""
+
+    density: Positive
+    restitution: Share = 0.1
+    static_friction: NotNegative = 0.5
+    dynamic_friction: NotNegative = 0.4
+
+
+class ActuatorConfig(Section):
+    """Velocity servo on each axis: gain (N m s/rad), torque limit (N m, none if left out)."""
+
+    gain: Positive
+    torque_limit: Positive | None = None
+
+
+class JointConfig(Section):
+    """How a body hangs on its parent.
+
+    Attributes:
+        parent: name of the parent body.
+        at: place of the joint in the parent's frame, m.
+        child_at: place of the joint in this body's frame, m.
+        axes: 1 to 3 axes that turn one after the other: x, y, z or a vector.
+        limits_deg: lower and upper limit, for all axes or one pair for each, degrees.
+        rotation_deg: roll, pitch and yaw of this body against its parent at rest, degrees.
+        stiffness: passive spring, N m/rad.
+        damping: passive damping, N m s/rad.
+        armature: rotor inertia, kg m^2.
+        actuator: the motors; a joint without is passive.
+    """
+
+    parent: str
+    at: Vector
+    child_at: Vector
+    axes: Annotated[list[Literal["x", "y", "z"] | Vector], Field(min_length=1, max_length=3)]
+    limits_deg: tuple[Finite, Finite] | list[tuple[Finite, Finite]] = (-60.0, 60.0)
+    rotation_deg: Vector = (0.0, 0.0, 0.0)
+    stiffness: NotNegative = 0.0
+    damping: NotNegative = 0.0
+    armature: NotNegative = 0.0
+    actuator: ActuatorConfig | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> "JointConfig":
+        limits = self.limits
+        if len(limits) != len(self.axes):
+            raise ValueError(
+                f"limits_deg gives {len(limits)} pairs for {len(self.axes)} axes; "
+                "give one pair for all, or one for each"
+            )
+        for lower, upper in limits:
+            if not lower < upper:
+                raise ValueError(f"limits_deg: {lower:g} is not below {upper:g}")
+        if len(self.axes) == 3:
+            widest, allowed = max(map(abs, limits[1])), 90 - _SINGULARITY_MARGIN_DEG
+            if widest > allowed:
+                raise ValueError(
+                    f"limits_deg: the middle one of three axes may turn by at most {allowed:g} "
+                    f"degrees (at 90 the other two coincide), got {widest:g}"
+                )
+        directions = np.array(self.directions)
+        if np.linalg.matrix_rank(directions, tol=1e-6) < len(directions):
+            raise ValueError("axes: they must be independent of each other and not zero")
+        return self
+
+    @property
+    def limits(self) -> list[tuple[float, float]]:
+        """One pair of limits for each axis, degrees."""
+        if isinstance(self.limits_deg, tuple):
+            return [self.limits_deg] * len(self.axes)
+        return self.limits_deg
+
+    @property
+    def directions(self) -> list[tuple[float, ...]]:
+        """The axes as vectors, not normalised."""
+        return [_AXES[axis] if isinstance(axis, str) else axis for axis in self.axes]
+
+    def build(self, parent: str) -> Joint:
+        """The joint, on the given parent."""
+        rotation = euler_to_matrix(*np.deg2rad(self.rotation_deg))
+        limits = np.deg2rad(self.limits)
+        actuator = self.actuator
+        return Joint(
+            parent=parent,
+            parent_anchor=self.at,
+            child_anchor=self.child_at,
+            axes=tuple(_unit(axis) for axis in self.directions),
+            lower=tuple(limits[:, 0]),
+            upper=tuple(limits[:, 1]),
+            orientation=tuple(map(tuple, rotation)),
+            stiffness=self.stiffness,
+            damping=self.damping,
+            armature=self.armature,
+            actuator=actuator
+            and Actuator(
+                actuator.gain, float("inf") if actuator.torque_limit is None else actuator.torque_limit
+            ),
+        )
+
+
+class BodyConfig(Section):
+    """A rigid body, or a row of equal ones.
+
+    Attributes:
+        name: unique; of a repeated body it contains ``{i}``, which counts from 1.
+        shape: centred on the body's frame.
+        material: name of one of the creature's materials.
+        joint: how it hangs on its parent; the root has none.
+        repeat: number of equal bodies in a row; the first hangs on the joint's ``parent``, every
+            other one on the one before it.
+        color: in pictures, ``"#rrggbb"``.
+    """
+
+    name: str
+    shape: ShapeConfig
+    material: str
+    joint: JointConfig | None = None
+    repeat: Annotated[int, Field(ge=1, le=1000)] = 1
+    color: Annotated[str, Field(pattern=r"^#[0-9a-fA-F]{6}$")] | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> "BodyConfig":
+        if self.repeat > 1 and "{i}" not in self.name:
+            raise ValueError(f"name: a repeated body needs {{i}} in its name, got {self.name!r}")
+        if self.repeat > 1 and self.joint is None:
+            raise ValueError("repeat: the root, which has no joint, cannot be repeated")
+        return self
+
+    def names(self) -> list[str]:
+        """Names of the bodies that this entry stands for."""
+        return [self.name.replace("{i}", str(i + 1)) for i in range(self.repeat)]
+
+
+class LightSensorConfig(Section):
+    """A directional eye (Iwadate 2010, eq. 1); the field of view is the full opening angle."""
+
+    body: str
+    position: Vector = (0.0, 0.0, 0.0)
+    axis: Vector = (1.0, 0.0, 0.0)
+    field_of_view_deg: Annotated[float, Field(gt=0, le=360)] = 180.0
+
+    @model_validator(mode="after")
+    def _check(self) -> "LightSensorConfig":
+        if not any(self.axis):
+            raise ValueError("axis: must not be the zero vector")
+        return self
+
+
+class CreatureConfig(Section):
+    """A creature; it may stand in a file of its own that several configs name.
+
+    Attributes:
+        name: what you call it.
+        materials: by name.
+        bodies: in any order; exactly one, the root, has no joint.
+        light_sensors: its eyes.
+        pressure_sensors: ``all`` bodies, or a list of names.
+    """
+
+    name: str
+    materials: dict[str, MaterialConfig]
+    bodies: Annotated[list[BodyConfig], Field(min_length=1)]
+    light_sensors: list[LightSensorConfig] = []
+    pressure_sensors: Literal["all"] | list[str] = "all"
+
+    def build(self) -> Creature:
+        """The creature.
+
+        Raises:
+            CreatureError: its parts do not fit together.
+        """
+        bodies: list[Body] = []
+        for entry in self.bodies:
+            material = Material(**self.materials[entry.material].model_dump())
+            parent = entry.joint.parent if entry.joint else ""
+            for name in entry.names():
+                joint = entry.joint.build(parent) if entry.joint else None
+                bodies.append(Body(name, entry.shape.build(), material, joint, entry.color))
+                parent = name
+        everything = tuple(body.name for body in bodies)
+        creature = Creature(
+            name=self.name,
+            bodies=tuple(bodies),
+            light_sensors=tuple(
+                LightSensor(
+                    eye.body, eye.position, _unit(eye.axis), float(np.deg2rad(eye.field_of_view_deg))
+                )
+                for eye in self.light_sensors
+            ),
+            pressure_sensors=everything
+            if self.pressure_sensors == "all"
+            else tuple(self.pressure_sensors),
+        )
+        topological_order(creature)
+        return creature
+
+    def entry_of(self, body: int) -> int:
+        """Which entry of ``bodies`` stands for the body of this number."""
+        counts = np.cumsum([entry.repeat for entry in self.bodies])
+        return int(np.searchsorted(counts, body, side="right"))
+
+    def references(self) -> list[tuple[tuple[str | int, ...], str, list[str]]]:
+        """Every name that must exist: its key, the name, and the valid names."""
+        bodies = [name for entry in self.bodies for name in entry.names()]
+        found: list[tuple[tuple[str | int, ...], str, list[str]]] = []
+        for i, entry in enumerate(self.bodies):
+            found.append((("bodies", i, "material"), entry.material, list(self.materials)))
+            if entry.joint:
+                found.append((("bodies", i, "joint", "parent"), entry.joint.parent, bodies))
+        for i, eye in enumerate(self.light_sensors):
+            found.append((("light_sensors", i, "body"), eye.body, bodies))
+        if self.pressure_sensors != "all":
+            for i, name in enumerate(self.pressure_sensors):
+                found.append((("pressure_sensors", i), name, bodies))
+        return found
+
+
+def _unit(vector: Any) -> tuple[float, float, float]:
+    x, y, z = np.asarray(vector, float) / np.linalg.norm(vector)
+    return float(x), float(y), float(z)

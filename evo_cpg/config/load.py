@@ -1,0 +1,198 @@
+"""From a YAML file and overrides to a checked configuration."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pydantic
+import yaml
+
+from evo_cpg.config.errors import ConfigError, Key, nearest
+from evo_cpg.config.schema import ExperimentConfig
+
+# What pydantic calls an unknown key, in models and in dataclasses.
+_UNKNOWN_KEY = ("extra_forbidden", "unexpected_keyword_argument")
+
+
+def load_config(path: Path | str, overrides: Sequence[str] = ()) -> ExperimentConfig:
+    """Read and check a configuration file.
+
+    Args:
+        path: the YAML file.
+        overrides: ``key.path=value`` with a YAML value, applied in order.
+
+    Raises:
+        ConfigError: anything that is wrong with it, in words for the user.
+    """
+    path = Path(path)
+    data = _read_yaml(path)
+    if isinstance(data.get("creature"), str):
+        data["creature"] = _read_yaml(path.parent / data["creature"])
+    for override in overrides:
+        _apply(data, override)
+    return check_config(data, path)
+
+
+def check_config(data: dict[str, Any], source: Path | str) -> ExperimentConfig:
+    """Check the contents of a configuration file.
+
+    Raises:
+        ConfigError: anything that is wrong with it.
+    """
+    try:
+        config = ExperimentConfig.model_validate(data)
+    except pydantic.ValidationError as error:
+        raise _worded(error, data, source) from None
+    for key, name, valid in config.creature.references():
+        if name not in valid:
+            raise ConfigError(
+                source, ("creature", *key), f"{name!r} does not exist; {nearest(name, valid)}"
+            )
+    return config
+
+
+def dump_config(config: ExperimentConfig) -> str:
+    """The complete configuration as YAML, from which `load_config` makes an equal one."""
+    return yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False, allow_unicode=True)
+
+
+def _read_yaml(path: Path) -> dict[str, Any]:
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise ConfigError(path, (), f"no such file{_neighbours(path)}") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(path, (), f"cannot be read ({error})") from None
+    try:
+        data = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        place = f"line {mark.line + 1}, column {mark.column + 1}: " if mark else ""
+        problem = getattr(error, "problem", None) or "cannot be parsed"
+        raise ConfigError(path, (), f"{place}not valid YAML: {problem}") from None
+    if not isinstance(data, dict):
+        raise ConfigError(path, (), "must be a YAML mapping of keys to values")
+    return data
+
+
+def _neighbours(path: Path) -> str:
+    if not path.parent.is_dir():
+        return ""
+    names = [other.name for other in path.parent.iterdir() if other.suffix in (".yaml", ".yml")]
+    return f"; {nearest(path.name, names)}" if names else ""
+
+
+def _apply(data: dict[str, Any], override: str) -> None:
+    """Set one value of the raw configuration."""
+    key, separator, text = override.partition("=")
+    if not separator or not key:
+        raise ConfigError(
+            "command line", (), f"{override!r} is not of the form key.path=value"
+        )
+    try:
+        value = yaml.safe_load(text)
+    except yaml.YAMLError:
+        raise ConfigError("command line", key.split("."), f"{text!r} is not YAML") from None
+    *parents, last = key.split(".")
+    place: Any = data
+    for i, part in enumerate(parents):
+        if isinstance(place, dict):
+            place = place.setdefault(part, {})
+        elif isinstance(place, list) and part.isdigit() and int(part) < len(place):
+            place = place[int(part)]
+        else:
+            raise ConfigError("command line", key.split("."), f"{'.'.join(parents[:i])} has no {part}")
+    if isinstance(place, list) and last.isdigit() and int(last) < len(place):
+        place[int(last)] = value
+    elif isinstance(place, dict):
+        place[last] = value
+    else:
+        raise ConfigError("command line", key.split("."), f"{'.'.join(parents)} has no {last}")
+
+
+def _worded(
+    error: pydantic.ValidationError, data: dict[str, Any], source: Path | str
+) -> ConfigError:
+    """The first problem, in words. Unknown keys go first: a typo explains what is missing."""
+    problems = sorted(error.errors(), key=lambda p: p["type"] not in _UNKNOWN_KEY)
+    problem = problems[0]
+    key = _key_in(data, problem["loc"])
+    kind, given = problem["type"], problem.get("input")
+    if kind in _UNKNOWN_KEY:
+        valid = _siblings(ExperimentConfig, data, key[:-1])
+        return ConfigError(source, key, f"unknown key; {nearest(str(key[-1]), valid)}")
+    if kind == "missing":
+        return ConfigError(source, key, "is missing and has no default")
+    message = problem["msg"].removeprefix("Value error, ")
+    if kind == "value_error":
+        return ConfigError(source, key, message)
+    if kind.startswith("union_tag"):
+        allowed = problem.get("ctx", {}).get("expected_tags", "")
+        allowed = allowed.replace("'custom'", "or module:Class for your own")
+        found = given.get("type") if isinstance(given, dict) else given
+        return ConfigError(source, (*key, "type"), f"{found!r} is not known; allowed: {allowed}")
+    more = f" (and {len(problems) - 1} more problems)" if len(problems) > 1 else ""
+    return ConfigError(source, key, f"{_short(given)}: {_lower(message)}{more}")
+
+
+def _key_in(data: Any, location: Key) -> tuple[str | int, ...]:
+    """A pydantic location without the names of union members, which are no keys of the file."""
+    key: list[str | int] = []
+    for i, part in enumerate(location):
+        is_key = isinstance(data, dict) and part in data
+        is_index = isinstance(data, list) and isinstance(part, int) and part < len(data)
+        if is_key or is_index:
+            key.append(part)
+            data = data[part]
+        elif i == len(location) - 1 and isinstance(data, dict):
+            key.append(part)
+    return tuple(key)
+
+
+def _siblings(model: type[pydantic.BaseModel], data: Any, key: Key) -> list[str]:
+    """Keys that are valid beside the one in question: those without which the part is refused."""
+    place = data
+    for part in key:
+        place = place[part]
+    schema = model.model_json_schema()
+    return sorted(_properties(schema, schema, data, key))
+
+
+def _properties(schema: dict, root: dict, data: Any, key: Key) -> set[str]:
+    """Property names of a JSON schema at a place, following references and the given types."""
+    if "$ref" in schema:
+        return _properties(root["$defs"][schema["$ref"].rsplit("/", 1)[-1]], root, data, key)
+    for choice in ("oneOf", "anyOf"):
+        if choice in schema:
+            found = [_properties(option, root, data, key) for option in schema[choice]
+                     if _matches(option, root, data)]
+            return set().union(*found)
+    if not key:
+        return set(schema.get("properties", {}))
+    part = key[0]
+    below = data[part] if isinstance(data, (dict, list)) else None
+    if isinstance(part, int):
+        return _properties(schema.get("items", {}), root, below, key[1:])
+    inner = schema.get("properties", {}).get(part)
+    if inner is None:
+        inner = schema.get("additionalProperties", {})
+    return _properties(inner, root, below, key[1:]) if isinstance(inner, dict) else set()
+
+
+def _matches(option: dict, root: dict, data: Any) -> bool:
+    """Whether a member of a union is the one that the given ``type`` asks for."""
+    if "$ref" in option:
+        option = root["$defs"][option["$ref"].rsplit("/", 1)[-1]]
+    kind = option.get("properties", {}).get("type", {})
+    if not isinstance(data, dict) or "type" not in data or "const" not in kind:
+        return True
+    return kind["const"] == data["type"]
+
+
+def _short(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def _lower(message: str) -> str:
+    return message[:1].lower() + message[1:]

@@ -1,0 +1,216 @@
+"""What a configuration file may say: SI units, angles in degrees where ``_deg`` says so."""
+
+import dataclasses
+import typing
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Discriminator, Field, Tag, create_model, model_validator
+
+from evo_cpg.config.creature_schema import (
+    CreatureConfig,
+    Finite,
+    NotNegative,
+    Positive,
+    Section,
+    Share,
+    Vector,
+)
+from evo_cpg.control.brain_cpg import BrainCpgSettings
+from evo_cpg.physics.fluid import DragLaw
+
+Count = Annotated[int, Field(ge=1)]
+
+
+class WaterConfig(Section):
+    """Water around the whole creature.
+
+    Attributes:
+        density: kg/m^3.
+        form_drag: C_d of the normal velocity at every surface point.
+        skin_drag: C_f of the tangential velocity.
+        current: velocity of the water, m/s.
+        law: ``normal`` splits the drag as above; ``isotropic`` is eq. 8 to the letter.
+        sheltered: leave out faces that other bodies cover at rest.
+        points: ``quadrature`` places the points evenly; ``random`` draws them once, as the paper
+            says, from ``points_seed``.
+        form_resolution: points for form drag: its square on each face of a box.
+        skin_resolution: points for skin friction, likewise.
+        random_points: points on each body when they are random.
+        points_seed: seed of random points.
+    """
+
+    density: Positive = 1000.0
+    form_drag: NotNegative = 1.0
+    skin_drag: NotNegative = 0.02
+    current: Vector = (0.0, 0.0, 0.0)
+    law: DragLaw = "normal"
+    sheltered: bool = True
+    points: Literal["quadrature", "random"] = "quadrature"
+    form_resolution: Annotated[int, Field(ge=1, le=32)] = 2
+    skin_resolution: Annotated[int, Field(ge=1, le=32)] = 1
+    random_points: Annotated[int, Field(ge=1, le=10_000)] = 32
+    points_seed: Annotated[int, Field(ge=0)] = 0
+
+
+class WorldConfig(Section):
+    """Gravity (m/s^2, downwards) and water (none: ``water: null``)."""
+
+    gravity: NotNegative = 9.81
+    water: WaterConfig | None = WaterConfig()
+
+
+class SimulationConfig(Section):
+    """One trial: control steps of ``1 / control_rate_hz`` s with ``substeps`` physics steps each."""
+
+    control_rate_hz: Positive = 60.0
+    substeps: Count = 2
+    steps: Count = 2000
+
+
+class CustomConfig(Section):
+    """A class of your own: ``type: my_module:MyClass``, built with ``options``."""
+
+    type: Annotated[str, Field(pattern=r"^[\w.]+:\w+$")]
+    options: dict[str, Any] = {}
+
+
+class LightConfig(Section):
+    """Where the light is, seen from the root at the start.
+
+    Attributes:
+        distance: m.
+        bearing_deg: to the left of straight ahead, degrees.
+        elevation_deg: above the horizon, degrees.
+    """
+
+    distance: Positive = 8.0
+    bearing_deg: Finite = 30.0
+    elevation_deg: Annotated[float, Field(ge=-90, le=90)] = 0.0
+
+    def position(self) -> tuple[float, float, float]:
+        """Place of the light, m."""
+        bearing, elevation = np.deg2rad([self.bearing_deg, self.elevation_deg])
+        level = self.distance * np.cos(elevation)
+        return (
+            float(level * np.cos(bearing)),
+            float(level * np.sin(bearing)),
+            float(self.distance * np.sin(elevation)),
+        )
+
+
+class ReachLightConfig(Section):
+    """Iwadate 2010, eqs. 9 and 10, on normalised terms: a > c > b.
+
+    Attributes:
+        type: ``reach_light``.
+        light: the goal.
+        distance_weight: a.
+        light_weight: c.
+        energy_weight: b.
+        final_seconds: time at the end over which the distance is averaged, s.
+    """
+
+    type: Literal["reach_light"] = "reach_light"
+    light: LightConfig = LightConfig()
+    distance_weight: NotNegative = 1.0
+    light_weight: NotNegative = 0.5
+    energy_weight: NotNegative = 0.2
+    final_seconds: Positive = 1.0
+
+    @model_validator(mode="after")
+    def _check(self) -> "ReachLightConfig":
+        if not self.distance_weight > self.light_weight > self.energy_weight:
+            raise ValueError(
+                "eq. 10 asks for distance_weight > light_weight > energy_weight, got "
+                f"{self.distance_weight:g}, {self.light_weight:g}, {self.energy_weight:g}"
+            )
+        return self
+
+
+def _section_of(settings: type, name: str, kind: str) -> type[Section]:
+    """The configuration section of a settings dataclass, which keeps keys and defaults."""
+    hints = typing.get_type_hints(settings)
+    fields: dict[str, Any] = {"type": (Literal[kind], kind)}
+    for field in dataclasses.fields(settings):
+        default = field.default
+        if default is dataclasses.MISSING:
+            assert field.default_factory is not dataclasses.MISSING
+            default = field.default_factory()
+        fields[field.name] = (hints[field.name], default)
+    return create_model(name, __base__=Section, __doc__=settings.__doc__, **fields)
+
+
+BrainCpgConfig = _section_of(BrainCpgSettings, "BrainCpgConfig", "brain_cpg")
+
+
+def _kind(default: str):
+    def kind(value: Any) -> str:
+        given = value.get("type", default) if isinstance(value, dict) else getattr(value, "type")
+        return "custom" if isinstance(given, str) and ":" in given else str(given)
+
+    return kind
+
+
+class EvolutionConfig(Section):
+    """The genetic algorithm.
+
+    Attributes:
+        generations: to evolve.
+        population: individuals.
+        elites: best individuals that pass on unchanged.
+        parent_fraction: best part of the population that may become parents; the chance falls
+            linearly with the rank.
+        crossover_probability: that two parents' genomes are cut at one place and rejoined.
+        mutation_rate: probability that a gene changes.
+        mutation_sigma: standard deviation of a change.
+        gene_bound: largest magnitude of a gene.
+    """
+
+    generations: Count = 50
+    population: Annotated[int, Field(ge=2)] = 200
+    elites: Annotated[int, Field(ge=0)] = 20
+    parent_fraction: Annotated[float, Field(gt=0, le=1)] = 0.5
+    crossover_probability: Share = 0.2
+    mutation_rate: Share = 0.05
+    mutation_sigma: NotNegative = 0.5
+    gene_bound: Positive = 8.0
+
+    @model_validator(mode="after")
+    def _check(self) -> "EvolutionConfig":
+        if self.elites >= self.population:
+            raise ValueError(
+                f"elites: must be fewer than the population of {self.population}, "
+                f"got {self.elites}"
+            )
+        return self
+
+
+class ExperimentConfig(Section):
+    """A whole experiment; every section but the creature has defaults.
+
+    Attributes:
+        name: of the run.
+        seed: of all randomness.
+        creature: the animal, or the path of its own file.
+        world: gravity and water.
+        simulation: the trial.
+        controller: the nervous system.
+        task: what the animals are judged by.
+        evolution: the genetic algorithm.
+    """
+
+    name: Annotated[str, Field(min_length=1)]
+    seed: Annotated[int, Field(ge=0, lt=2**31)] = 0
+    creature: CreatureConfig
+    world: WorldConfig = WorldConfig()
+    simulation: SimulationConfig = SimulationConfig()
+    controller: Annotated[
+        Annotated[BrainCpgConfig, Tag("brain_cpg")] | Annotated[CustomConfig, Tag("custom")],
+        Discriminator(_kind("brain_cpg")),
+    ] = BrainCpgConfig()
+    task: Annotated[
+        Annotated[ReachLightConfig, Tag("reach_light")] | Annotated[CustomConfig, Tag("custom")],
+        Discriminator(_kind("reach_light")),
+    ] = ReachLightConfig()
+    evolution: EvolutionConfig = EvolutionConfig()

@@ -1,0 +1,1 @@
+"""The nervous system: brain (ANN) and spinal cord (CPG)."""

@@ -1,0 +1,124 @@
+"""The brain: a feed-forward network of sigmoid units (Iwadate 2010, eqs. 2-3).
+
+    u_i = sum_j w_ji v_j        (2)
+    v_i = 1 / (1 + exp(-u_i / T))    (3)
+
+| symbol | name |
+|---|---|
+| w_ji | ``genes`` |
+| T | ``temperature`` |
+
+Differs from Iwadate 2010: each unit has a bias (the weight of a unit that is always 1), and T is
+a setting of its own; the paper prints T_r, the CPG's rise time, but calls it a temperature.
+
+The genes of a layer are its weights ``(out, in + 1)`` row by row, the bias last: what flows into
+one unit lies together, so that one-point crossover tends to keep it whole.
+"""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from evo_cpg.spatial.linear import matvec
+
+# XLA:CPU splits a sum over more than 32 terms into two passes, with all products stored in
+# between; summing in blocks of this many keeps each in one pass (20 % of a control step).
+SUM_BLOCK = 32
+
+
+@dataclasses.dataclass(frozen=True)
+class BrainSettings:
+    """Shape of the brain and range of its first weights.
+
+    Attributes:
+        hidden: units in each hidden layer; empty for a single layer.
+        temperature: T of eq. 3; small values make the units switches.
+        init_range: genes of the first generation are uniform within plus and minus this.
+
+    Raises:
+        ValueError: a value outside its range.
+    """
+
+    hidden: tuple[int, ...] = (16,)
+    temperature: float = 1.0
+    init_range: float = 2.0
+
+    def __post_init__(self):
+        if any(units < 1 for units in self.hidden):
+            raise ValueError(f"hidden layers need at least one unit each, got {self.hidden}")
+        for name in ("temperature", "init_range"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
+
+
+class Brain(eqx.Module):
+    """Structure of the network; its weights are the genes.
+
+    Attributes:
+        sizes: number of inputs, units of each hidden layer, number of outputs.
+        temperature: T of eq. 3.
+    """
+
+    sizes: tuple[int, ...] = eqx.field(static=True)
+    temperature: float = eqx.field(static=True)
+
+    @property
+    def gene_count(self) -> int:
+        """Number of weights, biases included."""
+        return sum(
+            (inputs + 1) * units
+            for inputs, units in zip(self.sizes[:-1], self.sizes[1:], strict=True)
+        )
+
+
+def build_brain(input_count: int, output_count: int, settings: BrainSettings) -> Brain:
+    """Lay out a brain between given numbers of inputs and outputs."""
+    return Brain((input_count, *settings.hidden, output_count), settings.temperature)
+
+
+def think(
+    brain: Brain, genes: Float[Array, "g *n"], inputs: Float[Array, "i *n"]
+) -> Float[Array, "o *n"]:
+    """Outputs of the brain, each between 0 and 1.
+
+    Args:
+        brain: structure.
+        genes: weights of each individual, layer by layer.
+        inputs: of each individual.
+
+    Raises:
+        ValueError: the number of inputs or genes is not the brain's.
+    """
+    if inputs.shape[0] != brain.sizes[0]:
+        raise ValueError(
+            f"the brain has {brain.sizes[0]} inputs, but was given {inputs.shape[0]} values; "
+            "build it for as many sensors and joints as the creature has"
+        )
+    if genes.shape[0] != brain.gene_count:
+        raise ValueError(f"the brain has {brain.gene_count} genes, but was given {genes.shape[0]}")
+    values, start = inputs, 0
+    for count, units in zip(brain.sizes[:-1], brain.sizes[1:], strict=True):
+        stop = start + units * (count + 1)
+        weights = genes[start:stop].reshape(units, count + 1, *genes.shape[1:])
+        activation = weights[:, -1]
+        for first in range(0, count, SUM_BLOCK):
+            block = slice(first, min(first + SUM_BLOCK, count))
+            activation = activation + matvec(weights[:, block], values[block])
+        values = jax.nn.sigmoid(activation / brain.temperature)
+        start = stop
+    return values
+
+
+def random_weights(
+    key: Array,
+    brain: Brain,
+    batch: tuple[int, ...],
+    dtype: jnp.dtype | type,
+    init_range: float,
+) -> Float[Array, "g *n"]:
+    """Weights of the first generation, uniform within plus and minus ``init_range``."""
+    shape = (brain.gene_count, *batch)
+    return jax.random.uniform(key, shape, dtype, -init_range, init_range)

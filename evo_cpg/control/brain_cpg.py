@@ -1,0 +1,253 @@
+"""The controller of Iwadate 2010: a brain (ANN) that plays on a spinal cord (CPG).
+
+Once per control step the brain reads the senses of Table 2 and sets the tonic input u and the
+adaptation gain b of the oscillators, which set the amplitude and the period of the rhythm. With
+sigma an output of the brain, between 0 and 1:
+
+    u = u_max sigma,    b = b_min + (b_max - b_min) sigma,    d = d_max (2 sigma - 1),
+    u_e = u (1 + d),    u_f = u (1 - d),
+    target = G g_axis (y_e - y_f) - k_c q,    within plus and minus max_rate.
+
+The paper says no more than "angular-velocity control" of the last line.
+
+| symbol | name |
+|---|---|
+| u, u_max | ``tonic_input``, ``max_tonic_input`` |
+| b, b_min, b_max | ``adaptation_gain``, ``min_adaptation_gain``, ``max_adaptation_gain`` |
+| d, d_max | ``steering``, ``steering_range`` |
+| G | ``rate_gain`` (rad/s) |
+| g_axis | ``axis_gain`` |
+| k_c | ``centring`` (1/s) |
+| q | ``joint_angle`` (rad) |
+
+Differs from Iwadate 2010: steering and centring are additions. Without a difference between u_e
+and u_f an animal cannot turn by bending to one side; without centring that difference, or the
+transient at the start, leaves the joints standing off centre, at worst at their stops.
+
+One `BrainCpg.act` of the default swimmer (27 oscillators, 94 inputs, 100 individuals) takes about
+60 us on one core in float32.
+"""
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from evo_cpg.control import matsuoka
+from evo_cpg.control.brain import Brain, BrainSettings, build_brain, random_weights, think
+from evo_cpg.control.controller import Command, Controller, Observation
+from evo_cpg.control.matsuoka import CpgSettings, MatsuokaNetwork, MatsuokaState, build_network
+from evo_cpg.creature.tree import Tree
+from evo_cpg.spatial.linear import lift
+
+CONTROL_STEP = 1 / 60  # s: Iwadate 2010, 2000 steps in 33.3 s.
+
+
+@dataclasses.dataclass(frozen=True)
+class BrainCpgSettings:
+    """Settings of the whole controller.
+
+    Attributes:
+        cpg: the oscillators.
+        brain: the network that sets them.
+        drive: what the brain sets: "shared", u and steering of each axis and one b for the whole
+            animal; "per_joint", the three of each joint; "per_dof", the three of each degree of
+            freedom.
+        steering_range: largest relative difference between extensor and flexor drive, 0 to 1.
+        rate_gain: G, joint rate per unit of output, rad/s.
+        centring: k_c, rate at which a joint returns to its neutral angle, 1/s; 0 is the literal
+            angular-velocity control.
+        max_rate: largest rate asked of a motor, rad/s.
+        axis_gain: factor on ``rate_gain`` for each axis name; 1 where not given.
+        joint_rates: let the brain sense the joint rates as well, which the paper's text lists
+            but its Table 2 does not.
+
+    Raises:
+        ValueError: a value outside its range.
+    """
+
+    cpg: CpgSettings = CpgSettings()
+    brain: BrainSettings = BrainSettings()
+    drive: Literal["shared", "per_joint", "per_dof"] = "shared"
+    steering_range: float = 0.3
+    rate_gain: float = 5.0
+    centring: float = 1.0
+    max_rate: float = 5.0
+    axis_gain: Mapping[str, float] = dataclasses.field(default_factory=dict, hash=False)
+    joint_rates: bool = False
+
+    def __post_init__(self):
+        if not 0 <= self.steering_range <= 1:
+            raise ValueError(f"steering_range must be from 0 to 1, got {self.steering_range}")
+        if not self.max_rate > 0:
+            raise ValueError(f"max_rate must be positive, got {self.max_rate}")
+        if not self.centring >= 0:
+            raise ValueError(f"centring must not be negative, got {self.centring}")
+
+
+class BrainCpg(Controller):
+    """Brain and spinal cord of one creature; its state is that of the neurons.
+
+    Attributes:
+        gene_count: number of the brain's weights.
+        brain: inputs to outputs. The outputs are the tonic inputs, then the steerings, then the
+            adaptation gains, each in the order of the axis names, joints or degrees of freedom.
+        network: the oscillators, one per degree of freedom.
+        settings: ranges and gains.
+        source: which tonic input (and steering) each oscillator takes.
+        gain_source: which adaptation gain it takes.
+        rate_gain: G g_axis of each degree of freedom, rad/s.
+        control_step: s.
+    """
+
+    gene_count: int = eqx.field(static=True)
+    brain: Brain
+    network: MatsuokaNetwork
+    settings: BrainCpgSettings = eqx.field(static=True)
+    source: tuple[int, ...] = eqx.field(static=True)
+    gain_source: tuple[int, ...] = eqx.field(static=True)
+    rate_gain: Float[np.ndarray, " d"]
+    control_step: float = eqx.field(static=True)
+
+    def random_genes(
+        self, key: Array, batch: tuple[int, ...], dtype: jnp.dtype | type
+    ) -> Float[Array, "g *n"]:
+        """Uniform weights (see `evo_cpg.control.controller.Controller.random_genes`)."""
+        return random_weights(key, self.brain, batch, dtype, self.settings.brain.init_range)
+
+    def initial_state(self, batch: tuple[int, ...], dtype: jnp.dtype | type) -> MatsuokaState:
+        """Neurons at rest but for the extensors, which are slightly active."""
+        return matsuoka.initial_state(self.network, batch, dtype)
+
+    def act(
+        self, genes: Float[Array, "g *n"], state: MatsuokaState, observation: Observation
+    ) -> tuple[MatsuokaState, Command]:
+        """Sense, think, advance the rhythm by one control step, command the motors.
+
+        Raises:
+            ValueError: the senses are not those that the brain was built for.
+        """
+        outputs = think(self.brain, genes, self.brain_inputs(state, observation))
+        tonic_input, adaptation_gain = self.cpg_inputs(outputs)
+        state = matsuoka.advance(
+            self.network, state, tonic_input, adaptation_gain, self.control_step
+        )
+        signal = matsuoka.output(state)
+        angle = observation.joint_angle
+        rate = lift(self.rate_gain, signal) * signal - self.settings.centring * angle
+        limit = self.settings.max_rate
+        return state, Command(target_rate=jnp.clip(rate, -limit, limit), signal=signal)
+
+    def brain_inputs(self, state: MatsuokaState, observation: Observation) -> Float[Array, "i *n"]:
+        """What the brain senses: Table 2 of Iwadate 2010, every value from -1 to 1.
+
+        In order: light, pressure, cosine and sine to the vertical; cosine of each joint angle,
+        sine of each, normalised gain A / A_max of each oscillator in the last step, and, where
+        wanted, each joint rate in units of ``max_rate``, cut off at 1.
+        """
+        angle = observation.joint_angle
+        values = [
+            observation.light,
+            observation.pressure,
+            observation.vertical_cosine,
+            observation.vertical_sine,
+            jnp.cos(angle),
+            jnp.sin(angle),
+            jnp.abs(matsuoka.output(state)) / max_amplitude(self.settings),
+        ]
+        if self.settings.joint_rates:
+            values.append(jnp.clip(observation.joint_rate / self.settings.max_rate, -1.0, 1.0))
+        return _assemble(values)
+
+    def cpg_inputs(
+        self, outputs: Float[Array, "s *n"]
+    ) -> tuple[Float[Array, "2 d *n"], Float[Array, "d *n"]]:
+        """Tonic input of each neuron (extensors first) and adaptation gain of each oscillator."""
+        cpg = self.settings.cpg
+        count = max(self.source) + 1
+        tonic = cpg.max_tonic_input * outputs[:count]
+        steering = self.settings.steering_range * (2 * outputs[count : 2 * count] - 1)
+        sides = jnp.stack([tonic * (1 + steering), tonic * (1 - steering)])
+        span = cpg.max_adaptation_gain - cpg.min_adaptation_gain
+        adaptation_gain = cpg.min_adaptation_gain + span * outputs[2 * count :]
+        return sides[:, np.array(self.source)], adaptation_gain[np.array(self.gain_source)]
+
+
+def build_brain_cpg(
+    tree: Tree,
+    light_count: int,
+    pressure_count: int,
+    settings: BrainCpgSettings | None = None,
+    control_step: float = CONTROL_STEP,
+) -> BrainCpg:
+    """Grow the controller on a creature's tree.
+
+    Args:
+        tree: the creature; every degree of freedom gets an oscillator.
+        light_count: light sensors, each of which also senses its angle to the vertical.
+        pressure_count: pressure sensors.
+        settings: the defaults if None.
+        control_step: time between two calls of `BrainCpg.act`, s.
+
+    Raises:
+        ValueError: the creature has no joint, or ``axis_gain`` names an axis it does not have.
+    """
+    settings = settings or BrainCpgSettings()
+    if not tree.dof_count:
+        raise ValueError("the controller needs a creature with at least one joint")
+    axes = matsuoka.axis_names(tree)
+    kinds = sorted(set(axes))
+    for axis in settings.axis_gain:
+        if axis not in kinds:
+            raise ValueError(
+                f"axis_gain names axis {axis!r}, but the joints turn about {', '.join(kinds)}"
+            )
+    joints = sorted(set(tree.dof_bodies))
+    per_joint = tuple(joints.index(body) for body in tree.dof_bodies)
+    per_dof = tuple(range(tree.dof_count))
+    source, gain_source = {
+        "shared": (tuple(kinds.index(axis) for axis in axes), (0,) * tree.dof_count),
+        "per_joint": (per_joint, per_joint),
+        "per_dof": (per_dof, per_dof),
+    }[settings.drive]
+    senses_per_joint = 4 if settings.joint_rates else 3
+    input_count = 3 * light_count + pressure_count + senses_per_joint * tree.dof_count
+    output_count = 2 * (max(source) + 1) + max(gain_source) + 1
+    gains = np.array([settings.axis_gain.get(axis, 1.0) for axis in axes])
+    brain = build_brain(input_count, output_count, settings.brain)
+    return BrainCpg(
+        gene_count=brain.gene_count,
+        brain=brain,
+        network=build_network(tree, settings.cpg),
+        settings=settings,
+        source=source,
+        gain_source=gain_source,
+        rate_gain=settings.rate_gain * gains,
+        control_step=control_step,
+    )
+
+
+def max_amplitude(settings: BrainCpgSettings) -> float:
+    """A_max: the output of an oscillator never exceeds it, in units of the tonic input."""
+    cpg = settings.cpg
+    return cpg.max_tonic_input * (1 + settings.steering_range) + max(cpg.sensory_feedback, 0.0)
+
+
+def _assemble(parts: list[Array]) -> Array:
+    """Concatenate along the first axis, computed once.
+
+    XLA fuses `jnp.concatenate` into the product with the weights and computes every sine again
+    for every hidden unit, even behind an optimization barrier: a control step then takes six
+    times as long.
+    """
+    whole = jnp.zeros((sum(part.shape[0] for part in parts), *parts[0].shape[1:]), parts[0].dtype)
+    start = 0
+    for part in parts:
+        whole = jax.lax.dynamic_update_slice_in_dim(whole, part.astype(whole.dtype), start, axis=0)
+        start += part.shape[0]
+    return whole

@@ -1,0 +1,225 @@
+"""A creature as a person describes it: named rigid bodies, joints, materials and sensors.
+
+This is plain data in the user's terms; `evo_cpg.creature.tree` turns it into the arrays that
+the physics works on. Frames: every body has a frame at its geometric centre; z is up and the
+animal faces along +x in the neutral pose.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from evo_cpg.creature.shapes import Shape
+
+
+class CreatureError(ValueError):
+    """A creature that cannot be built.
+
+    Attributes:
+        where: path of the offending value inside the creature, such as ``("bodies", 3, "joint")``.
+    """
+
+    def __init__(self, message: str, where: Sequence[str | int] = ()):
+        super().__init__(message)
+        self.where = tuple(where)
+
+
+@dataclasses.dataclass(frozen=True)
+class Material:
+    """What a body is made of (Iwadate 2010, Table 1).
+
+    Attributes:
+        density: kg/m^3.
+        restitution: coefficient of restitution, 0 to 1.
+        static_friction: coefficient that holds a resting contact.
+        dynamic_friction: coefficient that brakes a sliding contact.
+    """
+
+    density: float
+    restitution: float = 0.1
+    static_friction: float = 0.5
+    dynamic_friction: float = 0.4
+
+
+@dataclasses.dataclass(frozen=True)
+class Actuator:
+    """Motor on each axis of a joint: a velocity servo with a torque limit.
+
+    Attributes:
+        gain: torque per velocity error, N m s/rad.
+        torque_limit: largest torque on one axis, N m; infinite where there is no limit.
+    """
+
+    gain: float
+    torque_limit: float = float("inf")
+
+
+@dataclasses.dataclass(frozen=True)
+class Joint:
+    """A joint of 1 to 3 rotational axes between a body and its parent.
+
+    The axes turn one after the other, each in the frame left by those before it (x, then y,
+    then z in the usual case), so the middle one of three must keep clear of 90 degrees.
+
+    Attributes:
+        parent: name of the parent body.
+        parent_anchor: the joint's place in the parent's frame, m.
+        child_anchor: the joint's place in the child's frame, m.
+        axes: unit vectors in the child's neutral frame, in order.
+        lower: lower limit of each axis, rad.
+        upper: upper limit of each axis, rad.
+        orientation: child frame to parent frame in the neutral pose, ``(3, 3)``.
+        stiffness: passive spring towards the neutral pose, N m/rad.
+        damping: passive damping, N m s/rad.
+        armature: rotor inertia added on each axis, kg m^2.
+        actuator: the motor on each axis, or None for a passive joint.
+    """
+
+    parent: str
+    parent_anchor: tuple[float, float, float]
+    child_anchor: tuple[float, float, float]
+    axes: tuple[tuple[float, float, float], ...]
+    lower: tuple[float, ...]
+    upper: tuple[float, ...]
+    orientation: tuple[tuple[float, float, float], ...] = (
+        (1.0, 0.0, 0.0),
+        (0.0, 1.0, 0.0),
+        (0.0, 0.0, 1.0),
+    )
+    stiffness: float = 0.0
+    damping: float = 0.0
+    armature: float = 0.0
+    actuator: Actuator | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class Body:
+    """A rigid body; the one without a joint is the root of the tree.
+
+    Attributes:
+        name: unique in the creature.
+        shape: centred on the body's frame.
+        material: density and contact properties.
+        joint: how it hangs on its parent; None for the root.
+        color: of the body in pictures, as ``#rrggbb``; None picks one.
+    """
+
+    name: str
+    shape: Shape
+    material: Material
+    joint: Joint | None = None
+    color: str | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class LightSensor:
+    """A directional eye (Iwadate 2010, eq. 1).
+
+    Attributes:
+        body: name of the body that carries it.
+        position: in the body's frame, m.
+        axis: unit vector it looks along, in the body's frame.
+        field_of_view: full opening angle, rad; the response reaches 0 at half of it.
+    """
+
+    body: str
+    position: tuple[float, float, float]
+    axis: tuple[float, float, float]
+    field_of_view: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Creature:
+    """A tree of rigid bodies with sensors.
+
+    Attributes:
+        name: what the user calls it.
+        bodies: in any order; exactly one has no joint.
+        light_sensors: its eyes.
+        pressure_sensors: names of the bodies that feel solid contact.
+    """
+
+    name: str
+    bodies: tuple[Body, ...]
+    light_sensors: tuple[LightSensor, ...] = ()
+    pressure_sensors: tuple[str, ...] = ()
+
+    def body_index(self, name: str) -> int:
+        """Position of a body in ``bodies``."""
+        return [body.name for body in self.bodies].index(name)
+
+    @property
+    def mass(self) -> float:
+        """Mass of the whole creature, kg."""
+        return sum(body.shape.volume * body.material.density for body in self.bodies)
+
+
+def neutral_pose(creature: Creature) -> tuple[np.ndarray, np.ndarray]:
+    """Where the bodies are with every joint at zero and the root at the origin.
+
+    Returns:
+        Centres ``(bodies, 3)`` in m and rotation matrices ``(bodies, 3, 3)``, in the order of
+        ``creature.bodies``.
+    """
+    frames: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+    for body in (creature.bodies[i] for i in topological_order(creature)):
+        if body.joint is None:
+            frames[body.name] = np.zeros(3), np.eye(3)
+            continue
+        parent_centre, parent_rotation = frames[body.joint.parent]
+        rotation = parent_rotation @ np.array(body.joint.orientation)
+        anchor = parent_centre + parent_rotation @ np.array(body.joint.parent_anchor)
+        frames[body.name] = anchor - rotation @ np.array(body.joint.child_anchor), rotation
+    centres, rotations = zip(*(frames[body.name] for body in creature.bodies), strict=True)
+    return np.array(centres), np.array(rotations)
+
+
+def topological_order(creature: Creature) -> list[int]:
+    """Indices of the bodies such that parents come before children, level by level.
+
+    Bodies of one level are ordered by their number of joint axes, then as described, so that
+    bodies which the physics can treat together lie side by side.
+
+    Raises:
+        CreatureError: no body, no root or several, a name used twice, a joint to a body that
+            does not exist, or bodies joined in a ring.
+    """
+    bodies = creature.bodies
+    if not bodies:
+        raise CreatureError("a creature needs at least one body", ("bodies",))
+    names = [body.name for body in bodies]
+    for i, name in enumerate(names):
+        if name in names[:i]:
+            raise CreatureError(f"two bodies are called {name!r}", ("bodies", i, "name"))
+    roots = [i for i, body in enumerate(bodies) if body.joint is None]
+    if len(roots) > 1:
+        raise CreatureError(
+            f"bodies {names[roots[0]]!r} and {names[roots[1]]!r} both have no joint; "
+            "exactly one body (the root) may stand without one",
+            ("bodies", roots[1], "joint"),
+        )
+    for i, body in enumerate(bodies):
+        if body.joint is not None and body.joint.parent not in names:
+            raise CreatureError(
+                f"body {body.name!r} is joined to {body.joint.parent!r}, which does not exist; "
+                f"bodies are {', '.join(names)}",
+                ("bodies", i, "joint", "parent"),
+            )
+    depth = {names[i]: 0 for i in roots}
+    while len(depth) < len(bodies):
+        reached = {
+            body.name: depth[body.joint.parent] + 1
+            for body in bodies
+            if body.name not in depth and body.joint and body.joint.parent in depth
+        }
+        if not reached:
+            stuck = [name for name in names if name not in depth]
+            raise CreatureError(
+                f"the joints of {', '.join(stuck)} form a ring: no chain of parents leads "
+                "from them to a root body",
+                ("bodies", names.index(stuck[0]), "joint", "parent"),
+            )
+        depth |= reached
+    axes = [len(body.joint.axes) if body.joint else 0 for body in bodies]
+    return sorted(range(len(bodies)), key=lambda i: (depth[names[i]], axes[i], i))

@@ -1,0 +1,1 @@
+"""Rigid-body trees in water: kinematics, the linearly implicit step, fluid and joint forces."""

@@ -1,0 +1,261 @@
+"""The articulated-body recursion with implicit forces, in O(bodies).
+
+Every force on a body enters as the wrench ``f_i`` at the present velocity and its derivative
+``D_i = -df_i/dV_i`` in the body's frame; every joint torque as its value ``tau`` at the present
+rates and its derivative ``-dtau/dqdd``, the diagonal ``T``. Solving for the velocities at the
+end of a step of length h,
+
+    (M + h sum J_i^T D_i J_i + T) qdd = tau + sum J_i^T f_i - bias - h sum J_i^T D_i A0_i,
+
+is the articulated-body algorithm (Featherstone 2008, section 7.3) with ``I_i + h D_i`` in place
+of ``I_i`` and ``S^T I^A S + T`` in place of ``S^T I^A S``; it multiplies the modified inertia by
+the whole spatial acceleration, which is where the last term comes from. A0_i is the velocity-
+product acceleration of `Kinematics`, so the recursion solves only for what comes on top of it.
+
+| symbol | name |
+|---|---|
+| I_i + h D_i | ``inertia``: blocks (angular-angular, angular-linear, linear-linear) |
+| p_i | ``bias``: wrench that would be needed for the accelerations A0_i |
+| U, G, u | as in the book (there G is D): ``I^A S``, ``S^T U + T``, ``tau - S^T p`` |
+"""
+
+import itertools
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from evo_cpg.creature.tree import Tree
+from evo_cpg.physics.kinematics import Kinematics
+from evo_cpg.spatial.linear import (
+    cross,
+    dot,
+    inverse_symmetric,
+    lift,
+    matmul,
+    matmul_t,
+    matvec,
+    matvec_t,
+    skew,
+    t_matmul,
+    transpose,
+)
+
+# With this many axes a joint can turn any way, which has a cheaper recursion.
+_BALL_AXES = 3
+
+
+class Inertia(NamedTuple):
+    """Symmetric 6x6 matrices by their 3x3 blocks, world axes, at each body's origin."""
+
+    angular: Float[Array, "3 3 b *n"]
+    mixed: Float[Array, "3 3 b *n"]
+    linear: Float[Array, "3 3 b *n"]
+
+
+class Wrench(NamedTuple):
+    """Moment (N m) and force (N), world axes, at each body's origin."""
+
+    moment: Float[Array, "3 b *n"]
+    force: Float[Array, "3 b *n"]
+
+
+class Accelerations(NamedTuple):
+    """Spatial acceleration of the root (angular, linear) and joint accelerations."""
+
+    root: Float[Array, "6 *n"]
+    qdd: Float[Array, "d *n"]
+
+
+class _Motion(NamedTuple):
+    """The unknown acceleration x of a group's joints, and what drives it.
+
+    ``x = G^-1 (u - U^T A_parent)``. With one or two axes x is ``qdd``; with three it is the
+    angular acceleration across the joint, in world axes.
+
+    Attributes:
+        torque: in the coordinates of x.
+        derivative: T in the coordinates of x.
+        axes: (3, k, bodies, ...), from ``qdd`` to the angular acceleration.
+        to_axes: its inverse; only with three axes.
+    """
+
+    torque: Array
+    derivative: Array
+    axes: Array
+    to_axes: Array | None
+
+
+class _Elimination(NamedTuple):
+    """What the outward pass needs from the inward one, per group."""
+
+    u_angular: Array
+    u_linear: Array
+    g_inverse: Array
+    u: Array
+
+
+def solve(
+    tree: Tree,
+    kin: Kinematics,
+    inertia: Inertia,
+    bias: Wrench,
+    torque: Float[Array, "d *n"],
+    torque_derivative: Float[Array, "d *n"],
+) -> Accelerations:
+    """Accelerations of the root and of all joints.
+
+    Args:
+        tree: the creature.
+        kin: its present kinematics.
+        inertia: ``I + h D`` of every body.
+        bias: ``V x* I V - f + (I + h D) A0`` of every body.
+        torque: on every joint axis at the present rates, N m.
+        torque_derivative: ``-dtau/dqdd`` (with armature), kg m^2.
+    """
+    batch = torque.shape[1:]
+    blocks = [[block[:, :, i] for block in inertia] for i in range(tree.body_count)]
+    wrenches = [[part[:, i] for part in bias] for i in range(tree.body_count)]
+    motions = _motions(tree, kin, torque, torque_derivative)
+    eliminations: list[_Elimination] = []
+    for group, motion in zip(reversed(tree.groups), reversed(motions), strict=True):
+        members = range(group.bodies.start, group.bodies.stop)
+        own = Inertia(*(jnp.stack(b, 2) for b in zip(*(blocks[i] for i in members), strict=True)))
+        force = Wrench(*(jnp.stack(w, 1) for w in zip(*(wrenches[i] for i in members), strict=True)))
+        eliminate = _eliminate_axes if motion.to_axes is None else _eliminate_ball
+        elimination, reduced, passed = eliminate(own, force, motion)
+        eliminations.append(elimination)
+        moved, carried = _to_parent(reduced, passed, kin.offset[:, group.bodies])
+        for j, parent in enumerate(group.parents):
+            blocks[parent] = [
+                total + block[:, :, j] for total, block in zip(blocks[parent], moved, strict=True)
+            ]
+            wrenches[parent] = [
+                total + part[:, j] for total, part in zip(wrenches[parent], carried, strict=True)
+            ]
+
+    angular, linear = _free_body(Inertia(*blocks[0]), Wrench(*wrenches[0]))
+    accelerations = [(angular, linear)]
+    qdd = [jnp.zeros((0, *batch), torque.dtype)]
+    for group, motion, joint in zip(tree.groups, motions, reversed(eliminations), strict=True):
+        alpha, a = (
+            jnp.stack(parts, 1)
+            for parts in zip(*(accelerations[parent] for parent in group.parents), strict=True)
+        )
+        a = a + cross(alpha, kin.offset[:, group.bodies])
+        rest = joint.u - matvec_t(joint.u_angular, alpha) - matvec_t(joint.u_linear, a)
+        x = matvec(joint.g_inverse, rest)
+        spin = matvec(motion.axes, x) if motion.to_axes is None else x
+        group_qdd = x if motion.to_axes is None else matvec(motion.to_axes, x)
+        alpha = alpha + spin
+        accelerations.extend((alpha[:, j], a[:, j]) for j in range(alpha.shape[1]))
+        qdd.append(jnp.swapaxes(group_qdd, 0, 1).reshape(-1, *batch))
+    return Accelerations(jnp.concatenate([angular, linear]), jnp.concatenate(qdd))
+
+
+def _motions(tree: Tree, kin: Kinematics, torque: Array, derivative: Array) -> list[_Motion]:
+    """Axes and torques of every group; neighbours with equally many axes are prepared at once."""
+    motions: list[_Motion] = []
+    batch = torque.shape[1:]
+    for axes_count, groups in itertools.groupby(tree.groups, key=lambda group: group.axes):
+        run = list(groups)
+        dofs = slice(run[0].dofs.start, run[-1].dofs.stop)
+        bodies = (dofs.stop - dofs.start) // axes_count
+        axes = jnp.swapaxes(kin.axes[:, dofs].reshape(3, bodies, axes_count, *batch), 1, 2)
+        tau, diagonal = (
+            jnp.swapaxes(part[dofs].reshape(bodies, axes_count, *batch), 0, 1)
+            for part in (torque, derivative)
+        )
+        if axes_count == _BALL_AXES:
+            to_axes = _inverse_columns(axes)
+            whole = _Motion(
+                matvec_t(to_axes, tau),
+                t_matmul(to_axes, diagonal[:, None] * to_axes),
+                axes,
+                to_axes,
+            )
+        else:
+            identity = jnp.eye(axes_count, dtype=tau.dtype)
+            whole = _Motion(tau, lift(identity, tau, tau.ndim + 1) * diagonal[None], axes, None)
+        first = run[0].bodies.start
+        for group in run:
+            members = slice(group.bodies.start - first, group.bodies.stop - first)
+            motions.append(
+                _Motion(
+                    whole.torque[:, members],
+                    whole.derivative[:, :, members],
+                    whole.axes[:, :, members],
+                    None if whole.to_axes is None else whole.to_axes[:, :, members],
+                )
+            )
+    return motions
+
+
+def _eliminate_axes(
+    inertia: Inertia, bias: Wrench, motion: _Motion
+) -> tuple[_Elimination, Inertia, Wrench]:
+    """What the parent feels through joints that give way with the given torques."""
+    u_angular = matmul(inertia.angular, motion.axes)
+    u_linear = t_matmul(inertia.mixed, motion.axes)
+    g_inverse = inverse_symmetric(t_matmul(motion.axes, u_angular) + motion.derivative)
+    u = motion.torque - matvec_t(motion.axes, bias.moment)
+    w_angular, w_linear = matmul(u_angular, g_inverse), matmul(u_linear, g_inverse)
+    reduced = Inertia(
+        inertia.angular - matmul_t(w_angular, u_angular),
+        inertia.mixed - matmul_t(w_angular, u_linear),
+        inertia.linear - matmul_t(w_linear, u_linear),
+    )
+    passed = Wrench(bias.moment + matvec(w_angular, u), bias.force + matvec(w_linear, u))
+    return _Elimination(u_angular, u_linear, g_inverse, u), reduced, passed
+
+
+def _eliminate_ball(
+    inertia: Inertia, bias: Wrench, motion: _Motion
+) -> tuple[_Elimination, Inertia, Wrench]:
+    """The same for three axes, where S is invertible and drops out of the inertias.
+
+    With ``T_w = S^-T T S^-1`` and ``G = A + T_w``, the angular part that is passed on is
+    ``A - A G^-1 A = T_w G^-1 A``: a third fewer products than the general form, and no
+    cancellation when the joint is free.
+    """
+    g_inverse = inverse_symmetric(inertia.angular + motion.derivative)
+    kept = matmul(motion.derivative, g_inverse)
+    give = matmul(g_inverse, inertia.mixed)
+    u = motion.torque - bias.moment
+    reduced = Inertia(
+        matmul(kept, inertia.angular),
+        matmul(kept, inertia.mixed),
+        inertia.linear - t_matmul(inertia.mixed, give),
+    )
+    passed = Wrench(motion.torque - matvec(kept, u), bias.force + matvec_t(give, u))
+    return _Elimination(inertia.angular, transpose(inertia.mixed), g_inverse, u), reduced, passed
+
+
+def _inverse_columns(m: Float[Array, "3 3 *rest"]) -> Float[Array, "3 3 *rest"]:
+    """Inverse of a matrix whose columns are independent: its rows are their cross products."""
+    a, b, c = m[:, 0], m[:, 1], m[:, 2]
+    rows = jnp.stack([cross(b, c), cross(c, a), cross(a, b)])
+    return rows / dot(a, rows[0])[None, None]
+
+
+def _to_parent(inertia: Inertia, bias: Wrench, offset: Array) -> tuple[Inertia, Wrench]:
+    """Move inertia and wrench from the joint to the parent's origin, ``-offset`` away."""
+    shift = skew(offset)
+    mixed = inertia.mixed + matmul(shift, inertia.linear)
+    angular = inertia.angular + matmul_t(shift, inertia.mixed) - matmul(mixed, shift)
+    return (
+        Inertia(angular, mixed, inertia.linear),
+        Wrench(bias.moment + cross(offset, bias.force), bias.force),
+    )
+
+
+def _free_body(inertia: Inertia, bias: Wrench) -> tuple[Array, Array]:
+    """Acceleration of a free body: ``I A = -p`` by eliminating the linear part."""
+    linear_inverse = inverse_symmetric(inertia.linear)
+    coupling = matmul(inertia.mixed, linear_inverse)
+    schur = inertia.angular - matmul_t(coupling, inertia.mixed)
+    angular = matvec(inverse_symmetric(schur), matvec(coupling, bias.force) - bias.moment)
+    linear = matvec(
+        linear_inverse, -bias.force - matvec(transpose(inertia.mixed), angular)
+    )
+    return angular, linear

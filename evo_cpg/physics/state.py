@@ -1,0 +1,51 @@
+"""What the integrator carries from step to step."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from evo_cpg.creature.tree import Tree
+
+
+class State(eqx.Module):
+    """Pose and velocity of a free-floating tree; trailing axes are individuals.
+
+    Attributes:
+        position: of the root's centre in the world, m.
+        orientation: unit quaternion (w, x, y, z), root to world.
+        velocity: of the root in the world: angular (rad/s), then linear at its centre (m/s).
+        q: joint angles, rad.
+        qd: joint rates, rad/s.
+    """
+
+    position: Float[Array, "3 *n"]
+    orientation: Float[Array, "4 *n"]
+    velocity: Float[Array, "6 *n"]
+    q: Float[Array, "d *n"]
+    qd: Float[Array, "d *n"]
+
+
+def resting_state(
+    tree: Tree,
+    batch: tuple[int, ...] = (),
+    dtype: jnp.dtype | type = jnp.float32,
+    position: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    orientation: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0),
+) -> State:
+    """The neutral pose at rest.
+
+    Args:
+        tree: the creature.
+        batch: trailing axes, such as ``(population,)``.
+        dtype: floating-point type of every array.
+        position: of the root, m.
+        orientation: of the root, unit quaternion (w, x, y, z).
+    """
+
+    def fill(values) -> Array:
+        column = np.asarray(values, float).reshape(-1, *(1,) * len(batch))
+        return jnp.broadcast_to(jnp.asarray(column, dtype), (column.shape[0], *batch))
+
+    still = np.zeros(tree.dof_count)
+    return State(fill(position), fill(orientation), fill(np.zeros(6)), fill(still), fill(still))

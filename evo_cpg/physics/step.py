@@ -1,0 +1,188 @@
+"""One step of the world: a flat list of named stages.
+
+Kinematics, forces on bodies, torques on joints, the implicit solve, the motors' limits,
+integration. Semi-implicit Euler: the velocities at the end of the step move the positions.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from evo_cpg.creature.tree import Tree
+from evo_cpg.physics.articulated import Accelerations, Inertia, Wrench, solve
+from evo_cpg.physics.fluid import Patch, Water, drag
+from evo_cpg.physics.joints import clamp_torque, overloaded, passive_torque, servo_torque
+from evo_cpg.physics.kinematics import Kinematics, kinematics
+from evo_cpg.physics.state import State
+from evo_cpg.spatial.linear import (
+    cross,
+    lift,
+    matmul,
+    matmul_t,
+    matvec,
+    matvec_t,
+)
+from evo_cpg.spatial.rotation import integrate_quaternion
+
+
+class World(eqx.Module):
+    """A creature and its surroundings, ready to be stepped.
+
+    Attributes:
+        tree: the creature.
+        gravity: m/s^2, pulling along -z.
+        water: None on dry land.
+        patches: the surface points that meet the water.
+    """
+
+    tree: Tree
+    gravity: float
+    water: Water | None = None
+    patches: tuple[Patch, ...] = ()
+
+
+class Effort(NamedTuple):
+    """What the motors did in one step.
+
+    Attributes:
+        torque: applied on each axis at the end of the step, N m.
+        energy: spent by each motor, the sum of |torque x rate| over the step, J.
+    """
+
+    torque: Float[Array, "d *n"]
+    energy: Float[Array, "d *n"]
+
+
+def step(
+    world: World, state: State, target_rate: Float[Array, "d *n"], h: float
+) -> tuple[State, Effort]:
+    """Advance the world by ``h`` seconds with the servos' target rates (rad/s) held."""
+    with jax.named_scope("kinematics"):
+        kin = kinematics(world.tree, state)
+    with jax.named_scope("forces"):
+        inertia, bias = body_equations(world, kin, h)
+    with jax.named_scope("solve"):
+        acceleration, torque = actuated_solve(world.tree, state, kin, inertia, bias, target_rate, h)
+    with jax.named_scope("integrate"):
+        new_state = integrate(state, kin, acceleration, h)
+    energy = h * jnp.abs(torque * 0.5 * (state.qd + new_state.qd))
+    return new_state, Effort(torque, energy)
+
+
+def body_equations(world: World, kin: Kinematics, h: float) -> tuple[Inertia, Wrench]:
+    """Inertia ``I + h D`` and bias wrench of every body, in world axes.
+
+    Where further forces on bodies (contact) join: their wrench and derivative are added to the
+    drag's before both are turned to world axes.
+    """
+    tree = world.tree
+    rotation = kin.rotation
+    velocity = jnp.concatenate(
+        [matvec_t(rotation, kin.angular), matvec_t(rotation, kin.linear)]
+    )
+    wrench = weight(world, kin)
+    constant = lift(tree.inertia, velocity, velocity.ndim + 1)
+    momentum = matvec(constant, velocity)
+    blocks = jnp.stack([constant[:3, :3], constant[:3, 3:], constant[3:, 3:]])
+    if world.water is not None:
+        current = jnp.asarray(world.water.current, velocity.dtype)
+        stream = matvec_t(rotation, lift(current, kin.linear))
+        relative = jnp.concatenate([velocity[:3], velocity[3:] - stream])
+        resistance, derivative = drag(world.water, world.patches, relative)
+        wrench = wrench + resistance
+        blocks = blocks + h * derivative
+    w, v = velocity[:3], velocity[3:]
+    moment = cross(w, momentum[:3]) + cross(v, momentum[3:]) - wrench[:3]
+    force = cross(w, momentum[3:]) - wrench[3:]
+
+    inertia = Inertia(*(matmul_t(matmul(rotation, block), rotation) for block in blocks))
+    bias = Wrench(
+        matvec(rotation, moment)
+        + matvec(inertia.angular, kin.bias_angular)
+        + matvec(inertia.mixed, kin.bias_linear),
+        matvec(rotation, force)
+        + matvec_t(inertia.mixed, kin.bias_angular)
+        + matvec(inertia.linear, kin.bias_linear),
+    )
+    return inertia, bias
+
+
+def weight(world: World, kin: Kinematics) -> Float[Array, "6 b *n"]:
+    """Weight less buoyancy, both at the centre of mass, in body axes (Iwadate 2010, eq. 7)."""
+    tree = world.tree
+    displaced = world.water.density * tree.volume if world.water is not None else 0.0
+    up = kin.rotation[2]
+    force = lift((displaced - tree.mass) * world.gravity, up[0])[None] * up
+    return jnp.concatenate([cross(lift(tree.com, up), force), force])
+
+
+def actuated_solve(
+    tree: Tree,
+    state: State,
+    kin: Kinematics,
+    inertia: Inertia,
+    bias: Wrench,
+    target_rate: Float[Array, "d *n"],
+    h: float,
+) -> tuple[Accelerations, Float[Array, "d *n"]]:
+    """Solve for the accelerations with motors that never exceed their limits.
+
+    First every servo acts implicitly. Individuals of which some motor would be overloaded are
+    solved again with those motors at their limits and the others implicit, and a last time with
+    all motor torques given: the torques applied are then exactly those returned, whatever the
+    second solve made of the remaining motors.
+
+    Returns:
+        The accelerations and the motor torques (N m) at the end of the step.
+    """
+    passive, derivative = passive_torque(tree, state, h)
+    derivative = derivative + lift(tree.armature, derivative)
+    wanted = servo_torque(tree, state.qd, target_rate)
+    servo_derivative = lift(h * tree.servo_gain, wanted)
+
+    def solve_with(torque, torque_derivative):
+        return solve(tree, kin, inertia, bias, torque, torque_derivative)
+
+    free = solve_with(passive + wanted, derivative + servo_derivative)
+    torque = wanted - servo_derivative * free.qdd
+    if not np.isfinite(tree.torque_limit).any() or not tree.servo_gain.any():
+        return free, torque
+
+    def limited(torque):
+        over = overloaded(tree, torque)
+        held = jnp.where(over, clamp_torque(tree, torque), wanted)
+        mixed = solve_with(passive + held, derivative + jnp.where(over, 0.0, servo_derivative))
+        given = clamp_torque(tree, jnp.where(over, held, wanted - servo_derivative * mixed.qdd))
+        final = solve_with(passive + given, derivative)
+        anywhere = over.any(0)
+        return (
+            Accelerations(
+                jnp.where(anywhere, final.root, free.root), jnp.where(anywhere, final.qdd, free.qdd)
+            ),
+            jnp.where(anywhere, given, torque),
+        )
+
+    return jax.lax.cond(
+        overloaded(tree, torque).any(), limited, lambda torque: (free, torque), torque
+    )
+
+
+def integrate(state: State, kin: Kinematics, acceleration: Accelerations, h: float) -> State:
+    """Semi-implicit Euler: new velocities first, and they move the positions."""
+    angular, linear = state.velocity[:3], state.velocity[3:]
+    # The recursion's root acceleration is spatial; a material point's has w x v on top.
+    change = acceleration.root[3:] + cross(angular, linear)
+    new_angular = angular + h * acceleration.root[:3]
+    new_linear = linear + h * change
+    qd = state.qd + h * acceleration.qdd
+    return State(
+        position=state.position + h * new_linear,
+        orientation=integrate_quaternion(state.orientation, new_angular, h),
+        velocity=jnp.concatenate([new_angular, new_linear]),
+        q=state.q + h * qd,
+        qd=qd,
+    )

@@ -1,0 +1,1 @@
+"""World, creature and controller together: rollouts, sensors, tasks."""

@@ -1,0 +1,97 @@
+"""Reach the light by the shortest path, keeping it in view, with little energy (Iwadate 2010).
+
+    f(D, E, L) = -a D - b E + c L,    a D_max > c L_max > b E_max            (eqs. 9 and 10)
+
+with D the distance to the light at the end (mean of the last second), E the energy spent by the
+motors and L the light seen by the best eye, averaged over the trial. All three are normalised: D
+by the distance at the start, E by the 95th percentile of the first generation. Eq. 10 then reads
+``a > c > b``.
+"""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from evo_cpg.simulation.task import Moment, Task
+
+# An animal that flees is not punished beyond this multiple of the starting distance, so that one
+# wild individual cannot dominate averages.
+_FARTHEST = 1.5
+
+# The energy yardstick: this percentile of the first generation counts as E_max.
+_ENERGY_PERCENTILE = 95.0
+
+
+class LightTally(NamedTuple):
+    """Sums over the trial so far."""
+
+    start_distance: Array
+    final_distance: Array
+    light: Array
+    energy: Array
+
+
+class ReachLight(Task):
+    """Swim to a point light.
+
+    Attributes:
+        light: place of the light, m.
+        distance_weight: a.
+        energy_weight: b.
+        light_weight: c.
+        final_steps: control steps at the end over which the distance is averaged.
+    """
+
+    light: tuple[float, float, float]
+    distance_weight: float = 1.0
+    energy_weight: float = 0.2
+    light_weight: float = 0.5
+    final_steps: int = 60
+
+    def begin(self, batch: tuple[int, ...], dtype: jnp.dtype, steps: int) -> LightTally:
+        """See `Task.begin`."""
+        del steps
+        return LightTally(*(jnp.zeros(batch, dtype) for _ in LightTally._fields))
+
+    def watch(self, tally: LightTally, moment: Moment, steps: int) -> LightTally:
+        """See `Task.watch`."""
+        distance = self.distance(moment.position)
+        last = moment.step >= steps - min(self.final_steps, steps)
+        return LightTally(
+            jnp.where(moment.step == 0, distance, tally.start_distance),
+            tally.final_distance + jnp.where(last, distance, 0.0),
+            tally.light + moment.light.max(0),
+            tally.energy + moment.energy,
+        )
+
+    def terms(self, tally: LightTally, steps: int) -> dict[str, Float[Array, " *n"]]:
+        """``distance`` (share of the start's), ``energy`` (J) and ``light`` (mean, 0 to 1)."""
+        final = tally.final_distance / min(self.final_steps, steps)
+        return {
+            "distance": final / tally.start_distance,
+            "energy": tally.energy,
+            "light": tally.light / steps,
+        }
+
+    def scales(self, terms: Mapping[str, Float[Array, " n"]]) -> dict[str, Float[Array, ""]]:
+        """``energy``: E_max, the 95th percentile of the first generation, J."""
+        energy = jnp.where(jnp.isfinite(terms["energy"]), terms["energy"], jnp.nan)
+        top = jnp.nanpercentile(energy, _ENERGY_PERCENTILE)
+        return {"energy": jnp.where(top > 0, top, 1.0)}
+
+    def fitness(
+        self, terms: Mapping[str, Float[Array, " *n"]], scales: Mapping[str, Float[Array, ""]]
+    ) -> Float[Array, " *n"]:
+        """Eq. 9 on the normalised terms."""
+        return (
+            -self.distance_weight * jnp.minimum(terms["distance"], _FARTHEST)
+            - self.energy_weight * jnp.minimum(terms["energy"] / scales["energy"], 1.0)
+            + self.light_weight * terms["light"]
+        )
+
+    def distance(self, position: Float[Array, "3 *n"]) -> Float[Array, " *n"]:
+        """Distance from a place to the light, m."""
+        light = jnp.asarray(self.light, position.dtype).reshape(3, *(1,) * (position.ndim - 1))
+        return jnp.sqrt(jnp.sum((light - position) ** 2, 0))

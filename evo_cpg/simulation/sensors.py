@@ -1,0 +1,82 @@
+"""What the animal feels: light, pressure, its attitude (Iwadate 2010, eq. 1 and Table 2)."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from evo_cpg.creature.creature import Creature
+from evo_cpg.creature.tree import Tree
+from evo_cpg.physics.kinematics import Kinematics
+from evo_cpg.spatial.linear import dot, lift, matvec
+
+# Added under the root so that the direction to a light at the sensor's own place has a gradient.
+_DISTANCE_FLOOR = 1e-12
+
+
+class Sensors(NamedTuple):
+    """Where the sensors sit on the tree.
+
+    Attributes:
+        eye_bodies: index of the body that carries each light sensor.
+        eye_positions: ``(3, eyes)`` in the body's working frame, m.
+        eye_axes: ``(3, eyes)`` unit vectors.
+        fields_of_view: ``(eyes,)`` full opening angles, rad.
+        pressure_bodies: index of the body behind each pressure sensor.
+    """
+
+    eye_bodies: tuple[int, ...]
+    eye_positions: np.ndarray
+    eye_axes: np.ndarray
+    fields_of_view: np.ndarray
+    pressure_bodies: tuple[int, ...]
+
+
+def place_sensors(creature: Creature, tree: Tree) -> Sensors:
+    """Find the creature's sensors on its tree."""
+    bodies = tuple(tree.names.index(eye.body) for eye in creature.light_sensors)
+    eyes = creature.light_sensors
+    positions = np.array([eye.position for eye in eyes], float).reshape(-1, 3).T
+    return Sensors(
+        bodies,
+        positions + tree.com[:, list(bodies)],
+        np.array([eye.axis for eye in eyes], float).reshape(-1, 3).T,
+        np.array([eye.field_of_view for eye in eyes], float),
+        tuple(tree.names.index(name) for name in creature.pressure_sensors),
+    )
+
+
+def light_strength(
+    angle_cosine: Float[Array, "eyes *n"], field_of_view: Float[Array, "eyes *n"]
+) -> Float[Array, "eyes *n"]:
+    """Light seen, ``cos(pi theta / R)`` within half the field of view R, else 0 (eq. 1).
+
+    Differs from the printed condition ``theta <= R``, under which the value would reach -1 while
+    Table 2 says it lies in [0, 1].
+    """
+    angle = jnp.arccos(jnp.clip(angle_cosine, -1 + 1e-7, 1 - 1e-7))
+    return jnp.maximum(jnp.cos(jnp.pi * jnp.minimum(angle / field_of_view, 0.5)), 0.0)
+
+
+def see(
+    sensors: Sensors, kin: Kinematics, light: Float[Array, "3 *n"]
+) -> tuple[Float[Array, "eyes *n"], Float[Array, "eyes *n"], Float[Array, "eyes *n"]]:
+    """What the eyes tell: light strength, and cosine and sine of their angle to the vertical.
+
+    Args:
+        sensors: where the eyes are.
+        kin: the animal's present pose.
+        light: place of the light, m.
+    """
+    bodies = list(sensors.eye_bodies)
+    rotation = jnp.stack([kin.rotation[:, :, i] for i in bodies], 2)
+    origin = jnp.stack([kin.origin[:, i] for i in bodies], 1)
+    axis = matvec(rotation, lift(sensors.eye_axes, origin))
+    to_light = light[:, None] - origin - matvec(rotation, lift(sensors.eye_positions, origin))
+    distance = jnp.sqrt(dot(to_light, to_light) + _DISTANCE_FLOOR)
+    strength = light_strength(
+        dot(axis, to_light) / distance, lift(sensors.fields_of_view, distance)
+    )
+    cosine = axis[2]
+    return strength, cosine, jnp.sqrt(jnp.maximum(1.0 - cosine * cosine, 0.0) + _DISTANCE_FLOOR)

@@ -1,0 +1,1 @@
+"""Rotations, cross products and small matrices, components first."""

@@ -1,0 +1,129 @@
+"""Small linear algebra with the components first and everything else behind them.
+
+A vector is ``(3, ...)`` and a matrix ``(3, 3, ...)``; the trailing axes (bodies, then
+individuals) broadcast. XLA:CPU vectorises the innermost axis, so these products are written
+as broadcast-and-sum over the leading axes: measured on a 3x3 product with 96 individuals this
+takes 0.17 us a kernel, whereas ``jnp.einsum`` would move the population away from the last axis.
+"""
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+# Indices that turn a 3-vector into its cyclic successors, for cross products and cofactors.
+_NEXT = np.array([1, 2, 0])
+_AFTER_NEXT = np.array([2, 0, 1])
+
+
+def lift(constant: np.ndarray | Array, like: Array, rank: int | None = None) -> Array:
+    """Append unit axes to a constant so that it broadcasts against an array.
+
+    Args:
+        constant: its axes line up with the first axes of the result.
+        like: gives the dtype and, unless ``rank`` is given, the rank.
+        rank: wanted number of axes.
+    """
+    constant = jnp.asarray(constant, like.dtype)
+    missing = (like.ndim if rank is None else rank) - constant.ndim
+    return constant.reshape(constant.shape + (1,) * missing)
+
+
+def compute_once(x: Float[Array, "k *#rest"]) -> Float[Array, "k *#rest"]:
+    """The array itself, behind a product with the identity.
+
+    XLA:CPU drops barriers before it fuses, and would then compute costly producers (sines) again
+    for each element that uses them: 69 us instead of 8 us for the joint frames of 96 swimmers.
+    It never fuses into a matrix product.
+    """
+    size = x.shape[0]
+    return (jnp.eye(size, dtype=x.dtype) @ x.reshape(size, -1)).reshape(x.shape)
+
+
+def dot(a: Float[Array, "n *#rest"], b: Float[Array, "n *#rest"]) -> Float[Array, "*#rest"]:
+    """Scalar product over the leading axis."""
+    return (a * b).sum(0)
+
+
+def matvec(m: Float[Array, "i j *#rest"], v: Float[Array, "j *#rest"]) -> Float[Array, "i *#rest"]:
+    """Matrix times vector, ``m v``."""
+    return (m * v[None]).sum(1)
+
+
+def matvec_t(m: Float[Array, "i j *#rest"], v: Float[Array, "i *#rest"]) -> Float[Array, "j *#rest"]:
+    """Transposed matrix times vector, ``m^T v``."""
+    return (m * v[:, None]).sum(0)
+
+
+def matmul(
+    a: Float[Array, "i j *#rest"], b: Float[Array, "j k *#rest"]
+) -> Float[Array, "i k *#rest"]:
+    """Matrix product ``a b``."""
+    return (a[:, :, None] * b[None]).sum(1)
+
+
+def matmul_t(
+    a: Float[Array, "i j *#rest"], b: Float[Array, "k j *#rest"]
+) -> Float[Array, "i k *#rest"]:
+    """Matrix product ``a b^T``."""
+    return (a[:, None] * b[None]).sum(2)
+
+
+def t_matmul(
+    a: Float[Array, "j i *#rest"], b: Float[Array, "j k *#rest"]
+) -> Float[Array, "i k *#rest"]:
+    """Matrix product ``a^T b``."""
+    return (a[:, :, None] * b[:, None]).sum(0)
+
+
+def transpose(m: Float[Array, "i j *#rest"]) -> Float[Array, "j i *#rest"]:
+    """Matrix transpose, ``m^T``."""
+    return jnp.swapaxes(m, 0, 1)
+
+
+def cross(a: Float[Array, "3 *#rest"], b: Float[Array, "3 *#rest"]) -> Float[Array, "3 *#rest"]:
+    """Vector product ``a x b``."""
+    return jnp.stack(
+        [
+            a[1] * b[2] - a[2] * b[1],
+            a[2] * b[0] - a[0] * b[2],
+            a[0] * b[1] - a[1] * b[0],
+        ]
+    )
+
+
+def skew(v: Float[Array, "3 *#rest"]) -> Float[Array, "3 3 *#rest"]:
+    """Cross-product matrix: ``skew(v) @ w == cross(v, w)``."""
+    zero = jnp.zeros_like(v[0])
+    return jnp.stack(
+        [
+            jnp.stack([zero, -v[2], v[1]]),
+            jnp.stack([v[2], zero, -v[0]]),
+            jnp.stack([-v[1], v[0], zero]),
+        ]
+    )
+
+
+def inverse_symmetric(m: Float[Array, "k k *#rest"]) -> Float[Array, "k k *#rest"]:
+    """Inverse of a symmetric positive definite matrix of size 1, 2 or 3, in closed form.
+
+    Raises:
+        ValueError: for any other size.
+    """
+    size = m.shape[0]
+    if size == 1:
+        return 1.0 / m
+    if size == 2:
+        determinant = m[0, 0] * m[1, 1] - m[0, 1] * m[0, 1]
+        adjugate = jnp.stack([jnp.stack([m[1, 1], -m[0, 1]]), jnp.stack([-m[0, 1], m[0, 0]])])
+        return adjugate / determinant[None, None]
+    if size == 3:
+        c00 = m[1, 1] * m[2, 2] - m[1, 2] * m[1, 2]
+        c01 = m[0, 2] * m[1, 2] - m[0, 1] * m[2, 2]
+        c02 = m[0, 1] * m[1, 2] - m[0, 2] * m[1, 1]
+        c11 = m[0, 0] * m[2, 2] - m[0, 2] * m[0, 2]
+        c12 = m[0, 1] * m[0, 2] - m[0, 0] * m[1, 2]
+        c22 = m[0, 0] * m[1, 1] - m[0, 1] * m[0, 1]
+        determinant = m[0, 0] * c00 + m[0, 1] * c01 + m[0, 2] * c02
+        adjugate = jnp.stack([c00, c01, c02, c01, c11, c12, c02, c12, c22])
+        return (adjugate / determinant[None]).reshape(m.shape)
+    raise ValueError(f"closed-form inverse is for sizes 1 to 3, got {size}")

@@ -1,0 +1,96 @@
+"""Rotations: unit quaternions ``(w, x, y, z)`` and rotation matrices, components first.
+
+A rotation matrix ``R`` takes body coordinates to world coordinates, ``x_world = R x_body``.
+"""
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from evo_cpg.spatial.linear import lift
+
+# Below this squared angle (rad^2) sin(x)/x is taken from its series: the next term of the
+# series is then under float32's resolution, and the gradient at rest is finite.
+_SMALL_ANGLE_SQUARED = 1e-6
+
+
+def quaternion_to_matrix(q: Float[Array, "4 *rest"]) -> Float[Array, "3 3 *rest"]:
+    """Rotation matrix of a unit quaternion ``(w, x, y, z)``."""
+    w, x, y, z = q
+    return jnp.stack(
+        [
+            1 - 2 * (y * y + z * z),
+            2 * (x * y - w * z),
+            2 * (x * z + w * y),
+            2 * (x * y + w * z),
+            1 - 2 * (x * x + z * z),
+            2 * (y * z - w * x),
+            2 * (x * z - w * y),
+            2 * (y * z + w * x),
+            1 - 2 * (x * x + y * y),
+        ]
+    ).reshape(3, 3, *q.shape[1:])
+
+
+def quaternion_product(
+    a: Float[Array, "4 *rest"], b: Float[Array, "4 *rest"]
+) -> Float[Array, "4 *rest"]:
+    """Hamilton product ``a b``: the rotation ``b`` followed by ``a``."""
+    return jnp.stack(
+        [
+            a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
+            a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
+            a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1],
+            a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0],
+        ]
+    )
+
+
+def integrate_quaternion(
+    q: Float[Array, "4 *rest"], omega: Float[Array, "3 *rest"], h: float
+) -> Float[Array, "4 *rest"]:
+    """Turn ``q`` for the time ``h`` (s) at the constant world angular velocity ``omega`` (rad/s).
+
+    Exact for a constant ``omega``; the result is normalised, so rounding does not accumulate.
+    """
+    half = 0.5 * h * omega
+    squared = (half * half).sum(0)
+    small = squared < _SMALL_ANGLE_SQUARED
+    angle = jnp.sqrt(jnp.where(small, 1.0, squared))
+    sinc = jnp.where(small, 1.0 - squared / 6.0, jnp.sin(angle) / angle)
+    cosine = jnp.where(small, 1.0 - squared / 2.0, jnp.cos(angle))
+    turned = quaternion_product(jnp.concatenate([cosine[None], sinc[None] * half]), q)
+    return turned / jnp.sqrt((turned * turned).sum(0, keepdims=True))
+
+
+def axis_rotation(
+    axis: np.ndarray, sine: Float[Array, " *rest"], cosine: Float[Array, " *rest"]
+) -> Float[Array, "3 3 *rest"]:
+    """Rotation about a constant unit axis ``(3,)``: Rodrigues' formula.
+
+    Args:
+        axis: unit vector.
+        sine: of the angle.
+        cosine: of the angle.
+    """
+    x, y, z = axis
+    cross_matrix = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    along = np.outer(axis, axis)
+    rank = sine.ndim + 2
+    return (
+        lift(along, sine, rank)
+        + lift(np.eye(3) - along, sine, rank) * cosine[None, None]
+        + lift(cross_matrix, sine, rank) * sine[None, None]
+    )
+
+
+def euler_to_matrix(roll: float, pitch: float, yaw: float) -> np.ndarray:
+    """Rotation matrix ``(3, 3)`` of roll, pitch and yaw (rad): ``Rz(yaw) Ry(pitch) Rx(roll)``."""
+    (sr, sp, sy), (cr, cp, cy) = np.sin([roll, pitch, yaw]), np.cos([roll, pitch, yaw])
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )

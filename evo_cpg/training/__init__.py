@@ -1,0 +1,1 @@
+"""The generation loop, its sharding over cores, run folders and checkpoints."""

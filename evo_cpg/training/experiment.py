@@ -1,0 +1,133 @@
+"""One generation of an experiment as one compiled step."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+from jaxtyping import Array, Bool, Float
+
+from evo_cpg.creature.creature import Creature
+from evo_cpg.evolution.generation import RealGenetics, next_generation
+from evo_cpg.simulation.rollout import Outcome, Simulation, record, rollout, score
+from evo_cpg.training.devices import LANES, POPULATION_AXIS
+
+# Tags that keep the random streams of one seed apart.
+_FIRST_POPULATION, _GENERATIONS = 0, 1
+
+
+class Experiment(NamedTuple):
+    """What a config file describes.
+
+    Attributes:
+        name: of the run.
+        creature: the animal.
+        simulation: the trial.
+        genetics: settings of the genetic algorithm.
+        generations: to evolve.
+        seed: of all randomness.
+    """
+
+    name: str
+    creature: Creature
+    simulation: Simulation
+    genetics: RealGenetics
+    generations: int
+    seed: int
+
+
+class Generation(NamedTuple):
+    """What came out of one generation.
+
+    Attributes:
+        fitness: of every individual; -inf where it diverged.
+        terms: the task's terms.
+        alive: False where an individual diverged.
+        scales: the task's yardsticks.
+        best: index of the fittest.
+        best_genes: its genome.
+        next_genes: the population of the next generation.
+    """
+
+    fitness: Float[Array, " n"]
+    terms: dict[str, Float[Array, " n"]]
+    alive: Bool[Array, " n"]
+    scales: dict[str, Float[Array, ""]]
+    best: Array
+    best_genes: Float[Array, " g"]
+    next_genes: Float[Array, "g n"]
+
+
+def first_population(experiment: Experiment) -> Float[Array, "g n"]:
+    """Random genomes of generation 0."""
+    key = jax.random.fold_in(jax.random.key(experiment.seed), _FIRST_POPULATION)
+    size = (experiment.genetics.population,)
+    return experiment.simulation.controller.random_genes(key, size, jnp.float32)
+
+
+def generation_step(
+    experiment: Experiment,
+    mesh: Mesh,
+    genes: Float[Array, "g n"],
+    index: Array,
+    scales: dict[str, Float[Array, ""]],
+) -> Generation:
+    """Evaluate a population and breed the next one.
+
+    Args:
+        experiment: what to evolve.
+        mesh: devices to shard the population over.
+        genes: the population.
+        index: number of the generation, from 0; it alone selects the random stream, so a resumed
+            run draws the same numbers as one that was never stopped.
+        scales: the task's yardsticks; measured anew, and these ignored, in generation 0.
+    """
+    task = experiment.simulation.task
+    outcome = evaluate(experiment.simulation, mesh, genes)
+    # Everything from here on is small, and every device does all of it.
+    replicated = NamedSharding(mesh, PartitionSpec())
+    genes, outcome = jax.lax.with_sharding_constraint((genes, outcome), replicated)
+    measured = task.scales(outcome.terms)
+    scales = {name: jnp.where(index == 0, measured[name], scales[name]) for name in measured}
+    fitness = score(task, outcome, scales)
+    key = jax.random.fold_in(jax.random.key(experiment.seed), _GENERATIONS)
+    children = next_generation(
+        jax.random.fold_in(key, index), experiment.genetics, genes, fitness
+    )
+    best = jnp.argmax(fitness)
+    return Generation(
+        fitness, outcome.terms, outcome.alive, scales, best, genes[:, best], children
+    )
+
+
+def evaluate(simulation: Simulation, mesh: Mesh, genes: Float[Array, "g n"]) -> Outcome:
+    """One trial of every individual, sharded over the devices of the mesh."""
+    count = genes.shape[1]
+    genes = jnp.pad(genes, ((0, 0), (0, _padding(count, mesh))), mode="edge")
+    shard = PartitionSpec(POPULATION_AXIS)
+    outcome = jax.shard_map(
+        lambda part: rollout(simulation, part),
+        mesh=mesh,
+        in_specs=PartitionSpec(None, POPULATION_AXIS),
+        out_specs=shard,
+        check_vma=False,
+    )(genes)
+    return jax.tree.map(lambda x: x[:count], outcome)
+
+
+def replay(
+    simulation: Simulation, mesh: Mesh, genes: Float[Array, " g"], population: int
+) -> tuple[Outcome, dict[str, Array]]:
+    """One individual's trial, step by step, with as many neighbours as it had in training.
+
+    Compiled code may round differently for different array lengths; with equal ones the numbers
+    are those of the training run.
+    """
+    lanes = (population + _padding(population, mesh)) // mesh.size
+    crowd = jnp.broadcast_to(genes[:, None], (genes.shape[0], lanes))
+    outcome = jax.tree.map(lambda x: x[0], rollout(simulation, crowd))
+    return outcome, record(simulation, crowd)
+
+
+def _padding(count: int, mesh: Mesh) -> int:
+    return -count % (mesh.size * LANES)

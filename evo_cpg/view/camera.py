@@ -1,0 +1,153 @@
+"""A calm camera: it follows the smoothed middle of the animal from behind and above.
+
+The whole recording is known before the first frame, so the path is smoothed with a symmetric
+window, which does not lag; the viewing direction and the distance stay fixed, so whatever moves
+in the picture moves in the world. The distance is the smallest at which a sphere around the
+focus that holds every body at every instant fits the frame.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+# Half-width of the Gaussian window, s: longer than a tail beat, shorter than a turn.
+SMOOTHING = 0.8
+VIEW_ANGLE = 32.0
+# Share of the frame's height that the sphere around the animal may fill. The animal itself is
+# flatter than its sphere and the frame wider than high, so this is still close.
+_FILL = 1.5
+# The focus lies this share of the animal's radius further towards the goal.
+_LEAD = 0.6
+# Angles between the line of sight and the way to the goal that are tried, best first, on either
+# side: near enough to the way that the goal is in the picture, but not from right behind.
+_BEARINGS = np.radians([32.0, 62.0, 90.0, 130.0, 180.0])
+
+
+class CameraPath(NamedTuple):
+    """Where the camera is and looks in every frame.
+
+    Attributes:
+        position: of the eye ``(frames, 3)``, m.
+        focus: what it looks at ``(frames, 3)``, m.
+        view_angle: full vertical angle of view, degrees.
+    """
+
+    position: np.ndarray
+    focus: np.ndarray
+    view_angle: float
+
+
+def follow(
+    position: np.ndarray,
+    goal: np.ndarray,
+    reach: float,
+    rate: float,
+    aspect: float,
+    elevation: float,
+) -> CameraPath:
+    """Plan the camera's path over a recording.
+
+    Args:
+        position: centres of the bodies ``(frames, bodies, 3)``, m.
+        goal: place of the light ``(3,)``, m.
+        reach: largest distance from a body's centre to its surface, m.
+        rate: frames per second of recorded time.
+        aspect: width of the picture over its height.
+        elevation: height of the eye above the focus as an angle, rad.
+    """
+    centre = smooth(position.mean(1), SMOOTHING * rate)
+    radius = np.linalg.norm(position - centre[:, None], axis=-1).max() + reach
+    way = goal - centre
+    away = np.linalg.norm(way, axis=-1, keepdims=True)
+    lead = way * (_LEAD * radius / np.maximum(away, 2 * radius))
+    focus = smooth(centre + lead, SMOOTHING * rate)
+    radius = np.linalg.norm(position - focus[:, None], axis=-1).max() + reach
+
+    half = np.radians(VIEW_ANGLE / 2)
+    distance = radius / np.sin(min(half * _FILL, np.arctan(aspect * np.tan(half))))
+    start = (goal - centre[0])[:2]
+    course = np.arctan2(start[1], start[0]) if np.linalg.norm(start) > radius / 10 else 0.0
+    sights = [_direction(course + sign * turn, elevation) for turn in _BEARINGS for sign in (1, -1)]
+    clearance = [np.linalg.norm(focus - distance * s - goal, axis=-1).min() for s in sights]
+    # The first pair of which one keeps the eye well clear of the light, else the clearest; of
+    # the two the one that shows more of the animal's side.
+    free = [i for i, gap in enumerate(clearance) if gap > distance / 2]
+    first = free[0] // 2 * 2 if free else int(np.argmax(clearance))
+    pair = [i for i in (first, first + 1) if i in free] or [first]
+    sight = max((sights[i] for i in pair), key=lambda s: _apparent_width(position, s))
+    eye = focus - distance * sight
+    path = CameraPath(eye, focus, VIEW_ANGLE)
+    # Perspective enlarges what is near: step back until every body is inside the frame.
+    while (overshoot := _overshoot(path, position, reach, aspect)) > 1:
+        path = path._replace(position=focus + (path.position - focus) * min(overshoot, 1.5) * 1.02)
+    return path
+
+
+def project(path: CameraPath, points: np.ndarray, aspect: float) -> np.ndarray:
+    """Place of points in the picture.
+
+    Args:
+        path: the camera of every frame.
+        points: ``(frames, n, 3)``, m.
+        aspect: width of the picture over its height.
+
+    Returns:
+        ``(frames, n, 2)``: right and up, -1 to 1 between the edges of the frame; NaN for what
+        lies behind the camera.
+    """
+    right, up, ahead = _axes(path)
+    offset = points - path.position[:, None]
+    depth = np.einsum("fni,fi->fn", offset, ahead)
+    scale = np.tan(np.radians(path.view_angle / 2)) * np.where(depth > 0, depth, np.nan)
+    x = np.einsum("fni,fi->fn", offset, right) / (scale * aspect)
+    y = np.einsum("fni,fi->fn", offset, up) / scale
+    return np.stack([x, y], -1)
+
+
+def smooth(path: np.ndarray, width: float) -> np.ndarray:
+    """Gaussian average of a path ``(frames, 3)`` without lag.
+
+    Args:
+        path: one point per frame.
+        width: standard deviation of the window, frames.
+
+    The ends are continued by point reflection, so a steady motion stays steady there.
+    """
+    reach = min(int(3 * width), len(path) - 1)
+    if reach < 1:
+        return path.copy()
+    window = np.exp(-0.5 * (np.arange(-reach, reach + 1) / width) ** 2)
+    window /= window.sum()
+    before = 2 * path[0] - path[reach:0:-1]
+    after = 2 * path[-1] - path[-2 : -reach - 2 : -1]
+    extended = np.concatenate([before, path, after])
+    return np.column_stack([np.convolve(column, window, "valid") for column in extended.T])
+
+
+def _direction(bearing: float, elevation: float) -> np.ndarray:
+    """Unit vector that points along a bearing and down by an elevation."""
+    flat = np.cos(elevation)
+    return np.array([flat * np.cos(bearing), flat * np.sin(bearing), -np.sin(elevation)])
+
+
+def _apparent_width(position: np.ndarray, sight: np.ndarray) -> float:
+    """Mean extent of the animal across a line of sight, m."""
+    across = np.cross(sight, [0.0, 0.0, 1.0])
+    return float(np.ptp(position @ across, axis=1).mean())
+
+
+def _axes(path: CameraPath) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Unit vectors ``(frames, 3)`` to the right, up and ahead in the picture."""
+    ahead = path.focus - path.position
+    ahead = ahead / np.linalg.norm(ahead, axis=-1, keepdims=True)
+    right = np.cross(ahead, [0.0, 0.0, 1.0])
+    right = right / np.linalg.norm(right, axis=-1, keepdims=True)
+    return right, np.cross(right, ahead), ahead
+
+
+def _overshoot(path: CameraPath, position: np.ndarray, reach: float, aspect: float) -> float:
+    """How far the bodies stick out of the frame: their largest picture coordinate."""
+    corners = reach * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    points = (position[:, :, None] + corners).reshape(len(position), -1, 3)
+    place = np.abs(project(path, points, aspect))
+    return float(np.nan_to_num(place, nan=np.inf).max())

@@ -1,0 +1,69 @@
+"""Captions over a film: title, time, distance left and speed."""
+
+from collections.abc import Callable
+
+import pyvista as pv
+
+from evo_cpg.view.scenery import Look
+
+# In pixels of a picture 720 high; smaller pictures do not shrink below `_SMALLEST` of it.
+_MARGIN = 34
+_SMALLEST = 0.62
+_COLUMNS = (0, 140, 290)
+
+
+def add_captions(
+    plotter: pv.Plotter,
+    look: Look,
+    title: str,
+    distance: str,
+    note: str,
+    height: int,
+    scale: float,
+) -> Callable[[float, float, float], None]:
+    """Lay the captions out.
+
+    Args:
+        plotter: draws them.
+        look: of the world.
+        title: bottom right; the upper part of the picture is left to the light.
+        distance: what the shown distance is.
+        note: below the title.
+        height: of the film, pixels.
+        scale: pixels rendered per pixel of the film.
+
+    Returns:
+        A function of time (s), distance (m) and speed (m/s).
+    """
+    unit = scale * max(height / 720, _SMALLEST)
+    left, right = _MARGIN * unit, plotter.window_size[0] - _MARGIN * unit
+    bottom = _MARGIN * unit
+
+    def write(
+        text: str, x: float, y: float, size: float, *, dim: bool = False, side: str = "left"
+    ) -> pv.Text:
+        style = pv.TextProperty(
+            color=look.text,
+            font_size=round(size * unit),
+            bold=not dim,
+            justification_horizontal=side,
+            justification_vertical="bottom",
+        )
+        style.SetOpacity(0.75 if dim else 1.0)
+        label = pv.Text(text, position=(round(x), round(y)))
+        label.prop = style
+        return plotter.add_actor(label)[0]
+
+    write(title, right, bottom + 27 * unit, 25, side="right")
+    write(note, right, bottom, 17, dim=True, side="right")
+    values = []
+    for name, column in zip(("time", distance, "speed"), _COLUMNS, strict=True):
+        write(name, left + column * unit, bottom + 32 * unit, 16, dim=True)
+        values.append(write("", left + column * unit, bottom, 25))
+
+    def update(time: float, distance: float, speed: float) -> None:
+        texts = (f"{time:.1f} s", f"{distance:.2f} m", f"{speed:.2f} m/s")
+        for actor, text in zip(values, texts, strict=True):
+            actor.input = text
+
+    return update

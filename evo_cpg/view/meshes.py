@@ -1,0 +1,160 @@
+"""Meshes of the bodies in their own frames, and their colours.
+
+Colours run from a warm head over cream to a cool tail. Orange against blue, with the lightest
+tone between them, is told apart with every common kind of colour blindness, and on sea and sand.
+"""
+
+import numpy as np
+import pyvista as pv
+
+from evo_cpg.creature.creature import Creature, LightSensor
+from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape
+
+_HEAD_TO_TAIL = ("#f4601f", "#f99b4f", "#f7e3b5", "#8fc7ee", "#4a78e0")
+# Vertices along a quarter circle; 6 looks round on a body that fills a third of a frame.
+_QUARTER = 6
+# Edge radius of a box and radius of an eye, relative to the body's smallest half size.
+_ROUNDING = 0.28
+_EYE = 0.44
+
+
+def head_index(creature: Creature) -> int:
+    """The body that carries the eyes, or the root of a blind animal."""
+    if creature.light_sensors:
+        return creature.body_index(creature.light_sensors[0].body)
+    return next(i for i, body in enumerate(creature.bodies) if body.joint is None)
+
+
+def body_colors(creature: Creature) -> np.ndarray:
+    """Colours ``(bodies, 3)``, red, green and blue from 0 to 1.
+
+    A body without a colour of its own takes one from the palette by how many joints lie between
+    it and the head.
+    """
+    links = [
+        (i, creature.body_index(body.joint.parent))
+        for i, body in enumerate(creature.bodies)
+        if body.joint
+    ]
+    joints_away = {head_index(creature): 0}
+    while len(joints_away) < len(creature.bodies):
+        for pair in links:
+            for here, there in (pair, pair[::-1]):
+                if here in joints_away and there not in joints_away:
+                    joints_away[there] = joints_away[here] + 1
+    distance = np.array([joints_away[i] for i in range(len(creature.bodies))], float)
+    anchors = np.array([pv.Color(color).float_rgb for color in _HEAD_TO_TAIL])
+    along = distance / max(distance.max(), 1) * (len(anchors) - 1)
+    colors = np.column_stack([np.interp(along, range(len(anchors)), c) for c in anchors.T])
+    for i, body in enumerate(creature.bodies):
+        if body.color is not None:
+            colors[i] = pv.Color(body.color).float_rgb
+    return colors
+
+
+def shape_mesh(shape: Shape) -> pv.PolyData:
+    """Surface of a shape in its own frame, in m, with a ``Normals`` array for smooth shading.
+
+    Raises:
+        TypeError: a shape that this module does not know.
+    """
+    directions, signs, faces = _split_sphere()
+    if isinstance(shape, Box):
+        radius = _ROUNDING * shape.half_extents.min()
+        points = signs * (shape.half_extents - radius) + radius * directions
+        normals = directions
+    elif isinstance(shape, Ellipsoid):
+        points = directions * shape.half_extents
+        normals = directions / shape.half_extents
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    elif isinstance(shape, Capsule):
+        points = signs * [shape.length / 2, 0, 0] + shape.radius * directions
+        normals = directions
+    else:
+        raise TypeError(f"no picture for a {type(shape).__name__}; add it to shape_mesh")
+    mesh = pv.PolyData.from_regular_faces(points, faces)
+    mesh.point_data.active_normals = normals
+    return mesh
+
+
+def eye_meshes(creature: Creature, sensor: LightSensor) -> tuple[pv.PolyData, pv.PolyData]:
+    """White and pupil of an eye, in the frame of the body that carries it.
+
+    A sensor inside the body is drawn where its line of sight leaves it.
+    """
+    shape = creature.bodies[creature.body_index(sensor.body)].shape
+    radius = _EYE * shape.half_extents.min()
+    axis = np.array(sensor.axis) / np.linalg.norm(sensor.axis)
+    reach = np.linspace(0, 2 * shape.half_extents.max(), 200)
+    sight = np.array(sensor.position) + reach[:, None] * axis
+    outside = shape.distance(sight) >= 0
+    centre = sight[outside.argmax()] if outside.any() else sight[0]
+    centre = centre - 0.35 * radius * axis
+    return (
+        pv.Sphere(radius=radius, center=centre),
+        pv.Sphere(radius=0.72 * radius, center=centre + 0.42 * radius * axis),
+    )
+
+
+def add_bodies(plotter: pv.Plotter, creature: Creature, ambient: float) -> list[list[pv.Actor]]:
+    """Draw the bodies and eyes, each in its own frame at the origin.
+
+    Args:
+        plotter: draws them.
+        creature: the animal.
+        ambient: share of light that comes from everywhere.
+
+    Returns:
+        The actors of each body, to be moved together.
+    """
+    bodies = [
+        [
+            plotter.add_mesh(
+                shape_mesh(body.shape),
+                color=color,
+                smooth_shading=True,
+                ambient=ambient,
+                diffuse=0.8,
+                specular=0.25,
+                specular_power=18,
+            )
+        ]
+        for body, color in zip(creature.bodies, body_colors(creature), strict=True)
+    ]
+    for sensor in creature.light_sensors:
+        carrier = bodies[creature.body_index(sensor.body)]
+        for mesh, color in zip(eye_meshes(creature, sensor), ("#fdfdf8", "#10151c"), strict=True):
+            carrier.append(
+                plotter.add_mesh(mesh, color=color, smooth_shading=True, ambient=0.4, specular=0.8)
+            )
+    return bodies
+
+
+def _split_sphere() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A cube blown up to a sphere, cut along the three coordinate planes.
+
+    Moving each octant outwards turns it into a rounded box or a capsule.
+
+    Returns:
+        Unit vectors ``(n, 3)``, the octant's signs ``(n, 3)``, and triangles ``(m, 3)``.
+    """
+    half = np.linspace(0, np.pi / 4, _QUARTER)
+    along = np.tan(np.concatenate([-half[::-1], half]))
+    side = np.repeat([-1.0, 1.0], _QUARTER)
+    u, v = (grid.ravel() for grid in np.meshgrid(along, along, indexing="ij"))
+    sign_u, sign_v = (grid.ravel() for grid in np.meshgrid(side, side, indexing="ij"))
+    count = 2 * _QUARTER
+    corner = (np.arange(count - 1)[:, None] * count + np.arange(count - 1)).ravel()
+    quads = corner[:, None] + np.array([0, count, count + 1, 0, count + 1, 1])
+    triangles = quads.reshape(-1, 3)
+    points, signs, faces = [], [], []
+    for axis in range(3):
+        for outward in (1.0, -1.0):
+            cube, octant = np.zeros((u.size, 3)), np.zeros((u.size, 3))
+            order = [axis, (axis + 1) % 3, (axis + 2) % 3]
+            cube[:, order] = np.column_stack([np.full(u.size, outward), u, v])
+            octant[:, order] = np.column_stack([np.full(u.size, outward), sign_u, sign_v])
+            faces.append(triangles[:, :: int(outward)] + u.size * len(points))
+            points.append(cube / np.linalg.norm(cube, axis=1, keepdims=True))
+            signs.append(octant)
+    return np.concatenate(points), np.concatenate(signs), np.concatenate(faces)

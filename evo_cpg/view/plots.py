@@ -1,0 +1,311 @@
+"""Figures of a run and of a recording, in SI units and colours that everyone can tell apart.
+
+Drawn with matplotlib's object interface on the Agg canvas: no display, no global state.
+"""
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from matplotlib.patches import ConnectionPatch
+from matplotlib.ticker import MaxNLocator
+
+from evo_cpg.simulation.recording import Recording
+from evo_cpg.view.output import in_one_piece, output_path
+
+# Okabe and Ito's palette.
+_BLUE, _ORANGE, _RED, _GREEN, _GREY = "#0072B2", "#E69F00", "#D55E00", "#009E73", "#6b7280"
+_SUFFIXES = (".png", ".svg", ".pdf")
+# Recorded time that `plot_joint_signals` shows by default: about five beats of 1 Hz.
+_WINDOW = 5.0
+_SNAPSHOTS = 7
+
+
+def plot_fitness(history: Mapping[str, np.ndarray], path: str | os.PathLike[str]) -> Path:
+    """Fitness over the generations, and how many individuals diverged.
+
+    With several runs, each run's best is a thin line, and the thick ones are medians over runs.
+
+    Args:
+        history: columns of equal length: ``generation``, ``best``, ``mean`` and ``diverged``
+            (number of individuals); optionally ``best_so_far`` and ``run``. Values that are not
+            finite are left out.
+        path: ``.png``, ``.svg`` or ``.pdf``.
+
+    Returns:
+        The path.
+
+    Raises:
+        OutputError: nothing can be written there, or not this kind of file.
+        ValueError: a column is missing or there are no rows.
+    """
+    path = output_path(path, _SUFFIXES)
+    missing = [key for key in ("generation", "best", "mean", "diverged") if key not in history]
+    if missing:
+        raise ValueError(f"the history has no column {missing[0]!r}; it has {', '.join(history)}")
+    columns = {key: np.asarray(values, float) for key, values in history.items()}
+    generation = columns["generation"]
+    if not len(generation):
+        raise ValueError("the history has no rows yet: not one generation is finished")
+    run = columns.get("run", np.zeros(len(generation)))
+    runs = np.unique(run)
+
+    figure = _figure(7.2, 4.8)
+    top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(4, 1))
+    leading = "best_so_far" if "best_so_far" in columns else "best"
+    if len(runs) > 1:
+        for number in runs:
+            chosen = run == number
+            top.plot(
+                generation[chosen],
+                _finite(columns[leading][chosen]),
+                color=_BLUE,
+                lw=0.7,
+                alpha=0.35,
+            )
+    shown = [("best", "best of the generation", _ORANGE, 1.3), ("mean", "mean", _GREY, 1.3)]
+    if leading == "best_so_far":
+        shown.insert(0, ("best_so_far", "best so far", _BLUE, 2.2))
+    else:
+        shown[0] = ("best", "best of the generation", _BLUE, 2.2)
+    for key, label, color, width in shown:
+        instant, value = _median(generation, columns[key])
+        label = f"{label} (median of {len(runs)} runs)" if len(runs) > 1 else label
+        top.plot(instant, value, color=color, lw=width, label=label)
+    top.set_ylabel("fitness")
+    top.legend(frameon=False)
+    instant, diverged = _median(generation, columns["diverged"])
+    bottom.bar(instant, diverged, width=1.0, color=_RED)
+    bottom.set_ylim(0, max(1.0, np.nanmax(diverged, initial=0.0) * 1.15))
+    bottom.set_ylabel("diverged")
+    bottom.set_xlabel("generation")
+    for axes in (top, bottom):
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    bottom.yaxis.set_major_locator(MaxNLocator(integer=True, nbins=3))
+    return _save(figure, path)
+
+
+def plot_joint_signals(
+    recording: Recording,
+    path: str | os.PathLike[str],
+    axis: str | None = None,
+    window: tuple[float, float] | None = None,
+) -> Path:
+    """Angle and CPG output of every joint about one axis, one row each (Iwadate 2010, Fig. 3).
+
+    A thin line joins the crests of neighbouring joints: its slope is the phase lag along the
+    body. The rows follow the recording's order, from the root to the tips.
+
+    Args:
+        recording: the motion.
+        path: ``.png``, ``.svg`` or ``.pdf``.
+        axis: such as ``z``; by default the one with the largest root-mean-square angle.
+        window: first and last instant to show, s; the last 5 s by default.
+
+    Returns:
+        The path.
+
+    Raises:
+        OutputError: nothing can be written there, or not this kind of file.
+        ValueError: no joint has this axis, or the window holds fewer than two instants.
+    """
+    path = output_path(path, _SUFFIXES)
+    names = [name.rpartition(".") for name in recording.dof_names]
+    available = list(dict.fromkeys(letter for _, _, letter in names))
+    if not available:
+        raise ValueError("the recording has no joints, so there are no signals to plot")
+    power = {
+        letter: np.mean(recording.joint_angle[:, [n[2] == letter for n in names]] ** 2)
+        for letter in available
+    }
+    axis = max(available, key=power.__getitem__) if axis is None else axis
+    if axis not in available:
+        raise ValueError(f"no joint turns about axis {axis!r}; axes are {', '.join(available)}")
+    end = recording.time[-1]
+    start, stop = (max(recording.time[0], end - _WINDOW), end) if window is None else window
+    shown = (recording.time >= start) & (recording.time <= stop)
+    if shown.sum() < 2:
+        raise ValueError(
+            f"the window from {start:g} s to {stop:g} s holds {shown.sum()} instants; the "
+            f"recording runs from {recording.time[0]:g} s to {end:g} s"
+        )
+    rows = [i for i, name in enumerate(names) if name[2] == axis]
+    time = recording.time[shown]
+    angle = np.degrees(recording.joint_angle[shown][:, rows])
+    output = recording.cpg_output[shown][:, rows]
+
+    figure = _figure(8.0, 1.3 + 0.72 * len(rows))
+    panels = figure.subplots(len(rows), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
+    tallest = max(float(np.abs(angle).max()), 1e-3) * 1.25
+    loudest = max(float(np.abs(output).max()), 1e-3) * 1.25
+    for i, (panel, dof) in enumerate(zip(panels, rows, strict=True)):
+        panel.axhline(0, color=_GREY, lw=0.5, alpha=0.6)
+        (angle_line,) = panel.plot(time, angle[:, i], color=_BLUE, lw=1.8)
+        right = panel.twinx()
+        (output_line,) = right.plot(time, output[:, i], color=_RED, lw=1.2, ls=(0, (4, 2)))
+        panel.set_ylim(-tallest, tallest)
+        right.set_ylim(-loudest, loudest)
+        panel.set_xlim(time[0], time[-1])
+        panel.yaxis.set_major_locator(MaxNLocator(3, symmetric=True))
+        right.yaxis.set_major_locator(MaxNLocator(3, symmetric=True))
+        if i == len(rows) // 2:
+            panel.set_ylabel("joint angle (deg)", color=_BLUE)
+            right.set_ylabel("CPG output (no unit)", color=_RED)
+        right.tick_params(labelsize=8)
+        panel.tick_params(labelsize=8)
+        panel.text(
+            0.008, 0.97, names[dof][0], transform=panel.transAxes, va="top", fontweight="bold"
+        )
+    beat = _crests(time, angle)
+    caption = f"rotation about {axis}"
+    if beat is not None:
+        frequency, lag, crest_times = beat
+        caption += f": {frequency:.2f} Hz, {np.degrees(lag.mean()) if len(lag) else 0:.0f} deg"
+        caption += " of lag per joint"
+        _join_crests(figure, panels, crest_times, time, angle)
+    panels[-1].set_xlabel("time (s)")
+    figure.suptitle(caption, fontsize=11, fontweight="bold")
+    figure.legend(
+        [angle_line, output_line],
+        ["joint angle", "CPG output"],
+        loc="outside lower center",
+        ncols=2,
+        frameon=False,
+        fontsize=9,
+    )
+    return _save(figure, path)
+
+
+def plot_path(recording: Recording, path: str | os.PathLike[str]) -> Path:
+    """The way seen from above, with outlines of the animal, and the distance over time.
+
+    Args:
+        recording: the motion.
+        path: ``.png``, ``.svg`` or ``.pdf``.
+
+    Returns:
+        The path.
+
+    Raises:
+        OutputError: nothing can be written there, or not this kind of file.
+    """
+    path = output_path(path, _SUFFIXES)
+    figure = _figure(10.5, 4.4)
+    above, later = figure.subplots(1, 2, width_ratios=(1.45, 1))
+    centre = recording.position.mean(1)
+    steps = np.stack([centre[:-1, :2], centre[1:, :2]], 1)
+    way = LineCollection(list(steps), cmap="viridis", lw=2.2)
+    way.set_array(recording.time[:-1])
+    above.add_collection(way)
+    chosen = np.linspace(0, len(recording.time) - 1, _SNAPSHOTS).astype(int)
+    bodies = recording.position[chosen]
+    instant = np.repeat(recording.time[chosen], bodies.shape[1])
+    above.scatter(bodies[..., 0], bodies[..., 1], s=14, c=instant, norm=way.norm, alpha=0.6, lw=0)
+    above.plot(*centre[0, :2], "o", color="black", ms=6, label="start", zorder=3)
+    if np.isfinite(recording.goal).all():
+        above.plot(
+            *recording.goal[:2], "*", color=_ORANGE, mec="black", ms=17, label="light", zorder=3
+        )
+    above.set_aspect("equal", "datalim")
+    above.margins(0.08)
+    above.autoscale_view()
+    above.set_xlabel("x (m)")
+    above.set_ylabel("y (m)")
+    above.legend(frameon=False)
+    figure.colorbar(way, ax=above, label="time (s)", shrink=0.85, pad=0.02)
+    later.plot(recording.time, recording.distance, color=_BLUE, lw=2)
+    later.set_xlabel("time (s)")
+    later.set_ylabel("distance to the light (m)")
+    later.set_ylim(bottom=0)
+    later.set_xlim(recording.time[0], recording.time[-1])
+    return _save(figure, path)
+
+
+def _figure(width: float, height: float) -> Figure:
+    """An empty figure, inches."""
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def _save(figure: Figure, path: Path) -> Path:
+    for axes in figure.axes:
+        axes.spines[["top", "right"]].set_visible(axes.yaxis.get_ticks_position() == "right")
+        axes.spines["top"].set_visible(False)
+    with in_one_piece(path) as partial:
+        figure.savefig(partial, dpi=160)
+    return path
+
+
+def _finite(values: np.ndarray) -> np.ndarray:
+    return np.where(np.isfinite(values), values, np.nan)
+
+
+def _median(generation: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Median over the runs of each generation, of the values that are finite."""
+    instants = np.unique(generation)
+    groups = [values[(generation == g) & np.isfinite(values)] for g in instants]
+    return instants, np.array([np.median(group) if len(group) else np.nan for group in groups])
+
+
+def _crests(
+    time: np.ndarray, angle: np.ndarray
+) -> tuple[float, np.ndarray, list[np.ndarray]] | None:
+    """Common frequency (Hz), lag of each joint behind its neighbour (rad), and crest times (s).
+
+    Returns None where there is no oscillation of at least one whole beat.
+    """
+    swing = angle - angle.mean(0)
+    span = time[-1] - time[0]
+    trial = np.linspace(1 / span, min(0.5 * (len(time) - 1) / span, 10.0), 2000)
+    window = np.hanning(len(time))[:, None]
+    spectrum = np.exp(-2j * np.pi * np.outer(trial, time)) @ (window * swing)
+    total = np.square(np.abs(spectrum)).sum(1)
+    if not total.max() > 1e-9 or total.argmax() == 0:
+        return None
+    frequency = float(trial[total.argmax()])
+    phase = np.angle(spectrum[total.argmax()])
+    lag = np.angle(np.exp(1j * (phase[:-1] - phase[1:])))
+    behind = np.concatenate([[0.0], np.cumsum(lag)])
+    first = -phase[0] / (2 * np.pi * frequency)
+    # A wave that runs along the body may have begun, or may end, outside the shown time.
+    margin = np.ceil(np.abs(behind).max() / (2 * np.pi)) + 1
+    beats = np.floor((time[0] - first) * frequency) + np.arange(-margin, span * frequency + margin)
+    crests = [first + (beat + behind / (2 * np.pi)) / frequency for beat in beats]
+    return frequency, lag, crests
+
+
+def _join_crests(
+    figure: Figure,
+    panels: np.ndarray,
+    crest_times: list[np.ndarray],
+    time: np.ndarray,
+    angle: np.ndarray,
+) -> None:
+    """Draw the lines that run through one crest in every row."""
+    for crests in crest_times:
+        for i in range(len(panels) - 1):
+            upper, lower = crests[i], crests[i + 1]
+            if min(upper, lower) < time[0] or max(upper, lower) > time[-1]:
+                continue
+            ends = [
+                (instant, np.interp(instant, time, angle[:, row]))
+                for instant, row in ((upper, i), (lower, i + 1))
+            ]
+            figure.add_artist(
+                ConnectionPatch(
+                    ends[0],
+                    ends[1],
+                    "data",
+                    "data",
+                    axesA=panels[i],
+                    axesB=panels[i + 1],
+                    color=_GREEN,
+                    lw=1.1,
+                    alpha=0.85,
+                )
+            )

@@ -1,0 +1,255 @@
+"""A picture of a body plan: the neutral pose with names, joint axes, sensors and a scale."""
+
+import os
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pyvista as pv
+
+from evo_cpg.creature.creature import Creature, neutral_pose
+from evo_cpg.view.meshes import add_bodies
+from evo_cpg.view.offscreen import canvas, pixels
+from evo_cpg.view.output import frame_writer, output_path
+from evo_cpg.view.scenery import grid_spacing
+
+_BACKGROUND = "#f4f6f8"
+_TEXT = "#1d2530"
+# Okabe and Ito's palette: told apart with every common kind of colour blindness.
+_AXES = {"x": "#D55E00", "y": "#009E73", "z": "#0072B2"}
+_OTHER_AXIS = "#6b7280"
+_SIGHT = "#E69F00"
+_PRESSURE = "#CC79A7"
+# The camera looks along this direction, onto the animal's left front.
+_VIEW = np.array([-0.55, -0.95, -0.62])
+# Share of the picture that the animal fills.
+_FILL = 0.72
+_AMBIENT = 0.35
+# Names of more bodies than this would cover the picture.
+_MOST_NAMES = 24
+_OVERSAMPLING = 2
+
+
+def preview(
+    creature: Creature, path: str | os.PathLike[str], size: tuple[int, int] = (1280, 720)
+) -> Path:
+    """Draw a creature in its neutral pose.
+
+    Args:
+        creature: what to draw.
+        path: ``.png``.
+        size: width and height, pixels.
+
+    Returns:
+        The path.
+
+    Raises:
+        OutputError: nothing can be written there, or not this kind of file.
+        CreatureError: the bodies do not form one tree.
+        ValueError: the size is below 16 pixels.
+    """
+    path = output_path(path, (".png",))
+    if min(size) < 16:
+        raise ValueError(f"size is {size[0]} x {size[1]} pixels; the smallest is 16 x 16")
+    centres, rotations = neutral_pose(creature)
+    half_extents = np.array([body.shape.half_extents for body in creature.bodies])
+    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    turned = (half_extents[:, None] * corners) @ rotations.swapaxes(1, 2)
+    hull = (centres[:, None] + turned).reshape(-1, 3)
+    scale = np.median(half_extents.min(1))
+    rendered = (size[0] * _OVERSAMPLING, size[1] * _OVERSAMPLING)
+    with canvas(rendered) as plotter:
+        plotter.set_background(_BACKGROUND)
+        for place, intensity in (((0.3, 0.6, 1.6), 0.75), ((1.2, 0.9, 0.2), 0.4)):
+            light = pv.Light(position=place, intensity=intensity, light_type="scene light")
+            light.positional = False
+            plotter.add_light(light)
+        for actors, centre, turn in zip(
+            add_bodies(plotter, creature, _AMBIENT), centres, rotations, strict=True
+        ):
+            pose = np.eye(4)
+            pose[:3, :3], pose[:3, 3] = turn, centre
+            for actor in actors:
+                actor.user_matrix = pose
+        legend = _add_joints(plotter, creature, centres, rotations, scale)
+        legend |= _add_sensors(plotter, creature, centres, rotations, scale)
+        view = _frame(plotter, hull, size)
+        _add_texts(plotter, creature, centres, view, legend)
+        plotter.show(auto_close=False, interactive=False)
+        with frame_writer(path, size, rendered, 1) as write:
+            write(pixels(plotter))
+    return path
+
+
+class _View(NamedTuple):
+    """The picture's centre in the world, its right and up, and pixels rendered per metre."""
+
+    focus: np.ndarray
+    right: np.ndarray
+    up: np.ndarray
+    pixels_per_metre: float
+
+
+def _add_joints(
+    plotter: pv.Plotter,
+    creature: Creature,
+    centres: np.ndarray,
+    rotations: np.ndarray,
+    scale: float,
+) -> dict[str, str]:
+    """Arrows along the joint axes; returns what the colours mean."""
+    meaning = {}
+    for body, centre, turn in zip(creature.bodies, centres, rotations, strict=True):
+        if body.joint is None:
+            continue
+        anchor = centre + turn @ np.array(body.joint.child_anchor)
+        for axis in body.joint.axes:
+            name = next(
+                (n for n, unit in zip("xyz", np.eye(3), strict=True) if np.allclose(axis, unit)),
+                None,
+            )
+            color = _AXES.get(name, _OTHER_AXIS)
+            meaning[f"{name} axis" if name else "other axis"] = color
+            # Long enough to come out of the bodies on either side.
+            _add_arrow(plotter, anchor, turn @ np.array(axis), 2.1 * scale, color)
+    return dict(sorted(meaning.items()))
+
+
+def _add_sensors(
+    plotter: pv.Plotter,
+    creature: Creature,
+    centres: np.ndarray,
+    rotations: np.ndarray,
+    scale: float,
+) -> dict[str, str]:
+    """Lines of sight, and dots on the bodies that feel; returns what the colours mean."""
+    meaning = {}
+    for sensor in creature.light_sensors:
+        i = creature.body_index(sensor.body)
+        eye = centres[i] + rotations[i] @ np.array(sensor.position)
+        _add_arrow(plotter, eye, rotations[i] @ np.array(sensor.axis), 3.2 * scale, _SIGHT)
+        meaning["line of sight"] = _SIGHT
+    for name in creature.pressure_sensors:
+        i = creature.body_index(name)
+        half = creature.bodies[i].shape.half_extents
+        for axis in (1, 2):
+            for side in (1, -1):
+                place = centres[i] + rotations[i][:, axis] * side * half[axis]
+                dot = pv.Sphere(radius=0.22 * scale, center=place)
+                plotter.add_mesh(dot, color=_PRESSURE, lighting=False)
+        meaning["feels contact"] = _PRESSURE
+    return meaning
+
+
+def _add_arrow(
+    plotter: pv.Plotter, start: np.ndarray, direction: np.ndarray, length: float, color: str
+) -> None:
+    arrow = pv.Arrow(
+        start=start,
+        direction=direction,
+        scale=length,
+        shaft_radius=0.022,
+        tip_radius=0.065,
+        tip_length=0.2,
+    )
+    plotter.add_mesh(arrow, color=color, ambient=0.6, diffuse=0.5)
+
+
+def _frame(plotter: pv.Plotter, hull: np.ndarray, size: tuple[int, int]) -> _View:
+    """Point the camera so that the animal fills the picture, in parallel projection."""
+    ahead = _VIEW / np.linalg.norm(_VIEW)
+    right = np.cross(ahead, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    up = np.cross(right, ahead)
+    place = hull @ np.column_stack([right, up])
+    low, high = place.min(0), place.max(0)
+    middle = (low + high) / 2
+    depth = hull.mean(0) @ ahead
+    focus = middle[0] * right + middle[1] * up + depth * ahead
+    aspect = size[0] / size[1]
+    half_height = max((high[0] - low[0]) / aspect / _FILL, (high[1] - low[1]) / _FILL) / 2
+    span = np.ptp(hull, axis=0).max()
+    plotter.camera.parallel_projection = True
+    plotter.camera.focal_point = focus
+    plotter.camera.position = focus - 5 * span * ahead
+    plotter.camera.up = up
+    plotter.camera.parallel_scale = half_height
+    plotter.camera.clipping_range = (0.5 * span, 10 * span)
+    return _View(focus, right, up, plotter.window_size[1] / 2 / half_height)
+
+
+def _add_texts(
+    plotter: pv.Plotter,
+    creature: Creature,
+    centres: np.ndarray,
+    view: _View,
+    legend: dict[str, str],
+) -> None:
+    """Names, title, legend and scale bar."""
+    width, height = plotter.window_size
+    unit = _OVERSAMPLING * max(min(height / _OVERSAMPLING / 720, 1.5), 0.6)
+
+    def write(
+        text: str,
+        x: float,
+        y: float,
+        size: float,
+        color: str,
+        bold: bool,
+        side: str,
+        anchor: str,
+        plate: bool = False,
+    ) -> None:
+        label = pv.Text(text, position=(round(x), round(y)))
+        label.prop = pv.TextProperty(
+            color=color,
+            font_size=round(size * unit),
+            bold=bold,
+            justification_horizontal=side,
+            justification_vertical=anchor,
+            background_color=_BACKGROUND if plate else None,
+            background_opacity=0.72 if plate else None,
+        )
+        plotter.add_actor(label)
+
+    if len(creature.bodies) <= _MOST_NAMES:
+        for body, centre in zip(creature.bodies, centres, strict=True):
+            offset = centre - view.focus
+            x = width / 2 + view.pixels_per_metre * offset @ view.right
+            y = height / 2 + view.pixels_per_metre * offset @ view.up
+            write(body.name, x, y, 14, _TEXT, True, "center", "center", plate=True)
+    margin = 34 * unit
+    write(creature.name, margin, height - margin, 25, _TEXT, True, "left", "top")
+    axes = sum(len(body.joint.axes) for body in creature.bodies if body.joint)
+    facts = f"{len(creature.bodies)} bodies, {axes} degrees of freedom, {creature.mass:.3g} kg"
+    write(facts, margin, height - margin - 36 * unit, 17, _TEXT, False, "left", "top")
+    for i, (meaning, color) in enumerate(legend.items()):
+        y = height - margin - 24 * unit * i
+        write(meaning, width - margin, y, 17, color, True, "right", "top")
+
+    length = grid_spacing(width / view.pixels_per_metre / 3)
+    bar = length * view.pixels_per_metre
+    left = np.array([width - margin - bar, margin])
+    ticks = [(0, 0), (bar, 0), (0, -5 * unit), (0, 5 * unit), (bar, -5 * unit), (bar, 5 * unit)]
+    points = [view.focus + _world(left + tick - [width / 2, height / 2], view) for tick in ticks]
+    plotter.add_mesh(
+        pv.line_segments_from_points(np.array(points)),
+        color=_TEXT,
+        line_width=2.5 * unit,
+        lighting=False,
+    )
+    write(
+        f"{length:g} m",
+        width - margin - bar / 2,
+        margin + 9 * unit,
+        17,
+        _TEXT,
+        False,
+        "center",
+        "bottom",
+    )
+
+
+def _world(offset: np.ndarray, view: _View) -> np.ndarray:
+    """Vector in the world (m) of an offset in the picture (pixels)."""
+    return (offset[0] * view.right + offset[1] * view.up) / view.pixels_per_metre

@@ -1,0 +1,32 @@
+"""What every test runs under: two host devices, shapes checked, broadcasting strict."""
+
+import os
+
+# JAX reads these when it starts, so they are set before anything imports it. One thread a
+# device: pytest-xdist keeps the cores busy already.
+os.environ["JAX_PLATFORMS"] = "cpu"
+os.environ["NPROC"] = "1"
+os.environ["XLA_FLAGS"] = "--xla_force_host_platform_device_count=2"
+
+import hypothesis
+import jax
+import jaxtyping
+import pytest
+
+jaxtyping.install_import_hook("evo_cpg", "runtime_checks.typechecker")
+
+# (3,) against (3, n) must not broadcast by accident: `lift` says which axis is meant.
+jax.config.update("jax_numpy_rank_promotion", "raise")
+
+# The same examples in every run. No deadline: the first example pays for the compiling.
+hypothesis.settings.register_profile(
+    "evo_cpg", deadline=None, derandomize=True, max_examples=25, print_blob=True
+)
+hypothesis.settings.load_profile("evo_cpg")
+
+
+@pytest.fixture
+def x64():
+    """Compute in float64 inside one test."""
+    with jax.enable_x64(True):
+        yield

@@ -1,0 +1,97 @@
+"""The brain against eqs. 2-3 written out."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from evo_cpg.control.brain import BrainSettings, build_brain, random_weights, think
+
+
+def written_out(sizes, temperature, genes, inputs):
+    """Eqs. 2-3 unit by unit, with a last input of 1 to each layer."""
+    genes = iter(genes)
+    values = list(inputs)
+    for units in sizes[1:]:
+        layer = []
+        for _ in range(units):
+            total = sum(next(genes) * value for value in [*values, 1.0])
+            layer.append(1 / (1 + np.exp(-total / temperature)))
+        values = layer
+    assert next(genes, None) is None
+    return values
+
+
+@pytest.mark.parametrize("hidden", [(), (4,), (5, 3), (40,)])
+@pytest.mark.parametrize("temperature", [1.0, 0.3])
+def test_brain_equals_its_equations_written_out(hidden, temperature):
+    rng = np.random.default_rng(0)
+    brain = build_brain(70, 6, BrainSettings(hidden=hidden, temperature=temperature))
+    genes = rng.uniform(-0.5, 0.5, brain.gene_count)
+    inputs = rng.uniform(-1, 1, 70)
+    expected = written_out((70, *hidden, 6), temperature, genes, inputs)
+    found = jax.jit(lambda g, v: think(brain, g, v))(jnp.asarray(genes), jnp.asarray(inputs))
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-13)
+
+
+def test_temperature_divides_what_a_unit_receives():
+    genes, inputs = jnp.array([0.8, -0.5, 0.2]), jnp.array([1.0, 0.5])
+    received = 0.8 - 0.25 + 0.2
+    for temperature in (0.1, 1.0, 10.0):
+        brain = build_brain(2, 1, BrainSettings(hidden=(), temperature=temperature))
+        expected = 1 / (1 + np.exp(-received / temperature))
+        assert think(brain, genes, inputs)[0] == pytest.approx(expected, rel=1e-14)
+
+
+def test_batch_equals_single_and_vmap():
+    brain = build_brain(94, 7, BrainSettings())
+    genes = random_weights(jax.random.key(0), brain, (5,), float, 2.0)
+    inputs = jax.random.uniform(jax.random.key(1), (94, 5), float, -1, 1)
+
+    @jax.jit
+    def outputs(genes, inputs):
+        return think(brain, genes, inputs)
+
+    batched = outputs(genes, inputs)
+    mapped = jax.vmap(outputs, in_axes=-1, out_axes=-1)(genes, inputs)
+    np.testing.assert_allclose(mapped, batched, rtol=0, atol=1e-14)
+    for k in range(2):
+        single = outputs(genes[:, k], inputs[:, k])
+        np.testing.assert_allclose(single, batched[:, k], rtol=0, atol=1e-14)
+
+
+def test_first_weights_fill_their_range_evenly():
+    brain = build_brain(94, 7, BrainSettings())
+    weights = np.asarray(random_weights(jax.random.key(0), brain, (50,), jnp.float32, 2.0))
+    assert weights.dtype == np.float32
+    counts, _ = np.histogram(weights, bins=10, range=(-2, 2))
+    assert counts.sum() == weights.size
+    # Multinomial: each bin holds a tenth, give or take four standard deviations.
+    expected = weights.size / 10
+    assert np.abs(counts - expected).max() < 4 * np.sqrt(0.9 * expected)
+
+
+@pytest.mark.parametrize(
+    ("genes", "inputs", "words"),
+    [
+        (1639, 93, "the brain has 94 inputs, but was given 93 values"),
+        (1640, 94, "the brain has 1639 genes, but was given 1640"),
+    ],
+)
+def test_wrong_number_of_inputs_or_genes_is_refused(genes, inputs, words):
+    brain = build_brain(94, 7, BrainSettings())
+    with pytest.raises(ValueError, match=words):
+        think(brain, jnp.zeros(genes), jnp.zeros(inputs))
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"hidden": (16, 0)}, r"at least one unit each, got \(16, 0\)"),
+        ({"temperature": 0.0}, "temperature must be positive, got 0.0"),
+        ({"init_range": -1.0}, "init_range must be positive"),
+    ],
+)
+def test_settings_out_of_range_are_refused(changes, words):
+    with pytest.raises(ValueError, match=words):
+        BrainSettings(**changes)

@@ -1,0 +1,259 @@
+"""The whole controller: what the brain senses, what it sets, and what reaches the motors."""
+
+import doctest
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from evo_cpg.control import controller as protocol
+from evo_cpg.control import matsuoka
+from evo_cpg.control.brain import BrainSettings
+from evo_cpg.control.brain_cpg import BrainCpgSettings, build_brain_cpg, max_amplitude
+from evo_cpg.control.controller import Observation
+from evo_cpg.control.matsuoka import CpgSettings
+
+
+def observe(rng, dofs, batch=(), lights=1, pressures=10):
+    """Random senses within their ranges."""
+    tilt = rng.uniform(0, np.pi, (lights, *batch))
+    values = (
+        rng.uniform(0, 1, (lights, *batch)),
+        rng.integers(0, 2, (pressures, *batch)).astype(float),
+        np.cos(tilt),
+        np.sin(tilt),
+        rng.uniform(-1, 1, (dofs, *batch)),
+        rng.uniform(-8, 8, (dofs, *batch)),
+    )
+    return Observation(*map(jnp.asarray, values))
+
+
+@pytest.mark.parametrize(
+    ("drive", "outputs", "genes"),
+    [("shared", 7, 1639), ("per_joint", 27, 1979), ("per_dof", 81, 2897)],
+)
+def test_swimmer_has_the_expected_number_of_genes(chain, drive, outputs, genes):
+    grown = build_brain_cpg(chain(10, "xyz"), 1, 10, BrainCpgSettings(drive=drive))
+    assert grown.brain.sizes == (94, 16, outputs)
+    assert grown.gene_count == genes
+    assert grown.random_genes(jax.random.key(0), (3,), float).shape == (genes, 3)
+
+
+def test_brain_senses_table_2_in_order(chain):
+    grown = build_brain_cpg(chain(3, "yz"), 2, 3, BrainCpgSettings(joint_rates=True))
+    rng = np.random.default_rng(0)
+    sense = observe(rng, 4, lights=2, pressures=3)
+    state = matsuoka.MatsuokaState(jnp.asarray(rng.uniform(-1, 1.3, (2, 4))), jnp.zeros((2, 4)))
+    firing = np.maximum(state.potential, 0)
+    expected = np.concatenate(
+        [
+            sense.light,
+            sense.pressure,
+            sense.vertical_cosine,
+            sense.vertical_sine,
+            np.cos(sense.joint_angle),
+            np.sin(sense.joint_angle),
+            np.abs(firing[0] - firing[1]) / 1.3,
+            np.clip(sense.joint_rate / 5.0, -1, 1),
+        ]
+    )
+    np.testing.assert_allclose(grown.brain_inputs(state, sense), expected, rtol=0, atol=1e-15)
+    assert len(expected) == grown.brain.sizes[0]
+
+
+OUTPUTS = {
+    # oscillators: b1.y, b1.z, b2.y, b2.z; tonic inputs, steerings, adaptation gains
+    "shared": ([0.1, 0.2], [0.0, 0.75], [0.3], [0, 1, 0, 1], [0, 0, 0, 0]),
+    "per_joint": ([0.1, 0.2], [0.0, 0.75], [0.3, 0.4], [0, 0, 1, 1], [0, 0, 1, 1]),
+    "per_dof": (
+        [0.1, 0.2, 0.3, 0.4],
+        [0.0, 0.25, 0.75, 1.0],
+        [0.5, 0.6, 0.7, 0.8],
+        [0, 1, 2, 3],
+        [0, 1, 2, 3],
+    ),
+}
+
+
+@pytest.mark.parametrize("drive", OUTPUTS)
+def test_outputs_set_the_oscillators(chain, drive):
+    settings = BrainCpgSettings(
+        cpg=CpgSettings(max_tonic_input=2.0, min_adaptation_gain=1.0, max_adaptation_gain=10.0),
+        drive=drive,
+        steering_range=0.4,
+    )
+    tree = chain(3, "yz")
+    assert tree.dof_names == ("b1.y", "b1.z", "b2.y", "b2.z")
+    grown = build_brain_cpg(tree, 1, 3, settings)
+    tonic, steering, gain, source, gain_source = map(np.array, OUTPUTS[drive])
+    found, found_gain = grown.cpg_inputs(jnp.concatenate([tonic, steering, gain]))
+    u, d = 2.0 * tonic[source], 0.4 * (2 * steering[source] - 1)
+    np.testing.assert_allclose(found, [u * (1 + d), u * (1 - d)], rtol=0, atol=1e-15)
+    np.testing.assert_allclose(found_gain, 1 + 9 * gain[gain_source], rtol=0, atol=1e-14)
+
+
+def test_motor_command_follows_the_rhythm_and_centres_the_joint(chain):
+    settings = BrainCpgSettings(
+        rate_gain=4.0, centring=0.5, max_rate=1.5, axis_gain={"y": 0.0, "z": 2.0}
+    )
+    tree = chain(4, "yz")
+    grown = build_brain_cpg(tree, 1, 10, settings)
+    rng = np.random.default_rng(3)
+    sense = observe(rng, 6)
+    genes = grown.random_genes(jax.random.key(0), (), float)
+    state = grown.initial_state((), float)
+    act = eqx.filter_jit(grown.act)
+    for _ in range(100):
+        state, command = act(genes, state, sense)
+    signal = np.maximum(state.potential[0], 0) - np.maximum(state.potential[1], 0)
+    np.testing.assert_allclose(command.signal, signal, rtol=0, atol=1e-15)
+    weights = 4.0 * np.array([0.0, 2.0] * 3)
+    wanted = weights * signal - 0.5 * np.asarray(sense.joint_angle)
+    np.testing.assert_allclose(command.target_rate, np.clip(wanted, -1.5, 1.5), atol=1e-14)
+
+
+def test_command_is_cut_off_at_the_largest_rate(chain):
+    grown = build_brain_cpg(chain(3, "z"), 1, 3, BrainCpgSettings(rate_gain=1e4, max_rate=2.0))
+    sense = observe(np.random.default_rng(0), 2, pressures=3)
+    genes = jnp.zeros(grown.gene_count)
+    _, command = jax.jit(grown.act)(genes, grown.initial_state((), float), sense)
+    np.testing.assert_array_equal(jnp.abs(command.target_rate), 2.0)
+
+
+@pytest.mark.parametrize("drive", ["shared", "per_joint", "per_dof"])
+def test_batch_equals_single_and_vmap(chain, drive):
+    grown = build_brain_cpg(chain(5, "xyz"), 1, 10, BrainCpgSettings(drive=drive))
+    sense = observe(np.random.default_rng(4), 12, (3,))
+    genes = grown.random_genes(jax.random.key(1), (3,), float)
+
+    def trial(genes, state, sense):
+        return jax.lax.scan(lambda state, _: grown.act(genes, state, sense), state, length=20)[
+            1
+        ].target_rate
+
+    start = grown.initial_state((3,), float)
+    batched = jax.jit(trial)(genes, start, sense)
+    mapped = jax.jit(jax.vmap(trial, in_axes=-1, out_axes=-1))(genes, start, sense)
+    np.testing.assert_allclose(mapped, batched, rtol=0, atol=1e-12)
+    single = jax.jit(trial)(
+        genes[:, 1], grown.initial_state((), float), jax.tree.map(lambda v: v[:, 1], sense)
+    )
+    np.testing.assert_allclose(single, batched[..., 1], rtol=0, atol=1e-12)
+
+
+def test_closed_loop_keeps_the_senses_in_range_and_the_rhythm_alive(chain):
+    # On a kinematic joint, whose angle follows the command up to a stop at 60 degrees.
+    grown = build_brain_cpg(chain(10, "z"), 1, 10, BrainCpgSettings())
+    population = 40
+    sense = observe(np.random.default_rng(5), 9, (population,))
+    genes = grown.random_genes(jax.random.key(2), (population,), float)
+
+    def step(carry, _):
+        state, angle = carry
+        seen = sense._replace(joint_angle=angle)
+        largest = jnp.abs(grown.brain_inputs(state, seen)).max()
+        state, command = grown.act(genes, state, seen)
+        angle = jnp.clip(angle + command.target_rate / 60, -1.05, 1.05)
+        return (state, angle), (command.signal, largest)
+
+    start = grown.initial_state((population,), float), jnp.zeros((9, population))
+    signals, largest = jax.jit(lambda c: jax.lax.scan(step, c, length=1500)[1])(start)
+    assert largest.max() <= 1.0
+    late = np.asarray(signals[750:])
+    reversing = np.minimum(late.max(axis=0), -late.min(axis=0)) / np.abs(late).max(axis=0)
+    # Where a random brain steers hard at a small b, one side wins and stays (31 of 40 swing).
+    assert np.mean(reversing.min(axis=0) > 0.2) > 0.7
+
+
+def test_gradient_flows_through_brain_and_cord(chain):
+    grown = build_brain_cpg(chain(3, "yz"), 1, 10, BrainCpgSettings())
+    sense = observe(np.random.default_rng(6), 4)
+    genes = grown.random_genes(jax.random.key(3), (), float)
+    direction = jax.random.normal(jax.random.key(4), genes.shape, float)
+
+    @jax.jit
+    def late_signal(t):
+        def step(state, _):
+            state, command = grown.act(genes + t * direction, state, sense)
+            return state, command.signal[1]
+
+        return jax.lax.scan(step, grown.initial_state((), float), length=60)[1][-1]
+
+    difference = (late_signal(1e-6) - late_signal(-1e-6)) / 2e-6
+    assert jax.grad(late_signal)(0.0) == pytest.approx(float(difference), rel=1e-6)
+
+
+def test_controller_passes_through_jit_as_an_argument(chain):
+    grown = build_brain_cpg(chain(3, "yz"), 1, 10, BrainCpgSettings(axis_gain={"y": 0.5}))
+    sense = observe(np.random.default_rng(7), 4)
+    genes = grown.random_genes(jax.random.key(0), (), float)
+    state = grown.initial_state((), float)
+    expected = jax.jit(grown.act)(genes, state, sense)[1].target_rate
+    found = eqx.filter_jit(lambda c: c.act(genes, state, sense)[1].target_rate)(grown)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-14)
+
+
+def test_largest_amplitude_counts_steering_and_feedback():
+    settings = BrainCpgSettings(
+        cpg=CpgSettings(max_tonic_input=2.0, sensory_feedback=0.5), steering_range=0.25
+    )
+    assert max_amplitude(settings) == 3.0
+
+
+def test_senses_of_another_creature_are_refused(chain):
+    grown = build_brain_cpg(chain(3, "yz"), 1, 10)
+    genes = grown.random_genes(jax.random.key(0), (), float)
+    sense = observe(np.random.default_rng(8), 4, lights=2)
+    with pytest.raises(ValueError, match="the brain has 25 inputs, but was given 28 values"):
+        grown.act(genes, grown.initial_state((), float), sense)
+
+
+def test_creature_without_joints_is_refused(grow):
+    with pytest.raises(ValueError, match="a creature with at least one joint"):
+        build_brain_cpg(grow({"stone": (None, "")}), 1, 1)
+
+
+def test_gain_of_an_unknown_axis_is_refused(chain):
+    settings = BrainCpgSettings(axis_gain={"x": 0.5})
+    with pytest.raises(ValueError, match="names axis 'x', but the joints turn about y, z"):
+        build_brain_cpg(chain(3, "yz"), 1, 1, settings)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"steering_range": 1.5}, "steering_range must be from 0 to 1, got 1.5"),
+        ({"max_rate": 0.0}, "max_rate must be positive"),
+        ({"centring": -1.0}, "centring must not be negative"),
+    ],
+)
+def test_settings_out_of_range_are_refused(changes, words):
+    with pytest.raises(ValueError, match=words):
+        BrainCpgSettings(**changes)
+
+
+def test_settings_serve_as_a_static_field():
+    # Equal settings are one compiled function.
+    assert BrainCpgSettings(brain=BrainSettings()) == BrainCpgSettings()
+    assert hash(BrainCpgSettings(axis_gain={"z": 1.0})) == hash(BrainCpgSettings())
+
+
+def test_example_in_the_protocol_works():
+    names: dict = {}
+    example = doctest.DocTestFinder().find(protocol.Controller, "Controller")[0]
+    outcome = doctest.DocTestRunner().run(example, clear_globs=False)
+    assert outcome.attempted > 0
+    assert outcome.failed == 0
+    names = example.globs
+    sine = names["SineController"]()
+    genes = jnp.array([[2.0], [0.5]])
+    state = sine.initial_state((1,), float)
+    assert sine.random_genes(jax.random.key(0), (1,), float).shape == (2, 1)
+    sense = observe(np.random.default_rng(0), 3, (1,))
+    for _ in range(30):
+        state, command = sine.act(genes, state, sense)
+    # Half a second of 0.5 Hz: the crest.
+    np.testing.assert_allclose(command.target_rate, 2.0, rtol=1e-12)
+    assert command.signal.shape == (3, 1)

@@ -1,0 +1,152 @@
+"""Creatures, states and worlds that several tests of the physics share."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, Material
+from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
+from evo_cpg.creature.surface import outer_surfaces
+from evo_cpg.creature.tree import Tree, build_tree
+from evo_cpg.physics.fluid import DragLaw, Water, make_patches
+from evo_cpg.physics.state import State
+from evo_cpg.physics.step import World
+from evo_cpg.spatial.rotation import euler_to_matrix
+
+AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+
+# A test runs what it compiles for a fraction of a second, so compiling is what takes the time.
+quick_jit = functools.partial(
+    jax.jit,
+    compiler_options={
+        "xla_backend_optimization_level": 0,
+        "xla_cpu_experimental_ynn_fusion_type": "",
+    },
+)
+
+# Parent and number of joint axes of every body but the root: chains, stars and mixtures.
+STRUCTURES = (
+    ((0, 1),),
+    ((0, 3), (1, 2)),
+    ((0, 2), (0, 1), (0, 3)),
+    ((0, 1), (1, 1), (1, 3), (2, 2)),
+    ((0, 3), (1, 3), (2, 3), (3, 3)),
+    ((0, 2), (0, 2), (1, 1), (2, 3), (2, 1)),
+    ((0, 3), (0, 1), (0, 3), (2, 2), (2, 3), (1, 1)),
+    ((0, 1), (1, 2), (2, 3), (3, 1), (4, 2), (5, 3)),
+    ((0, 2), (1, 3), (1, 3), (0, 3), (4, 1), (2, 2), (5, 2)),
+    ((0, 3), (0, 3), (0, 3), (1, 1), (2, 1), (3, 1), (4, 2), (6, 2)),
+)
+
+
+def random_creature(
+    rng: np.random.Generator,
+    structure: tuple[tuple[int, int], ...],
+    limits: float = 9.0,
+    motor: Actuator | None = None,
+) -> Creature:
+    """A creature in which everything but the structure is drawn at random.
+
+    Args:
+        rng: the source of randomness.
+        structure: parent and number of axes of every body but the root.
+        limits: of every joint, both ways, rad.
+        motor: on every axis.
+    """
+    bodies = [Body("b0", random_shape(rng), Material(rng.uniform(500, 2000)))]
+    for i, (parent, count) in enumerate(structure, start=1):
+        if rng.random() < 0.5:
+            axes = np.eye(3)[rng.permutation(3)[:count]] * rng.choice([-1.0, 1.0], (count, 1))
+        else:
+            axes = np.linalg.qr(rng.normal(size=(3, 3)))[0][:count]
+        orientation = euler_to_matrix(*rng.normal(size=3)) if rng.random() < 0.7 else np.eye(3)
+        joint = Joint(
+            parent=f"b{parent}",
+            parent_anchor=tuple(rng.normal(scale=0.2, size=3)),
+            child_anchor=tuple(rng.normal(scale=0.2, size=3)),
+            axes=tuple(map(tuple, axes)),
+            lower=(-limits,) * count,
+            upper=(limits,) * count,
+            orientation=tuple(map(tuple, orientation)),
+            stiffness=rng.uniform(0, 5),
+            damping=rng.uniform(0, 1),
+            armature=rng.choice([0.0, rng.uniform(0, 0.01)]),
+            actuator=motor,
+        )
+        bodies.append(Body(f"b{i}", random_shape(rng), Material(rng.uniform(500, 2000)), joint))
+    return Creature("random", tuple(bodies))
+
+
+def random_shape(rng: np.random.Generator) -> Shape:
+    """A box, sphere, ellipsoid or capsule of some 0.1 to 0.4 m."""
+    return [
+        lambda: Box(tuple(rng.uniform(0.05, 0.4, 3))),
+        lambda: Sphere(rng.uniform(0.05, 0.2)),
+        lambda: Ellipsoid(tuple(rng.uniform(0.05, 0.2, 3))),
+        lambda: Capsule(rng.uniform(0.03, 0.1), rng.uniform(0.05, 0.4)),
+    ][rng.integers(4)]()
+
+
+def random_state(
+    tree: Tree, rng: np.random.Generator, batch: tuple[int, ...] = (), speed: float = 1.0
+) -> State:
+    """Any orientation, angles up to 1 rad, rates of some 3 rad/s times ``speed``."""
+    orientation = rng.normal(size=(4, *batch))
+    return State(
+        position=jnp.asarray(rng.normal(size=(3, *batch))),
+        orientation=jnp.asarray(orientation / np.linalg.norm(orientation, axis=0)),
+        velocity=jnp.asarray(speed * rng.normal(scale=2.0, size=(6, *batch))),
+        q=jnp.asarray(rng.uniform(-1, 1, (tree.dof_count, *batch))),
+        qd=jnp.asarray(speed * rng.normal(scale=3.0, size=(tree.dof_count, *batch))),
+    )
+
+
+def box_chain(
+    bodies: int,
+    axes: str,
+    motor: Actuator | None = None,
+    size: tuple[float, float, float] = (0.2, 0.1, 0.1),
+    gap: float = 0.02,
+    density: float = 1000.0,
+    limit: float = np.pi / 3,
+) -> Creature:
+    """Equal boxes in a row along -x, the head first."""
+    reach = (size[0] + gap) / 2
+    chain = [Body("b0", Box(size), Material(density))]
+    for i in range(1, bodies):
+        joint = Joint(
+            parent=f"b{i - 1}",
+            parent_anchor=(-reach, 0.0, 0.0),
+            child_anchor=(reach, 0.0, 0.0),
+            axes=tuple(AXES[axis] for axis in axes),
+            lower=(-limit,) * len(axes),
+            upper=(limit,) * len(axes),
+            actuator=motor,
+        )
+        chain.append(Body(f"b{i}", Box(size), Material(density), joint))
+    return Creature("chain", tuple(chain))
+
+
+def in_water(
+    creature: Creature,
+    resolution: int = 2,
+    gravity: float = 9.81,
+    density: float = 1000.0,
+    form_drag: float = 1.0,
+    skin_drag: float = 0.02,
+    current: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    law: DragLaw = "normal",
+    sheltered: bool = True,
+) -> World:
+    """A creature under water, with the same quadrature for form and skin drag."""
+    tree = build_tree(creature)
+    surfaces = {
+        body.name: surface
+        for body, surface in zip(
+            creature.bodies, outer_surfaces(creature, resolution, sheltered), strict=True
+        )
+    }
+    water = Water(density, form_drag, skin_drag, current, law)
+    return World(tree, gravity, water, make_patches(tree, surfaces, surfaces, law))

@@ -1,0 +1,101 @@
+"""The same creature as a MuJoCo model: the outside oracle for rigid-body dynamics."""
+
+import mujoco
+import numpy as np
+
+from evo_cpg.creature.creature import Body, Creature
+from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid
+from evo_cpg.creature.tree import Tree
+from evo_cpg.physics.state import State
+
+
+def mujoco_model(creature: Creature, options: dict[str, float] | None = None, fluid: str = ""):
+    """Compile a creature for MuJoCo, with its motors' gains as joint damping left out.
+
+    Args:
+        creature: the animal.
+        options: attributes of MuJoCo's ``option`` element.
+        fluid: attributes added to every geom, such as ``fluidshape="ellipsoid"``.
+    """
+    children: dict[str | None, list[Body]] = {}
+    for body in creature.bodies:
+        children.setdefault(body.joint.parent if body.joint else None, []).append(body)
+
+    def element(body: Body) -> str:
+        joint = body.joint
+        anchor = np.array(joint.child_anchor if joint else (0.0, 0.0, 0.0))
+        if joint is None:
+            place, joints = 'pos="0 0 0"', "<freejoint/>"
+        else:
+            parent = creature.bodies[creature.body_index(joint.parent)]
+            parent_anchor = parent.joint.child_anchor if parent.joint else np.zeros(3)
+            place = (
+                f'pos="{_text(np.array(joint.parent_anchor) - parent_anchor)}" '
+                f'quat="{_text(_quaternion(np.array(joint.orientation)))}"'
+            )
+            joints = "".join(
+                f'<joint type="hinge" axis="{_text(axis)}" stiffness="{joint.stiffness}" '
+                f'damping="{joint.damping}" armature="{joint.armature}" limited="false"/>'
+                for axis in joint.axes
+            )
+        inner = "".join(element(child) for child in children.get(body.name, []))
+        geom = _geom(body, -anchor, fluid)
+        return f'<body name="{body.name}" {place}>{joints}{geom}{inner}</body>'
+
+    attributes = " ".join(f'{key}="{value}"' for key, value in (options or {}).items())
+    xml = (
+        f'<mujoco><compiler angle="radian"/><option {attributes}>'
+        '<flag contact="disable"/></option>'
+        f"<worldbody>{element(children[None][0])}</worldbody></mujoco>"
+    )
+    return mujoco.MjModel.from_xml_string(xml)
+
+
+def dof_order(model: mujoco.MjModel, tree: Tree) -> np.ndarray:
+    """Index of MuJoCo's joint degree of freedom for each of the tree's (the root's six left out)."""
+    order = []
+    for name in dict.fromkeys(tree.names[i] for i in tree.dof_bodies):
+        body = model.body(name)
+        order.extend(range(body.dofadr[0] - 6, body.dofadr[0] - 6 + body.dofnum[0]))
+    return np.array(order, int)
+
+
+def load_state(model: mujoco.MjModel, data: mujoco.MjData, tree: Tree, state: State) -> np.ndarray:
+    """Put one individual's pose and velocities into MuJoCo's data.
+
+    Returns:
+        The root's rotation matrix: MuJoCo has the root's angular velocity in its own axes.
+    """
+    order = dof_order(model, tree)
+    rotation = np.zeros(9)
+    mujoco.mju_quat2Mat(rotation, np.asarray(state.orientation, float))
+    rotation = rotation.reshape(3, 3)
+    data.qpos[:3], data.qpos[3:7] = state.position, state.orientation
+    data.qpos[7 + order] = state.q
+    data.qvel[:3], data.qvel[3:6] = state.velocity[3:], rotation.T @ state.velocity[:3]
+    data.qvel[6 + order] = state.qd
+    return rotation
+
+
+def _geom(body: Body, centre: np.ndarray, fluid: str) -> str:
+    shape, density = body.shape, body.material.density
+    if isinstance(shape, Box):
+        kind = f'type="box" size="{_text(shape.half_extents)}"'
+    elif isinstance(shape, Ellipsoid):
+        kind = f'type="ellipsoid" size="{_text(shape.half_extents)}"'
+    elif isinstance(shape, Capsule):
+        # MuJoCo's capsules lie along z.
+        kind = f'type="capsule" size="{shape.radius} {shape.length / 2}" zaxis="1 0 0"'
+    else:
+        raise TypeError(type(shape))
+    return f'<geom {kind} pos="{_text(centre)}" density="{density}" {fluid}/>'
+
+
+def _text(values) -> str:
+    return " ".join(f"{value:.17g}" for value in values)
+
+
+def _quaternion(rotation: np.ndarray) -> np.ndarray:
+    quaternion = np.zeros(4)
+    mujoco.mju_mat2Quat(quaternion, rotation.flatten())
+    return quaternion

@@ -1,0 +1,268 @@
+"""Films: what is written decodes as asked for, and the animal can be seen in it."""
+
+import dataclasses
+import itertools
+import re
+import subprocess
+import sys
+
+import imageio_ffmpeg
+import numpy as np
+import pytest
+import synthetic
+from PIL import Image
+
+from evo_cpg.view import scenery
+from evo_cpg.view.camera import follow, project, smooth
+from evo_cpg.view.film import Stage, camera_path, film, sample
+from evo_cpg.view.meshes import body_colors
+from evo_cpg.view.output import OutputError
+
+SMALL = (192, 108)
+
+
+@pytest.fixture(scope="module")
+def creature():
+    return synthetic.swimmer()
+
+
+@pytest.fixture(scope="module")
+def recording():
+    return synthetic.swim()
+
+
+@pytest.fixture(scope="module")
+def movie(creature, recording, tmp_path_factory):
+    """Ten frames, spread over the whole recording."""
+    path = tmp_path_factory.mktemp("film") / "swim.mp4"
+    seen = []
+    film(
+        creature,
+        recording,
+        path,
+        size=SMALL,
+        fps=10,
+        speed=recording.time[-1] / 0.9,
+        title="",
+        progress=lambda done, total: seen.append((done, total)),
+    )
+    return path, seen
+
+
+def decode(path):
+    """All frames of a film, with the size that the file itself states."""
+    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-i", str(path)]
+    command += ["-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
+    result = subprocess.run(command, capture_output=True, check=True)
+    stated = re.search(rb"Video: h264.*yuv420p.*?(\d+)x(\d+)", result.stderr)
+    width, height = map(int, stated.groups())
+    return list(np.frombuffer(result.stdout, np.uint8).reshape(-1, height, width, 3))
+
+
+def stage(world="water", size=(1280, 720), rate=30.0):
+    return Stage(scenery.LOOKS[world], "", size, 1.0, rate, 1.0)
+
+
+def orange(image):
+    """Pixels that only the head has: red far above blue."""
+    return (image[..., 0].astype(int) - image[..., 2] > 90) & (image[..., 1] < 165)
+
+
+def test_a_film_has_the_size_and_frames_asked_for(movie):
+    path, seen = movie
+    frames = decode(path)
+    assert [frame.shape for frame in frames] == [(108, 192, 3)] * 10
+    assert seen == [(i, 10) for i in range(1, 11)]
+
+
+def test_the_animal_moves_from_frame_to_frame(movie):
+    frames = decode(movie[0])
+    for one, next_one in itertools.pairwise(frames):
+        assert np.abs(one.astype(int) - next_one).max() > 60
+    heads = [np.argwhere(orange(frame)).mean(0) for frame in frames]
+    assert np.ptp(heads, axis=0).max() > 5
+
+
+def test_the_head_is_where_the_camera_says(creature, recording, tmp_path):
+    path = film(creature, recording, tmp_path / "still.png", size=(640, 360), seconds=14, title="")
+    image = synthetic.read(path)
+    assert image.shape == (360, 640, 3)
+    clip = sample(recording, 30)
+    camera = camera_path(creature, recording, clip, stage(size=(640, 360)))
+    x, y = project(camera, clip.position[:, :2].mean(1, keepdims=True), 640 / 360)[14 * 30, 0]
+    row, column = np.argwhere(orange(image)).mean(0)
+    # The two orange bodies at the front are about 40 pixels long; their sides are in shade.
+    assert np.hypot(column - 320 * (1 + x), row - 180 * (1 - y)) < 12
+
+
+@pytest.mark.parametrize("world", ["water", "land"])
+def test_every_body_stays_in_the_frame(creature, recording, world):
+    clip = sample(recording, 30)
+    camera = camera_path(creature, recording, clip, stage(world))
+    place = project(camera, clip.position, 1280 / 720)
+    assert np.abs(place).max() < 0.95
+    # Not lost in the distance either: at every instant it spans a fifth of the picture.
+    assert np.ptp(place, axis=1).max(1).min() > 0.4
+
+
+def test_the_light_is_in_the_frame_from_the_start_and_never_near_the_camera(creature, recording):
+    clip = sample(recording, 30)
+    camera = camera_path(creature, recording, clip, stage())
+    goals = np.repeat(recording.goal[None, None], len(clip.time), 0)
+    assert np.abs(project(camera, goals, 1280 / 720)).max() < 1
+    assert np.linalg.norm(camera.position - recording.goal, axis=1).min() > 2
+
+
+def test_the_camera_is_calm(creature, recording):
+    """It moves as fast as the animal travels, without the tail beat."""
+    clip = sample(recording, 30)
+    camera = camera_path(creature, recording, clip, stage())
+    speed = np.linalg.norm(np.diff(camera.focus, axis=0), axis=1) * 30
+    assert speed.max() < 1.35 * clip.speed.max()
+
+
+def test_the_camera_stays_off_a_light_that_the_animal_overshoots():
+    frames = np.linspace(0, 1, 200)[:, None]
+    position = (frames * [40.0, 0.0, 0.0])[:, None]
+    goal = np.array([20.0, 0.0, 0.0])
+    camera = follow(position, goal, 1.0, 30, 16 / 9, 0.0)
+    assert np.linalg.norm(camera.position - goal, axis=1).min() > 1.5
+
+
+def test_smoothing_keeps_a_straight_way_and_drops_a_wobble():
+    time = np.linspace(0, 20, 601)
+    steady = np.column_stack([time, -2 * time, 0 * time])
+    assert np.allclose(smooth(steady, 24), steady)
+    wobble = np.column_stack([0 * time, np.sin(2 * np.pi * 1.08 * time), 0 * time])
+    assert np.abs(smooth(wobble, 24)[100:-100]).max() < 1e-3
+    assert np.array_equal(smooth(steady[:1], 24), steady[:1])
+
+
+def test_head_and_tail_differ_in_colour(creature):
+    colors = body_colors(creature)
+    head, tail = colors[0], colors[-1]
+    assert head[0] > 0.8 and head[2] < 0.3
+    assert tail[2] > 0.8 and tail[0] < 0.4
+    assert len(np.unique(colors, axis=0)) == len(creature.bodies)
+
+
+def test_a_body_may_have_a_colour_of_its_own(creature):
+    painted = dataclasses.replace(
+        creature,
+        bodies=(*creature.bodies[:-1], dataclasses.replace(creature.bodies[-1], color="#00ff00")),
+    )
+    assert np.allclose(body_colors(painted)[-1], [0, 1, 0])
+
+
+def test_sampling_interpolates_between_steps(recording):
+    clip = sample(recording, fps=25, speed=0.5, seconds=2)
+    assert np.allclose(clip.time, np.arange(101) / 50)
+    identity = np.einsum("tbij,tbkj->tbik", clip.rotation, clip.rotation)
+    assert np.allclose(identity, np.eye(3))
+    exact = np.interp(clip.time, recording.time, recording.position[:, 3, 1])
+    assert np.allclose(clip.position[:, 3, 1], exact)
+    # 8 m in 33 s.
+    assert sample(recording, 30).speed.mean() == pytest.approx(7.7 / 33, rel=0.1)
+
+
+def test_a_gif_is_animated(creature, recording, tmp_path):
+    path = film(creature, recording, tmp_path / "swim.gif", size=SMALL, fps=10, seconds=0.2)
+    with Image.open(path) as picture:
+        assert (picture.size, picture.n_frames) == (SMALL, 3)
+
+
+def test_an_odd_size_is_rounded_down(creature, recording, tmp_path):
+    path = film(creature, recording, tmp_path / "s.mp4", size=(193, 109), fps=10, seconds=0.1)
+    assert decode(path)[0].shape == (108, 192, 3)
+
+
+def test_a_walker_without_a_light_is_filmed_on_land(creature, tmp_path):
+    standing = synthetic.standing(creature)._replace(goal=np.full(3, np.nan))
+    path = film(creature, standing, tmp_path / "stand.png", size=SMALL, world="land")
+    assert synthetic.read(path).std() > 20
+
+
+def test_the_floor_moves_with_the_world_not_with_the_camera(creature, recording, tmp_path):
+    """Shifting the animal and its light by whole floor tiles gives the same picture."""
+    shift = np.array([8.0, -4.0, 0.0])
+    moved = recording._replace(position=recording.position + shift, goal=recording.goal + shift)
+    half = recording._replace(
+        position=recording.position + shift / 16, goal=recording.goal + shift / 16
+    )
+    pictures = []
+    for i, motion in enumerate((recording, moved, half)):
+        path = film(creature, motion, tmp_path / f"{i}.png", size=SMALL, seconds=1, world="land")
+        pictures.append(synthetic.read(path))
+    assert np.abs(pictures[0] - pictures[1]).mean() < 1.0
+    assert np.abs(pictures[0] - pictures[2]).mean() > 3.0
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("swim.avi", r"ends in '\.avi'; use \.mp4 or \.gif or \.png"),
+        ("swim", "has no suffix"),
+        ("nowhere/swim.mp4", "there is no folder .*nowhere"),
+        ("folder.mp4", "it is a folder"),
+    ],
+)
+def test_a_path_that_cannot_be_written_is_refused(creature, recording, tmp_path, name, words):
+    (tmp_path / "folder.mp4").mkdir()
+    with pytest.raises(OutputError, match=words):
+        film(creature, recording, tmp_path / name, size=SMALL)
+
+
+def test_no_permission_is_refused(creature, recording, tmp_path, monkeypatch):
+    monkeypatch.setattr("os.access", lambda *_: False)
+    with pytest.raises(OutputError, match="no permission"):
+        film(creature, recording, tmp_path / "swim.mp4", size=SMALL)
+
+
+def test_a_broken_film_leaves_the_old_one(creature, recording, tmp_path):
+    path = tmp_path / "swim.mp4"
+    path.write_bytes(b"old")
+
+    def interrupt(done, total):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        film(creature, recording, path, size=SMALL, seconds=0.2, progress=interrupt)
+    assert path.read_bytes() == b"old"
+    assert [file.name for file in tmp_path.iterdir()] == ["swim.mp4"]
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"world": "air"}, "world is 'air'; choose water or land"),
+        ({"size": (8, 8)}, "8 x 8 pixels"),
+        ({"fps": 0}, "fps is 0"),
+        ({"speed": -1}, "speed is -1"),
+        ({"seconds": -1}, "seconds is -1"),
+    ],
+)
+def test_settings_out_of_range_are_refused(creature, recording, tmp_path, settings, words):
+    with pytest.raises(ValueError, match=words):
+        film(creature, recording, tmp_path / "swim.mp4", **settings)
+
+
+def test_recordings_that_cannot_be_shown_are_refused(creature, recording, tmp_path):
+    path = tmp_path / "swim.mp4"
+    empty = recording._replace(time=recording.time[:0], position=recording.position[:0])
+    with pytest.raises(ValueError, match="holds no instant"):
+        film(creature, empty, path)
+    other = recording._replace(position=recording.position[:, :9])
+    with pytest.raises(ValueError, match="9 bodies, but 'swimmer' has 10"):
+        film(creature, other, path)
+    position = recording.position.copy()
+    position[120:] = np.nan
+    with pytest.raises(ValueError, match="diverges at 2 s"):
+        film(creature, recording._replace(position=position), path)
+
+
+def test_importing_the_package_loads_neither_vtk_nor_matplotlib():
+    code = (
+        "import sys, evo_cpg.view; "
+        "print([m for m in ('vtkmodules', 'pyvista', 'matplotlib', 'jax') if m in sys.modules])"
+    )
+    assert subprocess.check_output([sys.executable, "-c", code], text=True).strip() == "[]"

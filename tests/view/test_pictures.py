@@ -1,0 +1,161 @@
+"""Meshes, previews and plots."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import synthetic
+
+from evo_cpg.creature.creature import LightSensor
+from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
+from evo_cpg.view.meshes import eye_meshes, head_index, shape_mesh
+from evo_cpg.view.output import OutputError
+from evo_cpg.view.plots import _crests, plot_fitness, plot_joint_signals, plot_path
+from evo_cpg.view.preview import preview
+from evo_cpg.view.scenery import grid_spacing
+
+
+@pytest.fixture(scope="module")
+def recording():
+    return synthetic.swim(12)
+
+
+def ink(path):
+    """Share of the pixels that are not background."""
+    image = synthetic.read(path).mean(-1)
+    return float((np.abs(image - image[0, 0]) > 40).mean())
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [Box((0.2, 0.1, 0.06)), Ellipsoid((0.3, 0.2, 0.1)), Sphere(0.1), Capsule(0.05, 0.2)],
+    ids=lambda shape: type(shape).__name__,
+)
+def test_a_mesh_is_closed_and_has_the_size_of_its_shape(shape):
+    mesh = shape_mesh(shape)
+    assert np.allclose(np.array(mesh.bounds_size) / 2, shape.half_extents, rtol=0.02)
+    # Rounding takes a little off a box; chords take a little off the others.
+    assert mesh.volume == pytest.approx(shape.volume, rel=0.07)
+    assert mesh.volume < shape.volume
+    assert np.abs(shape.distance(np.asarray(mesh.points))).max() < 0.3 * shape.half_extents.min()
+    outward = np.einsum("ij,ij->i", mesh.points, mesh.point_data.active_normals)
+    assert (outward > 0).all()
+
+
+def test_an_unknown_shape_is_refused():
+    class Cone(Box):
+        pass
+
+    class Blob(Shape):
+        volume = half_extents = None
+
+        def inertia(self, mass): ...
+        def distance(self, points): ...
+        def surface(self, resolution): ...
+
+    assert shape_mesh(Cone((1, 1, 1))).n_points
+    with pytest.raises(TypeError, match="no picture for a Blob"):
+        shape_mesh(Blob())
+
+
+def test_eyes_sit_on_the_surface_where_the_sensor_looks():
+    creature = synthetic.swimmer()
+    inside = LightSensor("b0", (0.0, 0.0, 0.0), (1.0, 0.0, 0.0), np.pi)
+    white, pupil = eye_meshes(creature, inside)
+    assert white.bounds.x_min < 0.1 < white.bounds.x_max
+    assert pupil.bounds.x_max > white.bounds.x_max
+    assert white.center[1:] == pytest.approx((0, 0), abs=1e-6)
+
+
+def test_the_head_is_the_body_with_eyes_or_else_the_root():
+    creature = synthetic.swimmer()
+    eye = dataclasses.replace(creature.light_sensors[0], body="b9")
+    assert head_index(creature) == 0
+    assert head_index(dataclasses.replace(creature, light_sensors=(eye,))) == 9
+    assert head_index(dataclasses.replace(creature, light_sensors=())) == 0
+
+
+@pytest.mark.parametrize(
+    ("length", "spacing"), [(2.2, 1.0), (1.0, 0.5), (0.9, 0.2), (0.05, 0.02), (40.0, 20.0)]
+)
+def test_the_grid_is_a_round_number(length, spacing):
+    assert grid_spacing(length) == pytest.approx(spacing)
+
+
+def test_a_preview_shows_the_body(tmp_path):
+    path = preview(synthetic.swimmer(), tmp_path / "body.png", size=(480, 270))
+    image = synthetic.read(path)
+    assert image.shape == (270, 480, 3)
+    warm = (image[..., 0] - image[..., 2] > 120).sum()
+    cool = (image[..., 2] - image[..., 0] > 80).sum()
+    assert min(warm, cool) > 200
+
+
+def test_a_preview_has_limits(tmp_path):
+    with pytest.raises(OutputError, match=r"use \.png"):
+        preview(synthetic.swimmer(), tmp_path / "body.mp4")
+    with pytest.raises(ValueError, match="4 x 4 pixels"):
+        preview(synthetic.swimmer(), tmp_path / "body.png", size=(4, 4))
+
+
+def test_the_crests_give_frequency_and_lag(recording):
+    angle = np.degrees(recording.joint_angle[:, 2::3])
+    frequency, lag, crests = _crests(recording.time, angle)
+    assert frequency == pytest.approx(synthetic.FREQUENCY, rel=0.01)
+    assert np.allclose(lag, synthetic.LAG, atol=0.02)
+    # sin(2 pi f t - LAG i) has its crests at (1/4 + LAG i / 2 pi + k) / f, with i from 1.
+    joints = np.arange(1, 10)
+    beats = np.array(crests) * synthetic.FREQUENCY - 0.25 - synthetic.LAG * joints / (2 * np.pi)
+    near = (np.array(crests) > 1) & (np.array(crests) < 11)
+    assert np.abs(beats - np.rint(beats))[near].max() < 0.03
+
+
+def test_a_still_animal_has_no_crests():
+    assert _crests(np.linspace(0, 5, 100), np.zeros((100, 3))) is None
+
+
+@pytest.mark.parametrize("axis", [None, "x"])
+def test_joint_signals(recording, tmp_path, axis):
+    path = plot_joint_signals(recording, tmp_path / "joints.png", axis, window=(2.0, 6.0))
+    assert 0.02 < ink(path) < 0.5
+
+
+def test_joint_signals_of_a_still_animal(recording, tmp_path):
+    still = recording._replace(joint_angle=0 * recording.joint_angle)
+    assert ink(plot_joint_signals(still, tmp_path / "joints.png")) > 0.02
+
+
+def test_joint_signals_have_limits(recording, tmp_path):
+    path = tmp_path / "joints.png"
+    with pytest.raises(ValueError, match="no joint turns about axis 'w'; axes are x, y, z"):
+        plot_joint_signals(recording, path, axis="w")
+    with pytest.raises(ValueError, match="from 50 s to 60 s holds 0 instants"):
+        plot_joint_signals(recording, path, window=(50, 60))
+    with pytest.raises(ValueError, match="no joints"):
+        plot_joint_signals(synthetic.standing(synthetic.swimmer()), path)
+    with pytest.raises(OutputError, match=r"use \.png or \.svg or \.pdf"):
+        plot_joint_signals(recording, tmp_path / "joints.txt")
+
+
+def test_the_path(recording, tmp_path):
+    assert 0.01 < ink(plot_path(recording, tmp_path / "path.png")) < 0.5
+
+
+@pytest.mark.parametrize("runs", [1, 3])
+def test_fitness(tmp_path, runs):
+    generation = np.tile(np.arange(20), runs)
+    best = np.sqrt(generation + 1.0)
+    history = {"generation": generation, "best": best, "mean": best - 1, "diverged": 0 * best}
+    history["mean"][0] = -np.inf
+    if runs > 1:
+        history |= {"run": np.repeat(np.arange(runs), 20), "best_so_far": best}
+    assert 0.01 < ink(plot_fitness(history, tmp_path / "fitness.png")) < 0.5
+
+
+def test_fitness_needs_its_columns(tmp_path):
+    history = {"generation": np.arange(3), "best": np.arange(3), "diverged": np.zeros(3)}
+    with pytest.raises(ValueError, match="no column 'mean'; it has generation, best, diverged"):
+        plot_fitness(history, tmp_path / "fitness.png")
+    empty = {key: np.zeros(0) for key in ("generation", "best", "mean", "diverged")}
+    with pytest.raises(ValueError, match="no rows yet"):
+        plot_fitness(empty, tmp_path / "fitness.png")
