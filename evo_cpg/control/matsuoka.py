@@ -266,7 +266,7 @@ def _runge_kutta(
     With s1, s2 and s3 the states at which the second to fourth slopes are taken, the usual
     ``s + h/6 (k1 + 2 k2 + 2 k3 + k4)`` is ``(s1 + 2 s2 + s3 - s) / 3 + h/6 k4``. A stage then
     needs only the one before it, and the barriers keep XLA from computing it again in every
-    later stage: together 15 us instead of 23.
+    later stage: together 15 us instead of 31.
 
     Potentials stand between rows of zeros, so that each diagonal of A meets a plain slice.
     """

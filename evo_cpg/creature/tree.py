@@ -21,7 +21,8 @@ from evo_cpg.creature.creature import Creature, neutral_pose, topological_order
 
 
 # A soft limit is a critically damped spring on the inertia that the joint sees, slow enough for
-# a step of 1/120 s to resolve it.
+# a step of 1/120 s to resolve it; on top of that it balances the joint's own motor, which would
+# otherwise push through: a servo asking for 1 rad/s beyond the limit gets 0.016 rad.
 LIMIT_FREQUENCY = 10.0
 LIMIT_DAMPING_RATIO = 1.0
 
@@ -140,6 +141,7 @@ def build_tree(creature: Creature) -> Tree:
     dof_bodies = [i for i, body in enumerate(bodies) if body.joint for _ in body.joint.axes]
     limit_rate = 2 * np.pi * LIMIT_FREQUENCY
     leverage = _effective_inertia(creature, order)
+    gain = _per_dof([(a.gain if a else 0.0, n) for a, n in actuators])
     return Tree(
         names=tuple(names),
         parents=tuple(parents),
@@ -163,9 +165,9 @@ def build_tree(creature: Creature) -> Tree:
         armature=_per_dof([(j.armature, len(j.axes)) for j in joints]),
         lower=np.array([limit for j in joints for limit in j.lower], float),
         upper=np.array([limit for j in joints for limit in j.upper], float),
-        servo_gain=_per_dof([(a.gain if a else 0.0, n) for a, n in actuators]),
+        servo_gain=gain,
         torque_limit=_per_dof([(a.torque_limit if a else 0.0, n) for a, n in actuators]),
-        limit_stiffness=leverage * limit_rate**2,
+        limit_stiffness=leverage * limit_rate**2 + gain * limit_rate,
         limit_damping=2 * LIMIT_DAMPING_RATIO * leverage * limit_rate,
     )
 

@@ -175,11 +175,13 @@ def _turn(
         turned = matmul(frame, axis_rotation(axis, sine, cosine))
         return [turned[:, j] for j in range(3)], matvec(frame, lift(axis, frame[0]))
     i, j = (along + 1) % 3, (along + 2) % 3
-    sine, cosine = sine[None] * axis[along], cosine[None]
+    # A Python float takes the arrays' precision; a NumPy one would make float32 float64.
+    direction = float(axis[along])
+    sine, cosine = sine[None] * direction, cosine[None]
     turned = list(columns)
     turned[i] = cosine * columns[i] + sine * columns[j]
     turned[j] = cosine * columns[j] - sine * columns[i]
-    return turned, columns[along] * axis[along]
+    return turned, columns[along] * direction
 
 
 def _joint_motion(tree: Tree, rates: Float[Array, "3 d *n"]) -> tuple[Array, Array]:

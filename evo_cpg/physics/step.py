@@ -29,6 +29,18 @@ from evo_cpg.spatial.linear import (
 from evo_cpg.spatial.rotation import integrate_quaternion
 
 
+# Passes that look for the torques of overloaded motors, and the relative accuracy at which they
+# stop. With 4 passes and tight limits the rates of random swimmers stay below 35 rad/s.
+_LIMIT_PASSES = 4
+_TORQUE_TOLERANCE = 1e-3
+
+# Slope given to a saturated servo, as a share of its secant. With the tangent (0) the passes cycle
+# between the two limits where inertias are small, and most random swimmers blow up; the secant (1)
+# never overshoots but takes twice the passes; from 1/2 on convergence is assured, because the
+# piecewise quadratic energy of the servos then lies below its model.
+_SECANT_SHARE = 0.5
+
+
 class World(eqx.Module):
     """A creature and its surroundings, ready to be stepped.
 
@@ -55,6 +67,14 @@ class Effort(NamedTuple):
 
     torque: Float[Array, "d *n"]
     energy: Float[Array, "d *n"]
+
+
+class _MotorLimits(NamedTuple):
+    """An iterate: accelerations, the torques the servos then ask for, whether it is done."""
+
+    accelerations: Accelerations
+    asked: Array
+    settled: Array
 
 
 def step(
@@ -131,10 +151,12 @@ def actuated_solve(
 ) -> tuple[Accelerations, Float[Array, "d *n"]]:
     """Solve for the accelerations with motors that never exceed their limits.
 
-    First every servo acts implicitly. Individuals of which some motor would be overloaded are
-    solved again with those motors at their limits and the others implicit, and a last time with
-    all motor torques given: the torques applied are then exactly those returned, whatever the
-    second solve made of the remaining motors.
+    The end-of-step torques are ``clip(g (target - qd_end))``, a piecewise linear equation. Where a
+    motor is overloaded, its clipped law is replaced by a line through the present iterate with a
+    share of the secant's slope, and the motion is solved again, a few times. Last, all motor
+    torques are imposed as found and clipped: what is returned is what was applied, and it is
+    within the limits. Individuals without an overloaded motor keep their first solution, and a
+    step without any costs one solve.
 
     Returns:
         The accelerations and the motor torques (N m) at the end of the step.
@@ -142,32 +164,53 @@ def actuated_solve(
     passive, derivative = passive_torque(tree, state, h)
     derivative = derivative + lift(tree.armature, derivative)
     wanted = servo_torque(tree, state.qd, target_rate)
-    servo_derivative = lift(h * tree.servo_gain, wanted)
+    gain = jnp.maximum(lift(tree.servo_gain, wanted), jnp.finfo(wanted.dtype).tiny)
+    servo_derivative = h * gain
 
-    def solve_with(torque, torque_derivative):
-        return solve(tree, kin, inertia, bias, torque, torque_derivative)
+    def solve_with(torque: Array, torque_derivative: Array) -> Accelerations:
+        return solve(tree, kin, inertia, bias, passive + torque, derivative + torque_derivative)
 
-    free = solve_with(passive + wanted, derivative + servo_derivative)
-    torque = wanted - servo_derivative * free.qdd
-    if not np.isfinite(tree.torque_limit).any() or not tree.servo_gain.any():
-        return free, torque
+    free = solve_with(wanted, servo_derivative)
+    asked = wanted - servo_derivative * free.qdd
+    if not np.isfinite(tree.torque_limit[tree.servo_gain > 0]).any():
+        return free, asked
 
-    def limited(torque):
-        over = overloaded(tree, torque)
-        held = jnp.where(over, clamp_torque(tree, torque), wanted)
-        mixed = solve_with(passive + held, derivative + jnp.where(over, 0.0, servo_derivative))
-        given = clamp_torque(tree, jnp.where(over, held, wanted - servo_derivative * mixed.qdd))
-        final = solve_with(passive + given, derivative)
-        anywhere = over.any(0)
-        return (
-            Accelerations(
-                jnp.where(anywhere, final.root, free.root), jnp.where(anywhere, final.qdd, free.qdd)
+    def refine(carry: _MotorLimits) -> _MotorLimits:
+        over = overloaded(tree, carry.asked)
+        limit = clamp_torque(tree, carry.asked)
+        # Slope of the servo's saturated branch: between the tangent, 0, and the secant.
+        slope = jnp.where(over, _SECANT_SHARE * gain * limit / carry.asked, gain)
+        error = carry.asked / gain
+        start = jnp.where(over, limit + slope * (wanted / gain - error), wanted)
+        found = solve_with(start, h * slope)
+        asked = wanted - servo_derivative * found.qdd
+        change = jnp.abs(clamp_torque(tree, asked) - (start - h * slope * found.qdd))
+        settled = (change <= _TORQUE_TOLERANCE * lift(tree.torque_limit, change)).all(0)
+        new = _MotorLimits(found, asked, settled)
+        return jax.tree.map(lambda x, y: jnp.where(carry.settled, x, y), carry, new)
+
+    def limited(start: _MotorLimits) -> tuple[Accelerations, Array]:
+        end, _ = jax.lax.scan(
+            lambda carry, _: (
+                jax.lax.cond(carry.settled.all(), lambda c: c, refine, carry),
+                None,
             ),
-            jnp.where(anywhere, given, torque),
+            start,
+            length=_LIMIT_PASSES,
         )
+        applied = clamp_torque(tree, end.asked)
+        given = solve_with(applied, jnp.zeros_like(applied))
+        within = ~overloaded(tree, start.asked).any(0)
+        return jax.tree.map(
+            lambda x, y: jnp.where(within, x, y), start.accelerations, given
+        ), applied
 
+    over = overloaded(tree, asked).any(0)
     return jax.lax.cond(
-        overloaded(tree, torque).any(), limited, lambda torque: (free, torque), torque
+        over.any(),
+        limited,
+        lambda start: (start.accelerations, start.asked),
+        _MotorLimits(free, asked, ~over),
     )
 
 

@@ -9,6 +9,7 @@ focus that holds every body at every instant fits the frame.
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 # Half-width of the Gaussian window, s: longer than a tail beat, shorter than a turn.
 SMOOTHING = 0.8
@@ -32,14 +33,14 @@ class CameraPath(NamedTuple):
         view_angle: full vertical angle of view, degrees.
     """
 
-    position: np.ndarray
-    focus: np.ndarray
+    position: Float[np.ndarray, "frames 3"]
+    focus: Float[np.ndarray, "frames 3"]
     view_angle: float
 
 
 def follow(
-    position: np.ndarray,
-    goal: np.ndarray,
+    position: Float[np.ndarray, "frames bodies 3"],
+    goal: Float[np.ndarray, "3"],
     reach: float,
     rate: float,
     aspect: float,
@@ -83,7 +84,9 @@ def follow(
     return path
 
 
-def project(path: CameraPath, points: np.ndarray, aspect: float) -> np.ndarray:
+def project(
+    path: CameraPath, points: Float[np.ndarray, "frames n 3"], aspect: float
+) -> Float[np.ndarray, "frames n 2"]:
     """Place of points in the picture.
 
     Args:
@@ -104,7 +107,7 @@ def project(path: CameraPath, points: np.ndarray, aspect: float) -> np.ndarray:
     return np.stack([x, y], -1)
 
 
-def smooth(path: np.ndarray, width: float) -> np.ndarray:
+def smooth(path: Float[np.ndarray, "frames 3"], width: float) -> Float[np.ndarray, "frames 3"]:
     """Gaussian average of a path ``(frames, 3)`` without lag.
 
     Args:

@@ -52,7 +52,8 @@ def add_captions(
         style.SetOpacity(0.75 if dim else 1.0)
         label = pv.Text(text, position=(round(x), round(y)))
         label.prop = style
-        return plotter.add_actor(label)[0]
+        plotter.renderer.AddViewProp(label)
+        return label
 
     write(title, right, bottom + 27 * unit, 25, side="right")
     write(note, right, bottom, 17, dim=True, side="right")

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pyvista as pv
+from jaxtyping import Float
 
 from evo_cpg.creature.creature import Creature
 from evo_cpg.simulation.recording import Recording
@@ -64,11 +65,11 @@ class Clip(NamedTuple):
         speed: of the mean of the bodies' centres, smoothed, m/s.
     """
 
-    time: np.ndarray
-    position: np.ndarray
-    rotation: np.ndarray
-    distance: np.ndarray
-    speed: np.ndarray
+    time: Float[np.ndarray, " frames"]
+    position: Float[np.ndarray, "frames b 3"]
+    rotation: Float[np.ndarray, "frames b 3 3"]
+    distance: Float[np.ndarray, " frames"]
+    speed: Float[np.ndarray, " frames"]
 
 
 def film(
@@ -257,7 +258,7 @@ def _set_scene(
         elapsed = clip.time[frame] - clip.time[0]
         left = clip.distance[frame] if lit else np.linalg.norm(centre[frame] - centre[0])
         caption(elapsed, float(left), clip.speed[frame])
-        plotter.render_window.Render()
+        plotter.render()
 
     return show
 

@@ -2,11 +2,13 @@
 
 import contextlib
 from collections.abc import Iterator
+from typing import cast
 
 import numpy as np
 import pyvista as pv
 from vtkmodules.util.numpy_support import vtk_to_numpy
 from vtkmodules.vtkCommonCore import vtkUnsignedCharArray
+from vtkmodules.vtkRenderingCore import vtkRenderWindow
 
 
 @contextlib.contextmanager
@@ -21,7 +23,7 @@ def canvas(size: tuple[int, int]) -> Iterator[pv.Plotter]:
         plotter = pv.Plotter(off_screen=True, window_size=list(size), lighting="none")
         # Multisampling costs 80 ms a frame of 1280 x 720 on a software renderer; averaging a
         # picture rendered larger costs a third of that.
-        plotter.render_window.SetMultiSamples(0)
+        plotter.disable_anti_aliasing()
         # Draw what is translucent in the order of adding; sorting it by pixel costs 100 ms.
         plotter.renderer.SetUseOIT(False)
         try:
@@ -34,5 +36,6 @@ def pixels(plotter: pv.Plotter) -> np.ndarray:
     """The picture just rendered, ``(height, width, 3)`` bytes, bottom row first."""
     width, height = plotter.window_size
     buffer = vtkUnsignedCharArray()
-    plotter.render_window.GetPixelData(0, 0, width - 1, height - 1, 0, buffer, 0)
+    window = cast(vtkRenderWindow, plotter.render_window)
+    window.GetPixelData(0, 0, width - 1, height - 1, 0, buffer, 0)
     return vtk_to_numpy(buffer).reshape(height, width, 3)

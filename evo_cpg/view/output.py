@@ -6,6 +6,7 @@ import subprocess
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import IO, cast
 
 import imageio_ffmpeg
 import numpy as np
@@ -103,8 +104,8 @@ def frame_writer(
             [*command, str(partial)], stdin=subprocess.PIPE, stderr=complaints
         )
         try:
-            with contextlib.suppress(BrokenPipeError), process.stdin as pipe:
-                yield lambda frame: pipe.write(memoryview(frame).cast("B"))
+            with contextlib.suppress(BrokenPipeError), cast(IO[bytes], process.stdin) as pipe:
+                yield lambda frame: _send(pipe, frame)
         except BaseException:
             process.kill()
             raise
@@ -114,3 +115,7 @@ def frame_writer(
             complaints.seek(0)
             reason = complaints.read().decode(errors="replace").strip() or f"code {code}"
             raise OutputError(f"cannot write {path}: ffmpeg says: {reason}")
+
+
+def _send(pipe: IO[bytes], frame: np.ndarray) -> None:
+    pipe.write(frame.data)

@@ -157,8 +157,14 @@ def plot_joint_signals(
             right.set_ylabel("CPG output (no unit)", color=_RED)
         right.tick_params(labelsize=8)
         panel.tick_params(labelsize=8)
-        panel.text(
-            0.008, 0.97, names[dof][0], transform=panel.transAxes, va="top", fontweight="bold"
+        # On the right axes, which lie above the left ones, so that no curve crosses the name.
+        right.text(
+            *(0.008, 0.93),
+            names[dof][0],
+            transform=right.transAxes,
+            va="top",
+            fontweight="bold",
+            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 1.5},
         )
     beat = _crests(time, angle)
     caption = f"rotation about {axis}"

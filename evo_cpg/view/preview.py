@@ -25,6 +25,7 @@ _VIEW = np.array([-0.55, -0.95, -0.62])
 # Share of the picture that the animal fills.
 _FILL = 0.72
 _AMBIENT = 0.35
+_OPACITY = 0.72
 # Names of more bodies than this would cover the picture.
 _MOST_NAMES = 24
 _OVERSAMPLING = 2
@@ -59,7 +60,7 @@ def preview(
     scale = np.median(half_extents.min(1))
     rendered = (size[0] * _OVERSAMPLING, size[1] * _OVERSAMPLING)
     with canvas(rendered) as plotter:
-        plotter.set_background(_BACKGROUND)
+        plotter.background_color = pv.Color(_BACKGROUND)
         for place, intensity in (((0.3, 0.6, 1.6), 0.75), ((1.2, 0.9, 0.2), 0.4)):
             light = pv.Light(position=place, intensity=intensity, light_type="scene light")
             light.positional = False
@@ -71,6 +72,9 @@ def preview(
             pose[:3, :3], pose[:3, 3] = turn, centre
             for actor in actors:
                 actor.user_matrix = pose
+            # The joints lie inside: let them show.
+            actors[0].prop.SetOpacity(_OPACITY)
+            actors[0].prop.SetBackfaceCulling(True)
         legend = _add_joints(plotter, creature, centres, rotations, scale)
         legend |= _add_sensors(plotter, creature, centres, rotations, scale)
         view = _frame(plotter, hull, size)
@@ -108,8 +112,8 @@ def _add_joints(
                 (n for n, unit in zip("xyz", np.eye(3), strict=True) if np.allclose(axis, unit)),
                 None,
             )
-            color = _AXES.get(name, _OTHER_AXIS)
-            meaning[f"{name} axis" if name else "other axis"] = color
+            color = _AXES[name] if name else _OTHER_AXIS
+            meaning[f"{name or 'other'} axis"] = color
             # Long enough to come out of the bodies on either side.
             _add_arrow(plotter, anchor, turn @ np.array(axis), 2.1 * scale, color)
     return dict(sorted(meaning.items()))
@@ -210,7 +214,7 @@ def _add_texts(
             background_color=_BACKGROUND if plate else None,
             background_opacity=0.72 if plate else None,
         )
-        plotter.add_actor(label)
+        plotter.renderer.AddViewProp(label)
 
     if len(creature.bodies) <= _MOST_NAMES:
         for body, centre in zip(creature.bodies, centres, strict=True):

@@ -8,15 +8,16 @@ light, trail.
 
 import dataclasses
 from collections.abc import Callable
+from typing import cast
 
 import numpy as np
 import pyvista as pv
 
-# A floor tile carries this many grid cells a side, and is this many texels wide.
-_CELLS = 4
-_TEXELS = 1024
-_PARTICLES = 900
-_SEED = 20100
+from evo_cpg.view.textures import CELLS, floor_texture, spot_texture
+
+_PARTICLES = 1200
+_PARTICLE = "#d9fff6"
+_PARTICLE_SEED = 20101
 
 
 @dataclasses.dataclass(frozen=True)
@@ -119,7 +120,7 @@ def add_sky(plotter: pv.Plotter, look: Look) -> None:
 
     The background is plain: a gradient costs 18 ms a frame, and the floor's fading is one.
     """
-    plotter.set_background(look.distance)
+    plotter.background_color = pv.Color(look.distance)
     sun = pv.Light(position=(-0.4, -0.6, 1.6), color=look.sun, light_type="scene light")
     sun.intensity = 0.85
     sun.positional = False
@@ -157,21 +158,15 @@ def add_floor(
     place = np.asarray(disc.points)[:, :2].copy()
     fade = np.exp(-((np.linalg.norm(place, axis=1) / visible) ** 2))
     disc["rgba"] = np.column_stack([np.full((len(place), 3), 255), 255 * fade]).astype(np.uint8)
-    disc.active_texture_coordinates = place / (_CELLS * spacing)
-    texture = pv.Texture(_floor_texture(look))
-    texture.repeat = True
-    texture.interpolate = True
-    texture.mipmap = True
-    # VTK's default of 4 samples doubles the time of a frame; the fading hides the far blur.
-    texture.SetMaximumAnisotropicFiltering(1)
+    disc.active_texture_coordinates = place / (CELLS * spacing)
+    texture = floor_texture(look.floor, look.grid, look.checkered)
     actor = plotter.add_mesh(
         disc, scalars="rgba", rgba=True, texture=texture, lighting=False, show_scalar_bar=False
     )
 
     def update(focus: np.ndarray) -> None:
         actor.position = (focus[0], focus[1], height)
-        disc.active_texture_coordinates[:] = (place + focus[:2]) / (_CELLS * spacing)
-        disc.Modified()
+        disc.active_texture_coordinates = (place + focus[:2]) / (CELLS * spacing)
 
     return update
 
@@ -191,7 +186,7 @@ def add_shadows(
         A function of the bodies' centres ``(bodies, 3)`` in m and rotations ``(bodies, 3, 3)``.
     """
     patch = pv.Plane(i_size=2, j_size=2, i_resolution=1, j_resolution=1)
-    texture = _spot_texture(look.shadow, look.shadow_strength, sharpness=2.2)
+    texture = spot_texture(look.shadow, look.shadow_strength, sharpness=2.2)
     actors = [
         plotter.add_mesh(patch, texture=texture, lighting=False) for _ in range(len(half_extents))
     ]
@@ -235,7 +230,7 @@ def add_light(
         i_resolution=1,
         j_resolution=1,
     )
-    shine = _spot_texture(look.halo, look.glow, sharpness=3.0)
+    shine = spot_texture(look.halo, look.glow, sharpness=3.0)
     plotter.add_mesh(pool, texture=shine, lighting=False)
     core = 0.075 * radius
     plotter.add_mesh(
@@ -252,7 +247,7 @@ def add_light(
             i_resolution=1,
             j_resolution=1,
         )
-        texture = _spot_texture(look.halo, strength, sharpness)
+        texture = spot_texture(look.halo, strength, sharpness)
         plotter.add_mesh(halo, texture=texture, lighting=False)
     lamp = pv.Light(position=goal, color=look.halo, intensity=0.9, light_type="scene light")
     lamp.positional = True
@@ -273,18 +268,16 @@ def add_particles(
         radius: of the animal, m.
         scale: pixels rendered per pixel of the film.
     """
-    generator = np.random.default_rng(_SEED)
+    generator = np.random.default_rng(_PARTICLE_SEED)
     low, high = path.min(0) - 3 * radius, path.max(0) + 3 * radius
     low[2], high[2] = floor, path[:, 2].max() + 1.2 * radius
     points = generator.uniform(low, high, (_PARTICLES, 3))
-    for share, size, opacity in ((0.75, 1.3, 0.35), (1.0, 2.1, 0.5)):
-        chosen = points[: int(share * len(points))] if share < 1 else points[len(points) * 3 // 4 :]
+    for chosen, size, opacity in ((points[::4], 2.1, 0.5), (points[1::2], 1.3, 0.35)):
         plotter.add_mesh(
             pv.PolyData(chosen),
-            color="#d9fff6",
+            color=_PARTICLE,
             opacity=opacity,
             point_size=size * scale,
-            render_points_as_spheres=False,
             lighting=False,
         )
 
@@ -312,10 +305,10 @@ def add_trail(
         return lambda frame: None
     line = pv.lines_from_points(path[kept])
     line["frame"] = kept.astype(float)
-    tube = line.tube(radius=thickness, n_sides=6, capping=False)
-    born = np.asarray(tube["frame"])
+    tube = cast(pv.PolyData, line.tube(radius=thickness, n_sides=6, capping=False))
+    born = np.asarray(tube.point_data["frame"])
     rgba = np.tile(pv.Color(look.trail, opacity=0).int_rgba, (len(born), 1)).astype(np.uint8)
-    tube["rgba"] = rgba
+    tube.point_data["rgba"] = rgba
     # Drawn as translucent from the first frame on, when nothing of it shows yet.
     actor = plotter.add_mesh(tube, scalars="rgba", rgba=True, lighting=False, culling="back")
     actor.ForceTranslucentOn()
@@ -323,69 +316,7 @@ def add_trail(
     def update(frame: int) -> None:
         age = frame - born
         alpha = np.where(age >= 0, 0.75 * np.exp(-age / fade), 0.0)
-        tube["rgba"][:, 3] = (255 * alpha).astype(np.uint8)
-        tube.Modified()
+        rgba[:, 3] = 255 * alpha
+        tube.point_data["rgba"] = rgba
 
     return update
-
-
-def _floor_texture(look: Look) -> np.ndarray:
-    """Ground with soft relief and a grid, ``(texels, texels, 3)`` bytes; its edges match up."""
-    dark, light = (np.array(pv.Color(color).int_rgb, float) for color in look.floor)
-    relief = _periodic_noise(2, 10)
-    grain = _periodic_noise(60, 250)
-    tone = 0.42 + 0.16 * relief + 0.05 * grain
-    if look.checkered:
-        cell = np.arange(_TEXELS) * _CELLS // _TEXELS
-        tone += np.where((cell[:, None] + cell) % 2, 0.2, -0.2)
-    else:
-        tone += 0.42 * _caustics()
-    colour = dark + np.clip(tone, 0, 1.25)[..., None] * (light - dark)
-    texel = np.arange(_TEXELS) % (_TEXELS // _CELLS)
-    line = np.exp(-((np.minimum(texel, _TEXELS // _CELLS - texel) / 2.0) ** 2))
-    on_grid = 0.55 * np.maximum(line[:, None], line)[..., None]
-    colour += on_grid * (np.array(pv.Color(look.grid).int_rgb) - colour)
-    return np.clip(colour, 0, 255).astype(np.uint8)
-
-
-def _periodic_noise(lowest: float, highest: float) -> np.ndarray:
-    """Random field of unit variance with wavelengths between 1/highest and 1/lowest of a tile."""
-    generator = np.random.default_rng(int(_SEED + 1000 * lowest + highest))
-    frequency = np.hypot(
-        np.fft.fftfreq(_TEXELS, 1 / _TEXELS)[:, None], np.fft.rfftfreq(_TEXELS, 1 / _TEXELS)
-    )
-    band = (frequency >= lowest) & (frequency <= highest)
-    spectrum = band * np.exp(2j * np.pi * generator.random(frequency.shape)) / (1 + frequency)
-    field = np.fft.irfft2(spectrum, (_TEXELS, _TEXELS))
-    return field / field.std()
-
-
-def _caustics() -> np.ndarray:
-    """Light that waves have gathered into a net, 0 to 1: the borders of warped random cells."""
-    generator = np.random.default_rng(_SEED)
-    seeds = generator.random((45, 2))
-    axis = np.arange(_TEXELS, dtype=np.float32) / _TEXELS
-    warp_x, warp_y = (0.012 * _periodic_noise(low, low + 4).astype(np.float32) for low in (2, 3))
-    x, y = axis[:, None] + warp_x, axis + warp_y
-    nearest = np.full((_TEXELS, _TEXELS), np.inf, np.float32)
-    second = nearest.copy()
-    for seed_x, seed_y in seeds.astype(np.float32):
-        dx, dy = x - seed_x, y - seed_y
-        distance = np.hypot(dx - np.rint(dx), dy - np.rint(dy))
-        np.minimum(second, np.maximum(nearest, distance), out=second)
-        np.minimum(nearest, distance, out=nearest)
-    return np.exp(-(second - nearest) / 0.014) * (0.65 + 0.35 * np.tanh(_periodic_noise(1, 4)))
-
-
-def _spot_texture(color: str, strength: float, sharpness: float) -> pv.Texture:
-    """A round spot whose opacity falls smoothly from ``strength`` to 0 at the edge."""
-    axis = np.linspace(-1, 1, 128)
-    distance = np.hypot(axis[:, None], axis)
-    bell = np.exp(-sharpness * distance**2) - np.exp(-sharpness)
-    alpha = np.clip(strength * bell / (1 - np.exp(-sharpness)), 0, 1)
-    image = np.empty((128, 128, 4), np.uint8)
-    image[..., :3] = pv.Color(color).int_rgb
-    image[..., 3] = 255 * alpha
-    texture = pv.Texture(image)
-    texture.interpolate = True
-    return texture

@@ -180,9 +180,8 @@ def test_time_scale_only_stretches_time(chain, scale):
     np.testing.assert_allclose(scaled, plain, atol=1e-9)
 
 
-def reference(settings, gain, times, count):
-    """The chain by diffrax, its coupling written out: outputs ``(times, oscillators)``."""
-    rise, adaptation = TIME_CONSTANTS[settings.constants]
+def reference(gains, times, count):
+    """The default chain by diffrax, its coupling written out: outputs ``(times, o, gains)``."""
 
     def slope(_, state, __):
         x, z = state
@@ -190,16 +189,16 @@ def reference(settings, gain, times, count):
         inhibition = A * y
         inhibition = inhibition.at[:, 1:].add(1.0 * A * y[:, :-1])
         inhibition = inhibition.at[:, :-1].add(0.2 * A * y[:, 1:])
-        return (1.0 - x - inhibition - gain * z) / rise, (y[::-1] - z) / adaptation
+        return (1.0 - x - inhibition - gains[None, None] * z) / RISE, (y[::-1] - z) / ADAPTATION
 
-    start = jnp.zeros((2, count)).at[0].set(0.1), jnp.zeros((2, count))
+    rest = jnp.zeros((2, count, len(gains)))
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(slope),
         diffrax.Tsit5(),
         t0=0.0,
         t1=times[-1],
         dt0=1e-3,
-        y0=start,
+        y0=(rest.at[0].set(0.1), rest),
         saveat=diffrax.SaveAt(ts=jnp.asarray(times)),
         stepsize_controller=diffrax.PIDController(rtol=1e-9, atol=1e-11),
         max_steps=200_000,
@@ -208,13 +207,12 @@ def reference(settings, gain, times, count):
     return firing[:, 0] - firing[:, 1]
 
 
-@pytest.mark.parametrize(("gain", "tolerance"), [(5.0, 2e-3), (20.0, 3e-3)])
-def test_whole_trial_agrees_with_diffrax(chain, gain, tolerance):
-    h, steps = 1 / 60, 2000
-    exact = reference(CpgSettings(), gain, h * np.arange(1, steps + 1), 9)
-    found = run(chain(10, "z"), CpgSettings(), [gain], steps * h)[..., 0]
-    error = np.sqrt(np.mean((found - exact) ** 2) / np.mean(exact**2))
-    assert error < tolerance
+def test_whole_trial_agrees_with_diffrax(chain):
+    h, steps, gains = 1 / 60, 2000, [5.0, 20.0]
+    exact = reference(np.array(gains), h * np.arange(1, steps + 1), 9)
+    found = run(chain(10, "z"), CpgSettings(), gains, steps * h)
+    errors = np.sqrt(np.mean((found - exact) ** 2, axis=(0, 1)) / np.mean(exact**2, axis=(0, 1)))
+    assert errors.max() < 2e-3
 
 
 def test_integration_is_of_fourth_order_where_the_equations_are_smooth(chain):
@@ -224,12 +222,13 @@ def test_integration_is_of_fourth_order_where_the_equations_are_smooth(chain):
     rest = 1 / (6 + inhibition_matrix(tree, CpgSettings()).sum(axis=1))
     x, z = rest * np.random.default_rng(0).uniform(0.95, 1.05, (2, 2, 3))
     start = MatsuokaState(jnp.asarray(x), jnp.asarray(z))
-    steps = [32, 64, 128, 256]
+    steps = [32, 64, 128]
 
     def end(count):
         return simulate(network, start, jnp.ones((2, 3)), gain, 0.25 / count, count)[-1]
 
-    errors = [np.abs(end(count) - end(1024)).max() for count in steps]
+    exact = end(1024)
+    errors = [np.abs(end(count) - exact).max() for count in steps]
     slope = np.polyfit(np.log(steps), np.log(errors), 1)[0]
     assert slope == pytest.approx(-4.0, abs=0.2)
 
@@ -325,11 +324,9 @@ def test_one_step_of_a_branching_network_equals_plain_runge_kutta(grow):
 
 @given(
     seed=st.integers(0, 2**32 - 1),
-    scale=st.sampled_from([0.3, 1.0]),
-    constants=st.sampled_from(["swapped", "as_printed"]),
+    settings=st.sampled_from([CpgSettings(), CpgSettings(constants="as_printed", time_scale=0.03)]),
 )
-def test_output_never_exceeds_the_largest_tonic_input(chain, seed, scale, constants):
-    settings = CpgSettings(constants=constants, time_scale=scale)
+def test_output_never_exceeds_the_largest_tonic_input(chain, seed, settings):
     network = build_network(chain(4, "yz"), settings)
     rng = np.random.default_rng(seed)
     # Inputs that jump every 0.1 s between the extremes are the hardest case.
@@ -386,13 +383,14 @@ def test_single_precision_keeps_its_type_and_follows_double(chain):
 def test_gradient_equals_the_central_difference(chain):
     network = build_network(chain(4, "z"), CpgSettings(time_scale=0.25))
 
+    @jax.jit
     def late_signal(u):
         state = initial_state(network, (), float)
         return simulate(network, state, u * jnp.ones((2, 3)), jnp.full(3, 5.0), 1 / 60, 120)[-1, 2]
 
     step = 1e-5
     difference = (late_signal(0.8 + step) - late_signal(0.8 - step)) / (2 * step)
-    assert jax.grad(late_signal)(0.8) == pytest.approx(float(difference), rel=1e-7)
+    assert jax.jit(jax.grad(late_signal))(0.8) == pytest.approx(float(difference), rel=1e-7)
 
 
 @pytest.mark.parametrize(

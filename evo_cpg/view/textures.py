@@ -1,0 +1,94 @@
+"""Pictures that are laid on the floor and on soft spots, made from seeded noise.
+
+A floor tile's left and right edges match up, and its upper and lower ones, so that it repeats
+without a seam.
+"""
+
+import numpy as np
+import pyvista as pv
+
+# A floor tile carries this many grid cells a side, and is this many texels wide.
+CELLS = 4
+_TEXELS = 1024
+_SEED = 20100
+_SPOT_TEXELS = 128
+
+
+def floor_texture(tints: tuple[str, str], grid: str, checkered: bool) -> pv.Texture:
+    """Ground with soft relief and a grid: a checkered one, or one under a net of light.
+
+    Args:
+        tints: of the ground, from dark to light.
+        grid: colour of the lines.
+        checkered: whether alternate grid cells differ in tone; light plays on it otherwise.
+    """
+    dark, light = (np.array(pv.Color(color).int_rgb, float) for color in tints)
+    relief = _periodic_noise(2, 10)
+    grain = _periodic_noise(60, 250)
+    tone = 0.42 + 0.16 * relief + 0.05 * grain
+    if checkered:
+        cell = np.arange(_TEXELS) * CELLS // _TEXELS
+        tone += np.where((cell[:, None] + cell) % 2, 0.2, -0.2)
+    else:
+        tone += 0.42 * _caustics()
+    colour = dark + np.clip(tone, 0, 1.25)[..., None] * (light - dark)
+    texel = np.arange(_TEXELS) % (_TEXELS // CELLS)
+    line = np.exp(-((np.minimum(texel, _TEXELS // CELLS - texel) / 2.0) ** 2))
+    on_grid = 0.55 * np.maximum(line[:, None], line)[..., None]
+    colour += on_grid * (np.array(pv.Color(grid).int_rgb) - colour)
+    texture = pv.Texture(np.clip(colour, 0, 255).astype(np.uint8))
+    texture.repeat = True
+    texture.interpolate = True
+    texture.mipmap = True
+    # VTK's default of 4 samples doubles the time of a frame; the fading hides the far blur.
+    texture.SetMaximumAnisotropicFiltering(1)
+    return texture
+
+
+def spot_texture(color: str, strength: float, sharpness: float) -> pv.Texture:
+    """A round spot whose opacity falls smoothly from ``strength`` to 0 at the edge.
+
+    Args:
+        color: of the spot.
+        strength: largest opacity, 0 to 1.
+        sharpness: how narrow the bright middle is; the spot is ``exp(-sharpness r^2)``.
+    """
+    axis = np.linspace(-1, 1, _SPOT_TEXELS)
+    distance = np.hypot(axis[:, None], axis)
+    bell = np.exp(-sharpness * distance**2) - np.exp(-sharpness)
+    alpha = np.clip(strength * bell / (1 - np.exp(-sharpness)), 0, 1)
+    image = np.empty((*alpha.shape, 4), np.uint8)
+    image[..., :3] = pv.Color(color).int_rgb
+    image[..., 3] = 255 * alpha
+    texture = pv.Texture(image)
+    texture.interpolate = True
+    return texture
+
+
+def _periodic_noise(lowest: float, highest: float) -> np.ndarray:
+    """Random field of unit variance with wavelengths between 1/highest and 1/lowest of a tile."""
+    generator = np.random.default_rng(int(_SEED + 1000 * lowest + highest))
+    frequency = np.hypot(
+        np.fft.fftfreq(_TEXELS, 1 / _TEXELS)[:, None], np.fft.rfftfreq(_TEXELS, 1 / _TEXELS)
+    )
+    band = (frequency >= lowest) & (frequency <= highest)
+    spectrum = band * np.exp(2j * np.pi * generator.random(frequency.shape)) / (1 + frequency)
+    field = np.fft.irfft2(spectrum, (_TEXELS, _TEXELS))
+    return field / field.std()
+
+
+def _caustics() -> np.ndarray:
+    """Light that waves have gathered into a net, 0 to 1: the borders of warped random cells."""
+    generator = np.random.default_rng(_SEED)
+    seeds = generator.random((45, 2))
+    axis = np.arange(_TEXELS, dtype=np.float32) / _TEXELS
+    warp_x, warp_y = (0.012 * _periodic_noise(low, low + 4).astype(np.float32) for low in (2, 3))
+    x, y = axis[:, None] + warp_x, axis + warp_y
+    nearest = np.full((_TEXELS, _TEXELS), np.inf, np.float32)
+    second = nearest.copy()
+    for seed_x, seed_y in seeds.astype(np.float32):
+        dx, dy = x - seed_x, y - seed_y
+        distance = np.hypot(dx - np.rint(dx), dy - np.rint(dy))
+        np.minimum(second, np.maximum(nearest, distance), out=second)
+        np.minimum(nearest, distance, out=nearest)
+    return np.exp(-(second - nearest) / 0.014) * (0.65 + 0.35 * np.tanh(_periodic_noise(1, 4)))

@@ -1,0 +1,163 @@
+"""From a description to a tree: order, neutral pose, arrays, and the errors on the way."""
+
+import dataclasses
+
+import mujoco
+import numpy as np
+import pytest
+from creatures import STRUCTURES, box_chain, random_creature
+from mujoco_model import mujoco_model
+
+from evo_cpg.creature.creature import (
+    Body,
+    Creature,
+    CreatureError,
+    Joint,
+    Material,
+    neutral_pose,
+    topological_order,
+)
+from evo_cpg.creature.shapes import Box
+from evo_cpg.creature.tree import build_tree, spatial_inertia
+
+
+def body(name: str, parent: str | None = None, axes: int = 1) -> Body:
+    """A box, joined to a parent unless it is the root."""
+    joint = parent and Joint(
+        parent=parent,
+        parent_anchor=(-0.1, 0.0, 0.0),
+        child_anchor=(0.1, 0.0, 0.0),
+        axes=tuple(map(tuple, np.eye(3)[:axes])),
+        lower=(-1.0,) * axes,
+        upper=(1.0,) * axes,
+    )
+    return Body(name, Box((0.2, 0.1, 0.1)), Material(1000.0), joint)
+
+
+def creature(*bodies: Body) -> Creature:
+    return Creature("test", bodies)
+
+
+ERRORS = {
+    "no body": (creature(), "at least one body", ("bodies",)),
+    "same name": (
+        creature(body("a"), body("b", "a"), body("b", "a")),
+        "two bodies are called 'b'",
+        ("bodies", 2, "name"),
+    ),
+    "two roots": (
+        creature(body("a"), body("b")),
+        "bodies 'a' and 'b' both have no joint; exactly one body",
+        ("bodies", 1, "joint"),
+    ),
+    "no root": (
+        creature(body("a", "b"), body("b", "a")),
+        "the joints of a, b form a ring",
+        ("bodies", 0, "joint", "parent"),
+    ),
+    "missing parent": (
+        creature(body("a"), body("b", "c")),
+        "body 'b' is joined to 'c', which does not exist; bodies are a, b",
+        ("bodies", 1, "joint", "parent"),
+    ),
+    "ring": (
+        creature(body("a"), body("b", "c"), body("c", "b")),
+        "the joints of b, c form a ring",
+        ("bodies", 1, "joint", "parent"),
+    ),
+    "own parent": (
+        creature(body("a"), body("b", "b")),
+        "the joints of b form a ring",
+        ("bodies", 1, "joint", "parent"),
+    ),
+}
+
+
+@pytest.mark.parametrize(("wrong", "words", "where"), ERRORS.values(), ids=ERRORS.keys())
+def test_bodies_that_form_no_tree_are_refused(wrong, words, where):
+    """Each error says what is wrong in words, and where as a path into the description."""
+    with pytest.raises(CreatureError, match=words) as raised:
+        build_tree(wrong)
+    assert raised.value.where == where
+
+
+def test_order_is_by_level_then_axes_then_description():
+    """Described back to front; level 1 has joints of 3, 1 and 1 axes."""
+    described = creature(
+        body("tip", "arm", 2),
+        body("arm", "trunk", 3),
+        body("tail", "trunk", 1),
+        body("trunk"),
+        body("head", "trunk", 1),
+    )
+    names = [described.bodies[i].name for i in topological_order(described)]
+    assert names == ["trunk", "tail", "head", "arm", "tip"]
+    tree = build_tree(described)
+    assert tree.names == tuple(names)
+    assert tree.parents == (-1, 0, 0, 0, 3)
+    assert [(g.bodies, g.dofs, g.axes, g.parents) for g in tree.groups] == [
+        (slice(1, 3), slice(0, 2), 1, (0, 0)),
+        (slice(3, 4), slice(2, 5), 3, (0,)),
+        (slice(4, 5), slice(5, 7), 2, (3,)),
+    ]
+    assert tree.dof_names == (
+        "tail.x", "head.x", "arm.x", "arm.y", "arm.z", "tip.x", "tip.y",
+    )  # fmt: skip
+    assert tree.dof_bodies == (1, 2, 3, 3, 3, 4, 4)
+    assert (tree.body_count, tree.dof_count) == (5, 7)
+
+
+def test_oblique_axes_are_named_by_their_components():
+    oblique = body("b", "a")
+    oblique = dataclasses.replace(
+        oblique, joint=dataclasses.replace(oblique.joint, axes=((0.6, 0.0, 0.8),))
+    )
+    assert build_tree(creature(body("a"), oblique)).dof_names == ("b.(0.6,0,0.8)",)
+
+
+@pytest.mark.parametrize("number", range(len(STRUCTURES)))
+def test_neutral_pose_and_mass_are_mujocos(number):
+    """Geom centres and body rotations of the model at its reference pose, and the total mass."""
+    animal = random_creature(np.random.default_rng(number), STRUCTURES[number], axes_seed=number)
+    model = mujoco_model(animal)
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    centres, rotations = neutral_pose(animal)
+    for i, part in enumerate(animal.bodies):
+        index = model.body(part.name).id
+        geom = model.body(part.name).geomadr[0]
+        np.testing.assert_allclose(centres[i], data.geom_xpos[geom], atol=1e-12)
+        np.testing.assert_allclose(rotations[i].ravel(), data.xmat[index], atol=1e-12)
+    assert animal.mass == pytest.approx(model.body_subtreemass[0], rel=1e-12)
+
+
+def test_spatial_inertia_gives_the_kinetic_energy():
+    """1/2 V.I V = 1/2 m |v_c|^2 + 1/2 w.I_c w with v_c = v + w x c."""
+    rng = np.random.default_rng(0)
+    mass, com = 3.0, rng.normal(size=3)
+    spin = np.diag([0.1, 0.2, 0.25])
+    w, v = rng.normal(size=(2, 3))
+    twist = np.concatenate([w, v])
+    centre = v + np.cross(w, com)
+    expected = 0.5 * mass * centre @ centre + 0.5 * w @ spin @ w
+    inertia = spatial_inertia(mass, com, spin)
+    assert 0.5 * twist @ inertia @ twist == pytest.approx(expected, rel=1e-13)
+    np.testing.assert_array_equal(inertia, inertia.T)
+
+
+def test_limits_see_the_two_halves_of_the_animal():
+    """Stiffness I (2 pi 10 Hz)^2, critical damping 2 I (2 pi 10 Hz), with I = I_1 I_2 / (I_1 + I_2).
+
+    About the middle joint of a chain of four boxes, z axis: each half is two boxes of mass m at
+    d and 3 d from the joint, I_half = 2 m (l^2 + w^2) / 12 + m (d^2 + 9 d^2).
+    """
+    tree = build_tree(box_chain(4, "z"))
+    mass, reach = 2.0, 0.11
+    half = 2 * mass * (0.2**2 + 0.1**2) / 12 + mass * 10 * reach**2
+    rate = 2 * np.pi * 10
+    np.testing.assert_allclose(tree.limit_stiffness[1], half / 2 * rate**2, rtol=1e-12)
+    np.testing.assert_allclose(tree.limit_damping[1], half * rate, rtol=1e-12)
+
+
+def test_index_of_a_body():
+    assert creature(body("a"), body("b", "a")).body_index("b") == 1

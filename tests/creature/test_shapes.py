@@ -1,0 +1,150 @@
+"""Mass properties, areas and distances of the shapes against closed forms, MuJoCo and sampling."""
+
+import mujoco
+import numpy as np
+import pytest
+from mujoco_model import mujoco_model
+from scipy.special import ellipeinc, ellipkinc
+
+from evo_cpg.creature.creature import Body, Creature, Material
+from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
+
+SHAPES = {
+    "box": Box((0.3, 0.2, 0.1)),
+    "sphere": Sphere(0.15),
+    "ellipsoid": Ellipsoid((0.3, 0.2, 0.1)),
+    "capsule": Capsule(0.05, 0.2),
+}
+each_shape = pytest.mark.parametrize("shape", SHAPES.values(), ids=SHAPES.keys())
+
+
+def exact_area(shape: Shape) -> float:
+    """Area in closed form; the ellipsoid's by Legendre's incomplete elliptic integrals."""
+    if isinstance(shape, Box):
+        x, y, z = shape.size
+        return 2 * (x * y + y * z + z * x)
+    if isinstance(shape, Sphere):
+        return 4 * np.pi * shape.radius**2
+    if isinstance(shape, Capsule):
+        return 2 * np.pi * shape.radius * (shape.length + 2 * shape.radius)
+    a, b, c = sorted(shape.radii, reverse=True)
+    phi = np.arccos(c / a)
+    modulus = a**2 * (b**2 - c**2) / (b**2 * (a**2 - c**2))
+    series = ellipeinc(phi, modulus) * np.sin(phi) ** 2
+    series += ellipkinc(phi, modulus) * np.cos(phi) ** 2
+    return 2 * np.pi * (c**2 + a * b / np.sin(phi) * series)
+
+
+@each_shape
+def test_mass_and_inertia_equal_mujocos(shape):
+    """MuJoCo computes mass and principal inertia of the same geom from its density: 1e-12."""
+    creature = Creature("single", (Body("b", shape, Material(1234.0)),))
+    model = mujoco_model(creature)
+    body = model.body("b")
+    assert 1234.0 * shape.volume == pytest.approx(body.mass[0], rel=1e-12)
+    rotation = np.zeros(9)
+    mujoco.mju_quat2Mat(rotation, body.iquat)
+    rotation = rotation.reshape(3, 3)
+    full = rotation @ np.diag(body.inertia) @ rotation.T
+    np.testing.assert_allclose(
+        np.diag(shape.inertia(creature.mass)), full, rtol=1e-12, atol=1e-12 * full.max()
+    )
+
+
+@each_shape
+def test_volume_and_inertia_equal_samples_inside(shape):
+    """Points of a grid with negative distance: their share of the box, and their second moments.
+
+    A grid of 80^3 misjudges cells along the surface at random: a few 1e-3 of either.
+    """
+    ticks = (np.arange(80) + 0.5) / 40 - 1
+    points = np.stack(np.meshgrid(ticks, ticks, ticks), -1).reshape(-1, 3) * shape.half_extents
+    inside = points[shape.distance(points) < 0]
+    share = len(inside) / len(points)
+    assert share * 8 * np.prod(shape.half_extents) == pytest.approx(shape.volume, rel=5e-3)
+    squares = (inside**2).mean(0)
+    np.testing.assert_allclose(squares.sum() - squares, shape.inertia(1.0), rtol=5e-3)
+
+
+@each_shape
+def test_area(shape):
+    """The quadrature's weights add up to the area: exactly but for the ellipsoid."""
+    tolerance = 1e-6 if type(shape) is Ellipsoid else 1e-12
+    assert shape.surface(10).areas.sum() == pytest.approx(exact_area(shape), rel=tolerance)
+
+
+@each_shape
+@pytest.mark.parametrize("resolution", [1, 2, 5])
+def test_divergence_theorem(shape, resolution):
+    """int n dA = 0, int x n^T dA = V 1, and hence int n.x dA = 3 V.
+
+    All integrands are polynomials that the rules get exactly, at every resolution: for the
+    ellipsoid, n dA is linear in the direction on the sphere, so x n^T dA is quadratic.
+    """
+    points, normals, areas = shape.surface(resolution)
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, rtol=1e-14)
+    assert (areas > 0).all()
+    np.testing.assert_allclose(areas @ normals, 0, atol=1e-14)
+    moment = np.einsum("p,pi,pj->ij", areas, points, normals)
+    np.testing.assert_allclose(moment, shape.volume * np.eye(3), atol=1e-12 * shape.volume)
+
+
+@each_shape
+def test_surface_points_lie_on_the_surface_and_normals_point_out(shape):
+    """Distance 0 at the points, its sign negative a little way in and positive a little out."""
+    points, normals, _ = shape.surface(4)
+    np.testing.assert_allclose(shape.distance(points), 0, atol=1e-15)
+    assert (shape.distance(points + 1e-4 * normals) > 0).all()
+    assert (shape.distance(points - 1e-4 * normals) < 0).all()
+
+
+def test_ellipsoid_area_converges_with_resolution():
+    """Spectral: every doubling of the resolution gains at least two digits."""
+    shape = SHAPES["ellipsoid"]
+    exact = exact_area(shape)
+    errors = [abs(shape.surface(n).areas.sum() / exact - 1) for n in (2, 4, 8)]
+    assert errors[1] < 1e-2 * errors[0] and errors[2] < 1e-2 * errors[1], errors
+
+
+@each_shape
+def test_layout_is_symmetric(shape):
+    """Mirrored in each coordinate plane the points fall on points of the same area."""
+    points, _, areas = shape.surface(3)
+    table = {tuple(np.round(p, 9) + 0.0): a for p, a in zip(points, areas, strict=True)}
+    assert len(table) == len(points)
+    for axis in range(3):
+        mirror = np.ones(3)
+        mirror[axis] = -1
+        for point, area in zip(points, areas, strict=True):
+            assert table[tuple(np.round(point * mirror, 9) + 0.0)] == pytest.approx(area)
+
+
+@pytest.mark.parametrize("name", ["box", "sphere", "capsule"])
+def test_distance_is_exact(name):
+    """The size of the distance, outside: that of the nearest of many points on the surface.
+
+    They lie up to 8 mm apart, so their nearest is at most sqrt(d^2 + 6e-3^2) - d farther.
+    """
+    shape = SHAPES[name]
+    rng = np.random.default_rng(0)
+    points = rng.normal(size=(300, 3))
+    points *= (rng.uniform(1.5, 3, 300) * 0.2 / np.linalg.norm(points, axis=1))[:, None]
+    ours = shape.distance(points)
+    surface = shape.surface(40).points
+    nearest = np.linalg.norm(points[:, None] - surface, axis=-1).min(1)
+    assert (nearest >= ours - 1e-12).all()
+    assert (nearest <= np.hypot(ours, 1e-2) + 1e-12).all()
+
+
+def test_distance_inside_a_box_is_to_the_nearest_face():
+    box = Box((0.4, 0.2, 0.2))
+    np.testing.assert_allclose(box.distance(np.array([[0.0, 0, 0], [0.15, 0.02, 0]])), [-0.1, -0.05])
+
+
+def test_ellipsoid_distance_has_the_right_sign():
+    """Against the implicit function; at the centre it is minus the least radius."""
+    shape = SHAPES["ellipsoid"]
+    points = np.random.default_rng(1).uniform(-0.35, 0.35, (1000, 3))
+    level = ((points / shape.half_extents) ** 2).sum(1) - 1
+    np.testing.assert_array_equal(np.sign(shape.distance(points)), np.sign(level))
+    assert shape.distance(np.zeros((1, 3)))[0] == -0.1

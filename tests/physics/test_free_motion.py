@@ -1,0 +1,190 @@
+"""A tree in vacuum without gravity: what is conserved, and how fast the step converges to it.
+
+Momentum and energy of a state are MuJoCo's (`mj_subtreeVel`, `mj_energyVel`), and so is the
+reference path (Runge-Kutta 4 at 1/4000 s).
+"""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+from creatures import STRUCTURES, quick_jit, random_creature, random_state
+from mujoco_model import load_state, mujoco_model
+
+from evo_cpg.creature.creature import Actuator, Body, Creature, Material
+from evo_cpg.creature.shapes import Box, Sphere
+from evo_cpg.creature.tree import build_tree
+from evo_cpg.physics.state import State
+from evo_cpg.physics.step import World, step
+
+DURATION = 0.5
+# Steps in `DURATION`; the shortest step is 1/1920 s.
+STEP_COUNTS = np.array([120, 240, 480, 960])
+ORACLE_STEP = 1 / 4000
+H = 1 / 120
+
+
+class Vacuum:
+    """MuJoCo's view of a creature without gravity, springs or rotors."""
+
+    def __init__(self, creature: Creature):
+        self.tree = build_tree(creature)
+        self.model = mujoco_model(
+            creature, {"gravity": "0 0 0", "integrator": "RK4", "timestep": ORACLE_STEP}
+        )
+        self.data = mujoco.MjData(self.model)
+
+    def conserved(self, state: State) -> dict[str, np.ndarray]:
+        """Linear and angular momentum (about the world's origin) and kinetic energy."""
+        load_state(self.model, self.data, self.tree, state)
+        mujoco.mj_forward(self.model, self.data)
+        mujoco.mj_subtreeVel(self.model, self.data)
+        mujoco.mj_energyVel(self.model, self.data)
+        linear = self.model.body_subtreemass[1] * self.data.subtree_linvel[1]
+        orbital = np.cross(self.data.subtree_com[1], linear)
+        return {
+            "linear momentum": linear,
+            "angular momentum": self.data.subtree_angmom[1] + orbital,
+            "energy": self.data.energy[1:2].copy(),
+        }
+
+    def position_after(self, state: State) -> np.ndarray:
+        """Where the root's centre is after `DURATION`."""
+        load_state(self.model, self.data, self.tree, state)
+        for _ in range(round(DURATION / ORACLE_STEP)):
+            mujoco.mj_step(self.model, self.data)
+        return self.data.qpos[:3].copy()
+
+
+def at_speed(state: State, factor: float) -> State:
+    """The same pose with all velocities times the factor."""
+    return dataclasses.replace(state, velocity=factor * state.velocity, qd=factor * state.qd)
+
+
+def bare(creature: Creature) -> Creature:
+    """The creature with free joints: no springs, dampers or rotors."""
+    free = {"stiffness": 0.0, "damping": 0.0, "armature": 0.0}
+    bodies = [
+        dataclasses.replace(body, joint=body.joint and dataclasses.replace(body.joint, **free))
+        for body in creature.bodies
+    ]
+    return Creature(creature.name, tuple(bodies))
+
+
+@pytest.fixture(scope="module")
+def errors():
+    """Error of each quantity after `DURATION` for each of `STEP_COUNTS`.
+
+    Free motion has no time scale of its own: at speeds divided by s and the same step, the path
+    after s times as many steps is that of a step divided by s. So one compiled step serves all.
+    """
+    with jax.enable_x64(True):
+        rng = np.random.default_rng(5)
+        creature = bare(random_creature(rng, STRUCTURES[2], limits=99.0, axes_seed=3))
+        vacuum, tree = Vacuum(creature), build_tree(creature)
+        world, h = World(tree, 0.0), DURATION / STEP_COUNTS[0]
+        start = random_state(tree, rng)
+        scale = STEP_COUNTS / STEP_COUNTS[0]
+        slower = [at_speed(start, 1 / s) for s in scale]
+        states = jax.tree.map(lambda *parts: jnp.stack(parts, -1), *slower)
+        rest = jnp.zeros_like(states.qd)
+
+        @quick_jit
+        def path(states):
+            def advance(s, _):
+                s = step(world, s, rest, h)[0]
+                return s, s
+
+            return jax.lax.scan(advance, states, None, int(STEP_COUNTS[-1]))[1]
+
+        states = path(states)
+        before = vacuum.conserved(start) | {"position": vacuum.position_after(start)}
+        result = {name: [] for name in before}
+        for i, count in enumerate(STEP_COUNTS):
+            end = jax.tree.map(lambda x, i=i, count=count: x[count - 1, ..., i], states)
+            end = at_speed(end, scale[i])
+            after = vacuum.conserved(end) | {"position": np.asarray(end.position)}
+            for name, value in after.items():
+                size = np.linalg.norm(before[name])
+                result[name].append(np.linalg.norm(value - before[name]) / size)
+        return result
+
+
+@pytest.mark.parametrize("name", ["linear momentum", "angular momentum", "energy", "position"])
+def test_free_motion_converges_at_first_order(errors, name):
+    """Slope of log(error) over log(h) in four halvings: 1 within 0.15 (semi-implicit Euler)."""
+    slope = -np.polyfit(np.log(STEP_COUNTS), np.log(errors[name]), 1)[0]
+    assert abs(slope - 1) < 0.15, (slope, errors[name])
+
+
+def test_a_single_body_keeps_its_linear_momentum_exactly():
+    """However it tumbles, the centre of a free body moves at one speed: to rounding."""
+    tree = build_tree(Creature("box", (Body("b", Box((0.3, 0.2, 0.1)), Material(1000.0)),)))
+    start = random_state(tree, np.random.default_rng(1))
+    end = after_steps(World(tree, 0.0), start, 200)
+    np.testing.assert_allclose(end.velocity[3:], start.velocity[3:], rtol=1e-13)
+    travelled = start.position + 200 * H * start.velocity[3:]
+    np.testing.assert_allclose(end.position, travelled, rtol=1e-12)
+
+
+def test_a_sphere_spins_for_ever():
+    """A sphere's angular momentum is along its angular velocity, so both are constant."""
+    tree = build_tree(Creature("ball", (Body("b", Sphere(0.1), Material(1000.0)),)))
+    start = random_state(tree, np.random.default_rng(2))
+    end = after_steps(World(tree, 0.0), start, 200)
+    np.testing.assert_allclose(end.velocity[:3], start.velocity[:3], rtol=1e-12)
+
+
+def test_free_fall_is_exact():
+    """Semi-implicit Euler under constant g: z_n = z_0 + v_0 n h - g h^2 n (n + 1) / 2, exactly."""
+    tree = build_tree(Creature("box", (Body("b", Box((0.3, 0.2, 0.1)), Material(1000.0)),)))
+    start = random_state(tree, np.random.default_rng(3))
+    n = 200
+    end = after_steps(World(tree, 9.81), start, n)
+    fall = 9.81 * H**2 * n * (n + 1) / 2
+    expected = start.position[2] + start.velocity[5] * n * H - fall
+    np.testing.assert_allclose(end.position[2], expected, rtol=1e-12)
+
+
+def after_steps(world: World, state: State, count: int) -> State:
+    """The state so many steps later; there are no motors."""
+    rest = jnp.zeros_like(state.qd)
+
+    @quick_jit
+    def run(state):
+        return jax.lax.scan(lambda s, _: (step(world, s, rest, H)[0], None), state, None, count)[0]
+
+    return run(state)
+
+
+def test_motors_at_their_limits_leave_the_momentum_alone():
+    """Joint torques are internal: a tree at rest that thrashes about has no momentum, to O(h).
+
+    The momentum error per step is that of free motion, second order in h; so over a fixed time
+    halving h halves it, which is what is asserted besides its size.
+    """
+    rng = np.random.default_rng(8)
+    motor = Actuator(2.0, 0.2)
+    creature = bare(random_creature(rng, STRUCTURES[1], limits=99.0, motor=motor, axes_seed=2))
+    world, vacuum = World(build_tree(creature), 0.0), Vacuum(creature)
+    still = random_state(world.tree, rng, speed=0.0)
+    target = jnp.asarray(rng.choice([-5.0, 5.0], world.tree.dof_count))
+    sizes = []
+    for count in (60, 120):
+        h = DURATION / count
+
+        def advance(s, _, h=h):
+            s, effort = step(world, s, target, h)
+            return s, jnp.abs(effort.torque).max()
+
+        run = quick_jit(lambda s, f=advance, n=count: jax.lax.scan(f, s, None, n))
+        end, torque = run(still)
+        assert float(torque.max()) == 0.2
+        after = vacuum.conserved(end)
+        scale = np.sqrt(2 * after["energy"][0] * creature.mass)
+        sizes.append(np.linalg.norm(after["linear momentum"]) / scale)
+    assert sizes[0] < 0.02
+    assert sizes[1] < 0.6 * sizes[0]

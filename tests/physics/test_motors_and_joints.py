@@ -1,0 +1,182 @@
+"""Torque limits, soft joint limits and springs."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from creatures import STRUCTURES, box_chain, in_water, quick_jit, random_creature, random_state
+
+from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, Material
+from evo_cpg.creature.shapes import Box
+from evo_cpg.creature.tree import LIMIT_FREQUENCY, build_tree
+from evo_cpg.physics.state import State, resting_state
+from evo_cpg.physics.step import World, step
+
+H = 1 / 120
+INDIVIDUALS, STEPS = 64, 200
+TORQUE_LIMIT = 0.3
+
+
+def record(world: World, state: State, targets, h: float = H):
+    """States and efforts at every step under a sequence of target rates."""
+
+    @quick_jit
+    def run(state, targets):
+        def advance(s, target):
+            s, effort = step(world, s, target, h)
+            return s, (s, effort)
+
+        return jax.lax.scan(advance, state, targets)[1]
+
+    return run(state, targets)
+
+
+@pytest.fixture(scope="module")
+def thrashing():
+    """64 random individuals with weak motors, chasing random targets that change every step."""
+    with jax.enable_x64(True):
+        rng = np.random.default_rng(3)
+        motor = Actuator(20.0, TORQUE_LIMIT)
+        creature = random_creature(rng, STRUCTURES[2], limits=1.5, motor=motor, axes_seed=1)
+        world = in_water(creature)
+        state = random_state(world.tree, rng, (INDIVIDUALS,))
+        size = (STEPS, world.tree.dof_count, INDIVIDUALS)
+        targets = jnp.asarray(rng.normal(size=size) * 10.0 ** rng.uniform(-2, 1, size))
+        states, effort = record(world, state, targets)
+        before = jnp.concatenate([state.qd[None], states.qd[:-1]])
+        return before, states, effort, targets
+
+
+def test_torque_never_exceeds_its_limit(thrashing):
+    """Not by one bit, in 200 steps of 64 individuals; and the limit is often reached."""
+    _, states, effort, _ = thrashing
+    torque = np.abs(np.asarray(effort.torque))
+    assert torque.max() == TORQUE_LIMIT
+    assert 0.2 < (torque == TORQUE_LIMIT).mean() < 1.0
+    assert np.isfinite(np.asarray(states.q)).all()
+
+
+def test_energy_is_that_of_the_applied_torque(thrashing):
+    """E = h |tau (qd + qd+) / 2|: the trapezoidal rule with the torque that the step applied."""
+    before, states, effort, _ = thrashing
+    expected = H * np.abs(effort.torque * (before + states.qd) / 2)
+    np.testing.assert_allclose(effort.energy, expected, rtol=1e-12, atol=1e-15)
+
+
+def test_a_limit_that_is_not_reached_changes_nothing():
+    """An individual below its limits moves as without limits, bit by bit, whoever is beside it.
+
+    Its neighbours are overloaded, so the second and third pass run for the whole population.
+    """
+    targets = jnp.asarray(np.tile([[0.01, 0.02, 100.0]], (20, 3, 1)))
+    results = []
+    for limit in (np.inf, 0.05):
+        world = in_water(box_chain(4, "z", Actuator(0.5, limit)))
+        states, effort = record(world, resting_state(world.tree, (3,), jnp.float64), targets)
+        results.append((states, effort.torque))
+    free, limited = results
+    for unlimited, tight in zip(jax.tree.leaves(free), jax.tree.leaves(limited), strict=True):
+        np.testing.assert_array_equal(unlimited[..., :2], tight[..., :2])
+    assert np.abs(free[1][..., 2]).max() > 10 * np.abs(limited[1][..., 2]).max()
+
+
+def spring_pair(stiffness: float, damping: float = 0.0, limits: float = 9.0, motor=None) -> Creature:
+    """Two boxes that share their centre and turn against each other about z."""
+    material = Material(1000.0)
+    joint = Joint(
+        parent="a",
+        parent_anchor=(0.0, 0.0, 0.0),
+        child_anchor=(0.0, 0.0, 0.0),
+        axes=((0.0, 0.0, 1.0),),
+        lower=(-limits,),
+        upper=(limits,),
+        stiffness=stiffness,
+        damping=damping,
+        actuator=motor,
+    )
+    bodies = Body("a", Box((0.3, 0.1, 0.1)), material), Body("b", Box((0.2, 0.1, 0.05)), material, joint)
+    return Creature("pair", bodies)
+
+
+def reduced_inertia(creature: Creature) -> float:
+    """I_a I_b / (I_a + I_b), what their relative turning sees."""
+    first, second = (
+        b.shape.inertia(b.material.density * b.shape.volume)[2] for b in creature.bodies
+    )
+    return first * second / (first + second)
+
+
+@pytest.mark.parametrize("damping", [0.0, 0.003])
+def test_spring_is_the_implicit_euler_oscillator(damping):
+    """The step is backward Euler for a linear spring and damper: (q, qd)+ = (1 - h A)^-1 (q, qd).
+
+    A = [[0, 1], [-k/I, -c/I]] with I = I_a I_b / (I_a + I_b). 100 steps agree to rounding.
+    """
+    stiffness, start = 2.0, 0.3
+    creature = spring_pair(stiffness, damping)
+    inertia = reduced_inertia(creature)
+    world = World(build_tree(creature), 0.0)
+    state = resting_state(world.tree, dtype=jnp.float64)
+    state = dataclasses.replace(state, q=jnp.array([start]))
+    states, _ = record(world, state, jnp.zeros((100, 1)))
+    rate = np.array([[0.0, 1.0], [-stiffness / inertia, -damping / inertia]])
+    expected = [np.array([start, 0.0])]
+    for _ in range(100):
+        expected.append(np.linalg.solve(np.eye(2) - H * rate, expected[-1]))
+    ours = np.concatenate([states.q, states.qd], 1)
+    np.testing.assert_allclose(ours, expected[1:], atol=1e-11 * np.abs(expected).max())
+
+
+def test_spring_frequency():
+    """sqrt(k / I) / 2 pi; backward Euler turns by atan(w h) a step, (w h)^2 / 3 = 2e-4 less."""
+    creature = spring_pair(0.05)
+    omega = np.sqrt(0.05 / reduced_inertia(creature))
+    world = World(build_tree(creature), 0.0)
+    h = 0.025 / omega
+    state = resting_state(world.tree, dtype=jnp.float64)
+    state = dataclasses.replace(state, q=jnp.array([0.3]))
+    states, _ = record(world, state, jnp.zeros((1000, 1)), h)
+    q = np.asarray(states.q)[:, 0]
+    crossings = np.flatnonzero(np.diff(np.sign(q)))
+    places = crossings + q[crossings] / (q[crossings] - q[crossings + 1])
+    measured = np.pi / (h * np.diff(places).mean())
+    assert measured == pytest.approx(omega, rel=1e-3)
+
+
+def test_soft_limit_holds_a_constant_push():
+    """A constant torque tau past a limit of stiffness k_l comes to rest tau / k_l beyond it.
+
+    Starting at the limit at rest, the critically damped spring does not overshoot that: at most
+    1 %. With k_l = I (2 pi 10 Hz)^2 on the reduced inertia I.
+    """
+    limits, push = 0.5, 0.4
+    creature = spring_pair(0.0, limits=limits, motor=Actuator(1e3, push))
+    world = World(build_tree(creature), 0.0)
+    stiffness = reduced_inertia(creature) * (2 * np.pi * LIMIT_FREQUENCY) ** 2
+    np.testing.assert_allclose(world.tree.limit_stiffness, stiffness, rtol=1e-12)
+    state = resting_state(world.tree, dtype=jnp.float64)
+    state = dataclasses.replace(state, q=jnp.array([limits]))
+    states, effort = record(world, state, jnp.full((240, 1), 1e3))
+    np.testing.assert_array_equal(effort.torque, push)
+    beyond = np.asarray(states.q)[:, 0] - limits
+    assert beyond[-1] == pytest.approx(push / stiffness, rel=1e-6)
+    assert beyond.max() < 1.01 * push / stiffness
+
+
+def test_soft_limit_stops_a_swing():
+    """Running into the limit at speed v, the angle passes it by less than v / (e w).
+
+    That is the peak of a critically damped spring, v t exp(-w t) at t = 1/w; implicit damping
+    makes it less. The joint comes to rest on the near side or at the limit.
+    """
+    limits, speed = 0.5, 6.0
+    creature = spring_pair(0.0, limits=limits)
+    world = World(build_tree(creature), 0.0)
+    state = resting_state(world.tree, dtype=jnp.float64)
+    state = dataclasses.replace(state, qd=jnp.array([speed]))
+    states, _ = record(world, state, jnp.zeros((240, 1)))
+    beyond = np.asarray(states.q)[:, 0] - limits
+    assert 0 < beyond.max() < speed / (np.e * 2 * np.pi * LIMIT_FREQUENCY)
+    assert abs(float(states.qd[-1, 0])) < 0.2 * speed

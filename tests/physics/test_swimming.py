@@ -1,0 +1,115 @@
+"""A ten-body chain swimming with a travelling wave: its speed, its power, and what shelter does."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from creatures import box_chain, in_water, quick_jit
+from resistive_force import PlanarChain
+
+from evo_cpg.creature.creature import Actuator
+from evo_cpg.physics.fluid import drag
+from evo_cpg.physics.kinematics import kinematics
+from evo_cpg.physics.state import resting_state
+from evo_cpg.physics.step import step
+from evo_cpg.spatial.linear import lift, matvec_t
+
+BODIES, SIZE, GAP = 10, (0.2, 0.1, 0.1), 0.02
+FORM_DRAG, SKIN_DRAG = 1.0, 0.02
+FREQUENCY, AMPLITUDE, LAG = 1.0, 0.4, 2 * np.pi / 10
+# The wave grows over the first second, so that both sides start from rest in the straight pose.
+GROWTH, DURATION = 1.0, 6.0
+H = 1 / 240
+# Stiff enough for the angles to follow the wave to some 1e-3 rad.
+TRACKING_RATE = 30.0
+SERVO_GAIN = 1e4
+
+
+def wave(time, joints, lib):
+    """Angles (rad) and rates (rad/s) of all joints: a wave from head to tail."""
+    u = lib.clip(time / GROWTH, 0.0, 1.0)
+    size, growth = u * u * (3 - 2 * u), 6 * u * (1 - u) / GROWTH
+    omega = 2 * np.pi * FREQUENCY
+    phase = omega * time - LAG * joints
+    angles = AMPLITUDE * size * lib.sin(phase)
+    return angles, AMPLITUDE * (growth * lib.sin(phase) + omega * size * lib.cos(phase))
+
+
+class Swim(NamedTuple):
+    """Head path, joint angles and the water's power on every body at every step."""
+
+    path: np.ndarray
+    angles: np.ndarray
+    power: np.ndarray
+
+
+@pytest.fixture(scope="module")
+def swim():
+    """Swims of the simulated chain, each run once: with and without shelter at the joints."""
+    runs = {}
+
+    def run(sheltered: bool) -> Swim:
+        if sheltered not in runs:
+            runs[sheltered] = simulate(sheltered)
+        return runs[sheltered]
+
+    return run
+
+
+def simulate(sheltered: bool) -> Swim:
+    """The package's chain, its servos tracking the wave."""
+    creature = box_chain(BODIES, "z", Actuator(SERVO_GAIN), SIZE, GAP)
+    world = in_water(
+        creature, 3, form_drag=FORM_DRAG, skin_drag=SKIN_DRAG, sheltered=sheltered
+    )
+    joints = jnp.arange(world.tree.dof_count)
+
+    def advance(state, n):
+        kin = kinematics(world.tree, state)
+        velocity = jnp.concatenate(
+            [matvec_t(kin.rotation, kin.angular), matvec_t(kin.rotation, kin.linear)]
+        )
+        wrench, _ = drag(world.water, world.patches, velocity)
+        # The rates at the end of the step move the angles.
+        angles, rates = wave((n + 1) * H, joints, jnp)
+        state, _ = step(world, state, rates + TRACKING_RATE * (angles - rates * H - state.q), H)
+        return state, (state.position[:2], state.q, (wrench * velocity).sum(0))
+
+    with jax.enable_x64(True):
+        start = resting_state(world.tree, dtype=jnp.float64)
+        steps = jnp.arange(round(DURATION / H))
+        _, records = quick_jit(lambda s: jax.lax.scan(advance, s, steps))(start)
+    return Swim(*map(np.asarray, records))
+
+
+def mean_speed(path: np.ndarray, times: np.ndarray) -> float:
+    """Speed of the head over the last two periods, m/s."""
+    first = np.searchsorted(times, times[-1] - 2 / FREQUENCY - 1e-9)
+    return float(np.linalg.norm(path[-1] - path[first]) / (times[-1] - times[first]))
+
+
+@pytest.fixture(scope="module")
+def resistive_speed():
+    """Speed by the independent resistive-force calculation, with and without shelter."""
+
+    def speed(sheltered: bool) -> float:
+        chain = PlanarChain(
+            BODIES, *SIZE, GAP, 1000.0, 1000.0, FORM_DRAG, SKIN_DRAG, sheltered
+        )
+        joints, times = np.arange(BODIES - 1), np.linspace(0, DURATION, 61)
+        path = chain.path(
+            lambda t: wave(t, joints, np)[0], lambda t: wave(t, joints, np)[1], times
+        )
+        return mean_speed(path, times)
+
+    return speed
+
+
+def test_speed_agrees_with_resistive_force_theory(swim, resistive_speed):
+    """The swimming speed against `resistive_force.PlanarChain`, whose only error is quadrature."""
+    result = swim(True)
+    times = H * np.arange(1, len(result.path) + 1)
+    speed, expected = mean_speed(result.path, times), resistive_speed(True)
+    assert speed == pytest.approx(expected, rel=0.1), (speed, expected)

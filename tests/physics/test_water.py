@@ -1,0 +1,170 @@
+"""Buoyancy and drag against closed forms, and the sign of the power of drag."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from creatures import STRUCTURES, in_water, quick_jit, random_creature
+
+from evo_cpg.creature.creature import Body, Creature, Material
+from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
+from evo_cpg.physics.fluid import drag
+from evo_cpg.physics.state import resting_state
+from evo_cpg.physics.step import step
+
+GRAVITY, WATER = 9.81, 1000.0
+FORM_DRAG, SKIN_DRAG = 1.0, 0.05
+H = 1 / 120
+
+
+def single(shape: Shape, density: float) -> Creature:
+    """A creature of one body."""
+    return Creature("single", (Body("b", shape, Material(density)),))
+
+
+def sink(shape: Shape, density: float, seconds: float, resolution: int = 6, **water) -> np.ndarray:
+    """Velocities ``(steps, 6)`` of a body released at rest."""
+    world = in_water(
+        single(shape, density), resolution, form_drag=FORM_DRAG, skin_drag=SKIN_DRAG, **water
+    )
+    rest = jnp.zeros(0)
+
+    @quick_jit
+    def run(state):
+        def advance(s, _):
+            s = step(world, s, rest, H)[0]
+            return s, s.velocity
+
+        return jax.lax.scan(advance, state, None, round(seconds / H))[1]
+
+    return np.asarray(run(resting_state(world.tree, dtype=jnp.float64)))
+
+
+def box_coefficient(size: tuple[float, float, float], law: str) -> float:
+    """Frontal drag coefficient of a box that moves along z; windward and lee faces count."""
+    front = size[0] * size[1]
+    sides = 2 * (size[0] + size[1]) * size[2]
+    if law == "isotropic":
+        return (FORM_DRAG + SKIN_DRAG) * (2 + sides / front)
+    return 2 * FORM_DRAG + SKIN_DRAG * sides / front
+
+
+def sphere_coefficient(law: str) -> float:
+    """C_d + 3 pi/4 C_f: the integrals of |cos|^3 and of sin^3 over a sphere, over its section.
+
+    int |cos|^3 dA = pi r^2, and int sin^3 dA = 2 pi r^2 int sin^4 = 3 pi^2 r^2 / 4. The isotropic
+    law sees the whole surface, 4 pi r^2.
+    """
+    if law == "isotropic":
+        return 4 * (FORM_DRAG + SKIN_DRAG)
+    return FORM_DRAG + 3 * np.pi / 4 * SKIN_DRAG
+
+
+@pytest.mark.parametrize("law", ["normal", "isotropic"])
+@pytest.mark.parametrize("kind", ["box", "sphere"])
+def test_terminal_velocity(kind, law):
+    """v = sqrt(2 (m - rho V) g / (rho A C)).
+
+    A steady speed does not depend on the step. After 12 time constants v / 2 a_0 the tanh that
+    leads to it is within 1e-10 of 1; what is left is the sphere's quadrature of |cos|^3, which
+    has a kink in its third derivative: 1e-3. A box's faces are integrated exactly: 1e-6.
+    """
+    density = 1500.0
+    if kind == "box":
+        shape, area = Box((0.3, 0.2, 0.1)), 0.06
+        coefficient, tolerance = box_coefficient(shape.size, law), 1e-6
+    else:
+        shape, area = Sphere(0.1), np.pi * 0.01
+        coefficient, tolerance = sphere_coefficient(law), 1e-3
+    excess = (density - WATER) * shape.volume * GRAVITY
+    expected = np.sqrt(2 * excess / (WATER * area * coefficient))
+    seconds = 12 * expected / (excess / (density * shape.volume))
+    velocity = sink(shape, density, seconds, law=law)
+    assert -velocity[-1, 5] == pytest.approx(expected, rel=tolerance)
+    # The layout of the points is symmetric: it neither drifts nor turns.
+    assert np.abs(np.delete(velocity[-1], 5)).max() < 1e-12
+
+
+def test_approach_to_terminal_velocity_follows_tanh():
+    """v(t) = v_inf tanh(a_0 t / v_inf) for quadratic drag from rest, at first order in the step.
+
+    1/120 s is 3 % of the time constant; the linearly implicit step is a few 1e-3 off at most.
+    """
+    shape, density = Box((0.3, 0.2, 0.1)), 1500.0
+    excess = (density - WATER) * shape.volume * GRAVITY
+    initial = excess / (density * shape.volume)
+    terminal = np.sqrt(2 * excess / (WATER * 0.06 * box_coefficient(shape.size, "normal")))
+    velocity = -sink(shape, density, 1.0)[:, 5]
+    times = H * np.arange(1, len(velocity) + 1)
+    error = np.abs(velocity - terminal * np.tanh(initial * times / terminal)).max()
+    assert error < 0.01 * terminal
+
+
+@pytest.mark.parametrize("shape", [Box((0.3, 0.2, 0.1)), Capsule(0.05, 0.2)])
+@pytest.mark.parametrize("density", [500.0, 1000.0, 2000.0])
+def test_bodies_sink_float_or_stay(shape, density):
+    """The first step's acceleration is (rho V - m) g / m upwards; without excess nothing moves.
+
+    At rest drag is zero; the floor of 1e-6 m/s under the speed leaves 1e-8 of the implicit part.
+    """
+    velocity = sink(shape, density, 10 * H)
+    expected = (WATER - density) / density * GRAVITY
+    assert velocity[0, 5] / H == pytest.approx(expected, rel=1e-6, abs=1e-12)
+    assert np.sign(velocity[-1, 5]) == np.sign(expected)
+    assert np.abs(velocity[:, :5]).max() < 1e-12
+
+
+def test_still_water_in_motion_is_a_current():
+    """A neutral body let go in a stream ends up moving with it (drag ~ 1/t at the end)."""
+    current = (0.4, -0.3, 0.2)
+    velocity = sink(Sphere(0.05), WATER, 20.0, current=current)
+    np.testing.assert_allclose(velocity[-1, 3:], current, rtol=0.02)
+    assert (np.linalg.norm(velocity[:, 3:] - current, axis=1)[-1]) < 0.01
+
+
+@pytest.mark.parametrize("law", ["normal", "isotropic"])
+def test_drag_never_drives(law):
+    """Drag takes energy out of the motion relative to the water, whatever the motion.
+
+    Every point's force opposes a component of its velocity, so F . V <= 0 body by body.
+    """
+    rng = np.random.default_rng(0)
+    world = in_water(random_creature(rng, STRUCTURES[4]), law=law)
+    velocity = jnp.asarray(rng.normal(size=(6, world.tree.body_count, 500)))
+    velocity = velocity * 10.0 ** rng.uniform(-3, 1, (1, 1, 500))
+    wrench, derivative = drag(world.water, world.patches, velocity)
+    assert float((wrench * velocity).sum(0).max()) < 0
+    # D is symmetric and positive semidefinite, so that the implicit step only damps.
+    blocks = np.asarray(derivative)[..., :5]
+    full = np.block(
+        [
+            [np.moveaxis(blocks[0], (0, 1), (2, 3)), np.moveaxis(blocks[1], (0, 1), (2, 3))],
+            [np.moveaxis(blocks[1], (0, 1), (3, 2)), np.moveaxis(blocks[2], (0, 1), (2, 3))],
+        ]
+    )
+    np.testing.assert_allclose(full, np.swapaxes(full, 2, 3), rtol=1e-12, atol=1e-9)
+    assert np.linalg.eigvalsh(full).min() > -1e-9
+
+
+def test_derivative_is_that_of_the_wrench():
+    """With form drag alone, D = -df/dV exactly: `jax.jacfwd` of the wrench."""
+    world = in_water(single(Ellipsoid((0.2, 0.1, 0.05)), 1000.0), 4, skin_drag=0.0)
+    velocity = jnp.asarray(np.random.default_rng(4).normal(size=6))
+    _, derivative = drag(world.water, world.patches, velocity[:, None])
+    angular, mixed, linear = np.asarray(derivative)[..., 0]
+    full = np.block([[angular, mixed], [mixed.T, linear]])
+    expected = -jax.jacfwd(lambda v: drag(world.water, world.patches, v[:, None])[0][:, 0])(velocity)
+    np.testing.assert_allclose(full, expected, rtol=1e-10, atol=1e-12)
+
+
+def test_drag_of_a_turning_sphere_is_friction_alone():
+    """A sphere that spins feels no form drag, and a moment -1/2 rho C_f (3 pi^2/4) r^5 |w| w.
+
+    |v_t| = w r sin: moment 1/2 rho C_f w^2 r^3 int sin^3 dA, with int sin^3 dA = 3 pi^2 r^2 / 4.
+    """
+    radius, rate = 0.1, 3.0
+    world = in_water(single(Sphere(radius), 1000.0), 12, skin_drag=SKIN_DRAG)
+    spin = jnp.asarray([0.0, 0.0, rate, 0.0, 0.0, 0.0])[:, None]
+    wrench, _ = drag(world.water, world.patches, spin)
+    expected = -0.5 * WATER * SKIN_DRAG * rate**2 * 3 * np.pi**2 / 4 * radius**5
+    np.testing.assert_allclose(wrench[:, 0], [0, 0, expected, 0, 0, 0], rtol=1e-4, atol=1e-12)

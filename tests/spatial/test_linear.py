@@ -1,0 +1,86 @@
+"""Small matrices, components first, against NumPy on the same matrices, components last."""
+
+import jax
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from evo_cpg.spatial import linear
+
+BATCH = (4, 5)
+
+
+@pytest.fixture(autouse=True)
+def double_precision():
+    with jax.enable_x64(True):
+        yield
+
+
+def draw(*shape: int) -> np.ndarray:
+    return np.random.default_rng(len(shape)).normal(size=(*shape, *BATCH))
+
+
+def last(x) -> np.ndarray:
+    """A matrix field with its two leading axes moved to the end."""
+    return np.moveaxis(np.asarray(x), (0, 1), (-2, -1))
+
+
+def test_products_equal_numpy():
+    """Every product against `@`, to rounding (1e-13)."""
+    a, b, c, d, v, w = draw(2, 3), draw(3, 4), draw(4, 3), draw(2, 4), draw(3), draw(2)
+    pairs = {
+        "matmul": (linear.matmul(a, b), last(a) @ last(b)),
+        "matmul_t": (linear.matmul_t(a, c), last(a) @ np.swapaxes(last(c), -1, -2)),
+        "t_matmul": (linear.t_matmul(a, d), np.swapaxes(last(a), -1, -2) @ last(d)),
+        "transpose": (linear.transpose(a), np.swapaxes(last(a), -1, -2)),
+    }
+    for name, (ours, expected) in pairs.items():
+        np.testing.assert_allclose(last(ours), expected, atol=1e-13, err_msg=name)
+    np.testing.assert_allclose(linear.matvec(a, v), np.einsum("ij...,j...", a, v), atol=1e-13)
+    np.testing.assert_allclose(linear.matvec_t(a, w), np.einsum("ij...,i...", a, w), atol=1e-13)
+    np.testing.assert_allclose(linear.dot(v, v), (v * v).sum(0), rtol=1e-13)
+
+
+def test_cross_and_skew_equal_numpy():
+    """`numpy.cross` along the first axis, and the same product as a matrix."""
+    rng = np.random.default_rng(0)
+    a, b = rng.normal(size=(2, 3, *BATCH))
+    expected = np.cross(a, b, axis=0)
+    np.testing.assert_allclose(linear.cross(a, b), expected, atol=1e-14)
+    np.testing.assert_allclose(linear.matvec(linear.skew(a), b), expected, atol=1e-14)
+
+
+@pytest.mark.parametrize("size", [1, 2, 3])
+@given(seed=st.integers(0, 10_000), stretch=st.floats(1.0, 1e3))
+def test_closed_form_inverses_equal_numpy(size, seed, stretch):
+    """Symmetric positive definite matrices of condition up to 1e6: 1e-9 of the largest element.
+
+    Cofactors lose about the condition number times 1e-16, so 1e-10; NumPy's LU the same.
+    """
+    rng = np.random.default_rng(seed)
+    basis = np.linalg.qr(rng.normal(size=(size, size)))[0]
+    matrix = basis @ np.diag(np.geomspace(1, stretch**2, size)) @ basis.T
+    matrix = (matrix + matrix.T) / 2
+    ours = np.asarray(linear.inverse_symmetric(matrix))
+    expected = np.linalg.inv(matrix)
+    assert np.abs(ours - expected).max() < 1e-9 * np.abs(expected).max()
+
+
+def test_inverse_of_other_sizes_is_refused():
+    with pytest.raises(ValueError, match="closed-form inverse is for sizes 1 to 3, got 4"):
+        linear.inverse_symmetric(np.eye(4))
+
+
+def test_lift_lines_up_the_first_axes():
+    """(3,) against (3, 2, 5): element i meets element i of the first axis, in its precision."""
+    x = np.ones((3, 2, 5), np.float32)
+    lifted = linear.lift(np.array([1.0, 2.0, 3.0]), jax.numpy.asarray(x))
+    assert lifted.shape == (3, 1, 1)
+    assert lifted.dtype == np.float32
+    np.testing.assert_array_equal((lifted * x)[:, 1, 4], [1, 2, 3])
+
+
+def test_compute_once_is_the_identity():
+    x = draw(3, 2)
+    np.testing.assert_array_equal(linear.compute_once(x), x)
