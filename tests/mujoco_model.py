@@ -52,7 +52,7 @@ def mujoco_model(creature: Creature, options: dict[str, float] | None = None, fl
 
 
 def dof_order(model: mujoco.MjModel, tree: Tree) -> np.ndarray:
-    """Index of MuJoCo's joint degree of freedom for each of the tree's (the root's six left out)."""
+    """Index of MuJoCo's joint degree of freedom for each of the tree's, the root's six left out."""
     order = []
     for name in dict.fromkeys(tree.names[i] for i in tree.dof_bodies):
         body = model.body(name)

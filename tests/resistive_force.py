@@ -110,6 +110,7 @@ class PlanarChain:
 
         def add(links, x, y, area, normal):
             """Drag of points at (x, y) of some links whose faces look along the given axis."""
+            x, y = np.broadcast_to(x, self.points), np.broadcast_to(y, self.points)
             v_x = (moving[links] * along[links]).sum(1)[:, None] - turning[links, None] * y
             v_y = (moving[links] * across[links]).sum(1)[:, None] + turning[links, None] * x
             c_x = self.form_drag if normal == "x" else self.skin_drag
@@ -118,9 +119,7 @@ class PlanarChain:
             tangential = np.hypot(v_x if normal != "x" else 0.0, v_y if normal != "y" else 0.0)
             f_x = -half * c_x * area * (np.abs(v_x) if normal == "x" else tangential) * v_x
             f_y = -half * c_y * area * (np.abs(v_y) if normal == "y" else tangential) * v_y
-            force = (
-                f_x.sum(1)[:, None] * along[links] + f_y.sum(1)[:, None] * across[links]
-            )
+            force = f_x.sum(1)[:, None] * along[links] + f_y.sum(1)[:, None] * across[links]
             moment = (x * f_y - y * f_x).sum(1)
             orbital = centre[links, 0] * force[:, 1] - centre[links, 1] * force[:, 0]
             total[:] += [*force.sum(0), (moment + orbital).sum()]

@@ -1,6 +1,7 @@
 """The command that measures: bench. The suite itself lies in the checkout's benchmarks/."""
 
-import importlib.util
+import importlib
+import sys
 from pathlib import Path
 
 import evo_cpg
@@ -9,11 +10,16 @@ from evo_cpg.cli.errors import UsageError
 
 def run_suite(json: Path | None, quick: bool) -> None:
     """`evo-cpg bench`."""
-    suite = Path(evo_cpg.__file__).parents[1] / "benchmarks" / "suite.py"
-    if not suite.is_file():
-        raise UsageError(f"the benchmark suite is part of a checkout; there is none at {suite}")
-    spec = importlib.util.spec_from_file_location("suite", suite)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    module.main(json, quick)
+    checkout = Path(evo_cpg.__file__).parents[1]
+    if not (checkout / "benchmarks" / "suite.py").is_file():
+        raise UsageError(
+            f"the benchmark suite is part of a checkout of evo_cpg; there is none in {checkout}"
+        )
+    sys.path.insert(0, str(checkout))
+    try:
+        suite = importlib.import_module("benchmarks.suite")
+    except ModuleNotFoundError as error:
+        raise UsageError(
+            f"the benchmark suite needs {error.name}; install it with pip install 'evo-cpg[test]'"
+        ) from None
+    suite.main(json, quick)

@@ -10,6 +10,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -20,7 +21,13 @@ from evo_cpg.config.load import dump_config, load_config
 from evo_cpg.config.schema import ExperimentConfig
 from evo_cpg.training.devices import use_cores
 from evo_cpg.training.experiment import Experiment
-from evo_cpg.training.run_folder import Champion, RunFolder, RunFolderError, genes_digest
+from evo_cpg.training.run_folder import (
+    Champion,
+    RunFolder,
+    RunFolderError,
+    genes_digest,
+    outcome_digest,
+)
 
 # The replayed fitness and terms must agree with those recorded to this relative accuracy. On the
 # machine of the training run they are equal; another processor rounds differently.
@@ -44,10 +51,11 @@ def start_run(
 
 def resume_run(run: Path, generations: int | None, cores: int | None) -> None:
     """`evo-cpg resume`."""
-    folder, config = _open(run)
+    folder, config, experiment = _open(run)
     if generations is not None:
         evolution = config.evolution.model_copy(update={"generations": generations})
         config = config.model_copy(update={"evolution": evolution})
+        experiment = experiment._replace(generations=generations)
     devices = use_cores(cores or folder.read_meta().get("devices"))
     done = folder.load()
     if done is not None and done.generation > config.evolution.generations:
@@ -55,24 +63,40 @@ def resume_run(run: Path, generations: int | None, cores: int | None) -> None:
             f"{run}: {done.generation} generations are done already, "
             f"--generations {config.evolution.generations} would take some back"
         )
-    folder.rewrite_config(dump_config(config))
+    if done is not None:
+        population = experiment.simulation.controller.gene_count, experiment.genetics.population
+        if done.genes.shape != population:
+            raise RunFolderError(
+                f"{folder.config} was changed: it asks for {population[0]} genes and "
+                f"{population[1]} individuals, the checkpoint has {done.genes.shape[0]} and "
+                f"{done.genes.shape[1]}; start a new run instead"
+            )
+    folder.reopen(dump_config(config))
     folder.update_meta(devices=devices, resumed=_now())
-    _evolve(build_experiment(config, folder.config), folder)
+    _evolve(experiment, folder)
 
 
 def verify_run(run: Path, cores: int | None) -> None:
     """`evo-cpg verify`."""
-    folder, config = _open(run)
+    folder, _, experiment = _open(run)
     champion, _, digests = folder.load_champion()
     differences = []
     if digests["genes_sha256"] != genes_digest(champion.genes):
         differences.append("champion.npz: the genome is not the one that was evolved")
+    if digests["outcome_sha256"] != outcome_digest(champion):
+        differences.append("champion.npz: fitness or terms are not those that were recorded")
     if digests["config_sha256"] != folder.config_digest():
         differences.append("config.yaml is not the one that the champion was evolved with")
-    experiment = build_experiment(config, folder.config)
-    expected = experiment.simulation.controller.gene_count
-    if champion.genes.shape != (expected,):
-        _report(run, [*differences, f"the genome has {champion.genes.size} genes, not {expected}"])
+    checkpoint = folder.load()
+    kept = checkpoint.champion if checkpoint else None
+    if kept and kept.generation == champion.generation:
+        if not np.array_equal(kept.genes, champion.genes):
+            differences.append("champion.npz: the genome is not that of the newest checkpoint")
+        if kept[1:] != champion[1:]:
+            differences.append("champion.npz: the newest checkpoint records other fitness or terms")
+    wrong = _misfit(experiment, champion)
+    if wrong:
+        _report(run, [*differences, wrong])
     devices = folder.read_meta().get("devices", 1)
     use_cores(cores or devices)
     from evo_cpg.training.loop import replay_champion
@@ -111,9 +135,11 @@ def validate_configs(paths: Sequence[Path]) -> None:
 
 def champion_motion(run: Path) -> tuple[Experiment, Champion, Any, RunFolder]:
     """The champion of a run with its motion, which is replayed where it was not recorded."""
-    folder, config = _open(run)
-    experiment = build_experiment(config, folder.config)
+    folder, _, experiment = _open(run)
     champion, recording, digests = folder.load_champion()
+    wrong = _misfit(experiment, champion)
+    if wrong:
+        raise RunFolderError(f"{folder.config} was changed after training: {wrong}")
     if recording is None or digests["config_sha256"] != folder.config_digest():
         devices = folder.read_meta().get("devices", 1)
         use_cores(devices)
@@ -131,22 +157,22 @@ def _evolve(experiment: Experiment, folder: RunFolder) -> None:
     try:
         with _progress(console, experiment, folder) as show:
             checkpoint = train(experiment, folder, show)
+        champion = checkpoint.champion
+        if champion is None:
+            raise RunFolderError(
+                f"{folder.path}: every individual of every generation diverged, so there is no "
+                "champion; try more substeps or weaker motors"
+            )
+        devices = folder.read_meta()["devices"]
+        folder.save_champion(champion, replay_champion(experiment, champion, devices)[2])
+        folder.update_meta(finished=_now())
     except KeyboardInterrupt:
-        console.print(f"interrupted; go on with `evo-cpg resume {folder.path}`", highlight=False)
+        print(f"interrupted; go on with `evo-cpg resume {folder.path}`", file=sys.stderr)
         raise
-    champion = checkpoint.champion
-    if champion is None:
-        raise RunFolderError(
-            f"{folder.path}: every individual of every generation diverged, so there is no "
-            "champion; try more substeps or weaker motors"
-        )
-    devices = folder.read_meta()["devices"]
-    folder.save_champion(champion, replay_champion(experiment, champion, devices)[2])
-    folder.update_meta(finished=_now())
     terms = ", ".join(f"{name} {value:.3g}" for name, value in champion.terms.items())
-    console.print(
+    print(
         f"champion of generation {champion.generation}: fitness {champion.fitness:.4f} ({terms})",
-        highlight=False,
+        file=sys.stderr,
     )
     print(folder.path)
 
@@ -187,10 +213,22 @@ def _progress(
         yield lambda row: progress.update(task, advance=1, state=line(row))
 
 
-def _open(run: Path) -> tuple[RunFolder, ExperimentConfig]:
+def _open(run: Path) -> tuple[RunFolder, ExperimentConfig, Experiment]:
     folder = RunFolder(run)
     folder.require()
-    return folder, load_config(folder.config)
+    config = load_config(folder.config)
+    # A user's own classes lie beside the config that the run was started with.
+    origin = folder.read_meta().get("config")
+    beside = [Path(origin).parent] if isinstance(origin, str) else []
+    return folder, config, build_experiment(config, folder.config, beside)
+
+
+def _misfit(experiment: Experiment, champion: Champion) -> str | None:
+    """What is wrong where the champion cannot even live in the experiment."""
+    expected = experiment.simulation.controller.gene_count
+    if champion.genes.shape == (expected,):
+        return None
+    return f"the genome has {champion.genes.size} genes, not {expected}"
 
 
 def _report(run: Path, differences: list[str]) -> None:
@@ -204,7 +242,7 @@ def _meta(config: ExperimentConfig, devices: int, path: Path) -> dict[str, Any]:
     return {
         "name": config.name,
         "seed": config.seed,
-        "config": str(path),
+        "config": str(path.resolve()),
         "command": sys.argv[1:],
         "versions": {package: metadata.version(package) for package in _PACKAGES},
         "python": platform.python_version(),

@@ -1,11 +1,13 @@
 """From a checked configuration to an experiment."""
 
 import importlib
+import inspect
 import sys
+from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from typing import Any
 
 from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.schema import CustomConfig, ExperimentConfig, WaterConfig
@@ -28,16 +30,22 @@ from evo_cpg.training.experiment import Experiment
 _DENSE_RESOLUTION = 24
 
 
-def build_experiment(config: ExperimentConfig, source: Path | str) -> Experiment:
+def build_experiment(
+    config: ExperimentConfig, source: Path | str, folders: Iterable[Path] = ()
+) -> Experiment:
     """Build what a configuration describes.
 
     Args:
         config: the configuration.
-        source: file it came from, for messages.
+        source: file it came from, for messages; a user's own classes are looked for beside it.
+        folders: where else to look for them, before the working folder.
 
     Raises:
         ConfigError: parts that do not fit together.
     """
+    for folder in (Path(source).parent, *folders, Path.cwd()):
+        if str(folder.resolve()) not in sys.path:
+            sys.path.append(str(folder.resolve()))
     creature = build_creature(config, source)
     tree = build_tree(creature)
     genetics = config.evolution
@@ -140,24 +148,25 @@ def _build_task(config: ExperimentConfig, source: Path | str) -> Task:
 
 
 def _custom(given: CustomConfig, kind: type, section: str, source: Path | str, **extra) -> Any:
-    """Build a user's own class, looked for in the working folder and beside the config, too."""
+    """Build a user's own class, from its options and what it takes of ``extra``."""
     module_name, _, class_name = given.type.partition(":")
-    for folder in (str(Path(source).resolve().parent), str(Path.cwd())):
-        if folder not in sys.path:
-            sys.path.append(folder)
     try:
         made = getattr(importlib.import_module(module_name), class_name)
-    except (ImportError, AttributeError) as error:
+    except Exception as error:
+        # Whatever the user's module raises is about the user's module.
         raise ConfigError(
-            source, (section, "type"), f"{given.type!r} cannot be imported ({error})"
+            source,
+            (section, "type"),
+            f"{given.type!r} cannot be imported ({type(error).__name__}: {error})",
         ) from None
     if not (isinstance(made, type) and issubclass(made, kind)):
         raise ConfigError(
             source, (section, "type"),
             f"{given.type!r} is not a subclass of {kind.__module__}:{kind.__name__}",
         )
+    taken = inspect.signature(made).parameters
     try:
-        return made(**given.options, **extra)
+        return made(**given.options, **{name: extra[name] for name in extra if name in taken})
     except (TypeError, ValueError) as error:
         raise ConfigError(
             source, (section, "options"), f"{given.type} cannot be built with them ({error})"

@@ -1,6 +1,8 @@
 """From a YAML file and overrides to a checked configuration."""
 
-from collections.abc import Sequence
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +14,29 @@ from evo_cpg.config.schema import ExperimentConfig
 
 # What pydantic calls an unknown key, in models and in dataclasses.
 _UNKNOWN_KEY = ("extra_forbidden", "unexpected_keyword_argument")
+
+
+class _Loader(yaml.SafeLoader):
+    """Safe YAML with two of its traps closed: keys given twice, and 1e-3, which is a string."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict:
+        """Refuse a key that stands twice, of which only the last would count."""
+        seen = set()
+        for key in (key for key, _ in node.value if isinstance(key, yaml.ScalarNode)):
+            if key.value in seen:
+                raise yaml.constructor.ConstructorError(
+                    None, None, f"the key {key.value!r} is given twice", key.start_mark
+                )
+            seen.add(key.value)
+        return super().construct_mapping(node, deep)
+
+
+# YAML 1.1 wants a point and a signed exponent, so that 1e-3 and 1.0e5 are strings.
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    re.compile(r"[-+]?(\d+(\.\d*)?|\.\d+)[eE][-+]?\d+$"),
+    list("-+.0123456789"),
+)
 
 
 def load_config(path: Path | str, overrides: Sequence[str] = ()) -> ExperimentConfig:
@@ -26,10 +51,10 @@ def load_config(path: Path | str, overrides: Sequence[str] = ()) -> ExperimentCo
     """
     path = Path(path)
     data = _read_yaml(path)
-    if isinstance(data.get("creature"), str):
-        data["creature"] = _read_yaml(path.parent / data["creature"])
+    _read_creature(data, path)
     for override in overrides:
         _apply(data, override)
+        _read_creature(data, path)
     return check_config(data, path)
 
 
@@ -43,6 +68,8 @@ def check_config(data: dict[str, Any], source: Path | str) -> ExperimentConfig:
         config = ExperimentConfig.model_validate(data)
     except pydantic.ValidationError as error:
         raise _worded(error, data, source) from None
+    for key, value, problem in _misread(data, config.model_dump()):
+        raise ConfigError(source, key, f"{_short(value)}: {problem}")
     for key, name, valid in config.creature.references():
         if name not in valid:
             raise ConfigError(
@@ -61,18 +88,54 @@ def _read_yaml(path: Path) -> dict[str, Any]:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
         raise ConfigError(path, (), f"no such file{_neighbours(path)}") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(path, (), f"cannot be read ({error})") from None
+    except OSError as error:
+        raise ConfigError(path, (), f"cannot be read ({error.strerror})") from None
+    except UnicodeDecodeError as error:
+        raise ConfigError(
+            path, (), f"is not UTF-8 text (byte {error.start} is wrong)"
+        ) from None
     try:
-        data = yaml.safe_load(text)
+        data = _parse(text)
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         place = f"line {mark.line + 1}, column {mark.column + 1}: " if mark else ""
-        problem = getattr(error, "problem", None) or "cannot be parsed"
+        problem = getattr(error, "problem", None) or getattr(error, "reason", "cannot be parsed")
         raise ConfigError(path, (), f"{place}not valid YAML: {problem}") from None
+    if data is None:
+        raise ConfigError(path, (), "is empty; it must be a YAML mapping of keys to values")
     if not isinstance(data, dict):
         raise ConfigError(path, (), "must be a YAML mapping of keys to values")
     return data
+
+
+def _parse(text: str) -> Any:
+    return yaml.load(text, _Loader)
+
+
+def _read_creature(data: dict[str, Any], path: Path) -> None:
+    """Put the contents of the creature's own file in the place of its name."""
+    if isinstance(data.get("creature"), str):
+        data["creature"] = _read_yaml(path.parent / data["creature"])
+
+
+def _misread(given: Any, made: Any) -> Iterator[tuple[tuple[str | int, ...], Any, str]]:
+    """Values that were taken for numbers but are none: booleans, quoted text, infinities."""
+    if isinstance(given, dict) and isinstance(made, Mapping):
+        inner = [(name, value, made[name]) for name, value in given.items() if name in made]
+    elif isinstance(given, list) and isinstance(made, (list, tuple)):
+        inner = [(i, *pair) for i, pair in enumerate(zip(given, made, strict=False))]
+    else:
+        number = isinstance(made, (int, float)) and not isinstance(made, bool)
+        if number and not math.isfinite(made):
+            yield (), given, "must be a finite number"
+        elif number and isinstance(given, (bool, str)):
+            yield (), given, "must be a number"
+        elif isinstance(made, bool) and not isinstance(given, bool):
+            yield (), given, "must be true or false"
+        return
+    for name, value, result in inner:
+        for key, *rest in _misread(value, result):
+            yield (name, *key), *rest
 
 
 def _neighbours(path: Path) -> str:
@@ -90,7 +153,7 @@ def _apply(data: dict[str, Any], override: str) -> None:
             "command line", (), f"{override!r} is not of the form key.path=value"
         )
     try:
-        value = yaml.safe_load(text)
+        value = _parse(text)
     except yaml.YAMLError:
         raise ConfigError("command line", key.split("."), f"{text!r} is not YAML") from None
     *parents, last = key.split(".")
@@ -131,7 +194,7 @@ def _worded(
         allowed = allowed.replace("'custom'", "or module:Class for your own")
         found = given.get("type") if isinstance(given, dict) else given
         return ConfigError(source, (*key, "type"), f"{found!r} is not known; allowed: {allowed}")
-    more = f" (and {len(problems) - 1} more problems)" if len(problems) > 1 else ""
+    more = f" ({len(problems)} problems in all)" if len(problems) > 1 else ""
     return ConfigError(source, key, f"{_short(given)}: {_lower(message)}{more}")
 
 

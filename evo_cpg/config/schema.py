@@ -19,7 +19,8 @@ from evo_cpg.config.creature_schema import (
 from evo_cpg.control.brain_cpg import BrainCpgSettings
 from evo_cpg.physics.fluid import DragLaw
 
-Count = Annotated[int, Field(ge=1)]
+# Far beyond what anybody waits for, and within 32 bits.
+Count = Annotated[int, Field(ge=1, le=1_000_000)]
 
 
 class WaterConfig(Section):
@@ -146,7 +147,8 @@ BrainCpgConfig = _section_of(BrainCpgSettings, "BrainCpgConfig", "brain_cpg")
 
 def _kind(default: str):
     def kind(value: Any) -> str:
-        given = value.get("type", default) if isinstance(value, dict) else getattr(value, "type")
+        written = value.get("type", default) if isinstance(value, dict) else None
+        given = getattr(value, "type", default) if written is None else written
         return "custom" if isinstance(given, str) and ":" in given else str(given)
 
     return kind
@@ -168,7 +170,7 @@ class EvolutionConfig(Section):
     """
 
     generations: Count = 50
-    population: Annotated[int, Field(ge=2)] = 200
+    population: Annotated[int, Field(ge=2, le=1_000_000)] = 200
     elites: Annotated[int, Field(ge=0)] = 20
     parent_fraction: Annotated[float, Field(gt=0, le=1)] = 0.5
     crossover_probability: Share = 0.2
@@ -190,7 +192,7 @@ class ExperimentConfig(Section):
     """A whole experiment; every section but the creature has defaults.
 
     Attributes:
-        name: of the run.
+        name: of the run, and of its folder.
         seed: of all randomness.
         creature: the animal, or the path of its own file.
         world: gravity and water.
@@ -200,7 +202,7 @@ class ExperimentConfig(Section):
         evolution: the genetic algorithm.
     """
 
-    name: Annotated[str, Field(min_length=1)]
+    name: Annotated[str, Field(pattern=r"^[^./\\][^/\\]*$")]
     seed: Annotated[int, Field(ge=0, lt=2**31)] = 0
     creature: CreatureConfig
     world: WorldConfig = WorldConfig()

@@ -206,7 +206,11 @@ class Capsule(Shape):
         normals = np.tile(np.column_stack([np.zeros(len(around)), around]), (resolution, 1))
         ring_area = 2 * np.pi * self.radius * self.length / len(around)
         side = Surface(points, normals, np.repeat(weights / 2 * ring_area, len(around)))
-        directions, solid_angles = _sphere_rule(resolution)
+        # A rule on either half: one across both would not see the step between them.
+        half, share = (nodes + 1) / 2, weights / 2
+        directions, solid_angles = _around_x(
+            np.concatenate([-half[::-1], half]), np.concatenate([share[::-1], share]), around
+        )
         shift = np.sign(directions[:, :1]) * np.array([[self.length / 2, 0, 0]])
         ends = Surface(self.radius * directions + shift, directions, solid_angles * self.radius**2)
         return _join([side, ends])
@@ -221,8 +225,13 @@ def _ring(resolution: int) -> np.ndarray:
 
 def _sphere_rule(resolution: int) -> tuple[np.ndarray, np.ndarray]:
     """Directions ``(n, 3)`` and solid angles ``(n,)``: Gauss-Legendre in x, uniform around x."""
-    nodes, weights = np.polynomial.legendre.leggauss(2 * resolution)
-    around = _ring(resolution)
+    return _around_x(*np.polynomial.legendre.leggauss(2 * resolution), _ring(resolution))
+
+
+def _around_x(
+    nodes: np.ndarray, weights: np.ndarray, around: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Directions and solid angles of a product rule: ``nodes`` in x times a ring around x."""
     directions = np.concatenate(
         [np.column_stack([np.full(len(around), x), np.sqrt(1 - x * x) * around]) for x in nodes]
     )

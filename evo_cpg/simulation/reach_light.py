@@ -62,7 +62,7 @@ class ReachLight(Task):
         return LightTally(
             jnp.where(moment.step == 0, distance, tally.start_distance),
             tally.final_distance + jnp.where(last, distance, 0.0),
-            tally.light + moment.light.max(0),
+            tally.light + moment.light.max(0, initial=0.0),
             tally.energy + moment.energy,
         )
 

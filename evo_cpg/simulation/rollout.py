@@ -109,19 +109,19 @@ def score(
     return jnp.where(outcome.alive & jnp.isfinite(fitness), fitness, -jnp.inf)
 
 
-def record(simulation: Simulation, genes: Float[Array, "g n"]) -> dict[str, Array]:
-    """The trial of the first individual, step by step; see `as_recording`.
+def record(
+    simulation: Simulation, genes: Float[Array, "g n"], count: int = 1
+) -> dict[str, Array]:
+    """The trials of the first individuals, step by step; see `as_recording`.
 
     Args:
         simulation: the trial.
         genes: a population, so that the champion can be replayed among as many neighbours as it
             had in training and its numbers come out the same.
+        count: individuals to record.
     """
     batch, dtype = genes.shape[1:], genes.dtype
     tree = simulation.world.tree
-
-    def first(x: Array) -> Array:
-        return x[..., 0]
 
     def advance(carry, index):
         state, nerves, instant = _control_step(simulation, genes, *carry, index)
@@ -130,40 +130,45 @@ def record(simulation: Simulation, genes: Float[Array, "g n"]) -> dict[str, Arra
             kin.rotation * jnp.asarray(tree.com, dtype)[None, ..., None]
         ).sum(1)
         frame = {
-            "position": first(centre).T,
-            "rotation": jnp.moveaxis(first(kin.rotation), -1, 0),
-            "joint_angle": first(instant.moment.joint_angle),
-            "target_rate": first(instant.command.target_rate),
-            "cpg_output": first(instant.command.signal),
-            "torque": first(instant.torque),
+            "position": centre,
+            "rotation": kin.rotation,
+            "joint_angle": instant.moment.joint_angle,
+            "target_rate": instant.command.target_rate,
+            "cpg_output": instant.command.signal,
+            "torque": instant.torque,
         }
+        frame = {name: values[..., :count] for name, values in frame.items()}
         return (state, nerves), frame
 
     carry = resting_state(tree, batch, dtype), simulation.controller.initial_state(batch, dtype)
     return jax.lax.scan(advance, carry, jnp.arange(simulation.steps))[1]
 
 
-def as_recording(simulation: Simulation, frames: dict[str, Array], names: list[str]) -> Recording:
+def as_recording(
+    simulation: Simulation, frames: dict[str, Array], names: list[str], individual: int = 0
+) -> Recording:
     """Order the bodies as the creature does and add what belongs to a film.
 
     Args:
         simulation: the trial.
         frames: from `record`.
         names: of the bodies in the order of ``creature.bodies``.
+        individual: which of those recorded.
     """
     tree = simulation.world.tree
     order = [tree.names.index(name) for name in names]
     goal = np.asarray(simulation.task.light, float)
-    arrays = {name: np.asarray(values) for name, values in frames.items()}
+    arrays = {name: np.asarray(values[..., individual]) for name, values in frames.items()}
+    position = np.moveaxis(arrays["position"], -1, 1)
     return Recording(
         time=np.arange(simulation.steps) / simulation.control_rate,
-        position=arrays["position"][:, order],
-        rotation=arrays["rotation"][:, order],
+        position=position[:, order],
+        rotation=np.moveaxis(arrays["rotation"], -1, 1)[:, order],
         joint_angle=arrays["joint_angle"],
         target_rate=arrays["target_rate"],
         cpg_output=arrays["cpg_output"],
         torque=arrays["torque"],
-        distance=np.linalg.norm(arrays["position"][:, 0] - goal, axis=-1),
+        distance=np.linalg.norm(position[:, 0] - goal, axis=-1),
         goal=goal,
         dof_names=tree.dof_names,
     )

@@ -70,6 +70,9 @@ def see(
         light: place of the light, m.
     """
     bodies = list(sensors.eye_bodies)
+    if not bodies:
+        none = jnp.zeros((0, *light.shape[1:]), kin.origin.dtype)
+        return none, none, none
     rotation = jnp.stack([kin.rotation[:, :, i] for i in bodies], 2)
     origin = jnp.stack([kin.origin[:, i] for i in bodies], 1)
     axis = matvec(rotation, lift(sensors.eye_axes, origin))

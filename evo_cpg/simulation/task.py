@@ -48,6 +48,8 @@ class Task(eqx.Module):
         A race along x::
 
             class GoForward(Task):
+                light: tuple[float, float, float] = (10.0, 0.0, 0.0)
+
                 def begin(self, batch, dtype, steps):
                     return jnp.zeros(batch, dtype)
 
@@ -76,7 +78,10 @@ class Task(eqx.Module):
         """What the finished trial amounted to, by name."""
 
     def scales(self, terms: Mapping[str, Float[Array, " n"]]) -> dict[str, Float[Array, ""]]:
-        """Yardsticks measured on the first generation, all finite; none unless overridden."""
+        """Yardsticks measured on the first generation, all finite; none unless overridden.
+
+        Terms of individuals that diverged are NaN.
+        """
         del terms
         return {}
 

@@ -87,7 +87,9 @@ def generation_step(
     # Everything from here on is small, and every device does all of it.
     replicated = NamedSharding(mesh, PartitionSpec())
     genes, outcome = jax.lax.with_sharding_constraint((genes, outcome), replicated)
-    measured = task.scales(outcome.terms)
+    measured = task.scales(
+        {name: jnp.where(outcome.alive, term, jnp.nan) for name, term in outcome.terms.items()}
+    )
     scales = {name: jnp.where(index == 0, measured[name], scales[name]) for name in measured}
     fitness = score(task, outcome, scales)
     key = jax.random.fold_in(jax.random.key(experiment.seed), _GENERATIONS)

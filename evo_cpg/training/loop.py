@@ -45,18 +45,20 @@ def train(
     checkpoint = folder.load()
     if checkpoint is None:
         genes = fast_jit(lambda: first_population(experiment))()
-        checkpoint = Checkpoint(0, np.asarray(genes), None, [])
+        checkpoint = Checkpoint(0, np.asarray(genes), None, [], _no_scales(experiment))
+    elif checkpoint.history:
+        # A kill may have come between the checkpoint and the table.
+        folder.write_metrics(checkpoint.history)
     step = fast_jit(
         lambda genes, index, scales: generation_step(experiment, mesh, genes, index, scales)
     )
-    scales = checkpoint.champion.scales if checkpoint.champion else _no_scales(experiment)
     while checkpoint.generation < experiment.generations:
         start = time.perf_counter()
         result: Generation = jax.block_until_ready(
             step(
                 checkpoint.genes,
                 np.int32(checkpoint.generation),
-                {name: np.float32(value) for name, value in scales.items()},
+                {name: np.float32(value) for name, value in checkpoint.scales.items()},
             )
         )
         seconds = time.perf_counter() - start
@@ -68,6 +70,7 @@ def train(
             np.asarray(result.next_genes),
             champion,
             [*checkpoint.history, row],
+            scales,
         )
         folder.save(checkpoint)
         on_generation(row)

@@ -17,7 +17,9 @@ import hashlib
 import json
 import os
 import re
+import struct
 import tempfile
+import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -30,6 +32,19 @@ _KEPT_CHECKPOINTS = 2
 _RECORDING_PREFIX = "recording."
 _TERM_PREFIX = "term."
 _SCALE_PREFIX = "scale."
+_DIGESTS = ("config_sha256", "genes_sha256", "outcome_sha256")
+
+# What reading a truncated or overwritten .npz file has been seen to raise.
+_DAMAGED = (
+    EOFError,
+    KeyError,
+    NotImplementedError,
+    OSError,
+    RuntimeError,
+    ValueError,
+    struct.error,
+    zipfile.BadZipFile,
+)
 
 
 class RunFolderError(Exception):
@@ -62,12 +77,14 @@ class Checkpoint(NamedTuple):
         genes: the population of the next generation.
         champion: the best individual so far.
         history: rows of metrics.csv.
+        scales: the task's yardsticks; empty before the first generation.
     """
 
     generation: int
     genes: np.ndarray
     champion: Champion | None
     history: list[dict[str, float]]
+    scales: dict[str, float]
 
 
 class RunFolder:
@@ -110,18 +127,19 @@ class RunFolder:
                     f"{self.path} already holds a run; go on with `evo-cpg resume {self.path}` "
                     "or choose another --out"
                 )
-            if self.path.is_dir() and any(self.path.iterdir()):
+            leftover = f".{self.config.name}."
+            if self.path.is_dir() and any(
+                not other.name.startswith(leftover) for other in self.path.iterdir()
+            ):
                 raise RunFolderError(
                     f"{self.path} is not empty and holds no run; choose another --out"
                 )
-            for part in ("checkpoints", "videos", "plots"):
-                (self.path / part).mkdir(parents=True, exist_ok=True)
-            _write(self.meta, lambda file: file.write(json.dumps(meta, indent=2).encode()))
-            _write(self.config, lambda file: file.write(config_text.encode()))
+            self.path.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise RunFolderError(
-                f"{self.path}: cannot write there ({error.strerror}); choose another --out"
-            ) from None
+            raise _cannot_write(self.path, error) from None
+        # The config goes first: a folder that has one can be resumed.
+        self.reopen(config_text)
+        self.update_meta(**meta)
 
     def require(self) -> None:
         """Check that there is a run here.
@@ -132,16 +150,26 @@ class RunFolder:
         if not self.config.is_file():
             raise RunFolderError(f"{self.path} is not a run folder (it has no config.yaml)")
 
-    def rewrite_config(self, config_text: str) -> None:
-        """Replace config.yaml, for a run that is to go on longer than first asked."""
+    def reopen(self, config_text: str) -> None:
+        """Write config.yaml and make the folders that are missing.
+
+        Raises:
+            RunFolderError: the folder cannot be written.
+        """
         _write(self.config, lambda file: file.write(config_text.encode()))
+        try:
+            for part in ("checkpoints", "videos", "plots"):
+                (self.path / part).mkdir(exist_ok=True)
+        except OSError as error:
+            raise _cannot_write(self.path, error) from None
 
     def read_meta(self) -> dict[str, Any]:
         """The contents of meta.json; empty where it is missing or broken."""
         try:
-            return json.loads(self.meta.read_text())
+            meta = json.loads(self.meta.read_text())
         except (OSError, ValueError):
             return {}
+        return meta if isinstance(meta, dict) else {}
 
     def update_meta(self, **values: Any) -> None:
         """Add to meta.json."""
@@ -153,13 +181,14 @@ class RunFolder:
         champion = checkpoint.champion
         arrays = {"generation": checkpoint.generation, "genes": checkpoint.genes}
         arrays |= {f"history.{name}": column for name, column in _columns(checkpoint.history)}
+        arrays |= {_SCALE_PREFIX + name: value for name, value in checkpoint.scales.items()}
         if champion is not None:
             arrays |= {f"champion.{name}": v for name, v in _champion_arrays(champion).items()}
             if not self.champion.exists() or champion.generation == checkpoint.generation - 1:
                 self.save_champion(champion)
         name = f"generation_{checkpoint.generation:06d}.npz"
         _write(self.path / "checkpoints" / name, lambda file: np.savez(file, **arrays))
-        self._write_metrics(checkpoint.history)
+        self.write_metrics(checkpoint.history)
         for old in self._checkpoints()[:-_KEPT_CHECKPOINTS]:
             old.unlink(missing_ok=True)
 
@@ -167,9 +196,8 @@ class RunFolder:
         """The newest checkpoint that can be read; None before the first generation is done."""
         for path in reversed(self._checkpoints()):
             try:
-                with np.load(path) as arrays:
-                    return _read_checkpoint(dict(arrays))
-            except (OSError, ValueError, KeyError, EOFError):
+                return _read_checkpoint(_read_arrays(path))
+            except _DAMAGED:
                 continue
         return None
 
@@ -192,17 +220,18 @@ class RunFolder:
         if not self.champion.is_file():
             raise RunFolderError(f"{self.path} has no champion yet; train it first")
         try:
-            with np.load(self.champion) as file:
-                arrays = dict(file)
+            arrays = _read_arrays(self.champion)
             champion = _read_champion(arrays)
-            digests = {name: str(arrays[name]) for name in ("config_sha256", "genes_sha256")}
-        except (OSError, ValueError, KeyError, EOFError) as error:
-            raise RunFolderError(f"{self.champion} cannot be read ({error})") from None
-        if _RECORDING_PREFIX + "time" not in arrays:
-            return champion, None, digests
-        fields = {name: arrays[_RECORDING_PREFIX + name] for name in Recording._fields}
-        fields["dof_names"] = tuple(str(name) for name in fields["dof_names"])
-        return champion, Recording(**fields), digests
+            digests = {name: str(arrays[name]) for name in _DIGESTS}
+            if _RECORDING_PREFIX + "time" not in arrays:
+                return champion, None, digests
+            fields = {name: arrays[_RECORDING_PREFIX + name] for name in Recording._fields}
+            fields["dof_names"] = tuple(str(name) for name in fields["dof_names"])
+            return champion, Recording(**fields), digests
+        except _DAMAGED as error:
+            raise RunFolderError(
+                f"{self.champion} is damaged ({error}); `evo-cpg resume {self.path}` writes it anew"
+            ) from None
 
     def history(self) -> dict[str, np.ndarray]:
         """Columns of metrics.csv.
@@ -224,7 +253,9 @@ class RunFolder:
         found = (self.path / "checkpoints").glob("generation_*.npz")
         return sorted(path for path in found if pattern.fullmatch(path.name))
 
-    def _write_metrics(self, history: list[dict[str, float]]) -> None:
+    def write_metrics(self, history: list[dict[str, float]]) -> None:
+        """Write metrics.csv."""
+
         def write(file) -> None:
             text = _TextWriter(file)
             writer = csv.DictWriter(text, fieldnames=list(history[0]), lineterminator="\n")
@@ -239,6 +270,12 @@ def genes_digest(genes: np.ndarray) -> str:
     return hashlib.sha256(np.ascontiguousarray(genes).tobytes()).hexdigest()
 
 
+def outcome_digest(champion: Champion) -> str:
+    """SHA-256 of what is recorded about a champion beside its genome."""
+    told = (champion.fitness, champion.generation, champion.terms, champion.scales)
+    return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()
+
+
 class _TextWriter:
     """Lets the csv module write text into a binary file."""
 
@@ -251,17 +288,30 @@ class _TextWriter:
 
 def _write(path: Path, write: Callable[[Any], object]) -> None:
     """Write a file beside its place, flush it to the disk, and move it there."""
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     try:
-        with os.fdopen(handle, "wb") as file:
-            write(file)
-            file.flush()
-            os.fsync(file.fileno())
-        os.chmod(name, 0o644)
-        os.replace(name, path)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        try:
+            with os.fdopen(handle, "wb") as file:
+                write(file)
+                file.flush()
+                os.fsync(file.fileno())
+            os.chmod(name, 0o644)
+            os.replace(name, path)
+        except BaseException:
+            Path(name).unlink(missing_ok=True)
+            raise
+    except OSError as error:
+        raise _cannot_write(path, error) from None
+
+
+def _cannot_write(path: Path, error: OSError) -> RunFolderError:
+    return RunFolderError(f"cannot write {path} ({error.strerror or error})")
+
+
+def _read_arrays(path: Path) -> dict[str, np.ndarray]:
+    # Given a path, np.load would leave a damaged file open.
+    with path.open("rb") as file, np.load(file) as arrays:
+        return dict(arrays)
 
 
 def _columns(history: list[dict[str, float]]) -> list[tuple[str, np.ndarray]]:
@@ -274,6 +324,7 @@ def _champion_arrays(champion: Champion) -> dict[str, Any]:
     return {
         "genes": champion.genes,
         "genes_sha256": genes_digest(champion.genes),
+        "outcome_sha256": outcome_digest(champion),
         "fitness": champion.fitness,
         "generation": champion.generation,
         **{_TERM_PREFIX + name: value for name, value in champion.terms.items()},
@@ -282,19 +333,12 @@ def _champion_arrays(champion: Champion) -> dict[str, Any]:
 
 
 def _read_champion(arrays: Mapping[str, np.ndarray]) -> Champion:
-    def group(prefix: str) -> dict[str, float]:
-        return {
-            name.removeprefix(prefix): value.item()
-            for name, value in arrays.items()
-            if name.startswith(prefix)
-        }
-
     return Champion(
         arrays["genes"],
         arrays["fitness"].item(),
         arrays["generation"].item(),
-        group(_TERM_PREFIX),
-        group(_SCALE_PREFIX),
+        _numbers(arrays, _TERM_PREFIX),
+        _numbers(arrays, _SCALE_PREFIX),
     )
 
 
@@ -312,4 +356,13 @@ def _read_checkpoint(arrays: Mapping[str, np.ndarray]) -> Checkpoint:
         arrays["genes"],
         _read_champion(champion) if champion else None,
         [{name: columns[name][i].item() for name in names} for i in range(rows)],
+        _numbers(arrays, _SCALE_PREFIX),
     )
+
+
+def _numbers(arrays: Mapping[str, np.ndarray], prefix: str) -> dict[str, float]:
+    return {
+        name.removeprefix(prefix): value.item()
+        for name, value in arrays.items()
+        if name.startswith(prefix)
+    }

@@ -5,9 +5,8 @@ import dataclasses
 import mujoco
 import numpy as np
 import pytest
-from creatures import STRUCTURES, box_chain, random_creature
-from mujoco_model import mujoco_model
 
+from creatures import STRUCTURES, box_chain, random_creature
 from evo_cpg.creature.creature import (
     Body,
     Creature,
@@ -19,6 +18,7 @@ from evo_cpg.creature.creature import (
 )
 from evo_cpg.creature.shapes import Box
 from evo_cpg.creature.tree import build_tree, spatial_inertia
+from mujoco_model import mujoco_model
 
 
 def body(name: str, parent: str | None = None, axes: int = 1) -> Body:
@@ -146,7 +146,7 @@ def test_spatial_inertia_gives_the_kinetic_energy():
 
 
 def test_limits_see_the_two_halves_of_the_animal():
-    """Stiffness I (2 pi 10 Hz)^2, critical damping 2 I (2 pi 10 Hz), with I = I_1 I_2 / (I_1 + I_2).
+    """Stiffness I w^2 and critical damping 2 I w, w = 2 pi 10 Hz and I = I_1 I_2 / (I_1 + I_2).
 
     About the middle joint of a chain of four boxes, z axis: each half is two boxes of mass m at
     d and 3 d from the joint, I_half = 2 m (l^2 + w^2) / 12 + m (d^2 + 9 d^2).

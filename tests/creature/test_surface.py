@@ -2,14 +2,21 @@
 
 import numpy as np
 import pytest
-from creatures import box_chain
 
+from creatures import box_chain
 from evo_cpg.creature.creature import Body, Creature, Joint, Material
 from evo_cpg.creature.shapes import Box
 from evo_cpg.creature.surface import outer_surfaces, random_surfaces
 
 SIZE = (0.2, 0.1, 0.1)
-FACES = {"front": (0, 1), "back": (0, -1), "left": (1, 1), "right": (1, -1), "top": (2, 1), "bottom": (2, -1)}
+FACES = {
+    "front": (0, 1),
+    "back": (0, -1),
+    "left": (1, 1),
+    "right": (1, -1),
+    "top": (2, 1),
+    "bottom": (2, -1),
+}
 
 
 def face_areas(surface) -> dict[str, float]:

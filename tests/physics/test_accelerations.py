@@ -10,9 +10,8 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
-from creatures import STRUCTURES, quick_jit, random_creature, random_state
-from mujoco_model import dof_order, load_state, mujoco_model
 
+from creatures import STRUCTURES, quick_jit, random_creature, random_state
 from evo_cpg.creature.tree import Tree, build_tree
 from evo_cpg.physics.articulated import solve
 from evo_cpg.physics.joints import passive_torque
@@ -20,6 +19,7 @@ from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import State
 from evo_cpg.physics.step import World, body_equations
 from evo_cpg.spatial.linear import lift
+from mujoco_model import dof_order, load_state, mujoco_model
 
 GRAVITY = 9.81
 TREES_PER_STRUCTURE = 9
@@ -55,7 +55,9 @@ def dry_accelerations(tree: Tree, state: State, tau) -> jax.Array:
 
 def relative_errors(number: int, dtype, stiffer: float = 1.0) -> list[float]:
     """Largest difference from MuJoCo over its largest acceleration, for trees of one structure."""
-    first = build_tree(random_creature(np.random.default_rng(0), STRUCTURES[number], axes_seed=number))
+    first = build_tree(
+        random_creature(np.random.default_rng(0), STRUCTURES[number], axes_seed=number)
+    )
 
     @quick_jit
     def accelerations(values, state, tau):
@@ -107,5 +109,5 @@ def test_float32_keeps_four_digits(number):
 
 
 def test_the_comparison_can_fail():
-    """Springs 1 % stiffer are told apart by far more than the tolerance: the oracle is not blind."""
+    """Springs 1 % stiffer exceed the tolerance by far: the oracle is not blind."""
     assert min(relative_errors(0, jnp.float64, stiffer=1.01)) > 1e-7

@@ -12,13 +12,13 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
-from creatures import STRUCTURES, in_water, quick_jit, random_creature, random_state
-from mujoco_model import dof_order, load_state, mujoco_model
 
+from creatures import STRUCTURES, in_water, quick_jit, random_creature, random_state
 from evo_cpg.creature.creature import Actuator, Creature
 from evo_cpg.creature.surface import outer_surfaces
 from evo_cpg.physics.state import State
 from evo_cpg.physics.step import World, step
+from mujoco_model import dof_order, load_state, mujoco_model
 
 H = 1 / 120
 CURRENT = (0.3, -0.2, 0.1)
@@ -94,7 +94,9 @@ def dense_accelerations(creature: Creature, world: World, state: State, torque, 
         to_body = np.kron(np.eye(2), rotation.T)
         velocity = jacobian @ data.qvel
         # A spatial acceleration lacks the w x v of a material point's.
-        bias = rate @ data.qvel - np.concatenate([np.zeros(3), np.cross(velocity[:3], velocity[3:])])
+        bias = rate @ data.qvel - np.concatenate(
+            [np.zeros(3), np.cross(velocity[:3], velocity[3:])]
+        )
         relative = velocity - np.concatenate([np.zeros(3), world.water.current])
         drag = point_drag(world, surfaces[name], tree.com[:, i], to_body @ relative)
         derivative = to_body.T @ drag.derivative @ to_body
@@ -133,7 +135,10 @@ def worst_error(number: int, torque_limit: float, law: str = "normal") -> tuple[
     states = random_state(tree, rng, (STATES,))
     target = rng.normal(scale=3.0, size=(tree.dof_count, STATES))
     new, effort = quick_jit(lambda s, t: step(world, s, t, H))(states, jnp.asarray(target))
-    change = [np.asarray((after - before) / H) for after, before in ((new.velocity, states.velocity), (new.qd, states.qd))]
+    change = [
+        np.asarray((after - before) / H)
+        for after, before in ((new.velocity, states.velocity), (new.qd, states.qd))
+    ]
     ours = np.concatenate(change)
     worst, saturated = 0.0, 0
     for n in range(STATES):
@@ -155,7 +160,7 @@ def worst_error(number: int, torque_limit: float, law: str = "normal") -> tuple[
 
 @pytest.mark.parametrize(("number", "law"), [(1, "normal"), (4, "isotropic")])
 def test_step_solves_its_dense_equation(number, law):
-    """Drag, current, buoyancy, servos, limits and springs at once; 1e-9 of the largest acceleration.
+    """Drag, current, buoyancy, servos, limits and springs at once, to 1e-9 of the largest.
 
     The systems' condition numbers of up to 1e5 or so leave rounding at about 1e-11. The floor
     under the tangential speed, 1e-6 m/s, adds its square over that of 1 m/s: 1e-12.
@@ -166,6 +171,6 @@ def test_step_solves_its_dense_equation(number, law):
 
 def test_accelerations_belong_to_the_limited_torques():
     """With motors at their limits the returned torques, taken as given, yield the accelerations."""
-    worst, saturated = worst_error(2, 1.0)
+    worst, saturated = worst_error(1, 1.0)
     assert saturated > STATES
     assert worst < 1e-9

@@ -4,8 +4,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from creatures import STRUCTURES, in_water, quick_jit, random_creature
 
+from creatures import STRUCTURES, in_water, quick_jit, random_creature
 from evo_cpg.creature.creature import Body, Creature, Material
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
 from evo_cpg.physics.fluid import drag
@@ -67,7 +67,7 @@ def test_terminal_velocity(kind, law):
 
     A steady speed does not depend on the step. After 12 time constants v / 2 a_0 the tanh that
     leads to it is within 1e-10 of 1; what is left is the sphere's quadrature of |cos|^3, which
-    has a kink in its third derivative: 1e-3. A box's faces are integrated exactly: 1e-6.
+    has a jump in its third derivative: 3e-5. A box's faces are integrated exactly: 1e-6.
     """
     density = 1500.0
     if kind == "box":
@@ -75,7 +75,7 @@ def test_terminal_velocity(kind, law):
         coefficient, tolerance = box_coefficient(shape.size, law), 1e-6
     else:
         shape, area = Sphere(0.1), np.pi * 0.01
-        coefficient, tolerance = sphere_coefficient(law), 1e-3
+        coefficient, tolerance = sphere_coefficient(law), 1e-4
     excess = (density - WATER) * shape.volume * GRAVITY
     expected = np.sqrt(2 * excess / (WATER * area * coefficient))
     seconds = 12 * expected / (excess / (density * shape.volume))
@@ -132,7 +132,7 @@ def test_drag_never_drives(law):
     world = in_water(random_creature(rng, STRUCTURES[4]), law=law)
     velocity = jnp.asarray(rng.normal(size=(6, world.tree.body_count, 500)))
     velocity = velocity * 10.0 ** rng.uniform(-3, 1, (1, 1, 500))
-    wrench, derivative = drag(world.water, world.patches, velocity)
+    wrench, derivative = quick_jit(lambda v: drag(world.water, world.patches, v))(velocity)
     assert float((wrench * velocity).sum(0).max()) < 0
     # D is symmetric and positive semidefinite, so that the implicit step only damps.
     blocks = np.asarray(derivative)[..., :5]
@@ -150,11 +150,16 @@ def test_derivative_is_that_of_the_wrench():
     """With form drag alone, D = -df/dV exactly: `jax.jacfwd` of the wrench."""
     world = in_water(single(Ellipsoid((0.2, 0.1, 0.05)), 1000.0), 4, skin_drag=0.0)
     velocity = jnp.asarray(np.random.default_rng(4).normal(size=6))
-    _, derivative = drag(world.water, world.patches, velocity[:, None])
-    angular, mixed, linear = np.asarray(derivative)[..., 0]
+
+    @quick_jit
+    def both(v):
+        derivative = drag(world.water, world.patches, v[:, None])[1]
+        slope = jax.jacfwd(lambda v: drag(world.water, world.patches, v[:, None])[0][:, 0])(v)
+        return derivative[..., 0], slope
+
+    (angular, mixed, linear), slope = map(np.asarray, both(velocity))
     full = np.block([[angular, mixed], [mixed.T, linear]])
-    expected = -jax.jacfwd(lambda v: drag(world.water, world.patches, v[:, None])[0][:, 0])(velocity)
-    np.testing.assert_allclose(full, expected, rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(full, -slope, rtol=1e-10, atol=1e-12)
 
 
 def test_drag_of_a_turning_sphere_is_friction_alone():

@@ -1,0 +1,1 @@
+"""Measuring evo_cpg beside its peers, and reproducing the papers' studies."""

@@ -1,0 +1,1 @@
+"""What an evolved animal does: gaits."""

@@ -1,0 +1,108 @@
+"""Frequency, amplitude and phase lag of the joints: is there a wave along the body?
+
+Iwadate 2010, section 6, reports "a smooth phase lag from the front to the back of the animal".
+The joint angles about one axis, from the front backwards, are taken over the last part of the
+trial. Each joint's frequency is the peak of its spectrum; amplitudes and phases are those of the
+component at the common frequency.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from evo_cpg.simulation.recording import Recording
+
+# The spectrum is interpolated to this fraction of its natural resolution before the peak is
+# refined by a parabola.
+_PADDING = 8
+
+
+class Gait(NamedTuple):
+    """The rhythm of the joints about one axis, in the order of the degrees of freedom.
+
+    Attributes:
+        axis: its name.
+        frequency: of each joint, Hz.
+        amplitude: of each joint at the common frequency, rad.
+        lag: of each joint behind the one before it, degrees from -180 to 180; positive where the
+            wave runs backwards along the body.
+    """
+
+    axis: str
+    frequency: Float[np.ndarray, " j"]
+    amplitude: Float[np.ndarray, " j"]
+    lag: Float[np.ndarray, " gaps"]
+
+    def has_wave(self, spread: float = 0.02, lags: tuple[float, float] = (10.0, 70.0)) -> bool:
+        """Whether all joints share one frequency and every gap has a lag within bounds.
+
+        Args:
+            spread: allowed relative difference of a frequency from the median.
+            lags: smallest and largest lag, degrees.
+        """
+        middle = np.median(self.frequency)
+        together = np.abs(self.frequency - middle).max() <= spread * middle
+        return bool(together and (self.lag >= lags[0]).all() and (self.lag <= lags[1]).all())
+
+
+def bending_axis(recording: Recording) -> str:
+    """Name of the axis about which the joints bend most; x is twist, as animals lie along x."""
+    axes = [name.rsplit(".", 1)[1] for name in recording.dof_names]
+    across = set(axes) - {"x"} or set(axes)
+    swing = recording.joint_angle.std(0)
+    totals = {axis: sum(swing[i] for i, a in enumerate(axes) if a == axis) for axis in across}
+    return max(sorted(totals), key=lambda axis: totals[axis])
+
+
+def gait(recording: Recording, axis: str | None = None, last: float = 0.5) -> Gait:
+    """Measure the rhythm.
+
+    Args:
+        recording: the motion.
+        axis: which joint axis; the bending axis if None.
+        last: share of the recording, at its end, that is looked at.
+    """
+    axis = axis or bending_axis(recording)
+    chosen = [i for i, name in enumerate(recording.dof_names) if name.endswith("." + axis)]
+    start = round(len(recording.time) * (1 - last))
+    step = float(recording.time[1] - recording.time[0])
+    angles = recording.joint_angle[start:, chosen]
+    frequency = dominant_frequency(angles, step)
+    component = fourier_component(angles, step, float(np.median(frequency)))
+    lag = np.rad2deg(np.angle(component[:-1] / component[1:]))
+    return Gait(axis, frequency, np.abs(component), lag)
+
+
+def dominant_frequency(signals: Float[np.ndarray, "t j"], step: float) -> Float[np.ndarray, " j"]:
+    """Frequency of the highest peak of each signal's spectrum, Hz.
+
+    Args:
+        signals: sampled every ``step`` seconds.
+        step: s.
+    """
+    count = len(signals)
+    window = np.hanning(count)[:, None]
+    spectrum = np.abs(np.fft.rfft(_level(signals) * window, _PADDING * count, axis=0))
+    # Below one period in the window there is no rhythm, only drift.
+    spectrum[: 2 * _PADDING] = 0
+    peak = np.clip(spectrum.argmax(0), 1, len(spectrum) - 2)
+    columns = np.arange(signals.shape[1])
+    left, middle, right = (spectrum[peak + k, columns] for k in (-1, 0, 1))
+    curvature = left - 2 * middle + right
+    shift = np.where(curvature < 0, 0.5 * (left - right) / np.where(curvature < 0, curvature, 1), 0)
+    return (peak + shift) / (_PADDING * count * step)
+
+
+def fourier_component(
+    signals: Float[np.ndarray, "t j"], step: float, frequency: float
+) -> np.ndarray:
+    """Complex amplitude of each signal at one frequency (Hz), seen through a Hann window."""
+    count = len(signals)
+    window = np.hanning(count)
+    turn = np.exp(-2j * np.pi * frequency * step * np.arange(count))
+    return 2 * (_level(signals) * (window * turn)[:, None]).sum(0) / window.sum()
+
+
+def _level(signals: np.ndarray) -> np.ndarray:
+    return signals - signals.mean(0)

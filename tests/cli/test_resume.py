@@ -1,0 +1,119 @@
+"""A run that was stopped and resumed is the run that went through, bit for bit."""
+
+import csv
+import shutil
+import signal
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from evo_cpg.training.loop import TIMING_COLUMNS
+from evo_cpg.training.run_folder import RunFolder
+from tiny_run import CONFIG, TINY
+
+GENERATIONS = 40  # as conftest's
+
+
+def rows(folder: Path) -> list[dict[str, str]]:
+    """metrics.csv as text, without the columns that tell the time."""
+    with (folder / "metrics.csv").open() as file:
+        return [{k: v for k, v in row.items() if k not in TIMING_COLUMNS} for row in csv.DictReader(file)]
+
+
+def assert_same_run(folder: Path, other: Path) -> None:
+    """Same history, last population and champion, to the last bit."""
+    assert len(rows(folder)) == GENERATIONS
+    assert rows(folder) == rows(other)
+    last, other_last = RunFolder(folder).load(), RunFolder(other).load()
+    assert last is not None and other_last is not None
+    assert last.generation == other_last.generation == GENERATIONS
+    assert last.scales == other_last.scales
+    np.testing.assert_array_equal(last.genes, other_last.genes)
+    champion, motion, digests = RunFolder(folder).load_champion()
+    other_champion, other_motion, other_digests = RunFolder(other).load_champion()
+    np.testing.assert_array_equal(champion.genes, other_champion.genes)
+    assert champion[1:] == other_champion[1:]
+    assert digests == other_digests
+    assert motion is not None and other_motion is not None
+    np.testing.assert_array_equal(motion.position, other_motion.position)
+
+
+def stop(start, folder: Path, how: signal.Signals) -> tuple[int, str]:
+    """Begin the run and send a signal once two generations are done."""
+    with start(
+        "train", CONFIG, *TINY, f"evolution.generations={GENERATIONS}", "--out", folder, "--cores", 2
+    ) as process:
+        metrics = folder / "metrics.csv"
+        while process.poll() is None and not (metrics.exists() and len(rows(folder)) >= 2):
+            time.sleep(0.002)
+        process.send_signal(how)
+        _, err = process.communicate()
+    done = RunFolder(folder).load()
+    assert done is not None and 2 <= done.generation < GENERATIONS
+    return process.returncode, err
+
+
+def test_an_interrupted_run_says_how_to_go_on_and_does(finished_run, start, finish, tmp_path):
+    folder = tmp_path / "run"
+    code, err = stop(start, folder, signal.SIGINT)
+    assert code == 130
+    assert err.endswith(f"interrupted; go on with `evo-cpg resume {folder}`\n")
+    assert "Traceback" not in err
+    code, out, err = finish("resume", folder)
+    assert (code, out) == (0, f"{folder}\n"), err
+    assert_same_run(folder, finished_run)
+
+
+def test_a_killed_run_goes_on(finished_run, start, finish, tmp_path):
+    folder = tmp_path / "run"
+    code, _ = stop(start, folder, signal.SIGKILL)
+    assert code == -signal.SIGKILL
+    # A crash of the machine may have cost the newest checkpoint and left half-written files.
+    newest = max((folder / "checkpoints").iterdir())
+    newest.write_bytes(newest.read_bytes()[:100])
+    (folder / ".metrics.csv.x").write_text("generation,")
+    code, _, err = finish("resume", folder)
+    assert code == 0, err
+    assert_same_run(folder, finished_run)
+
+
+def test_a_run_killed_before_its_first_checkpoint_begins_anew(finished_run, finish, tmp_path):
+    folder = tmp_path / "run"
+    folder.mkdir()
+    shutil.copy(finished_run / "config.yaml", folder)
+    code, _, err = finish("resume", folder, "--cores", 2)
+    assert code == 0, err
+    assert_same_run(folder, finished_run)
+
+
+@pytest.mark.parametrize("lost", ["champion.npz", "metrics.csv"])
+def test_what_a_kill_at_the_very_end_cost_is_written_anew(
+    finished_run, finish, tmp_path, lost
+):
+    folder = tmp_path / "run"
+    shutil.copytree(finished_run, folder)
+    (folder / lost).unlink()
+    code, _, err = finish("resume", folder)
+    assert code == 0, err
+    assert_same_run(folder, finished_run)
+
+
+def test_resume_refuses_what_it_cannot_go_on_with(finished_run, cli, tmp_path):
+    folder = tmp_path / "run"
+    shutil.copytree(finished_run, folder)
+    code, _, err = cli("resume", folder, "--generations", 3)
+    assert code == 2
+    assert err == (
+        f"evo-cpg: {folder}: {GENERATIONS} generations are done already, "
+        "--generations 3 would take some back\n"
+    )
+    config = folder / "config.yaml"
+    written = config.read_text()
+    config.write_text(written.replace("population: 8", "population: 12"))
+    code, _, err = cli("resume", folder)
+    assert code == 2 and err.count("\n") == 1
+    assert "config.yaml was changed: it asks for" in err
+    assert "12 individuals" in err and "start a new run instead" in err
+    assert config.read_text() == written.replace("population: 8", "population: 12")

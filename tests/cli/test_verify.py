@@ -1,0 +1,129 @@
+"""`verify` succeeds on what was recorded and tells what was altered."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from evo_cpg.training import loop
+from evo_cpg.training.run_folder import RunFolder, genes_digest, outcome_digest
+
+
+@pytest.fixture
+def copied_run(finished_run, tmp_path) -> RunFolder:
+    """A finished run to alter."""
+    return RunFolder(shutil.copytree(finished_run, tmp_path / "run"))
+
+
+@pytest.fixture
+def without_replay(finished_run, monkeypatch):
+    """Let a replay tell what the untouched run recorded, for a test that is not about it."""
+    champion, motion, _ = RunFolder(finished_run).load_champion()
+    monkeypatch.setattr(
+        loop, "replay_champion", lambda *_: (champion.fitness, champion.terms, motion)
+    )
+
+
+def alter(folder: RunFolder, **arrays: object) -> None:
+    """Overwrite arrays of champion.npz."""
+    with np.load(folder.champion) as file:
+        kept = dict(file)
+    np.savez(folder.champion, **kept | arrays)
+
+
+def complaints(err: str, folder: Path) -> list[str]:
+    """Each difference is one line that names the run."""
+    lines = err.splitlines()
+    start = f"evo-cpg: {folder}: "
+    assert all(line.startswith(start) for line in lines)
+    return [line.removeprefix(start) for line in lines]
+
+
+def test_a_fresh_run_comes_out_exactly_as_recorded(finished_run, finish):
+    champion, _, _ = RunFolder(finished_run).load_champion()
+    code, out, err = finish("verify", finished_run)
+    assert (code, err) == (0, "")
+    assert out == (
+        f"{finished_run}: the champion's fitness {champion.fitness:.6f} comes out as recorded "
+        "(exactly)\n"
+    )
+
+
+def test_an_altered_config_is_found_by_digest_and_by_replay(copied_run, finish):
+    text = copied_run.config.read_text()
+    assert "form_drag: 1.0" in text
+    copied_run.config.write_text(text.replace("form_drag: 1.0", "form_drag: 3.0"))
+    code, out, err = finish("verify", copied_run.path)
+    assert (code, out) == (2, "")
+    found = complaints(err, copied_run.path)
+    assert found[0] == "config.yaml is not the one that the champion was evolved with"
+    assert any(line.startswith("fitness: recorded -0.") and "replayed" in line for line in found)
+
+
+def test_genes_altered_with_all_digests_are_found_by_replay(copied_run, finish):
+    champion, _, _ = copied_run.load_champion()
+    genes = -champion.genes
+    alter(copied_run, genes=genes, genes_sha256=genes_digest(genes))
+    shutil.rmtree(copied_run.path / "checkpoints")
+    code, out, err = finish("verify", copied_run.path)
+    assert (code, out) == (2, "")
+    found = complaints(err, copied_run.path)
+    assert found[0].startswith("fitness: recorded ")
+    assert not any("champion.npz" in line for line in found)
+
+
+def test_one_altered_gene_is_found(copied_run, cli, without_replay):
+    champion, _, _ = copied_run.load_champion()
+    genes = champion.genes.copy()
+    genes[3] = np.nextafter(genes[3], np.float32(9))
+    alter(copied_run, genes=genes)
+    code, _, err = cli("verify", copied_run.path)
+    assert code == 2
+    assert complaints(err, copied_run.path) == [
+        "champion.npz: the genome is not the one that was evolved",
+        "champion.npz: the genome is not that of the newest checkpoint",
+    ]
+    alter(copied_run, genes_sha256=genes_digest(genes))
+    code, _, err = cli("verify", copied_run.path)
+    assert code == 2
+    assert complaints(err, copied_run.path) == [
+        "champion.npz: the genome is not that of the newest checkpoint"
+    ]
+
+
+@pytest.mark.parametrize("name", ["fitness", "term.energy", "term.distance"])
+@pytest.mark.parametrize("digest", [False, True])
+def test_altered_figures_are_found(copied_run, cli, without_replay, name, digest):
+    champion, _, _ = copied_run.load_champion()
+    value = {"fitness": champion.fitness, **champion.terms}[name.removeprefix("term.")]
+    alter(copied_run, **{name: 0.9 * value})
+    if digest:
+        alter(copied_run, outcome_sha256=outcome_digest(copied_run.load_champion()[0]))
+    code, _, err = cli("verify", copied_run.path)
+    assert code == 2
+    found = complaints(err, copied_run.path)
+    assert ("fitness or terms are not those that were recorded" in found[0]) == (not digest)
+    assert "champion.npz: the newest checkpoint records other fitness or terms" in found
+    short = name.removeprefix("term.")
+    assert found[-1] == f"{short}: recorded {0.9 * value:.6g}, replayed {value:.6g}"
+
+
+def test_a_genome_of_another_size_cannot_be_replayed(copied_run, cli):
+    alter(copied_run, genes=np.zeros(3, np.float32))
+    code, _, err = cli("verify", copied_run.path)
+    assert code == 2
+    assert complaints(err, copied_run.path)[-1].startswith("the genome has 3 genes, not ")
+    copied_run.config.write_text(copied_run.config.read_text() + "\n")
+    code, _, err = cli("render", copied_run.path)
+    assert code == 2
+    assert "config.yaml was changed after training: the genome has 3 genes, not" in err
+
+
+def test_a_damaged_champion_is_named_with_the_way_out(copied_run, cli):
+    copied_run.champion.write_bytes(copied_run.champion.read_bytes()[:500])
+    for command in ("verify", "render", "plot"):
+        code, out, err = cli(command, copied_run.path)
+        assert (code, out) == (2, "") and err.count("\n") == 1
+        assert f"{copied_run.champion} is damaged" in err
+        assert f"`evo-cpg resume {copied_run.path}` writes it anew" in err

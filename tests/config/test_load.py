@@ -1,0 +1,326 @@
+"""Configuration files: what is accepted, and what is said about everything else."""
+
+from pathlib import Path
+
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+
+from evo_cpg.config.build import build_experiment
+from evo_cpg.config.errors import ConfigError, nearest
+from evo_cpg.config.load import check_config, dump_config, load_config
+from tiny_run import CONFIG, REPOSITORY
+
+BOX = "shape: {type: box, size: [0.2, 0.1, 0.1]}, material: flesh"
+JOINT = "at: [-0.11, 0, 0], child_at: [0.11, 0, 0]"
+SMALL = f"""
+name: small
+creature:
+  name: pair
+  materials: {{flesh: {{density: 1000}}}}
+  bodies:
+    - {{name: head, {BOX}}}
+    - {{name: tail, {BOX}, joint: {{parent: head, {JOINT}, axes: [z]}}}}
+  light_sensors: [{{body: head}}]
+"""
+
+
+def small(**changes: object) -> dict:
+    """The small configuration with values at dotted keys (``__``) changed."""
+    data = yaml.safe_load(SMALL)
+    for key, value in changes.items():
+        *parents, last = (int(part) if part.isdigit() else part for part in key.split("__"))
+        place = data
+        for part in parents:
+            place = place[part] if isinstance(part, int) else place.setdefault(part, {})
+        place[last] = value
+    return data
+
+
+def problem(data: dict) -> str:
+    """What is said about a wrong configuration, which must fit on a line or two."""
+    with pytest.raises(ConfigError) as caught:
+        build_experiment(check_config(data, "x.yaml"), "x.yaml")
+    message = str(caught.value)
+    assert message.startswith("x.yaml: ") and message.count("\n") <= 1
+    return message.removeprefix("x.yaml: ")
+
+
+@pytest.mark.parametrize("path", sorted((REPOSITORY / "configs").glob("*.yaml")), ids=lambda p: p.stem)
+def test_shipped_configs_build_and_survive_being_written_and_read(path, tmp_path):
+    config = load_config(path)
+    build_experiment(config, path)
+    copy = tmp_path / "copy.yaml"
+    copy.write_text(dump_config(config))
+    assert load_config(copy) == config
+    assert dump_config(load_config(copy)) == dump_config(config)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "expected"),
+    [
+        ("evolutoin", {}, "evolutoin: unknown key; did you mean 'evolution'?"),
+        ("evolution__elite", 3, "evolution.elite: unknown key; did you mean 'elites'?"),
+        ("world__water__densty", 1, "world.water.densty: unknown key; did you mean 'density'?"),
+        (
+            "controller__cpg__time_scal",
+            1,
+            "controller.cpg.time_scal: unknown key; did you mean 'time_scale'?",
+        ),
+        (
+            "controller__brain__hiden",
+            [4],
+            "controller.brain.hiden: unknown key; did you mean 'hidden'?",
+        ),
+        ("controller__drives", 1, "controller.drives: unknown key; did you mean 'drive'?"),
+        ("task__light__bearing", 1, "task.light.bearing: unknown key; did you mean 'bearing_deg'?"),
+        (
+            "creature__bodies__1__shape__sise",
+            1,
+            "creature.bodies.1.shape.sise: unknown key; did you mean 'size'?",
+        ),
+        (
+            "creature__bodies__1__joint__actuator",
+            {"gian": 2},
+            "creature.bodies.1.joint.actuator.gian: unknown key; did you mean 'gain'?",
+        ),
+        (
+            "creature__materials__flesh__densiti",
+            1,
+            "creature.materials.flesh.densiti: unknown key; did you mean 'density'?",
+        ),
+        (
+            "creature__light_sensors__0__bodie",
+            1,
+            "creature.light_sensors.0.bodie: unknown key; did you mean 'body'?",
+        ),
+    ],
+)
+def test_an_unknown_key_is_answered_with_the_nearest_valid_one(key, value, expected):
+    assert problem(small(**{key: value})).startswith(expected)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "expected"),
+    [
+        ("creature__materials__flesh__density", -1, "-1: input should be greater than 0"),
+        ("creature__materials__flesh__density", "heavy", "'heavy': input should be a valid number"),
+        ("creature__materials__flesh__density", "1000", "'1000': must be a number"),
+        ("creature__materials__flesh__density", True, "True: must be a number"),
+        ("creature__materials__flesh__density", float("nan"), "nan: input should be a finite"),
+        ("creature__materials__flesh__density", float("inf"), "inf: input should be a finite"),
+        ("creature__materials__flesh__restitution", float("nan"), "nan: "),
+        ("creature__bodies", [], "[]: list should have at least 1 item"),
+        ("creature__bodies__0__shape__size", [0.2, 0, 0.1], "0: input should be greater than 0"),
+        ("creature__bodies__0__shape__type", "cube", "'cube' is not known; allowed: 'box'"),
+        ("creature__bodies__0__color", "red", "'red': string should match"),
+        ("creature__bodies__1__repeat", 100_000, "100000: input should be less than or equal"),
+        ("creature__bodies__1__repeat", 3, "name: a repeated body needs {i} in its name"),
+        ("creature__bodies__0__repeat", 3, "name: a repeated body needs {i} in its name"),
+        ("creature__light_sensors__0__axis", [0, 0, 0], "axis: must not be the zero vector"),
+        ("creature__bodies__1__joint__axes", [], "[]: list should have at least 1 item"),
+        ("creature__bodies__1__joint__axes", ["z", "z"], "axes: they must be independent"),
+        ("creature__bodies__1__joint__axes", [[0, 0, 0]], "axes: they must be independent"),
+        (
+            "creature__bodies__1__joint__limits_deg",
+            [30, -30],
+            "limits_deg: 30 is not below -30",
+        ),
+        (
+            "creature__bodies__1__joint__limits_deg",
+            [[-30, 30], [-30, 30]],
+            "limits_deg gives 2 pairs for 1 axes",
+        ),
+        ("world__gravity", -9.81, "-9.81: input should be greater than or equal to 0"),
+        ("world__gravity", False, "False: must be a number"),
+        ("world__water__sheltered", 1, "1: must be true or false"),
+        ("world__water__law", "newton", "'newton': input should be 'normal' or 'isotropic'"),
+        ("simulation__steps", 0, "0: input should be greater than or equal to 1"),
+        ("simulation__steps", 10**12, "1000000000000: input should be less than or equal"),
+        ("simulation__steps", 1.5, "1.5: input should be a valid integer"),
+        ("simulation__control_rate_hz", "fast", "'fast': input should be a valid number"),
+        ("seed", -1, "-1: input should be greater than or equal to 0"),
+        ("seed", True, "True: must be a number"),
+        ("name", "../elsewhere", "'../elsewhere': string should match"),
+        ("evolution__mutation_rate", 1.5, "1.5: input should be less than or equal to 1"),
+        ("evolution__population", 8, "elites: must be fewer than the population of 8, got 20"),
+        ("controller__rate_gain", float("inf"), "inf: must be a finite number"),
+        ("controller__rate_gain", True, "True: must be a number"),
+        ("controller__cpg__time_scale", 0, "time_scale must be positive, got 0"),
+        ("controller__cpg__pair_weight", float("nan"), "nan"),
+        ("controller__brain__hidden", [0], "hidden layers need at least one unit each"),
+        ("controller__type", "spline", "'spline' is not known; allowed: 'brain_cpg'"),
+        ("task__type", "win", "'win' is not known; allowed: 'reach_light', or module:Class"),
+        ("task__light__distance", 0, "0: input should be greater than 0"),
+        ("task__energy_weight", 0.7, "eq. 10 asks for distance_weight > light_weight > energy"),
+    ],
+)
+def test_a_wrong_value_is_answered_with_what_is_allowed(key, value, expected):
+    message = problem(small(**{key: value}))
+    section, _, _ = key.partition("__")
+    assert message.startswith(section)
+    assert expected in message
+
+
+def test_the_middle_one_of_three_axes_keeps_clear_of_the_singularity():
+    wide = {"creature__bodies__1__joint__axes": ["x", "y", "z"]}
+    message = problem(small(**wide, creature__bodies__1__joint__limits_deg=[-86, 86]))
+    assert "may turn by at most 85 degrees" in message and "got 86" in message
+    limits = [[-170, 170], [-85, 85], [-170, 170]]
+    check_config(small(**wide, creature__bodies__1__joint__limits_deg=limits), "x.yaml")
+
+
+def test_references_must_lead_to_something():
+    key = "creature.bodies.1.joint.parent"
+    message = problem(small(creature__bodies__1__joint__parent="haed"))
+    assert message.startswith(f"{key}: 'haed' does not exist; did you mean 'head'?")
+    message = problem(small(creature__light_sensors__0__body="tial"))
+    assert message.startswith("creature.light_sensors.0.body: 'tial' does not exist; did you mean")
+    message = problem(small(creature__pressure_sensors=["fin"]))
+    assert message.startswith("creature.pressure_sensors.0: 'fin' does not exist; valid here: head")
+    message = problem(small(creature__bodies__0__material="bone"))
+    assert message.startswith("creature.bodies.0.material: 'bone' does not exist")
+
+
+def test_bodies_must_form_one_tree():
+    data = small()
+    del data["creature"]["bodies"][1]["joint"]
+    assert "'head' and 'tail' both have no joint; exactly one body" in problem(data)
+    data = small()
+    data["creature"]["bodies"][0]["joint"] = data["creature"]["bodies"][1]["joint"] | {
+        "parent": "tail"
+    }
+    assert "the joints of head, tail form a ring" in problem(data)
+    message = problem(small(creature__bodies__1__name="head"))
+    assert message.startswith("creature.bodies.1.name: two bodies are called 'head'")
+
+
+def test_the_number_of_a_repeated_body_leads_back_to_its_entry():
+    data = small(creature__bodies__1__name="tail{i}", creature__bodies__1__repeat=3)
+    extra = data["creature"]["bodies"][1] | {"name": "tail2", "repeat": 1}
+    data["creature"]["bodies"].append(extra)
+    assert problem(data).startswith("creature.bodies.2.name: two bodies are called 'tail2'")
+
+
+def test_what_is_missing_is_named():
+    data = small()
+    del data["creature"]["bodies"][0]["shape"]
+    assert problem(data) == "creature.bodies.0.shape: is missing and has no default"
+    assert problem({"name": "x"}) == "creature: is missing and has no default"
+    assert "creature" in problem({"name": "x", "creature": None})
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("", "is empty; it must be a YAML mapping"),
+        ("- a\n- b\n", "must be a YAML mapping of keys to values"),
+        ("just words", "must be a YAML mapping of keys to values"),
+        ("a: [1, 2\nb: 3\n", "line 2, column 2: not valid YAML"),
+        ("a: 1\n\tb: 2\n", "line 2, column 1: not valid YAML"),
+        ("a: 1\nb:\n  c: 1\n  d: 2\n  c: 3\n", "line 5, column 3: not valid YAML: the key 'c' is"),
+        ("a: {[1]: 2}", "line 1, column 5: not valid YAML: found unhashable key"),
+        ("a: \x01", "not valid YAML: special characters are not allowed"),
+        ("a: !!python/object:os.system {}", "line 1, column 4: not valid YAML: could not determine"),
+    ],
+)
+def test_what_is_no_yaml_mapping_is_refused_with_its_place(tmp_path, text, expected):
+    path = tmp_path / "x.yaml"
+    path.write_text(text)
+    with pytest.raises(ConfigError) as caught:
+        load_config(path)
+    assert str(caught.value).startswith(f"{path}: {expected}")
+    assert "\n" not in str(caught.value)
+
+
+def test_what_cannot_be_read_is_refused(tmp_path):
+    (tmp_path / "swimmer.yaml").write_bytes(b"name: caf\xe9\n")
+    with pytest.raises(ConfigError, match=r"swimmer.yaml: is not UTF-8 text \(byte 9"):
+        load_config(tmp_path / "swimmer.yaml")
+    with pytest.raises(ConfigError, match="cannot be read"):
+        load_config(tmp_path)
+    with pytest.raises(ConfigError, match=r"no such file; did you mean 'swimmer.yaml'\?"):
+        load_config(tmp_path / "swimer.yaml")
+    with pytest.raises(ConfigError, match="no such file$"):
+        load_config(tmp_path / "nowhere" / "swimmer.yaml")
+    (tmp_path / "refers.yaml").write_text("name: x\ncreature: animals/fish.yaml\n")
+    with pytest.raises(ConfigError, match=r"animals/fish.yaml: no such file"):
+        load_config(tmp_path / "refers.yaml")
+
+
+@pytest.mark.parametrize("text", ["1e-3", "1E-3", "1.e-3", ".1e-2", "+1e-3", "0.001"])
+def test_numbers_may_be_written_with_an_exponent(tmp_path, text):
+    path = tmp_path / "x.yaml"
+    path.write_text(f"{SMALL}\nworld: {{gravity: {text}}}\nsimulation: {{steps: 1e3}}\n")
+    config = load_config(path)
+    assert config.world.gravity == 0.001
+    assert config.simulation.steps == 1000
+
+
+@pytest.mark.parametrize(
+    ("override", "expected"),
+    [
+        ("seed", "'seed' is not of the form key.path=value"),
+        ("=3", "'=3' is not of the form key.path=value"),
+        ("seed=[1", "seed: '[1' is not YAML"),
+        ("creature.bodies.7.repeat=2", "creature.bodies.7.repeat: creature.bodies has no 7"),
+        ("name.first=x", "name.first: name has no first"),
+        ("world.watter=null", "world.watter: unknown key; did you mean 'water'?"),
+        ("creature=fish.yaml", "fish.yaml: no such file"),
+    ],
+)
+def test_wrong_overrides_are_refused(override, expected):
+    with pytest.raises(ConfigError) as caught:
+        load_config(CONFIG, [override])
+    assert expected in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_overrides_apply_in_order_and_reach_everything():
+    config = load_config(
+        CONFIG,
+        ["creature.bodies.1.repeat=2", "world.water=null", "task.light.distance=3", "seed=1", "seed=2"],
+    )
+    assert [entry.repeat for entry in config.creature.bodies] == [1, 2]
+    assert config.world.water is None
+    assert config.task.light.distance == 3
+    assert config.seed == 2
+
+
+def test_an_override_may_exchange_the_creature(tmp_path):
+    animal = yaml.safe_load((REPOSITORY / "configs/creatures/swimmer10.yaml").read_text())
+    (tmp_path / "other.yaml").write_text(yaml.safe_dump(animal | {"name": "other"}))
+    path = f"creature={tmp_path / 'other.yaml'}"
+    config = load_config(CONFIG, [path, "creature.bodies.1.repeat=3"])
+    assert config.creature.name == "other"
+    assert config.creature.bodies[1].repeat == 3
+
+
+@given(st.text(max_size=12), st.lists(st.text(min_size=1, max_size=12), min_size=1, max_size=6))
+def test_the_hint_always_lists_what_is_valid(word, valid):
+    assert nearest(word, valid).endswith(f"valid here: {', '.join(sorted(valid))}")
+
+
+JUNK = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
+    max_leaves=6,
+)
+PLACES = (
+    "name", "seed", "creature", "world", "simulation", "controller", "task", "evolution",
+    "creature__bodies", "creature__bodies__0", "creature__bodies__1__joint",
+    "creature__bodies__1__joint__axes", "creature__bodies__1__joint__limits_deg",
+    "creature__bodies__0__shape", "creature__materials", "creature__light_sensors",
+    "creature__pressure_sensors", "world__water", "controller__cpg", "controller__brain",
+    "controller__brain__hidden", "controller__axis_gain", "controller__type", "task__light",
+    "task__type", "evolution__population",
+)
+
+
+@given(st.sampled_from(PLACES), JUNK)
+def test_junk_anywhere_is_accepted_or_refused_but_never_a_crash(place, junk):
+    data = small(**{place: junk})
+    try:
+        check_config(data, Path("x.yaml"))
+    except ConfigError as error:
+        assert str(error).startswith("x.yaml: ")

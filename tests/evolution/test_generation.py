@@ -1,0 +1,96 @@
+"""The generation step: elites, children, and what happens when hardly anybody lives."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from creatures import quick_jit
+from evo_cpg.evolution.generation import RealGenetics, next_generation
+
+POPULATION, ELITES, GENES = 9, 3, 6
+
+
+def genetics(**changes) -> RealGenetics:
+    """Settings under which every child differs from its parents, unless changed."""
+    settings = {
+        "population": POPULATION,
+        "elite_count": ELITES,
+        "parent_fraction": 0.5,
+        "crossover_probability": 0.5,
+        "mutation_rate": 1.0,
+        "mutation_sigma": 0.1,
+        "gene_bound": 8.0,
+    }
+    return RealGenetics(**settings | changes)
+
+
+@functools.cache
+def compiled(changes: tuple):
+    """The generation step under these settings."""
+    settings = genetics(**dict(changes))
+    return quick_jit(lambda key, genes, fitness: next_generation(key, settings, genes, fitness))
+
+
+def bred(fitness, seed: int = 0, **changes) -> tuple[np.ndarray, np.ndarray]:
+    """A population and its children."""
+    genes = jax.random.normal(jax.random.key(99), (GENES, POPULATION))
+    breed = compiled(tuple(changes.items()))
+    children = breed(jax.random.key(seed), genes, jnp.asarray(fitness, jnp.float32))
+    assert children.shape == genes.shape and children.dtype == genes.dtype
+    return np.asarray(genes), np.asarray(children)
+
+
+@given(st.permutations(range(POPULATION)))
+def test_elites_pass_on_bit_for_bit_best_first(fitness):
+    genes, children = bred(fitness)
+    best = sorted(range(POPULATION), key=lambda i: -fitness[i])[:ELITES]
+    np.testing.assert_array_equal(children[:, :ELITES], genes[:, best])
+    for child in children[:, ELITES:].T:
+        assert not (genes.T == child).all(1).any()
+
+
+def test_without_mutation_and_crossover_children_are_copies_of_parents():
+    fitness = np.arange(POPULATION)
+    genes, children = bred(fitness, mutation_rate=0.0, crossover_probability=0.0)
+    allowed = genes[:, fitness >= POPULATION - round(0.5 * POPULATION)].T
+    for child in children.T:
+        assert (allowed == child).all(1).any()
+
+
+@pytest.mark.parametrize("dead", [-np.inf, np.nan])
+def test_the_diverged_are_no_elites_while_others_live(dead):
+    fitness = np.full(POPULATION, dead)
+    fitness[[4, 7]] = -1.0, -0.5
+    genes, children = bred(fitness)
+    np.testing.assert_array_equal(children[:, :2], genes[:, [7, 4]])
+    # The third elite's place goes to a child rather than to a diverged individual.
+    assert not (genes.T == children[:, 2]).all(1).any()
+
+
+def test_ties_keep_the_order_of_the_population():
+    genes, children = bred(np.zeros(POPULATION))
+    np.testing.assert_array_equal(children[:, :ELITES], genes[:, :ELITES])
+
+
+def test_when_all_diverged_every_place_goes_to_a_child():
+    genes, children = bred(np.full(POPULATION, -np.inf))
+    assert np.isfinite(children).all()
+    for child in children.T:
+        assert not (genes.T == child).all(1).any()
+
+
+def test_no_elites_and_hardly_any_parents():
+    fitness = np.arange(POPULATION)
+    genes, children = bred(fitness, elite_count=0, parent_fraction=0.01, mutation_rate=0.0)
+    np.testing.assert_array_equal(children, np.repeat(genes[:, -1:], POPULATION, 1))
+
+
+def test_the_key_alone_decides():
+    fitness = np.arange(POPULATION)
+    np.testing.assert_array_equal(bred(fitness, 1)[1], bred(fitness, 1)[1])
+    assert (bred(fitness, 1)[1] != bred(fitness, 2)[1])[:, ELITES:].all()

@@ -1,0 +1,71 @@
+"""Rank roulette against its stated probabilities, ties and diverged individuals included."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.stats import chisquare
+
+from evo_cpg.evolution.selection import draw_parents, linear_rank_probabilities, rank_order
+
+DRAWS = 100_000
+
+# Any fitness that `score` lets through, and NaN.
+FITNESS = st.lists(
+    st.sampled_from([-2.5, -1.0, 0.0, 0.5, 0.5, 3.0, -np.inf, np.nan]), min_size=6, max_size=6
+)
+
+
+@pytest.mark.parametrize(
+    ("count", "fraction", "weights"),
+    [
+        (4, 1.0, [4, 3, 2, 1]),
+        (8, 0.5, [4, 3, 2, 1, 0, 0, 0, 0]),
+        (5, 0.01, [1, 0, 0, 0, 0]),
+        (1, 1.0, [1]),
+    ],
+)
+def test_the_chance_falls_linearly_to_nothing_below_the_last_parent(count, fraction, weights):
+    probabilities = linear_rank_probabilities(count, fraction)
+    np.testing.assert_allclose(probabilities, np.array(weights) / np.sum(weights), rtol=1e-12)
+
+
+@pytest.mark.parametrize("fraction", [0.5, 1.0])
+def test_parents_are_drawn_with_the_stated_frequencies(fraction):
+    fitness = jnp.asarray(np.random.default_rng(0).permutation(20).astype(np.float32))
+    probabilities = linear_rank_probabilities(20, fraction)
+    drawn = draw_parents(jax.random.key(1), fitness, probabilities, DRAWS)
+    rank = 19 - np.asarray(fitness)[np.asarray(drawn)].astype(int)
+    counts = np.bincount(rank, minlength=20)
+    allowed = probabilities > 0
+    assert counts[~allowed].sum() == 0
+    assert chisquare(counts[allowed], DRAWS * probabilities[allowed]).pvalue > 0.01
+
+
+def test_draws_are_independent_of_each_other():
+    # The joint frequencies of successive draws are the products of the single ones.
+    probabilities = linear_rank_probabilities(4, 1.0)
+    drawn = np.asarray(
+        draw_parents(jax.random.key(2), jnp.arange(4.0)[::-1], probabilities, DRAWS)
+    ).reshape(-1, 2)
+    counts = np.bincount(4 * drawn[:, 0] + drawn[:, 1], minlength=16)
+    expected = DRAWS / 2 * np.outer(probabilities, probabilities).ravel()
+    assert chisquare(counts, expected).pvalue > 0.01
+
+
+@given(FITNESS)
+def test_order_is_a_stable_sort_with_the_diverged_last(fitness):
+    order = np.asarray(rank_order(jnp.asarray(fitness, jnp.float32)))
+    keys = [-np.inf if np.isnan(f) else f for f in fitness]
+    assert order.tolist() == sorted(range(6), key=lambda i: -keys[i])
+
+
+def test_a_diverged_individual_is_never_likelier_than_a_living_one():
+    fitness = jnp.asarray([jnp.nan, -5.0, -jnp.inf, -7.0, jnp.nan, -6.0])
+    drawn = draw_parents(jax.random.key(3), fitness, linear_rank_probabilities(6, 1.0), DRAWS)
+    counts = np.bincount(np.asarray(drawn), minlength=6)
+    assert counts[[1, 5, 3]].min() > counts[[0, 2, 4]].max()
+    few = draw_parents(jax.random.key(3), fitness, linear_rank_probabilities(6, 0.5), DRAWS)
+    assert set(np.asarray(few).tolist()) == {1, 5, 3}

@@ -1,0 +1,49 @@
+"""A swimmer of three bodies that a test can afford to evolve, and a way to call the program."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+REPOSITORY = Path(__file__).parents[1]
+CONFIG = REPOSITORY / "configs" / "iwadate2010_swimmer.yaml"
+
+# What makes the published swimmer tiny.
+TINY = (
+    "creature.bodies.1.repeat=2",
+    "controller.brain.hidden=[4]",
+    "simulation.steps=60",
+    "evolution.population=8",
+    "evolution.elites=2",
+    "evolution.generations=4",
+)
+
+
+def program(
+    *arguments: object, compiled: Path, folder: Path | None = None
+) -> subprocess.Popen[str]:
+    """Start `evo-cpg` as a process of its own, on two cores.
+
+    Args:
+        arguments: of the command line.
+        compiled: where it keeps what it compiles, for the next process to use.
+        folder: working folder.
+    """
+    return subprocess.Popen(
+        [sys.executable, "-m", "evo_cpg.cli.main", *map(str, arguments)],
+        env=environment(compiled),
+        cwd=folder,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def environment(compiled: Path) -> dict[str, str]:
+    """Environment of a process that compiles quickly and only once."""
+    return os.environ | {
+        "PYTHONPATH": str(REPOSITORY),
+        "XLA_FLAGS": "--xla_backend_optimization_level=0",
+        "JAX_COMPILATION_CACHE_DIR": str(compiled),
+        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
+    }

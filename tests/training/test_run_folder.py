@@ -1,0 +1,258 @@
+"""Run folders: what a kill at any moment leaves behind is read back or passed over."""
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from evo_cpg.simulation.recording import Recording
+from evo_cpg.training import run_folder
+from evo_cpg.training.run_folder import (
+    Champion,
+    Checkpoint,
+    RunFolder,
+    RunFolderError,
+    genes_digest,
+    outcome_digest,
+)
+
+CHAMPION = Champion(
+    np.array([0.25, -1.5], np.float32), -0.5, 1, {"distance": 0.75}, {"energy": 3.0}
+)
+
+
+def checkpoint(done: int, champion: Champion | None = CHAMPION) -> Checkpoint:
+    """The state after so many generations."""
+    rows = [{"generation": i, "best": -1.0 / (i + 1), "diverged": i} for i in range(done)]
+    genes = np.full((2, 4), done, np.float32)
+    return Checkpoint(done, genes, champion, rows, {"energy": 3.0})
+
+
+def assert_same(given: Checkpoint | None, expected: Checkpoint) -> None:
+    """Two checkpoints are equal to the last bit and type."""
+    assert given is not None
+    np.testing.assert_array_equal(given.genes, expected.genes)
+    assert given.genes.dtype == expected.genes.dtype
+    assert (given.generation, given.history, given.scales) == (
+        expected.generation,
+        expected.history,
+        expected.scales,
+    )
+    assert (given.champion is None) == (expected.champion is None)
+    if given.champion and expected.champion:
+        np.testing.assert_array_equal(given.champion.genes, expected.champion.genes)
+        assert given.champion[1:] == expected.champion[1:]
+
+
+def files(folder: RunFolder) -> set[str]:
+    """Everything that is not a folder."""
+    return {str(p.relative_to(folder.path)) for p in folder.path.rglob("*") if p.is_file()}
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> RunFolder:
+    """A run that was just begun."""
+    made = RunFolder(tmp_path / "runs" / "a")
+    made.create("name: a\n", {"seed": 3})
+    return made
+
+
+def test_a_new_folder_holds_its_config_and_meta(folder):
+    assert files(folder) == {"config.yaml", "meta.json"}
+    assert folder.config.read_text() == "name: a\n"
+    assert folder.read_meta() == {"seed": 3}
+    folder.update_meta(devices=2)
+    assert json.loads(folder.meta.read_text()) == {"seed": 3, "devices": 2}
+    folder.require()
+    assert folder.load() is None
+    with pytest.raises(RunFolderError, match="a has no finished generation yet"):
+        folder.history()
+    with pytest.raises(RunFolderError, match="a has no champion yet; train it first"):
+        folder.load_champion()
+
+
+@pytest.mark.parametrize("champion", [CHAMPION, None])
+def test_checkpoints_come_back_to_the_last_bit(folder, champion):
+    for done in (1, 2, 3):
+        folder.save(checkpoint(done, champion))
+        assert_same(folder.load(), checkpoint(done, champion))
+    kept = {"checkpoints/generation_000002.npz", "checkpoints/generation_000003.npz"}
+    made = {"champion.npz"} if champion else set()
+    assert files(folder) == {"config.yaml", "meta.json", "metrics.csv"} | kept | made
+    with folder.metrics.open() as file:
+        assert [int(row["generation"]) for row in csv.DictReader(file)] == [0, 1, 2]
+    np.testing.assert_array_equal(folder.history()["best"], [-1, -1 / 2, -1 / 3])
+
+
+def test_the_champion_comes_back_with_its_motion_and_digests(folder):
+    folder.save_champion(CHAMPION)
+    assert folder.load_champion()[1] is None
+    recording = Recording(
+        time=np.arange(2) / 60,
+        position=np.ones((2, 1, 3)),
+        rotation=np.ones((2, 1, 3, 3)),
+        joint_angle=np.ones((2, 1)),
+        target_rate=np.ones((2, 1)),
+        cpg_output=np.ones((2, 1)),
+        torque=np.ones((2, 1)),
+        distance=np.ones(2),
+        goal=np.ones(3),
+        dof_names=("tail.z",),
+    )
+    folder.save_champion(CHAMPION, recording)
+    champion, motion, digests = folder.load_champion()
+    np.testing.assert_array_equal(champion.genes, CHAMPION.genes)
+    assert champion[1:] == CHAMPION[1:]
+    assert motion is not None and motion.dof_names == ("tail.z",)
+    for name in set(Recording._fields) - {"dof_names"}:
+        np.testing.assert_array_equal(getattr(motion, name), getattr(recording, name))
+    assert digests == {
+        "config_sha256": folder.config_digest(),
+        "genes_sha256": genes_digest(CHAMPION.genes),
+        "outcome_sha256": outcome_digest(CHAMPION),
+    }
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"fitness": -0.4999},
+        {"generation": 2},
+        {"terms": {"distance": 0.7501}},
+        {"scales": {"energy": 3.001}},
+    ],
+)
+def test_the_digest_covers_everything_that_is_recorded(change):
+    assert outcome_digest(CHAMPION) != outcome_digest(CHAMPION._replace(**change))
+
+
+def damaged(whole: bytes) -> list[bytes]:
+    """A file cut off at many places, with a byte flipped at many places, and no file at all."""
+    places = range(0, len(whole), max(1, len(whole) // 60))
+    flipped = [whole[:i] + bytes([whole[i] ^ 0xFF]) + whole[i + 1 :] for i in places]
+    return [whole[:i] for i in places] + flipped + [b"\0" * len(whole), b"not an archive"]
+
+
+def test_a_damaged_checkpoint_is_passed_over_for_the_one_before(folder):
+    folder.save(checkpoint(1))
+    folder.save(checkpoint(2))
+    newest = folder.path / "checkpoints" / "generation_000002.npz"
+    for content in damaged(newest.read_bytes()):
+        newest.write_bytes(content)
+        found = folder.load()
+        # A flipped byte may lie where nobody reads; then the checkpoint is whole.
+        assert_same(found, checkpoint(found.generation if found else 1))
+    newest.write_bytes(b"")
+    assert_same(folder.load(), checkpoint(1))
+    folder.save(checkpoint(2))
+    assert_same(folder.load(), checkpoint(2))
+
+
+def test_a_damaged_champion_is_named_with_the_way_out(folder):
+    folder.save_champion(CHAMPION)
+    for content in damaged(folder.champion.read_bytes()):
+        folder.champion.write_bytes(content)
+        try:
+            champion, _, _ = folder.load_champion()
+        except RunFolderError as error:
+            assert "champion.npz is damaged" in str(error)
+            assert "`evo-cpg resume" in str(error) and "\n" not in str(error)
+        else:
+            assert champion[1:] == CHAMPION[1:]
+
+
+@pytest.mark.parametrize("text", ["", "{", "[1, 2]", "\xff"])
+def test_a_damaged_meta_counts_as_empty(folder, text):
+    folder.meta.write_text(text, encoding="latin-1")
+    assert folder.read_meta() == {}
+    folder.update_meta(devices=1)
+    assert folder.read_meta() == {"devices": 1}
+
+
+def test_what_a_killed_write_leaves_is_harmless(folder):
+    folder.save(checkpoint(1))
+    for name in (".champion.npz.x1", "checkpoints/.generation_000009.npz.x2", ".config.yaml.x3"):
+        (folder.path / name).write_bytes(b"half a fi")
+    assert_same(folder.load(), checkpoint(1))
+    folder.save(checkpoint(2))
+    assert_same(folder.load(), checkpoint(2))
+
+
+class Killed(BaseException):
+    """Stands for the end of the process."""
+
+
+def killing_at(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the process end just before its n-th file reaches its place."""
+    replace, calls = run_folder.os.replace, iter(range(count + 1))
+
+    def replace_or_die(source, target):
+        if next(calls) == count:
+            raise Killed
+        replace(source, target)
+
+    monkeypatch.setattr(run_folder.os, "replace", replace_or_die)
+
+
+def test_a_kill_in_a_new_folder_leaves_one_that_can_be_begun_or_resumed(tmp_path, monkeypatch):
+    path = tmp_path / "a"
+    folder = RunFolder(path)
+    with monkeypatch.context() as patch:
+        killing_at(0, patch)
+        with pytest.raises(Killed):
+            folder.create("name: a\n", {})
+    # No config.yaml yet: the same command may be given again, whatever the kill left.
+    (path / ".config.yaml.x").write_bytes(b"na")
+    with monkeypatch.context() as patch:
+        killing_at(1, patch)
+        with pytest.raises(Killed):
+            folder.create("name: a\n", {})
+    folder.require()
+    assert folder.load() is None
+    folder.reopen("name: a\n")
+    folder.save(checkpoint(1))
+    assert_same(folder.load(), checkpoint(1))
+
+
+@pytest.mark.parametrize("writes", range(3))
+def test_a_kill_while_saving_leaves_the_old_state_or_the_new(folder, monkeypatch, writes):
+    folder.save(checkpoint(1))
+    newer = CHAMPION._replace(generation=1, fitness=-0.25)
+    with monkeypatch.context() as patch:
+        killing_at(writes, patch)
+        with pytest.raises(Killed):
+            folder.save(checkpoint(2, newer))
+    # champion.npz, then the checkpoint, then metrics.csv.
+    expected = checkpoint(1) if writes < 2 else checkpoint(2, newer)
+    assert_same(folder.load(), expected)
+    folder.load_champion()
+    assert not [name for name in files(folder) if "/." in f"/{name}"]
+
+
+def test_used_and_unusable_places_are_refused(folder, tmp_path):
+    before = files(folder)
+    with pytest.raises(RunFolderError, match=r"already holds a run; go on with `evo-cpg resume "):
+        folder.create("name: b\n", {})
+    assert files(folder) == before and folder.config.read_text() == "name: a\n"
+    (tmp_path / "note.txt").write_text("mine")
+    with pytest.raises(RunFolderError, match="is not empty and holds no run; choose another"):
+        RunFolder(tmp_path).create("", {})
+    with pytest.raises(RunFolderError, match="note.txt is a file; choose another --out"):
+        RunFolder(tmp_path / "note.txt").create("", {})
+    for path in (tmp_path / "note.txt" / "run", "/proc/run", tmp_path / ("x" * 300)):
+        with pytest.raises(RunFolderError, match=r"cannot write .* \(.+\)"):
+            RunFolder(path).create("", {})
+    assert (tmp_path / "note.txt").read_text() == "mine"
+    with pytest.raises(RunFolderError, match=r"is not a run folder \(it has no config.yaml\)"):
+        RunFolder(tmp_path).require()
+
+
+def test_a_folder_that_can_no_longer_be_written_is_named(folder):
+    (folder.path / "checkpoints").rmdir()
+    (folder.path / "checkpoints").write_text("in the way")
+    with pytest.raises(RunFolderError, match=r"cannot write .*generation_000001.npz \(Not a dir"):
+        folder.save(checkpoint(1))
+    with pytest.raises(RunFolderError, match=r"cannot write .* \(File exists\)"):
+        folder.reopen("name: a\n")
