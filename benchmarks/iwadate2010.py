@@ -1,7 +1,7 @@
 """The reproduction study of Iwadate 2010: `python benchmarks/iwadate2010.py OUT`.
 
-Five seeds (three of the other drives) are evolved for 50 generations. Beside them: a motionless animal, random
-search with as many evaluations, and how often untrained animals have a wave. The tables go into
+Five seeds (three of the other drives) are evolved for 50 generations. Beside them: random search
+with as many evaluations, and how often untrained animals have a wave. The tables go into
 docs/reproduction/iwadate2010.md; OUT/study.json and the run folders under OUT hold the rest.
 """
 
@@ -73,9 +73,7 @@ def baselines(seed: int) -> dict:
     terms = {name: np.concatenate([row[0][name] for row in rows]) for name in rows[0][0]}
     alive = np.concatenate([row[1] for row in rows])
     energy = np.percentile(terms["energy"][:size], 95)
-    fitness = np.where(
-        alive, simulation.task.fitness(terms, {"energy": energy}), -np.inf
-    )
+    fitness = np.where(alive, simulation.task.fitness(terms, {"energy": energy}), -np.inf)
     best = int(fitness.argmax())
     return {
         "seed": seed,

@@ -102,15 +102,15 @@ def swimmer_cases(
     )
     return [
         _row(case, rates, ours, peer, how)
-        for case, ours in (("swimmer, physics", "ours, physics"),
-                           ("swimmer, whole stack", "ours, whole stack"))
+        for case, ours in (
+            ("swimmer, physics", "ours, physics"),
+            ("swimmer, whole stack", "ours, whole stack"),
+        )
         for peer in peers
     ]
 
 
-def scaling(
-    experiment: Experiment, cores: int, steps: int, repeats: int
-) -> list[dict[str, Any]]:
+def scaling(experiment: Experiment, cores: int, steps: int, repeats: int) -> list[dict[str, Any]]:
     """The same work on all cores and on one."""
     names = f"ours, {cores} cores", "ours, 1 core"
     rates = race(
@@ -236,9 +236,7 @@ def _table(rows: list[dict[str, Any]], cores: int) -> Table:
         ours = f"{rate:.1f} s" if row["unit"] == "s" else f"{rate / 1e3:,.1f} k/s"
         theirs = f"{row['peer_rate'] / 1e3:,.1f} k/s" if row["peer_rate"] else ""
         ratio = f"{row['ratio']:.2f}x" if row["ratio"] else ""
-        table.add_row(
-            row["case"], str(row["population"]), ours, row["peer"] or "", theirs, ratio
-        )
+        table.add_row(row["case"], str(row["population"]), ours, row["peer"] or "", theirs, ratio)
     return table
 
 
@@ -246,6 +244,8 @@ def _machine(cores: int) -> dict[str, Any]:
     processor = platform.processor() or platform.machine()
     if os.path.exists("/proc/cpuinfo"):
         with open("/proc/cpuinfo", encoding="utf-8") as file:
-            names = [line.split(":", 1)[1].strip() for line in file if line.startswith("model name")]
+            names = [
+                line.split(":", 1)[1].strip() for line in file if line.startswith("model name")
+            ]
         processor = names[0] if names else processor
     return {"processor": processor, "cores": cores, "jax": jax.__version__}

@@ -23,6 +23,7 @@ quick_jit = functools.partial(
     compiler_options={
         "xla_backend_optimization_level": 0,
         "xla_cpu_experimental_ynn_fusion_type": "",
+        "xla_cpu_use_fusion_emitters": False,
     },
 )
 

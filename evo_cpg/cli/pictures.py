@@ -1,7 +1,6 @@
 """The commands that make films and pictures: render, plot, preview."""
 
 import re
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -49,7 +48,7 @@ def render_run(
 
 def plot_run(run: Path, output: Path | None) -> None:
     """`evo-cpg plot`."""
-    experiment, _, recording, folder = champion_motion(run)
+    _, _, recording, folder = champion_motion(run)
     from evo_cpg.view.plots import plot_fitness, plot_joint_signals, plot_path
 
     place = output or folder.path / "plots"
@@ -61,9 +60,7 @@ def plot_run(run: Path, output: Path | None) -> None:
     print(plot_path(recording, place / "path.png"))
 
 
-def preview_config(
-    path: Path, overrides: Sequence[str], output: Path | None, size: str
-) -> None:
+def preview_config(path: Path, overrides: Sequence[str], output: Path | None, size: str) -> None:
     """`evo-cpg preview`."""
     pixels = _pixels(size)
     creature = build_creature(load_config(path, overrides), path)

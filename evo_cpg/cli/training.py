@@ -36,9 +36,7 @@ _REPLAY_TOLERANCE = 1e-3
 _PACKAGES = ("evo-cpg", "jax", "jaxlib", "equinox", "numpy")
 
 
-def start_run(
-    path: Path, overrides: Sequence[str], out: Path | None, cores: int | None
-) -> None:
+def start_run(path: Path, overrides: Sequence[str], out: Path | None, cores: int | None) -> None:
     """`evo-cpg train`."""
     config = load_config(path, overrides)
     experiment = build_experiment(config, path)

@@ -124,8 +124,14 @@ def _build_controller(
     step = 1.0 / config.simulation.control_rate_hz
     if isinstance(given, CustomConfig):
         return _custom(
-            given, Controller, "controller", source,
-            tree=tree, light_count=eyes, pressure_count=pressure, control_step=step,
+            given,
+            Controller,
+            "controller",
+            source,
+            tree=tree,
+            light_count=eyes,
+            pressure_count=pressure,
+            control_step=step,
         )
     options = {name: getattr(given, name) for name in type(given).model_fields if name != "type"}
     try:
@@ -161,7 +167,8 @@ def _custom(given: CustomConfig, kind: type, section: str, source: Path | str, *
         ) from None
     if not (isinstance(made, type) and issubclass(made, kind)):
         raise ConfigError(
-            source, (section, "type"),
+            source,
+            (section, "type"),
             f"{given.type!r} is not a subclass of {kind.__module__}:{kind.__name__}",
         )
     taken = inspect.signature(made).parameters

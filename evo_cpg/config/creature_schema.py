@@ -183,7 +183,8 @@ class JointConfig(Section):
             armature=self.armature,
             actuator=actuator
             and Actuator(
-                actuator.gain, float("inf") if actuator.torque_limit is None else actuator.torque_limit
+                actuator.gain,
+                float("inf") if actuator.torque_limit is None else actuator.torque_limit,
             ),
         )
 
@@ -273,7 +274,10 @@ class CreatureConfig(Section):
             bodies=tuple(bodies),
             light_sensors=tuple(
                 LightSensor(
-                    eye.body, eye.position, _unit(eye.axis), float(np.deg2rad(eye.field_of_view_deg))
+                    eye.body,
+                    eye.position,
+                    _unit(eye.axis),
+                    float(np.deg2rad(eye.field_of_view_deg)),
                 )
                 for eye in self.light_sensors
             ),

@@ -91,9 +91,7 @@ def _read_yaml(path: Path) -> dict[str, Any]:
     except OSError as error:
         raise ConfigError(path, (), f"cannot be read ({error.strerror})") from None
     except UnicodeDecodeError as error:
-        raise ConfigError(
-            path, (), f"is not UTF-8 text (byte {error.start} is wrong)"
-        ) from None
+        raise ConfigError(path, (), f"is not UTF-8 text (byte {error.start} is wrong)") from None
     try:
         data = _parse(text)
     except yaml.YAMLError as error:
@@ -149,9 +147,7 @@ def _apply(data: dict[str, Any], override: str) -> None:
     """Set one value of the raw configuration."""
     key, separator, text = override.partition("=")
     if not separator or not key:
-        raise ConfigError(
-            "command line", (), f"{override!r} is not of the form key.path=value"
-        )
+        raise ConfigError("command line", (), f"{override!r} is not of the form key.path=value")
     try:
         value = _parse(text)
     except yaml.YAMLError:
@@ -164,7 +160,9 @@ def _apply(data: dict[str, Any], override: str) -> None:
         elif isinstance(place, list) and part.isdigit() and int(part) < len(place):
             place = place[int(part)]
         else:
-            raise ConfigError("command line", key.split("."), f"{'.'.join(parents[:i])} has no {part}")
+            raise ConfigError(
+                "command line", key.split("."), f"{'.'.join(parents[:i])} has no {part}"
+            )
     if isinstance(place, list) and last.isdigit() and int(last) < len(place):
         place[int(last)] = value
     elif isinstance(place, dict):
@@ -227,8 +225,11 @@ def _properties(schema: dict, root: dict, data: Any, key: Key) -> set[str]:
         return _properties(root["$defs"][schema["$ref"].rsplit("/", 1)[-1]], root, data, key)
     for choice in ("oneOf", "anyOf"):
         if choice in schema:
-            found = [_properties(option, root, data, key) for option in schema[choice]
-                     if _matches(option, root, data)]
+            found = [
+                _properties(option, root, data, key)
+                for option in schema[choice]
+                if _matches(option, root, data)
+            ]
             return set().union(*found)
     if not key:
         return set(schema.get("properties", {}))

@@ -62,7 +62,7 @@ class WorldConfig(Section):
 
 
 class SimulationConfig(Section):
-    """One trial: control steps of ``1 / control_rate_hz`` s with ``substeps`` physics steps each."""
+    """A trial: control steps of ``1 / control_rate_hz`` s with ``substeps`` physics steps each."""
 
     control_rate_hz: Positive = 60.0
     substeps: Count = 2
@@ -73,7 +73,7 @@ class CustomConfig(Section):
     """A class of your own: ``type: my_module:MyClass``, built with ``options``."""
 
     type: Annotated[str, Field(pattern=r"^[\w.]+:\w+$")]
-    options: dict[str, Any] = {}
+    options: dict[str, Any] = Field(default_factory=dict)
 
 
 class LightConfig(Section):
@@ -182,8 +182,7 @@ class EvolutionConfig(Section):
     def _check(self) -> "EvolutionConfig":
         if self.elites >= self.population:
             raise ValueError(
-                f"elites: must be fewer than the population of {self.population}, "
-                f"got {self.elites}"
+                f"elites: must be fewer than the population of {self.population}, got {self.elites}"
             )
         return self
 

@@ -69,9 +69,7 @@ def random_surfaces(
             continue
         chosen = rng.choice(len(surface.areas), size=count, p=surface.areas / total)
         drawn.append(
-            Surface(
-                surface.points[chosen], surface.normals[chosen], np.full(count, total / count)
-            )
+            Surface(surface.points[chosen], surface.normals[chosen], np.full(count, total / count))
         )
     return tuple(drawn)
 

@@ -19,7 +19,6 @@ from jaxtyping import Float
 
 from evo_cpg.creature.creature import Creature, neutral_pose, topological_order
 
-
 # A soft limit is a critically damped spring on the inertia that the joint sees, slow enough for
 # a step of 1/120 s to resolve it; on top of that it balances the joint's own motor, which would
 # otherwise push through: a servo asking for 1 rad/s beyond the limit gets 0.016 rad.

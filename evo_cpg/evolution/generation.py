@@ -53,7 +53,9 @@ def next_generation(
     parents = draw_parents(parent_key, fitness, probabilities, 2 * pairs)
     children = jnp.concatenate(
         one_point_crossover(
-            cross_key, genes[:, parents[:pairs]], genes[:, parents[pairs:]],
+            cross_key,
+            genes[:, parents[:pairs]],
+            genes[:, parents[pairs:]],
             genetics.crossover_probability,
         ),
         axis=1,

@@ -121,7 +121,9 @@ def solve(
     for group, motion in zip(reversed(tree.groups), reversed(motions), strict=True):
         members = range(group.bodies.start, group.bodies.stop)
         own = Inertia(*(jnp.stack(b, 2) for b in zip(*(blocks[i] for i in members), strict=True)))
-        force = Wrench(*(jnp.stack(w, 1) for w in zip(*(wrenches[i] for i in members), strict=True)))
+        force = Wrench(
+            *(jnp.stack(w, 1) for w in zip(*(wrenches[i] for i in members), strict=True))
+        )
         eliminate = _eliminate_axes if motion.to_axes is None else _eliminate_ball
         elimination, reduced, passed = eliminate(own, force, motion)
         eliminations.append(elimination)
@@ -255,7 +257,5 @@ def _free_body(inertia: Inertia, bias: Wrench) -> tuple[Array, Array]:
     coupling = matmul(inertia.mixed, linear_inverse)
     schur = inertia.angular - matmul_t(coupling, inertia.mixed)
     angular = matvec(inverse_symmetric(schur), matvec(coupling, bias.force) - bias.moment)
-    linear = matvec(
-        linear_inverse, -bias.force - matvec(transpose(inertia.mixed), angular)
-    )
+    linear = matvec(linear_inverse, -bias.force - matvec(transpose(inertia.mixed), angular))
     return angular, linear

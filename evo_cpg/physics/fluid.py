@@ -28,7 +28,7 @@ from evo_cpg.creature.shapes import Surface
 from evo_cpg.creature.tree import Tree
 
 # -df/dv of |v| v is 2 |v|; the smaller tangential part takes its secant, |v|, which keeps the
-# end-of-step force opposed to the motion. (The swimmer's speed differs by under 1 % between the two.)
+# end-of-step force opposed to the motion.
 _NORMAL_DERIVATIVE = 2.0
 _TANGENTIAL_DERIVATIVE = 1.0
 
@@ -105,9 +105,7 @@ def make_patches(
             Surface(surface.points + tree.com[:, i], surface.normals, surface.areas)
             for surface in (form[name], skin[name])
         ]
-        key = b"|".join(
-            np.round(column, 9).tobytes() for surface in surfaces for column in surface
-        )
+        key = b"|".join(np.round(column, 9).tobytes() for surface in surfaces for column in surface)
         patches.setdefault(key, ([], *surfaces))[0].append(i)
     return tuple(
         _patch(tuple(bodies), form_points, skin_points, merge=law == "normal")
@@ -139,7 +137,10 @@ def drag(
         for run in _runs(patch.bodies)
     ]
     wet = {body for patch in patches for body in patch.bodies}
-    none = jnp.zeros((6, 1, *batch), velocity.dtype), jnp.zeros((3, 3, 3, 1, *batch), velocity.dtype)
+    none = (
+        jnp.zeros((6, 1, *batch), velocity.dtype),
+        jnp.zeros((3, 3, 3, 1, *batch), velocity.dtype),
+    )
     pieces += [(body, *none) for body in range(velocity.shape[1]) if body not in wet]
     _, wrenches, derivatives = zip(*sorted(pieces, key=lambda piece: piece[0]), strict=True)
     return jnp.concatenate(wrenches, 1), jnp.concatenate(derivatives, 3)

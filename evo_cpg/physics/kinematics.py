@@ -10,7 +10,8 @@ joint; going from parent to child is then a pure translation by ``offset``. Arra
 | p_i, d_i | ``origin``; ``offset`` from the parent's origin |
 | S_i | ``axes``: world unit vectors of the joint axes |
 | w_i, v_i | ``angular``, ``linear`` velocity at the origin |
-| A0_i | ``bias_angular``, ``bias_linear``: spatial acceleration with the root's and the joints' accelerations at zero |
+| A0_i | ``bias_angular``, ``bias_linear``: spatial acceleration while the root's and the joints'
+accelerations are zero |
 """
 
 from typing import NamedTuple
@@ -92,7 +93,9 @@ def accumulate(
     """
     values: list[Array] = [root]
     for group in tree.groups:
-        for i, parent in zip(range(group.bodies.start, group.bodies.stop), group.parents, strict=True):
+        for i, parent in zip(
+            range(group.bodies.start, group.bodies.stop), group.parents, strict=True
+        ):
             values.append(values[parent] + steps[:, i - 1])
     return jnp.stack(values, 1)
 

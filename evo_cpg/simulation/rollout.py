@@ -101,17 +101,13 @@ def rollout(simulation: Simulation, genes: Float[Array, "g *n"]) -> Outcome:
     return Outcome(task.terms(tally, steps), alive)
 
 
-def score(
-    task: Task, outcome: Outcome, scales: dict[str, Float[Array, ""]]
-) -> Float[Array, " *n"]:
+def score(task: Task, outcome: Outcome, scales: dict[str, Float[Array, ""]]) -> Float[Array, " *n"]:
     """Fitness of every individual; -inf for those that diverged."""
     fitness = task.fitness(outcome.terms, scales)
     return jnp.where(outcome.alive & jnp.isfinite(fitness), fitness, -jnp.inf)
 
 
-def record(
-    simulation: Simulation, genes: Float[Array, "g n"], count: int = 1
-) -> dict[str, Array]:
+def record(simulation: Simulation, genes: Float[Array, "g n"], count: int = 1) -> dict[str, Array]:
     """The trials of the first individuals, step by step; see `as_recording`.
 
     Args:
@@ -126,9 +122,7 @@ def record(
     def advance(carry, index):
         state, nerves, instant = _control_step(simulation, genes, *carry, index)
         kin = instant.kinematics
-        centre = kin.origin + (
-            kin.rotation * jnp.asarray(tree.com, dtype)[None, ..., None]
-        ).sum(1)
+        centre = kin.origin + (kin.rotation * jnp.asarray(tree.com, dtype)[None, ..., None]).sum(1)
         frame = {
             "position": centre,
             "rotation": kin.rotation,

@@ -48,7 +48,7 @@ def place_sensors(creature: Creature, tree: Tree) -> Sensors:
 
 
 def light_strength(
-    angle_cosine: Float[Array, "eyes *n"], field_of_view: Float[Array, "eyes *n"]
+    angle_cosine: Float[Array, "eyes *n"], field_of_view: Float[Array, "eyes *#n"]
 ) -> Float[Array, "eyes *n"]:
     """Light seen, ``cos(pi theta / R)`` within half the field of view R, else 0 (eq. 1).
 
@@ -60,7 +60,7 @@ def light_strength(
 
 
 def see(
-    sensors: Sensors, kin: Kinematics, light: Float[Array, "3 *n"]
+    sensors: Sensors, kin: Kinematics, light: Float[Array, "3 *#n"]
 ) -> tuple[Float[Array, "eyes *n"], Float[Array, "eyes *n"], Float[Array, "eyes *n"]]:
     """What the eyes tell: light strength, and cosine and sine of their angle to the vertical.
 

@@ -49,7 +49,9 @@ def matvec(m: Float[Array, "i j *#rest"], v: Float[Array, "j *#rest"]) -> Float[
     return (m * v[None]).sum(1)
 
 
-def matvec_t(m: Float[Array, "i j *#rest"], v: Float[Array, "i *#rest"]) -> Float[Array, "j *#rest"]:
+def matvec_t(
+    m: Float[Array, "i j *#rest"], v: Float[Array, "i *#rest"]
+) -> Float[Array, "j *#rest"]:
     """Transposed matrix times vector, ``m^T v``."""
     return (m * v[:, None]).sum(0)
 

@@ -93,13 +93,9 @@ def generation_step(
     scales = {name: jnp.where(index == 0, measured[name], scales[name]) for name in measured}
     fitness = score(task, outcome, scales)
     key = jax.random.fold_in(jax.random.key(experiment.seed), _GENERATIONS)
-    children = next_generation(
-        jax.random.fold_in(key, index), experiment.genetics, genes, fitness
-    )
+    children = next_generation(jax.random.fold_in(key, index), experiment.genetics, genes, fitness)
     best = jnp.argmax(fitness)
-    return Generation(
-        fitness, outcome.terms, outcome.alive, scales, best, genes[:, best], children
-    )
+    return Generation(fitness, outcome.terms, outcome.alive, scales, best, genes[:, best], children)
 
 
 def evaluate(simulation: Simulation, mesh: Mesh, genes: Float[Array, "g n"]) -> Outcome:

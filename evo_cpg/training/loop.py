@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh
 
-from evo_cpg.simulation.rollout import as_recording, score
 from evo_cpg.simulation.recording import Recording
+from evo_cpg.simulation.rollout import as_recording, score
 from evo_cpg.training.devices import fast_jit, population_mesh
 from evo_cpg.training.experiment import (
     Experiment,
@@ -92,9 +92,7 @@ def replay_champion(
     """
     mesh = population_mesh(min(devices, len(jax.devices())))
     simulation = experiment.simulation
-    run = fast_jit(
-        lambda genes: replay(simulation, mesh, genes, experiment.genetics.population)
-    )
+    run = fast_jit(lambda genes: replay(simulation, mesh, genes, experiment.genetics.population))
     outcome, frames = run(champion.genes)
     scales = {name: jnp.float32(value) for name, value in champion.scales.items()}
     fitness = float(score(simulation.task, outcome, scales))

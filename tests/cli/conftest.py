@@ -1,7 +1,9 @@
 """The program in this process for what is quick, in its own where the process matters."""
 
 import contextlib
+import os
 import sys
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -12,7 +14,7 @@ from evo_cpg.cli.main import main
 from tiny_run import CONFIG, TINY, program
 
 # Enough generations to stop a run in the middle of.
-GENERATIONS = 40
+GENERATIONS = 20
 
 Called = tuple[int, str, str]
 
@@ -37,9 +39,18 @@ def cli(
 
 
 @pytest.fixture(scope="session")
-def compiled(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def shared(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder that the workers of this session have in common."""
+    base = tmp_path_factory.getbasetemp()
+    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "shared"
+    folder.mkdir(exist_ok=True)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def compiled(shared: Path) -> Path:
     """Where the processes of this session keep what they compile."""
-    return tmp_path_factory.mktemp("compiled")
+    return shared / "compiled"
 
 
 @pytest.fixture(scope="session")
@@ -70,13 +81,30 @@ def finish(start) -> Callable[..., Called]:
 
 
 @pytest.fixture(scope="session")
-def finished_run(tmp_path_factory: pytest.TempPathFactory, finish) -> Path:
+def finished_run(shared: Path, finish) -> Path:
     """A run that went through; tests only read it, or copy it first."""
-    folder = tmp_path_factory.mktemp("finished") / "run"
-    code, out, err = finish(
-        "train", CONFIG, *TINY, f"evolution.generations={GENERATIONS}", "--out", folder, "--cores", 2
-    )
-    assert code == 0, err
-    assert out == f"{folder}\n"
-    assert f"generation   {GENERATIONS}/{GENERATIONS}" in err
+    folder, done = shared / "finished", shared / "done"
+    try:
+        folder.mkdir()
+    except FileExistsError:
+        # The other worker makes it.
+        while not done.exists():
+            time.sleep(0.1)
+    else:
+        try:
+            code, out, err = finish(
+                "train",
+                CONFIG,
+                *TINY,
+                f"evolution.generations={GENERATIONS}",
+                "--out",
+                folder,
+                "--cores",
+                2,
+            )
+        finally:
+            done.touch()
+        assert code == 0, err
+        assert out == f"{folder}\n"
+        assert f"generation   {GENERATIONS}/{GENERATIONS}" in err
     return folder

@@ -5,9 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 from evo_cpg.training import loop
-from evo_cpg.training.run_folder import RunFolder, genes_digest, outcome_digest
+from evo_cpg.training.run_folder import Checkpoint, RunFolder, genes_digest, outcome_digest
 
 
 @pytest.fixture
@@ -51,14 +52,14 @@ def test_a_fresh_run_comes_out_exactly_as_recorded(finished_run, finish):
 
 
 def test_an_altered_config_is_found_by_digest_and_by_replay(copied_run, finish):
-    text = copied_run.config.read_text()
-    assert "form_drag: 1.0" in text
-    copied_run.config.write_text(text.replace("form_drag: 1.0", "form_drag: 3.0"))
+    config = yaml.safe_load(copied_run.config.read_text())
+    config["world"]["water"]["density"] *= 0.8
+    copied_run.config.write_text(yaml.safe_dump(config))
     code, out, err = finish("verify", copied_run.path)
     assert (code, out) == (2, "")
     found = complaints(err, copied_run.path)
     assert found[0] == "config.yaml is not the one that the champion was evolved with"
-    assert any(line.startswith("fitness: recorded -0.") and "replayed" in line for line in found)
+    assert any(line.startswith("energy: recorded 0.") and "replayed 0." in line for line in found)
 
 
 def test_genes_altered_with_all_digests_are_found_by_replay(copied_run, finish):
@@ -127,3 +128,11 @@ def test_a_damaged_champion_is_named_with_the_way_out(copied_run, cli):
         assert (code, out) == (2, "") and err.count("\n") == 1
         assert f"{copied_run.champion} is damaged" in err
         assert f"`evo-cpg resume {copied_run.path}` writes it anew" in err
+
+
+def test_a_run_in_which_nobody_lived_says_so(copied_run, cli, monkeypatch):
+    dead = Checkpoint(20, np.zeros((1, 8), np.float32), None, [], {})
+    monkeypatch.setattr(loop, "train", lambda *_: dead)
+    code, out, err = cli("resume", copied_run.path)
+    assert (code, out) == (2, "") and err.count("\n") == 1
+    assert "every individual of every generation diverged, so there is no champion; try" in err

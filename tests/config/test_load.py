@@ -47,7 +47,9 @@ def problem(data: dict) -> str:
     return message.removeprefix("x.yaml: ")
 
 
-@pytest.mark.parametrize("path", sorted((REPOSITORY / "configs").glob("*.yaml")), ids=lambda p: p.stem)
+@pytest.mark.parametrize(
+    "path", sorted((REPOSITORY / "configs").glob("*.yaml")), ids=lambda p: p.stem
+)
 def test_shipped_configs_build_and_survive_being_written_and_read(path, tmp_path):
     config = load_config(path)
     build_experiment(config, path)
@@ -222,7 +224,10 @@ def test_what_is_missing_is_named():
         ("a: 1\nb:\n  c: 1\n  d: 2\n  c: 3\n", "line 5, column 3: not valid YAML: the key 'c' is"),
         ("a: {[1]: 2}", "line 1, column 5: not valid YAML: found unhashable key"),
         ("a: \x01", "not valid YAML: special characters are not allowed"),
-        ("a: !!python/object:os.system {}", "line 1, column 4: not valid YAML: could not determine"),
+        (
+            "a: !!python/object:os.system {}",
+            "line 1, column 4: not valid YAML: could not determine",
+        ),
     ],
 )
 def test_what_is_no_yaml_mapping_is_refused_with_its_place(tmp_path, text, expected):
@@ -279,7 +284,13 @@ def test_wrong_overrides_are_refused(override, expected):
 def test_overrides_apply_in_order_and_reach_everything():
     config = load_config(
         CONFIG,
-        ["creature.bodies.1.repeat=2", "world.water=null", "task.light.distance=3", "seed=1", "seed=2"],
+        [
+            "creature.bodies.1.repeat=2",
+            "world.water=null",
+            "task.light.distance=3",
+            "seed=1",
+            "seed=2",
+        ],
     )
     assert [entry.repeat for entry in config.creature.bodies] == [1, 2]
     assert config.world.water is None
@@ -303,17 +314,38 @@ def test_the_hint_always_lists_what_is_valid(word, valid):
 
 JUNK = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
-    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
+    lambda inner: (
+        st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=5), inner, max_size=3)
+    ),
     max_leaves=6,
 )
 PLACES = (
-    "name", "seed", "creature", "world", "simulation", "controller", "task", "evolution",
-    "creature__bodies", "creature__bodies__0", "creature__bodies__1__joint",
-    "creature__bodies__1__joint__axes", "creature__bodies__1__joint__limits_deg",
-    "creature__bodies__0__shape", "creature__materials", "creature__light_sensors",
-    "creature__pressure_sensors", "world__water", "controller__cpg", "controller__brain",
-    "controller__brain__hidden", "controller__axis_gain", "controller__type", "task__light",
-    "task__type", "evolution__population",
+    "name",
+    "seed",
+    "creature",
+    "world",
+    "simulation",
+    "controller",
+    "task",
+    "evolution",
+    "creature__bodies",
+    "creature__bodies__0",
+    "creature__bodies__1__joint",
+    "creature__bodies__1__joint__axes",
+    "creature__bodies__1__joint__limits_deg",
+    "creature__bodies__0__shape",
+    "creature__materials",
+    "creature__light_sensors",
+    "creature__pressure_sensors",
+    "world__water",
+    "controller__cpg",
+    "controller__brain",
+    "controller__brain__hidden",
+    "controller__axis_gain",
+    "controller__type",
+    "task__light",
+    "task__type",
+    "evolution__population",
 )
 
 

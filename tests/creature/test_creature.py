@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from benchmarks.mujoco_model import mujoco_model
 from creatures import STRUCTURES, box_chain, random_creature
 from evo_cpg.creature.creature import (
     Body,
@@ -18,7 +19,6 @@ from evo_cpg.creature.creature import (
 )
 from evo_cpg.creature.shapes import Box
 from evo_cpg.creature.tree import build_tree, spatial_inertia
-from mujoco_model import mujoco_model
 
 
 def body(name: str, parent: str | None = None, axes: int = 1) -> Body:

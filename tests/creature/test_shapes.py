@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from scipy.special import ellipeinc, ellipkinc
 
+from benchmarks.mujoco_model import mujoco_model
 from evo_cpg.creature.creature import Body, Creature, Material
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
-from mujoco_model import mujoco_model
 
 SHAPES = {
     "box": Box((0.3, 0.2, 0.1)),

@@ -51,7 +51,7 @@ def test_elites_pass_on_bit_for_bit_best_first(fitness):
     best = sorted(range(POPULATION), key=lambda i: -fitness[i])[:ELITES]
     np.testing.assert_array_equal(children[:, :ELITES], genes[:, best])
     for child in children[:, ELITES:].T:
-        assert not (genes.T == child).all(1).any()
+        assert not (child == genes.T).all(1).any()
 
 
 def test_without_mutation_and_crossover_children_are_copies_of_parents():
@@ -69,7 +69,7 @@ def test_the_diverged_are_no_elites_while_others_live(dead):
     genes, children = bred(fitness)
     np.testing.assert_array_equal(children[:, :2], genes[:, [7, 4]])
     # The third elite's place goes to a child rather than to a diverged individual.
-    assert not (genes.T == children[:, 2]).all(1).any()
+    assert not (children[:, 2] == genes.T).all(1).any()
 
 
 def test_ties_keep_the_order_of_the_population():
@@ -81,7 +81,7 @@ def test_when_all_diverged_every_place_goes_to_a_child():
     genes, children = bred(np.full(POPULATION, -np.inf))
     assert np.isfinite(children).all()
     for child in children.T:
-        assert not (genes.T == child).all(1).any()
+        assert not (child == genes.T).all(1).any()
 
 
 def test_no_elites_and_hardly_any_parents():

@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from benchmarks.mujoco_model import dof_order, load_state, mujoco_model
 from creatures import STRUCTURES, quick_jit, random_creature, random_state
 from evo_cpg.creature.tree import Tree, build_tree
 from evo_cpg.physics.articulated import solve
@@ -19,7 +20,6 @@ from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import State
 from evo_cpg.physics.step import World, body_equations
 from evo_cpg.spatial.linear import lift
-from mujoco_model import dof_order, load_state, mujoco_model
 
 GRAVITY = 9.81
 TREES_PER_STRUCTURE = 9

@@ -12,13 +12,13 @@ import mujoco
 import numpy as np
 import pytest
 
+from benchmarks.mujoco_model import load_state, mujoco_model
 from creatures import STRUCTURES, quick_jit, random_creature, random_state
 from evo_cpg.creature.creature import Actuator, Body, Creature, Material
 from evo_cpg.creature.shapes import Box, Sphere
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.physics.state import State
 from evo_cpg.physics.step import World, step
-from mujoco_model import load_state, mujoco_model
 
 DURATION = 0.5
 # Steps in `DURATION`; the shortest step is 1/1920 s.

@@ -19,7 +19,7 @@ PARAMETERS = np.array([3.0, 1.3, 1.1])
 DIFFERENCE = 1e-6
 
 
-# Compiling the backward pass of the motors' limits takes a minute.
+# Compiling the backward pass of the motors' limits takes 20 s.
 LIMITS = pytest.mark.parametrize(
     "torque_limit", [np.inf, pytest.param(50.0, marks=pytest.mark.slow)]
 )

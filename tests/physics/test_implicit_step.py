@@ -13,12 +13,12 @@ import mujoco
 import numpy as np
 import pytest
 
+from benchmarks.mujoco_model import dof_order, load_state, mujoco_model
 from creatures import STRUCTURES, in_water, quick_jit, random_creature, random_state
 from evo_cpg.creature.creature import Actuator, Creature
 from evo_cpg.creature.surface import outer_surfaces
 from evo_cpg.physics.state import State
 from evo_cpg.physics.step import World, step
-from mujoco_model import dof_order, load_state, mujoco_model
 
 H = 1 / 120
 CURRENT = (0.3, -0.2, 0.1)

@@ -1,4 +1,4 @@
-"""The same creature as a MuJoCo model: the outside oracle for rigid-body dynamics."""
+"""The same creature as a MuJoCo model: the tests' oracle and the benchmarks' peer."""
 
 import mujoco
 import numpy as np
@@ -9,13 +9,19 @@ from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.state import State
 
 
-def mujoco_model(creature: Creature, options: dict[str, float] | None = None, fluid: str = ""):
-    """Compile a creature for MuJoCo, with its motors' gains as joint damping left out.
+def mujoco_model(
+    creature: Creature,
+    options: dict[str, float | str] | None = None,
+    fluid: str = "",
+    motors: bool = False,
+) -> mujoco.MjModel:
+    """Compile a creature for MuJoCo.
 
     Args:
         creature: the animal.
         options: attributes of MuJoCo's ``option`` element.
         fluid: attributes added to every geom, such as ``fluidshape="ellipsoid"``.
+        motors: add a velocity servo on every axis that has one, in the order of the joints.
     """
     children: dict[str | None, list[Body]] = {}
     for body in creature.bodies:
@@ -34,19 +40,26 @@ def mujoco_model(creature: Creature, options: dict[str, float] | None = None, fl
                 f'quat="{_text(_quaternion(np.array(joint.orientation)))}"'
             )
             joints = "".join(
-                f'<joint type="hinge" axis="{_text(axis)}" stiffness="{joint.stiffness}" '
+                f'<joint name="{body.name}.{i}" type="hinge" axis="{_text(axis)}" stiffness="{joint.stiffness}" '
                 f'damping="{joint.damping}" armature="{joint.armature}" limited="false"/>'
-                for axis in joint.axes
+                for i, axis in enumerate(joint.axes)
             )
         inner = "".join(element(child) for child in children.get(body.name, []))
         geom = _geom(body, -anchor, fluid)
         return f'<body name="{body.name}" {place}>{joints}{geom}{inner}</body>'
 
+    servos = "".join(
+        f'<velocity joint="{body.name}.{i}" kv="{body.joint.actuator.gain}"/>'
+        for body in creature.bodies
+        if motors and body.joint and body.joint.actuator
+        for i in range(len(body.joint.axes))
+    )
     attributes = " ".join(f'{key}="{value}"' for key, value in (options or {}).items())
     xml = (
         f'<mujoco><compiler angle="radian"/><option {attributes}>'
         '<flag contact="disable"/></option>'
-        f"<worldbody>{element(children[None][0])}</worldbody></mujoco>"
+        f"<worldbody>{element(children[None][0])}</worldbody>"
+        f"<actuator>{servos}</actuator></mujoco>"
     )
     return mujoco.MjModel.from_xml_string(xml)
 

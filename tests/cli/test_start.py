@@ -1,0 +1,91 @@
+"""What starting the program costs and what importing it does."""
+
+import statistics
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import evo_cpg
+from tiny_run import CONFIG, REPOSITORY, TINY, environment
+
+IMPORT_EVERYTHING = """
+import importlib, pkgutil, jax
+
+before = dict(jax.config.values)
+import evo_cpg
+
+for module in pkgutil.walk_packages(evo_cpg.__path__, "evo_cpg."):
+    importlib.import_module(module.name)
+changed = {k for k, v in jax.config.values.items() if before.get(k, v) != v}
+assert not changed, changed
+
+from jax._src import xla_bridge
+
+assert not xla_bridge.backends_are_initialized()
+print(*(name for name in sys.modules if name.startswith("evo_cpg.")))
+"""
+
+TRAIN = """
+import sys
+from evo_cpg.cli.main import main
+
+try:
+    main()
+except SystemExit as stop:
+    assert not stop.code, stop.code
+print(*sys.modules)
+"""
+
+
+def python(code: str, *arguments: object, compiled: Path) -> str:
+    """What a program prints."""
+    done = subprocess.run(
+        [sys.executable, "-c", f"import sys\n{code}", *map(str, arguments)],
+        env=environment(compiled),
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_help_answers_at_once():
+    seconds = []
+    for arguments in (["--help"], ["train", "--help"], ["render", "--help"]):
+        start = time.perf_counter()
+        done = subprocess.run(
+            [sys.executable, "-m", "evo_cpg.cli.main", *arguments],
+            cwd=REPOSITORY,
+            capture_output=True,
+            text=True,
+        )
+        seconds.append(time.perf_counter() - start)
+        assert done.returncode == 0 and "Usage:" in done.stdout and done.stderr == ""
+    assert statistics.median(seconds) < 0.5
+
+
+def test_importing_changes_nothing_about_jax_and_starts_nothing(compiled):
+    loaded = python(IMPORT_EVERYTHING, compiled=compiled).split()
+    files = Path(evo_cpg.__file__).parent.rglob("*.py")
+    assert len(loaded) == sum(1 for _ in files) - 1
+
+
+def test_training_never_loads_vtk(finished_run, compiled, tmp_path):
+    del finished_run  # It has compiled what this one needs.
+    loaded = python(
+        TRAIN,
+        "train",
+        CONFIG,
+        *TINY,
+        "evolution.generations=1",
+        "--out",
+        tmp_path / "run",
+        "--cores",
+        2,
+        compiled=compiled,
+    )
+    assert "evo_cpg.training.loop" in loaded.split()
+    assert not {"vtk", "vtkmodules", "pyvista", "matplotlib", "imageio_ffmpeg"} & set(
+        loaded.split()
+    )

@@ -1,0 +1,187 @@
+"""Whatever a user gets wrong: one or two lines, exit code 2, nothing written, nothing lost."""
+
+from pathlib import Path
+
+import pytest
+import yaml
+
+from tiny_run import CONFIG, REPOSITORY, TINY
+
+TASKS = """
+import jax.numpy as jnp
+from evo_cpg.simulation.task import Task
+
+class NotATask: ...
+
+class Unfinished(Task): ...
+
+class Jump(Task):
+    light: tuple[float, float, float] = (1.0, 0.0, 0.0)
+    height: float = 1.0
+
+    def __check_init__(self):
+        if self.height < 0:
+            raise ValueError(f"height must not be negative, got {self.height}")
+
+    def begin(self, batch, dtype, steps):
+        return jnp.zeros(batch, dtype)
+
+    def watch(self, tally, moment, steps):
+        return tally
+
+    def terms(self, tally, steps):
+        return {"jump": tally}
+
+    def fitness(self, terms, scales):
+        return terms["jump"]
+"""
+
+
+def contents(folder: Path) -> dict[Path, bytes | None]:
+    """Everything below a folder, to the byte."""
+    return {path: path.read_bytes() if path.is_file() else None for path in folder.rglob("*")}
+
+
+@pytest.fixture
+def refused(cli, tmp_path, monkeypatch):
+    """Call the program and return what it complained of, having checked how."""
+    monkeypatch.chdir(tmp_path)
+
+    def call(*arguments: object) -> str:
+        before = contents(tmp_path)
+        code, out, err = cli(*arguments)
+        assert (code, out) == (2, "")
+        assert err.startswith("evo-cpg: ") and err.endswith("\n") and 1 <= err.count("\n") <= 2
+        assert "Traceback" not in err
+        assert contents(tmp_path) == before
+        return err.removeprefix("evo-cpg: ").removesuffix("\n")
+
+    return call
+
+
+@pytest.mark.parametrize("command", ["train", "validate", "preview"])
+def test_a_wrong_config_is_refused_by_every_command(refused, tmp_path, command):
+    path = tmp_path / "x.yaml"
+    path.write_text("name: x\ncreature: {name: y, bodies: [}\n")
+    assert refused(command, path).startswith(f"{path}: line 2, column ")
+    assert "no such file; did you mean 'x.yaml'?" in refused(command, tmp_path / "y.yaml")
+    assert "cannot be read (Is a directory)" in refused(command, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("override", "expected"),
+    [
+        ("seed", "command line: 'seed' is not of the form key.path=value"),
+        ("controller.cpg.pair_wait=1", "controller.cpg.pair_wait: unknown key; did you mean"),
+        ("creature.materials.body.density=-1", "body.density: -1: input should be greater than 0"),
+        ("creature.bodies.1.repeat=0", "repeat: 0: input should be greater than or equal to 1"),
+        ("creature.bodies.1.joint.parent=hed", "'hed' does not exist; did you mean 'head'?"),
+        ("evolution.population=8", "elites: must be fewer than the population of 8, got 20"),
+        ("task.light_weight=2", "eq. 10 asks for"),
+        ("world.gravity=.nan", "world.gravity: nan: input should be a finite number"),
+    ],
+)
+def test_a_wrong_setting_is_refused_before_anything_is_written(refused, override, expected):
+    assert expected in refused("train", CONFIG, override, "--out", "run")
+
+
+def test_a_place_that_cannot_take_a_run_is_refused(refused, tmp_path):
+    used = tmp_path / "used"
+    used.mkdir()
+    (used / "config.yaml").write_text("name: mine\n")
+    message = refused("train", CONFIG, *TINY, "--out", used)
+    assert message == (
+        f"{used} already holds a run; go on with `evo-cpg resume {used}` or choose another --out"
+    )
+    other = tmp_path / "other"
+    other.mkdir()
+    (other / "thesis.tex").write_text("years of work")
+    assert "is not empty and holds no run" in refused("train", CONFIG, *TINY, "--out", other)
+    file = other / "thesis.tex"
+    assert "is a file; choose another --out" in refused("train", CONFIG, *TINY, "--out", file)
+    assert "cannot write" in refused("train", CONFIG, *TINY, "--out", file / "run")
+    for place in ("/proc/run", "/sys/run", f"/{'x' * 300}"):
+        assert f"cannot write {place} (" in refused("train", CONFIG, *TINY, "--out", place)
+
+
+@pytest.mark.parametrize("command", ["resume", "verify", "render", "plot"])
+def test_a_folder_that_is_no_run_is_refused(refused, tmp_path, command):
+    for place in (tmp_path, tmp_path / "nowhere", CONFIG):
+        assert "is not a run folder (it has no config.yaml)" in refused(command, place)
+
+
+def test_a_run_with_a_broken_config_or_no_champion_is_refused(refused, tmp_path):
+    run = tmp_path / "run"
+    run.mkdir()
+    (run / "config.yaml").write_text("name: [")
+    for command in ("resume", "verify", "render", "plot"):
+        assert "config.yaml: line 1" in refused(command, run)
+    config = yaml.safe_load(CONFIG.read_text())
+    config["creature"] = str(REPOSITORY / "configs" / config["creature"])
+    (run / "config.yaml").write_text(yaml.safe_dump(config))
+    for command in ("verify", "render", "plot"):
+        assert refused(command, run) == "run has no champion yet; train it first".replace(
+            "run", str(run), 1
+        )
+
+
+def test_a_film_of_unknown_kind_or_size_is_refused(refused, finished_run, tmp_path):
+    assert "the name ends in '.avi'" in refused("render", finished_run, "-o", "film.avi")
+    assert "there is no folder" in refused("render", finished_run, "-o", "no/film.mp4")
+    message = refused("render", finished_run, "--size", "big")
+    assert message == "--size: 'big' is not WIDTHxHEIGHT, such as 1280x720"
+    assert "the name ends in '.mp4'" in refused("preview", CONFIG, "-o", "body.mp4")
+
+
+@pytest.mark.parametrize(
+    ("kind", "options", "expected"),
+    [
+        ("no_such_module:Task", {}, "task.type: 'no_such_module:Task' cannot be imported (ModuleN"),
+        ("my_tasks:Jmup", {}, "task.type: 'my_tasks:Jmup' cannot be imported (AttributeError"),
+        ("broken_tasks:Jump", {}, "task.type: 'broken_tasks:Jump' cannot be imported (SyntaxErr"),
+        ("..my_tasks:Jump", {}, "task.type: '..my_tasks:Jump' cannot be imported (TypeError"),
+        ("my_tasks:NotATask", {}, "is not a subclass of evo_cpg.simulation.task:Task"),
+        ("my_tasks:Unfinished", {}, "task.options: my_tasks:Unfinished cannot be built with them"),
+        ("my_tasks:Jump", {"hieght": 2}, "cannot be built with them (Jump.__init__() got an unexp"),
+        ("my_tasks:Jump", {"height": -2}, "height must not be negative, got -2"),
+        ("my tasks:Jump", {}, "task.type: 'my tasks:Jump': string should match pattern"),
+    ],
+)
+def test_a_task_of_ones_own_that_does_not_fit_is_refused(
+    refused, tmp_path, monkeypatch, kind, options, expected
+):
+    (tmp_path / "my_tasks.py").write_text(TASKS)
+    (tmp_path / "broken_tasks.py").write_text("def :\n")
+    monkeypatch.setattr("sys.path", [str(tmp_path), *__import__("sys").path])
+    monkeypatch.setattr("sys.dont_write_bytecode", True)
+    monkeypatch.delitem(__import__("sys").modules, "my_tasks", raising=False)
+    config = yaml.safe_load(CONFIG.read_text())
+    config["creature"] = str(REPOSITORY / "configs" / config["creature"])
+    config["task"] = {"type": kind, "options": options}
+    (tmp_path / "x.yaml").write_text(yaml.safe_dump(config))
+    assert expected in refused("train", "x.yaml", "--out", "run")
+
+
+def test_validate_reports_every_file_and_fails_if_one_is_wrong(cli, tmp_path):
+    (tmp_path / "x.yaml").write_text("nam: x\n")
+    code, out, err = cli("validate", tmp_path / "x.yaml", CONFIG)
+    assert code == 2
+    assert out == f"{CONFIG}: 10 bodies, 27 joint axes, 20 kg, 1639 genes\n"
+    assert err.startswith(f"evo-cpg: {tmp_path / 'x.yaml'}: nam: unknown key; did you mean 'name'?")
+    assert err.count("\n") == 1
+
+
+def test_validate_accepts_every_shipped_config(cli):
+    paths = sorted((REPOSITORY / "configs").glob("*.yaml"))
+    code, out, err = cli("validate", *paths)
+    assert (code, err) == (0, "")
+    assert out.count("\n") == len(paths)
+
+
+@pytest.mark.parametrize(
+    "arguments", [["train"], ["train", CONFIG, "--cores", 0], ["fly"], ["verify", "--fast"]]
+)
+def test_a_wrong_command_line_is_answered_with_the_usage(cli, arguments):
+    code, out, err = cli(*arguments)
+    assert (code, out) == (2, "")
+    assert "Usage: evo-cpg" in err and "Traceback" not in err

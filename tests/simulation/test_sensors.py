@@ -1,0 +1,85 @@
+"""Eyes against eq. 1 and plain geometry."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from evo_cpg.creature.tree import build_tree
+from evo_cpg.physics.kinematics import kinematics
+from evo_cpg.physics.state import State, resting_state
+from evo_cpg.simulation.sensors import light_strength, place_sensors, see
+from evo_cpg.spatial.rotation import euler_to_matrix
+from trials import EYES, swimmer
+
+
+@given(st.floats(0, np.pi), st.floats(0.1, 2 * np.pi))
+def test_strength_is_eq_1_within_half_the_field_of_view_and_nothing_beyond(angle, field):
+    strength = float(light_strength(jnp.cos(jnp.array([angle])), jnp.array([field]))[0])
+    expected = np.cos(np.pi * angle / field) if angle < field / 2 else 0.0
+    # Where the cosine is flat, float32 resolves the angle to 5e-4 rad.
+    assert strength == pytest.approx(expected, abs=np.pi / field * 6e-4)
+    assert 0.0 <= strength <= 1.0
+
+
+@pytest.mark.parametrize("field", [np.pi / 3, np.pi, 2 * np.pi])
+def test_strength_reaches_nothing_exactly_at_the_edge_of_the_field(x64, field):
+    angle = np.array([0.0, 0.25, 0.499, 0.5, 0.501]) * field
+    angle = np.minimum(angle, np.pi)
+    fields = jnp.full(5, field)
+    strength = np.asarray(light_strength(jnp.cos(angle), fields))
+    expected = [1.0, np.sqrt(0.5), np.cos(0.499 * np.pi), 0.0, 0.0]
+    np.testing.assert_allclose(strength, expected, atol=4e-3 if field > 6 else 1e-6)
+
+
+@pytest.mark.parametrize("light", [(3.0, 1.0, 0.5), (-2.0, 4.0, -1.0), (0.3, -0.2, 2.0)])
+def test_eyes_see_by_where_they_are_and_where_they_look(x64, light):
+    creature = swimmer(EYES)
+    tree = build_tree(creature)
+    turn, bend = np.array([0.4, -0.3, 1.1]), 0.7
+    root = np.asarray(euler_to_matrix(*turn))
+    place = np.array([0.2, -0.1, 0.3])
+    state = State(
+        position=jnp.asarray(place),
+        orientation=jnp.asarray(quaternion(root)),
+        velocity=jnp.zeros(6),
+        q=jnp.array([bend]),
+        qd=jnp.zeros(1),
+    )
+    sensors = place_sensors(creature, tree)
+    strength, cosine, sine = see(sensors, kinematics(tree, state), jnp.asarray(light))
+    tail = root @ np.asarray(euler_to_matrix(0.0, 0.0, bend))
+    joint = place + root @ [-0.11, 0, 0]
+    positions = [place + root @ [0.1, 0, 0], joint + tail @ [-0.21, 0, 0.02]]
+    axes = [root @ [1, 0, 0], tail @ [0, 1, 0]]
+    for i, (position, axis, eye) in enumerate(zip(positions, axes, EYES, strict=True)):
+        ray = (np.array(light) - position) / np.linalg.norm(np.array(light) - position)
+        angle = np.arccos(axis @ ray)
+        half = eye.field_of_view / 2
+        expected = np.cos(np.pi * angle / eye.field_of_view) if angle < half else 0.0
+        assert float(strength[i]) == pytest.approx(expected, abs=1e-9)
+        assert float(cosine[i]) == pytest.approx(axis[2], abs=1e-9)
+        assert float(sine[i]) == pytest.approx(np.hypot(axis[0], axis[1]), abs=1e-6)
+
+
+def test_a_creature_without_eyes_sees_nothing():
+    creature = swimmer(())
+    tree = build_tree(creature)
+    sensors = place_sensors(creature, tree)
+    for batch in ((), (4,)):
+        light = jnp.ones((3, *(1,) * len(batch)))
+        seen = jax.eval_shape(
+            lambda batch=batch, light=light: see(
+                sensors, kinematics(tree, resting_state(tree, batch)), light
+            )
+        )
+        assert [values.shape[0] for values in seen] == [0, 0, 0]
+
+
+def quaternion(rotation: np.ndarray) -> np.ndarray:
+    """Unit quaternion (w, x, y, z) of a rotation by less than a half turn."""
+    w = np.sqrt(1 + np.trace(rotation)) / 2
+    skew = rotation - rotation.T
+    return np.array([w, *(np.array([skew[2, 1], skew[0, 2], skew[1, 0]]) / (4 * w))])

@@ -1,0 +1,148 @@
+"""Trials: what the task makes of them is recomputed in NumPy from their recordings."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from trials import experiment
+
+from creatures import quick_jit
+from evo_cpg.simulation.reach_light import ReachLight
+from evo_cpg.simulation.rollout import Outcome, as_recording, record, rollout, score
+
+# Amplitude (rad/s) and frequency (Hz): two swimmers, one that rests, one without a number, one
+# that asks for more than any body can do.
+GENES = np.array([[3.0, 2.0, 0.0, np.nan, 1e7], [1.0, 2.0, 1.0, 1.0, 3.0]], np.float32)
+LIVING = 3
+STEPS = 90
+
+
+@pytest.fixture(scope="module")
+def trial():
+    """Outcome and recordings of one step more, which tells the last rates."""
+    short, long = experiment(STEPS).simulation, experiment(STEPS + 1).simulation
+    outcome, frames = quick_jit(lambda genes: (rollout(short, genes), record(long, genes, LIVING)))(
+        GENES
+    )
+    names = ["tail", "head"]
+    return outcome, [as_recording(long, frames, names, i) for i in range(LIVING)]
+
+
+@pytest.mark.parametrize("individual", range(LIVING))
+def test_terms_follow_from_the_recording(trial, individual):
+    outcome, recordings = trial
+    terms = {name: float(values[individual]) for name, values in outcome.terms.items()}
+    motion = recordings[individual]
+    head, light = motion.position[:STEPS, 1].astype(float), np.array([3.0, 1.0, 0.5])
+    distance = np.linalg.norm(light - head, axis=1)
+    np.testing.assert_allclose(motion.distance[:STEPS], distance, rtol=1e-6)
+    assert terms["distance"] == pytest.approx(distance[-60:].mean() / distance[0], rel=1e-5)
+
+    rate = np.diff(motion.joint_angle.astype(float), axis=0) * 60
+    middle = (rate + np.vstack([np.zeros_like(rate[:1]), rate[:-1]])) / 2
+    energy = np.abs(motion.torque[:STEPS] * middle).sum() / 60
+    assert terms["energy"] == pytest.approx(energy, rel=1e-3, abs=1e-6)
+
+    rotation = motion.rotation[:STEPS].astype(float)
+    strength = []
+    for body, place, axis, field in (
+        (1, [0.1, 0, 0], [1, 0, 0], np.pi),
+        (0, [-0.1, 0, 0.02], [0, 1, 0], np.pi / 2),
+    ):
+        ray = light - motion.position[:STEPS, body] - rotation[:, body] @ place
+        cosine = (rotation[:, body] @ axis * ray).sum(1) / np.linalg.norm(ray, axis=1)
+        angle = np.arccos(cosine)
+        strength.append(np.where(angle < field / 2, np.cos(np.pi * angle / field), 0.0))
+    assert terms["light"] == pytest.approx(np.max(strength, 0).mean(), abs=1e-5)
+
+
+def test_the_wave_is_what_the_genes_say(trial):
+    _, recordings = trial
+    time = recordings[1].time[:, None]
+    assert time[1] == pytest.approx(1 / 60)
+    np.testing.assert_allclose(
+        recordings[1].target_rate, 2.0 * np.sin(2 * np.pi * 2.0 * time), atol=1e-4
+    )
+    assert recordings[1].dof_names == ("tail.z",)
+    assert np.abs(recordings[1].joint_angle).max() > 0.1
+    # The one without drive stays where it is: it is as heavy as the water.
+    assert np.ptp(recordings[2].position, axis=0).max() < 1e-5
+
+
+def test_the_diverged_are_dead_and_score_nothing(trial):
+    outcome, _ = trial
+    assert np.asarray(outcome.alive).tolist() == [True] * LIVING + [False] * 2
+    task = experiment(STEPS).simulation.task
+    fitness = np.asarray(score(task, outcome, {"energy": jnp.float32(2.0)}))
+    assert (fitness[LIVING:] == -np.inf).all()
+    terms = {name: np.asarray(values[:LIVING]) for name, values in outcome.terms.items()}
+    expected = (
+        -np.minimum(terms["distance"], 1.5)
+        - 0.2 * np.minimum(terms["energy"] / 2.0, 1.0)
+        + 0.5 * terms["light"]
+    )
+    np.testing.assert_allclose(fitness[:LIVING], expected, rtol=1e-6)
+
+
+def test_a_fitness_that_is_no_number_scores_nothing():
+    task = ReachLight((1.0, 0.0, 0.0))
+    terms = {name: jnp.array([jnp.nan, jnp.inf, 0.5]) for name in ("distance", "energy", "light")}
+    fitness = score(task, Outcome(terms, jnp.ones(3, bool)), {"energy": jnp.float32(1.0)})
+    assert np.asarray(fitness).tolist() == [-np.inf, -np.inf, pytest.approx(-0.35)]
+
+
+NUMBERS = st.floats(0, 1)
+
+
+@given(NUMBERS, NUMBERS, NUMBERS, NUMBERS)
+def test_no_light_outweighs_the_distance_and_no_thrift_the_light(distance, light, energy, other):
+    # Eq. 10: from the worst to the best of one term against the worst to the best of the next.
+    task, scales = ReachLight((1.0, 0.0, 0.0)), {"energy": jnp.float32(4.0)}
+
+    def fitness(distance, light, energy):
+        return float(
+            task.fitness(
+                {
+                    "distance": jnp.float32(distance),
+                    "energy": jnp.float32(4.0 * energy),
+                    "light": jnp.float32(light),
+                },
+                scales,
+            )
+        )
+
+    assert fitness(0.0, 0.0, energy) >= fitness(1.0, 1.0, energy)
+    assert fitness(distance, 1.0, 1.0) >= fitness(distance, 0.0, 0.0)
+    low, high = sorted((light, other))
+    assert fitness(distance, high, energy) >= fitness(distance, low, energy)
+    assert fitness(low, light, energy) >= fitness(high, light, energy)
+    assert fitness(distance, light, low) >= fitness(distance, light, high)
+
+
+def test_what_exceeds_the_yardsticks_counts_no_further():
+    task, scales = ReachLight((1.0, 0.0, 0.0)), {"energy": jnp.float32(4.0)}
+    terms = {"distance": jnp.array([1.5, 9.0]), "energy": jnp.array([4.0, 1e9])}
+    fitness = task.fitness(terms | {"light": jnp.zeros(2)}, scales)
+    assert float(fitness[0]) == float(fitness[1]) == pytest.approx(-1.7)
+
+
+def test_the_energy_yardstick_is_the_95th_percentile_of_the_living():
+    task = ReachLight((1.0, 0.0, 0.0))
+    energy = np.random.default_rng(0).uniform(1, 5, 40).astype(np.float32)
+    given_energy = np.append(energy, [np.nan, np.inf]).astype(np.float32)
+    top = task.scales({"energy": jnp.asarray(given_energy)})["energy"]
+    assert float(top) == pytest.approx(np.percentile(energy, 95), rel=1e-6)
+    for idle in (np.zeros(5), np.full(5, np.nan)):
+        assert float(task.scales({"energy": jnp.asarray(idle, jnp.float32)})["energy"]) == 1.0
+
+
+def test_a_blind_animal_lives_its_trial():
+    simulation = experiment(2, eyes=()).simulation
+    terms = jax.eval_shape(lambda: rollout(simulation, jnp.ones((2, 3)))).terms
+    assert {name: values.shape for name, values in terms.items()} == {
+        "distance": (3,),
+        "energy": (3,),
+        "light": (3,),
+    }

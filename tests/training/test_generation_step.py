@@ -1,0 +1,135 @@
+"""One generation on one device and on two; who dies is counted and never wins."""
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from evo_cpg.evolution.selection import rank_order
+from evo_cpg.simulation.rollout import Outcome, as_recording, rollout, score
+from evo_cpg.training.devices import fast_jit, population_mesh
+from evo_cpg.training.experiment import evaluate, first_population, generation_step, replay
+from evo_cpg.training.loop import train
+from evo_cpg.training.run_folder import RunFolder
+from trials import SineController, experiment
+
+STEPS = 20
+
+
+@pytest.fixture(scope="module")
+def small():
+    return experiment(STEPS, population=11)
+
+
+@pytest.fixture(scope="module")
+def genes(small):
+    return first_population(small)
+
+
+@pytest.fixture(scope="module")
+def evaluated(small, genes):
+    """The same 11 individuals, on one device and on two."""
+    return [
+        fast_jit(lambda g, mesh=population_mesh(count): evaluate(small.simulation, mesh, g))(genes)
+        for count in (1, 2)
+    ]
+
+
+def test_two_devices_give_the_same_bits_as_one(evaluated):
+    one, two = evaluated
+    assert one.terms.keys() == two.terms.keys()
+    for name, values in one.terms.items():
+        assert values.shape == (11,)
+        np.testing.assert_array_equal(values, two.terms[name])
+    np.testing.assert_array_equal(one.alive, two.alive)
+
+
+def test_padding_a_population_changes_nobody(small, genes, evaluated):
+    outcome = fast_jit(lambda g: rollout(small.simulation, g))(genes)
+    for name, values in outcome.terms.items():
+        np.testing.assert_allclose(evaluated[1].terms[name], values, rtol=1e-5, atol=1e-7)
+
+
+def test_a_replay_is_the_trial_and_its_recording(small, genes, evaluated):
+    mesh = population_mesh(2)
+    outcome, frames = fast_jit(lambda g: replay(small.simulation, mesh, g, 11))(genes[:, 4])
+    for name, values in evaluated[1].terms.items():
+        assert float(outcome.terms[name]) == float(values[4])
+    motion = as_recording(small.simulation, frames, ["tail", "head"])
+    assert float(outcome.terms["distance"]) == pytest.approx(
+        motion.distance[-60:].mean() / motion.distance[0], rel=1e-5
+    )
+
+
+@pytest.fixture(scope="module")
+def step(small):
+    mesh = population_mesh(2)
+    return fast_jit(lambda genes, i, scales: generation_step(small, mesh, genes, i, scales))
+
+
+def test_the_diverged_are_counted_and_never_win_or_set_the_yardstick(small, genes, step):
+    wild = np.array(genes)
+    wild[0, 3], wild[0, 7] = np.nan, 1e7
+    old = {"energy": np.float32(123.0)}
+    result = step(wild, np.int32(0), old)
+    fitness = np.asarray(result.fitness)
+    assert np.flatnonzero(fitness == -np.inf).tolist() == [3, 7]
+    assert np.flatnonzero(~np.asarray(result.alive)).tolist() == [3, 7]
+    living = np.delete(np.asarray(result.terms["energy"]), [3, 7])
+    assert float(result.scales["energy"]) == pytest.approx(np.percentile(living, 95), rel=1e-5)
+    order = np.asarray(rank_order(result.fitness))
+    assert int(result.best) == order[0] and order[-2:].tolist() == [3, 7]
+    np.testing.assert_array_equal(result.best_genes, wild[:, order[0]])
+    np.testing.assert_array_equal(result.next_genes[:, :2], wild[:, order[:2]])
+    assert np.isfinite(result.next_genes).all()
+    # After the first generation the yardstick stays.
+    later = step(wild, np.int32(1), old)
+    assert float(later.scales["energy"]) == 123.0
+    expected = score(small.simulation.task, Outcome(later.terms, later.alive), later.scales)
+    np.testing.assert_allclose(later.fitness, expected, rtol=1e-6)
+
+
+def test_the_number_of_the_generation_selects_the_random_stream(small, genes, step):
+    scales = {"energy": np.float32(1.0)}
+    first, again = (step(genes, np.int32(1), scales).next_genes for _ in range(2))
+    np.testing.assert_array_equal(first, again)
+    other = step(genes, np.int32(2), scales).next_genes
+    np.testing.assert_array_equal(first[:, :2], other[:, :2])
+    assert (first != other)[:, 2:].any()
+
+
+def test_seeds_differ_from_the_first_generation_on(small, genes):
+    np.testing.assert_array_equal(first_population(small), genes)
+    assert (np.asarray(first_population(small._replace(seed=1))) != np.asarray(genes)).all()
+
+
+def test_one_individual_alone_scores_as_it_does_in_company(small, genes, evaluated):
+    mesh = population_mesh(2)
+    alone = fast_jit(lambda g: evaluate(small.simulation, mesh, g))(genes[:, 6:7])
+    for name, values in evaluated[1].terms.items():
+        np.testing.assert_array_equal(alone.terms[name], values[6:7])
+
+
+class Lifeless(SineController):
+    """All of whose individuals diverge."""
+
+    def random_genes(self, key, batch, dtype):
+        return jnp.full((self.gene_count, *batch), jnp.nan, dtype)
+
+
+def test_a_run_in_which_nobody_lives_has_no_champion(small, tmp_path):
+    simulation = dataclasses.replace(small.simulation, controller=Lifeless())
+    folder = RunFolder(tmp_path / "run")
+    folder.create("", {})
+    shown = []
+    done = train(small._replace(simulation=simulation), folder, shown.append)
+    assert done.generation == 2 and done.champion is None
+    assert shown == done.history
+    for row in shown:
+        assert row["diverged"] == 11
+        assert np.isnan([row["champion"], row["best"], row["mean"]]).all()
+    assert done.scales == {"energy": 1.0}
+    kept = folder.load()
+    assert kept is not None and kept.champion is None and kept.scales == done.scales
+    assert folder.metrics.exists() and not folder.champion.exists()

@@ -1,0 +1,78 @@
+"""A swimmer of two bodies with an eye and a sine wave for a nervous system."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from creatures import AXES, in_water
+from evo_cpg.control.controller import Command, Controller
+from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, LightSensor, Material
+from evo_cpg.creature.shapes import Box
+from evo_cpg.creature.tree import build_tree
+from evo_cpg.evolution.generation import RealGenetics
+from evo_cpg.simulation.reach_light import ReachLight
+from evo_cpg.simulation.rollout import Simulation
+from evo_cpg.simulation.sensors import place_sensors
+from evo_cpg.training.experiment import Experiment
+
+
+class SineController(Controller):
+    """All joints follow one wave; amplitude (rad/s) and frequency (Hz) are the genes."""
+
+    gene_count: int = eqx.field(static=True, default=2)
+
+    def random_genes(self, key, batch, dtype):
+        return 1.0 + jax.random.uniform(key, (self.gene_count, *batch), dtype)
+
+    def initial_state(self, batch, dtype):
+        return jnp.zeros(batch, dtype)
+
+    def act(self, genes, state, observation):
+        amplitude, frequency = genes
+        wave = jnp.sin(2 * jnp.pi * frequency * state)
+        signal = wave[None] * jnp.ones_like(observation.joint_angle)
+        return state + 1 / 60, Command(amplitude[None] * signal, signal)
+
+
+def swimmer(eyes: tuple[LightSensor, ...]) -> Creature:
+    """A head behind its tail in the list, and not at the root's place in the middle of it."""
+    flesh = Material(1000.0)
+    joint = Joint(
+        parent="head",
+        parent_anchor=(-0.11, 0.0, 0.0),
+        child_anchor=(0.11, 0.0, 0.0),
+        axes=(AXES["z"],),
+        lower=(-1.0,),
+        upper=(1.0,),
+        actuator=Actuator(20.0),
+    )
+    box = Box((0.2, 0.1, 0.1))
+    return Creature(
+        "pair", (Body("tail", box, flesh, joint), Body("head", box, flesh)), eyes, ("head",)
+    )
+
+
+EYES = (
+    LightSensor("head", (0.1, 0.0, 0.0), (1.0, 0.0, 0.0), np.pi),
+    LightSensor("tail", (-0.1, 0.0, 0.02), (0.0, 1.0, 0.0), np.pi / 2),
+)
+
+
+def experiment(
+    steps: int = 90, population: int = 11, eyes: tuple[LightSensor, ...] = EYES, seed: int = 0
+) -> Experiment:
+    """The pair swims for a light ahead and to the left; one substep per control step."""
+    creature = swimmer(eyes)
+    simulation = Simulation(
+        world=in_water(creature, resolution=1),
+        sensors=place_sensors(creature, build_tree(creature)),
+        controller=SineController(),
+        task=ReachLight((3.0, 1.0, 0.5)),
+        control_rate=60.0,
+        substeps=1,
+        steps=steps,
+    )
+    return Experiment(
+        "pair", creature, simulation, RealGenetics(population, 2, 0.5, 0.2, 0.5, 0.5, 8.0), 2, seed
+    )
