@@ -15,9 +15,9 @@ import numpy as np
 from evo_cpg.analysis.gait import gait
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import dump_config, load_config
-from evo_cpg.simulation.rollout import as_recording, record
+from evo_cpg.simulation.rollout import as_recording, record, score
 from evo_cpg.training.devices import fast_jit, population_mesh, use_cores
-from evo_cpg.training.experiment import evaluate, first_population
+from evo_cpg.training.experiment import compile_trials, first_population
 from evo_cpg.training.loop import replay_champion, train
 from evo_cpg.training.run_folder import RunFolder
 
@@ -32,12 +32,13 @@ def evolve(out: Path, drive: str, seed: int, devices: int) -> dict:
     if not folder.config.exists():
         folder.create(dump_config(config), {"devices": devices, "seed": seed})
     experiment = build_experiment(config, CONFIG)
-    champion = train(experiment, folder).champion
+    finished = train(experiment, folder)
+    champion = finished.champion
     assert champion is not None
     _, terms, recording = replay_champion(experiment, champion, devices)
     folder.save_champion(champion, recording)
     rhythm = gait(recording)
-    distance_at = [row["best_distance"] for row in folder.load().history]
+    distance_at = [row["best_distance"] for row in finished.history]
     return {
         "drive": drive,
         "seed": seed,
@@ -55,32 +56,26 @@ def evolve(out: Path, drive: str, seed: int, devices: int) -> dict:
     }
 
 
-def baselines(seed: int) -> dict:
-    """Random search with as many evaluations as a run, and the gaits of untrained animals."""
-    config = load_config(CONFIG, [f"seed={seed}"])
-    experiment = build_experiment(config, CONFIG)
-    simulation, mesh = experiment.simulation, population_mesh()
-    controller, size = simulation.controller, experiment.genetics.population
-
-    def trial(generation):
+def random_search(seed: int) -> dict:
+    """The best of as many random animals as a run evaluates."""
+    experiment = build_experiment(load_config(CONFIG, [f"seed={seed}"]), CONFIG)
+    simulation, size = experiment.simulation, experiment.genetics.population
+    task, trials = simulation.task, compile_trials(simulation, population_mesh())
+    scales: dict = {}
+    fitness, distance = [], []
+    for generation in range(experiment.generations):
         key = jax.random.fold_in(jax.random.key(1000 + seed), generation)
-        genes = controller.random_genes(key, (size,), np.float32)
-        outcome = evaluate(simulation, mesh, genes)
-        return outcome.terms, outcome.alive
-
-    run = fast_jit(trial)
-    rows = [run(generation) for generation in range(experiment.generations)]
-    terms = {name: np.concatenate([row[0][name] for row in rows]) for name in rows[0][0]}
-    alive = np.concatenate([row[1] for row in rows])
-    energy = np.percentile(terms["energy"][:size], 95)
-    fitness = np.where(alive, simulation.task.fitness(terms, {"energy": energy}), -np.inf)
-    best = int(fitness.argmax())
+        genes = simulation.controller.random_genes(key, (size,), np.float32)
+        outcome = trials(np.asarray(genes))
+        scales = scales or task.scales(outcome.terms)
+        fitness.append(np.asarray(score(task, outcome, scales)))
+        distance.append(outcome.terms["distance"])
+    best = int(np.concatenate(fitness).argmax())
     return {
         "seed": seed,
-        "fitness": float(fitness[best]),
-        "distance": float(terms["distance"][best]),
-        "closest": float(terms["distance"][alive].min()),
-        "diverged": int((~alive).sum()),
+        "fitness": float(np.concatenate(fitness)[best]),
+        "distance": float(np.concatenate(distance)[best]),
+        "closest": float(np.nanmin(distance)),
     }
 
 
@@ -111,7 +106,7 @@ def main(out: Path) -> None:
             study["untrained"] = untrained()
             print(study["untrained"], flush=True)
             for seed in seeds:
-                study["random_search"].append(baselines(seed))
+                study["random_search"].append(random_search(seed))
                 print(study["random_search"][-1], flush=True)
     (out / "study.json").write_text(json.dumps(study, indent=1))
 

@@ -40,8 +40,9 @@ def mujoco_model(
                 f'quat="{_text(_quaternion(np.array(joint.orientation)))}"'
             )
             joints = "".join(
-                f'<joint name="{body.name}.{i}" type="hinge" axis="{_text(axis)}" stiffness="{joint.stiffness}" '
-                f'damping="{joint.damping}" armature="{joint.armature}" limited="false"/>'
+                f'<joint name="{body.name}.{i}" type="hinge" axis="{_text(axis)}" '
+                f'stiffness="{joint.stiffness}" damping="{joint.damping}" '
+                f'armature="{joint.armature}" limited="false"/>'
                 for i, axis in enumerate(joint.axes)
             )
         inner = "".join(element(child) for child in children.get(body.name, []))

@@ -18,6 +18,9 @@ TINY = (
     "evolution.generations=4",
 )
 
+# Enough generations to stop a run in the middle of.
+GENERATIONS = 20
+
 
 def program(
     *arguments: object, compiled: Path, folder: Path | None = None

@@ -105,4 +105,7 @@ def fourier_component(
 
 
 def _level(signals: np.ndarray) -> np.ndarray:
-    return signals - signals.mean(0)
+    """The signals without their means and linear trends."""
+    time = np.linspace(-1.0, 1.0, len(signals))[:, None]
+    centred = signals - signals.mean(0)
+    return centred - time * (time * centred).sum(0) / (time * time).sum(0)

@@ -4,7 +4,7 @@ import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pydantic
 import yaml
@@ -132,8 +132,8 @@ def _misread(given: Any, made: Any) -> Iterator[tuple[tuple[str | int, ...], Any
             yield (), given, "must be true or false"
         return
     for name, value, result in inner:
-        for key, *rest in _misread(value, result):
-            yield (name, *key), *rest
+        for key, wrong, problem in _misread(value, result):
+            yield (name, *key), wrong, problem
 
 
 def _neighbours(path: Path) -> str:
@@ -199,22 +199,20 @@ def _worded(
 def _key_in(data: Any, location: Key) -> tuple[str | int, ...]:
     """A pydantic location without the names of union members, which are no keys of the file."""
     key: list[str | int] = []
+    place: Any = data
     for i, part in enumerate(location):
-        is_key = isinstance(data, dict) and part in data
-        is_index = isinstance(data, list) and isinstance(part, int) and part < len(data)
+        is_key = isinstance(place, dict) and part in place
+        is_index = isinstance(place, list) and isinstance(part, int) and part < len(place)
         if is_key or is_index:
             key.append(part)
-            data = data[part]
-        elif i == len(location) - 1 and isinstance(data, dict):
+            place = cast(Any, place)[part]
+        elif i == len(location) - 1 and isinstance(place, dict):
             key.append(part)
     return tuple(key)
 
 
 def _siblings(model: type[pydantic.BaseModel], data: Any, key: Key) -> list[str]:
     """Keys that are valid beside the one in question: those without which the part is refused."""
-    place = data
-    for part in key:
-        place = place[part]
     schema = model.model_json_schema()
     return sorted(_properties(schema, schema, data, key))
 
@@ -234,7 +232,7 @@ def _properties(schema: dict, root: dict, data: Any, key: Key) -> set[str]:
     if not key:
         return set(schema.get("properties", {}))
     part = key[0]
-    below = data[part] if isinstance(data, (dict, list)) else None
+    below = cast(Any, data)[part] if isinstance(data, (dict, list)) else None
     if isinstance(part, int):
         return _properties(schema.get("items", {}), root, below, key[1:])
     inner = schema.get("properties", {}).get(part)

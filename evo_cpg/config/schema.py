@@ -206,8 +206,10 @@ class ExperimentConfig(Section):
     creature: CreatureConfig
     world: WorldConfig = WorldConfig()
     simulation: SimulationConfig = SimulationConfig()
+    # BrainCpgConfig is a class made while this file runs, which pyright cannot follow.
     controller: Annotated[
-        Annotated[BrainCpgConfig, Tag("brain_cpg")] | Annotated[CustomConfig, Tag("custom")],
+        Annotated[BrainCpgConfig, Tag("brain_cpg")]  # pyright: ignore[reportInvalidTypeForm]
+        | Annotated[CustomConfig, Tag("custom")],
         Discriminator(_kind("brain_cpg")),
     ] = BrainCpgConfig()
     task: Annotated[

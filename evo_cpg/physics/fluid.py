@@ -101,12 +101,12 @@ def make_patches(
     patches: dict[bytes, tuple[list[int], Surface, Surface]] = {}
     for i, name in enumerate(tree.names):
         # The geometric centre is the centre of mass: densities are uniform.
-        surfaces = [
-            Surface(surface.points + tree.com[:, i], surface.normals, surface.areas)
+        form_points, skin_points = (
+            surface._replace(points=surface.points + tree.com[:, i])
             for surface in (form[name], skin[name])
-        ]
-        key = b"|".join(np.round(column, 9).tobytes() for surface in surfaces for column in surface)
-        patches.setdefault(key, ([], *surfaces))[0].append(i)
+        )
+        key = b"|".join(np.round(column, 9).tobytes() for column in (*form_points, *skin_points))
+        patches.setdefault(key, ([], form_points, skin_points))[0].append(i)
     return tuple(
         _patch(tuple(bodies), form_points, skin_points, merge=law == "normal")
         for bodies, form_points, skin_points in patches.values()

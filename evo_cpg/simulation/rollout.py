@@ -120,7 +120,8 @@ def record(simulation: Simulation, genes: Float[Array, "g n"], count: int = 1) -
     tree = simulation.world.tree
 
     def advance(carry, index):
-        state, nerves, instant = _control_step(simulation, genes, *carry, index)
+        state, nerves = carry
+        state, nerves, instant = _control_step(simulation, genes, state, nerves, index)
         kin = instant.kinematics
         centre = kin.origin + (kin.rotation * jnp.asarray(tree.com, dtype)[None, ..., None]).sum(1)
         frame = {

@@ -1,16 +1,19 @@
-"""One generation of an experiment as one compiled step."""
+"""One generation of an experiment: the trials on all devices, then the genetic algorithm."""
 
+import functools
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Bool, Float
 
 from evo_cpg.creature.creature import Creature
 from evo_cpg.evolution.generation import RealGenetics, next_generation
 from evo_cpg.simulation.rollout import Outcome, Simulation, record, rollout, score
-from evo_cpg.training.devices import LANES, POPULATION_AXIS
+from evo_cpg.training.devices import LANES, POPULATION_AXIS, fast_jit
 
 # Tags that keep the random streams of one seed apart.
 _FIRST_POPULATION, _GENERATIONS = 0, 1
@@ -65,28 +68,56 @@ def first_population(experiment: Experiment) -> Float[Array, "g n"]:
     return experiment.simulation.controller.random_genes(key, size, jnp.float32)
 
 
-def generation_step(
+def compile_trials(
+    simulation: Simulation, mesh: Mesh
+) -> Callable[[Float[np.ndarray, "g n"]], Outcome]:
+    """One trial of every individual of a population, sharded over the devices of the mesh.
+
+    The devices never talk to each other: each gets its part of the population from the host and
+    gives its results back. A program in which they exchange results deadlocked when two of them
+    were in flight, and XLA ends the process when one device keeps the other waiting for 40 s.
+
+    Returns:
+        A function of host arrays, compiled at its first call.
+    """
+    genes_sharding = NamedSharding(mesh, PartitionSpec(None, POPULATION_AXIS))
+    trials = fast_jit(
+        jax.shard_map(
+            functools.partial(rollout, simulation),
+            mesh=mesh,
+            in_specs=genes_sharding.spec,
+            out_specs=PartitionSpec(POPULATION_AXIS),
+            check_vma=False,
+        )
+    )
+
+    def run(genes: Float[np.ndarray, "g n"]) -> Outcome:
+        count = genes.shape[1]
+        padded = np.pad(genes, ((0, 0), (0, _padding(count, mesh))), mode="edge")
+        outcome = trials(jax.device_put(padded, genes_sharding))
+        return jax.tree.map(lambda x: np.asarray(x)[:count], outcome)
+
+    return run
+
+
+def breed(
     experiment: Experiment,
-    mesh: Mesh,
     genes: Float[Array, "g n"],
+    outcome: Outcome,
     index: Array,
     scales: dict[str, Float[Array, ""]],
 ) -> Generation:
-    """Evaluate a population and breed the next one.
+    """The generation step: score and rank a population and breed the next one.
 
     Args:
-        experiment: what to evolve.
-        mesh: devices to shard the population over.
+        experiment: what is evolved.
         genes: the population.
+        outcome: of its trials.
         index: number of the generation, from 0; it alone selects the random stream, so a resumed
             run draws the same numbers as one that was never stopped.
         scales: the task's yardsticks; measured anew, and these ignored, in generation 0.
     """
     task = experiment.simulation.task
-    outcome = evaluate(experiment.simulation, mesh, genes)
-    # Everything from here on is small, and every device does all of it.
-    replicated = NamedSharding(mesh, PartitionSpec())
-    genes, outcome = jax.lax.with_sharding_constraint((genes, outcome), replicated)
     measured = task.scales(
         {name: jnp.where(outcome.alive, term, jnp.nan) for name, term in outcome.terms.items()}
     )
@@ -96,21 +127,6 @@ def generation_step(
     children = next_generation(jax.random.fold_in(key, index), experiment.genetics, genes, fitness)
     best = jnp.argmax(fitness)
     return Generation(fitness, outcome.terms, outcome.alive, scales, best, genes[:, best], children)
-
-
-def evaluate(simulation: Simulation, mesh: Mesh, genes: Float[Array, "g n"]) -> Outcome:
-    """One trial of every individual, sharded over the devices of the mesh."""
-    count = genes.shape[1]
-    genes = jnp.pad(genes, ((0, 0), (0, _padding(count, mesh))), mode="edge")
-    shard = PartitionSpec(POPULATION_AXIS)
-    outcome = jax.shard_map(
-        lambda part: rollout(simulation, part),
-        mesh=mesh,
-        in_specs=PartitionSpec(None, POPULATION_AXIS),
-        out_specs=shard,
-        check_vma=False,
-    )(genes)
-    return jax.tree.map(lambda x: x[:count], outcome)
 
 
 def replay(

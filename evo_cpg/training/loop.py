@@ -1,5 +1,6 @@
 """The generation loop: evolve, keep the champion, leave a checkpoint after every generation."""
 
+import functools
 import time
 from collections.abc import Callable
 
@@ -14,8 +15,9 @@ from evo_cpg.training.devices import fast_jit, population_mesh
 from evo_cpg.training.experiment import (
     Experiment,
     Generation,
+    breed,
+    compile_trials,
     first_population,
-    generation_step,
     replay,
 )
 from evo_cpg.training.run_folder import Champion, Checkpoint, RunFolder
@@ -49,18 +51,14 @@ def train(
     elif checkpoint.history:
         # A kill may have come between the checkpoint and the table.
         folder.write_metrics(checkpoint.history)
-    step = fast_jit(
-        lambda genes, index, scales: generation_step(experiment, mesh, genes, index, scales)
-    )
+    run_trials = compile_trials(experiment.simulation, mesh)
+    run_breeding = fast_jit(functools.partial(breed, experiment))
     while checkpoint.generation < experiment.generations:
         start = time.perf_counter()
-        result: Generation = jax.block_until_ready(
-            step(
-                checkpoint.genes,
-                np.int32(checkpoint.generation),
-                {name: np.float32(value) for name, value in checkpoint.scales.items()},
-            )
-        )
+        outcome = run_trials(checkpoint.genes)
+        index = np.int32(checkpoint.generation)
+        yardsticks = {name: np.float32(value) for name, value in checkpoint.scales.items()}
+        result = jax.device_get(run_breeding(checkpoint.genes, outcome, index, yardsticks))
         seconds = time.perf_counter() - start
         scales = {name: float(value) for name, value in result.scales.items()}
         champion = _better(checkpoint.champion, result, checkpoint.generation, scales)

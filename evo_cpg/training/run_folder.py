@@ -203,7 +203,8 @@ class RunFolder:
 
     def save_champion(self, champion: Champion, recording: Recording | None = None) -> None:
         """Write champion.npz, with its motion where there is one."""
-        arrays = _champion_arrays(champion) | {"config_sha256": self.config_digest()}
+        arrays: dict[str, Any] = _champion_arrays(champion)
+        arrays |= {"config_sha256": self.config_digest()}
         if recording is not None:
             arrays |= {
                 _RECORDING_PREFIX + name: np.asarray(value)
@@ -225,7 +226,9 @@ class RunFolder:
             digests = {name: str(arrays[name]) for name in _DIGESTS}
             if _RECORDING_PREFIX + "time" not in arrays:
                 return champion, None, digests
-            fields = {name: arrays[_RECORDING_PREFIX + name] for name in Recording._fields}
+            fields: dict[str, Any] = {
+                name: arrays[_RECORDING_PREFIX + name] for name in Recording._fields
+            }
             fields["dof_names"] = tuple(str(name) for name in fields["dof_names"])
             return champion, Recording(**fields), digests
         except _DAMAGED as error:

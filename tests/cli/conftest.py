@@ -11,10 +11,7 @@ import pytest
 
 from evo_cpg.cli import training
 from evo_cpg.cli.main import main
-from tiny_run import CONFIG, TINY, program
-
-# Enough generations to stop a run in the middle of.
-GENERATIONS = 20
+from tiny_run import CONFIG, GENERATIONS, TINY, program
 
 Called = tuple[int, str, str]
 

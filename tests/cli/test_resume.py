@@ -10,9 +10,7 @@ import numpy as np
 
 from evo_cpg.training.loop import TIMING_COLUMNS
 from evo_cpg.training.run_folder import RunFolder
-from tiny_run import CONFIG, TINY
-
-GENERATIONS = 20  # as in conftest
+from tiny_run import CONFIG, GENERATIONS, TINY
 
 
 def rows(folder: Path) -> list[dict[str, str]]:

@@ -1,5 +1,6 @@
 """Whatever a user gets wrong: one or two lines, exit code 2, nothing written, nothing lost."""
 
+import sys
 from pathlib import Path
 
 import pytest
@@ -152,9 +153,9 @@ def test_a_task_of_ones_own_that_does_not_fit_is_refused(
 ):
     (tmp_path / "my_tasks.py").write_text(TASKS)
     (tmp_path / "broken_tasks.py").write_text("def :\n")
-    monkeypatch.setattr("sys.path", [str(tmp_path), *__import__("sys").path])
-    monkeypatch.setattr("sys.dont_write_bytecode", True)
-    monkeypatch.delitem(__import__("sys").modules, "my_tasks", raising=False)
+    monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    monkeypatch.delitem(sys.modules, "my_tasks", raising=False)
     config = yaml.safe_load(CONFIG.read_text())
     config["creature"] = str(REPOSITORY / "configs" / config["creature"])
     config["task"] = {"type": kind, "options": options}

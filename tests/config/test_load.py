@@ -247,7 +247,7 @@ def test_what_cannot_be_read_is_refused(tmp_path):
         load_config(tmp_path)
     with pytest.raises(ConfigError, match=r"no such file; did you mean 'swimmer.yaml'\?"):
         load_config(tmp_path / "swimer.yaml")
-    with pytest.raises(ConfigError, match="no such file$"):
+    with pytest.raises(ConfigError, match=r"no such file$"):
         load_config(tmp_path / "nowhere" / "swimmer.yaml")
     (tmp_path / "refers.yaml").write_text("name: x\ncreature: animals/fish.yaml\n")
     with pytest.raises(ConfigError, match=r"animals/fish.yaml: no such file"):

@@ -1,6 +1,7 @@
 """One generation on one device and on two; who dies is counted and never wins."""
 
 import dataclasses
+import functools
 
 import jax.numpy as jnp
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 from evo_cpg.evolution.selection import rank_order
 from evo_cpg.simulation.rollout import Outcome, as_recording, rollout, score
 from evo_cpg.training.devices import fast_jit, population_mesh
-from evo_cpg.training.experiment import evaluate, first_population, generation_step, replay
+from evo_cpg.training.experiment import breed, compile_trials, first_population, replay
 from evo_cpg.training.loop import train
 from evo_cpg.training.run_folder import RunFolder
 from trials import SineController, experiment
@@ -24,16 +25,19 @@ def small():
 
 @pytest.fixture(scope="module")
 def genes(small):
-    return first_population(small)
+    return np.asarray(first_population(small))
 
 
 @pytest.fixture(scope="module")
-def evaluated(small, genes):
+def run_trials(small):
+    """Trials on two devices."""
+    return compile_trials(small.simulation, population_mesh(2))
+
+
+@pytest.fixture(scope="module")
+def evaluated(small, genes, run_trials):
     """The same 11 individuals, on one device and on two."""
-    return [
-        fast_jit(lambda g, mesh=population_mesh(count): evaluate(small.simulation, mesh, g))(genes)
-        for count in (1, 2)
-    ]
+    return compile_trials(small.simulation, population_mesh(1))(genes), run_trials(genes)
 
 
 def test_two_devices_give_the_same_bits_as_one(evaluated):
@@ -63,9 +67,9 @@ def test_a_replay_is_the_trial_and_its_recording(small, genes, evaluated):
 
 
 @pytest.fixture(scope="module")
-def step(small):
-    mesh = population_mesh(2)
-    return fast_jit(lambda genes, i, scales: generation_step(small, mesh, genes, i, scales))
+def step(small, run_trials):
+    breeding = fast_jit(functools.partial(breed, small))
+    return lambda genes, i, scales: breeding(genes, run_trials(genes), i, scales)
 
 
 def test_the_diverged_are_counted_and_never_win_or_set_the_yardstick(small, genes, step):
@@ -104,9 +108,8 @@ def test_seeds_differ_from_the_first_generation_on(small, genes):
     assert (np.asarray(first_population(small._replace(seed=1))) != np.asarray(genes)).all()
 
 
-def test_one_individual_alone_scores_as_it_does_in_company(small, genes, evaluated):
-    mesh = population_mesh(2)
-    alone = fast_jit(lambda g: evaluate(small.simulation, mesh, g))(genes[:, 6:7])
+def test_one_individual_alone_scores_as_it_does_in_company(genes, run_trials, evaluated):
+    alone = run_trials(genes[:, 6:7])
     for name, values in evaluated[1].terms.items():
         np.testing.assert_array_equal(alone.terms[name], values[6:7])
 

@@ -239,7 +239,7 @@ def test_used_and_unusable_places_are_refused(folder, tmp_path):
     (tmp_path / "note.txt").write_text("mine")
     with pytest.raises(RunFolderError, match="is not empty and holds no run; choose another"):
         RunFolder(tmp_path).create("", {})
-    with pytest.raises(RunFolderError, match="note.txt is a file; choose another --out"):
+    with pytest.raises(RunFolderError, match=r"note.txt is a file; choose another --out"):
         RunFolder(tmp_path / "note.txt").create("", {})
     for path in (tmp_path / "note.txt" / "run", "/proc/run", tmp_path / ("x" * 300)):
         with pytest.raises(RunFolderError, match=r"cannot write .* \(.+\)"):
