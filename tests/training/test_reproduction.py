@@ -15,11 +15,7 @@ CONFIG = Path(__file__).parents[2] / "configs" / "iwadate2010_swimmer.yaml"
 
 @pytest.mark.slow
 def test_a_swimmer_evolves_to_reach_the_light_with_a_wave_along_its_body(tmp_path):
-    """Half the paper's population for 15 generations.
-
-    A motionless animal keeps 100 % of the distance, and the best of 10,000 random ones, seven
-    times as many as live here, 11 to 20 % over five seeds.
-    """
+    """Half the paper's population for 15 generations; a motionless animal keeps 100 %."""
     overrides = ["evolution.population=96", "evolution.elites=10", "evolution.generations=15"]
     config = load_config(CONFIG, overrides)
     experiment = build_experiment(config, CONFIG)
