@@ -50,7 +50,7 @@ def main(json_path: Path | None, quick: bool) -> None:
     """Run every case, print the table, and write the rows as JSON where asked."""
     cores = use_cores()
     console = Console()
-    steps, repeats = (120, 3) if quick else (240, 7)
+    steps, repeats = (120, 3) if quick else (480, 7)
     experiment = build_experiment(load_config(CONFIG), CONFIG)
     rows: list[dict[str, Any]] = []
     with console.status("compiling") as status:
@@ -63,7 +63,6 @@ def main(json_path: Path | None, quick: bool) -> None:
             rows += measure()
     console.print(_table(rows, cores))
     if json_path is not None:
-        json_path.parent.mkdir(parents=True, exist_ok=True)
         json_path.write_text(json.dumps({"machine": _machine(cores), "rows": rows}, indent=1))
         console.print(str(json_path), highlight=False)
 
@@ -87,8 +86,8 @@ def swimmer_cases(
         ),
     ]
     peers = {
-        "MuJoCo, ellipsoid fluid": {"density": 1000.0, "fluid": 'fluidshape="ellipsoid"'},
-        "MuJoCo, inertia-box fluid": {"density": 1000.0, "fluid": ""},
+        "MuJoCo, ellipsoids": {"density": 1000.0, "fluid": 'fluidshape="ellipsoid"'},
+        "MuJoCo, inertia box": {"density": 1000.0, "fluid": ""},
         "MuJoCo, no fluid": {"density": 0.0, "fluid": ""},
     }
     peer_steps = max(steps // 4, 10)
@@ -113,7 +112,7 @@ def swimmer_cases(
 
 def scaling(experiment: Experiment, cores: int, steps: int, repeats: int) -> list[dict[str, Any]]:
     """The same work on all cores and on one."""
-    names = f"ours, {cores} cores", "ours, 1 core"
+    names = f"{cores} cores", "1 core"
     rates = race(
         [
             Contender(name, POPULATION * steps, wave_swim(experiment, population_mesh(n), steps))
@@ -122,7 +121,7 @@ def scaling(experiment: Experiment, cores: int, steps: int, repeats: int) -> lis
         repeats,
     )
     how = f"individual physics steps/s of the swimmer, median of {repeats} rounds in turn"
-    return [_row(f"{cores} cores against one", rates, *names, how)]
+    return [_row(f"{cores} cores", rates, *names, how)]
 
 
 def compile_time(experiment: Experiment) -> list[dict[str, Any]]:
@@ -138,7 +137,7 @@ def compile_time(experiment: Experiment) -> list[dict[str, Any]]:
     seconds = time.perf_counter() - start
     return [
         {
-            "case": "compile one generation, cold",
+            "case": "compile, cold",
             "population": POPULATION,
             "ours": seconds,
             "unit": "s",
@@ -229,15 +228,19 @@ def _row(
 
 
 def _table(rows: list[dict[str, Any]], cores: int) -> Table:
-    table = Table(title=f"evo_cpg on {cores} cores of {_machine(cores)['processor']}")
-    for column in ("case", "population", "ours", "beside", "theirs", "ratio"):
-        table.add_column(column, justify="left" if column in ("case", "beside") else "right")
+    table = Table(
+        title=f"{POPULATION} individuals, {cores} cores of {_machine(cores)['processor']}",
+        caption="k/s: thousand individual physics steps per second",
+    )
+    for column in ("case", "ours", "beside", "theirs", "ratio"):
+        left = column in ("case", "beside")
+        table.add_column(column, justify="left" if left else "right", no_wrap=True)
     for row in rows:
-        rate = row["ours"]
-        ours = f"{rate:.1f} s" if row["unit"] == "s" else f"{rate / 1e3:,.1f} k/s"
+        timed = row["unit"] == "s"
+        ours = f"{row['ours']:.1f} s" if timed else f"{row['ours'] / 1e3:,.0f} k/s"
         theirs = f"{row['peer_rate'] / 1e3:,.1f} k/s" if row["peer_rate"] else ""
         ratio = f"{row['ratio']:.2f}x" if row["ratio"] else ""
-        table.add_row(row["case"], str(row["population"]), ours, row["peer"] or "", theirs, ratio)
+        table.add_row(row["case"], ours, row["peer"] or "", theirs, ratio)
     return table
 
 

@@ -15,6 +15,13 @@ def run_suite(json: Path | None, quick: bool) -> None:
         raise UsageError(
             f"the benchmark suite is part of a checkout of evo_cpg; there is none in {checkout}"
         )
+    if json is not None:
+        # Measuring takes minutes; a path that cannot be written is better known before.
+        try:
+            json.parent.mkdir(parents=True, exist_ok=True)
+            json.touch()
+        except OSError as error:
+            raise UsageError(f"--json: {json} cannot be written ({error.strerror})") from None
     sys.path.insert(0, str(checkout))
     try:
         suite = importlib.import_module("benchmarks.suite")

@@ -19,15 +19,10 @@ from evo_cpg.config.build import build_experiment
 from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.load import dump_config, load_config
 from evo_cpg.config.schema import ExperimentConfig
+from evo_cpg.training.checkpoint import Champion, genes_digest, outcome_digest
 from evo_cpg.training.devices import use_cores
 from evo_cpg.training.experiment import Experiment
-from evo_cpg.training.run_folder import (
-    Champion,
-    RunFolder,
-    RunFolderError,
-    genes_digest,
-    outcome_digest,
-)
+from evo_cpg.training.run_folder import RunFolder, RunFolderError
 
 # The replayed fitness and terms must agree with those recorded to this relative accuracy. On the
 # machine of the training run they are equal; another processor rounds differently.

@@ -11,6 +11,7 @@ from jax.sharding import Mesh
 
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.simulation.rollout import as_recording, score
+from evo_cpg.training.checkpoint import Champion, Checkpoint
 from evo_cpg.training.devices import fast_jit, population_mesh
 from evo_cpg.training.experiment import (
     Experiment,
@@ -20,7 +21,7 @@ from evo_cpg.training.experiment import (
     first_population,
     replay,
 )
-from evo_cpg.training.run_folder import Champion, Checkpoint, RunFolder
+from evo_cpg.training.run_folder import RunFolder
 
 # Columns of metrics.csv that differ from run to run.
 TIMING_COLUMNS = ("seconds", "steps_per_second")

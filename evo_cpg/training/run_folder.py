@@ -22,16 +22,23 @@ import tempfile
 import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from evo_cpg.simulation.recording import Recording
+from evo_cpg.training.checkpoint import (
+    Champion,
+    Checkpoint,
+    champion_arrays,
+    checkpoint_arrays,
+    history_columns,
+    read_champion,
+    read_checkpoint,
+)
 
 _KEPT_CHECKPOINTS = 2
 _RECORDING_PREFIX = "recording."
-_TERM_PREFIX = "term."
-_SCALE_PREFIX = "scale."
 _DIGESTS = ("config_sha256", "genes_sha256", "outcome_sha256")
 
 # What reading a truncated or overwritten .npz file has been seen to raise.
@@ -49,42 +56,6 @@ _DAMAGED = (
 
 class RunFolderError(Exception):
     """A run folder that cannot be used as asked; the message says why and the way out."""
-
-
-class Champion(NamedTuple):
-    """The best individual ever evaluated.
-
-    Attributes:
-        genes: its genome.
-        fitness: as evaluated in training.
-        generation: in which it was found.
-        terms: the task's terms.
-        scales: the task's yardsticks.
-    """
-
-    genes: np.ndarray
-    fitness: float
-    generation: int
-    terms: dict[str, float]
-    scales: dict[str, float]
-
-
-class Checkpoint(NamedTuple):
-    """All that a run needs to go on exactly.
-
-    Attributes:
-        generation: number of generations done.
-        genes: the population of the next generation.
-        champion: the best individual so far.
-        history: rows of metrics.csv.
-        scales: the task's yardsticks; empty before the first generation.
-    """
-
-    generation: int
-    genes: np.ndarray
-    champion: Champion | None
-    history: list[dict[str, float]]
-    scales: dict[str, float]
 
 
 class RunFolder:
@@ -179,13 +150,11 @@ class RunFolder:
     def save(self, checkpoint: Checkpoint) -> None:
         """Write a checkpoint, metrics.csv and, with it, the champion where it is new."""
         champion = checkpoint.champion
-        arrays = {"generation": checkpoint.generation, "genes": checkpoint.genes}
-        arrays |= {f"history.{name}": column for name, column in _columns(checkpoint.history)}
-        arrays |= {_SCALE_PREFIX + name: value for name, value in checkpoint.scales.items()}
-        if champion is not None:
-            arrays |= {f"champion.{name}": v for name, v in _champion_arrays(champion).items()}
-            if not self.champion.exists() or champion.generation == checkpoint.generation - 1:
-                self.save_champion(champion)
+        if champion is not None and (
+            not self.champion.exists() or champion.generation == checkpoint.generation - 1
+        ):
+            self.save_champion(champion)
+        arrays = checkpoint_arrays(checkpoint)
         name = f"generation_{checkpoint.generation:06d}.npz"
         _write(self.path / "checkpoints" / name, lambda file: np.savez(file, **arrays))
         self.write_metrics(checkpoint.history)
@@ -196,14 +165,14 @@ class RunFolder:
         """The newest checkpoint that can be read; None before the first generation is done."""
         for path in reversed(self._checkpoints()):
             try:
-                return _read_checkpoint(_read_arrays(path))
+                return read_checkpoint(_read_arrays(path))
             except _DAMAGED:
                 continue
         return None
 
     def save_champion(self, champion: Champion, recording: Recording | None = None) -> None:
         """Write champion.npz, with its motion where there is one."""
-        arrays: dict[str, Any] = _champion_arrays(champion)
+        arrays: dict[str, Any] = champion_arrays(champion)
         arrays |= {"config_sha256": self.config_digest()}
         if recording is not None:
             arrays |= {
@@ -222,7 +191,7 @@ class RunFolder:
             raise RunFolderError(f"{self.path} has no champion yet; train it first")
         try:
             arrays = _read_arrays(self.champion)
-            champion = _read_champion(arrays)
+            champion = read_champion(arrays)
             digests = {name: str(arrays[name]) for name in _DIGESTS}
             if _RECORDING_PREFIX + "time" not in arrays:
                 return champion, None, digests
@@ -245,7 +214,7 @@ class RunFolder:
         checkpoint = self.load()
         if checkpoint is None or not checkpoint.history:
             raise RunFolderError(f"{self.path} has no finished generation yet")
-        return dict(_columns(checkpoint.history))
+        return dict(history_columns(checkpoint.history))
 
     def config_digest(self) -> str:
         """SHA-256 of config.yaml."""
@@ -266,17 +235,6 @@ class RunFolder:
             writer.writerows(history)
 
         _write(self.metrics, write)
-
-
-def genes_digest(genes: np.ndarray) -> str:
-    """SHA-256 of a genome."""
-    return hashlib.sha256(np.ascontiguousarray(genes).tobytes()).hexdigest()
-
-
-def outcome_digest(champion: Champion) -> str:
-    """SHA-256 of what is recorded about a champion beside its genome."""
-    told = (champion.fitness, champion.generation, champion.terms, champion.scales)
-    return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()
 
 
 class _TextWriter:
@@ -315,57 +273,3 @@ def _read_arrays(path: Path) -> dict[str, np.ndarray]:
     # Given a path, np.load would leave a damaged file open.
     with path.open("rb") as file, np.load(file) as arrays:
         return dict(arrays)
-
-
-def _columns(history: list[dict[str, float]]) -> list[tuple[str, np.ndarray]]:
-    if not history:
-        return []
-    return [(name, np.array([row[name] for row in history])) for name in history[0]]
-
-
-def _champion_arrays(champion: Champion) -> dict[str, Any]:
-    return {
-        "genes": champion.genes,
-        "genes_sha256": genes_digest(champion.genes),
-        "outcome_sha256": outcome_digest(champion),
-        "fitness": champion.fitness,
-        "generation": champion.generation,
-        **{_TERM_PREFIX + name: value for name, value in champion.terms.items()},
-        **{_SCALE_PREFIX + name: value for name, value in champion.scales.items()},
-    }
-
-
-def _read_champion(arrays: Mapping[str, np.ndarray]) -> Champion:
-    return Champion(
-        arrays["genes"],
-        arrays["fitness"].item(),
-        arrays["generation"].item(),
-        _numbers(arrays, _TERM_PREFIX),
-        _numbers(arrays, _SCALE_PREFIX),
-    )
-
-
-def _read_checkpoint(arrays: Mapping[str, np.ndarray]) -> Checkpoint:
-    names = [name.removeprefix("history.") for name in arrays if name.startswith("history.")]
-    columns = {name: arrays[f"history.{name}"] for name in names}
-    rows = len(columns["generation"]) if columns else 0
-    champion = {
-        name.removeprefix("champion."): value
-        for name, value in arrays.items()
-        if name.startswith("champion.")
-    }
-    return Checkpoint(
-        arrays["generation"].item(),
-        arrays["genes"],
-        _read_champion(champion) if champion else None,
-        [{name: columns[name][i].item() for name in names} for i in range(rows)],
-        _numbers(arrays, _SCALE_PREFIX),
-    )
-
-
-def _numbers(arrays: Mapping[str, np.ndarray], prefix: str) -> dict[str, float]:
-    return {
-        name.removeprefix(prefix): value.item()
-        for name, value in arrays.items()
-        if name.startswith(prefix)
-    }

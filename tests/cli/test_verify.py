@@ -8,7 +8,8 @@ import pytest
 import yaml
 
 from evo_cpg.training import loop
-from evo_cpg.training.run_folder import Checkpoint, RunFolder, genes_digest, outcome_digest
+from evo_cpg.training.checkpoint import Checkpoint, genes_digest, outcome_digest
+from evo_cpg.training.run_folder import RunFolder
 
 
 @pytest.fixture

@@ -9,14 +9,8 @@ import pytest
 
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.training import run_folder
-from evo_cpg.training.run_folder import (
-    Champion,
-    Checkpoint,
-    RunFolder,
-    RunFolderError,
-    genes_digest,
-    outcome_digest,
-)
+from evo_cpg.training.checkpoint import Champion, Checkpoint, genes_digest, outcome_digest
+from evo_cpg.training.run_folder import RunFolder, RunFolderError
 
 CHAMPION = Champion(
     np.array([0.25, -1.5], np.float32), -0.5, 1, {"distance": 0.75}, {"energy": 3.0}
