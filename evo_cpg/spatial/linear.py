@@ -31,8 +31,8 @@ def lift(constant: np.ndarray | Array, like: Array, rank: int | None = None) -> 
 def compute_once(x: Float[Array, "k *#rest"]) -> Float[Array, "k *#rest"]:
     """The array itself, behind a product with the identity.
 
-    XLA:CPU drops barriers before it fuses, and would then compute costly producers (sines) again
-    for each element that uses them: 69 us instead of 8 us for the joint frames of 96 swimmers.
+    XLA:CPU would fuse costly producers (sines) into every element that uses them: 69 us instead
+    of 12 us for the joint frames of 96 swimmers, where `jax.lax.optimization_barrier` did not help.
     It never fuses into a matrix product.
     """
     size = x.shape[0]

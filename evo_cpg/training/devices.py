@@ -1,7 +1,7 @@
 """Cores as devices, and the compiler options that make the physics fast on them.
 
 XLA's own threading slows this program down: its many small kernels are handed between threads at
-a cost above their own (0.28 M instead of 0.60 M steps/s on one core). So each core becomes a
+a cost above their own (0.28 M instead of 0.41 M steps/s on one core). So each core becomes a
 device of its own, the population is sharded over them, and XLA keeps to one thread per device.
 These are process-wide settings, which is why they are made by the program (the command line, a
 benchmark) and never by importing the package.
