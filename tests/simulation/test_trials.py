@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from trials import experiment
 
 from creatures import quick_jit
 from evo_cpg.simulation.reach_light import ReachLight
 from evo_cpg.simulation.rollout import Outcome, as_recording, record, rollout, score
+from trials import experiment
 
 # Amplitude (rad/s) and frequency (Hz): two swimmers, one that rests, one without a number, one
 # that asks for more than any body can do.
