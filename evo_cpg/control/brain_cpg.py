@@ -43,6 +43,7 @@ from evo_cpg.control.brain import Brain, BrainSettings, build_brain, random_weig
 from evo_cpg.control.controller import Command, Controller, Observation
 from evo_cpg.control.matsuoka import CpgSettings, MatsuokaNetwork, MatsuokaState, build_network
 from evo_cpg.creature.tree import Tree
+from evo_cpg.fusion.kernels import fuse
 from evo_cpg.spatial.linear import lift
 
 CONTROL_STEP = 1 / 60  # s: Iwadate 2010, 2000 steps in 33.3 s.
@@ -132,16 +133,20 @@ class BrainCpg(Controller):
         Raises:
             ValueError: the senses are not those that the brain was built for.
         """
-        outputs = think(self.brain, genes, self.brain_inputs(state, observation))
-        tonic_input, adaptation_gain = self.cpg_inputs(outputs)
+        batch_ndim = genes.ndim - 1
+        inputs = fuse(self.brain_inputs, state, observation, batch_ndim=batch_ndim)
+        outputs = think(self.brain, genes, inputs)
+        tonic_input, adaptation_gain = fuse(self.cpg_inputs, outputs, batch_ndim=batch_ndim)
         state = matsuoka.advance(
             self.network, state, tonic_input, adaptation_gain, self.control_step
         )
+        return state, fuse(self._command, state, observation.joint_angle, batch_ndim=batch_ndim)
+
+    def _command(self, state: MatsuokaState, joint_angle: Array) -> Command:
         signal = matsuoka.output(state)
-        angle = observation.joint_angle
-        rate = lift(self.rate_gain, signal) * signal - self.settings.centring * angle
+        rate = lift(self.rate_gain, signal) * signal - self.settings.centring * joint_angle
         limit = self.settings.max_rate
-        return state, Command(target_rate=jnp.clip(rate, -limit, limit), signal=signal)
+        return Command(target_rate=jnp.clip(rate, -limit, limit), signal=signal)
 
     def brain_inputs(self, state: MatsuokaState, observation: Observation) -> Float[Array, "i *n"]:
         """What the brain senses: Table 2 of Iwadate 2010, every value from -1 to 1.

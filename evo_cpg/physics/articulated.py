@@ -26,6 +26,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.tree import Tree
+from evo_cpg.fusion.kernels import symmetric, together
 from evo_cpg.physics.kinematics import Kinematics
 from evo_cpg.spatial.linear import (
     cross,
@@ -87,12 +88,17 @@ class _Motion(NamedTuple):
 
 
 class _Elimination(NamedTuple):
-    """What the outward pass needs from the inward one, per group."""
+    """What the outward pass needs from the inward one, per group: ``x = start - follow A_parent``.
 
-    u_angular: Array
-    u_linear: Array
-    g_inverse: Array
-    u: Array
+    Attributes:
+        start: ``G^-1 u``.
+        follow_angular: ``G^-1 U^T``, its angular part.
+        follow_linear: its linear part.
+    """
+
+    start: Array
+    follow_angular: Array
+    follow_linear: Array
 
 
 def solve(
@@ -126,8 +132,9 @@ def solve(
         )
         eliminate = _eliminate_axes if motion.to_axes is None else _eliminate_ball
         elimination, reduced, passed = eliminate(own, force, motion)
-        eliminations.append(elimination)
         moved, carried = _to_parent(reduced, passed, kin.offset[:, group.bodies])
+        moved, carried, elimination = together((moved, carried, elimination))
+        eliminations.append(elimination)
         for j, parent in enumerate(group.parents):
             blocks[parent] = [
                 total + block[:, :, j] for total, block in zip(blocks[parent], moved, strict=True)
@@ -145,8 +152,7 @@ def solve(
             for parts in zip(*(accelerations[parent] for parent in group.parents), strict=True)
         )
         a = a + cross(alpha, kin.offset[:, group.bodies])
-        rest = joint.u - matvec_t(joint.u_angular, alpha) - matvec_t(joint.u_linear, a)
-        x = matvec(joint.g_inverse, rest)
+        x = joint.start - matvec(joint.follow_angular, alpha) - matvec(joint.follow_linear, a)
         spin = matvec(motion.axes, x) if motion.to_axes is None else x
         group_qdd = x if motion.to_axes is None else matvec(motion.to_axes, x)
         alpha = alpha + spin
@@ -172,7 +178,7 @@ def _motions(tree: Tree, kin: Kinematics, torque: Array, derivative: Array) -> l
             to_axes = _inverse_columns(axes)
             whole = _Motion(
                 matvec_t(to_axes, tau),
-                t_matmul(to_axes, diagonal[:, None] * to_axes),
+                symmetric(t_matmul(to_axes, diagonal[:, None] * to_axes)),
                 axes,
                 to_axes,
             )
@@ -201,14 +207,17 @@ def _eliminate_axes(
     u_linear = t_matmul(inertia.mixed, motion.axes)
     g_inverse = inverse_symmetric(t_matmul(motion.axes, u_angular) + motion.derivative)
     u = motion.torque - matvec_t(motion.axes, bias.moment)
-    w_angular, w_linear = matmul(u_angular, g_inverse), matmul(u_linear, g_inverse)
+    # G^-1 U^T; its transpose times u is what the parent feels of the torques.
+    follow_angular, follow_linear = matmul_t(g_inverse, u_angular), matmul_t(g_inverse, u_linear)
     reduced = Inertia(
-        inertia.angular - matmul_t(w_angular, u_angular),
-        inertia.mixed - matmul_t(w_angular, u_linear),
-        inertia.linear - matmul_t(w_linear, u_linear),
+        symmetric(inertia.angular - matmul(u_angular, follow_angular)),
+        inertia.mixed - matmul(u_angular, follow_linear),
+        symmetric(inertia.linear - matmul(u_linear, follow_linear)),
     )
-    passed = Wrench(bias.moment + matvec(w_angular, u), bias.force + matvec(w_linear, u))
-    return _Elimination(u_angular, u_linear, g_inverse, u), reduced, passed
+    passed = Wrench(
+        bias.moment + matvec_t(follow_angular, u), bias.force + matvec_t(follow_linear, u)
+    )
+    return _Elimination(matvec(g_inverse, u), follow_angular, follow_linear), reduced, passed
 
 
 def _eliminate_ball(
@@ -225,26 +234,29 @@ def _eliminate_ball(
     give = matmul(g_inverse, inertia.mixed)
     u = motion.torque - bias.moment
     reduced = Inertia(
-        matmul(kept, inertia.angular),
+        symmetric(matmul(kept, inertia.angular)),
         matmul(kept, inertia.mixed),
-        inertia.linear - t_matmul(inertia.mixed, give),
+        symmetric(inertia.linear - t_matmul(inertia.mixed, give)),
     )
     passed = Wrench(motion.torque - matvec(kept, u), bias.force + matvec_t(give, u))
-    return _Elimination(inertia.angular, transpose(inertia.mixed), g_inverse, u), reduced, passed
+    # G^-1 A = 1 - G^-1 T_w.
+    identity = lift(jnp.eye(_BALL_AXES, dtype=u.dtype), u, u.ndim + 1)
+    elimination = _Elimination(matvec(g_inverse, u), identity - transpose(kept), give)
+    return elimination, reduced, passed
 
 
 def _inverse_columns(m: Float[Array, "3 3 *rest"]) -> Float[Array, "3 3 *rest"]:
     """Inverse of a matrix whose columns are independent: its rows are their cross products."""
     a, b, c = m[:, 0], m[:, 1], m[:, 2]
     rows = jnp.stack([cross(b, c), cross(c, a), cross(a, b)])
-    return rows / dot(a, rows[0])[None, None]
+    return rows * (1.0 / dot(a, rows[0]))[None, None]
 
 
 def _to_parent(inertia: Inertia, bias: Wrench, offset: Array) -> tuple[Inertia, Wrench]:
     """Move inertia and wrench from the joint to the parent's origin, ``-offset`` away."""
     shift = skew(offset)
     mixed = inertia.mixed + matmul(shift, inertia.linear)
-    angular = inertia.angular + matmul_t(shift, inertia.mixed) - matmul(mixed, shift)
+    angular = symmetric(inertia.angular + matmul_t(shift, inertia.mixed) - matmul(mixed, shift))
     return (
         Inertia(angular, mixed, inertia.linear),
         Wrench(bias.moment + cross(offset, bias.force), bias.force),
@@ -255,7 +267,7 @@ def _free_body(inertia: Inertia, bias: Wrench) -> tuple[Array, Array]:
     """Acceleration of a free body: ``I A = -p`` by eliminating the linear part."""
     linear_inverse = inverse_symmetric(inertia.linear)
     coupling = matmul(inertia.mixed, linear_inverse)
-    schur = inertia.angular - matmul_t(coupling, inertia.mixed)
+    schur = symmetric(inertia.angular - matmul_t(coupling, inertia.mixed))
     angular = matvec(inverse_symmetric(schur), matvec(coupling, bias.force) - bias.moment)
     linear = matvec(linear_inverse, -bias.force - matvec(transpose(inertia.mixed), angular))
     return angular, linear

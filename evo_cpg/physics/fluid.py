@@ -17,6 +17,7 @@ With W the constant matrix of point Jacobians, point velocities are ``W V``, the
 products with the coefficients: small matrix products that the whole population shares.
 """
 
+import functools
 from typing import Literal, NamedTuple
 
 import equinox as eqx
@@ -26,6 +27,7 @@ from jaxtyping import Array, Float
 
 from evo_cpg.creature.shapes import Surface
 from evo_cpg.creature.tree import Tree
+from evo_cpg.fusion.kernels import unfused
 
 # -df/dv of |v| v is 2 |v|; the smaller tangential part takes its secant, |v|, which keeps the
 # end-of-step force opposed to the motion.
@@ -34,6 +36,10 @@ _TANGENTIAL_DERIVATIVE = 1.0
 
 # Squared speed (m^2/s^2) added under the root so that its gradient exists at rest.
 _SPEED_FLOOR = 1e-12
+
+# Surfaces whose outer products have more non-zero elements than this are left to XLA's matrix
+# products; a box of 24 points has about 300, a sphere of 80 over 3000.
+_DENSE = 1000
 
 DragLaw = Literal["normal", "isotropic"]
 
@@ -131,11 +137,15 @@ def drag(
         linear-linear) of ``D = -df/dV``.
     """
     batch = velocity.shape[2:]
-    pieces = [
-        (run.start, *_patch_drag(water, patch, velocity[:, run]))
-        for patch in patches
-        for run in _runs(patch.bodies)
-    ]
+    pieces = []
+    for patch in patches:
+        dense = np.count_nonzero(patch.normal_outer) + np.count_nonzero(patch.tangential_outer)
+        evaluate = functools.partial(_patch_drag, water, patch)
+        for run in _runs(patch.bodies):
+            part = velocity[:, run]
+            pieces.append(
+                (run.start, *(unfused(evaluate, part) if dense > _DENSE else evaluate(part)))
+            )
     wet = {body for patch in patches for body in patch.bodies}
     none = (
         jnp.zeros((6, 1, *batch), velocity.dtype),
@@ -149,33 +159,34 @@ def drag(
 def _patch_drag(
     water: Water, patch: Patch, velocity: Float[Array, "6 k *n"]
 ) -> tuple[Float[Array, "6 k *n"], Float[Array, "3 3 3 k *n"]]:
+    """Constant factors go into the constant matrices, so a point costs few operations."""
     flat = velocity.reshape(6, -1)
 
-    def constant(values: np.ndarray) -> Array:
-        return jnp.asarray(values, flat.dtype)
+    def product(constant: np.ndarray | Array, x: Array) -> Array:
+        return jnp.asarray(constant, flat.dtype) @ x
 
-    def weighted(areas: np.ndarray) -> Array:
-        return 0.5 * water.density * constant(areas)[:, None]
-
+    pressure = 0.5 * water.density
     skin_points = len(patch.tangential_area)
-    tangential_rows = constant(patch.tangential.reshape(2 * skin_points, 6))
-    normal = constant(patch.normal) @ flat
-    first, second = (tangential_rows @ flat).reshape(2, skin_points, -1)
+    tangential_rows = patch.tangential.reshape(2 * skin_points, 6)
+    normal = product(patch.normal, flat)
+    first, second = product(tangential_rows, flat).reshape(2, skin_points, -1)
     along = jnp.sqrt(first * first + second * second + _SPEED_FLOOR)
+    normal_factor = pressure * water.form_drag * patch.normal_area
+    tangential_factor = pressure * water.skin_drag * patch.tangential_area
     if water.law == "normal":
-        c_normal = water.form_drag * weighted(patch.normal_area) * jnp.abs(normal)
-        c_tangential = water.skin_drag * weighted(patch.tangential_area) * along
-        d_normal = _NORMAL_DERIVATIVE * c_normal
+        speed, normal_derivative = jnp.abs(normal), _NORMAL_DERIVATIVE
     else:
-        speed = jnp.sqrt(normal * normal + along * along)
-        c_normal = (water.form_drag + water.skin_drag) * weighted(patch.normal_area) * speed
-        c_tangential = d_normal = c_normal
-    friction = jnp.concatenate([c_tangential * first, c_tangential * second])
-    wrench = -(constant(patch.normal.T) @ (c_normal * normal))
-    wrench = wrench - tangential_rows.T @ friction
-    derivative = constant(patch.normal_outer) @ d_normal
-    derivative = derivative + constant(patch.tangential_outer) @ (
-        _TANGENTIAL_DERIVATIVE * c_tangential
+        speed, normal_derivative = jnp.sqrt(normal * normal + along * along), 1.0
+        normal_factor = tangential_factor = normal_factor + pressure * water.skin_drag * (
+            patch.normal_area
+        )
+        along = speed
+    friction = jnp.concatenate([along * first, along * second])
+    wrench = -product(patch.normal.T * normal_factor[None], speed * normal)
+    wrench = wrench - product(tangential_rows.T * jnp.tile(tangential_factor, 2)[None], friction)
+    derivative = product(patch.normal_outer * (normal_derivative * normal_factor)[None], speed)
+    derivative = derivative + product(
+        patch.tangential_outer * (_TANGENTIAL_DERIVATIVE * tangential_factor)[None], along
     )
     return wrench.reshape(velocity.shape), derivative.reshape(3, 3, 3, *velocity.shape[1:])
 

@@ -4,6 +4,7 @@ Kinematics, forces on bodies, torques on joints, the implicit solve, the motors'
 integration. Semi-implicit Euler: the velocities at the end of the step move the positions.
 """
 
+import functools
 from typing import NamedTuple
 
 import equinox as eqx
@@ -13,6 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.tree import Tree
+from evo_cpg.fusion.kernels import fuse, symmetric
 from evo_cpg.physics.articulated import Accelerations, Inertia, Wrench, solve
 from evo_cpg.physics.fluid import Patch, Water, drag
 from evo_cpg.physics.joints import clamp_torque, overloaded, passive_torque, servo_torque
@@ -76,20 +78,83 @@ class _MotorLimits(NamedTuple):
     settled: Array
 
 
+class _Unlimited(NamedTuple):
+    """A step up to its accelerations, with motors that have no limit.
+
+    Attributes:
+        kin, inertia, bias, passive, derivative: as `solve` takes them, without the motors' part.
+        wanted: motor torques at the present rates, N m.
+        accelerations: what comes of them.
+        asked: motor torques at the end of the step, N m.
+    """
+
+    kin: Kinematics
+    inertia: Inertia
+    bias: Wrench
+    passive: Array
+    derivative: Array
+    wanted: Array
+    accelerations: Accelerations
+    asked: Array
+
+
 def step(
     world: World, state: State, target_rate: Float[Array, "d *n"], h: float
 ) -> tuple[State, Effort]:
     """Advance the world by ``h`` seconds with the servos' target rates (rad/s) held."""
+    batch_ndim = state.q.ndim - 1
+    if not _can_overload(world.tree):
+        return fuse(
+            functools.partial(_free_step, world, h), state, target_rate, batch_ndim=batch_ndim
+        )
+    unlimited = fuse(
+        functools.partial(_unlimited, world, h), state, target_rate, batch_ndim=batch_ndim
+    )
+    acceleration, torque = _limit_torques(world.tree, state, unlimited, h)
+    return fuse(functools.partial(_finish, h), state, acceleration, torque, batch_ndim=batch_ndim)
+
+
+def _free_step(world: World, h: float, state: State, target_rate: Array) -> tuple[State, Effort]:
+    """A step of an animal whose motors have no limit."""
+    solution = _unlimited(world, h, state, target_rate)
+    return _finish(h, state, solution.accelerations, solution.asked)
+
+
+def _unlimited(world: World, h: float, state: State, target_rate: Array) -> _Unlimited:
+    """Everything up to the accelerations that the motors would cause if they had no limit."""
+    tree = world.tree
     with jax.named_scope("kinematics"):
-        kin = kinematics(world.tree, state)
+        kin = kinematics(tree, state)
     with jax.named_scope("forces"):
         inertia, bias = body_equations(world, kin, h)
     with jax.named_scope("solve"):
-        acceleration, torque = actuated_solve(world.tree, state, kin, inertia, bias, target_rate, h)
+        passive, derivative = passive_torque(tree, state, h)
+        derivative = derivative + lift(tree.armature, derivative)
+        wanted = servo_torque(tree, state.qd, target_rate)
+        slope = h * _gain(tree, wanted)
+        free = solve(tree, kin, inertia, bias, passive + wanted, derivative + slope)
+    asked = wanted - slope * free.qdd
+    return _Unlimited(kin, inertia, bias, passive, derivative, wanted, free, asked)
+
+
+def _finish(
+    h: float, state: State, acceleration: Accelerations, torque: Array
+) -> tuple[State, Effort]:
+    """Move, and note what the motors did."""
     with jax.named_scope("integrate"):
-        new_state = integrate(state, kin, acceleration, h)
+        new_state = integrate(state, acceleration, h)
     energy = h * jnp.abs(torque * 0.5 * (state.qd + new_state.qd))
     return new_state, Effort(torque, energy)
+
+
+def _can_overload(tree: Tree) -> bool:
+    """Whether any motor has a limit."""
+    return bool(np.isfinite(tree.torque_limit[tree.servo_gain > 0]).any())
+
+
+def _gain(tree: Tree, like: Array) -> Array:
+    """Servo gains, never zero, N m s/rad."""
+    return jnp.maximum(lift(tree.servo_gain, like), jnp.finfo(like.dtype).tiny)
 
 
 def body_equations(world: World, kin: Kinematics, h: float) -> tuple[Inertia, Wrench]:
@@ -116,7 +181,8 @@ def body_equations(world: World, kin: Kinematics, h: float) -> tuple[Inertia, Wr
     moment = cross(w, momentum[:3]) + cross(v, momentum[3:]) - wrench[:3]
     force = cross(w, momentum[3:]) - wrench[3:]
 
-    inertia = Inertia(*(matmul_t(matmul(rotation, block), rotation) for block in blocks))
+    angular, mixed, linear = (matmul_t(matmul(rotation, block), rotation) for block in blocks)
+    inertia = Inertia(symmetric(angular), mixed, symmetric(linear))
     bias = Wrench(
         matvec(rotation, moment)
         + matvec(inertia.angular, kin.bias_angular)
@@ -137,14 +203,8 @@ def weight(world: World, kin: Kinematics) -> Float[Array, "6 b *n"]:
     return jnp.concatenate([cross(lift(tree.com, up), force), force])
 
 
-def actuated_solve(
-    tree: Tree,
-    state: State,
-    kin: Kinematics,
-    inertia: Inertia,
-    bias: Wrench,
-    target_rate: Float[Array, "d *n"],
-    h: float,
+def _limit_torques(
+    tree: Tree, state: State, unlimited: _Unlimited, h: float
 ) -> tuple[Accelerations, Float[Array, "d *n"]]:
     """Solve for the accelerations with motors that never exceed their limits.
 
@@ -158,19 +218,19 @@ def actuated_solve(
     Returns:
         The accelerations and the motor torques (N m) at the end of the step.
     """
-    passive, derivative = passive_torque(tree, state, h)
-    derivative = derivative + lift(tree.armature, derivative)
-    wanted = servo_torque(tree, state.qd, target_rate)
-    gain = jnp.maximum(lift(tree.servo_gain, wanted), jnp.finfo(wanted.dtype).tiny)
-    servo_derivative = h * gain
+    wanted = unlimited.wanted
+    gain = _gain(tree, wanted)
 
     def solve_with(torque: Array, torque_derivative: Array) -> Accelerations:
-        return solve(tree, kin, inertia, bias, passive + torque, derivative + torque_derivative)
-
-    free = solve_with(wanted, servo_derivative)
-    asked = wanted - servo_derivative * free.qdd
-    if not np.isfinite(tree.torque_limit[tree.servo_gain > 0]).any():
-        return free, asked
+        return fuse(
+            functools.partial(solve, tree),
+            unlimited.kin,
+            unlimited.inertia,
+            unlimited.bias,
+            unlimited.passive + torque,
+            unlimited.derivative + torque_derivative,
+            batch_ndim=wanted.ndim - 1,
+        )
 
     def refine(carry: _MotorLimits) -> _MotorLimits:
         over = overloaded(tree, carry.asked)
@@ -180,7 +240,7 @@ def actuated_solve(
         error = carry.asked / gain
         start = jnp.where(over, limit + slope * (wanted / gain - error), wanted)
         found = solve_with(start, h * slope)
-        asked = wanted - servo_derivative * found.qdd
+        asked = wanted - h * gain * found.qdd
         change = jnp.abs(clamp_torque(tree, asked) - (start - h * slope * found.qdd))
         settled = (change <= _TORQUE_TOLERANCE * lift(tree.torque_limit, change)).all(0)
         new = _MotorLimits(found, asked, settled)
@@ -202,16 +262,16 @@ def actuated_solve(
             lambda x, y: jnp.where(within, x, y), start.accelerations, given
         ), applied
 
-    over = overloaded(tree, asked).any(0)
+    over = overloaded(tree, unlimited.asked).any(0)
     return jax.lax.cond(
         over.any(),
         limited,
         lambda start: (start.accelerations, start.asked),
-        _MotorLimits(free, asked, ~over),
+        _MotorLimits(unlimited.accelerations, unlimited.asked, ~over),
     )
 
 
-def integrate(state: State, kin: Kinematics, acceleration: Accelerations, h: float) -> State:
+def integrate(state: State, acceleration: Accelerations, h: float) -> State:
     """Semi-implicit Euler: new velocities first, and they move the positions."""
     angular, linear = state.velocity[:3], state.velocity[3:]
     # The recursion's root acceleration is spatial; a material point's has w x v on top.

@@ -14,12 +14,14 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from evo_cpg.control.controller import Command, Controller, Observation
+from evo_cpg.fusion.kernels import fuse
 from evo_cpg.physics.kinematics import Kinematics, kinematics
 from evo_cpg.physics.state import State, resting_state
 from evo_cpg.physics.step import World, step
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.simulation.sensors import Sensors, see
 from evo_cpg.simulation.task import Moment, Task
+from evo_cpg.spatial.linear import lift
 
 # Beyond these rates (rad/s) and speeds (m/s) a trial counts as diverged: no animal of metre size
 # moves like that, and the step no longer resolves it.
@@ -176,8 +178,14 @@ def _control_step(
     world, batch = simulation.world, genes.shape[1:]
     h = simulation.step_length
     kin = kinematics(world.tree, state)
-    light = jnp.asarray(simulation.task.light, genes.dtype).reshape(3, *(1,) * len(batch))
-    strength, cosine, sine = see(simulation.sensors, kin, light)
+    light = np.asarray(simulation.task.light)
+    strength, cosine, sine = fuse(
+        lambda state: see(
+            simulation.sensors, kinematics(world.tree, state), lift(light, state.position)
+        ),
+        state,
+        batch_ndim=len(batch),
+    )
     # In open water nothing solid presses on the skin.
     pressure = jnp.zeros((len(simulation.sensors.pressure_bodies), *batch), genes.dtype)
     observation = Observation(strength, pressure, cosine, sine, state.q, state.qd)

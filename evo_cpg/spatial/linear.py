@@ -117,7 +117,7 @@ def inverse_symmetric(m: Float[Array, "k k *#rest"]) -> Float[Array, "k k *#rest
     if size == 2:
         determinant = m[0, 0] * m[1, 1] - m[0, 1] * m[0, 1]
         adjugate = jnp.stack([jnp.stack([m[1, 1], -m[0, 1]]), jnp.stack([-m[0, 1], m[0, 0]])])
-        return adjugate / determinant[None, None]
+        return adjugate * (1.0 / determinant)[None, None]
     if size == 3:
         c00 = m[1, 1] * m[2, 2] - m[1, 2] * m[1, 2]
         c01 = m[0, 2] * m[1, 2] - m[0, 1] * m[2, 2]
@@ -127,5 +127,5 @@ def inverse_symmetric(m: Float[Array, "k k *#rest"]) -> Float[Array, "k k *#rest
         c22 = m[0, 0] * m[1, 1] - m[0, 1] * m[0, 1]
         determinant = m[0, 0] * c00 + m[0, 1] * c01 + m[0, 2] * c02
         adjugate = jnp.stack([c00, c01, c02, c01, c11, c12, c02, c12, c22])
-        return (adjugate / determinant[None]).reshape(m.shape)
+        return (adjugate * (1.0 / determinant)[None]).reshape(m.shape)
     raise ValueError(f"closed-form inverse is for sizes 1 to 3, got {size}")

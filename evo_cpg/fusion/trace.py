@@ -1,0 +1,332 @@
+"""From a JAX program on small arrays to a graph of scalars.
+
+An array becomes a NumPy array of nodes. Whatever only moves numbers about (slices, stacks,
+transposes) is then done by NumPy while tracing and leaves nothing behind; sums and small matrix
+products become additions and multiplications; elementwise operations one node per element.
+"""
+
+from collections.abc import Callable
+
+import jax
+import numpy as np
+from jax.extend.core import Jaxpr, Literal, Primitive
+
+from evo_cpg.fusion.graph import Graph, Node
+
+# Programs within the program, by primitive, and the parameter that holds them.
+_CALLS = {
+    "jit": "jaxpr",
+    "pjit": "jaxpr",
+    "closed_call": "call_jaxpr",
+    "custom_jvp_call": "call_jaxpr",
+    "custom_vjp_call": "call_jaxpr",
+    "remat2": "jaxpr",
+    "checkpoint": "jaxpr",
+}
+
+# A function of arrays that the trace leaves whole; see `evo_cpg.fusion.kernels.unfused`.
+array_call_p = Primitive("array_call")
+array_call_p.multiple_results = True
+
+
+@array_call_p.def_abstract_eval
+def _(*inputs, function):
+    shapes = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in inputs]
+    return [jax.core.ShapedArray(x.shape, x.dtype) for x in jax.eval_shape(function, *shapes)]
+
+
+_ELEMENTWISE = {
+    "abs",
+    "acos",
+    "add",
+    "and",
+    "asin",
+    "atan",
+    "atan2",
+    "ceil",
+    "convert_element_type",
+    "cos",
+    "div",
+    "eq",
+    "erf",
+    "exp",
+    "expm1",
+    "floor",
+    "ge",
+    "gt",
+    "integer_pow",
+    "is_finite",
+    "le",
+    "log",
+    "log1p",
+    "logistic",
+    "lt",
+    "max",
+    "min",
+    "mul",
+    "ne",
+    "neg",
+    "not",
+    "or",
+    "pow",
+    "rem",
+    "round",
+    "rsqrt",
+    "select_n",
+    "sign",
+    "sin",
+    "sqrt",
+    "square",
+    "sub",
+    "tan",
+    "tanh",
+    "xor",
+}
+
+
+def trace(
+    graph: Graph, jaxpr: Jaxpr, consts: list[np.ndarray], inputs: list[np.ndarray]
+) -> list[np.ndarray]:
+    """The program's outputs as arrays of nodes.
+
+    Args:
+        graph: where the nodes are made.
+        jaxpr: the program.
+        consts: values of its constants, arrays of nodes.
+        inputs: values of its arguments, arrays of nodes.
+
+    Raises:
+        NotImplementedError: the program holds something that is not scalar arithmetic (a loop, a
+            branch, a random number).
+    """
+    known: dict = {}
+
+    def read(atom) -> np.ndarray:
+        if isinstance(atom, Literal):
+            return constants(graph, np.asarray(atom.val, atom.aval.dtype))
+        return known[atom]
+
+    known.update(zip(jaxpr.constvars, consts, strict=True))
+    known.update(zip(jaxpr.invars, inputs, strict=True))
+    for equation in jaxpr.eqns:
+        operands = [read(atom) for atom in equation.invars]
+        name = equation.primitive.name
+        if name in _CALLS:
+            inner = equation.params[_CALLS[name]]
+            values = [constants(graph, np.asarray(value)) for value in inner.consts]
+            results = trace(graph, inner.jaxpr, values, operands)
+        elif equation.primitive is array_call_p:
+            shapes = [(out.aval.shape, np.dtype(out.aval.dtype)) for out in equation.outvars]
+            results = graph.call(equation.params["function"], operands, shapes)
+        elif all(operand.size == 0 for operand in operands):
+            results = _evaluate(graph, equation, operands)
+        elif name in _ELEMENTWISE:
+            results = [_elementwise(graph, equation, operands)]
+        elif name in _ARRAY_RULES:
+            results = _ARRAY_RULES[name](graph, operands, equation.params)
+        elif all(node.value is not None for operand in operands for node in operand.flat):
+            results = _evaluate(graph, equation, operands)
+        else:
+            raise NotImplementedError(f"{name} is not scalar arithmetic and cannot be fused")
+        known.update(zip(equation.outvars, results, strict=True))
+    return [read(atom) for atom in jaxpr.outvars]
+
+
+def constants(graph: Graph, values: np.ndarray) -> np.ndarray:
+    """An array of constant nodes."""
+    return _map(lambda value: graph.constant(value, values.dtype), values)
+
+
+def _map(make: Callable[..., Node], *arrays: np.ndarray) -> np.ndarray:
+    """Apply a function of nodes element by element, with broadcasting."""
+    arrays = tuple(np.broadcast_arrays(*arrays, subok=False))
+    result = np.empty(arrays[0].shape, object)
+    for index in np.ndindex(result.shape):
+        result[index] = make(*(array[index] for array in arrays))
+    return result
+
+
+def _evaluate(graph: Graph, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
+    """Any other primitive on constants, by JAX itself."""
+    values = [
+        np.array([node.value for node in operand.flat], atom.aval.dtype).reshape(operand.shape)
+        for operand, atom in zip(operands, equation.invars, strict=True)
+    ]
+    with jax.ensure_compile_time_eval():
+        results = equation.primitive.bind(*values, **equation.params)
+    results = results if equation.primitive.multiple_results else [results]
+    return [constants(graph, np.asarray(result)) for result in results]
+
+
+def _elementwise(graph: Graph, equation, operands: list[np.ndarray]) -> np.ndarray:
+    primitive, params = equation.primitive, equation.params
+    return _map(lambda *nodes: graph.apply(primitive, params, nodes), *operands)
+
+
+def _broadcast_in_dim(graph, operands, params):
+    (x, *_), shape = operands, params["shape"]
+    placed = np.ones(len(shape), int)
+    placed[list(params["broadcast_dimensions"])] = x.shape
+    return [np.broadcast_to(x.reshape(placed), shape)]
+
+
+def _slice(graph, operands, params):
+    strides = params["strides"] or (1,) * operands[0].ndim
+    window = zip(params["start_indices"], params["limit_indices"], strides, strict=True)
+    return [operands[0][tuple(slice(*each) for each in window)]]
+
+
+def _dynamic_slice(graph, operands, params):
+    x, *starts = operands
+    begin = _clamped_starts(x.shape, starts, params["slice_sizes"])
+    sizes = params["slice_sizes"]
+    return [x[tuple(slice(b, b + size) for b, size in zip(begin, sizes, strict=True))]]
+
+
+def _dynamic_update_slice(graph, operands, params):
+    x, update, *starts = operands
+    begin = _clamped_starts(x.shape, starts, update.shape)
+    result = x.copy()
+    result[tuple(slice(b, b + size) for b, size in zip(begin, update.shape, strict=True))] = update
+    return [result]
+
+
+def _clamped_starts(shape, starts, sizes) -> list[int]:
+    begin = []
+    for start, size, whole in zip(starts, sizes, shape, strict=True):
+        if start.item().value is None:
+            raise NotImplementedError("a slice at a computed place cannot be fused")
+        begin.append(int(np.clip(start.item().value, 0, whole - size)))
+    return begin
+
+
+def _gather(graph, operands, params):
+    """Taken at constant indices; where each element comes from is asked of JAX itself."""
+    x, indices = operands
+    if any(node.value is None for node in indices.flat):
+        raise NotImplementedError("a gather at computed places cannot be fused")
+    where = np.vectorize(lambda node: node.value, otypes=[np.int32])(indices)
+    with jax.ensure_compile_time_eval():
+        places = jax.lax.gather_p.bind(
+            np.arange(x.size, dtype=np.int32).reshape(x.shape), where, **params
+        )
+    return [x.reshape(-1)[np.asarray(places)]]
+
+
+def _split(graph, operands, params):
+    cuts = np.cumsum(params["sizes"])[:-1]
+    return np.split(operands[0], cuts, params["axis"])
+
+
+def _pad(graph, operands, params):
+    x, value = operands
+    config = params["padding_config"]
+    if any(low < 0 or high < 0 or inner for low, high, inner in config):
+        raise NotImplementedError("padding that cuts or spreads cannot be fused")
+    result = np.full(
+        [n + low + high for n, (low, high, _) in zip(x.shape, config, strict=True)], value.item()
+    )
+    result[tuple(slice(low, low + n) for n, (low, _, _) in zip(x.shape, config, strict=True))] = x
+    return [result]
+
+
+def _reduction(primitive):
+    def reduce(graph, operands, params):
+        (x,), axes = operands, params["axes"]
+        kept = [i for i in range(x.ndim) if i not in axes]
+        rows = x.transpose(*kept, *axes).reshape(*(x.shape[i] for i in kept), -1)
+        result = np.empty(rows.shape[:-1], object)
+        for index in np.ndindex(result.shape):
+            row = rows[index]
+            total = row[0]
+            for node in row[1:]:
+                total = graph.apply(primitive, {}, (total, node))
+            result[index] = total
+        return [result]
+
+    return reduce
+
+
+def _dot_general(graph, operands, params):
+    a, b = operands
+    (contract_a, contract_b), (batch_a, batch_b) = params["dimension_numbers"]
+    free_a = [i for i in range(a.ndim) if i not in (*contract_a, *batch_a)]
+    free_b = [i for i in range(b.ndim) if i not in (*contract_b, *batch_b)]
+    batch = [a.shape[i] for i in batch_a]
+    outer_a, outer_b = [a.shape[i] for i in free_a], [b.shape[i] for i in free_b]
+    a = a.transpose(*batch_a, *free_a, *contract_a).reshape(
+        int(np.prod(batch, dtype=int)), int(np.prod(outer_a, dtype=int)), -1
+    )
+    b = b.transpose(*batch_b, *free_b, *contract_b).reshape(a.shape[0], -1, a.shape[2])
+    result = np.empty((a.shape[0], a.shape[1], b.shape[1]), object)
+    for n, i, j in np.ndindex(result.shape):
+        result[n, i, j] = _scalar_product(graph, a[n, i], b[n, j])
+    return [result.reshape(*batch, *outer_a, *outer_b)]
+
+
+def _scalar_product(graph: Graph, a: np.ndarray, b: np.ndarray) -> Node:
+    """Sum of products; those with the same constant factor, up to its sign, share it.
+
+    Points on a regular grid have coordinates that differ by their signs only: what their rows
+    have in common is then computed once for all rows.
+    """
+    groups: dict[object, list[tuple[bool, Node]]] = {}
+    for x, y in zip(a, b, strict=True):
+        factor, other = (x, y) if x.value is not None else (y, x)
+        if factor.value is None:
+            factor, other, negative = graph.constant(1, x.dtype), graph.multiply(x, y), False
+        else:
+            negative = bool(factor.value < 0)
+            factor = graph.negate(factor) if negative else factor
+        if factor.value != 0:
+            groups.setdefault(factor, []).append((negative, other))
+    total = graph.constant(0, a[0].dtype)
+    for factor, terms in groups.items():
+        # The first term gives the sign, so that opposite sums are the same node.
+        flip = terms[0][0]
+        inner = terms[0][1]
+        for negative, term in terms[1:]:
+            combine = graph.add if negative == flip else graph.subtract
+            inner = combine(inner, term)
+        product = graph.multiply(factor, inner)
+        total = graph.subtract(total, product) if flip else graph.add(total, product)
+    return total
+
+
+def _same(graph, operands, params):
+    return operands
+
+
+def _together(graph, operands, params):
+    company = tuple(node for operand in operands for node in operand.flat if node.is_operation)
+    for node in company:
+        node.company = company
+    return operands
+
+
+_ARRAY_RULES: dict[str, Callable[[Graph, list[np.ndarray], dict], list[np.ndarray]]] = {
+    "broadcast_in_dim": _broadcast_in_dim,
+    "concatenate": lambda graph, xs, params: [np.concatenate(xs, params["dimension"])],
+    "copy": _same,
+    "copy_p": _same,
+    "dot_general": _dot_general,
+    "dynamic_slice": _dynamic_slice,
+    "dynamic_update_slice": _dynamic_update_slice,
+    "expand_dims": lambda graph, xs, params: [np.expand_dims(xs[0], params["dimensions"])],
+    "gather": _gather,
+    "optimization_barrier": _together,
+    "pad": _pad,
+    "reduce_and": _reduction(jax.lax.and_p),
+    "reduce_max": _reduction(jax.lax.max_p),
+    "reduce_min": _reduction(jax.lax.min_p),
+    "reduce_or": _reduction(jax.lax.or_p),
+    "reduce_sum": _reduction(jax.lax.add_p),
+    "reshape": lambda graph, xs, params: [xs[0].reshape(params["new_sizes"])],
+    "rev": lambda graph, xs, params: [np.flip(xs[0], params["dimensions"])],
+    "slice": _slice,
+    "split": _split,
+    "stack": lambda graph, xs, params: [np.stack(xs, params["axis"])],
+    "squeeze": lambda graph, xs, params: [xs[0].squeeze(params["dimensions"])],
+    "stop_gradient": _same,
+    "transpose": lambda graph, xs, params: [xs[0].transpose(params["permutation"])],
+}
