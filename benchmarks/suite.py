@@ -30,12 +30,18 @@ from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import load_config
 from evo_cpg.physics.state import resting_state
 from evo_cpg.physics.step import World, step
-from evo_cpg.training.devices import POPULATION_AXIS, fast_jit, population_mesh, use_cores
+from evo_cpg.training.devices import (
+    POPULATION_AXIS,
+    fast_jit,
+    population_mesh,
+    use_cores,
+)
 from evo_cpg.training.experiment import (
     Experiment,
     breed,
     compile_trials,
     first_population,
+    padding,
 )
 
 CONFIG = Path(__file__).parents[1] / "configs" / "iwadate2010_swimmer.yaml"
@@ -168,8 +174,10 @@ def wave_swim(experiment: Experiment, mesh: Mesh, steps: int) -> Callable[[], ob
     sharded = fast_jit(
         jax.shard_map(swim, mesh=mesh, in_specs=spec, out_specs=spec, check_vma=False)
     )
-    # Amplitudes differ a little, so that no two individuals do the same.
-    offsets = jnp.linspace(0.9, 1.1, POPULATION, dtype=jnp.float32)[None]
+    # Amplitudes differ a little, so that no two individuals do the same. Empty lanes are computed
+    # as in training, but not counted.
+    lanes = POPULATION + padding(POPULATION, mesh)
+    offsets = jnp.linspace(0.9, 1.1, lanes, dtype=jnp.float32)[None]
     return lambda: jax.block_until_ready(sharded(offsets))
 
 
@@ -238,7 +246,7 @@ def _table(rows: list[dict[str, Any]], cores: int) -> Table:
     for row in rows:
         timed = row["unit"] == "s"
         ours = f"{row['ours']:.1f} s" if timed else f"{row['ours'] / 1e3:,.0f} k/s"
-        theirs = f"{row['peer_rate'] / 1e3:,.1f} k/s" if row["peer_rate"] else ""
+        theirs = f"{row['peer_rate'] / 1e3:,.0f} k/s" if row["peer_rate"] else ""
         ratio = f"{row['ratio']:.2f}x" if row["ratio"] else ""
         table.add_row(row["case"], ours, row["peer"] or "", theirs, ratio)
     return table

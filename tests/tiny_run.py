@@ -19,7 +19,7 @@ TINY = (
 )
 
 # Enough generations to stop a run in the middle of.
-GENERATIONS = 20
+GENERATIONS = 100
 
 
 def program(

@@ -133,20 +133,24 @@ class BrainCpg(Controller):
         Raises:
             ValueError: the senses are not those that the brain was built for.
         """
-        batch_ndim = genes.ndim - 1
-        inputs = fuse(self.brain_inputs, state, observation, batch_ndim=batch_ndim)
-        outputs = think(self.brain, genes, inputs)
-        tonic_input, adaptation_gain = fuse(self.cpg_inputs, outputs, batch_ndim=batch_ndim)
+        outputs = think(self.brain, genes, self.brain_inputs(state, observation))
+        arguments = outputs, state, observation.joint_angle
+        if self.network.substeps(self.control_step) > matsuoka.UNROLLED:
+            return self._follow(*arguments)
+        return fuse(self._follow, *arguments, batch_ndim=genes.ndim - 1)
+
+    def _follow(
+        self, outputs: Array, state: MatsuokaState, joint_angle: Array
+    ) -> tuple[MatsuokaState, Command]:
+        """What the spinal cord and the motors make of the brain's outputs in one control step."""
+        tonic_input, adaptation_gain = self.cpg_inputs(outputs)
         state = matsuoka.advance(
             self.network, state, tonic_input, adaptation_gain, self.control_step
         )
-        return state, fuse(self._command, state, observation.joint_angle, batch_ndim=batch_ndim)
-
-    def _command(self, state: MatsuokaState, joint_angle: Array) -> Command:
         signal = matsuoka.output(state)
         rate = lift(self.rate_gain, signal) * signal - self.settings.centring * joint_angle
         limit = self.settings.max_rate
-        return Command(target_rate=jnp.clip(rate, -limit, limit), signal=signal)
+        return state, Command(target_rate=jnp.clip(rate, -limit, limit), signal=signal)
 
     def brain_inputs(self, state: MatsuokaState, observation: Observation) -> Float[Array, "i *n"]:
         """What the brain senses: Table 2 of Iwadate 2010, every value from -1 to 1.

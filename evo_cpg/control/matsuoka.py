@@ -56,6 +56,9 @@ TIME_CONSTANTS = {"swapped": (0.153337, 1.181958), "as_printed": (1.181958, 0.15
 # the signals then stay within 1e-3 (rms) of the exact ones for 33 s, phase included.
 SUBSTEP_SHARE = 0.25
 
+# Up to so many substeps are written out, so that they can be part of a fused function.
+UNROLLED = 3
+
 # Extensors start at this share of the largest tonic input, flexors at 0. A symmetric start
 # would never oscillate.
 INITIAL_SHARE = 0.1
@@ -246,8 +249,10 @@ def advance(
         batch_ndim = adaptation_gain.ndim - 1
         return fuse(runge_kutta, state, drive, adaptation_gain, batch_ndim=batch_ndim), None
 
-    if count == 1:
-        return substep(state, None)[0]
+    if count <= UNROLLED:
+        for _ in range(count):
+            state, _ = substep(state, None)
+        return state
     return jax.lax.scan(substep, state, length=count)[0]
 
 

@@ -6,7 +6,7 @@ a principal axis) cost nothing in the end. Results are those of the original pro
 bit, with two exceptions: the sign of a zero, and that 0 x stays 0 where x is not finite.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import jax
@@ -106,14 +106,14 @@ class Node:
         number: int,
         dtype: np.dtype,
         primitive: "Primitive | Call | None" = None,
-        params: dict | None = None,
+        params: Mapping[str, Any] | None = None,
         operands: "tuple[Node, ...]" = (),
         value: Any = None,
     ):
         self.number = number
         self.dtype = dtype
         self.primitive = primitive
-        self.params = params
+        self.params = params or {}
         self.operands = operands
         self.value = value
         types = [dtype] if jnp.issubdtype(dtype, jnp.floating) else []
@@ -123,19 +123,25 @@ class Node:
         self.level = max((node.level + node.costly for node in operands), default=0)
 
     @property
+    def name(self) -> str:
+        """Of the primitive, or nothing."""
+        return self.primitive.name if isinstance(self.primitive, Primitive) else ""
+
+    def evaluate(self, *operands: jax.Array | np.generic) -> jax.Array:
+        """The operation on given operands."""
+        assert isinstance(self.primitive, Primitive)
+        return self.primitive.bind(*operands, **self.params)
+
+    @property
     def costly(self) -> bool:
         """Whether it gets a kernel of its own."""
-        if isinstance(self.primitive, Call):
-            return True
-        return self.primitive is not None and (
-            self.primitive.name in _COSTLY or self._changes_precision
-        )
+        return isinstance(self.primitive, Call) or self.name in _COSTLY or self._changes_precision
 
     @property
     def _changes_precision(self) -> bool:
         """Whether it converts one floating-point type to another, which no kernel may mix."""
         return (
-            self.primitive.name == "convert_element_type"
+            self.name == "convert_element_type"
             and jnp.issubdtype(self.dtype, jnp.floating)
             and jnp.issubdtype(self.operands[0].dtype, jnp.floating)
         )
@@ -241,7 +247,7 @@ class Graph:
             return operands[1 + int(operands[0].value)]
         if not jnp.issubdtype(operands[0].dtype, jnp.floating):
             return None
-        if name == "neg" and _is(operands[0], "neg"):
+        if name == "neg" and operands[0].name == "neg":
             return operands[0].operands[0]
         if name == "mul":
             return self._simplify_product(*operands) or self._simplify_product(*operands[::-1])
@@ -253,7 +259,7 @@ class Graph:
                 return a
             if a.value == 0:
                 return self.negate(b)
-            if _is(b, "neg"):
+            if b.name == "neg":
                 return self.add(a, b.operands[0])
         if name == "div":
             a, b = operands
@@ -276,14 +282,10 @@ class Graph:
     def _simplify_sum(self, term: Node, other: Node) -> Node | None:
         if term.value is not None and term.value == 0:
             return other
-        return self.subtract(other, term.operands[0]) if _is(term, "neg") else None
+        return self.subtract(other, term.operands[0]) if term.name == "neg" else None
 
     def _unique(self, key: Any, dtype: np.dtype, **parts) -> Node:
         node = self._nodes.get(key)
         if node is None:
             node = self._nodes[key] = Node(len(self._nodes), dtype, **parts)
         return node
-
-
-def _is(node: Node, name: str) -> bool:
-    return getattr(node.primitive, "name", None) == name

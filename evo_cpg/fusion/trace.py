@@ -9,6 +9,7 @@ from collections.abc import Callable
 
 import jax
 import numpy as np
+from jax import core
 from jax.extend.core import Jaxpr, Literal, Primitive
 
 from evo_cpg.fusion.graph import Graph, Node
@@ -32,7 +33,7 @@ array_call_p.multiple_results = True
 @array_call_p.def_abstract_eval
 def _(*inputs, function):
     shapes = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in inputs]
-    return [jax.core.ShapedArray(x.shape, x.dtype) for x in jax.eval_shape(function, *shapes)]
+    return [core.ShapedArray(x.shape, x.dtype) for x in jax.eval_shape(function, *shapes)]
 
 
 _ELEMENTWISE = {
@@ -103,7 +104,7 @@ def trace(
 
     def read(atom) -> np.ndarray:
         if isinstance(atom, Literal):
-            return constants(graph, np.asarray(atom.val, atom.aval.dtype))
+            return constants(graph, np.asarray(atom.val, _type(atom)))
         return known[atom]
 
     known.update(zip(jaxpr.constvars, consts, strict=True))
@@ -116,7 +117,7 @@ def trace(
             values = [constants(graph, np.asarray(value)) for value in inner.consts]
             results = trace(graph, inner.jaxpr, values, operands)
         elif equation.primitive is array_call_p:
-            shapes = [(out.aval.shape, np.dtype(out.aval.dtype)) for out in equation.outvars]
+            shapes = [(out.aval.shape, _type(out)) for out in equation.outvars]  # pyright: ignore
             results = graph.call(equation.params["function"], operands, shapes)
         elif all(operand.size == 0 for operand in operands):
             results = _evaluate(graph, equation, operands)
@@ -130,6 +131,10 @@ def trace(
             raise NotImplementedError(f"{name} is not scalar arithmetic and cannot be fused")
         known.update(zip(equation.outvars, results, strict=True))
     return [read(atom) for atom in jaxpr.outvars]
+
+
+def _type(atom) -> np.dtype:
+    return np.dtype(atom.aval.dtype)
 
 
 def constants(graph: Graph, values: np.ndarray) -> np.ndarray:
@@ -149,7 +154,7 @@ def _map(make: Callable[..., Node], *arrays: np.ndarray) -> np.ndarray:
 def _evaluate(graph: Graph, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
     """Any other primitive on constants, by JAX itself."""
     values = [
-        np.array([node.value for node in operand.flat], atom.aval.dtype).reshape(operand.shape)
+        np.array([node.value for node in operand.flat], _type(atom)).reshape(operand.shape)
         for operand, atom in zip(operands, equation.invars, strict=True)
     ]
     with jax.ensure_compile_time_eval():
@@ -270,7 +275,7 @@ def _scalar_product(graph: Graph, a: np.ndarray, b: np.ndarray) -> Node:
     Points on a regular grid have coordinates that differ by their signs only: what their rows
     have in common is then computed once for all rows.
     """
-    groups: dict[object, list[tuple[bool, Node]]] = {}
+    groups: dict[Node, list[tuple[bool, Node]]] = {}
     for x, y in zip(a, b, strict=True):
         factor, other = (x, y) if x.value is not None else (y, x)
         if factor.value is None:

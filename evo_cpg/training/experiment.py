@@ -93,7 +93,7 @@ def compile_trials(
 
     def run(genes: Float[np.ndarray, "g n"]) -> Outcome:
         count = genes.shape[1]
-        padded = np.pad(genes, ((0, 0), (0, _padding(count, mesh))), mode="edge")
+        padded = np.pad(genes, ((0, 0), (0, padding(count, mesh))), mode="edge")
         outcome = trials(jax.device_put(padded, genes_sharding))
         return jax.tree.map(lambda x: np.asarray(x)[:count], outcome)
 
@@ -137,11 +137,12 @@ def replay(
     Compiled code may round differently for different array lengths; with equal ones the numbers
     are those of the training run.
     """
-    lanes = (population + _padding(population, mesh)) // mesh.size
+    lanes = (population + padding(population, mesh)) // mesh.size
     crowd = jnp.broadcast_to(genes[:, None], (genes.shape[0], lanes))
     outcome = jax.tree.map(lambda x: x[0], rollout(simulation, crowd))
     return outcome, record(simulation, crowd)
 
 
-def _padding(count: int, mesh: Mesh) -> int:
+def padding(count: int, mesh: Mesh) -> int:
+    """How many individuals are added to a population so that every device gets full vectors."""
     return -count % (mesh.size * LANES)

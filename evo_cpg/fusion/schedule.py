@@ -1,0 +1,185 @@
+"""Order a graph of scalars and cut it into kernels.
+
+A value that is used in the kernel that computes it stays in a register; any other is stored and
+read again. The order therefore brings values and their uses together, and the cuts are where the
+fewest values cross.
+"""
+
+import collections
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from evo_cpg.fusion.graph import Call, Node
+
+# Most operations in one kernel, and most arrays that it reads and writes: LLVM's alias analysis
+# gives up beyond 250 of them, and the loop is then not vectorised.
+KERNEL_SIZE = 1200
+KERNEL_ARRAYS = 240
+
+# Cuts are considered every so many operations; starting a kernel costs as much as so many arrays.
+_CUT_STRIDE = 20
+_KERNEL_COST = 10
+
+
+def cut(wanted: list[Node]) -> list[tuple[list[Node], list[Node]]]:
+    """Order the operations behind the wanted nodes and cut them into pieces.
+
+    Returns:
+        For each piece its operations, and those of them that are needed outside. The costly
+        functions of one kind whose operands are ready together make a piece of their own.
+    """
+    order = _depth_first(wanted)
+    uses = collections.Counter(wanted)
+    for node in order:
+        uses.update(set(node.operands))
+    stage = _stages(order)
+    pieces: list[list[Node]] = []
+    for level in range(max(stage.values(), default=-1) + 1):
+        kinds: dict[Any, list[Node]] = {}
+        for node in order:
+            if stage[node] == level:
+                kinds.setdefault(_kind(node), []).append(node)
+        for nodes in sorted(
+            kinds.values(), key=lambda nodes: (nodes[0].costly, nodes[0].precision is not None)
+        ):
+            pieces.extend([nodes] if nodes[0].costly else _chunks(nodes, uses))
+    owner = {node: i for i, piece in enumerate(pieces) for node in piece}
+    needed = set(wanted)
+    for i, piece in enumerate(pieces):
+        needed.update(o for node in piece for o in node.operands if owner.get(o) != i)
+    return [(piece, [node for node in piece if node in needed]) for piece in pieces]
+
+
+def _kind(node: Node) -> Any:
+    """Nodes of a kind can share a kernel."""
+    if isinstance(node.primitive, Call):
+        return node.primitive
+    if node.costly:
+        operand_types = tuple(operand.dtype for operand in node.operands)
+        return node.primitive, repr(sorted(node.params.items())), operand_types
+    return node.precision
+
+
+def _stages(order: list[Node]) -> dict[Node, int]:
+    """For each node, before which costly functions it has to be computed: as late as possible."""
+    last = max((node.level for node in order), default=0)
+    stage = dict.fromkeys(order, last)
+    for node in reversed(order):
+        if node.costly:
+            stage[node] = node.level
+        for operand in node.operands:
+            if operand in stage:
+                stage[operand] = min(stage[operand], stage[node])
+    return stage
+
+
+def _depth_first(wanted: list[Node]) -> list[Node]:
+    """Operations in an order in which a value is computed shortly before it is used."""
+    done: set[Node] = set()
+    order: list[Node] = []
+    for root in _nearest_first(wanted):
+        stack = [(root, False)]
+        while stack:
+            node, expanded = stack.pop()
+            if node in done or not node.is_operation:
+                continue
+            if expanded:
+                done.add(node)
+                order.append(node)
+            else:
+                if node.company:
+                    company, node.company = node.company, ()
+                    stack.append((node, False))
+                    stack.extend((other, False) for other in reversed(company))
+                    continue
+                stack.append((node, True))
+                latest_last = sorted(node.operands, key=lambda operand: operand.number)
+                stack.extend((operand, False) for operand in latest_last)
+    return order
+
+
+def _nearest_first(wanted: list[Node]) -> list[Node]:
+    """The wanted operations, each followed by the one that then takes the fewest operations."""
+    behind: dict[Node, int] = {}  # Bit sets of all operations behind each, by number.
+    for node in _ancestors(wanted):
+        behind[node] = 1 << node.number
+        for operand in node.operands:
+            behind[node] |= behind.get(operand, 0)
+    left = dict.fromkeys(node for node in wanted if node.is_operation)
+    done, order = 0, []
+    while left:
+        nearest = min(left, key=lambda node: (behind[node] & ~done).bit_count())
+        del left[nearest]
+        done |= behind[nearest]
+        order.append(nearest)
+    return order
+
+
+def _ancestors(wanted: list[Node]) -> list[Node]:
+    """All operations behind the wanted nodes, operands before their users."""
+    found: set[Node] = set()
+    waiting = [node for node in wanted if node.is_operation]
+    while waiting:
+        node = waiting.pop()
+        if node not in found:
+            found.add(node)
+            waiting.extend(operand for operand in node.operands if operand.is_operation)
+    return sorted(found, key=lambda node: node.number)
+
+
+def _chunks(order: list[Node], uses: dict[Node, int]) -> list[list[Node]]:
+    """Cut a sequence of operations where the fewest values have to be stored and read again.
+
+    Dynamic programming over the places of possible cuts, one every `_CUT_STRIDE` operations.
+    """
+    cuts = [*range(0, len(order), _CUT_STRIDE), len(order)]
+    cost = dict.fromkeys(cuts, np.inf)
+    previous: dict[int, int] = {}
+    cost[0] = 0
+    for start in cuts[:-1]:
+        for stop, arrays in _extensions(order, start, uses):
+            if cost[start] + arrays + _KERNEL_COST < cost[stop]:
+                cost[stop] = cost[start] + arrays + _KERNEL_COST
+                previous[stop] = start
+    chunks, stop = [], len(order)
+    while stop:
+        chunks.append(order[previous[stop] : stop])
+        stop = previous[stop]
+    return chunks[::-1]
+
+
+def _extensions(order: list[Node], start: int, uses: dict[Node, int]) -> Iterator[tuple[int, int]]:
+    """Places up to which one kernel can go from a start, and how many arrays it then touches."""
+    pending: dict[Node, int] = {}
+    inputs: set[Node] = set()
+    results = 0
+    for stop in range(start + 1, min(start + KERNEL_SIZE, len(order)) + 1):
+        node = order[stop - 1]
+        for operand in set(node.operands):
+            if operand in pending:
+                pending[operand] -= 1
+                results -= not pending[operand]
+            elif operand.value is None:
+                inputs.add(operand)
+        pending[node] = uses[node]
+        results += 1
+        arrays = len(inputs) + max(len(inputs), results)
+        first = stop - start <= _CUT_STRIDE
+        if 2 * len(inputs) > KERNEL_ARRAYS and not first:
+            return
+        if (stop % _CUT_STRIDE == 0 or stop == len(order)) and (arrays <= KERNEL_ARRAYS or first):
+            yield stop, arrays
+
+
+def read_by(piece: list[Node]) -> list[Node]:
+    """What a piece reads, constants apart, in a fixed order."""
+    inside = set(piece)
+    outside = {
+        operand: None
+        for node in piece
+        for operand in node.operands
+        if operand not in inside and operand.value is None
+    }
+    return list(outside)
