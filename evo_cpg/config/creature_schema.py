@@ -97,10 +97,17 @@ class MaterialConfig(Section):
 
 
 class ActuatorConfig(Section):
-    """Velocity servo on each axis: gain (N m s/rad), torque limit (N m, none if left out)."""
+    """Motor on each axis.
+
+    Attributes:
+        gain: torque per velocity error, N m s/rad.
+        torque_limit: N m; none if left out.
+        stiffness: torque per angle error, N m/rad; 0 for a pure velocity servo.
+    """
 
     gain: Positive
     torque_limit: Positive | None = None
+    stiffness: NotNegative = 0.0
 
 
 class JointConfig(Section):
@@ -185,6 +192,7 @@ class JointConfig(Section):
             and Actuator(
                 actuator.gain,
                 float("inf") if actuator.torque_limit is None else actuator.torque_limit,
+                actuator.stiffness,
             ),
         )
 

@@ -38,10 +38,13 @@ class Command(NamedTuple):
         target_rate: rate for each motor's velocity servo to follow, rad/s.
         signal: the rhythm behind it, for plots of the phase lag: the output y_e - y_f of each
             oscillator, or whatever plays its part.
+        target_angle: angle for each motor's spring to pull to, rad; None leaves the springs at
+            their neutral angle.
     """
 
     target_rate: Float[Array, "d *n"]
     signal: Float[Array, "d *n"]
+    target_angle: Float[Array, "d *n"] | None = None
 
 
 class Controller(eqx.Module):

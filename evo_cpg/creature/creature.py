@@ -44,15 +44,21 @@ class Material:
 
 @dataclasses.dataclass(frozen=True)
 class Actuator:
-    """Motor on each axis of a joint: a velocity servo with a torque limit.
+    """Motor on each axis of a joint: ``gain (rate* - rate) + stiffness (angle* - angle)``.
+
+    Without stiffness it is the velocity servo of Iwadate 2010, with stiffness and a wanted rate of
+    zero the dashpot of Fukui 2003: a damped spring whose rest angle the controller sets.
 
     Attributes:
         gain: torque per velocity error, N m s/rad.
-        torque_limit: largest torque on one axis, N m; infinite where there is no limit.
+        torque_limit: largest torque on one axis, N m; infinite where there is no limit. Under a
+            larger load the joint gives way.
+        stiffness: torque per angle error, N m/rad.
     """
 
     gain: float
     torque_limit: float = float("inf")
+    stiffness: float = 0.0
 
 
 @dataclasses.dataclass(frozen=True)

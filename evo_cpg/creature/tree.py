@@ -21,7 +21,7 @@ from evo_cpg.creature.creature import Creature, neutral_pose, topological_order
 
 # A soft limit is a critically damped spring on the inertia that the joint sees, slow enough for
 # a step of 1/120 s to resolve it; on top of that it balances the joint's own motor, which would
-# otherwise push through: a servo asking for 1 rad/s beyond the limit gets 0.016 rad.
+# otherwise push through: one that asks for 1 rad/s, or pulls to 1 rad, beyond it gets 0.016 rad.
 LIMIT_FREQUENCY = 10.0
 LIMIT_DAMPING_RATIO = 1.0
 
@@ -64,6 +64,7 @@ class Tree(eqx.Module):
         lower: lower joint limit, rad.
         upper: upper joint limit, rad.
         servo_gain: N m s/rad; 0 for a passive axis.
+        servo_stiffness: of the motors' springs, N m/rad.
         torque_limit: N m.
         limit_stiffness: of the soft limits, N m/rad.
         limit_damping: of the soft limits, N m s/rad.
@@ -87,6 +88,7 @@ class Tree(eqx.Module):
     lower: Float[np.ndarray, " d"]
     upper: Float[np.ndarray, " d"]
     servo_gain: Float[np.ndarray, " d"]
+    servo_stiffness: Float[np.ndarray, " d"]
     torque_limit: Float[np.ndarray, " d"]
     limit_stiffness: Float[np.ndarray, " d"]
     limit_damping: Float[np.ndarray, " d"]
@@ -141,6 +143,7 @@ def build_tree(creature: Creature) -> Tree:
     limit_rate = 2 * np.pi * LIMIT_FREQUENCY
     leverage = _effective_inertia(creature, order)
     gain = _per_dof([(a.gain if a else 0.0, n) for a, n in actuators])
+    spring = _per_dof([(a.stiffness if a else 0.0, n) for a, n in actuators])
     return Tree(
         names=tuple(names),
         parents=tuple(parents),
@@ -165,8 +168,9 @@ def build_tree(creature: Creature) -> Tree:
         lower=np.array([limit for j in joints for limit in j.lower], float),
         upper=np.array([limit for j in joints for limit in j.upper], float),
         servo_gain=gain,
+        servo_stiffness=spring,
         torque_limit=_per_dof([(a.torque_limit if a else 0.0, n) for a, n in actuators]),
-        limit_stiffness=leverage * limit_rate**2 + gain * limit_rate,
+        limit_stiffness=leverage * limit_rate**2 + (gain + spring) * limit_rate,
         limit_damping=2 * LIMIT_DAMPING_RATIO * leverage * limit_rate,
     )
 

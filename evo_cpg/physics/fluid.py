@@ -10,7 +10,7 @@ drag coefficient of a box is 2 C_d and that of a sphere is C_d.
 
 Differs from eq. 8 as printed, where the direction of v and the part each resistance takes are not
 said: ``law="isotropic"`` keeps the literal reading, -1/2 rho (C_d + C_f) A |v| v, under which
-undulation gives hardly any thrust.
+undulation gives no forward thrust.
 
 With W the constant matrix of point Jacobians, point velocities are ``W V``, the wrench is
 ``W^T F``, and the derivative ``D = sum_p c_p w_p w_p^T`` is a product of the constant outer

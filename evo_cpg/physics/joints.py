@@ -1,16 +1,18 @@
-"""Torques on the joint axes: velocity servo, passive spring and damper, soft limits.
+"""Torques on the joint axes: motors, passive spring and damper, soft limits.
 
 Each law is stated as its torque at the present rates and its derivative: the implicit step then
 uses ``tau_end = tau - T qdd`` with the diagonal T below.
 
 - Passive: ``-k (q + h qd) - c qd``, T = h (c + h k).
 - Limit: the same spring and damper about the limit, only beyond it.
-- Servo (Iwadate 2010: "angular-velocity control"): ``g (target - qd)``, T = h g, up to a limit
-  that holds for the torque at the *end* of the step. Deciding it on the torque before the step
-  makes the motor chatter and exceed its limit threefold.
+- Motor: ``g (rate* - qd) + k_m (angle* - q - h qd)``, T = h (g + h k_m), up to a limit that holds
+  for the torque at the *end* of the step. Deciding it on the torque before the step makes the motor
+  chatter and exceed its limit threefold. With k_m = 0 it is a velocity servo (Iwadate 2010:
+  "angular-velocity control"), with rate* = 0 a dashpot (Fukui 2003, 2.6).
 """
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from evo_cpg.creature.tree import Tree
@@ -36,10 +38,40 @@ def passive_torque(
 
 
 def servo_torque(
-    tree: Tree, rates: Float[Array, "d *n"], target: Float[Array, "d *n"]
+    tree: Tree,
+    state: State,
+    target_rate: Float[Array, "d *n"],
+    target_angle: Float[Array, "d *n"] | None,
+    h: float,
 ) -> Float[Array, "d *n"]:
-    """Torque (N m) that the servos ask for at the given rates (rad/s), without limit."""
-    return lift(tree.servo_gain, rates) * (target - rates)
+    """Torque (N m) that the motors ask for at the present rates, without limit.
+
+    Args:
+        tree: the creature.
+        state: its joint angles and rates.
+        target_rate: rad/s.
+        target_angle: rad; None for the neutral pose.
+        h: step, s.
+    """
+    rates = state.qd
+    torque = lift(tree.servo_gain, rates) * (target_rate - rates)
+    if not has_springs(tree):
+        return torque
+    ahead = state.q + h * rates
+    error = -ahead if target_angle is None else target_angle - ahead
+    return torque + lift(tree.servo_stiffness, rates) * error
+
+
+def servo_slope(tree: Tree, like: Array, h: float) -> Float[Array, "d *n"]:
+    """Torque per end-of-step rate, ``g + h k_m`` (N m s/rad); never quite zero."""
+    slope = lift(tree.servo_gain + h * tree.servo_stiffness, like)
+    return jnp.maximum(slope, jnp.finfo(like.dtype).tiny)
+
+
+def has_springs(tree: Tree) -> bool:
+    """Whether any motor pulls towards an angle."""
+    stiffness = tree.servo_stiffness
+    return not isinstance(stiffness, np.ndarray) or bool(stiffness.any())
 
 
 def overloaded(tree: Tree, torque: Float[Array, "d *n"]) -> Bool[Array, "d *n"]:

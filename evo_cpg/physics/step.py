@@ -17,7 +17,13 @@ from evo_cpg.creature.tree import Tree
 from evo_cpg.fusion.kernels import fuse, symmetric
 from evo_cpg.physics.articulated import Accelerations, Inertia, Wrench, solve
 from evo_cpg.physics.fluid import Patch, Water, drag
-from evo_cpg.physics.joints import clamp_torque, overloaded, passive_torque, servo_torque
+from evo_cpg.physics.joints import (
+    clamp_torque,
+    overloaded,
+    passive_torque,
+    servo_slope,
+    servo_torque,
+)
 from evo_cpg.physics.kinematics import Kinematics, kinematics
 from evo_cpg.physics.state import State
 from evo_cpg.spatial.linear import (
@@ -99,28 +105,44 @@ class _Unlimited(NamedTuple):
 
 
 def step(
-    world: World, state: State, target_rate: Float[Array, "d *n"], h: float
+    world: World,
+    state: State,
+    target_rate: Float[Array, "d *n"],
+    h: float,
+    target_angle: Float[Array, "d *n"] | None = None,
 ) -> tuple[State, Effort]:
-    """Advance the world by ``h`` seconds with the servos' target rates (rad/s) held."""
+    """Advance the world by ``h`` seconds.
+
+    Args:
+        world: the creature and its surroundings.
+        state: at the start.
+        target_rate: for the motors to follow, rad/s, held over the step.
+        h: s.
+        target_angle: for the motors' springs to pull to, rad; None for the neutral pose.
+    """
+    targets = target_rate, target_angle
     batch_ndim = state.q.ndim - 1
     if not _can_overload(world.tree):
-        return fuse(
-            functools.partial(_free_step, world, h), state, target_rate, batch_ndim=batch_ndim
-        )
+        free_step = functools.partial(_free_step, world, h)
+        return fuse(free_step, state, *targets, batch_ndim=batch_ndim)
     unlimited = fuse(
-        functools.partial(_unlimited, world, h), state, target_rate, batch_ndim=batch_ndim
+        functools.partial(_unlimited, world, h), state, *targets, batch_ndim=batch_ndim
     )
     acceleration, torque = _limit_torques(world.tree, state, unlimited, h)
     return fuse(functools.partial(_finish, h), state, acceleration, torque, batch_ndim=batch_ndim)
 
 
-def _free_step(world: World, h: float, state: State, target_rate: Array) -> tuple[State, Effort]:
+def _free_step(
+    world: World, h: float, state: State, target_rate: Array, target_angle: Array | None
+) -> tuple[State, Effort]:
     """A step of an animal whose motors have no limit."""
-    solution = _unlimited(world, h, state, target_rate)
+    solution = _unlimited(world, h, state, target_rate, target_angle)
     return _finish(h, state, solution.accelerations, solution.asked)
 
 
-def _unlimited(world: World, h: float, state: State, target_rate: Array) -> _Unlimited:
+def _unlimited(
+    world: World, h: float, state: State, target_rate: Array, target_angle: Array | None
+) -> _Unlimited:
     """Everything up to the accelerations that the motors would cause if they had no limit."""
     tree = world.tree
     with jax.named_scope("kinematics"):
@@ -130,8 +152,8 @@ def _unlimited(world: World, h: float, state: State, target_rate: Array) -> _Unl
     with jax.named_scope("solve"):
         passive, derivative = passive_torque(tree, state, h)
         derivative = derivative + lift(tree.armature, derivative)
-        wanted = servo_torque(tree, state.qd, target_rate)
-        slope = h * _gain(tree, wanted)
+        wanted = servo_torque(tree, state, target_rate, target_angle, h)
+        slope = h * servo_slope(tree, wanted, h)
         free = solve(tree, kin, inertia, bias, passive + wanted, derivative + slope)
     asked = wanted - slope * free.qdd
     return _Unlimited(kin, inertia, bias, passive, derivative, wanted, free, asked)
@@ -149,12 +171,8 @@ def _finish(
 
 def _can_overload(tree: Tree) -> bool:
     """Whether any motor has a limit."""
-    return bool(np.isfinite(tree.torque_limit[tree.servo_gain > 0]).any())
-
-
-def _gain(tree: Tree, like: Array) -> Array:
-    """Servo gains, never zero, N m s/rad."""
-    return jnp.maximum(lift(tree.servo_gain, like), jnp.finfo(like.dtype).tiny)
+    driven = (tree.servo_gain > 0) | (tree.servo_stiffness > 0)
+    return bool(np.isfinite(tree.torque_limit[driven]).any())
 
 
 def body_equations(world: World, kin: Kinematics, h: float) -> tuple[Inertia, Wrench]:
@@ -208,7 +226,8 @@ def _limit_torques(
 ) -> tuple[Accelerations, Float[Array, "d *n"]]:
     """Solve for the accelerations with motors that never exceed their limits.
 
-    The end-of-step torques are ``clip(g (target - qd_end))``, a piecewise linear equation. Where a
+    The end-of-step torques are the motors' laws at the end of the step, clipped: a piecewise
+    linear equation. Where a
     motor is overloaded, its clipped law is replaced by a line through the present iterate with a
     share of the secant's slope, and the motion is solved again, a few times. Last, all motor
     torques are imposed as found and clipped: what is returned is what was applied, and it is
@@ -219,7 +238,7 @@ def _limit_torques(
         The accelerations and the motor torques (N m) at the end of the step.
     """
     wanted = unlimited.wanted
-    gain = _gain(tree, wanted)
+    gain = servo_slope(tree, wanted, h)
 
     def solve_with(torque: Array, torque_derivative: Array) -> Accelerations:
         return fuse(

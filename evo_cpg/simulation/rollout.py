@@ -193,7 +193,7 @@ def _control_step(
 
     def move(carry, _):
         state, energy, _ = carry
-        state, effort = step(world, state, command.target_rate, h)
+        state, effort = step(world, state, command.target_rate, h, command.target_angle)
         return (state, energy + effort.energy.sum(0), effort.torque), None
 
     energy = jnp.zeros(batch, genes.dtype)

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import ConnectionPatch
 from matplotlib.ticker import MaxNLocator
 
+from evo_cpg.analysis.gait import bending_axis
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.view.output import in_one_piece, output_path
 
@@ -103,8 +104,9 @@ def plot_joint_signals(
     Args:
         recording: the motion.
         path: ``.png``, ``.svg`` or ``.pdf``.
-        axis: such as ``z``; by default the one with the largest root-mean-square angle.
-        window: first and last instant to show, s; the last 5 s by default.
+        axis: such as ``z``; by default the one about which the animal bends most.
+        window: first and last instant to show, s; by default 5 s in the middle of the second half,
+            where the animal is under way: it has started, and has not arrived.
 
     Returns:
         The path.
@@ -118,15 +120,11 @@ def plot_joint_signals(
     available = list(dict.fromkeys(letter for _, _, letter in names))
     if not available:
         raise ValueError("the recording has no joints, so there are no signals to plot")
-    power = {
-        letter: np.mean(recording.joint_angle[:, [n[2] == letter for n in names]] ** 2)
-        for letter in available
-    }
-    axis = max(available, key=power.__getitem__) if axis is None else axis
+    axis = bending_axis(recording) if axis is None else axis
     if axis not in available:
         raise ValueError(f"no joint turns about axis {axis!r}; axes are {', '.join(available)}")
     end = recording.time[-1]
-    start, stop = (max(recording.time[0], end - _WINDOW), end) if window is None else window
+    start, stop = window or (max(0.0, 0.75 * end - _WINDOW / 2), 0.75 * end + _WINDOW / 2)
     shown = (recording.time >= start) & (recording.time <= stop)
     if shown.sum() < 2:
         raise ValueError(

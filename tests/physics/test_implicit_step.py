@@ -127,14 +127,22 @@ def dense_accelerations(creature: Creature, world: World, state: State, torque, 
 def worst_error(number: int, torque_limit: float, law: str = "normal") -> tuple[float, int]:
     """Largest relative difference over some states, and how many motors were at their limit."""
     rng = np.random.default_rng(number)
-    creature = random_creature(
-        rng, STRUCTURES[number], limits=0.7, motor=Actuator(2.0, torque_limit), axes_seed=number
-    )
+    motor = Actuator(2.0, torque_limit, stiffness=5.0)
+    creature = random_creature(rng, STRUCTURES[number], limits=0.7, motor=motor, axes_seed=number)
     world = in_water(creature, current=CURRENT, law=law)
     tree = world.tree
     states = random_state(tree, rng, (STATES,))
     target = rng.normal(scale=3.0, size=(tree.dof_count, STATES))
-    new, effort = quick_jit(lambda s, t: step(world, s, t, H))(states, jnp.asarray(target))
+    angle = rng.normal(scale=0.5, size=(tree.dof_count, STATES))
+    new, effort = quick_jit(lambda s, t, a: step(world, s, t, H, a))(
+        states, jnp.asarray(target), jnp.asarray(angle)
+    )
+
+    def motor_law(n: int, rate: np.ndarray) -> np.ndarray:
+        """Torque at the end of the step if the rate is then the given one."""
+        ahead = np.asarray(states.q[:, n]) + H * rate
+        return motor.gain * (target[:, n] - rate) + motor.stiffness * (angle[:, n] - ahead)
+
     change = [
         np.asarray((after - before) / H)
         for after, before in ((new.velocity, states.velocity), (new.qd, states.qd))
@@ -143,8 +151,8 @@ def worst_error(number: int, torque_limit: float, law: str = "normal") -> tuple[
     worst, saturated = 0.0, 0
     for n in range(STATES):
         state = State(*(part[..., n] for part in vars(states).values()))
-        wanted = tree.servo_gain * (target[:, n] - np.asarray(state.qd))
-        implicit = H * tree.servo_gain
+        wanted = motor_law(n, np.asarray(state.qd))
+        implicit = np.full_like(wanted, H * (motor.gain + H * motor.stiffness))
         applied = np.asarray(effort.torque[:, n])
         if (np.abs(applied) >= torque_limit).any():
             saturated += int((np.abs(applied) >= torque_limit).sum())
@@ -152,7 +160,7 @@ def worst_error(number: int, torque_limit: float, law: str = "normal") -> tuple[
         theirs = dense_accelerations(creature, world, state, wanted, implicit)
         worst = max(worst, np.abs(ours[:, n] - theirs).max() / np.abs(theirs).max())
         # Free motors end the step with the torque of their end-of-step rate.
-        end = tree.servo_gain * (target[:, n] - np.asarray(new.qd[:, n]))
+        end = motor_law(n, np.asarray(new.qd[:, n]))
         if (np.abs(applied) < torque_limit).all():
             np.testing.assert_allclose(applied, end, rtol=1e-9, atol=1e-9)
     return worst, saturated

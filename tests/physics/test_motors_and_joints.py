@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jaxtyping import Array
 
 from creatures import STRUCTURES, box_chain, in_water, quick_jit, random_creature, random_state
 from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, Material
@@ -220,3 +221,55 @@ def test_soft_limit_stops_a_swing():
     beyond = np.asarray(states.q)[:, 0] - limits
     assert 0 < beyond.max() < speed / (np.e * 2 * np.pi * LIMIT_FREQUENCY)
     assert abs(float(states.qd[-1, 0])) < 0.2 * speed
+
+
+def two_boxes(**joint) -> World:
+    """Two equal boxes that turn against each other about z, in a vacuum without gravity."""
+    box = Box((0.2, 0.1, 0.1))
+    joint = Joint("a", (0.1, 0, 0), (-0.1, 0, 0), ((0.0, 0.0, 1.0),), (-9.0,), (9.0,), **joint)
+    material = Material(500.0)
+    creature = Creature("pair", (Body("a", box, material), Body("b", box, material, joint)))
+    return World(build_tree(creature), 0.0)
+
+
+def test_a_dashpot_set_to_the_neutral_angle_is_a_passive_spring_and_damper(x64):
+    """The same motion; that it pulls to other angles is in the dense equation of the step."""
+    dashpot = two_boxes(actuator=Actuator(0.05, stiffness=3.0))
+    passive = two_boxes(stiffness=3.0, damping=0.05)
+
+    def angles(world: World, target: Array | None):
+        state = resting_state(world.tree, dtype=jnp.float64)
+        state = dataclasses.replace(state, q=jnp.array([-0.4]))
+
+        def advance(s, _):
+            s, _ = step(world, s, jnp.zeros(1), H, target)
+            return s, s.q[0]
+
+        return np.asarray(quick_jit(lambda s: jax.lax.scan(advance, s, None, 200)[1])(state))
+
+    moved = angles(dashpot, jnp.zeros(1))
+    assert moved.max() > 0.05  # It swings.
+    np.testing.assert_allclose(moved, angles(passive, None), atol=1e-12)
+    np.testing.assert_array_equal(moved, angles(dashpot, None))
+
+
+def test_an_overloaded_dashpot_gives_way_with_its_limit(x64):
+    """Far from its angle it pulls with the limit, and the boxes turn as that torque makes them.
+
+    In the straight pose the hinge moves aside and the centres of mass stay where they are, so each
+    box resists with its own inertia I to half the joint's acceleration: qdd = 2 tau / I.
+    """
+    limit, count = 0.02, 10
+    world = two_boxes(actuator=Actuator(0.05, limit, stiffness=300.0))
+    state = resting_state(world.tree, dtype=jnp.float64)
+
+    def advance(s, _):
+        s, effort = step(world, s, jnp.zeros(1), H, jnp.array([2.0]))
+        return s, (s.qd[0], effort.torque[0])
+
+    rate, torque = quick_jit(lambda s: jax.lax.scan(advance, s, None, count)[1])(state)
+    np.testing.assert_array_equal(torque, limit)
+    mass = 500.0 * 0.2 * 0.1 * 0.1
+    inertia = mass * (0.2**2 + 0.1**2) / 12
+    fitted = np.polyfit(H * np.arange(1, count + 1), rate, 1)[0]
+    assert fitted == pytest.approx(2 * limit / inertia, rel=0.01)
