@@ -110,6 +110,8 @@ def _evaluate(
     def as_nodes(array: jax.Array, shape: tuple[int, ...]) -> np.ndarray:
         """Nodes for the elements of an array, given for one individual or for each."""
         nodes = np.empty(shape, object)
+        if not nodes.size:
+            return nodes
         rows = _rows(jnp.broadcast_to(array.reshape(nodes.size, -1), (nodes.size, individuals)))
         for index, row in zip(np.ndindex(shape), rows, strict=True):
             node = nodes[index] = graph.input(len(values), np.dtype(array.dtype))

@@ -138,6 +138,18 @@ def test_a_part_left_to_xla_and_values_wanted_together():
         np.testing.assert_allclose(got, wanted, rtol=1e-5, atol=1e-5)
 
 
+def test_empty_arrays():
+    """A body without joints has angles ``(0, n)``."""
+
+    def function(x, none):
+        return x + none.sum(0)[None], 2 * none
+
+    x, none = sample((3, 5)), jnp.zeros((0, 5), jnp.float32)
+    fused = jax.jit(functools.partial(fuse, function, batch_ndim=1))(x, none)
+    np.testing.assert_array_equal(fused[0], x)
+    assert fused[1].shape == (0, 5)
+
+
 def test_precisions_do_not_mix_in_a_kernel(x64):
     def mixed(x):
         rough = x.astype(jnp.float32) * 3
