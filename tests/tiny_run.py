@@ -18,8 +18,9 @@ TINY = (
     "evolution.generations=4",
 )
 
-# Enough generations to stop a run in the middle of.
-GENERATIONS = 100
+# Enough generations, each long enough, to stop a run in the middle of on a busy machine.
+GENERATIONS = 60
+LONG = (*TINY, "simulation.steps=900", f"evolution.generations={GENERATIONS}")
 
 
 def program(

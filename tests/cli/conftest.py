@@ -11,7 +11,7 @@ import pytest
 
 from evo_cpg.cli import training
 from evo_cpg.cli.main import main
-from tiny_run import CONFIG, GENERATIONS, TINY, program
+from tiny_run import CONFIG, GENERATIONS, LONG, program
 
 Called = tuple[int, str, str]
 
@@ -92,8 +92,7 @@ def finished_run(shared: Path, finish) -> Path:
             code, out, err = finish(
                 "train",
                 CONFIG,
-                *TINY,
-                f"evolution.generations={GENERATIONS}",
+                *LONG,
                 "--out",
                 folder,
                 "--cores",
@@ -103,5 +102,5 @@ def finished_run(shared: Path, finish) -> Path:
             done.touch()
         assert code == 0, err
         assert out == f"{folder}\n"
-        assert f"generation  {GENERATIONS}/{GENERATIONS}" in err
+        assert f"generation   {GENERATIONS}/{GENERATIONS}" in err
     return folder

@@ -10,7 +10,7 @@ import numpy as np
 
 from evo_cpg.training.loop import TIMING_COLUMNS
 from evo_cpg.training.run_folder import RunFolder
-from tiny_run import CONFIG, GENERATIONS, TINY
+from tiny_run import CONFIG, GENERATIONS, LONG
 
 
 def rows(folder: Path) -> list[dict[str, str]]:
@@ -45,8 +45,7 @@ def stop(start, folder: Path, how: signal.Signals) -> tuple[int, str]:
     with start(
         "train",
         CONFIG,
-        *TINY,
-        f"evolution.generations={GENERATIONS}",
+        *LONG,
         "--out",
         folder,
         "--cores",
