@@ -1,6 +1,7 @@
 """A swimmer of three bodies that a test can afford to evolve, and a way to call the program."""
 
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -19,8 +20,8 @@ TINY = (
 )
 
 # Enough generations, each long enough, to stop a run in the middle of on a busy machine.
-GENERATIONS = 60
-LONG = (*TINY, "simulation.steps=900", f"evolution.generations={GENERATIONS}")
+GENERATIONS = 30
+LONG = (*TINY, "simulation.steps=300", f"evolution.generations={GENERATIONS}")
 
 
 def program(
@@ -40,6 +41,8 @@ def program(
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
+        # A shell that runs the tests in the background has them ignore it, and what they start.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
 
 

@@ -10,14 +10,21 @@ from typing import Any
 import numpy as np
 
 from evo_cpg.config.errors import ConfigError
-from evo_cpg.config.schema import CustomConfig, ExperimentConfig, WaterConfig
+from evo_cpg.config.schema import (
+    BitEvolutionConfig,
+    CustomConfig,
+    EvolutionConfig,
+    ExperimentConfig,
+    WaterConfig,
+)
 from evo_cpg.control.brain_cpg import BrainCpgSettings, build_brain_cpg
 from evo_cpg.control.controller import Controller
+from evo_cpg.control.postures import PostureSettings, build_posture_controller
 from evo_cpg.creature.creature import Creature, CreatureError
 from evo_cpg.creature.shapes import Surface
 from evo_cpg.creature.surface import outer_surfaces, random_surfaces
 from evo_cpg.creature.tree import Tree, build_tree
-from evo_cpg.evolution.generation import RealGenetics
+from evo_cpg.evolution.generation import Genetics, RealGenetics
 from evo_cpg.physics.fluid import Patch, Water, make_patches
 from evo_cpg.physics.step import World
 from evo_cpg.simulation.reach_light import ReachLight
@@ -49,29 +56,45 @@ def build_experiment(
     creature = build_creature(config, source)
     tree = build_tree(creature)
     genetics = config.evolution
+    controller = _build_controller(config, creature, tree, source)
+    if isinstance(genetics, BitEvolutionConfig):
+        most = genetics.mutated_genes[1]
+        if most > controller.gene_count:
+            raise ConfigError(
+                source,
+                ("evolution", "mutated_genes"),
+                f"at most {controller.gene_count}, the bits in a genome of this creature, can "
+                f"change, got {most}",
+            )
     return Experiment(
         name=config.name,
         creature=creature,
         simulation=Simulation(
             world=_build_world(config, creature, tree),
             sensors=place_sensors(creature, tree),
-            controller=_build_controller(config, creature, tree, source),
+            controller=controller,
             task=_build_task(config, source),
             control_rate=config.simulation.control_rate_hz,
             substeps=config.simulation.substeps,
             steps=config.simulation.steps,
         ),
-        genetics=RealGenetics(
-            population=genetics.population,
-            elite_count=genetics.elites,
-            parent_fraction=genetics.parent_fraction,
-            crossover_probability=genetics.crossover_probability,
-            mutation_rate=genetics.mutation_rate,
-            mutation_sigma=genetics.mutation_sigma,
-            gene_bound=genetics.gene_bound,
-        ),
+        genetics=_build_genetics(genetics),
         generations=genetics.generations,
         seed=config.seed,
+    )
+
+
+def _build_genetics(config: EvolutionConfig | BitEvolutionConfig) -> Genetics:
+    if isinstance(config, BitEvolutionConfig):
+        return config.build()
+    return RealGenetics(
+        population=config.population,
+        elite_count=config.elites,
+        parent_fraction=config.parent_fraction,
+        crossover_probability=config.crossover_probability,
+        mutation_rate=config.mutation_rate,
+        mutation_sigma=config.mutation_sigma,
+        gene_bound=config.gene_bound,
     )
 
 
@@ -135,6 +158,8 @@ def _build_controller(
         )
     options = {name: getattr(given, name) for name in type(given).model_fields if name != "type"}
     try:
+        if given.type == "postures":
+            return build_posture_controller(tree, PostureSettings(**options), step)
         return build_brain_cpg(tree, eyes, pressure, BrainCpgSettings(**options), step)
     except ValueError as error:
         raise ConfigError(source, ("controller",), str(error)) from None

@@ -17,6 +17,8 @@ from evo_cpg.config.creature_schema import (
     Vector,
 )
 from evo_cpg.control.brain_cpg import BrainCpgSettings
+from evo_cpg.control.postures import PostureSettings
+from evo_cpg.evolution.bits import BitGenetics
 from evo_cpg.physics.fluid import DragLaw
 
 # Far beyond what anybody waits for, and within 32 bits.
@@ -143,6 +145,7 @@ def _section_of(settings: type, name: str, kind: str) -> type[Section]:
 
 
 BrainCpgConfig = _section_of(BrainCpgSettings, "BrainCpgConfig", "brain_cpg")
+PosturesConfig = _section_of(PostureSettings, "PosturesConfig", "postures")
 
 
 def _kind(default: str):
@@ -155,9 +158,10 @@ def _kind(default: str):
 
 
 class EvolutionConfig(Section):
-    """The genetic algorithm.
+    """The genetic algorithm on real-valued genomes.
 
     Attributes:
+        type: ``real``.
         generations: to evolve.
         population: individuals.
         elites: best individuals that pass on unchanged.
@@ -169,6 +173,7 @@ class EvolutionConfig(Section):
         gene_bound: largest magnitude of a gene.
     """
 
+    type: Literal["real"] = "real"
     generations: Count = 50
     population: Annotated[int, Field(ge=2, le=1_000_000)] = 200
     elites: Annotated[int, Field(ge=0)] = 20
@@ -184,6 +189,55 @@ class EvolutionConfig(Section):
             raise ValueError(
                 f"elites: must be fewer than the population of {self.population}, got {self.elites}"
             )
+        return self
+
+
+class BitEvolutionConfig(Section):
+    """The genetic algorithm on bits of Fukui 2003, chapter 3, whose numbers are the defaults.
+
+    Attributes:
+        type: ``bits``.
+        generations: to evolve.
+        population: individuals.
+        elites: best individuals that pass on unchanged; children fill the other places.
+        best_copies: how many of the kept places hold the best individual.
+        rank_probabilities: that a parent is of each rank, best first.
+        mutation_probability: that a child mutates.
+        mutated_genes: fewest and most genes that a mutation changes.
+        mutation: whether a changed gene is drawn anew or flipped.
+    """
+
+    type: Literal["bits"] = "bits"
+    generations: Count = 500
+    population: Annotated[int, Field(ge=2, le=1_000_000)] = 15
+    elites: Annotated[int, Field(ge=0)] = 7
+    best_copies: Count = 1
+    rank_probabilities: tuple[Share, ...] = BitGenetics().rank_probabilities
+    mutation_probability: Share = 0.5
+    mutated_genes: tuple[Count, Count] = (2, 30)
+    mutation: Literal["redraw", "flip"] = "redraw"
+
+    def build(self) -> BitGenetics:
+        """The settings of the generation step.
+
+        Raises:
+            ValueError: values that do not go together.
+        """
+        fewest, most = self.mutated_genes
+        return BitGenetics(
+            population=self.population,
+            elite_count=self.elites,
+            best_copies=self.best_copies,
+            rank_probabilities=self.rank_probabilities,
+            mutation_probability=self.mutation_probability,
+            mutated_genes_min=fewest,
+            mutated_genes_max=most,
+            mutation=self.mutation,
+        )
+
+    @model_validator(mode="after")
+    def _check(self) -> "BitEvolutionConfig":
+        self.build()
         return self
 
 
@@ -209,6 +263,7 @@ class ExperimentConfig(Section):
     # BrainCpgConfig is a class made while this file runs, which pyright cannot follow.
     controller: Annotated[
         Annotated[BrainCpgConfig, Tag("brain_cpg")]  # pyright: ignore[reportInvalidTypeForm]
+        | Annotated[PosturesConfig, Tag("postures")]  # pyright: ignore[reportInvalidTypeForm]
         | Annotated[CustomConfig, Tag("custom")],
         Discriminator(_kind("brain_cpg")),
     ] = BrainCpgConfig()
@@ -216,4 +271,18 @@ class ExperimentConfig(Section):
         Annotated[ReachLightConfig, Tag("reach_light")] | Annotated[CustomConfig, Tag("custom")],
         Discriminator(_kind("reach_light")),
     ] = ReachLightConfig()
-    evolution: EvolutionConfig = EvolutionConfig()
+    evolution: Annotated[
+        Annotated[EvolutionConfig, Tag("real")] | Annotated[BitEvolutionConfig, Tag("bits")],
+        Discriminator(_kind("real")),
+    ] = EvolutionConfig()
+
+    @model_validator(mode="after")
+    def _check(self) -> "ExperimentConfig":
+        wanted = {"postures": "bits", "brain_cpg": "real"}.get(self.controller.type)
+        if wanted not in (None, self.evolution.type):
+            raise ValueError(
+                f"a controller of type {self.controller.type!r} has a genome of "
+                f"{'bits' if wanted == 'bits' else 'real numbers'}: set evolution.type to "
+                f"{wanted!r}, not {self.evolution.type!r}"
+            )
+        return self

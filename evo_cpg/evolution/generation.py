@@ -1,20 +1,50 @@
 """From one generation to the next: elites, rank roulette, crossover, mutation.
 
-Iwadate 2010 (Table 4) gives the population, the mutation rate and the crossover probability;
-elites and rank roulette are Fukui's (2003). Genes come first and individuals last, ``(g, n)``.
+`Genetics` is what every genetic algorithm takes and gives; `RealGenetics` is the one on real-valued
+genomes, and `bits` has the one on bits. For the real-valued one, Iwadate 2010 (Table 4) gives the
+population, the mutation rate and the crossover probability; elites and rank roulette are Fukui's
+(2003). Genes come first and individuals last, ``(g, n)``.
 """
+
+import abc
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.evolution.selection import draw_parents, linear_rank_probabilities, rank_order
 from evo_cpg.evolution.variation import gaussian_mutation, one_point_crossover
 
 
-class RealGenetics(eqx.Module):
-    """Settings of the genetic algorithm on real-valued genomes.
+class Genetics(eqx.Module):
+    """Settings of a genetic algorithm, and its step.
+
+    Attributes:
+        population: number of individuals.
+    """
+
+    population: eqx.AbstractVar[int]
+
+    @abc.abstractmethod
+    def next_generation(
+        self, key: Array, genes: Float[Array, "g n"], fitness: Float[Array, " n"]
+    ) -> Float[Array, "g n"]:
+        """Genomes of the next generation: the elites, best first, then the children.
+
+        An individual without a finite fitness never becomes an elite; a place that no finite
+        individual can take is filled by a child.
+
+        Args:
+            key: random key.
+            genes: the population.
+            fitness: of each individual, maximised.
+        """
+
+
+class RealGenetics(Genetics):
+    """The genetic algorithm on real-valued genomes.
 
     Attributes:
         population: number of individuals.
@@ -34,35 +64,47 @@ class RealGenetics(eqx.Module):
     mutation_sigma: float
     gene_bound: float
 
+    def next_generation(
+        self, key: Array, genes: Float[Array, "g n"], fitness: Float[Array, " n"]
+    ) -> Float[Array, "g n"]:
+        """Elites, and children whose every gene may change a little."""
+        count = self.population
+        parent_key, cross_key, mutate_key = jax.random.split(key, 3)
+        pairs = -(-count // 2)
+        probabilities = linear_rank_probabilities(count, self.parent_fraction)
+        parents = draw_parents(parent_key, fitness, probabilities, 2 * pairs)
+        children = jnp.concatenate(
+            one_point_crossover(
+                cross_key,
+                genes[:, parents[:pairs]],
+                genes[:, parents[pairs:]],
+                self.crossover_probability,
+            ),
+            axis=1,
+        )[:, :count]
+        children = gaussian_mutation(
+            mutate_key, children, self.mutation_rate, self.mutation_sigma, self.gene_bound
+        )
+        return keep_elites(genes, fitness, children, self.elite_count)
 
-def next_generation(
-    key: Array,
-    genetics: RealGenetics,
+
+def keep_elites(
     genes: Float[Array, "g n"],
     fitness: Float[Array, " n"],
+    children: Float[Array, "g n"],
+    elite_count: int,
+    best_copies: int = 1,
 ) -> Float[Array, "g n"]:
-    """Genomes of the next generation: the elites, best first, then the children.
+    """Put the best individuals, unchanged and best first, in the place of the first children.
 
-    An individual without a finite fitness never becomes an elite while finite ones are left;
-    a place that no finite individual can take is filled by a child.
+    Args:
+        genes: the old population.
+        fitness: of it; the place of an elite whose fitness is not finite stays a child's.
+        children: one for every place.
+        elite_count: places to fill.
+        best_copies: how many of them go to the best individual.
     """
-    count = genetics.population
-    parent_key, cross_key, mutate_key = jax.random.split(key, 3)
-    pairs = -(-count // 2)
-    probabilities = linear_rank_probabilities(count, genetics.parent_fraction)
-    parents = draw_parents(parent_key, fitness, probabilities, 2 * pairs)
-    children = jnp.concatenate(
-        one_point_crossover(
-            cross_key,
-            genes[:, parents[:pairs]],
-            genes[:, parents[pairs:]],
-            genetics.crossover_probability,
-        ),
-        axis=1,
-    )[:, :count]
-    children = gaussian_mutation(
-        mutate_key, children, genetics.mutation_rate, genetics.mutation_sigma, genetics.gene_bound
-    )
-    order = rank_order(fitness)
-    elite = (jnp.arange(count) < genetics.elite_count) & jnp.isfinite(fitness[order])
-    return jnp.where(elite[None], genes[:, order], children)
+    places = np.arange(children.shape[1])
+    kept = rank_order(fitness)[np.maximum(places - (best_copies - 1), 0)]
+    elite = (places < elite_count) & jnp.isfinite(fitness[kept])
+    return jnp.where(elite[None], genes[:, kept], children)

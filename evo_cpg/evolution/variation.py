@@ -1,4 +1,4 @@
-"""Crossover and mutation of real-valued genomes; genes first, individuals last."""
+"""Crossover of any genomes and mutation of real-valued ones; genes first, individuals last."""
 
 import jax
 import jax.numpy as jnp

@@ -11,7 +11,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Bool, Float
 
 from evo_cpg.creature.creature import Creature
-from evo_cpg.evolution.generation import RealGenetics, next_generation
+from evo_cpg.evolution.generation import Genetics
 from evo_cpg.simulation.rollout import Outcome, Simulation, record, rollout, score
 from evo_cpg.training.devices import LANES, POPULATION_AXIS, fast_jit
 
@@ -26,7 +26,7 @@ class Experiment(NamedTuple):
         name: of the run.
         creature: the animal.
         simulation: the trial.
-        genetics: settings of the genetic algorithm.
+        genetics: the genetic algorithm.
         generations: to evolve.
         seed: of all randomness.
     """
@@ -34,7 +34,7 @@ class Experiment(NamedTuple):
     name: str
     creature: Creature
     simulation: Simulation
-    genetics: RealGenetics
+    genetics: Genetics
     generations: int
     seed: int
 
@@ -124,7 +124,8 @@ def breed(
     scales = {name: jnp.where(index == 0, measured[name], scales[name]) for name in measured}
     fitness = score(task, outcome, scales)
     key = jax.random.fold_in(jax.random.key(experiment.seed), _GENERATIONS)
-    children = next_generation(jax.random.fold_in(key, index), experiment.genetics, genes, fitness)
+    key = jax.random.fold_in(key, index)
+    children = experiment.genetics.next_generation(key, genes, fitness)
     best = jnp.argmax(fitness)
     return Generation(fitness, outcome.terms, outcome.alive, scales, best, genes[:, best], children)
 

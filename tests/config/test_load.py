@@ -173,6 +173,35 @@ def test_the_middle_one_of_three_axes_keeps_clear_of_the_singularity():
     check_config(small(**wide, creature__bodies__1__joint__limits_deg=limits), "x.yaml")
 
 
+POSTURES = {"controller__type": "postures", "evolution__type": "bits"}
+
+
+def test_postures_and_bits_go_together():
+    data = small(**POSTURES, evolution__mutated_genes=[2, 10], evolution__elites=5)
+    experiment = build_experiment(check_config(data, "x.yaml"), "x.yaml")
+    assert experiment.simulation.controller.gene_count == 8 * 1 * 3
+    assert experiment.genetics.population == 15
+    assert experiment.genetics.elite_count == 5
+    assert experiment.generations == 500
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"controller__type": "postures"}, "set evolution.type to 'bits', not 'real'"),
+        ({"evolution__type": "bits"}, "set evolution.type to 'real', not 'bits'"),
+        ({**POSTURES, "evolution__elites": 15}, "elite_count must be"),
+        ({**POSTURES, "evolution__rank_probabilities": [0.5, 0.2]}, "must add up to 1"),
+        (POSTURES, "evolution.mutated_genes: at most 24, the bits in a genome"),
+        ({**POSTURES, "evolution__mutation": "swap"}, "evolution.mutation"),
+        ({**POSTURES, "controller__postures": 0}, "postures must be at least 1"),
+        ({**POSTURES, "controller__postuers": 8}, "did you mean 'postures'?"),
+    ],
+)
+def test_wrong_postures_and_bits_are_refused(changes, expected):
+    assert expected in problem(small(**changes))
+
+
 def test_references_must_lead_to_something():
     key = "creature.bodies.1.joint.parent"
     message = problem(small(creature__bodies__1__joint__parent="haed"))

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from creatures import quick_jit
-from evo_cpg.evolution.generation import RealGenetics, next_generation
+from evo_cpg.evolution.generation import RealGenetics
 
 POPULATION, ELITES, GENES = 9, 3, 6
 
@@ -32,8 +32,7 @@ def genetics(**changes) -> RealGenetics:
 @functools.cache
 def compiled(changes: tuple):
     """The generation step under these settings."""
-    settings = genetics(**dict(changes))
-    return quick_jit(lambda key, genes, fitness: next_generation(key, settings, genes, fitness))
+    return quick_jit(genetics(**dict(changes)).next_generation)
 
 
 def bred(fitness, seed: int = 0, **changes) -> tuple[np.ndarray, np.ndarray]:

@@ -1,0 +1,183 @@
+"""The controller of Fukui 2003: a few postures that an animal takes in turn, for ever.
+
+A posture is one angle for every joint, and the motors are springs that pull to it (2.5 and 2.6 of
+the thesis). There is no sensing: posture k = 0, 1, ... is held while
+
+    k T <= t < (k + 1) T,
+
+and the first follows the last. What evolves are the angles, written in bits (3.2): with B bits
+b_1 ... b_B for each joint of each posture,
+
+    theta = theta_0 + step sum_i 2^(B - i) b_i,    q = theta - theta_n.
+
+The thesis counts theta from straight up, so that 180 degrees is straight down, and allows 110, 130,
+... 250 degrees; it gives T as 1/3 s in chapter 2 and 0.3 s in chapter 5. It does not say which bit
+comes first, nor from what a lower leg's angle is measured: here the genome goes posture by posture,
+joint by joint, most significant bit first, and q is the angle from the parent body.
+
+| symbol | name |
+|---|---|
+| T | ``period`` (s) |
+| theta_0, step | ``lowest_angle``, ``angle_step`` (degrees) |
+| theta_n | ``neutral_angle`` (degrees) |
+| B | ``bits_per_joint`` |
+| q | ``target_angle`` (rad) |
+| r | ``steps_per_posture`` (control steps, a fraction) |
+"""
+
+import dataclasses
+import math
+from fractions import Fraction
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from evo_cpg.control.controller import Command, Controller, Observation
+from evo_cpg.creature.tree import Tree
+from evo_cpg.spatial.linear import lift
+
+# Switches fall on the right control step for so many periods (and for ever, where that many hold a
+# whole number of control steps). A trial of the thesis, 20 s, has 60.
+EXACT_PERIODS = 500
+
+# A switch may come this share of a control step early: 20 control steps of 1/60 s are 1/3 s
+# whichever way the floating-point numbers were rounded.
+TOLERANCE = 1e-6
+
+# In control steps; keeps EXACT_PERIODS^2 of it, the largest product in `posture`, below 2^31.
+LONGEST_PERIOD = 8000
+
+
+@dataclasses.dataclass(frozen=True)
+class PostureSettings:
+    """Settings of the postures; the defaults are those of Fukui 2003.
+
+    Attributes:
+        postures: how many there are.
+        period: time for which each is held, s.
+        lowest_angle: angle of a joint whose bits are all 0, degrees.
+        angle_step: between neighbouring angles, degrees.
+        bits_per_joint: bits for each joint of each posture, giving 2 to the power of it angles.
+        neutral_angle: angle that a joint has in the neutral pose, degrees.
+
+    Raises:
+        ValueError: a value outside its range.
+    """
+
+    postures: int = 8
+    period: float = 1 / 3
+    lowest_angle: float = 110.0
+    angle_step: float = 20.0
+    bits_per_joint: int = 3
+    neutral_angle: float = 180.0
+
+    def __post_init__(self):
+        for name in ("postures", "bits_per_joint"):
+            if not getattr(self, name) >= 1:
+                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+        for name in ("period", "angle_step"):
+            if not 0 < getattr(self, name) < math.inf:
+                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
+        for name in ("lowest_angle", "neutral_angle"):
+            if not math.isfinite(getattr(self, name)):
+                raise ValueError(f"{name} must be a finite angle, got {getattr(self, name)}")
+
+
+class PostureController(Controller):
+    """The postures of one creature; its state is the number of control steps done.
+
+    Attributes:
+        gene_count: number of bits.
+        dof_count: degrees of freedom, each of which has an angle in every posture.
+        settings: the postures and their angles.
+        steps_per_posture: r, such that the k-th switch is at control step ceil(k r).
+    """
+
+    gene_count: int = eqx.field(static=True)
+    dof_count: int = eqx.field(static=True)
+    settings: PostureSettings = eqx.field(static=True)
+    steps_per_posture: Fraction = eqx.field(static=True)
+
+    def random_genes(
+        self, key: Array, batch: tuple[int, ...], dtype: jnp.dtype | type
+    ) -> Float[Array, "g *n"]:
+        """Bits, 0 or 1 with equal chances."""
+        return jax.random.bernoulli(key, 0.5, (self.gene_count, *batch)).astype(dtype)
+
+    def initial_state(self, batch: tuple[int, ...], dtype: jnp.dtype | type) -> Int[Array, "*n"]:
+        """No step done; a whole number, whatever the floating-point type."""
+        return jnp.zeros(batch, jnp.int32)
+
+    def act(
+        self, genes: Float[Array, "g *n"], state: Int[Array, "*n"], observation: Observation
+    ) -> tuple[Int[Array, "*n"], Command]:
+        """Pull to the posture of the present time."""
+        angles = self.decode(genes)
+        numbers = lift(np.arange(self.settings.postures), state, 1 + state.ndim)
+        present = (numbers == self.posture(state)[None])[:, None]
+        angle = jnp.where(present, angles, 0.0).sum(0)
+        return state + 1, Command(
+            target_rate=jnp.zeros_like(angle), signal=angle, target_angle=angle
+        )
+
+    def decode(self, genes: Float[Array, "g *n"]) -> Float[Array, "p d *n"]:
+        """Joint angles of every posture, rad; a gene of 0.5 or more is a 1."""
+        settings = self.settings
+        bits = (
+            (genes >= 0.5)
+            .astype(genes.dtype)
+            .reshape(settings.postures, self.dof_count, settings.bits_per_joint, *genes.shape[1:])
+        )
+        weights = 2.0 ** np.arange(settings.bits_per_joint)[::-1]
+        number = (lift(weights[None, None], bits) * bits).sum(2)
+        lowest = settings.lowest_angle - settings.neutral_angle
+        return jnp.deg2rad(lowest + settings.angle_step * number)
+
+    def posture(self, step: Int[Array, "*n"]) -> Int[Array, "*n"]:
+        """Number of the posture at a control step, both counted from 0: floor(step / r)."""
+        steps, periods = self.steps_per_posture.as_integer_ratio()
+        # Whole rounds of so many steps first, because step times periods would overflow.
+        switches = step // steps * periods + step % steps * periods // steps
+        return switches % self.settings.postures
+
+
+def build_posture_controller(
+    tree: Tree, settings: PostureSettings, control_step: float
+) -> PostureController:
+    """Fit the controller to a creature.
+
+    Args:
+        tree: the creature; every degree of freedom gets an angle in every posture.
+        settings: the postures and their angles.
+        control_step: time between two calls of `PostureController.act`, s.
+
+    Raises:
+        ValueError: the creature has no joint, or the period is shorter than a control step (some
+            postures would never be taken) or too long to count.
+    """
+    if not tree.dof_count:
+        raise ValueError("the controller needs a creature with at least one joint")
+    if not 1 - TOLERANCE <= settings.period / control_step <= LONGEST_PERIOD:
+        raise ValueError(
+            f"period must be from 1 to {LONGEST_PERIOD} control steps of {control_step:g} s, "
+            f"got {settings.period:g} s"
+        )
+    return PostureController(
+        gene_count=settings.postures * tree.dof_count * settings.bits_per_joint,
+        dof_count=tree.dof_count,
+        settings=settings,
+        steps_per_posture=_steps_per_posture(settings.period / control_step),
+    )
+
+
+def _steps_per_posture(ratio: float) -> Fraction:
+    """The fraction r for which ceil(k r) is ceil(k ratio) for k up to ``EXACT_PERIODS``.
+
+    It is the smallest of all ceil(k ratio) / k: so k r <= ceil(k ratio) for each of these k, and
+    r >= ratio gives the other side.
+    """
+    slack = TOLERANCE / EXACT_PERIODS
+    return min(Fraction(math.ceil(k * ratio - slack), k) for k in range(1, EXACT_PERIODS + 1))

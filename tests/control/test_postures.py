@@ -1,0 +1,261 @@
+"""The postures: what every bit means, and that each posture comes at its time."""
+
+import math
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from evo_cpg.control.controller import Observation
+from evo_cpg.control.postures import (
+    EXACT_PERIODS,
+    TOLERANCE,
+    PostureSettings,
+    build_posture_controller,
+)
+
+ANGLES = [110, 130, 150, 170, 190, 210, 230, 250]  # degrees: Fukui 2003, 2.5
+LEGS = ("front_left", "front_right", "hind_left", "hind_right")
+
+
+def plan(legs):
+    """A torso with so many legs of two boxes each, hinged about y."""
+    uppers = {f"{leg}_upper": ("torso", "y") for leg in legs}
+    lowers = {f"{leg}_lower": (f"{leg}_upper", "y") for leg in legs}
+    return {"torso": (None, "")} | uppers | lowers
+
+
+def observe(dofs, batch=(), dtype=float):
+    """Senses, which the postures ignore."""
+    nothing = jnp.zeros((0, *batch), dtype)
+    joints = jnp.full((dofs, *batch), 0.3, dtype)
+    return Observation(nothing, nothing, nothing, nothing, joints, joints)
+
+
+def encode(numbers, bits):
+    """The genome of a table of angle numbers, postures by joints."""
+    text = "".join(f"{number:0{bits}b}" for row in numbers for number in row)
+    return jnp.array([float(bit) for bit in text])
+
+
+def act_for(controller, genes, steps):
+    """Commands of a trial, control step by control step."""
+    batch = genes.shape[1:]
+    sense = observe(controller.dof_count, batch, genes.dtype)
+    start = controller.initial_state(batch, genes.dtype)
+
+    def advance(state, _):
+        return controller.act(genes, state, sense)
+
+    _, commands = jax.lax.scan(advance, start, length=steps)
+    return commands
+
+
+def degrees(controller, genes):
+    """Decoded angles as the thesis counts them."""
+    return np.rad2deg(controller.decode(genes)) + controller.settings.neutral_angle
+
+
+@pytest.fixture(scope="session")
+def quadruped(grow):
+    return build_posture_controller(grow(plan(LEGS)), PostureSettings(), 1 / 60)
+
+
+@pytest.fixture(scope="session")
+def pendulum(grow):
+    """Builds the controller of a single joint."""
+
+    def build(control_step, **settings):
+        tree = grow({"base": (None, ""), "leg": ("base", "y")})
+        return build_posture_controller(tree, PostureSettings(**settings), control_step)
+
+    return build
+
+
+@pytest.mark.parametrize(("legs", "genes"), [(4, 192), (3, 144)])
+def test_genome_is_as_long_as_in_the_thesis(grow, legs, genes):
+    tree = grow(plan(LEGS[:legs]))
+    controller = build_posture_controller(tree, PostureSettings(), 1 / 60)
+    assert controller.gene_count == genes
+    numbers = np.random.default_rng(legs).integers(0, 8, (8, 2 * legs))
+    found = degrees(controller, encode(numbers, 3))
+    np.testing.assert_allclose(found, np.array(ANGLES)[numbers], rtol=0, atol=1e-12)
+
+
+def test_hand_made_genome(quadruped, grow):
+    # Second posture, bits 24 to 47: upper legs 110, 130, 150, 170, lower legs 250, 230, 210, 190.
+    genes = np.zeros(192)
+    genes[24:48] = [int(bit) for bit in "000001010011" + "111110101100"]
+    expected = np.full((8, 8), 110.0)
+    expected[1] = [110, 130, 150, 170, 250, 230, 210, 190]
+    np.testing.assert_allclose(degrees(quadruped, jnp.array(genes)), expected, rtol=0, atol=1e-12)
+    names = [f"{leg}_{part}.y" for part in ("upper", "lower") for leg in LEGS]
+    assert list(grow(plan(LEGS)).dof_names) == names
+
+
+def test_straight_down_is_the_neutral_pose(pendulum):
+    controller = pendulum(1 / 60, postures=2, neutral_angle=170.0)
+    angles = controller.decode(encode([[3], [4]], 3))
+    np.testing.assert_allclose(angles, [[0.0], [np.pi / 9]], rtol=0, atol=1e-15)
+
+
+def test_each_bit_turns_one_joint_of_one_posture(quadruped):
+    rest = degrees(quadruped, jnp.zeros(192))
+    flipped = degrees(quadruped, jnp.eye(192))
+    for bit in range(192):
+        expected = np.zeros((8, 8))
+        expected[bit // 24, bit % 24 // 3] = [80, 40, 20][bit % 3]
+        np.testing.assert_allclose(flipped[..., bit] - rest, expected, rtol=0, atol=1e-12)
+
+
+def test_random_genes_are_fair_bits_that_give_all_the_angles(quadruped):
+    genes = quadruped.random_genes(jax.random.key(0), (50,), float)
+    assert genes.shape == (192, 50)
+    assert set(np.unique(genes)) == {0.0, 1.0}
+    # 9600 coins: five standard deviations are 0.026.
+    assert float(genes.mean()) == pytest.approx(0.5, abs=0.026)
+    found = degrees(quadruped, genes)
+    assert sorted(set(np.round(found).ravel().tolist())) == ANGLES
+    np.testing.assert_allclose(found, np.round(found), rtol=0, atol=1e-12)
+
+
+def test_half_counts_as_one(pendulum):
+    controller = pendulum(1 / 60, postures=1)
+    below = np.nextafter(0.5, 0)
+    for genes, angle in [([below, 0.5, 7.0], 170), ([-3.0, 0.3, 0.9], 130)]:
+        found = degrees(controller, jnp.array(genes))
+        np.testing.assert_allclose(found, [[angle]], rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize(("postures", "bits"), [(1, 1), (3, 2), (5, 4)])
+def test_other_numbers_of_postures_and_bits(chain, postures, bits):
+    settings = PostureSettings(
+        postures=postures,
+        bits_per_joint=bits,
+        lowest_angle=-30.0,
+        angle_step=2.5,
+        neutral_angle=-10.0,
+    )
+    controller = build_posture_controller(chain(3, "yz"), settings, 1 / 60)
+    numbers = np.random.default_rng(0).integers(0, 2**bits, (postures, 4))
+    genes = encode(numbers, bits)
+    assert controller.gene_count == len(genes) == postures * 4 * bits
+    np.testing.assert_allclose(degrees(controller, genes), -30 + 2.5 * numbers, rtol=0, atol=1e-12)
+    angles = act_for(controller, genes, 21 * postures).target_angle
+    np.testing.assert_array_equal(angles[::20][:postures], controller.decode(genes))
+    np.testing.assert_array_equal(angles[20 * postures], angles[0])
+
+
+@pytest.mark.parametrize(
+    ("control_step", "period", "held"),
+    # The last is 7.000000000000001 control steps in floating-point numbers.
+    [(1 / 60, 1 / 3, 20), (1 / 240, 1 / 3, 80), (1 / 60, 0.3, 18), (0.1, 0.1, 1), (0.01, 0.07, 7)],
+)
+@pytest.mark.parametrize("batch", [(), (2,)])
+def test_each_posture_is_held_for_its_period(chain, control_step, period, held, batch):
+    settings = PostureSettings(period=period)
+    controller = build_posture_controller(chain(3, "y"), settings, control_step)
+    genes = controller.random_genes(jax.random.key(1), batch, float)
+    # Neighbouring postures differ, so that every switch is seen.
+    angles = np.asarray(controller.decode(genes))
+    assert (np.abs(angles - np.roll(angles, 1, axis=0)).max(axis=1) > 0).all()
+    expected = np.concatenate([np.repeat(angles, held, axis=0)] * 3)
+    found = act_for(controller, genes, 3 * 8 * held)
+    np.testing.assert_array_equal(found.target_angle, expected)
+    np.testing.assert_array_equal(found.signal, expected)
+    np.testing.assert_array_equal(found.target_rate, np.zeros_like(expected))
+
+
+@pytest.mark.parametrize(
+    "steps",
+    [
+        1.0,
+        17.5,
+        50 / 3,
+        6 * math.pi,
+        20 + 4e-4,
+        20 - 4e-4,
+        20 + 1e-7,
+        math.sqrt(2),
+        1e3 * math.sqrt(2),
+        8000 - 1 / 7,
+    ],
+)
+def test_switch_is_at_the_first_control_step_of_a_period(pendulum, steps):
+    # Where a period is no whole number of control steps, to within the tolerance.
+    control_step = 1 / 240
+    controller = pendulum(control_step, postures=EXACT_PERIODS, period=steps * control_step)
+    k = np.arange(1, EXACT_PERIODS)
+    latest = np.ceil(k * steps - 1e-3 * TOLERANCE).astype(int)
+    early = controller.posture(jnp.asarray(np.ceil(k * steps - 2 * TOLERANCE), jnp.int32) - 1)
+    np.testing.assert_array_less(early, k)
+    reached = controller.posture(jnp.asarray(latest, jnp.int32))
+    np.testing.assert_array_equal(reached, k)
+
+
+def test_postures_return_for_as_long_as_steps_can_be_counted(pendulum):
+    controller = pendulum(1 / 50, period=1 / 3)
+    last = 2**31 - 1
+    steps = np.concatenate([np.arange(1000), last - np.arange(1000)])
+    found = controller.posture(jnp.asarray(steps, jnp.int32))
+    np.testing.assert_array_equal(found, steps * 3 // 50 % 8)
+
+
+def test_batch_equals_single_and_vmap(quadruped):
+    genes = quadruped.random_genes(jax.random.key(2), (3,), float)
+    batched = act_for(quadruped, genes, 170).target_angle
+    mapped = jax.vmap(lambda one: act_for(quadruped, one, 170).target_angle, -1, -1)(genes)
+    np.testing.assert_array_equal(mapped, batched)
+    single = act_for(quadruped, genes[:, 1], 170).target_angle
+    np.testing.assert_array_equal(single, batched[..., 1])
+
+
+@pytest.mark.parametrize("wide", [True, False])
+def test_single_precision_stays(quadruped, wide):
+    with jax.enable_x64(wide):
+        genes = quadruped.random_genes(jax.random.key(3), (2,), jnp.float32)
+        start = quadruped.initial_state((2,), jnp.float32)
+        state, command = eqx.filter_jit(quadruped.act)(genes, start, observe(8, (2,), jnp.float32))
+        assert (genes.dtype, state.dtype, start.dtype) == (jnp.float32, jnp.int32, jnp.int32)
+        assert {values.dtype for values in command} == {jnp.dtype(jnp.float32)}
+        number = np.asarray(genes).reshape(8, 8, 3, 2)[0]
+        number = 4 * number[:, 0] + 2 * number[:, 1] + number[:, 2]
+        angle = np.deg2rad(20.0 * number - 70.0)
+        np.testing.assert_allclose(command.target_angle, angle, rtol=0, atol=3e-7)
+
+
+def test_controller_passes_through_jit_as_an_argument(quadruped):
+    genes = quadruped.random_genes(jax.random.key(4), (), float)
+    found = eqx.filter_jit(lambda c: c.decode(genes))(quadruped)
+    np.testing.assert_array_equal(found, quadruped.decode(genes))
+    assert hash(PostureSettings()) == hash(PostureSettings(period=1 / 3))
+
+
+def test_creature_without_joints_is_refused(grow):
+    with pytest.raises(ValueError, match="a creature with at least one joint"):
+        build_posture_controller(grow({"stone": (None, "")}), PostureSettings(), 1 / 60)
+
+
+@pytest.mark.parametrize("period", [0.01, 200.0])
+def test_period_that_does_not_suit_the_control_step_is_refused(pendulum, period):
+    with pytest.raises(ValueError, match=r"from 1 to 8000 control steps of 0.0166667 s, got"):
+        pendulum(1 / 60, period=period)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"postures": 0}, "postures must be at least 1, got 0"),
+        ({"bits_per_joint": 0}, "bits_per_joint must be at least 1, got 0"),
+        ({"period": 0.0}, "period must be positive, got 0.0"),
+        ({"period": math.inf}, "period must be positive, got inf"),
+        ({"angle_step": -20.0}, "angle_step must be positive, got -20.0"),
+        ({"lowest_angle": math.nan}, "lowest_angle must be a finite angle, got nan"),
+        ({"neutral_angle": math.inf}, "neutral_angle must be a finite angle, got inf"),
+    ],
+)
+def test_settings_out_of_range_are_refused(changes, words):
+    with pytest.raises(ValueError, match=words):
+        PostureSettings(**changes)

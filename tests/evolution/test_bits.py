@@ -1,0 +1,245 @@
+"""The genetic algorithm on bits against the numbers of Fukui 2003, chapter 3."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.stats import binomtest, chisquare
+
+from creatures import quick_jit
+from evo_cpg.evolution.bits import MUTATIONS, BitGenetics, bit_mutation, random_bits
+
+POPULATION, ELITES, GENES = 15, 7, 192
+RANKS = np.array([0.30, 0.20, 0.20, 0.10, 0.10, 0.05, 0.03, 0.02])
+SEEDS = st.integers(0, 2**31 - 1)
+STILL = {"mutation_probability": 0.0}
+
+# The last individual is the best.
+FITNESS = np.arange(POPULATION)
+
+
+@functools.cache
+def compiled(changes: tuple):
+    """The generation step under these settings."""
+    return quick_jit(BitGenetics(**dict(changes)).next_generation)
+
+
+def bred(genes, fitness=FITNESS, seed: int = 0, **changes) -> np.ndarray:
+    """The next generation."""
+    breed = compiled(tuple(changes.items()))
+    children = breed(jax.random.key(seed), genes, jnp.asarray(fitness, jnp.float32))
+    assert children.shape == genes.shape and children.dtype == genes.dtype
+    return np.asarray(children)
+
+
+def bits(seed: int = 99, dtype=jnp.float32) -> jax.Array:
+    """A population in which no two individuals are alike."""
+    return random_bits(jax.random.key(seed), GENES, POPULATION, dtype)
+
+
+def ranks(genes: int = GENES) -> jax.Array:
+    """A population whose every gene tells the rank, from 0, of the individual it comes from."""
+    return jnp.broadcast_to(POPULATION - 1.0 - jnp.arange(POPULATION), (genes, POPULATION))
+
+
+@pytest.fixture(scope="module")
+def picks():
+    """Ranks of 100,000 parents: of every pair of 12,500 generations."""
+    step = BitGenetics(mutation_probability=0.0, mutated_genes_max=2).next_generation
+    keys = jax.random.split(jax.random.key(1), 12_500)
+    fitness = jnp.asarray(FITNESS, jnp.float32)
+    children = quick_jit(jax.vmap(lambda key: step(key, ranks(2), fitness)))(keys)
+    # A child's first gene comes from one parent, and its sibling's from the other.
+    return np.asarray(children)[:, 0, ELITES:].reshape(-1, 2).astype(int)
+
+
+def test_parents_are_drawn_by_rank_with_the_frequencies_of_the_thesis(picks):
+    counts = np.bincount(picks.ravel(), minlength=POPULATION)
+    assert counts[8:].sum() == 0
+    assert chisquare(counts[:8], 100_000 * RANKS).pvalue > 0.01
+
+
+def test_the_two_parents_of_a_pair_are_independent_and_may_be_the_same(picks):
+    counts = np.bincount(8 * picks[:, 0] + picks[:, 1], minlength=64)
+    assert chisquare(counts, 50_000 * np.outer(RANKS, RANKS).ravel()).pvalue > 0.01
+
+
+@given(SEEDS)
+def test_four_pairs_have_two_complementary_children_each(seed):
+    children = bred(ranks(), seed=seed, **STILL)[:, ELITES:]
+    for one, two in zip(children[:, ::2].T, children[:, 1::2].T, strict=True):
+        parents = one[0], one[-1]
+        cut = int((one == one[0]).sum())
+        assert max(parents) < 8
+        if parents[0] != parents[1]:
+            assert 1 <= cut < GENES
+        np.testing.assert_array_equal(one, np.repeat(parents, [cut, GENES - cut]))
+        np.testing.assert_array_equal(two, np.repeat(parents[::-1], [cut, GENES - cut]))
+
+
+@given(st.permutations(range(POPULATION)), SEEDS)
+def test_the_best_seven_are_kept_bit_for_bit_best_first(fitness, seed):
+    genes = bits()
+    children = bred(genes, fitness, seed)
+    best = sorted(range(POPULATION), key=lambda i: -fitness[i])[:ELITES]
+    np.testing.assert_array_equal(children[:, :ELITES], genes[:, best])
+
+
+@pytest.mark.parametrize("copies", [1, 3, 7])
+def test_copies_of_the_best_take_kept_places_from_the_worst_kept(copies):
+    children = bred(ranks(), best_copies=copies, **STILL)
+    kept = [0] * copies + list(range(1, 1 + ELITES - copies))
+    np.testing.assert_array_equal(children[:, :ELITES], np.tile(np.float32(kept), (GENES, 1)))
+    np.testing.assert_array_equal(children[:, ELITES:], bred(ranks(), **STILL)[:, ELITES:])
+
+
+@pytest.mark.parametrize("elites", [0, 5, 6, 14])
+def test_children_of_whole_pairs_fill_all_places_that_are_not_kept(elites):
+    # Only the best is a parent, so its copies are the children; mutation tells them from it.
+    changes = {"rank_probabilities": (1.0,), "mutation_probability": 1.0, "mutation": "flip"}
+    genes = bits()
+    children = bred(genes, elite_count=elites, **changes)
+    np.testing.assert_array_equal(children[:, :elites], genes[:, ::-1][:, :elites])
+    changed = (children != genes[:, -1:]).sum(0)[elites:]
+    assert len(changed) == POPULATION - elites
+    assert changed.min() >= 2 and changed.max() <= 30
+
+
+@pytest.mark.parametrize("dead", [-np.inf, np.nan])
+def test_the_diverged_are_not_kept_while_others_live(dead):
+    genes = np.asarray(bits())
+    fitness = np.full(POPULATION, dead)
+    fitness[[4, 11]] = -1.0, -0.5
+    children = bred(genes, fitness, mutation_probability=1.0, mutation="flip", best_copies=2)
+    np.testing.assert_array_equal(children[:, :3], genes[:, [11, 11, 4]])
+    for child in children[:, 3:].T:
+        assert not (child == genes.T).all(1).any()
+
+
+def test_when_all_diverged_every_place_goes_to_a_child():
+    genes = np.asarray(bits())
+    children = bred(genes, np.full(POPULATION, np.nan), mutation_probability=1.0, mutation="flip")
+    for child in children.T:
+        assert not (child == genes.T).all(1).any()
+
+
+@pytest.mark.parametrize("mutation", MUTATIONS)
+@pytest.mark.parametrize("dtype", [jnp.float16, jnp.float32])
+def test_genes_stay_bits_in_their_own_type(mutation, dtype):
+    genes = bits(dtype=dtype)
+    for seed in range(20):
+        genes = bred(jnp.asarray(genes), seed=seed, mutation=mutation)
+        assert np.isin(genes, [0.0, 1.0]).all()
+    assert genes.dtype == dtype
+
+
+mutate = quick_jit(bit_mutation, static_argnums=(2, 3, 4, 5))
+
+
+def mutant(seed: int, genes, probability: float, fewest: int, most: int, mutation: str):
+    """The genomes after mutation."""
+    return np.asarray(mutate(jax.random.key(seed), genes, probability, fewest, most, mutation))
+
+
+@given(SEEDS, st.sampled_from([(1, 1), (2, 5), (1, 9), (9, 9)]))
+def test_a_flip_changes_so_many_different_genes(seed, bounds):
+    genes = random_bits(jax.random.key(seed), 9, 40, jnp.float32)
+    changed = (mutant(seed, genes, 1.0, *bounds, "flip") != genes).sum(0)
+    assert bounds[0] <= changed.min() and changed.max() <= bounds[1]
+    redrawn = (mutant(seed, genes, 1.0, *bounds, "redraw") != genes).sum(0)
+    # The same genes, and each of them stays as it is half of the time.
+    assert (redrawn <= changed).all()
+
+
+def test_half_of_the_individuals_mutate_in_2_to_30_genes_anywhere():
+    changed = mutant(2, jnp.zeros((GENES, 20_000)), 0.5, 2, 30, "flip") == 1
+    number = changed.sum(0)
+    mutated = number[number > 0]
+    assert binomtest(mutated.size, number.size, 0.5).pvalue > 0.01
+    counts = np.bincount(mutated, minlength=31)
+    assert counts[:2].sum() == 0 and counts.size == 31
+    assert chisquare(counts[2:]).pvalue > 0.01
+    assert chisquare(changed.sum(1)).pvalue > 0.01
+
+
+def test_half_of_the_genes_drawn_anew_change():
+    ones = mutant(3, jnp.zeros((50, 2000)), 1.0, 50, 50, "redraw").sum()
+    assert binomtest(int(ones), 100_000, 0.5).pvalue > 0.01
+
+
+def test_about_half_of_the_children_of_a_generation_mutate():
+    step = BitGenetics(mutation="flip").next_generation
+    keys = jax.random.split(jax.random.key(4), 1000)
+    nobody = jnp.zeros((GENES, POPULATION))
+    children = quick_jit(jax.vmap(lambda key: step(key, nobody, ranks()[0])))(keys)
+    mutated = np.asarray(children).any(1)
+    assert not mutated[:, :ELITES].any()
+    each = mutated[:, ELITES:]
+    assert binomtest(int(each.sum()), each.size, 0.5).pvalue > 0.01
+    # Each child has its own chance: siblings mutate independently of each other.
+    both = 2 * each[:, ::2] + each[:, 1::2]
+    assert chisquare(np.bincount(both.ravel(), minlength=4)).pvalue > 0.01
+
+
+def test_random_bits_are_0_and_1_equally_often():
+    drawn = np.asarray(random_bits(jax.random.key(5), GENES, 1000, jnp.float16))
+    assert drawn.shape == (GENES, 1000) and drawn.dtype == np.float16
+    assert np.isin(drawn, [0.0, 1.0]).all()
+    assert binomtest(int(drawn.astype(int).sum()), drawn.size, 0.5).pvalue > 0.01
+    assert chisquare(drawn.sum(1, dtype=int)).pvalue > 0.01
+
+
+def test_the_key_alone_decides():
+    genes = bits()
+    np.testing.assert_array_equal(bred(genes, seed=1), bred(genes, seed=1))
+    np.testing.assert_array_equal(random_bits(jax.random.key(99), GENES, 15, jnp.float32), genes)
+    assert (bred(genes, seed=1) != bred(genes, seed=2)).any(0)[ELITES:].all()
+
+
+def test_runs_side_by_side_are_those_of_each_alone():
+    seeds = range(3)
+    keys = jnp.stack([jax.random.key(seed) for seed in seeds])
+    genes = jnp.stack([bits(seed) for seed in seeds])
+    fitness = jnp.stack([jnp.roll(jnp.asarray(FITNESS, jnp.float32), seed) for seed in seeds])
+    together = quick_jit(jax.vmap(BitGenetics().next_generation))(keys, genes, fitness)
+    for seed in seeds:
+        alone = bred(genes[seed], fitness[seed], seed)
+        np.testing.assert_array_equal(together[seed], alone)
+        uncompiled = BitGenetics().next_generation(keys[seed], genes[seed], fitness[seed])
+        np.testing.assert_array_equal(uncompiled, alone)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"population": 0}, "population must be at least 1, got 0"),
+        ({"elite_count": 15}, "at least 0 and less than the population of 15, got 15"),
+        ({"elite_count": -1}, "at least 0 and less than the population of 15, got -1"),
+        ({"best_copies": 0}, "best_copies must be from 1 to 7 with an elite_count of 7, got 0"),
+        ({"best_copies": 8}, "best_copies must be from 1 to 7 with an elite_count of 7, got 8"),
+        ({"elite_count": 0, "best_copies": 2}, "from 1 to 1 with an elite_count of 0, got 2"),
+        ({"rank_probabilities": ()}, "must be 1 to 15 numbers, .* got 0"),
+        ({"population": 7, "elite_count": 3}, "must be 1 to 7 numbers, .* got 8"),
+        ({"rank_probabilities": (1.5, -0.5)}, r"must not be negative, got \(1.5, -0.5\)"),
+        ({"rank_probabilities": (np.nan,)}, r"must not be negative, got \(nan,\)"),
+        ({"rank_probabilities": (30.0, 70.0)}, "must add up to 1, got a sum of 100"),
+        ({"mutation_probability": 1.5}, "mutation_probability must be from 0 to 1, got 1.5"),
+        ({"mutated_genes_min": 0}, "at least 1 and at most the mutated_genes_max of 30, got 0"),
+        ({"mutated_genes_min": 31}, "at least 1 and at most the mutated_genes_max of 30, got 31"),
+        ({"mutation": "swap"}, "mutation must be redraw or flip, got 'swap'"),
+    ],
+)
+def test_settings_outside_their_range_are_refused(changes, words):
+    with pytest.raises(ValueError, match=words):
+        BitGenetics(**changes)
+
+
+def test_a_genome_shorter_than_a_mutation_is_refused():
+    with pytest.raises(ValueError, match="may change 30 genes, but a genome has only 24"):
+        jax.eval_shape(
+            BitGenetics().next_generation, jax.random.key(0), ranks(24), jnp.asarray(FITNESS, float)
+        )
