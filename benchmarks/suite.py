@@ -56,7 +56,7 @@ def main(json_path: Path | None, quick: bool) -> None:
     """Run every case, print the table, and write the rows as JSON where asked."""
     cores = use_cores()
     console = Console()
-    steps, repeats = (120, 3) if quick else (480, 7)
+    steps, repeats = (120, 3) if quick else (2000, 7)
     experiment = build_experiment(load_config(CONFIG), CONFIG)
     rows: list[dict[str, Any]] = []
     with console.status("compiling") as status:
@@ -96,7 +96,7 @@ def swimmer_cases(
         "MuJoCo, inertia box": {"density": 1000.0, "fluid": ""},
         "MuJoCo, no fluid": {"density": 0.0, "fluid": ""},
     }
-    peer_steps = max(steps // 4, 10)
+    peer_steps = max(steps // 8, 10)
     for name, options in peers.items():
         call = mujoco_swim(experiment, options, cores, peer_steps)
         contenders.append(Contender(name, POPULATION * peer_steps, call))
