@@ -13,7 +13,6 @@ from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.schema import (
     BitEvolutionConfig,
     CustomConfig,
-    EvolutionConfig,
     ExperimentConfig,
     WaterConfig,
 )
@@ -24,7 +23,6 @@ from evo_cpg.creature.creature import Creature, CreatureError
 from evo_cpg.creature.shapes import Surface
 from evo_cpg.creature.surface import outer_surfaces, random_surfaces
 from evo_cpg.creature.tree import Tree, build_tree
-from evo_cpg.evolution.generation import Genetics, RealGenetics
 from evo_cpg.physics.fluid import Patch, Water, make_patches
 from evo_cpg.physics.step import World
 from evo_cpg.simulation.reach_light import ReachLight
@@ -78,23 +76,9 @@ def build_experiment(
             substeps=config.simulation.substeps,
             steps=config.simulation.steps,
         ),
-        genetics=_build_genetics(genetics),
+        genetics=genetics.build(),
         generations=genetics.generations,
         seed=config.seed,
-    )
-
-
-def _build_genetics(config: EvolutionConfig | BitEvolutionConfig) -> Genetics:
-    if isinstance(config, BitEvolutionConfig):
-        return config.build()
-    return RealGenetics(
-        population=config.population,
-        elite_count=config.elites,
-        parent_fraction=config.parent_fraction,
-        crossover_probability=config.crossover_probability,
-        mutation_rate=config.mutation_rate,
-        mutation_sigma=config.mutation_sigma,
-        gene_bound=config.gene_bound,
     )
 
 

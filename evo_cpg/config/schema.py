@@ -19,6 +19,7 @@ from evo_cpg.config.creature_schema import (
 from evo_cpg.control.brain_cpg import BrainCpgSettings
 from evo_cpg.control.postures import PostureSettings
 from evo_cpg.evolution.bits import BitGenetics
+from evo_cpg.evolution.generation import RealGenetics
 from evo_cpg.physics.fluid import DragLaw
 
 # Far beyond what anybody waits for, and within 32 bits.
@@ -182,6 +183,18 @@ class EvolutionConfig(Section):
     mutation_rate: Share = 0.05
     mutation_sigma: NotNegative = 0.5
     gene_bound: Positive = 8.0
+
+    def build(self) -> RealGenetics:
+        """The settings of the generation step."""
+        return RealGenetics(
+            population=self.population,
+            elite_count=self.elites,
+            parent_fraction=self.parent_fraction,
+            crossover_probability=self.crossover_probability,
+            mutation_rate=self.mutation_rate,
+            mutation_sigma=self.mutation_sigma,
+            gene_bound=self.gene_bound,
+        )
 
     @model_validator(mode="after")
     def _check(self) -> "EvolutionConfig":

@@ -132,7 +132,7 @@ class BitGenetics(Genetics):
 def random_bits(
     key: Array, gene_count: int, population: int, dtype: jnp.dtype | type
 ) -> Float[Array, "g n"]:
-    """Genomes of the first generation: 0 or 1 with equal chances.
+    """Random genomes: 0 or 1 with equal chances.
 
     Args:
         key: random key.

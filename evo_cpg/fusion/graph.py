@@ -2,8 +2,8 @@
 
 Each node is one scalar operation. Building it folds constants, drops what multiplies by zero or
 one, and reuses nodes that are already there, so a creature's zeros (a centre of mass on the joint,
-a principal axis) cost nothing in the end. Results are those of the original program to the last
-bit, with two exceptions: the sign of a zero, and that 0 x stays 0 where x is not finite.
+a principal axis) cost nothing in the end. These simplifications are exact, with two exceptions: the
+sign of a zero, and that 0 x stays 0 where x is not finite.
 """
 
 from collections.abc import Callable, Mapping
@@ -216,19 +216,19 @@ class Graph:
         return call.outputs
 
     def add(self, a: Node, b: Node) -> Node:
-        """A + b."""
+        """The sum a + b."""
         return self.apply(jax.lax.add_p, {}, (a, b))
 
     def subtract(self, a: Node, b: Node) -> Node:
-        """A - b."""
+        """The difference a - b."""
         return self.apply(jax.lax.sub_p, {}, (a, b))
 
     def multiply(self, a: Node, b: Node) -> Node:
-        """A b."""
+        """The product a b."""
         return self.apply(jax.lax.mul_p, {}, (a, b))
 
     def negate(self, a: Node) -> Node:
-        """-a."""
+        """The negative of a."""
         return self.apply(jax.lax.neg_p, {}, (a,))
 
     def _power(self, base: Node, exponent: int) -> Node:

@@ -18,7 +18,8 @@ from evo_cpg.fusion.graph import Call, Node
 KERNEL_SIZE = 1200
 KERNEL_ARRAYS = 240
 
-# Cuts are considered every so many operations; starting a kernel costs as much as so many arrays.
+# Cuts are considered every so many operations, too few to touch KERNEL_ARRAYS; starting a kernel
+# costs as much as so many arrays.
 _CUT_STRIDE = 20
 _KERNEL_COST = 10
 
@@ -166,10 +167,9 @@ def _extensions(order: list[Node], start: int, uses: dict[Node, int]) -> Iterato
         pending[node] = uses[node]
         results += 1
         arrays = len(inputs) + max(len(inputs), results)
-        first = stop - start <= _CUT_STRIDE
-        if 2 * len(inputs) > KERNEL_ARRAYS and not first:
+        if 2 * len(inputs) > KERNEL_ARRAYS:
             return
-        if (stop % _CUT_STRIDE == 0 or stop == len(order)) and (arrays <= KERNEL_ARRAYS or first):
+        if (stop % _CUT_STRIDE == 0 or stop == len(order)) and arrays <= KERNEL_ARRAYS:
             yield stop, arrays
 
 

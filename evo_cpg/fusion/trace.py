@@ -21,8 +21,6 @@ _CALLS = {
     "closed_call": "call_jaxpr",
     "custom_jvp_call": "call_jaxpr",
     "custom_vjp_call": "call_jaxpr",
-    "remat2": "jaxpr",
-    "checkpoint": "jaxpr",
 }
 
 # A function of arrays that the trace leaves whole; see `evo_cpg.fusion.kernels.unfused`.
@@ -273,7 +271,8 @@ def _scalar_product(graph: Graph, a: np.ndarray, b: np.ndarray) -> Node:
     """Sum of products; those with the same constant factor, up to its sign, share it.
 
     Points on a regular grid have coordinates that differ by their signs only: what their rows
-    have in common is then computed once for all rows.
+    have in common is then computed once for all rows. The order of summation, and with it the
+    rounding, is not that of the original product.
     """
     groups: dict[Node, list[tuple[bool, Node]]] = {}
     for x, y in zip(a, b, strict=True):
