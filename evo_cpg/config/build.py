@@ -23,6 +23,7 @@ from evo_cpg.creature.creature import Creature, CreatureError
 from evo_cpg.creature.shapes import Surface
 from evo_cpg.creature.surface import outer_surfaces, random_surfaces
 from evo_cpg.creature.tree import Tree, build_tree
+from evo_cpg.physics.contact import Ground
 from evo_cpg.physics.fluid import Patch, Water, make_patches
 from evo_cpg.physics.step import World
 from evo_cpg.simulation.reach_light import ReachLight
@@ -98,14 +99,14 @@ def build_creature(config: ExperimentConfig, source: Path | str) -> Creature:
 
 
 def _build_world(config: ExperimentConfig, creature: Creature, tree: Tree) -> World:
-    water = config.world.water
-    if water is None:
-        return World(tree, config.world.gravity)
+    water, ground = config.world.water, config.world.ground
     return World(
-        tree,
-        config.world.gravity,
-        Water(water.density, water.form_drag, water.skin_drag, water.current, water.law),
-        _surface_points(water, creature, tree),
+        tree=tree,
+        gravity=config.world.gravity,
+        water=water
+        and Water(water.density, water.form_drag, water.skin_drag, water.current, water.law),
+        patches=_surface_points(water, creature, tree) if water else (),
+        ground=ground and Ground(**ground.model_dump()),
     )
 
 

@@ -20,6 +20,7 @@ from evo_cpg.control.brain_cpg import BrainCpgSettings
 from evo_cpg.control.postures import PostureSettings
 from evo_cpg.evolution.bits import BitGenetics
 from evo_cpg.evolution.generation import RealGenetics
+from evo_cpg.physics.contact import Combination
 from evo_cpg.physics.fluid import DragLaw
 
 # Far beyond what anybody waits for, and within 32 bits.
@@ -57,11 +58,34 @@ class WaterConfig(Section):
     points_seed: Annotated[int, Field(ge=0)] = 0
 
 
+class GroundConfig(Section):
+    """Flat, level ground at height 0.
+
+    Attributes:
+        restitution: of the ground's material.
+        static_friction: of the ground's material.
+        dynamic_friction: of the ground's material.
+        restitution_rule: how the body's and the ground's restitution combine.
+        friction_rule: how their frictions combine.
+        margin: points nearer than this are watched for an impact, m.
+        stribeck_speed: sliding speed at which friction is half-way from static to dynamic, m/s.
+    """
+
+    restitution: Share = 0.5
+    static_friction: NotNegative = 0.8
+    dynamic_friction: NotNegative = 0.8
+    restitution_rule: Combination = "multiply"
+    friction_rule: Combination = "geometric"
+    margin: Positive = 0.05
+    stribeck_speed: Positive = 0.01
+
+
 class WorldConfig(Section):
-    """Gravity (m/s^2, downwards) and water (none: ``water: null``)."""
+    """Gravity (m/s^2, downwards), water (none: ``water: null``) and ground (none unless given)."""
 
     gravity: NotNegative = 9.81
     water: WaterConfig | None = WaterConfig()
+    ground: GroundConfig | None = None
 
 
 class SimulationConfig(Section):

@@ -16,6 +16,7 @@ from jaxtyping import Array, Float
 from evo_cpg.creature.tree import Tree
 from evo_cpg.fusion.kernels import fuse, symmetric
 from evo_cpg.physics.articulated import Accelerations, Inertia, Wrench, solve
+from evo_cpg.physics.contact import Ground
 from evo_cpg.physics.fluid import Patch, Water, drag
 from evo_cpg.physics.joints import (
     clamp_torque,
@@ -56,12 +57,14 @@ class World(eqx.Module):
         gravity: m/s^2, pulling along -z.
         water: None on dry land.
         patches: the surface points that meet the water.
+        ground: None where there is nothing to stand on.
     """
 
     tree: Tree
     gravity: float
     water: Water | None = None
     patches: tuple[Patch, ...] = ()
+    ground: Ground | None = None
 
 
 class Effort(NamedTuple):
