@@ -3,9 +3,10 @@
 import mujoco
 import numpy as np
 
-from evo_cpg.creature.creature import Body, Creature
+from evo_cpg.creature.creature import Actuator, Body, Creature
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid
 from evo_cpg.creature.tree import Tree
+from evo_cpg.physics.contact import Ground
 from evo_cpg.physics.state import State
 
 
@@ -14,6 +15,8 @@ def mujoco_model(
     options: dict[str, float | str] | None = None,
     fluid: str = "",
     motors: bool = False,
+    ground: Ground | None = None,
+    height: float = 0.0,
 ) -> mujoco.MjModel:
     """Compile a creature for MuJoCo.
 
@@ -21,7 +24,10 @@ def mujoco_model(
         creature: the animal.
         options: attributes of MuJoCo's ``option`` element.
         fluid: attributes added to every geom, such as ``fluidshape="ellipsoid"``.
-        motors: add a velocity servo on every axis that has one, in the order of the joints.
+        motors: add the motor of every axis that has one, in the order of the joints: a velocity
+            servo, or a position servo where it has a spring.
+        ground: a level floor that every body may touch, but no body another.
+        height: of the root's centre at the start, m.
     """
     children: dict[str | None, list[Body]] = {}
     for body in creature.bodies:
@@ -31,7 +37,7 @@ def mujoco_model(
         joint = body.joint
         anchor = np.array(joint.child_anchor if joint else (0.0, 0.0, 0.0))
         if joint is None:
-            place, joints = 'pos="0 0 0"', "<freejoint/>"
+            place, joints = f'pos="0 0 {height}"', "<freejoint/>"
         else:
             parent = creature.bodies[creature.body_index(joint.parent)]
             parent_anchor = parent.joint.child_anchor if parent.joint else np.zeros(3)
@@ -50,16 +56,23 @@ def mujoco_model(
         return f'<body name="{body.name}" {place}>{joints}{geom}{inner}</body>'
 
     servos = "".join(
-        f'<velocity joint="{body.name}.{i}" kv="{body.joint.actuator.gain}"/>'
+        _motor(f"{body.name}.{i}", body.joint.actuator)
         for body in creature.bodies
         if motors and body.joint and body.joint.actuator
         for i in range(len(body.joint.axes))
     )
     attributes = " ".join(f'{key}="{value}"' for key, value in (options or {}).items())
+    flag = '<flag contact="disable"/>' if ground is None else ""
+    floor = (
+        ""
+        if ground is None
+        else f'<geom type="plane" size="0 0 1" pos="0 0 {ground.height}" contype="1" '
+        f'conaffinity="0" friction="{ground.dynamic_friction} 0 0"/>'
+    )
     xml = (
-        f'<mujoco><compiler angle="radian"/><option {attributes}>'
-        '<flag contact="disable"/></option>'
-        f"<worldbody>{element(children[None][0])}</worldbody>"
+        f'<mujoco><compiler angle="radian"/><option {attributes}>{flag}</option>'
+        '<default><geom contype="0" conaffinity="1" condim="3"/></default>'
+        f"<worldbody>{floor}{element(children[None][0])}</worldbody>"
         f"<actuator>{servos}</actuator></mujoco>"
     )
     return mujoco.MjModel.from_xml_string(xml)
@@ -91,6 +104,14 @@ def load_state(model: mujoco.MjModel, data: mujoco.MjData, tree: Tree, state: St
     return rotation
 
 
+def _motor(joint: str, actuator: Actuator) -> str:
+    limit = actuator.torque_limit
+    force = f'forcerange="{-limit} {limit}"' if np.isfinite(limit) else ""
+    if actuator.stiffness:
+        return f'<position joint="{joint}" kp="{actuator.stiffness}" kv="{actuator.gain}" {force}/>'
+    return f'<velocity joint="{joint}" kv="{actuator.gain}" {force}/>'
+
+
 def _geom(body: Body, centre: np.ndarray, fluid: str) -> str:
     shape, density = body.shape, body.material.density
     if isinstance(shape, Box):
@@ -102,7 +123,8 @@ def _geom(body: Body, centre: np.ndarray, fluid: str) -> str:
         kind = f'type="capsule" size="{shape.radius} {shape.length / 2}" zaxis="1 0 0"'
     else:
         raise TypeError(type(shape))
-    return f'<geom {kind} pos="{_text(centre)}" density="{density}" {fluid}/>'
+    friction = f'friction="{body.material.dynamic_friction} 0 0"'
+    return f'<geom {kind} pos="{_text(centre)}" density="{density}" {friction} {fluid}/>'
 
 
 def _text(values) -> str:

@@ -29,7 +29,8 @@ from benchmarks.timing import Contender, median_ratio, race
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import load_config
 from evo_cpg.physics.state import resting_state
-from evo_cpg.physics.step import World, step
+from evo_cpg.physics.step import step
+from evo_cpg.physics.world import World
 from evo_cpg.training.devices import (
     POPULATION_AXIS,
     fast_jit,
@@ -135,7 +136,7 @@ def compile_time(experiment: Experiment) -> list[dict[str, Any]]:
     # The scan over the trial's steps is compiled once, however many there are.
     simulation = dataclasses.replace(experiment.simulation, steps=1)
     genes = np.asarray(fast_jit(lambda: first_population(experiment))())
-    scales = {"energy": np.float32(1.0)}
+    scales = {"energy": np.ones(1, np.float32)}
     start = time.perf_counter()
     outcome = compile_trials(simulation, population_mesh())(genes)
     breeding = fast_jit(functools.partial(breed, experiment))

@@ -12,7 +12,7 @@ from evo_cpg.creature.surface import outer_surfaces
 from evo_cpg.creature.tree import Tree, build_tree
 from evo_cpg.physics.fluid import DragLaw, Water, make_patches
 from evo_cpg.physics.state import State
-from evo_cpg.physics.step import World
+from evo_cpg.physics.world import World
 from evo_cpg.spatial.rotation import euler_to_matrix
 
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}

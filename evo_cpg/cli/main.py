@@ -73,11 +73,17 @@ def render(
     seconds: Annotated[
         float | None, typer.Option(min=0.1, help="Show only the first seconds of the trial.")
     ] = None,
+    number: Annotated[
+        int | None,
+        typer.Option(
+            "--run", min=0, help="Of several runs side by side, which; the best by default."
+        ),
+    ] = None,
 ) -> None:
     """Film the champion of a run."""
     from evo_cpg.cli.pictures import render_run
 
-    render_run(run, output, size, fps, speed, seconds)
+    render_run(run, output, size, fps, speed, seconds, number)
 
 
 @app.command()

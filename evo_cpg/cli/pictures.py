@@ -20,14 +20,16 @@ def render_run(
     fps: float,
     speed: float,
     seconds: float | None,
+    number: int | None,
 ) -> None:
     """`evo-cpg render`."""
     pixels = _pixels(size)
-    experiment, _, recording, folder = champion_motion(run)
+    experiment, _, recording, folder = champion_motion(run, number)
     from evo_cpg.view.film import film
 
-    wet = experiment.simulation.world.water is not None
-    path = output or folder.path / "videos" / "champion.mp4"
+    world = experiment.simulation.world
+    name = "champion.mp4" if number is None else f"champion_run{number}.mp4"
+    path = output or folder.path / "videos" / name
     console = Console(stderr=True)
     with Progress(console=console, disable=not console.is_terminal) as progress:
         task = progress.add_task("rendering", total=None)
@@ -40,7 +42,8 @@ def render_run(
             seconds=seconds,
             speed=speed,
             title=experiment.name,
-            world="water" if wet else "land",
+            world="land" if world.water is None else "water",
+            ground=None if world.ground is None else float(world.ground.height),
             progress=lambda done, total: progress.update(task, completed=done, total=total),
         )
     print(made)
@@ -63,10 +66,12 @@ def plot_run(run: Path, output: Path | None) -> None:
 def preview_config(path: Path, overrides: Sequence[str], output: Path | None, size: str) -> None:
     """`evo-cpg preview`."""
     pixels = _pixels(size)
-    creature = build_creature(load_config(path, overrides), path)
+    config = load_config(path, overrides)
+    creature = build_creature(config, path)
     from evo_cpg.view.preview import preview
 
-    print(preview(creature, output or Path(f"{creature.name}.png"), pixels))
+    stands = config.world.ground is not None
+    print(preview(creature, output or Path(f"{creature.name}.png"), pixels, ground=stands))
 
 
 def _pixels(size: str) -> tuple[int, int]:

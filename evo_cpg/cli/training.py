@@ -57,12 +57,14 @@ def resume_run(run: Path, generations: int | None, cores: int | None) -> None:
             f"--generations {config.evolution.generations} would take some back"
         )
     if done is not None:
-        population = experiment.simulation.controller.gene_count, experiment.genetics.population
-        if done.genes.shape != population:
+        runs, population = experiment.runs, experiment.genetics.population
+        asked = experiment.simulation.controller.gene_count, runs * population, runs
+        found = *done.genes.shape, len(done.champions)
+        if asked != found:
             raise RunFolderError(
-                f"{folder.config} was changed: it asks for {population[0]} genes and "
-                f"{population[1]} individuals, the checkpoint has {done.genes.shape[0]} and "
-                f"{done.genes.shape[1]}; start a new run instead"
+                f"{folder.config} was changed: it asks for {asked[0]} genes and {asked[1]} "
+                f"individuals in {asked[2]} run(s), the checkpoint has {found[0]}, {found[1]} and "
+                f"{found[2]}; start a new run instead"
             )
     folder.reopen(dump_config(config))
     folder.update_meta(devices=devices, resumed=_now())
@@ -126,10 +128,19 @@ def validate_configs(paths: Sequence[Path]) -> None:
         raise SystemExit(2)
 
 
-def champion_motion(run: Path) -> tuple[Experiment, Champion, Any, RunFolder]:
-    """The champion of a run with its motion, which is replayed where it was not recorded."""
+def champion_motion(
+    run: Path, number: int | None = None
+) -> tuple[Experiment, Champion, Any, RunFolder]:
+    """The champion of a run with its motion, which is replayed where it was not recorded.
+
+    Args:
+        run: the run folder.
+        number: whose champion, where the folder holds several runs; None for the best.
+    """
     folder, _, experiment = _open(run)
     champion, recording, digests = folder.load_champion()
+    if number is not None and number != champion.run:
+        champion, recording = _champion_of(folder, number), None
     wrong = _misfit(experiment, champion)
     if wrong:
         raise RunFolderError(f"{folder.config} was changed after training: {wrong}")
@@ -163,32 +174,38 @@ def _evolve(experiment: Experiment, folder: RunFolder) -> None:
         print(f"interrupted; go on with `evo-cpg resume {folder.path}`", file=sys.stderr)
         raise
     terms = ", ".join(f"{name} {value:.3g}" for name, value in champion.terms.items())
-    print(
-        f"champion of generation {champion.generation}: fitness {champion.fitness:.4f} ({terms})",
-        file=sys.stderr,
-    )
+    origin = f"generation {champion.generation}"
+    if experiment.runs > 1:
+        origin += f" of run {champion.run}"
+    print(f"champion of {origin}: fitness {champion.fitness:.4f} ({terms})", file=sys.stderr)
     print(folder.path)
 
 
 @contextlib.contextmanager
 def _progress(
     console: Console, experiment: Experiment, folder: RunFolder
-) -> Iterator[Callable[[dict[str, float]], None]]:
+) -> Iterator[Callable[[list[dict[str, float]]], None]]:
     """Show every generation: a bar on a terminal, a line elsewhere."""
     done = folder.load()
     start = done.generation if done else 0
 
-    def line(row: dict[str, float]) -> str:
-        return (
-            f"best {row['best']:8.4f}  mean {row['mean']:8.4f}  "
-            f"diverged {row['diverged']:3d}  {row['steps_per_second'] / 1e3:6.0f} k steps/s"
-        )
+    def line(rows: list[dict[str, float]]) -> str:
+        # A run of which nobody lives has no best.
+        best = [row["best"] for row in rows if math.isfinite(row["best"])] or [math.nan]
+        if len(rows) > 1:
+            fitness = f"best of {len(rows)} runs {max(best):8.4f}  median {np.median(best):8.4f}"
+        else:
+            fitness = f"best {best[0]:8.4f}  mean {rows[0]['mean']:8.4f}"
+        diverged = sum(row["diverged"] for row in rows)
+        speed = rows[0]["steps_per_second"] / 1e3
+        return f"{fitness}  diverged {diverged:3d}  {speed:6.0f} k steps/s"
 
     if not console.is_terminal:
 
-        def show(row: dict[str, float]) -> None:
-            number = f"generation {row['generation'] + 1:4d}/{experiment.generations}"
-            print(f"{number}  {line(row)}  {row['seconds']:6.2f} s", file=sys.stderr, flush=True)
+        def show(rows: list[dict[str, float]]) -> None:
+            number = f"generation {rows[0]['generation'] + 1:4d}/{experiment.generations}"
+            seconds = f"{rows[0]['seconds']:6.2f} s"
+            print(f"{number}  {line(rows)}  {seconds}", file=sys.stderr, flush=True)
 
         yield show
         return
@@ -203,7 +220,7 @@ def _progress(
         task = progress.add_task(
             experiment.name, total=experiment.generations, completed=start, state="compiling"
         )
-        yield lambda row: progress.update(task, advance=1, state=line(row))
+        yield lambda rows: progress.update(task, advance=1, state=line(rows))
 
 
 def _open(run: Path) -> tuple[RunFolder, ExperimentConfig, Experiment]:
@@ -214,6 +231,18 @@ def _open(run: Path) -> tuple[RunFolder, ExperimentConfig, Experiment]:
     origin = folder.read_meta().get("config")
     beside = [Path(origin).parent] if isinstance(origin, str) else []
     return folder, config, build_experiment(config, folder.config, beside)
+
+
+def _champion_of(folder: RunFolder, number: int) -> Champion:
+    """The champion of one of several runs, as the newest checkpoint knows it."""
+    checkpoint = folder.load()
+    champions = checkpoint.champions if checkpoint else ()
+    if number >= len(champions):
+        raise UsageError(f"--run: {folder.path} holds {len(champions)} run(s), counted from 0")
+    champion = champions[number]
+    if champion is None:
+        raise UsageError(f"--run: every individual of run {number} diverged: it has no champion")
+    return champion
 
 
 def _misfit(experiment: Experiment, champion: Champion) -> str | None:

@@ -13,23 +13,27 @@ from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.schema import (
     BitEvolutionConfig,
     CustomConfig,
+    DistanceConfig,
     ExperimentConfig,
+    WalkConfig,
     WaterConfig,
 )
 from evo_cpg.control.brain_cpg import BrainCpgSettings, build_brain_cpg
 from evo_cpg.control.controller import Controller
 from evo_cpg.control.postures import PostureSettings, build_posture_controller
-from evo_cpg.creature.creature import Creature, CreatureError
+from evo_cpg.creature.creature import Creature, CreatureError, lowest_height
 from evo_cpg.creature.shapes import Surface
 from evo_cpg.creature.surface import outer_surfaces, random_surfaces
 from evo_cpg.creature.tree import Tree, build_tree
-from evo_cpg.physics.contact import Ground
+from evo_cpg.physics.contact import Ground, make_footing
 from evo_cpg.physics.fluid import Patch, Water, make_patches
-from evo_cpg.physics.step import World
+from evo_cpg.physics.world import World
+from evo_cpg.simulation.noise import Noise
 from evo_cpg.simulation.reach_light import ReachLight
 from evo_cpg.simulation.rollout import Simulation
 from evo_cpg.simulation.sensors import place_sensors
 from evo_cpg.simulation.task import Task
+from evo_cpg.simulation.walk import Distance, Walk
 from evo_cpg.training.experiment import Experiment
 
 # Random surface points are drawn from a quadrature this fine.
@@ -54,8 +58,15 @@ def build_experiment(
             sys.path.append(str(folder.resolve()))
     creature = build_creature(config, source)
     tree = build_tree(creature)
+    world = _build_world(config, creature, tree)
+    start_height = _start_height(config, creature, world)
     genetics = config.evolution
     controller = _build_controller(config, creature, tree, source)
+    noise = Noise(
+        joint_angle=float(np.deg2rad(config.noise.joint_angle_deg)),
+        tilt=float(np.deg2rad(config.noise.tilt_deg)),
+        push=config.noise.push,
+    )
     if isinstance(genetics, BitEvolutionConfig):
         most = genetics.mutated_genes[1]
         if most > controller.gene_count:
@@ -69,17 +80,22 @@ def build_experiment(
         name=config.name,
         creature=creature,
         simulation=Simulation(
-            world=_build_world(config, creature, tree),
+            world=world,
             sensors=place_sensors(creature, tree),
             controller=controller,
-            task=_build_task(config, source),
+            task=_build_task(config, creature, start_height, source),
             control_rate=config.simulation.control_rate_hz,
             substeps=config.simulation.substeps,
             steps=config.simulation.steps,
+            noise=noise,
+            start_height=start_height,
         ),
         genetics=genetics.build(),
         generations=genetics.generations,
         seed=config.seed,
+        runs=config.runs,
+        # Without noise one trial is as good as many.
+        trials=1 if noise.silent else config.simulation.trials,
     )
 
 
@@ -99,15 +115,24 @@ def build_creature(config: ExperimentConfig, source: Path | str) -> Creature:
 
 
 def _build_world(config: ExperimentConfig, creature: Creature, tree: Tree) -> World:
-    water, ground = config.world.water, config.world.ground
+    water = config.world.water
+    ground = config.world.ground and Ground(**config.world.ground.model_dump())
     return World(
         tree=tree,
         gravity=config.world.gravity,
         water=water
         and Water(water.density, water.form_drag, water.skin_drag, water.current, water.law),
         patches=_surface_points(water, creature, tree) if water else (),
-        ground=ground and Ground(**ground.model_dump()),
+        footing=ground and make_footing(creature, tree, ground),
     )
+
+
+def _start_height(config: ExperimentConfig, creature: Creature, world: World) -> float:
+    """Height of the root's centre at the start, m: 0 without ground."""
+    if world.ground is None:
+        return 0.0
+    lowest = lowest_height(creature)
+    return float(world.ground.height) + config.simulation.start_clearance - lowest
 
 
 def _surface_points(water: WaterConfig, creature: Creature, tree: Tree) -> tuple[Patch, ...]:
@@ -150,12 +175,21 @@ def _build_controller(
         raise ConfigError(source, ("controller",), str(error)) from None
 
 
-def _build_task(config: ExperimentConfig, source: Path | str) -> Task:
+def _build_task(
+    config: ExperimentConfig, creature: Creature, start_height: float, source: Path | str
+) -> Task:
     given = config.task
     if isinstance(given, CustomConfig):
         return _custom(given, Task, "task", source)
+    if isinstance(given, DistanceConfig):
+        return Distance(heading=given.heading)
+    if isinstance(given, WalkConfig):
+        torso = next(body for body in creature.bodies if body.joint is None)
+        length = 2 * float(torso.shape.half_extents[0])
+        return Walk(torso_length=length, **given.model_dump(exclude={"type"}))
+    x, y, z = given.light.position()
     return ReachLight(
-        light=given.light.position(),
+        light=(x, y, start_height + z),
         distance_weight=given.distance_weight,
         energy_weight=given.energy_weight,
         light_weight=given.light_weight,

@@ -22,6 +22,7 @@ from evo_cpg.evolution.bits import BitGenetics
 from evo_cpg.evolution.generation import RealGenetics
 from evo_cpg.physics.contact import Combination
 from evo_cpg.physics.fluid import DragLaw
+from evo_cpg.simulation.walk import Heading
 
 # Far beyond what anybody waits for, and within 32 bits.
 Count = Annotated[int, Field(ge=1, le=1_000_000)]
@@ -89,11 +90,36 @@ class WorldConfig(Section):
 
 
 class SimulationConfig(Section):
-    """A trial: control steps of ``1 / control_rate_hz`` s with ``substeps`` physics steps each."""
+    """A trial: control steps of ``1 / control_rate_hz`` s with ``substeps`` physics steps each.
+
+    Attributes:
+        control_rate_hz: control steps per second, 1/s.
+        substeps: physics steps in a control step.
+        steps: control steps.
+        start_clearance: of the creature's lowest point above the ground at the start, m.
+        trials: of every individual, over which its fitness is averaged; one without noise.
+    """
 
     control_rate_hz: Positive = 60.0
     substeps: Count = 2
     steps: Count = 2000
+    start_clearance: NotNegative = 0.0
+    trials: Annotated[int, Field(ge=1, le=10_000)] = 1
+
+
+class NoiseConfig(Section):
+    """What is left to chance in a trial; nothing unless given.
+
+    Attributes:
+        joint_angle_deg: standard deviation of every joint angle at the start, degrees.
+        tilt_deg: standard deviation of the root's roll and of its pitch at the start, degrees.
+        push: random walk of the root's velocity in each direction, m/s per square root of a
+            second.
+    """
+
+    joint_angle_deg: Annotated[float, Field(ge=0, le=180)] = 0.0
+    tilt_deg: Annotated[float, Field(ge=0, le=180)] = 0.0
+    push: NotNegative = 0.0
 
 
 class CustomConfig(Section):
@@ -154,6 +180,38 @@ class ReachLightConfig(Section):
                 f"{self.distance_weight:g}, {self.light_weight:g}, {self.energy_weight:g}"
             )
         return self
+
+
+class DistanceConfig(Section):
+    """Fukui 2003: distance moved, whatever the posture.
+
+    Attributes:
+        type: ``distance``.
+        heading: ``any`` direction, or ``forward``.
+    """
+
+    type: Literal["distance"] = "distance"
+    heading: Heading = "any"
+
+
+class WalkConfig(Section):
+    """Distance, less what running has and walking has not; weights in torso lengths of way.
+
+    Attributes:
+        type: ``walk``.
+        heading: ``any`` direction, or ``forward``.
+        distance_weight: of the distance, in torso lengths.
+        tilt_weight: of the torso's tilt: 0 upright, 1 on the side, 2 on the back.
+        bounce_weight: of the standard deviation of its height, in torso lengths.
+        airborne_weight: of the share of time in which nothing touches the ground.
+    """
+
+    type: Literal["walk"] = "walk"
+    heading: Heading = "any"
+    distance_weight: NotNegative = 1.0
+    tilt_weight: NotNegative = 20.0
+    bounce_weight: NotNegative = 20.0
+    airborne_weight: NotNegative = 10.0
 
 
 def _section_of(settings: type, name: str, kind: str) -> type[Section]:
@@ -283,10 +341,13 @@ class ExperimentConfig(Section):
 
     Attributes:
         name: of the run, and of its folder.
-        seed: of all randomness.
+        seed: of all randomness; of the first run where there are several.
+        runs: independent populations that evolve side by side, with the seeds ``seed``,
+            ``seed + 1`` and so on.
         creature: the animal, or the path of its own file.
-        world: gravity and water.
+        world: gravity, water and ground.
         simulation: the trial.
+        noise: what is left to chance in it.
         controller: the nervous system.
         task: what the animals are judged by.
         evolution: the genetic algorithm.
@@ -294,9 +355,11 @@ class ExperimentConfig(Section):
 
     name: Annotated[str, Field(pattern=r"^[^./\\][^/\\]*$")]
     seed: Annotated[int, Field(ge=0, lt=2**31)] = 0
+    runs: Annotated[int, Field(ge=1, le=10_000)] = 1
     creature: CreatureConfig
     world: WorldConfig = WorldConfig()
     simulation: SimulationConfig = SimulationConfig()
+    noise: NoiseConfig = NoiseConfig()
     # BrainCpgConfig is a class made while this file runs, which pyright cannot follow.
     controller: Annotated[
         Annotated[BrainCpgConfig, Tag("brain_cpg")]  # pyright: ignore[reportInvalidTypeForm]
@@ -305,7 +368,10 @@ class ExperimentConfig(Section):
         Discriminator(_kind("brain_cpg")),
     ] = BrainCpgConfig()
     task: Annotated[
-        Annotated[ReachLightConfig, Tag("reach_light")] | Annotated[CustomConfig, Tag("custom")],
+        Annotated[ReachLightConfig, Tag("reach_light")]
+        | Annotated[DistanceConfig, Tag("distance")]
+        | Annotated[WalkConfig, Tag("walk")]
+        | Annotated[CustomConfig, Tag("custom")],
         Discriminator(_kind("reach_light")),
     ] = ReachLightConfig()
     evolution: Annotated[
@@ -315,6 +381,11 @@ class ExperimentConfig(Section):
 
     @model_validator(mode="after")
     def _check(self) -> "ExperimentConfig":
+        if self.seed + self.runs > 2**31:
+            raise ValueError(
+                f"runs: the seed of the last of {self.runs} runs must be less than {2**31}, got "
+                f"{self.seed + self.runs - 1}"
+            )
         wanted = {"postures": "bits", "brain_cpg": "real"}.get(self.controller.type)
         if wanted not in (None, self.evolution.type):
             raise ValueError(

@@ -1,6 +1,6 @@
 """The controller of Fukui 2003: a few postures that an animal takes in turn, for ever.
 
-A posture is one angle for every joint, and the motors are springs that pull to it (2.5 and 2.6 of
+A posture is one angle for every joint, and the motors are springs that pull to it (2.5 to 2.7 of
 the thesis). There is no sensing: posture k = 0, 1, ... is held while
 
     k T <= t < (k + 1) T,
@@ -46,6 +46,9 @@ EXACT_PERIODS = 500
 # A switch may come this share of a control step early: 20 control steps of 1/60 s are 1/3 s
 # whichever way the floating-point numbers were rounded.
 TOLERANCE = 1e-6
+
+# Angles may exceed a limit by this (rad): both are rounded from degrees.
+_ANGLE_TOLERANCE = 1e-6
 
 # In control steps; keeps EXACT_PERIODS^2 of it, the largest product in `posture`, below 2^31.
 LONGEST_PERIOD = 8000
@@ -155,11 +158,13 @@ def build_posture_controller(
         control_step: time between two calls of `PostureController.act`, s.
 
     Raises:
-        ValueError: the creature has no joint, or the period is shorter than a control step (some
-            postures would never be taken) or too long to count.
+        ValueError: the creature has no joint, a motor would pull its joint beyond a limit, or the
+            period is shorter than a control step (some postures would never be taken) or too long
+            to count.
     """
     if not tree.dof_count:
         raise ValueError("the controller needs a creature with at least one joint")
+    _check_limits(tree, settings)
     if not 1 - TOLERANCE <= settings.period / control_step <= LONGEST_PERIOD:
         raise ValueError(
             f"period must be from 1 to {LONGEST_PERIOD} control steps of {control_step:g} s, "
@@ -171,6 +176,20 @@ def build_posture_controller(
         settings=settings,
         steps_per_posture=_steps_per_posture(settings.period / control_step),
     )
+
+
+def _check_limits(tree: Tree, settings: PostureSettings) -> None:
+    lowest = settings.lowest_angle - settings.neutral_angle
+    highest = lowest + settings.angle_step * (2**settings.bits_per_joint - 1)
+    least, most = np.deg2rad([lowest, highest])
+    beyond = (least < tree.lower - _ANGLE_TOLERANCE) | (most > tree.upper + _ANGLE_TOLERANCE)
+    # A motor without a spring does not pull to any angle.
+    for i in np.flatnonzero(beyond & (tree.servo_stiffness > 0)):
+        lower, upper = np.rad2deg([tree.lower[i], tree.upper[i]])
+        raise ValueError(
+            f"the postures turn joint {tree.dof_names[i]} from {lowest:g} to {highest:g} degrees, "
+            f"counted from the neutral pose; its limits_deg allow {lower:g} to {upper:g}"
+        )
 
 
 def _steps_per_posture(ratio: float) -> Fraction:

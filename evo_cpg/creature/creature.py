@@ -181,6 +181,19 @@ def neutral_pose(creature: Creature) -> tuple[np.ndarray, np.ndarray]:
     return np.array(centres), np.array(rotations)
 
 
+def lowest_height(creature: Creature) -> float:
+    """Height of the creature's lowest point above the root's centre in the neutral pose, m.
+
+    It is never positive.
+    """
+    centres, rotations = neutral_pose(creature)
+    down = np.array([0.0, 0.0, -1.0])
+    return min(
+        float(centre[2] + rotation[2] @ body.shape.support(rotation.T @ down))
+        for body, centre, rotation in zip(creature.bodies, centres, rotations, strict=True)
+    )
+
+
 def topological_order(creature: Creature) -> list[int]:
     """Indices of the bodies such that parents come before children, level by level.
 

@@ -1,4 +1,4 @@
-"""Rigid shapes: volume, inertia, signed distance and a quadrature over the surface.
+"""Rigid shapes: volume, inertia, signed distance, support and a quadrature over the surface.
 
 Every shape is centred on its own frame. Elongated shapes point along their x axis, which is the
 direction an animal faces. ``surface(resolution)`` returns points ``(n, 3)`` in m, unit outward
@@ -47,6 +47,15 @@ class Shape(abc.ABC):
         """
 
     @abc.abstractmethod
+    def support(self, direction: np.ndarray) -> np.ndarray:
+        """The point ``(3,)`` of the shape that lies farthest along a direction ``(3,)``, m.
+
+        Args:
+            direction: of any length but zero. Where several points lie equally far, the one in
+                their middle is returned.
+        """
+
+    @abc.abstractmethod
     def surface(self, resolution: int) -> Surface:
         """Quadrature over the whole surface; the number of points grows with the resolution."""
 
@@ -77,6 +86,10 @@ class Box(Shape):
         excess = np.abs(points) - self.half_extents
         outside = np.linalg.norm(np.maximum(excess, 0), axis=-1)
         return outside + np.minimum(excess.max(-1), 0)
+
+    @override
+    def support(self, direction: np.ndarray) -> np.ndarray:
+        return np.sign(direction) * self.half_extents
 
     @override
     def surface(self, resolution: int) -> Surface:
@@ -127,6 +140,11 @@ class Ellipsoid(Shape):
         at_centre = gradient < 1e-12
         estimate = level * (level - 1) / np.where(at_centre, 1.0, gradient)
         return np.where(at_centre, -self.half_extents.min(), estimate)
+
+    @override
+    def support(self, direction: np.ndarray) -> np.ndarray:
+        stretched = self.half_extents * direction
+        return self.half_extents * stretched / np.linalg.norm(stretched)
 
     @override
     def surface(self, resolution: int) -> Surface:
@@ -191,6 +209,11 @@ class Capsule(Shape):
         nearest = np.zeros_like(points)
         nearest[:, 0] = np.clip(points[:, 0], -self.length / 2, self.length / 2)
         return np.linalg.norm(points - nearest, axis=-1) - self.radius
+
+    @override
+    def support(self, direction: np.ndarray) -> np.ndarray:
+        end = np.array([np.sign(direction[0]) * self.length / 2, 0.0, 0.0])
+        return end + self.radius * direction / np.linalg.norm(direction)
 
     @override
     def surface(self, resolution: int) -> Surface:

@@ -47,10 +47,34 @@ def cut(wanted: list[Node]) -> list[tuple[list[Node], list[Node]]]:
         ):
             pieces.extend([nodes] if nodes[0].costly else _chunks(nodes, uses))
     owner = {node: i for i, piece in enumerate(pieces) for node in piece}
+    pieces = [_with_conditions(piece) for piece in pieces]
     needed = set(wanted)
-    for i, piece in enumerate(pieces):
-        needed.update(o for node in piece for o in node.operands if owner.get(o) != i)
-    return [(piece, [node for node in piece if node in needed]) for piece in pieces]
+    for piece in pieces:
+        inside = set(piece)
+        needed.update(o for node in piece for o in node.operands if o not in inside)
+    return [
+        (piece, [node for node in piece if node in needed and owner[node] == i])
+        for i, piece in enumerate(pieces)
+    ]
+
+
+def _with_conditions(piece: list[Node]) -> list[Node]:
+    """The piece with the conditions that it needs from others computed again.
+
+    A kernel that reads or writes truth values is not vectorised.
+    """
+    if piece[0].costly:
+        return piece
+    again: set[Node] = set()
+    inside, waiting = set(piece), list(piece)
+    while waiting:
+        for operand in waiting.pop().operands:
+            condition = operand.is_operation and operand.dtype == bool and not operand.costly
+            if condition and operand not in inside:
+                inside.add(operand)
+                again.add(operand)
+                waiting.append(operand)
+    return [*sorted(again, key=lambda node: node.number), *piece]
 
 
 def _kind(node: Node) -> Any:

@@ -62,10 +62,19 @@ class Wrench(NamedTuple):
 
 
 class Accelerations(NamedTuple):
-    """Spatial acceleration of the root (angular, linear) and joint accelerations."""
+    """What comes on top of the velocity-product accelerations of `Kinematics`.
+
+    Attributes:
+        root: spatial acceleration of the root, angular, then linear.
+        qdd: joint accelerations.
+        angular: spatial acceleration of every body at its origin, world axes.
+        linear: its linear part.
+    """
 
     root: Float[Array, "6 *n"]
     qdd: Float[Array, "d *n"]
+    angular: Float[Array, "3 b *n"]
+    linear: Float[Array, "3 b *n"]
 
 
 class _Motion(NamedTuple):
@@ -158,7 +167,11 @@ def solve(
         alpha = alpha + spin
         accelerations.extend((alpha[:, j], a[:, j]) for j in range(alpha.shape[1]))
         qdd.append(jnp.swapaxes(group_qdd, 0, 1).reshape(-1, *batch))
-    return Accelerations(jnp.concatenate([angular, linear]), jnp.concatenate(qdd))
+    return Accelerations(
+        jnp.concatenate([angular, linear]),
+        jnp.concatenate(qdd),
+        *(jnp.stack(parts, 1) for parts in zip(*accelerations, strict=True)),
+    )
 
 
 def _motions(tree: Tree, kin: Kinematics, torque: Array, derivative: Array) -> list[_Motion]:

@@ -1,13 +1,65 @@
-"""Contact with the ground: it holds, lets slide and throws back."""
+"""Contact with the ground: it holds, lets slide and throws back.
 
-from typing import Literal
+Each point of a body that may touch the ground obeys, with its velocity v at the *end* of the step,
+
+    f_n = max(0, c (v* - v_n)),      v* = max(v_gap, v_bounce),
+    f_t = -c v_t                     while |f_t| <= mu_s f_n         (it sticks)
+    f_t = -mu(|v_t|) f_n v_t/|v_t|   else                            (it slides)
+
+with c so stiff that v_n = v* but for a per cent. ``v_gap = -gap / h`` lets a point that is still
+above the ground come just down to it, so nothing falls through and nothing hovers; below the ground
+it is a slow way out. ``v_bounce`` is the restitution times the speed of approach, where the point
+would hit within the step. Friction falls from static to dynamic with the sliding speed (Stribeck),
+``mu = mu_d + (mu_s - mu_d) / (1 + (v / v_s)^2)``.
+
+Differs from a spring and damper under each point, of which a step of 1/240 s cannot return more
+than 0.68 of the speed: here the step is told the velocity at its end.
+
+The laws have kinks; `evo_cpg.physics.passes` finds the motion that obeys them, with lines
+``f = a - S v`` in their place (a `ContactLaw`). What is imposed in the end has ``f_n >= 0`` and
+``|f_t| <= mu_s f_n``: no contact ever pulls and no friction leaves its cone, converged or not. The
+contact of an edge or a face is that of its corners. Bodies of one creature do not touch each other,
+nor do creatures.
+
+Vectors of the laws are in the ground's own frame: two tangents, then the normal.
+"""
+
+from typing import Literal, NamedTuple
 
 import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from evo_cpg.creature.creature import Creature
+from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Sphere
+from evo_cpg.creature.tree import Tree
+from evo_cpg.fusion.kernels import symmetric, together
+from evo_cpg.physics.articulated import Accelerations, Inertia, Wrench
+from evo_cpg.physics.kinematics import Kinematics, take
+from evo_cpg.spatial.linear import cross, dot, lift, matmul, matmul_t, matvec, matvec_t, skew
 
 # How two materials' values become one. The factors 0.6 x 0.9 and 0.3 x 0.9 of Fukui 2003 suggest
 # products for restitution; PhysX averages unless told otherwise, Havok is believed to take the
 # geometric mean of frictions and the larger restitution.
 Combination = Literal["multiply", "average", "geometric", "min", "max"]
+
+# c h of a point: so many times the geometric mean of its body's mass and the creature's. Stiffer, a
+# rigid body keeps its restitution better (it loses (1 + e) / 60 of the speed) but more passes are
+# needed: of a passive quadruped's points, 0.1 % were once 1 mm deep with 50, 0.7 % with 100.
+_STIFFNESS = 60.0
+
+# Corners of the lowest face of a box.
+_CORNERS = 4
+
+# Share of a penetration that is undone in a step, and the fastest way out (m/s).
+_PUSH_SHARE, _PUSH_SPEED = 0.2, 0.5
+
+# Below the first speed of approach (m/s) nothing bounces, above twice that everything does.
+_BOUNCE_SPEED = 0.1
+
+# Squared speed (m^2/s^2) and force (N^2) added under roots so that they have gradients at rest.
+_FLOOR = 1e-20
 
 
 class Ground(eqx.Module):
@@ -36,3 +88,348 @@ class Ground(eqx.Module):
     height: float = 0.0
     margin: float = 0.05
     stribeck_speed: float = 0.01
+
+
+class Footing(NamedTuple):
+    """The places of a creature that may touch the ground, and what holds for each of them.
+
+    Of a box only the four corners of the face that looks down most count: the other four are at
+    least a third of the box's height above them. They come first, then the balls (the ends of
+    capsules, and spheres), then the ellipsoids.
+
+    Attributes:
+        ground: that they may touch.
+        bodies: index in the tree of the body that each place belongs to.
+        boxes: half edges, m, one column for the four places of each box.
+        radii: of the balls, m.
+        semi_axes: of the ellipsoids, m.
+        centre: of each box (once), ball and ellipsoid in the body's working frame, m.
+        restitution: of the body on this ground, for every place.
+        static_friction: likewise.
+        dynamic_friction: likewise.
+        stiffness: c h, kg.
+    """
+
+    ground: Ground
+    bodies: tuple[int, ...]
+    boxes: Float[np.ndarray, "3 boxes"]
+    radii: Float[np.ndarray, " balls"]
+    semi_axes: Float[np.ndarray, "3 ellipsoids"]
+    centre: Float[np.ndarray, "3 parts"]
+    restitution: Float[np.ndarray, " p"]
+    static_friction: Float[np.ndarray, " p"]
+    dynamic_friction: Float[np.ndarray, " p"]
+    stiffness: Float[np.ndarray, " p"]
+
+
+class Contacts(NamedTuple):
+    """Where the places touch, or would, and what holds throughout one step.
+
+    Velocities are those of the lowest points, in the ground's frame, in m/s.
+
+    Attributes:
+        arm: from the body's origin to the lowest point, world axes, m.
+        coasting: at the end of the step, if the recursion's accelerations were zero.
+        wanted: v*; minus infinity where the point is out of reach.
+        push: the part of it that lifts a point out of the ground.
+    """
+
+    arm: Float[Array, "3 p *n"]
+    coasting: Float[Array, "3 p *n"]
+    wanted: Float[Array, "p *n"]
+    push: Float[Array, "p *n"]
+
+
+class ContactLaw(NamedTuple):
+    """Lines in the place of the laws: ``f_t = -s_t v_t`` and ``f_n = s_n (v* - v_n)``.
+
+    Attributes:
+        tangential: s_t, N s/m.
+        normal: s_n, N s/m; 0 where the point does not touch.
+    """
+
+    tangential: Float[Array, "p *n"]
+    normal: Float[Array, "p *n"]
+
+
+def make_footing(creature: Creature, tree: Tree, ground: Ground) -> Footing:
+    """Find the places of a creature that may touch the ground."""
+    boxes, balls, ellipsoids = [], [], []
+    for i, name in enumerate(tree.names):
+        shape, centre = creature.bodies[creature.body_index(name)].shape, tree.com[:, i]
+        if isinstance(shape, Box):
+            boxes.append((i, centre, shape.half_extents))
+        elif isinstance(shape, Capsule):
+            end = np.array([shape.length / 2, 0, 0])
+            balls += [(i, centre - end, shape.radius), (i, centre + end, shape.radius)]
+        elif isinstance(shape, Sphere):
+            balls.append((i, centre, shape.radius))
+        elif isinstance(shape, Ellipsoid):
+            ellipsoids.append((i, centre, shape.half_extents))
+        else:
+            raise TypeError(f"no contact points for a {type(shape).__name__}")
+    bodies = [i for i, *_ in boxes for _ in range(_CORNERS)] + [i for i, *_ in balls + ellipsoids]
+    materials = [creature.bodies[creature.body_index(tree.names[i])].material for i in bodies]
+
+    def pairs(rule: Combination, name: str) -> np.ndarray:
+        theirs = getattr(ground, name)
+        return np.array([combine(rule, getattr(own, name), theirs) for own in materials])
+
+    def sizes(parts: list) -> np.ndarray:
+        return np.array([size for *_, size in parts], float)
+
+    return Footing(
+        ground,
+        tuple(bodies),
+        sizes(boxes).reshape(-1, 3).T,
+        sizes(balls),
+        sizes(ellipsoids).reshape(-1, 3).T,
+        np.array([centre for _, centre, _ in boxes + balls + ellipsoids]).T,
+        pairs(ground.restitution_rule, "restitution"),
+        pairs(ground.friction_rule, "static_friction"),
+        pairs(ground.friction_rule, "dynamic_friction"),
+        _STIFFNESS * np.sqrt(tree.mass.sum() * tree.mass[bodies]),
+    )
+
+
+def combine(rule: Combination, first: float, second: float) -> float:
+    """One value for a pair of materials."""
+    return {
+        "multiply": first * second,
+        "average": (first + second) / 2,
+        "geometric": float(np.sqrt(first * second)),
+        "min": min(first, second),
+        "max": max(first, second),
+    }[rule]
+
+
+def find_contacts(footing: Footing, kin: Kinematics, h: float) -> Contacts:
+    """The lowest point of every place, and the normal velocity that it should come to."""
+    bodies = np.array(footing.bodies)
+    ground, frame = footing.ground, _frame(footing.ground)
+    arm, spoke = _lowest_points(frame[2], footing, kin)
+    angular, linear = take(kin.angular, bodies), take(kin.linear, bodies)
+    velocity = linear + cross(angular, arm)
+    # A ball's lowest point keeps below its centre: only the centre's way round is centripetal.
+    turning = cross(angular, linear + cross(angular, spoke))
+    drift = take(kin.bias_linear, bodies) + cross(take(kin.bias_angular, bodies), arm) + turning
+
+    gap = dot(lift(frame[2], arm), take(kin.origin, bodies) + arm) - ground.height
+    velocity, coasting = (_to_ground(frame, v) for v in (velocity, velocity + 0.5 * h * drift))
+    approach = -velocity[2]
+    push = jnp.clip(-_PUSH_SHARE / h * gap, 0.0, _PUSH_SPEED)
+    share = jnp.clip(approach / _BOUNCE_SPEED - 1.0, 0.0, 1.0)
+    bounce = lift(footing.restitution, approach) * share * approach
+    rest = jnp.where(gap > 0, -gap / h, push)
+    bounces = (gap <= h * approach) & (bounce > 0)
+    wanted = jnp.where(bounces, jnp.maximum(rest, bounce), rest)
+    wanted = jnp.where(gap < ground.margin, wanted, -jnp.inf)
+    return Contacts(arm, coasting, wanted, push)
+
+
+def first_law(gravity: float, footing: Footing, contacts: Contacts, h: float) -> ContactLaw:
+    """A guess: what lies on the ground stays and sticks there, what slides has no friction yet."""
+    v = contacts.coasting
+    stiffness = lift(footing.stiffness / h, v[2])
+    # What gravity adds in a step decides for those that rest.
+    fall = 2 * h * gravity
+    touches = contacts.wanted > v[2] - fall
+    sticks = touches & (v[0] * v[0] + v[1] * v[1] < fall * fall)
+    return ContactLaw(jnp.where(sticks, stiffness, 0.0), jnp.where(touches, stiffness, 0.0))
+
+
+def next_law(
+    footing: Footing,
+    contacts: Contacts,
+    law: ContactLaw,
+    velocity: Float[Array, "3 p *n"],
+    h: float,
+) -> ContactLaw:
+    """Lines that meet the laws at the velocity found with the last ones.
+
+    Tangents for the normal forces, secants for friction, under the normal forces found.
+    """
+    stiffness = lift(footing.stiffness / h, law.normal)
+    short = contacts.wanted - velocity[2]
+    speed = _length(velocity)
+    static, dynamic = (
+        lift(mu, speed) for mu in (footing.static_friction, footing.dynamic_friction)
+    )
+    ratio = speed / footing.ground.stribeck_speed
+    friction = dynamic + (static - dynamic) / (1.0 + ratio * ratio)
+    limit = jnp.where(law.normal > 0, friction * law.normal * jnp.maximum(short, 0.0), 0.0)
+    return ContactLaw(jnp.minimum(stiffness, limit / speed), jnp.where(short > 0, stiffness, 0.0))
+
+
+def line_force(
+    contacts: Contacts, law: ContactLaw, velocity: Float[Array, "3 p *n"]
+) -> Float[Array, "3 p *n"]:
+    """What the lines give at some velocity, N."""
+    touches = law.normal > 0
+    support = jnp.where(touches, law.normal * (contacts.wanted - velocity[2]), 0.0)
+    return jnp.stack([-law.tangential * velocity[0], -law.tangential * velocity[1], support])
+
+
+def imposed_force(
+    footing: Footing, contacts: Contacts, law: ContactLaw, velocity: Float[Array, "3 p *n"]
+) -> Float[Array, "3 p *n"]:
+    """The forces found last, cut back to what the ground can give, N."""
+    force = line_force(contacts, law, velocity)
+    support = jnp.maximum(force[2], 0.0)
+    limit = lift(footing.static_friction, support) * support
+    share = jnp.minimum(limit / _length(force), 1.0)
+    return jnp.stack([share * force[0], share * force[1], support])
+
+
+def work_share(
+    contacts: Contacts,
+    force: Float[Array, "3 p *n"],
+    velocity: Float[Array, "3 p *n"],
+    without: Float[Array, "3 p *n"],
+) -> Float[Array, "*n"]:
+    """Share of imposed forces with which the ground does no work on the creature.
+
+    Ground that rests cannot. Contact forces F that change the points' velocities at the end of the
+    step from v_0 to v_1 add ``h F . (v_0 + v_1) / 2`` to the kinetic energy. Lifting points out of
+    the ground is allowed for.
+
+    Args:
+        contacts: of this step.
+        force: imposed on the points, N.
+        velocity: of the points at the end of the step under them.
+        without: the same without contact forces.
+    """
+    lost = 2.0 * (force[2] * contacts.push - (force * without).sum(0)).sum(0)
+    growth = (force * (velocity - without)).sum((0, 1))
+    return jnp.clip(lost / jnp.maximum(growth, _FLOOR), 0.0, 1.0)
+
+
+def contact_equations(
+    footing: Footing, contacts: Contacts, law: ContactLaw, inertia: Inertia, bias: Wrench, h: float
+) -> tuple[Inertia, Wrench]:
+    """The equations of the bodies with the contacts' lines in them."""
+    turn = lift(_frame(footing.ground).T, contacts.arm, contacts.arm.ndim + 1)
+    diagonal = jnp.stack([law.tangential, law.tangential, law.normal])
+    slope = symmetric(h * matmul_t(turn * diagonal[None], turn))
+    shift = skew(contacts.arm)
+    mixed = matmul(shift, slope)
+    blocks = symmetric(matmul_t(mixed, shift)), mixed, slope
+    loaded = pressed(footing, contacts, line_force(contacts, law, contacts.coasting), bias)
+    stiffened = []
+    for i in range(bias.force.shape[1]):
+        own = _places(footing, i)
+        parts = (whole[:, :, i] for whole in inertia)
+        sums = (take(block, own, 2).sum(2) for block in blocks)
+        wrench = (part[:, i] for part in loaded)
+        stiffened.append(together((*map(jnp.add, parts, sums), *wrench)))
+    parts = list(zip(*stiffened, strict=True))
+    return (
+        Inertia(*(jnp.stack(part, 2) for part in parts[:3])),
+        Wrench(*(jnp.stack(part, 1) for part in parts[3:])),
+    )
+
+
+def pressed(
+    footing: Footing, contacts: Contacts, force: Float[Array, "3 p *n"], bias: Wrench
+) -> Wrench:
+    """The bodies' bias wrenches with given contact forces (N, ground's frame)."""
+    turn = lift(_frame(footing.ground).T, force, force.ndim + 1)
+    force = matvec(turn, force)
+    parts = cross(contacts.arm, force), force
+    bodies = range(bias.force.shape[1])
+    return Wrench(
+        *(
+            whole - jnp.stack([take(part, _places(footing, i), 1).sum(1) for i in bodies], 1)
+            for whole, part in zip(bias, parts, strict=True)
+        )
+    )
+
+
+def end_velocity(
+    footing: Footing, contacts: Contacts, found: Accelerations, h: float
+) -> Float[Array, "3 p *n"]:
+    """Velocity of every place at the end of the step, ground's frame, m/s."""
+    bodies = np.array(footing.bodies)
+    change = take(found.linear, bodies) + cross(take(found.angular, bodies), contacts.arm)
+    return contacts.coasting + h * _to_ground(_frame(footing.ground), change)
+
+
+def _frame(ground: Ground) -> np.ndarray:
+    """Rows: two tangents and the normal of the ground; the world's axes where it is level."""
+    normal = np.array(ground.normal, float)
+    # The rotation that takes z to the normal the short way, transposed.
+    x, y, z = normal / np.linalg.norm(normal)
+    k = 1.0 / (1.0 + z)
+    return np.array([[1 - k * x * x, -k * x * y, -x], [-k * x * y, 1 - k * y * y, -y], [x, y, z]])
+
+
+def _to_ground(frame: np.ndarray, vector: Float[Array, "3 *rest"]) -> Float[Array, "3 *rest"]:
+    return matvec(lift(frame, vector, vector.ndim + 1), vector)
+
+
+def _lowest_points(
+    normal: np.ndarray, footing: Footing, kin: Kinematics
+) -> tuple[Float[Array, "3 p *n"], Float[Array, "3 p *n"]]:
+    """From the body's origin to the lowest point of each place, and to its centre, world axes."""
+    boxes, balls, ellipsoids = (
+        part.shape[-1] for part in (footing.boxes, footing.radii, footing.semi_axes)
+    )
+    # A box has several places, all others one.
+    bodies = np.array(footing.bodies)
+    bodies = np.concatenate([bodies[: _CORNERS * boxes : _CORNERS], bodies[_CORNERS * boxes :]])
+    rotation = take(kin.rotation, bodies, 2)
+    centre = matvec(rotation, lift(footing.centre, rotation[0]))
+    up = lift(normal, centre)
+    arms, spokes = [], []
+    if boxes:
+        arms.append(_lowest_corners(up, footing.boxes, rotation[:, :, :boxes], centre[:, :boxes]))
+        spokes.append(arms[0])
+    if balls:
+        spokes.append(centre[:, boxes : boxes + balls])
+        arms.append(spokes[-1] - lift(footing.radii, centre[0])[None] * up)
+    if ellipsoids:
+        turned, radii = rotation[:, :, boxes + balls :], lift(footing.semi_axes, centre)
+        stretched = radii * matvec_t(turned, up)
+        length = jnp.sqrt(dot(stretched, stretched))
+        spokes.append(centre[:, boxes + balls :])
+        arms.append(spokes[-1] - matvec(turned, radii * stretched / length[None]))
+    return jnp.concatenate(arms, 1), jnp.concatenate(spokes, 1)
+
+
+def _lowest_corners(
+    up: Array, half_edges: np.ndarray, rotation: Float[Array, "3 3 b *n"], centre: Array
+) -> Float[Array, "3 c *n"]:
+    """Corners, box by box, of the face on the end of the half edge that reaches down most."""
+    edges = rotation * lift(half_edges[None], rotation)
+    rise = [dot(edges[:, i], up) for i in range(3)]
+    x, y, z = (jnp.abs(height) for height in rise)
+    first = (x >= y) & (x >= z)
+    second = ~first & (y >= z)
+
+    def choose(*options: Array) -> Array:
+        return jnp.where(first[None], options[0], jnp.where(second[None], options[1], options[2]))
+
+    down = [
+        jnp.where((height > 0)[None], -edges[:, i], edges[:, i]) for i, height in enumerate(rise)
+    ]
+    middle = centre + choose(*down)
+    left = choose(edges[:, 1], edges[:, 2], edges[:, 0])
+    ahead = choose(edges[:, 2], edges[:, 0], edges[:, 1])
+    signs = (
+        middle + left + ahead,
+        middle + left - ahead,
+        middle - left + ahead,
+        middle - left - ahead,
+    )
+    corners = jnp.stack(signs, 2)
+    return corners.reshape(3, -1, *corners.shape[3:])
+
+
+def _places(footing: Footing, body: int) -> np.ndarray:
+    """Indices of a body's places."""
+    return np.flatnonzero(np.array(footing.bodies) == body)
+
+
+def _length(vector: Float[Array, "3 p *n"]) -> Float[Array, "p *n"]:
+    """Of the tangential part."""
+    return jnp.sqrt(vector[0] * vector[0] + vector[1] * vector[1] + _FLOOR)

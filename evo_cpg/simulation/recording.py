@@ -19,8 +19,8 @@ class Recording(NamedTuple):
         target_rate: what the controller asked of each motor, rad/s.
         cpg_output: output of each oscillator, or of whatever drives a degree of freedom.
         torque: applied by each motor, N m.
-        distance: from the animal to its goal, m.
-        goal: place of the light in the world, m.
+        distance: from the root to its goal, m; without a goal from the start, over ground.
+        goal: place of the light in the world, m; NaN where there is none.
         dof_names: ``body.axis``.
     """
 

@@ -11,13 +11,15 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, UInt32
 
 from evo_cpg.control.controller import Command, Controller, Observation
 from evo_cpg.fusion.kernels import fuse
 from evo_cpg.physics.kinematics import Kinematics, kinematics
 from evo_cpg.physics.state import State, resting_state
-from evo_cpg.physics.step import World, step
+from evo_cpg.physics.step import Effort, step
+from evo_cpg.physics.world import World
+from evo_cpg.simulation.noise import Noise, disturb_motion, disturb_start
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.simulation.sensors import Sensors, see
 from evo_cpg.simulation.task import Moment, Task
@@ -40,6 +42,8 @@ class Simulation(eqx.Module):
         control_rate: control steps per second, 1/s.
         substeps: physics steps per control step.
         steps: control steps in a trial.
+        noise: how much is left to chance.
+        start_height: of the root's centre at the start, m.
     """
 
     world: World
@@ -49,6 +53,8 @@ class Simulation(eqx.Module):
     control_rate: float
     substeps: int = eqx.field(static=True)
     steps: int = eqx.field(static=True)
+    noise: Noise = Noise()
+    start_height: float = 0.0
 
     @property
     def step_length(self) -> float:
@@ -77,24 +83,29 @@ class _Instant(NamedTuple):
     kinematics: Kinematics
 
 
-def rollout(simulation: Simulation, genes: Float[Array, "g *n"]) -> Outcome:
+def rollout(
+    simulation: Simulation,
+    genes: Float[Array, "g *n"],
+    keys: UInt32[Array, "w *n"] | None = None,
+) -> Outcome:
     """Let every individual live through one trial.
 
     Args:
         simulation: the trial.
         genes: one genome per individual, on the trailing axes.
+        keys: a raw random key for each trial's noise; None lets all live without noise.
     """
     batch, dtype = genes.shape[1:], genes.dtype
     task, steps = simulation.task, simulation.steps
 
     def advance(carry, index):
         state, nerves, tally, alive = carry
-        state, nerves, instant = _control_step(simulation, genes, state, nerves, index)
+        state, nerves, instant = _control_step(simulation, genes, keys, state, nerves, index)
         tally = task.watch(tally, instant.moment, steps)
         return (state, nerves, tally, alive & _is_sane(state)), None
 
     carry = (
-        resting_state(simulation.world.tree, batch, dtype),
+        _start(simulation, batch, dtype, keys),
         simulation.controller.initial_state(batch, dtype),
         task.begin(batch, dtype, steps),
         jnp.ones(batch, bool),
@@ -109,7 +120,12 @@ def score(task: Task, outcome: Outcome, scales: dict[str, Float[Array, ""]]) -> 
     return jnp.where(outcome.alive & jnp.isfinite(fitness), fitness, -jnp.inf)
 
 
-def record(simulation: Simulation, genes: Float[Array, "g n"], count: int = 1) -> dict[str, Array]:
+def record(
+    simulation: Simulation,
+    genes: Float[Array, "g n"],
+    count: int = 1,
+    keys: UInt32[Array, "w n"] | None = None,
+) -> dict[str, Array]:
     """The trials of the first individuals, step by step; see `as_recording`.
 
     Args:
@@ -117,13 +133,14 @@ def record(simulation: Simulation, genes: Float[Array, "g n"], count: int = 1) -
         genes: a population, so that the champion can be replayed among as many neighbours as it
             had in training and its numbers come out the same.
         count: individuals to record.
+        keys: see `rollout`.
     """
     batch, dtype = genes.shape[1:], genes.dtype
     tree = simulation.world.tree
 
     def advance(carry, index):
         state, nerves = carry
-        state, nerves, instant = _control_step(simulation, genes, state, nerves, index)
+        state, nerves, instant = _control_step(simulation, genes, keys, state, nerves, index)
         kin = instant.kinematics
         centre = kin.origin + (kin.rotation * jnp.asarray(tree.com, dtype)[None, ..., None]).sum(1)
         frame = {
@@ -137,7 +154,8 @@ def record(simulation: Simulation, genes: Float[Array, "g n"], count: int = 1) -
         frame = {name: values[..., :count] for name, values in frame.items()}
         return (state, nerves), frame
 
-    carry = resting_state(tree, batch, dtype), simulation.controller.initial_state(batch, dtype)
+    start = _start(simulation, batch, dtype, keys)
+    carry = start, simulation.controller.initial_state(batch, dtype)
     return jax.lax.scan(advance, carry, jnp.arange(simulation.steps))[1]
 
 
@@ -154,9 +172,11 @@ def as_recording(
     """
     tree = simulation.world.tree
     order = [tree.names.index(name) for name in names]
-    goal = np.asarray(simulation.task.light, float)
+    light = simulation.task.light
     arrays = {name: np.asarray(values[..., individual]) for name, values in frames.items()}
     position = np.moveaxis(arrays["position"], -1, 1)
+    root = position[:, 0]
+    way = root - light if light else (root - root[0])[:, :2]
     return Recording(
         time=np.arange(simulation.steps) / simulation.control_rate,
         position=position[:, order],
@@ -165,43 +185,60 @@ def as_recording(
         target_rate=arrays["target_rate"],
         cpg_output=arrays["cpg_output"],
         torque=arrays["torque"],
-        distance=np.linalg.norm(position[:, 0] - goal, axis=-1),
-        goal=goal,
+        distance=np.linalg.norm(way, axis=-1),
+        goal=np.array(light, float) if light else np.full(3, np.nan),
         dof_names=tree.dof_names,
     )
 
 
+def _start(
+    simulation: Simulation, batch: tuple[int, ...], dtype: jnp.dtype, keys: Array | None
+) -> State:
+    """The pose in which the trials begin."""
+    tree = simulation.world.tree
+    rest = resting_state(tree, batch, dtype, (0.0, 0.0, simulation.start_height))
+    return disturb_start(simulation.noise, tree, rest, keys)
+
+
 def _control_step(
-    simulation: Simulation, genes: Array, state: State, nerves, index: Array
+    simulation: Simulation, genes: Array, keys: Array | None, state: State, nerves, index: Array
 ) -> tuple[State, object, _Instant]:
     """Sense, command, and move for one control step."""
     world, batch = simulation.world, genes.shape[1:]
     h = simulation.step_length
+    state = disturb_motion(simulation.noise, state, keys, index, 1.0 / simulation.control_rate)
     kin = kinematics(world.tree, state)
-    light = np.asarray(simulation.task.light)
-    strength, cosine, sine = fuse(
-        lambda state: see(
-            simulation.sensors, kinematics(world.tree, state), lift(light, state.position)
-        ),
-        state,
-        batch_ndim=len(batch),
-    )
+
+    def look(state: State) -> tuple[Array, Array, Array]:
+        light = simulation.task.light
+        place = lift(np.array(light), state.position) if light else None
+        return see(simulation.sensors, kinematics(world.tree, state), place)
+
+    strength, cosine, sine = fuse(look, state, batch_ndim=len(batch))
     # In open water nothing solid presses on the skin.
     pressure = jnp.zeros((len(simulation.sensors.pressure_bodies), *batch), genes.dtype)
     observation = Observation(strength, pressure, cosine, sine, state.q, state.qd)
     nerves, command = simulation.controller.act(genes, nerves, observation)
 
     def move(carry, _):
-        state, energy, _ = carry
+        state, energy, airborne, _ = carry
         state, effort = step(world, state, command.target_rate, h, command.target_angle)
-        return (state, energy + effort.energy.sum(0), effort.torque), None
+        airborne = airborne + _is_airborne(effort, energy) / simulation.substeps
+        return (state, energy + effort.energy.sum(0), airborne, effort.torque), None
 
-    energy = jnp.zeros(batch, genes.dtype)
-    (moved, energy, torque), _ = jax.lax.scan(
-        move, (state, energy, jnp.zeros_like(state.q)), None, length=simulation.substeps
+    none = jnp.zeros(batch, genes.dtype)
+    (moved, energy, airborne, torque), _ = jax.lax.scan(
+        move, (state, none, none, jnp.zeros_like(state.q)), None, length=simulation.substeps
     )
-    moment = Moment(index, state.position, state.orientation, strength, state.q, energy)
+    moment = Moment(index, state.position, state.orientation, strength, state.q, energy, airborne)
     return moved, nerves, _Instant(moment, command, torque, kin)
+
+
+def _is_airborne(effort: Effort, like: Float[Array, " *n"]) -> Float[Array, " *n"]:
+    """1 where nothing touched the ground in a physics step, else 0; 1 without ground."""
+    if effort.support is None:
+        return jnp.ones_like(like)
+    return jnp.all(effort.support[2] <= 0, axis=0).astype(like.dtype)
 
 
 def _is_sane(state: State) -> Bool[Array, " *n"]:

@@ -60,26 +60,29 @@ def light_strength(
 
 
 def see(
-    sensors: Sensors, kin: Kinematics, light: Float[Array, "3 *#n"]
+    sensors: Sensors, kin: Kinematics, light: Float[Array, "3 *#n"] | None
 ) -> tuple[Float[Array, "eyes *n"], Float[Array, "eyes *n"], Float[Array, "eyes *n"]]:
     """What the eyes tell: light strength, and cosine and sine of their angle to the vertical.
 
     Args:
         sensors: where the eyes are.
         kin: the animal's present pose.
-        light: place of the light, m.
+        light: place of the light, m; None where there is none, and no eye sees any.
     """
     bodies = list(sensors.eye_bodies)
     if not bodies:
-        none = jnp.zeros((0, *light.shape[1:]), kin.origin.dtype)
+        none = jnp.zeros((0, *kin.origin.shape[2:]), kin.origin.dtype)
         return none, none, none
     rotation = jnp.stack([kin.rotation[:, :, i] for i in bodies], 2)
     origin = jnp.stack([kin.origin[:, i] for i in bodies], 1)
     axis = matvec(rotation, lift(sensors.eye_axes, origin))
+    cosine = axis[2]
+    sine = jnp.sqrt(jnp.maximum(1.0 - cosine * cosine, 0.0) + _DISTANCE_FLOOR)
+    if light is None:
+        return jnp.zeros_like(cosine), cosine, sine
     to_light = light[:, None] - origin - matvec(rotation, lift(sensors.eye_positions, origin))
     distance = jnp.sqrt(dot(to_light, to_light) + _DISTANCE_FLOOR)
     strength = light_strength(
         dot(axis, to_light) / distance, lift(sensors.fields_of_view, distance)
     )
-    cosine = axis[2]
-    return strength, cosine, jnp.sqrt(jnp.maximum(1.0 - cosine * cosine, 0.0) + _DISTANCE_FLOOR)
+    return strength, cosine, sine

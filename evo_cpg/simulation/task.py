@@ -25,6 +25,8 @@ class Moment(NamedTuple):
         light: strength at each light sensor.
         joint_angle: rad.
         energy: spent by all motors in this control step, J.
+        airborne: share of this control step in which nothing of the animal touches the ground; 1
+            where there is no ground.
     """
 
     step: Array
@@ -33,6 +35,7 @@ class Moment(NamedTuple):
     light: Float[Array, "eyes *n"]
     joint_angle: Float[Array, "d *n"]
     energy: Float[Array, " *n"]
+    airborne: Float[Array, " *n"]
 
 
 class Task(eqx.Module):
@@ -42,13 +45,13 @@ class Task(eqx.Module):
     is built with the keyword arguments in the config's ``task.options``.
 
     Attributes:
-        light: place of the point light, m.
+        light: place of the point light, m; None for a task in the dark.
 
     Example:
         A race along x::
 
             class GoForward(Task):
-                light: tuple[float, float, float] = (10.0, 0.0, 0.0)
+                light: None = None
 
                 def begin(self, batch, dtype, steps):
                     return jnp.zeros(batch, dtype)
@@ -63,7 +66,7 @@ class Task(eqx.Module):
                     return terms["distance"]
     """
 
-    light: eqx.AbstractVar[tuple[float, float, float]]
+    light: eqx.AbstractVar[tuple[float, float, float] | None]
 
     @abc.abstractmethod
     def begin(self, batch: tuple[int, ...], dtype: jnp.dtype, steps: int) -> PyTree:

@@ -8,13 +8,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 _HISTORY_PREFIX = "history."
-_CHAMPION_PREFIX = "champion."
 _TERM_PREFIX = "term."
 _SCALE_PREFIX = "scale."
 
 
 class Champion(NamedTuple):
-    """The best individual ever evaluated.
+    """The best individual ever evaluated in a run.
 
     Attributes:
         genes: its genome.
@@ -22,6 +21,9 @@ class Champion(NamedTuple):
         generation: in which it was found.
         terms: the task's terms.
         scales: the task's yardsticks.
+        run: number of its run.
+        index: its place in its run's population; with the run and the generation it selects the
+            random numbers of its trials.
     """
 
     genes: np.ndarray
@@ -29,6 +31,8 @@ class Champion(NamedTuple):
     generation: int
     terms: dict[str, float]
     scales: dict[str, float]
+    run: int = 0
+    index: int = 0
 
 
 class Checkpoint(NamedTuple):
@@ -36,17 +40,23 @@ class Checkpoint(NamedTuple):
 
     Attributes:
         generation: number of generations done.
-        genes: the population of the next generation.
-        champion: the best individual so far.
+        genes: the populations of the next generation, run by run.
+        champions: the best individual of each run so far.
         history: rows of metrics.csv.
-        scales: the task's yardsticks; empty before the first generation.
+        scales: the task's yardsticks in each run; empty before the first generation.
     """
 
     generation: int
     genes: np.ndarray
-    champion: Champion | None
+    champions: tuple[Champion | None, ...]
     history: list[dict[str, float]]
-    scales: dict[str, float]
+    scales: dict[str, tuple[float, ...]]
+
+    @property
+    def champion(self) -> Champion | None:
+        """The best individual of all runs so far."""
+        living = [champion for champion in self.champions if champion is not None]
+        return max(living, key=lambda champion: champion.fitness, default=None)
 
 
 def genes_digest(genes: np.ndarray) -> str:
@@ -75,6 +85,8 @@ def champion_arrays(champion: Champion) -> dict[str, Any]:
         "outcome_sha256": outcome_digest(champion),
         "fitness": champion.fitness,
         "generation": champion.generation,
+        "run": champion.run,
+        "index": champion.index,
         **{_TERM_PREFIX + name: value for name, value in champion.terms.items()},
         **{_SCALE_PREFIX + name: value for name, value in champion.scales.items()},
     }
@@ -82,24 +94,33 @@ def champion_arrays(champion: Champion) -> dict[str, Any]:
 
 def read_champion(arrays: Mapping[str, np.ndarray]) -> Champion:
     """The inverse of `champion_arrays`; a missing array is a KeyError."""
+    # Absent from files that were written before there were several runs.
+    run, index = (int(arrays.get(name, 0)) for name in ("run", "index"))
     return Champion(
         arrays["genes"],
         arrays["fitness"].item(),
         arrays["generation"].item(),
         _numbers(arrays, _TERM_PREFIX),
         _numbers(arrays, _SCALE_PREFIX),
+        run,
+        index,
     )
 
 
 def checkpoint_arrays(checkpoint: Checkpoint) -> dict[str, Any]:
     """A checkpoint as named arrays."""
-    arrays = {"generation": checkpoint.generation, "genes": checkpoint.genes}
+    arrays: dict[str, Any] = {
+        "generation": checkpoint.generation,
+        "genes": checkpoint.genes,
+        "runs": len(checkpoint.champions),
+    }
     history = history_columns(checkpoint.history)
     arrays |= {_HISTORY_PREFIX + name: column for name, column in history}
-    arrays |= {_SCALE_PREFIX + name: value for name, value in checkpoint.scales.items()}
-    if checkpoint.champion is not None:
-        champion = champion_arrays(checkpoint.champion)
-        arrays |= {_CHAMPION_PREFIX + name: value for name, value in champion.items()}
+    arrays |= {_SCALE_PREFIX + name: values for name, values in checkpoint.scales.items()}
+    for run, champion in enumerate(checkpoint.champions):
+        if champion is not None:
+            prefix = _champion_prefix(run)
+            arrays |= {prefix + name: value for name, value in champion_arrays(champion).items()}
     return arrays
 
 
@@ -107,14 +128,24 @@ def read_checkpoint(arrays: Mapping[str, np.ndarray]) -> Checkpoint:
     """The inverse of `checkpoint_arrays`; a missing array is a KeyError."""
     columns = _below(arrays, _HISTORY_PREFIX)
     rows = len(columns["generation"]) if columns else 0
-    champion = _below(arrays, _CHAMPION_PREFIX)
+    # Absent from files that were written before there were several.
+    runs = int(arrays.get("runs", 1))
+    champions = [_below(arrays, _champion_prefix(run)) for run in range(runs)]
     return Checkpoint(
         arrays["generation"].item(),
         arrays["genes"],
-        read_champion(champion) if champion else None,
+        tuple(read_champion(champion) if champion else None for champion in champions),
         [{name: column[i].item() for name, column in columns.items()} for i in range(rows)],
-        _numbers(arrays, _SCALE_PREFIX),
+        {
+            name: tuple(np.atleast_1d(values).tolist())
+            for name, values in _below(arrays, _SCALE_PREFIX).items()
+        },
     )
+
+
+def _champion_prefix(run: int) -> str:
+    """The first run's champion is named as that of a lone run."""
+    return f"champion{run or ''}."
 
 
 def _numbers(arrays: Mapping[str, np.ndarray], prefix: str) -> dict[str, float]:

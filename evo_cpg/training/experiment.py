@@ -1,4 +1,10 @@
-"""One generation of an experiment: the trials on all devices, then the genetic algorithm."""
+"""One generation of an experiment: the trials on all devices, then the genetic algorithm.
+
+An experiment may hold several runs: independent populations of the same size, each with its own
+seed. On the population axis they stand side by side, run by run, and within a run individual by
+individual; where an individual is tried several times, its trials are neighbours. Run ``r`` draws
+the random numbers that a lone run with the seed ``seed + r`` would draw.
+"""
 
 import functools
 from collections.abc import Callable
@@ -8,15 +14,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
-from jaxtyping import Array, Bool, Float
+from jax.typing import ArrayLike
+from jaxtyping import Array, Bool, Float, Int, Shaped, UInt32
 
 from evo_cpg.creature.creature import Creature
 from evo_cpg.evolution.generation import Genetics
 from evo_cpg.simulation.rollout import Outcome, Simulation, record, rollout, score
+from evo_cpg.simulation.task import Task
 from evo_cpg.training.devices import LANES, POPULATION_AXIS, fast_jit
 
 # Tags that keep the random streams of one seed apart.
-_FIRST_POPULATION, _GENERATIONS = 0, 1
+_FIRST_POPULATION, _GENERATIONS, _TRIALS = 0, 1, 2
 
 
 class Experiment(NamedTuple):
@@ -28,7 +36,9 @@ class Experiment(NamedTuple):
         simulation: the trial.
         genetics: the genetic algorithm.
         generations: to evolve.
-        seed: of all randomness.
+        seed: of all randomness; of the first run where there are several.
+        runs: independent populations side by side.
+        trials: of every individual, over which its fitness is averaged.
     """
 
     name: str
@@ -37,40 +47,79 @@ class Experiment(NamedTuple):
     genetics: Genetics
     generations: int
     seed: int
+    runs: int = 1
+    trials: int = 1
 
 
 class Generation(NamedTuple):
-    """What came out of one generation.
+    """What came out of one generation of every run.
 
     Attributes:
-        fitness: of every individual; -inf where it diverged.
-        terms: the task's terms.
+        fitness: of every individual, the mean over its trials; -inf where it diverged in any.
+        terms: the task's terms, likewise averaged.
         alive: False where an individual diverged.
         scales: the task's yardsticks.
-        best: index of the fittest.
+        best: index of the fittest within its run.
         best_genes: its genome.
-        next_genes: the population of the next generation.
+        next_genes: the population of the next generation, all runs side by side.
     """
 
-    fitness: Float[Array, " n"]
-    terms: dict[str, Float[Array, " n"]]
-    alive: Bool[Array, " n"]
-    scales: dict[str, Float[Array, ""]]
-    best: Array
-    best_genes: Float[Array, " g"]
-    next_genes: Float[Array, "g n"]
+    fitness: Float[Array, "runs n"]
+    terms: dict[str, Float[Array, "runs n"]]
+    alive: Bool[Array, "runs n"]
+    scales: dict[str, Float[Array, " runs"]]
+    best: Int[Array, " runs"]
+    best_genes: Float[Array, "runs g"]
+    next_genes: Float[Array, "g all"]
 
 
 def first_population(experiment: Experiment) -> Float[Array, "g n"]:
-    """Random genomes of generation 0."""
-    key = jax.random.fold_in(jax.random.key(experiment.seed), _FIRST_POPULATION)
-    size = (experiment.genetics.population,)
-    return experiment.simulation.controller.random_genes(key, size, jnp.float32)
+    """Random genomes of generation 0 of every run."""
+    controller, size = experiment.simulation.controller, (experiment.genetics.population,)
+
+    def of_run(seed: Array) -> Float[Array, "g n"]:
+        return controller.random_genes(_stream(seed, _FIRST_POPULATION), size, jnp.float32)
+
+    genes = jax.vmap(of_run, out_axes=1)(_seeds(experiment))
+    return genes.reshape(len(genes), -1)
 
 
-def compile_trials(
-    simulation: Simulation, mesh: Mesh
-) -> Callable[[Float[np.ndarray, "g n"]], Outcome]:
+def trial_keys(
+    experiment: Experiment,
+    generation: ArrayLike,
+    run: Int[np.ndarray, " n"],
+    individual: Int[np.ndarray, " n"],
+    trial: Int[np.ndarray, " n"],
+) -> UInt32[Array, "w n"] | None:
+    """Raw random keys for the noise of some trials; None where there is no noise.
+
+    Args:
+        experiment: whose seed they come from.
+        generation: number of the generation, from 0.
+        run: number of the run of each trial.
+        individual: index within the run.
+        trial: number of the trial among those of the individual.
+    """
+    if experiment.simulation.noise.silent:
+        return None
+
+    def of_trial(seed: ArrayLike, individual: ArrayLike, trial: ArrayLike) -> Array:
+        key = _stream(seed, _TRIALS)
+        for number in (generation, individual, trial):
+            key = jax.random.fold_in(key, number)
+        return jax.random.key_data(key)
+
+    return jax.vmap(of_trial, out_axes=1)(_seeds(experiment)[run], individual, trial)
+
+
+def generation_keys(experiment: Experiment, generation: ArrayLike) -> UInt32[Array, "w n"] | None:
+    """`trial_keys` of all trials of a generation, in the order of the population axis."""
+    places = np.indices((experiment.runs, experiment.genetics.population, experiment.trials))
+    run, individual, trial = places.reshape(3, -1)
+    return trial_keys(experiment, generation, run, individual, trial)
+
+
+def compile_trials(simulation: Simulation, mesh: Mesh) -> Callable[..., Outcome]:
     """One trial of every individual of a population, sharded over the devices of the mesh.
 
     The devices never talk to each other: each gets its part of the population from the host and
@@ -78,23 +127,26 @@ def compile_trials(
     were in flight, and XLA ends the process when one device keeps the other waiting for 40 s.
 
     Returns:
-        A function of host arrays, compiled at its first call.
+        A function of the host arrays that `rollout` takes, compiled at its first call.
     """
-    genes_sharding = NamedSharding(mesh, PartitionSpec(None, POPULATION_AXIS))
+    sharding = NamedSharding(mesh, PartitionSpec(None, POPULATION_AXIS))
     trials = fast_jit(
         jax.shard_map(
             functools.partial(rollout, simulation),
             mesh=mesh,
-            in_specs=genes_sharding.spec,
+            in_specs=sharding.spec,
             out_specs=PartitionSpec(POPULATION_AXIS),
             check_vma=False,
         )
     )
 
-    def run(genes: Float[np.ndarray, "g n"]) -> Outcome:
+    def run(
+        genes: Float[np.ndarray, "g n"], keys: UInt32[np.ndarray, "w n"] | None = None
+    ) -> Outcome:
         count = genes.shape[1]
-        padded = np.pad(genes, ((0, 0), (0, padding(count, mesh))), mode="edge")
-        outcome = trials(jax.device_put(padded, genes_sharding))
+        width = ((0, 0), (0, padding(count, mesh)))
+        given = jax.tree.map(lambda x: np.pad(x, width, mode="edge"), (genes, keys))
+        outcome = trials(*jax.device_put(given, sharding))
         return jax.tree.map(lambda x: np.asarray(x)[:count], outcome)
 
     return run
@@ -105,45 +157,115 @@ def breed(
     genes: Float[Array, "g n"],
     outcome: Outcome,
     index: Array,
-    scales: dict[str, Float[Array, ""]],
+    scales: dict[str, Float[Array, " runs"]],
 ) -> Generation:
-    """The generation step: score and rank a population and breed the next one.
+    """The generation step of every run: score and rank its population and breed the next one.
 
     Args:
         experiment: what is evolved.
-        genes: the population.
-        outcome: of its trials.
+        genes: the populations.
+        outcome: of their trials.
         index: number of the generation, from 0; it alone selects the random stream, so a resumed
             run draws the same numbers as one that was never stopped.
         scales: the task's yardsticks; measured anew, and these ignored, in generation 0.
     """
     task = experiment.simulation.task
-    measured = task.scales(
-        {name: jnp.where(outcome.alive, term, jnp.nan) for name, term in outcome.terms.items()}
+
+    def of_run(seed: Array, genes: Array, outcome: Outcome, scales: dict[str, Array]) -> Generation:
+        measured = task.scales(
+            {
+                name: jnp.where(outcome.alive, term, jnp.nan).reshape(-1)
+                for name, term in outcome.terms.items()
+            }
+        )
+        scales = {name: jnp.where(index == 0, measured[name], scales[name]) for name in measured}
+        fitness, mean = judge(task, outcome, scales)
+        key = jax.random.fold_in(_stream(seed, _GENERATIONS), index)
+        children = experiment.genetics.next_generation(key, genes, fitness)
+        best = jnp.argmax(fitness)
+        return Generation(fitness, mean.terms, mean.alive, scales, best, genes[:, best], children)
+
+    runs, gene_count = experiment.runs, len(genes)
+    places = (runs, experiment.genetics.population, experiment.trials)
+    result = jax.vmap(of_run, in_axes=(0, 1, 0, 0))(
+        _seeds(experiment),
+        genes.reshape(gene_count, runs, -1),
+        jax.tree.map(lambda x: x.reshape(places), outcome),
+        scales,
     )
-    scales = {name: jnp.where(index == 0, measured[name], scales[name]) for name in measured}
-    fitness = score(task, outcome, scales)
-    key = jax.random.fold_in(jax.random.key(experiment.seed), _GENERATIONS)
-    key = jax.random.fold_in(key, index)
-    children = experiment.genetics.next_generation(key, genes, fitness)
-    best = jnp.argmax(fitness)
-    return Generation(fitness, outcome.terms, outcome.alive, scales, best, genes[:, best], children)
+    next_genes = jnp.moveaxis(result.next_genes, 0, 1).reshape(gene_count, -1)
+    return result._replace(next_genes=next_genes)
+
+
+def judge(
+    task: Task, outcome: Outcome, scales: dict[str, Float[Array, ""]]
+) -> tuple[Float[Array, " *n"], Outcome]:
+    """What every individual's trials amount to.
+
+    Args:
+        task: what they are judged by.
+        outcome: of all trials; the last axis is the trials of one individual.
+        scales: the task's yardsticks.
+
+    Returns:
+        The mean fitness, -inf for an individual that diverged in any trial, and the mean outcome.
+    """
+
+    def mean(values: Float[Array, "*n trials"]) -> Float[Array, " *n"]:
+        # One after the other: the order in which `mean` adds, and with it the rounding, would
+        # depend on how many individuals there are, and a replay has but one.
+        trials = values.shape[-1]
+        return sum((values[..., i] for i in range(1, trials)), values[..., 0]) * (1 / trials)
+
+    def of_trial(outcome: Outcome) -> Float[Array, " *n"]:
+        return score(task, outcome, scales)
+
+    fitness = jax.vmap(of_trial, in_axes=-1, out_axes=-1)(outcome)
+    terms = {name: mean(term) for name, term in outcome.terms.items()}
+    return mean(fitness), Outcome(terms, outcome.alive.all(-1))
 
 
 def replay(
-    simulation: Simulation, mesh: Mesh, genes: Float[Array, " g"], population: int
+    experiment: Experiment,
+    mesh: Mesh,
+    genes: Float[Array, " g"],
+    keys: UInt32[Array, "w trials"] | None = None,
 ) -> tuple[Outcome, dict[str, Array]]:
-    """One individual's trial, step by step, with as many neighbours as it had in training.
+    """One individual's trials, with as many neighbours as they had in training.
 
     Compiled code may round differently for different array lengths; with equal ones the numbers
     are those of the training run.
+
+    Args:
+        experiment: that the individual was evolved in.
+        mesh: the devices of the training run.
+        genes: of the individual.
+        keys: of its trials; None without noise.
+
+    Returns:
+        What each of its trials amounted to, and the first one step by step.
     """
-    lanes = (population + padding(population, mesh)) // mesh.size
+    simulation, trials = experiment.simulation, experiment.trials
+    count = experiment.runs * experiment.genetics.population * trials
+    lanes = (count + padding(count, mesh)) // mesh.size
     crowd = jnp.broadcast_to(genes[:, None], (genes.shape[0], lanes))
-    outcome = jax.tree.map(lambda x: x[0], rollout(simulation, crowd))
-    return outcome, record(simulation, crowd)
+    # One device may have held fewer trials than an individual has.
+    shifts = [(np.arange(lanes) + start) % trials for start in range(0, trials, lanes)]
+    chosen = [None if keys is None else keys[:, shift] for shift in shifts]
+    parts = [rollout(simulation, crowd, some) for some in chosen]
+    outcome = jax.tree.map(lambda *x: jnp.concatenate(x)[:trials], *parts)
+    return outcome, record(simulation, crowd, keys=chosen[0])
 
 
 def padding(count: int, mesh: Mesh) -> int:
     """How many individuals are added to a population so that every device gets full vectors."""
     return -count % (mesh.size * LANES)
+
+
+def _seeds(experiment: Experiment) -> Int[Array, " runs"]:
+    return experiment.seed + jnp.arange(experiment.runs)
+
+
+def _stream(seed: ArrayLike, tag: int) -> Shaped[Array, ""]:
+    """The random key of one run for one purpose."""
+    return jax.random.fold_in(jax.random.key(seed), tag)

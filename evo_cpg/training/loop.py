@@ -10,7 +10,7 @@ import numpy as np
 from jax.sharding import Mesh
 
 from evo_cpg.simulation.recording import Recording
-from evo_cpg.simulation.rollout import as_recording, score
+from evo_cpg.simulation.rollout import as_recording
 from evo_cpg.training.checkpoint import Champion, Checkpoint
 from evo_cpg.training.devices import fast_jit, population_mesh
 from evo_cpg.training.experiment import (
@@ -19,7 +19,10 @@ from evo_cpg.training.experiment import (
     breed,
     compile_trials,
     first_population,
+    generation_keys,
+    judge,
     replay,
+    trial_keys,
 )
 from evo_cpg.training.run_folder import RunFolder
 
@@ -30,7 +33,7 @@ TIMING_COLUMNS = ("seconds", "steps_per_second")
 def train(
     experiment: Experiment,
     folder: RunFolder,
-    on_generation: Callable[[dict[str, float]], None] = lambda row: None,
+    on_generation: Callable[[list[dict[str, float]]], None] = lambda rows: None,
     mesh: Mesh | None = None,
 ) -> Checkpoint:
     """Evolve from the folder's newest checkpoint, or from the start, to the last generation.
@@ -38,7 +41,8 @@ def train(
     Args:
         experiment: what to evolve.
         folder: a run folder that was created before.
-        on_generation: called with the new row of metrics.csv after every generation.
+        on_generation: called with the new rows of metrics.csv, one for each run, after every
+            generation.
         mesh: devices to use; None for all.
 
     Returns:
@@ -48,38 +52,48 @@ def train(
     checkpoint = folder.load()
     if checkpoint is None:
         genes = fast_jit(lambda: first_population(experiment))()
-        checkpoint = Checkpoint(0, np.asarray(genes), None, [], _no_scales(experiment))
+        nobody = (None,) * experiment.runs
+        checkpoint = Checkpoint(0, np.asarray(genes), nobody, [], _no_scales(experiment))
     elif checkpoint.history:
         # A kill may have come between the checkpoint and the table.
         folder.write_metrics(checkpoint.history)
     run_trials = compile_trials(experiment.simulation, mesh)
     run_breeding = fast_jit(functools.partial(breed, experiment))
+    draw_keys = fast_jit(functools.partial(generation_keys, experiment))
     while checkpoint.generation < experiment.generations:
         start = time.perf_counter()
-        outcome = run_trials(checkpoint.genes)
         index = np.int32(checkpoint.generation)
-        yardsticks = {name: np.float32(value) for name, value in checkpoint.scales.items()}
+        keys = jax.device_get(draw_keys(index))
+        outcome = run_trials(np.repeat(checkpoint.genes, experiment.trials, axis=1), keys)
+        yardsticks = {
+            name: np.array(values, np.float32) for name, values in checkpoint.scales.items()
+        }
         result = jax.device_get(run_breeding(checkpoint.genes, outcome, index, yardsticks))
         seconds = time.perf_counter() - start
-        scales = {name: float(value) for name, value in result.scales.items()}
-        champion = _better(checkpoint.champion, result, checkpoint.generation, scales)
-        row = _metrics(experiment, checkpoint.generation, result, champion, seconds)
+        champions = tuple(
+            _better(champion, result, checkpoint.generation, run)
+            for run, champion in enumerate(checkpoint.champions)
+        )
+        rows = [
+            _metrics(experiment, checkpoint.generation, result, run, champion, seconds)
+            for run, champion in enumerate(champions)
+        ]
         checkpoint = Checkpoint(
             checkpoint.generation + 1,
             np.asarray(result.next_genes),
-            champion,
-            [*checkpoint.history, row],
-            scales,
+            champions,
+            [*checkpoint.history, *rows],
+            {name: tuple(values.tolist()) for name, values in result.scales.items()},
         )
         folder.save(checkpoint)
-        on_generation(row)
+        on_generation(rows)
     return checkpoint
 
 
 def replay_champion(
     experiment: Experiment, champion: Champion, devices: int
 ) -> tuple[float, dict[str, float], Recording]:
-    """Live the champion's trial again.
+    """Live the champion's trials again, with the noise that they had.
 
     Args:
         experiment: that it was evolved in.
@@ -87,61 +101,69 @@ def replay_champion(
         devices: how many shared the population in training.
 
     Returns:
-        Its fitness, its terms and its motion.
+        Its fitness, its terms and its motion in the first trial.
     """
     mesh = population_mesh(min(devices, len(jax.devices())))
-    simulation = experiment.simulation
-    run = fast_jit(lambda genes: replay(simulation, mesh, genes, experiment.genetics.population))
-    outcome, frames = run(champion.genes)
+    simulation, trials = experiment.simulation, np.arange(experiment.trials)
+    run, individual = (np.full_like(trials, i) for i in (champion.run, champion.index))
+    keys = trial_keys(experiment, champion.generation, run, individual, trials)
+    outcome, frames = fast_jit(functools.partial(replay, experiment, mesh))(champion.genes, keys)
     scales = {name: jnp.float32(value) for name, value in champion.scales.items()}
-    fitness = float(score(simulation.task, outcome, scales))
-    terms = {name: float(value) for name, value in outcome.terms.items()}
+    # Compiled as in training: a multiplication and an addition may become one operation, with one
+    # rounding.
+    fitness, mean = fast_jit(functools.partial(judge, simulation.task))(outcome, scales)
+    terms = {name: float(value) for name, value in mean.terms.items()}
     names = [body.name for body in experiment.creature.bodies]
-    return fitness, terms, as_recording(simulation, frames, names)
+    return float(fitness), terms, as_recording(simulation, frames, names)
 
 
-def _no_scales(experiment: Experiment) -> dict[str, float]:
+def _no_scales(experiment: Experiment) -> dict[str, tuple[float, ...]]:
     """Placeholders for the yardsticks that generation 0 will measure."""
     task, steps = experiment.simulation.task, experiment.simulation.steps
     shapes = jax.eval_shape(
         lambda: task.scales(task.terms(task.begin((1,), jnp.dtype("float32"), steps), steps))
     )
-    return dict.fromkeys(shapes, 1.0)
+    return dict.fromkeys(shapes, (1.0,) * experiment.runs)
 
 
 def _better(
-    champion: Champion | None, result: Generation, generation: int, scales: dict[str, float]
+    champion: Champion | None, result: Generation, generation: int, run: int
 ) -> Champion | None:
-    best = int(result.best)
-    fitness = float(result.fitness[best])
+    best = int(result.best[run])
+    fitness = float(result.fitness[run, best])
     if not np.isfinite(fitness) or (champion is not None and fitness <= champion.fitness):
         return champion
-    terms = {name: float(values[best]) for name, values in result.terms.items()}
-    return Champion(np.asarray(result.best_genes), fitness, generation, terms, scales)
+    terms = {name: float(values[run, best]) for name, values in result.terms.items()}
+    scales = {name: float(values[run]) for name, values in result.scales.items()}
+    genes = np.asarray(result.best_genes[run])
+    return Champion(genes, fitness, generation, terms, scales, run, best)
 
 
 def _metrics(
     experiment: Experiment,
     generation: int,
     result: Generation,
+    run: int,
     champion: Champion | None,
     seconds: float,
 ) -> dict[str, float]:
-    fitness = np.asarray(result.fitness)
+    fitness = np.asarray(result.fitness[run])
     alive = np.isfinite(fitness)
     finite = fitness[alive] if alive.any() else np.array([np.nan])
     simulation = experiment.simulation
-    steps = fitness.size * simulation.steps * simulation.substeps
-    best = int(result.best)
+    trials = result.fitness.size * experiment.trials
+    steps = trials * simulation.steps * simulation.substeps
+    best = int(result.best[run])
     return {
         "generation": generation,
+        **({"run": run} if experiment.runs > 1 else {}),
         "best": float(finite.max()),
         "mean": float(finite.mean()),
         "median": float(np.median(finite)),
         "worst": float(finite.min()),
         "diverged": int((~alive).sum()),
         "champion": champion.fitness if champion else float("nan"),
-        **{f"best_{name}": float(values[best]) for name, values in result.terms.items()},
+        **{f"best_{name}": float(values[run, best]) for name, values in result.terms.items()},
         "seconds": seconds,
         "steps_per_second": steps / seconds,
     }

@@ -1,5 +1,7 @@
 """A calm camera: it follows the smoothed middle of the animal from behind and above.
 
+Where there is no light to which the animal goes, it is seen from the side.
+
 The whole recording is known before the first frame, so the path is smoothed with a symmetric
 window, which does not lag; the viewing direction and the distance stay fixed, so whatever moves
 in the picture moves in the world. The distance is the smallest at which a sphere around the
@@ -17,11 +19,15 @@ VIEW_ANGLE = 32.0
 # Share of the frame's height that the sphere around the animal may fill. The animal itself is
 # flatter than its sphere and the frame wider than high, so this is still close.
 _FILL = 1.5
-# The focus lies this share of the animal's radius further towards the goal.
-_LEAD = 0.6
+# The focus lies this share of the animal's radius further towards the goal, or, where there is
+# none, further along the way.
+_LEAD, _LEAD_UNLIT = 0.6, 0.4
 # Angles between the line of sight and the way to the goal that are tried, best first, on either
 # side: near enough to the way that the goal is in the picture, but not from right behind.
 _BEARINGS = np.radians([32.0, 62.0, 90.0, 130.0, 180.0])
+# The same angle where there is no goal: the animal crosses the picture to the right, and shows
+# its side and a little of its front.
+_SIDE = np.radians(112.0)
 
 
 class CameraPath(NamedTuple):
@@ -50,7 +56,7 @@ def follow(
 
     Args:
         position: centres of the bodies ``(frames, bodies, 3)``, m.
-        goal: place of the light ``(3,)``, m.
+        goal: place of the light ``(3,)``, m; NaN where there is none.
         reach: largest distance from a body's centre to its surface, m.
         rate: frames per second of recorded time.
         aspect: width of the picture over its height.
@@ -58,30 +64,42 @@ def follow(
     """
     centre = smooth(position.mean(1), SMOOTHING * rate)
     radius = np.linalg.norm(position - centre[:, None], axis=-1).max() + reach
+    lit = bool(np.isfinite(goal).all())
+    bearing = course(centre, goal, radius / 10)
+    if not lit:
+        # So far ahead that the animal never gets there.
+        goal = centre.mean(0) + 1e3 * (radius + np.ptp(centre)) * _direction(bearing, 0.0)
     way = goal - centre
     away = np.linalg.norm(way, axis=-1, keepdims=True)
-    lead = way * (_LEAD * radius / np.maximum(away, 2 * radius))
+    lead = way * ((_LEAD if lit else _LEAD_UNLIT) * radius / np.maximum(away, 2 * radius))
     focus = smooth(centre + lead, SMOOTHING * rate)
     radius = np.linalg.norm(position - focus[:, None], axis=-1).max() + reach
 
     half = np.radians(VIEW_ANGLE / 2)
     distance = radius / np.sin(min(half * _FILL, np.arctan(aspect * np.tan(half))))
-    start = (goal - centre[0])[:2]
-    course = np.arctan2(start[1], start[0]) if np.linalg.norm(start) > radius / 10 else 0.0
-    sights = [_direction(course + sign * turn, elevation) for turn in _BEARINGS for sign in (1, -1)]
-    clearance = [np.linalg.norm(focus - distance * s - goal, axis=-1).min() for s in sights]
-    # The first pair of which one keeps the eye well clear of the light, else the clearest; of
-    # the two the one that shows more of the animal's side.
-    free = [i for i, gap in enumerate(clearance) if gap > distance / 2]
-    first = free[0] // 2 * 2 if free else int(np.argmax(clearance))
-    pair = [i for i in (first, first + 1) if i in free] or [first]
-    sight = max((sights[i] for i in pair), key=lambda s: _apparent_width(position, s))
-    eye = focus - distance * sight
-    path = CameraPath(eye, focus, VIEW_ANGLE)
+    if lit:
+        sight = _sight_of_goal(position, focus, goal, distance, bearing, elevation)
+    else:
+        sight = _direction(bearing + _SIDE, elevation)
+    path = CameraPath(focus - distance * sight, focus, VIEW_ANGLE)
     # Perspective enlarges what is near: step back until every body is inside the frame.
     while (overshoot := _overshoot(path, position, reach, aspect)) > 1:
         path = path._replace(position=focus + (path.position - focus) * min(overshoot, 1.5) * 1.02)
     return path
+
+
+def course(
+    centre: Float[np.ndarray, "frames 3"], goal: Float[np.ndarray, "3"], least: float
+) -> float:
+    """Bearing from the x axis of the way to the goal, or to where the animal ends up, rad.
+
+    Args:
+        centre: of the animal ``(frames, 3)``, m.
+        goal: place of the light ``(3,)``, m; NaN where there is none.
+        least: a shorter way has no bearing, and 0 is returned, m.
+    """
+    way = ((goal if np.isfinite(goal).all() else centre[-1]) - centre[0])[:2]
+    return float(np.arctan2(way[1], way[0])) if np.linalg.norm(way) > least else 0.0
 
 
 def project(
@@ -127,6 +145,27 @@ def smooth(path: Float[np.ndarray, "frames 3"], width: float) -> Float[np.ndarra
     return np.column_stack([np.convolve(column, window, "valid") for column in extended.T])
 
 
+def _sight_of_goal(
+    position: np.ndarray,
+    focus: np.ndarray,
+    goal: np.ndarray,
+    distance: float,
+    bearing: float,
+    elevation: float,
+) -> np.ndarray:
+    """Line of sight that has the goal in the picture but keeps the eye off it."""
+    sights = [
+        _direction(bearing + sign * turn, elevation) for turn in _BEARINGS for sign in (1, -1)
+    ]
+    clearance = [np.linalg.norm(focus - distance * s - goal, axis=-1).min() for s in sights]
+    # The first pair of which one keeps the eye well clear of the light, else the clearest; of
+    # the two the one that shows more of the animal's side.
+    free = [i for i, gap in enumerate(clearance) if gap > distance / 2]
+    first = free[0] // 2 * 2 if free else int(np.argmax(clearance))
+    pair = [i for i in (first, first + 1) if i in free] or [first]
+    return max((sights[i] for i in pair), key=lambda s: _apparent_width(position, s))
+
+
 def _direction(bearing: float, elevation: float) -> np.ndarray:
     """Unit vector that points along a bearing and down by an elevation."""
     flat = np.cos(elevation)
@@ -150,7 +189,9 @@ def _axes(path: CameraPath) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def _overshoot(path: CameraPath, position: np.ndarray, reach: float, aspect: float) -> float:
     """How far the bodies stick out of the frame: their largest picture coordinate."""
+    # Cubes around the bodies, square to the line of sight, whichever way the animal goes.
     corners = reach * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-    points = (position[:, :, None] + corners).reshape(len(position), -1, 3)
+    offset = corners @ np.stack(_axes(path), 1)
+    points = (position[:, :, None] + offset[:, None]).reshape(len(position), -1, 3)
     place = np.abs(project(path, points, aspect))
     return float(np.nan_to_num(place, nan=np.inf).max())

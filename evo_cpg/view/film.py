@@ -16,11 +16,12 @@ from jaxtyping import Float
 from evo_cpg.creature.creature import Creature
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.view import scenery
-from evo_cpg.view.camera import CameraPath, follow, smooth
+from evo_cpg.view.camera import CameraPath, course, follow, smooth
 from evo_cpg.view.captions import add_captions
 from evo_cpg.view.meshes import add_bodies, head_index
 from evo_cpg.view.offscreen import canvas, pixels
 from evo_cpg.view.output import FILM_SUFFIXES, frame_writer, output_path
+from evo_cpg.view.textures import CELLS
 
 # Pixels rendered per pixel of the result, a side. On one core of a software renderer a frame of
 # 1280 x 720 costs 46 ms at 1.25, 58 ms at 1.5, which looks hardly better, and 100 ms at 2.
@@ -44,6 +45,7 @@ class Stage(NamedTuple):
         oversampling: pixels rendered per pixel of the film, a side.
         rate: frames per second of recorded time.
         speed: recorded seconds per second of film.
+        ground: z of the ground, m; None where there is none.
     """
 
     look: scenery.Look
@@ -52,6 +54,7 @@ class Stage(NamedTuple):
     oversampling: float
     rate: float
     speed: float
+    ground: float | None = None
 
 
 class Clip(NamedTuple):
@@ -61,7 +64,7 @@ class Clip(NamedTuple):
         time: s.
         position: centre of every body, m.
         rotation: body to world.
-        distance: to the goal, m.
+        distance: to the goal, or, where there is none, from the start over ground, m.
         speed: of the mean of the bodies' centres, smoothed, m/s.
     """
 
@@ -83,6 +86,7 @@ def film(
     speed: float = 1.0,
     title: str | None = None,
     world: str = "water",
+    ground: float | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:
     """Render a recording.
@@ -98,7 +102,9 @@ def film(
             shows, the middle by default.
         speed: recorded seconds per second of film.
         title: caption; the creature's name by default.
-        world: where the animal lives, ``water`` or ``land``. On land the ground is the plane z = 0.
+        world: where the animal lives, ``water`` or ``land``.
+        ground: z of the ground that carries the animal, m, with distances from the start painted
+            on it; by default there is none, and a floor is drawn below the animal's way.
         progress: called with the number of frames done and their total.
 
     Returns:
@@ -111,6 +117,8 @@ def film(
     """
     path = output_path(path, FILM_SUFFIXES)
     _check(creature, recording, size, fps, speed, world)
+    if ground is not None and not np.isfinite(ground):
+        raise ValueError(f"ground is {ground:g}; it must be finite, or None where there is none")
     if seconds is not None and seconds < 0:
         raise ValueError(f"seconds is {seconds:g}; it must not be negative")
     clip = sample(recording, fps, speed, None if path.suffix.lower() == ".png" else seconds)
@@ -130,6 +138,7 @@ def film(
         oversampling=oversampling,
         rate=fps / speed,
         speed=speed,
+        ground=ground,
     )
     with canvas(rendered) as plotter:
         show = _set_scene(plotter, creature, recording, clip, stage)
@@ -185,16 +194,14 @@ def sample(
 def camera_path(creature: Creature, recording: Recording, clip: Clip, stage: Stage) -> CameraPath:
     """The camera that looks at these frames."""
     width, height = stage.size
-    goal = recording.goal
-    if not np.isfinite(goal).all():
-        goal = clip.position[-1].mean(0)
+    look, lit = stage.look, np.isfinite(recording.goal).all()
     return follow(
         clip.position,
-        goal,
+        recording.goal,
         _reach(creature),
         stage.rate,
         width / height,
-        stage.look.elevation,
+        look.elevation if lit else look.side_elevation,
     )
 
 
@@ -210,16 +217,34 @@ def _set_scene(
     lit = bool(np.isfinite(recording.goal).all())
     shown = np.concatenate([camera.focus, recording.goal[None]]) if lit else camera.focus
     lowest = min(clip.position[..., 2].min() - reach, shown[:, 2].min())
-    floor = lowest - _DEPTH * radius if look.buoyant else 0.0
+    floor = lowest - _DEPTH * radius if stage.ground is None else stage.ground
     spacing = scenery.grid_spacing(2 * radius)
     centre = clip.position.mean(1)
     head = clip.position[:, head_index(creature)]
-
-    scenery.add_sky(plotter, look)
-    move_floor = scenery.add_floor(plotter, look, floor, radius, spacing)
-    move_shadows = scenery.add_shadows(plotter, look, floor, half_extents)
     sight = camera.focus[0] - camera.position[0]
-    sight = sight / np.linalg.norm(sight)
+    away = float(np.linalg.norm(sight))
+    sight = sight / away
+    marks = None
+    if stage.ground is not None:
+        # Of the root, as the distance of a recording without a light.
+        way = clip.position[:, next(i for i, b in enumerate(creature.bodies) if b.joint is None)]
+        bearing = course(way, recording.goal, radius / 10)
+        marks = scenery.Marks(way[0, :2], bearing, scenery.mark_spacing(2 * radius))
+        spacing = marks.spacing / CELLS
+        head = head * [1.0, 1.0, 0.0] + [0.0, 0.0, floor]
+
+    move_sky = scenery.add_sky(plotter, look, sight, away)
+    move_floor = scenery.add_floor(plotter, look, floor, radius, spacing, marks)
+    moving = []
+    if marks is not None:
+        moving.append(scenery.add_numbers(plotter, look, marks, centre, floor, radius, sight, away))
+    sun = scenery.sun_direction(look, sight)
+    shadows = [
+        scenery.add_sun_shadows(plotter, look, creature, floor, sun),
+        scenery.add_shadows(plotter, look, floor, half_extents),
+    ]
+    if marks is not None:
+        shadows.append(scenery.add_contacts(plotter, look, creature, floor))
     if lit:
         scenery.add_light(plotter, look, recording.goal, floor, radius, sight)
     grow_trail = scenery.add_trail(plotter, look, head, 0.0065 * radius, _TRAIL_FADE * stage.rate)
@@ -243,10 +268,12 @@ def _set_scene(
     def show(frame: int) -> None:
         plotter.camera.position = camera.position[frame]
         plotter.camera.focal_point = camera.focus[frame]
-        away = np.linalg.norm(camera.position[frame] - camera.focus[frame])
         plotter.camera.clipping_range = (0.05 * away, 20 * away)
-        move_floor(camera.focus[frame])
-        move_shadows(clip.position[frame], clip.rotation[frame])
+        move_sky(camera.position[frame])
+        for move in (move_floor, *moving):
+            move(camera.focus[frame])
+        for move in shadows:
+            move(clip.position[frame], clip.rotation[frame])
         grow_trail(frame)
         for actors, place, turn in zip(
             bodies, clip.position[frame], clip.rotation[frame], strict=True
@@ -256,8 +283,7 @@ def _set_scene(
             for actor in actors:
                 actor.user_matrix = pose
         elapsed = clip.time[frame] - clip.time[0]
-        left = clip.distance[frame] if lit else np.linalg.norm(centre[frame] - centre[0])
-        caption(elapsed, float(left), clip.speed[frame])
+        caption(elapsed, float(clip.distance[frame]), clip.speed[frame])
         plotter.render()
 
     return show

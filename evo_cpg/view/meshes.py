@@ -7,7 +7,7 @@ tone between them, is told apart with every common kind of colour blindness, and
 import numpy as np
 import pyvista as pv
 
-from evo_cpg.creature.creature import Creature, LightSensor
+from evo_cpg.creature.creature import Creature, LightSensor, neutral_pose
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape
 
 _HEAD_TO_TAIL = ("#f4601f", "#f99b4f", "#f7e3b5", "#8fc7ee", "#4a78e0")
@@ -16,6 +16,9 @@ _QUARTER = 6
 # Edge radius of a box and radius of an eye, relative to the body's smallest half size.
 _ROUNDING = 0.28
 _EYE = 0.44
+# Brightness of bodies on the left (y > 0), the far side where there is no light to walk to, and how
+# far off the middle they begin, relative to the one furthest out.
+_LEFT, _ASIDE = 0.72, 0.1
 
 
 def head_index(creature: Creature) -> int:
@@ -29,7 +32,7 @@ def body_colors(creature: Creature) -> np.ndarray:
     """Colours ``(bodies, 3)``, red, green and blue from 0 to 1.
 
     A body without a colour of its own takes one from the palette by how many joints lie between
-    it and the head.
+    it and the head; on the animal's left it is darker, so that legs are told apart.
     """
     links = [
         (i, creature.body_index(body.joint.parent))
@@ -46,6 +49,8 @@ def body_colors(creature: Creature) -> np.ndarray:
     anchors = np.array([pv.Color(color).float_rgb for color in _HEAD_TO_TAIL])
     along = distance / max(distance.max(), 1) * (len(anchors) - 1)
     colors = np.column_stack([np.interp(along, range(len(anchors)), c) for c in anchors.T])
+    across = neutral_pose(creature)[0][:, 1]
+    colors[across > _ASIDE * np.abs(across).max(initial=1e-9)] *= _LEFT
     for i, body in enumerate(creature.bodies):
         if body.color is not None:
             colors[i] = pv.Color(body.color).float_rgb

@@ -27,9 +27,11 @@ _SNAPSHOTS = 7
 
 
 def plot_fitness(history: Mapping[str, np.ndarray], path: str | os.PathLike[str]) -> Path:
-    """Fitness over the generations, and how many individuals diverged.
+    """Fitness over the generations, and how many individuals diverged in all.
 
-    With several runs, each run's best is a thin line, and the thick ones are medians over runs.
+    With several runs, the best of each generation in each run is a thin line, as in Figs. 4-2 to
+    4-6 of Fukui 2003; the thick lines are medians over the runs, and half of the runs lie within
+    the band.
 
     Args:
         history: columns of equal length: ``generation``, ``best``, ``mean`` and ``diverged``
@@ -57,29 +59,33 @@ def plot_fitness(history: Mapping[str, np.ndarray], path: str | os.PathLike[str]
 
     figure = _figure(7.2, 4.8)
     top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(4, 1))
-    leading = "best_so_far" if "best_so_far" in columns else "best"
-    if len(runs) > 1:
+    several = len(runs) > 1
+    if several:
         for number in runs:
             chosen = run == number
-            top.plot(
-                generation[chosen],
-                _finite(columns[leading][chosen]),
-                color=_BLUE,
-                lw=0.7,
-                alpha=0.35,
-            )
-    shown = [("best", "best of the generation", _ORANGE, 1.3), ("mean", "mean", _GREY, 1.3)]
-    if leading == "best_so_far":
-        shown.insert(0, ("best_so_far", "best so far", _BLUE, 2.2))
-    else:
-        shown[0] = ("best", "best of the generation", _BLUE, 2.2)
+            best = _finite(columns["best"][chosen])
+            (thin,) = top.plot(generation[chosen], best, color=_BLUE, lw=0.7, alpha=0.4)
+        thin.set_label("best of the generation, each run")
+        instant, low, high = _quantiles(generation, columns["best"], (0.25, 0.75))
+        top.fill_between(
+            instant, low, high, color=_BLUE, alpha=0.2, lw=0, label="half of the runs lie within"
+        )
+    leading = "best" if several or "best_so_far" not in columns else "best_so_far"
+    shown = [
+        ("best", "best of the generation", _ORANGE, 1.3),
+        ("mean", "mean of the generation", _GREY, 1.3),
+    ]
+    if "best_so_far" in columns:
+        shown.insert(int(several), ("best_so_far", "best so far", _ORANGE, 1.3))
     for key, label, color, width in shown:
-        instant, value = _median(generation, columns[key])
-        label = f"{label} (median of {len(runs)} runs)" if len(runs) > 1 else label
+        color, width = (_BLUE, 2.2) if key == leading else (color, width)
+        instant, value = _quantiles(generation, columns[key], (0.5,))
+        label = f"{label}, median" if several else label
         top.plot(instant, value, color=color, lw=width, label=label)
     top.set_ylabel("fitness")
-    top.legend(frameon=False)
-    instant, diverged = _median(generation, columns["diverged"])
+    top.legend(frameon=False, title=f"{len(runs)} runs" if several else None)
+    instant = np.unique(generation)
+    diverged = np.array([columns["diverged"][generation == g].sum() for g in instant])
     bottom.bar(instant, diverged, width=1.0, color=_RED)
     bottom.set_ylim(0, max(1.0, np.nanmax(diverged, initial=0.0) * 1.15))
     bottom.set_ylabel("diverged")
@@ -187,6 +193,8 @@ def plot_joint_signals(
 def plot_path(recording: Recording, path: str | os.PathLike[str]) -> Path:
     """The way seen from above, with outlines of the animal, and the distance over time.
 
+    The distance is that to the light, or, where there is none, the way made from the start.
+
     Args:
         recording: the motion.
         path: ``.png``, ``.svg`` or ``.pdf``.
@@ -210,7 +218,8 @@ def plot_path(recording: Recording, path: str | os.PathLike[str]) -> Path:
     instant = np.repeat(recording.time[chosen], bodies.shape[1])
     above.scatter(bodies[..., 0], bodies[..., 1], s=14, c=instant, norm=way.norm, alpha=0.6, lw=0)
     above.plot(*centre[0, :2], "o", color="black", ms=6, label="start", zorder=3)
-    if np.isfinite(recording.goal).all():
+    lit = bool(np.isfinite(recording.goal).all())
+    if lit:
         above.plot(
             *recording.goal[:2], "*", color=_ORANGE, mec="black", ms=17, label="light", zorder=3
         )
@@ -223,7 +232,7 @@ def plot_path(recording: Recording, path: str | os.PathLike[str]) -> Path:
     figure.colorbar(way, ax=above, label="time (s)", shrink=0.85, pad=0.02)
     later.plot(recording.time, recording.distance, color=_BLUE, lw=2)
     later.set_xlabel("time (s)")
-    later.set_ylabel("distance to the light (m)")
+    later.set_ylabel("distance to the light (m)" if lit else "way made (m)")
     later.set_ylim(bottom=0)
     later.set_xlim(recording.time[0], recording.time[-1])
     return _save(figure, path)
@@ -249,11 +258,16 @@ def _finite(values: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(values), values, np.nan)
 
 
-def _median(generation: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Median over the runs of each generation, of the values that are finite."""
+def _quantiles(
+    generation: np.ndarray, values: np.ndarray, shares: tuple[float, ...]
+) -> tuple[np.ndarray, ...]:
+    """The generations, and quantiles over the runs of the values that are finite in each."""
+    known = np.isfinite(values)
     instants = np.unique(generation)
-    groups = [values[(generation == g) & np.isfinite(values)] for g in instants]
-    return instants, np.array([np.median(group) if len(group) else np.nan for group in groups])
+    groups = [values[(generation == g) & known] for g in instants]
+    none = np.full(len(shares), np.nan)
+    found = [np.quantile(group, shares) if len(group) else none for group in groups]
+    return instants, *np.array(found).T
 
 
 def _crests(

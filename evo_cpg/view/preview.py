@@ -1,5 +1,6 @@
 """A picture of a body plan: the neutral pose with names, joint axes, sensors and a scale."""
 
+import dataclasses
 import os
 from pathlib import Path
 from typing import NamedTuple
@@ -7,13 +8,17 @@ from typing import NamedTuple
 import numpy as np
 import pyvista as pv
 
-from evo_cpg.creature.creature import Creature, neutral_pose
+from evo_cpg.creature.creature import Creature, lowest_height, neutral_pose
 from evo_cpg.view.meshes import add_bodies
 from evo_cpg.view.offscreen import canvas, pixels
 from evo_cpg.view.output import frame_writer, output_path
-from evo_cpg.view.scenery import grid_spacing
+from evo_cpg.view.scenery import LOOKS, add_contacts, add_floor, add_shadows, grid_spacing
 
 _BACKGROUND = "#f4f6f8"
+# The ground is as pale as paper, so that names and axes stand out.
+_GROUND = dataclasses.replace(
+    LOOKS["land"], floor=("#d3cab8", "#ece5d8"), grid="#a89c84", visibility=1.7
+)
 _TEXT = "#1d2530"
 # Okabe and Ito's palette: told apart with every common kind of colour blindness.
 _AXES = {"x": "#D55E00", "y": "#009E73", "z": "#0072B2"}
@@ -28,11 +33,17 @@ _AMBIENT = 0.35
 _OPACITY = 0.72
 # Names of more bodies than this would cover the picture.
 _MOST_NAMES = 24
+# Size of a name, and width and height of its plate relative to that, a letter.
+_NAME, _LETTER, _LINE = 14, 0.56, 1.35
 _OVERSAMPLING = 2
 
 
 def preview(
-    creature: Creature, path: str | os.PathLike[str], size: tuple[int, int] = (1280, 720)
+    creature: Creature,
+    path: str | os.PathLike[str],
+    size: tuple[int, int] = (1280, 720),
+    *,
+    ground: bool = False,
 ) -> Path:
     """Draw a creature in its neutral pose.
 
@@ -40,6 +51,7 @@ def preview(
         creature: what to draw.
         path: ``.png``.
         size: width and height, pixels.
+        ground: whether it stands on ground, which then lies under its lowest point.
 
     Returns:
         The path.
@@ -65,9 +77,10 @@ def preview(
             light = pv.Light(position=place, intensity=intensity, light_type="scene light")
             light.positional = False
             plotter.add_light(light)
-        for actors, centre, turn in zip(
-            add_bodies(plotter, creature, _AMBIENT), centres, rotations, strict=True
-        ):
+        if ground:
+            _add_ground(plotter, creature, centres, rotations, hull)
+        bodies = add_bodies(plotter, creature, _AMBIENT)
+        for actors, centre, turn in zip(bodies, centres, rotations, strict=True):
             pose = np.eye(4)
             pose[:3, :3], pose[:3, 3] = turn, centre
             for actor in actors:
@@ -75,6 +88,10 @@ def preview(
             # The joints lie inside: let them show.
             actors[0].prop.SetOpacity(_OPACITY)
             actors[0].prop.SetBackfaceCulling(True)
+        # What is translucent is drawn in the order of adding: the farthest first.
+        for i in np.argsort(-centres @ _VIEW):
+            plotter.renderer.RemoveViewProp(bodies[i][0])
+            plotter.renderer.AddViewProp(bodies[i][0])
         legend = _add_joints(plotter, creature, centres, rotations, scale)
         legend |= _add_sensors(plotter, creature, centres, rotations, scale)
         view = _frame(plotter, hull, size)
@@ -92,6 +109,23 @@ class _View(NamedTuple):
     right: np.ndarray
     up: np.ndarray
     pixels_per_metre: float
+
+
+def _add_ground(
+    plotter: pv.Plotter,
+    creature: Creature,
+    centres: np.ndarray,
+    rotations: np.ndarray,
+    hull: np.ndarray,
+) -> None:
+    """Ground under the lowest point, and shadows where the creature stands on it."""
+    height = lowest_height(creature)
+    middle = (hull.min(0) + hull.max(0)) / 2
+    radius = float(np.linalg.norm(hull - middle, axis=1).max())
+    add_floor(plotter, _GROUND, height, radius, grid_spacing(radius))(middle)
+    half_extents = np.array([body.shape.half_extents for body in creature.bodies])
+    add_shadows(plotter, _GROUND, height, half_extents)(centres, rotations)
+    add_contacts(plotter, _GROUND, creature, height)(centres, rotations)
 
 
 def _add_joints(
@@ -217,11 +251,12 @@ def _add_texts(
         plotter.renderer.AddViewProp(label)
 
     if len(creature.bodies) <= _MOST_NAMES:
-        for body, centre in zip(creature.bodies, centres, strict=True):
-            offset = centre - view.focus
-            x = width / 2 + view.pixels_per_metre * offset @ view.right
-            y = height / 2 + view.pixels_per_metre * offset @ view.up
-            write(body.name, x, y, 14, _TEXT, True, "center", "center", plate=True)
+        names = [body.name for body in creature.bodies]
+        middle = (centres - view.focus) @ np.column_stack([view.right, view.up])
+        places = [width / 2, height / 2] + view.pixels_per_metre * middle
+        sizes = [(len(name) * _LETTER * _NAME * unit, _LINE * _NAME * unit) for name in names]
+        for name, (x, y) in zip(names, _apart(places, np.array(sizes)), strict=True):
+            write(name, x, y, _NAME, _TEXT, True, "center", "center", plate=True)
     margin = 34 * unit
     write(creature.name, margin, height - margin, 25, _TEXT, True, "left", "top")
     axes = sum(len(body.joint.axes) for body in creature.bodies if body.joint)
@@ -252,6 +287,25 @@ def _add_texts(
         "center",
         "bottom",
     )
+
+
+def _apart(places: np.ndarray, sizes: np.ndarray) -> np.ndarray:
+    """Move labels up or down as little as needed that none covers another.
+
+    Args:
+        places: where their middles should be ``(n, 2)``, pixels.
+        sizes: widths and heights ``(n, 2)``, pixels.
+    """
+    placed = np.array(places, float)
+    # Half a line up, half a line down, a line up, and so on.
+    steps = [sign * count / 2 for count in range(2 * len(placed)) for sign in (1, -1)]
+    for i in range(1, len(placed)):
+        for step in steps:
+            placed[i, 1] = places[i, 1] + step * sizes[i, 1]
+            gap = np.abs(placed[:i] - placed[i]) - (sizes[:i] + sizes[i]) / 2
+            if (gap > 0).any(1).all():
+                break
+    return placed
 
 
 def _world(offset: np.ndarray, view: _View) -> np.ndarray:

@@ -1,23 +1,41 @@
-"""What surrounds the animal: sea or land, the light, shadows and the trail.
+"""What surrounds the animal: sea or land, sky, the ground and its marks, light, shadows, trail.
 
 Each ``add_...`` function puts actors into a plotter once. Those that must change from frame to
 frame return a function that does it by moving actors or overwriting arrays in place; nothing is
-meshed again. Translucent actors are drawn in the order in which they were added: floor, shadows,
-light, trail.
+meshed again. Translucent actors are drawn in the order in which they were added: floor, numbers,
+shadows, light, trail. The floor writes no depth, so what lies in its plane does not flicker.
 """
 
 import dataclasses
 from collections.abc import Callable
-from typing import cast
+from typing import NamedTuple, cast
 
 import numpy as np
 import pyvista as pv
+from vtkmodules.vtkCommonCore import vtkInformation
+from vtkmodules.vtkRenderingOpenGL2 import vtkOpenGLActor
 
+from evo_cpg.creature.creature import Creature
+from evo_cpg.creature.shapes import Box
+from evo_cpg.view.meshes import shape_mesh
 from evo_cpg.view.textures import CELLS, floor_texture, spot_texture
 
 _PARTICLES = 1200
 _PARTICLE = "#d9fff6"
 _PARTICLE_SEED = 20101
+# The sun of the land stands to the left of the viewer and behind him, so that it lights the sides
+# that he sees and shadows fall away from him: to the right, ahead and up in his picture.
+_SUN_SEEN = (-0.62, -0.45, 1.0)
+_SUN_AT_SEA = (-0.4, -0.6, 1.6)
+# Distance of the sky behind the focus and height over which it turns blue, in distances of the
+# camera. The floor has faded away before it gets there.
+_SKY, _SKY_HEIGHT = 18.0, 2.6
+# Numbers on the ground: height of a digit and distance from the way, in radii of the animal.
+# They fade between these shares of the way from the focus to the camera, below which captions are.
+_DIGIT, _BESIDE = 0.1, 0.45
+_FADES = (0.33, 0.43)
+# Opacity of the spot under a foot that touches the ground.
+_CONTACT = 0.85
 
 
 @dataclasses.dataclass(frozen=True)
@@ -29,7 +47,8 @@ class Look:
         floor: tints of the floor, from dark to light.
         grid: colour of the grid lines.
         shadow: colour of shadows.
-        shadow_strength: opacity of shadows, 0 to 1.
+        shadow_strength: opacity of the soft patches under the bodies, 0 to 1.
+        cast_strength: opacity of the shadows that the sun casts, 0 to 1; 0 where it casts none.
         sun: colour of the directional light.
         fill: colour of the weak light from the viewer's side.
         ambient: share of light that comes from everywhere.
@@ -39,10 +58,12 @@ class Look:
         glow: opacity of the glow and of the pool of light on the floor, 0 to 1.
         text: colour of the captions.
         visibility: distance at which the floor has faded to a third.
-        elevation: of the camera above the focus, rad.
+        elevation: of the camera above the focus, rad, when it looks towards a light.
+        side_elevation: the same when it looks at the animal's side; on land low enough that the
+            horizon and what is under the animal are seen.
         particles: whether specks drift in the medium.
         checkered: whether alternate grid cells differ in tone.
-        buoyant: whether the floor lies below the animal's path rather than at z = 0.
+        zenith: colour towards which the sky turns above the horizon; None where there is no sky.
     """
 
     distance: str
@@ -50,6 +71,7 @@ class Look:
     grid: str
     shadow: str
     shadow_strength: float
+    cast_strength: float
     sun: str
     fill: str
     ambient: float
@@ -60,9 +82,10 @@ class Look:
     text: str
     visibility: float
     elevation: float
+    side_elevation: float
     particles: bool
     checkered: bool
-    buoyant: bool
+    zenith: str | None
 
 
 LOOKS = {
@@ -72,6 +95,7 @@ LOOKS = {
         grid="#8fe0d6",
         shadow="#02141d",
         shadow_strength=0.5,
+        cast_strength=0.0,
         sun="#eafcff",
         fill="#7fd0e6",
         ambient=0.34,
@@ -82,29 +106,32 @@ LOOKS = {
         text="#f2fbff",
         visibility=5.5,
         elevation=np.radians(24),
+        side_elevation=np.radians(24),
         particles=True,
         checkered=False,
-        buoyant=True,
+        zenith=None,
     ),
     "land": Look(
-        distance="#dfe3e6",
-        floor=("#8d8577", "#b7ad9c"),
-        grid="#6f675a",
-        shadow="#2a241d",
-        shadow_strength=0.6,
-        sun="#fff4e0",
+        distance="#ece9e1",
+        floor=("#ab9878", "#dccbaa"),
+        grid="#75664c",
+        shadow="#2a2018",
+        shadow_strength=0.28,
+        cast_strength=0.42,
+        sun="#fff1d6",
         fill="#cfe0f2",
-        ambient=0.38,
+        ambient=0.4,
         trail="#c2410c",
         light="#ffd75e",
         halo="#ffae1a",
         glow=0.3,
         text="#1d2530",
-        visibility=7.0,
-        elevation=np.radians(20),
+        visibility=16.0,
+        elevation=np.radians(18),
+        side_elevation=np.radians(11),
         particles=False,
         checkered=True,
-        buoyant=False,
+        zenith="#7fb0dc",
     ),
 }
 
@@ -115,13 +142,46 @@ def grid_spacing(length: float) -> float:
     return float(power * max(step for step in (1, 2, 5) if step * power <= length / 2 * 1.001))
 
 
-def add_sky(plotter: pv.Plotter, look: Look) -> None:
-    """Background and sun.
+def mark_spacing(length: float) -> float:
+    """Distance between the numbers on the ground, about the length of the animal (m)."""
+    return grid_spacing(2.4 * length)
 
-    The background is plain: a gradient costs 18 ms a frame, and the floor's fading is one.
+
+def sun_direction(look: Look, sight: np.ndarray) -> np.ndarray:
+    """Unit vector towards the sun.
+
+    Args:
+        look: of the world.
+        sight: the camera's fixed direction of view ``(3,)``.
+    """
+    towards = np.array(_SUN_AT_SEA)
+    if look.cast_strength:
+        ahead = np.array([sight[0], sight[1], 0.0]) / np.hypot(*sight[:2])
+        across = np.cross(ahead, [0.0, 0.0, 1.0])
+        towards = np.array(_SUN_SEEN) @ np.stack([across, ahead, [0.0, 0.0, 1.0]])
+    return towards / np.linalg.norm(towards)
+
+
+def add_sky(
+    plotter: pv.Plotter, look: Look, sight: np.ndarray, away: float
+) -> Callable[[np.ndarray], None]:
+    """Background, sky and sun.
+
+    A backdrop stands behind the floor's far end: VTK's own gradient costs 18 ms a frame, this 2.
+
+    Args:
+        plotter: draws them.
+        look: of the world.
+        sight: the camera's fixed direction of view ``(3,)``.
+        away: distance of the camera from its focus, m.
+
+    Returns:
+        A function of the camera's place ``(3,)``, m.
     """
     plotter.background_color = pv.Color(look.distance)
-    sun = pv.Light(position=(-0.4, -0.6, 1.6), color=look.sun, light_type="scene light")
+    sun = pv.Light(
+        position=tuple(sun_direction(look, sight)), color=look.sun, light_type="scene light"
+    )
     sun.intensity = 0.85
     sun.positional = False
     plotter.add_light(sun)
@@ -129,10 +189,58 @@ def add_sky(plotter: pv.Plotter, look: Look) -> None:
     fill = pv.Light(color=look.fill, intensity=0.4, light_type="camera light")
     fill.positional = False
     plotter.add_light(fill)
+    if look.zenith is None:
+        return lambda eye: None
+
+    ahead = np.array([sight[0], sight[1], 0.0]) / np.hypot(*sight[:2])
+    across = np.cross(ahead, [0.0, 0.0, 1.0])
+    blue = np.linspace(0, 1, 12)
+    height = _SKY_HEIGHT * away * np.concatenate([blue, [10.0]])
+    share = np.append(1 - (1 - blue) ** 2, 1.0)[:, None]
+    haze, zenith = (np.array(pv.Color(color).int_rgb) for color in (look.distance, look.zenith))
+    middle = _SKY * away * ahead + height[:, None] * [0.0, 0.0, 1.0]
+    side = 2 * _SKY * away * across
+    points = np.stack([middle - side, middle + side], 1)
+    backdrop = pv.StructuredGrid(*(points[..., i, None] for i in range(3)))
+    backdrop = backdrop.extract_surface(algorithm=None)
+    # A structured grid counts its first axis fastest.
+    backdrop["rgb"] = np.tile(haze + share * (zenith - haze), (2, 1)).astype(np.uint8)
+    actor = plotter.add_mesh(
+        backdrop, scalars="rgb", rgb=True, lighting=False, show_scalar_bar=False
+    )
+
+    def update(eye: np.ndarray) -> None:
+        actor.position = tuple(eye)
+
+    return update
+
+
+class Marks(NamedTuple):
+    """Where the pattern of the ground lies, along which the animal's way can be read.
+
+    Attributes:
+        origin: of the pattern and its numbers ``(2,)``, m.
+        course: bearing of the numbers from the x axis, rad.
+        spacing: distance between the numbers, m.
+    """
+
+    origin: np.ndarray
+    course: float
+    spacing: float
+
+    def turn(self) -> np.ndarray:
+        """Rotation from the pattern's axes to the world's ``(2, 2)``."""
+        c, s = np.cos(self.course), np.sin(self.course)
+        return np.array([[c, -s], [s, c]])
 
 
 def add_floor(
-    plotter: pv.Plotter, look: Look, height: float, radius: float, spacing: float
+    plotter: pv.Plotter,
+    look: Look,
+    height: float,
+    radius: float,
+    spacing: float,
+    marks: Marks | None = None,
 ) -> Callable[[np.ndarray], None]:
     """A floor that reaches to the horizon.
 
@@ -144,6 +252,7 @@ def add_floor(
         height: z of the floor, m.
         radius: of the animal, m.
         spacing: of the grid, m.
+        marks: lie on the ground, with a strong line at each number; None where there are none.
 
     Returns:
         A function of the focus ``(3,)``, m.
@@ -159,14 +268,173 @@ def add_floor(
     fade = np.exp(-((np.linalg.norm(place, axis=1) / visible) ** 2))
     disc["rgba"] = np.column_stack([np.full((len(place), 3), 255), 255 * fade]).astype(np.uint8)
     disc.active_texture_coordinates = place / (CELLS * spacing)
-    texture = floor_texture(look.floor, look.grid, look.checkered)
+    texture = floor_texture(look.floor, look.grid, look.checkered, marks is not None)
     actor = plotter.add_mesh(
         disc, scalars="rgba", rgba=True, texture=texture, lighting=False, show_scalar_bar=False
     )
+    origin, turn = (marks.origin, marks.turn()) if marks else (np.zeros(2), np.eye(2))
 
     def update(focus: np.ndarray) -> None:
         actor.position = (focus[0], focus[1], height)
-        disc.active_texture_coordinates = (place + focus[:2]) / (CELLS * spacing)
+        world = place + focus[:2] - origin
+        disc.active_texture_coordinates = world @ turn / (CELLS * spacing)
+
+    return update
+
+
+def add_numbers(
+    plotter: pv.Plotter,
+    look: Look,
+    marks: Marks,
+    path: np.ndarray,
+    height: float,
+    radius: float,
+    sight: np.ndarray,
+    away: float,
+) -> Callable[[np.ndarray], None]:
+    """Distances from the start, painted on the ground on the viewer's side of the way.
+
+    Args:
+        plotter: draws them.
+        look: of the world.
+        marks: where they lie.
+        path: of the animal ``(frames, 3)``, m.
+        height: z of the ground, m.
+        radius: of the animal, m.
+        sight: the camera's fixed direction of view ``(3,)``, from which they are read.
+        away: distance of the camera from its focus, m.
+
+    Returns:
+        A function of the focus ``(3,)``, m.
+    """
+    along = (path[:, :2] - marks.origin) @ marks.turn()
+    ahead = sight[:2] / np.hypot(*sight[:2])
+    across = np.array([ahead[1], -ahead[0]])
+    # Beside the way, where the animal does not tread on them even if it sways.
+    nearer = -np.sign(ahead @ marks.turn()[:, 1]) or -1.0
+    side = nearer * (nearer * along[:, 1]).max() + nearer * _BESIDE * radius
+    last = int(np.ceil((along[:, 0].max() + 2 * radius) / marks.spacing))
+    first = int(np.floor(min(along[:, 0].min(), 0.0) / marks.spacing))
+    size = _DIGIT * radius
+    # Lying flat they look as low as the sight is slanting.
+    stretch = 0.7 / max(-sight[2] / np.linalg.norm(sight), 0.15)
+    digits = []
+    for count in range(first, last + 1):
+        digit = pv.Text3D(f"{count * marks.spacing:g} m", depth=0.0, height=size, center=(0, 0, 0))
+        flat = np.asarray(digit.points)[:, :2] * [1.0, stretch]
+        middle = marks.origin + marks.turn() @ [count * marks.spacing, side]
+        # To the right of its line.
+        flat[:, 0] += 0.7 * size - flat[:, 0].min()
+        place = middle + flat @ np.stack([across, ahead])
+        digit.points = np.column_stack([place, np.full(len(place), height)])
+        digits.append(digit)
+    mesh = pv.merge(digits).extract_surface(algorithm=None)
+    place = np.asarray(mesh.points)[:, :2].copy()
+    rgba = np.tile(pv.Color(look.text).int_rgba, (len(place), 1)).astype(np.uint8)
+    mesh["rgba"] = rgba
+    actor = plotter.add_mesh(mesh, scalars="rgba", rgba=True, lighting=False, show_scalar_bar=False)
+    actor.ForceTranslucentOn()
+
+    def update(focus: np.ndarray) -> None:
+        offset = place - focus[:2]
+        gone = np.linalg.norm(offset, axis=1) / (0.4 * look.visibility * radius)
+        near = np.interp(-(offset @ ahead) / away, _FADES, (1.0, 0.0))
+        rgba[:, 3] = 200 * near * np.exp(-(gone**2))
+        mesh["rgba"] = rgba
+
+    return update
+
+
+def add_sun_shadows(
+    plotter: pv.Plotter, look: Look, creature: Creature, height: float, sun: np.ndarray
+) -> Callable[[np.ndarray, np.ndarray], None]:
+    """The shadows that the bodies cast on the floor in the sun: the bodies, flattened along it.
+
+    Args:
+        plotter: draws them.
+        look: of the world; nothing is drawn where it casts no shadows.
+        creature: the animal.
+        height: z of the floor, m.
+        sun: unit vector towards the sun ``(3,)``.
+
+    Returns:
+        A function of the bodies' centres ``(bodies, 3)`` in m and rotations ``(bodies, 3, 3)``.
+    """
+    if not look.cast_strength:
+        return lambda position, rotation: None
+    flatten = np.eye(4)
+    flatten[:2, 2] = -sun[:2] / sun[2]
+    flatten[2, 2] = 0.0
+    actors = []
+    for body in creature.bodies:
+        actor = plotter.add_mesh(
+            shape_mesh(body.shape),
+            color=look.shadow,
+            opacity=look.cast_strength,
+            lighting=False,
+            culling="back",
+        )
+        # Of a body only the sunny side is flattened. Shadows write their depth, each a little
+        # below the one before, so that where two overlap the floor is darkened once.
+        keys = vtkInformation()
+        keys.Set(vtkOpenGLActor.GLDepthMaskOverride(), 1)
+        actor.SetPropertyKeys(keys)
+        actors.append(actor)
+    layer = 1e-3 * min(body.shape.half_extents.min() for body in creature.bodies)
+
+    def update(position: np.ndarray, rotation: np.ndarray) -> None:
+        for i, (actor, centre, turn) in enumerate(zip(actors, position, rotation, strict=True)):
+            pose = np.eye(4)
+            pose[:3, :3], pose[:3, 3] = turn, centre - [0.0, 0.0, height]
+            matrix = flatten @ pose
+            matrix[2, 3] = height - i * layer
+            actor.user_matrix = matrix
+
+    return update
+
+
+def add_contacts(
+    plotter: pv.Plotter, look: Look, creature: Creature, height: float
+) -> Callable[[np.ndarray, np.ndarray], None]:
+    """Dark soft spots where bodies touch the ground; they pale as the gap opens.
+
+    Args:
+        plotter: draws them.
+        look: of the world.
+        creature: the animal.
+        height: z of the ground, m.
+
+    Returns:
+        A function of the bodies' centres ``(bodies, 3)`` in m and rotations ``(bodies, 3, 3)``.
+    """
+    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    patch = pv.Plane(i_size=2, j_size=2, i_resolution=1, j_resolution=1)
+    texture = spot_texture(look.shadow, _CONTACT, sharpness=2.6)
+    spots = []
+    for body in creature.bodies:
+        # Meshes of boxes are rounded, the physics' boxes are not.
+        sharp = isinstance(body.shape, Box)
+        points = np.asarray(shape_mesh(body.shape).points)
+        points = corners * body.shape.half_extents if sharp else points
+        actor = plotter.add_mesh(patch, texture=texture, lighting=False)
+        actor.ForceTranslucentOn()
+        spots.append((actor, points, float(body.shape.half_extents.min())))
+
+    def update(position: np.ndarray, rotation: np.ndarray) -> None:
+        for (actor, points, size), centre, turn in zip(spots, position, rotation, strict=True):
+            place = centre + points @ turn.T
+            gap = place[:, 2].min() - height
+            weight = np.exp(-(place[:, 2] - place[:, 2].min()) / (0.25 * size))
+            weight /= weight.sum()
+            middle = weight @ place[:, :2]
+            offset = place[:, :2] - middle
+            ellipse = (weight * offset.T) @ offset + (0.6 * size) ** 2 * np.eye(2)
+            spread, axes = np.linalg.eigh(ellipse)
+            matrix = np.eye(4)
+            matrix[:2, :2] = axes * np.sqrt(spread) * 2.2
+            matrix[:3, 3] = *middle, height
+            actor.user_matrix = matrix
+            actor.prop.opacity = float(np.exp(-max(gap, 0.0) / (0.5 * size)))
 
     return update
 

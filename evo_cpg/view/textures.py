@@ -14,13 +14,16 @@ _SEED = 20100
 _SPOT_TEXELS = 128
 
 
-def floor_texture(tints: tuple[str, str], grid: str, checkered: bool) -> pv.Texture:
+def floor_texture(
+    tints: tuple[str, str], grid: str, checkered: bool, marked: bool = False
+) -> pv.Texture:
     """Ground with soft relief and a grid: a checkered one, or one under a net of light.
 
     Args:
         tints: of the ground, from dark to light.
         grid: colour of the lines.
         checkered: whether alternate grid cells differ in tone; light plays on it otherwise.
+        marked: whether the tile's own borders are strong lines.
     """
     dark, light = (np.array(pv.Color(color).int_rgb, float) for color in tints)
     relief = _periodic_noise(2, 10)
@@ -28,13 +31,17 @@ def floor_texture(tints: tuple[str, str], grid: str, checkered: bool) -> pv.Text
     tone = 0.42 + 0.16 * relief + 0.05 * grain
     if checkered:
         cell = np.arange(_TEXELS) * CELLS // _TEXELS
-        tone += np.where((cell[:, None] + cell) % 2, 0.2, -0.2)
+        tone += np.where((cell[:, None] + cell) % 2, 0.2, -0.2) - 0.08 * relief
     else:
         tone += 0.42 * _caustics()
     colour = dark + np.clip(tone, 0, 1.25)[..., None] * (light - dark)
     texel = np.arange(_TEXELS) % (_TEXELS // CELLS)
     line = np.exp(-((np.minimum(texel, _TEXELS // CELLS - texel) / 2.0) ** 2))
     on_grid = 0.55 * np.maximum(line[:, None], line)[..., None]
+    if marked:
+        edge = np.arange(_TEXELS)
+        strong = np.exp(-((np.minimum(edge, _TEXELS - edge) / 7.0) ** 4))
+        on_grid = np.maximum(0.55 * on_grid, 0.9 * np.maximum(strong[:, None], strong)[..., None])
     colour += on_grid * (np.array(pv.Color(grid).int_rgb) - colour)
     texture = pv.Texture(np.clip(colour, 0, 255).astype(np.uint8))
     texture.repeat = True

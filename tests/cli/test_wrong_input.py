@@ -86,6 +86,15 @@ def test_a_wrong_setting_is_refused_before_anything_is_written(refused, override
     assert expected in refused("train", CONFIG, override, "--out", "run")
 
 
+def test_legs_that_cannot_reach_their_postures_are_refused(refused):
+    walker = REPOSITORY / "configs" / "fukui2003_model1.yaml"
+    narrow = "creature.bodies.2.joint.limits_deg=[-75, 60]"
+    assert refused("train", walker, narrow, "--out", "run") == (
+        f"{walker}: controller: the postures turn joint front_left_lower.y from -70 to 70 degrees, "
+        "counted from the neutral pose; its limits_deg allow -75 to 60"
+    )
+
+
 def test_a_place_that_cannot_take_a_run_is_refused(refused, tmp_path):
     used = tmp_path / "used"
     used.mkdir()

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 from hypothesis import given
@@ -10,6 +11,10 @@ from hypothesis import strategies as st
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.errors import ConfigError, nearest
 from evo_cpg.config.load import check_config, dump_config, load_config
+from evo_cpg.creature.creature import neutral_pose
+from evo_cpg.evolution.bits import BitGenetics
+from evo_cpg.simulation.reach_light import ReachLight
+from evo_cpg.simulation.walk import Distance, Walk
 from tiny_run import CONFIG, REPOSITORY
 
 BOX = "shape: {type: box, size: [0.2, 0.1, 0.1]}, material: flesh"
@@ -45,6 +50,40 @@ def problem(data: dict) -> str:
     message = str(caught.value)
     assert message.startswith("x.yaml: ") and message.count("\n") <= 1
     return message.removeprefix("x.yaml: ")
+
+
+def test_noise_is_built_in_radians_and_trials_need_it():
+    noise = {"joint_angle_deg": 90, "tilt_deg": 18, "push": 0.5}
+    data = small(runs=3, simulation__trials=4, noise=noise)
+    noisy = build_experiment(check_config(data, "x.yaml"), "x.yaml")
+    assert (noisy.runs, noisy.trials) == (3, 4)
+    built = noisy.simulation.noise
+    expected = pytest.approx((np.pi / 2, np.pi / 10, 0.5))
+    assert (built.joint_angle, built.tilt, built.push) == expected
+    silent = build_experiment(check_config(small(simulation__trials=4), "x.yaml"), "x.yaml")
+    assert silent.simulation.noise.silent and (silent.runs, silent.trials) == (1, 1)
+
+
+def test_the_seeds_of_all_runs_must_be_seeds():
+    last = 2**31 - 1
+    build_experiment(check_config(small(seed=last - 1, runs=2), "x.yaml"), "x.yaml")
+    assert f"the seed of the last of 2 runs must be less than {last + 1}, got {last + 1}" in (
+        problem(small(seed=last, runs=2))
+    )
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"runs": 0}, "runs: 0: input should be greater than or equal to 1"),
+        ({"simulation__trials": 0}, "simulation.trials: 0: input should be greater than or equal"),
+        ({"noise__push": -1}, "noise.push: -1: input should be greater than or equal to 0"),
+        ({"noise__tilt": 1}, "noise.tilt: unknown key; did you mean 'tilt_deg'?"),
+        ({"noise__joint_angle_deg": 181}, "noise.joint_angle_deg: 181: input should be less than"),
+    ],
+)
+def test_wrong_noise_trials_and_runs_are_refused(changes, expected):
+    assert expected in problem(small(**changes))
 
 
 @pytest.mark.parametrize(
@@ -153,7 +192,14 @@ def test_an_unknown_key_is_answered_with_the_nearest_valid_one(key, value, expec
         ("controller__cpg__pair_weight", float("nan"), "nan"),
         ("controller__brain__hidden", [0], "hidden layers need at least one unit each"),
         ("controller__type", "spline", "'spline' is not known; allowed: 'brain_cpg'"),
-        ("task__type", "win", "'win' is not known; allowed: 'reach_light', or module:Class"),
+        (
+            "task__type",
+            "win",
+            "'win' is not known; allowed: 'reach_light', 'distance', 'walk', or module:Class",
+        ),
+        ("task", {"type": "distance", "heading": "up"}, "'up': input should be 'any' or 'forward'"),
+        ("task", {"type": "walk", "tilt_weight": -1}, "-1: input should be greater than or equal"),
+        ("simulation__start_clearance", -0.1, "-0.1: input should be greater than or equal to 0"),
         ("task__light__distance", 0, "0: input should be greater than 0"),
         ("task__energy_weight", 0.7, "eq. 10 asks for distance_weight > light_weight > energy"),
     ],
@@ -200,6 +246,98 @@ def test_postures_and_bits_go_together():
 )
 def test_wrong_postures_and_bits_are_refused(changes, expected):
     assert expected in problem(small(**changes))
+
+
+PULLING = {"creature__bodies__1__joint__actuator": {"gain": 1, "stiffness": 5}}
+
+
+def test_postures_beyond_a_joints_limits_are_refused():
+    """110 to 250 degrees about 180, on a joint of -60 to 60; where no spring pulls, they may."""
+    changes = {**POSTURES, "evolution__mutated_genes": [2, 10]}
+    message = problem(small(**changes, **PULLING))
+    assert message.startswith("controller: the postures turn joint tail.z from -70 to 70 degrees")
+    assert message.endswith("its limits_deg allow -60 to 60")
+    data = small(**changes, **PULLING, creature__bodies__1__joint__limits_deg=[-75, 69])
+    assert "allow -75 to 69" in problem(data)
+    assert "from -60 to 80" in problem(small(**changes, **PULLING, controller__lowest_angle=120))
+    for accepted in (
+        small(**changes),
+        small(**changes, **PULLING, creature__bodies__1__joint__limits_deg=[-70, 70]),
+        small(**changes, **PULLING, controller__lowest_angle=130, controller__angle_step=14),
+    ):
+        build_experiment(check_config(accepted, "x.yaml"), "x.yaml")
+
+
+GROUND = {"world__water": None, "world__ground": {}}
+
+
+def test_over_ground_a_creature_starts_on_it():
+    """Its lowest point, a tail that hangs 0.3 m down, at the clearance; the light moves with it."""
+
+    def start(**changes):
+        simulation = build_experiment(check_config(small(**changes), "x.yaml"), "x.yaml").simulation
+        assert isinstance(simulation.task, ReachLight)
+        return simulation.start_height, simulation.task.light
+
+    hanging = {
+        "creature__bodies__1__joint__at": [0, 0, -0.1],
+        "creature__bodies__1__joint__child_at": [0.1, 0, 0],
+        "creature__bodies__1__joint__rotation_deg": [0, -90, 0],
+        "task__light": {"distance": 2, "bearing_deg": 0, "elevation_deg": 30},
+    }
+    light = pytest.approx((np.sqrt(3), 0, 1))
+    assert start(**hanging) == (0.0, light)
+    assert start(**hanging, simulation__start_clearance=0.5) == (0.0, light)
+    raised = pytest.approx((np.sqrt(3), 0, 1.3))
+    assert start(**hanging, **GROUND) == (pytest.approx(0.3), raised)
+    height, _ = start(**hanging, **GROUND, simulation__start_clearance=0.5)
+    assert height == pytest.approx(0.8)
+
+
+def test_tasks_without_a_light():
+    def task(**settings):
+        return build_experiment(
+            check_config(small(task=settings), "x.yaml"), "x.yaml"
+        ).simulation.task
+
+    far, ahead = task(type="distance"), task(type="distance", heading="forward")
+    assert isinstance(far, Distance) and isinstance(ahead, Distance)
+    assert (far.light, far.heading, ahead.heading) == (None, "any", "forward")
+    walk = task(type="walk", tilt_weight=3, bounce_weight=4, airborne_weight=5, distance_weight=2)
+    assert isinstance(walk, Walk)
+    weights = (walk.distance_weight, walk.tilt_weight, walk.bounce_weight, walk.airborne_weight)
+    assert weights == (2, 3, 4, 5)
+    # The head is a box 0.2 m long.
+    assert (walk.light, walk.heading, walk.torso_length) == (None, "any", pytest.approx(0.2))
+
+
+@pytest.mark.parametrize(
+    ("model", "bits", "height"), [(1, 192, 0.56), (2, 192, 0.48), (3, 144, 0.48)]
+)
+def test_the_walkers_of_fukui_2003(model, bits, height):
+    """What the thesis gives, and legs that end on the ground, straight down."""
+    path = REPOSITORY / "configs" / f"fukui2003_model{model}.yaml"
+    experiment = build_experiment(load_config(path), path)
+    simulation = experiment.simulation
+    assert simulation.controller.gene_count == bits
+    assert simulation.steps / simulation.control_rate == 20
+    assert simulation.start_height == pytest.approx(height)
+    assert experiment.genetics == BitGenetics()
+    assert {
+        (body.material.restitution, body.joint is None) for body in experiment.creature.bodies
+    } == {
+        (0.6, True),
+        (0.3, False),
+    }
+    centres, rotations = neutral_pose(experiment.creature)
+    feet = [
+        centre[2] - body.shape.half_extents[2] + simulation.start_height
+        for body, centre in zip(experiment.creature.bodies, centres, strict=True)
+        if body.name.endswith("lower")
+    ]
+    assert len(feet) == bits / 48
+    np.testing.assert_allclose(feet, 0, atol=1e-12)
+    np.testing.assert_array_equal(rotations, np.broadcast_to(np.eye(3), rotations.shape))
 
 
 def test_references_must_lead_to_something():

@@ -152,3 +152,20 @@ def test_ellipsoid_distance_has_the_right_sign():
     level = ((points / shape.half_extents) ** 2).sum(1) - 1
     np.testing.assert_array_equal(np.sign(shape.distance(points)), np.sign(level))
     assert shape.distance(np.zeros((1, 3)))[0] == -0.1
+
+
+@each_shape
+def test_support_is_the_farthest_point_of_the_surface(shape):
+    """It lies on the surface; of a fine quadrature no point lies farther, and one nearly so."""
+    points = shape.surface(60).points
+    for direction in (*np.eye(3), *-np.eye(3), *np.random.default_rng(2).normal(size=(20, 3))):
+        point = shape.support(direction)
+        assert shape.distance(point[None])[0] == pytest.approx(0, abs=1e-15)
+        reach = (points - point) @ direction / np.linalg.norm(direction)
+        assert -5e-4 < reach.max() < 1e-15
+        np.testing.assert_allclose(shape.support(3 * direction), point, rtol=0, atol=1e-15)
+
+
+def test_support_is_in_the_middle_of_a_face():
+    np.testing.assert_array_equal(SHAPES["box"].support(np.array([0, 0, -2.0])), [0, 0, -0.05])
+    np.testing.assert_array_equal(SHAPES["capsule"].support(np.array([0, 0, 1.0])), [0, 0, 0.05])

@@ -18,7 +18,7 @@ from evo_cpg.physics.articulated import solve
 from evo_cpg.physics.joints import passive_torque
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import State
-from evo_cpg.physics.step import World, body_equations
+from evo_cpg.physics.world import World, body_equations
 from evo_cpg.spatial.linear import lift
 
 GRAVITY = 9.81

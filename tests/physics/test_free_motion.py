@@ -18,7 +18,8 @@ from evo_cpg.creature.creature import Actuator, Body, Creature, Material
 from evo_cpg.creature.shapes import Box, Sphere
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.physics.state import State
-from evo_cpg.physics.step import World, step
+from evo_cpg.physics.step import step
+from evo_cpg.physics.world import World
 
 DURATION = 0.5
 # Steps in `DURATION`; the shortest step is 1/1920 s.

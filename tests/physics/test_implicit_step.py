@@ -18,7 +18,8 @@ from creatures import STRUCTURES, in_water, quick_jit, random_creature, random_s
 from evo_cpg.creature.creature import Actuator, Creature
 from evo_cpg.creature.surface import outer_surfaces
 from evo_cpg.physics.state import State
-from evo_cpg.physics.step import World, step
+from evo_cpg.physics.step import step
+from evo_cpg.physics.world import World
 
 H = 1 / 120
 CURRENT = (0.3, -0.2, 0.1)

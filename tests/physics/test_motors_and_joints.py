@@ -13,7 +13,8 @@ from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, Material
 from evo_cpg.creature.shapes import Box
 from evo_cpg.creature.tree import LIMIT_FREQUENCY, build_tree
 from evo_cpg.physics.state import State, resting_state
-from evo_cpg.physics.step import World, step
+from evo_cpg.physics.step import step
+from evo_cpg.physics.world import World
 
 H = 1 / 120
 INDIVIDUALS, STEPS = 64, 200

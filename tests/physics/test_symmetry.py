@@ -10,7 +10,8 @@ from scipy.spatial.transform import Rotation
 from creatures import in_water, quick_jit, random_creature, random_state
 from evo_cpg.creature.creature import Actuator
 from evo_cpg.physics.state import State
-from evo_cpg.physics.step import World, step
+from evo_cpg.physics.step import step
+from evo_cpg.physics.world import World
 
 H = 1 / 120
 STEPS = 100

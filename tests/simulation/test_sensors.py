@@ -69,13 +69,25 @@ def test_a_creature_without_eyes_sees_nothing():
     tree = build_tree(creature)
     sensors = place_sensors(creature, tree)
     for batch in ((), (4,)):
-        light = jnp.ones((3, *(1,) * len(batch)))
-        seen = jax.eval_shape(
-            lambda batch=batch, light=light: see(
-                sensors, kinematics(tree, resting_state(tree, batch)), light
+        for light in (jnp.ones((3, *(1,) * len(batch))), None):
+            seen = jax.eval_shape(
+                lambda batch=batch, light=light: see(
+                    sensors, kinematics(tree, resting_state(tree, batch)), light
+                )
             )
-        )
-        assert [values.shape[0] for values in seen] == [0, 0, 0]
+            assert [values.shape for values in seen] == [(0, *batch)] * 3
+
+
+def test_eyes_in_the_dark_feel_only_the_vertical(x64):
+    tree = build_tree(swimmer(EYES))
+    sensors = place_sensors(swimmer(EYES), tree)
+    turned = tuple(map(float, quaternion(np.asarray(euler_to_matrix(0.4, -0.3, 1.1)))))
+    kin = kinematics(tree, resting_state(tree, dtype=jnp.float64, orientation=turned))
+    lit, dark = see(sensors, kin, jnp.array([3.0, 1.0, 0.5])), see(sensors, kin, None)
+    assert float(lit[0].max()) > 0.5
+    np.testing.assert_array_equal(dark[0], [0.0, 0.0])
+    np.testing.assert_array_equal(dark[1], lit[1])
+    np.testing.assert_array_equal(dark[2], lit[2])
 
 
 def quaternion(rotation: np.ndarray) -> np.ndarray:

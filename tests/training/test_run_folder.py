@@ -13,15 +13,16 @@ from evo_cpg.training.checkpoint import Champion, Checkpoint, genes_digest, outc
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
 
 CHAMPION = Champion(
-    np.array([0.25, -1.5], np.float32), -0.5, 1, {"distance": 0.75}, {"energy": 3.0}
+    np.array([0.25, -1.5], np.float32), -0.5, 1, {"distance": 0.75}, {"energy": 3.0}, 0, 3
 )
 
 
-def checkpoint(done: int, champion: Champion | None = CHAMPION) -> Checkpoint:
+def checkpoint(done: int, *champions: Champion | None) -> Checkpoint:
     """The state after so many generations."""
     rows = [{"generation": i, "best": -1.0 / (i + 1), "diverged": i} for i in range(done)]
     genes = np.full((2, 4), done, np.float32)
-    return Checkpoint(done, genes, champion, rows, {"energy": 3.0})
+    champions = champions or (CHAMPION,)
+    return Checkpoint(done, genes, champions, rows, {"energy": (3.0,) * len(champions)})
 
 
 def assert_same(given: Checkpoint | None, expected: Checkpoint) -> None:
@@ -34,10 +35,11 @@ def assert_same(given: Checkpoint | None, expected: Checkpoint) -> None:
         expected.history,
         expected.scales,
     )
-    assert (given.champion is None) == (expected.champion is None)
-    if given.champion and expected.champion:
-        np.testing.assert_array_equal(given.champion.genes, expected.champion.genes)
-        assert given.champion[1:] == expected.champion[1:]
+    for champion, other in zip(given.champions, expected.champions, strict=True):
+        assert (champion is None) == (other is None)
+        if champion and other:
+            np.testing.assert_array_equal(champion.genes, other.genes)
+            assert champion[1:] == other[1:]
 
 
 def files(folder: RunFolder) -> set[str]:
@@ -78,6 +80,41 @@ def test_checkpoints_come_back_to_the_last_bit(folder, champion):
     with folder.metrics.open() as file:
         assert [int(row["generation"]) for row in csv.DictReader(file)] == [0, 1, 2]
     np.testing.assert_array_equal(folder.history()["best"], [-1, -1 / 2, -1 / 3])
+
+
+def test_the_table_is_that_of_the_history_whatever_was_written_before(folder):
+    rows = checkpoint(4).history
+    other = [{**row, "diverged": 9} for row in rows]
+    for history in (rows[:1], rows[:3], rows, rows[:2], other, other[:1], rows):
+        folder.write_metrics(history)
+        with folder.metrics.open() as file:
+            found = [{k: float(v) for k, v in row.items()} for row in csv.DictReader(file)]
+        assert found == history
+
+
+@pytest.mark.parametrize("champions", [(CHAMPION, None), (None, CHAMPION), (None, None)])
+def test_champions_of_several_runs_come_back(folder, champions):
+    folder.save(checkpoint(2, *champions))
+    assert_same(folder.load(), checkpoint(2, *champions))
+    assert folder.champion.exists() == any(champions)
+
+
+def test_the_champion_is_the_best_of_all_runs(folder):
+    better = CHAMPION._replace(fitness=-0.25, run=2)
+    folder.save(checkpoint(2, CHAMPION, None, better, better._replace(run=3)))
+    assert folder.load_champion()[0].run == 2
+
+
+def test_a_checkpoint_from_before_there_were_several_runs_is_read(folder):
+    folder.save(checkpoint(2))
+    (path,) = (folder.path / "checkpoints").iterdir()
+    with np.load(path) as file:
+        arrays = dict(file)
+    for name in ("runs", "champion.run", "champion.index"):
+        del arrays[name]
+    arrays["scale.energy"] = arrays["scale.energy"][0]
+    np.savez(path, **arrays)
+    assert_same(folder.load(), checkpoint(2, CHAMPION._replace(index=0)))
 
 
 def test_the_champion_comes_back_with_its_motion_and_digests(folder):

@@ -1,4 +1,4 @@
-"""A ten-box swimmer and an invented, exactly known recording of it swimming to a light."""
+"""A ten-box swimmer, a four-legged walker, and invented, exactly known recordings of them."""
 
 import numpy as np
 from PIL import Image
@@ -20,6 +20,16 @@ FREQUENCY = 1.08
 AMPLITUDE = np.radians(24)
 LAG = np.radians(36)
 GOAL = np.array([6.9, 4.0, 0.0])
+# Of the walker: length of a leg's upper or lower half, half the side of its square section, places
+# of the hips, speed and steps per second of one foot.
+LEG, FOOT = 0.24, 0.04
+HIPS = {
+    "front_left": (0.22, 0.13),
+    "front_right": (0.22, -0.13),
+    "hind_left": (-0.22, 0.13),
+    "hind_right": (-0.22, -0.13),
+}
+PACE, STEP_RATE = 0.5, 1.4
 _MATERIAL = Material(density=1000.0)
 _LIMIT = np.pi / 3
 
@@ -119,6 +129,89 @@ def standing(creature: Creature, seconds: float = 1.0, rate: float = 30.0) -> Re
         goal=goal,
         dof_names=(),
     )
+
+
+def walker() -> Creature:
+    """A trunk with four legs of two boxes each, all joints about y; no eyes and no colours."""
+
+    def leg(name: str, parent: str, anchor: tuple[float, float, float]) -> Body:
+        joint = Joint(
+            parent=parent,
+            parent_anchor=anchor,
+            child_anchor=(0.0, 0.0, LEG / 2),
+            axes=((0.0, 1.0, 0.0),),
+            lower=(-np.pi / 2,),
+            upper=(np.pi / 2,),
+            actuator=Actuator(gain=20.0),
+        )
+        return Body(name, Box((2 * FOOT, 2 * FOOT, LEG)), _MATERIAL, joint)
+
+    legs = [
+        body
+        for name, (x, y) in HIPS.items()
+        for body in (
+            leg(f"{name}_thigh", "trunk", (x, y, -0.08)),
+            leg(f"{name}_shin", f"{name}_thigh", (0.0, 0.0, -LEG / 2)),
+        )
+    ]
+    return Creature("walker", (Body("trunk", Box((0.6, 0.3, 0.16)), _MATERIAL), *legs))
+
+
+def walk(seconds: float = 20.0, rate: float = 60.0, course: float = 0.0) -> Recording:
+    """A trot at ``PACE`` on the ground z = 0, along a bearing from the x axis (rad).
+
+    Every foot rests on the same spot during the first 60 % of its step and then swings forward in
+    an arc; its lowest corner is at z = 0 exactly while it rests, and never below.
+    """
+    time = np.arange(round(seconds * rate)) / rate
+    trunk = np.column_stack(
+        [PACE * time, 0 * time, 0.5 + 0.008 * np.sin(4 * np.pi * STEP_RATE * time)]
+    )
+    position, rotation = [trunk], [np.broadcast_to(np.eye(3), (len(time), 3, 3))]
+    angles = []
+    for i, (x, y) in enumerate(HIPS.values()):
+        phase = STEP_RATE * time + 0.5 * (i in (1, 2))
+        swing = np.clip((phase % 1 - 0.6) / 0.4, 0, 1)
+        eased = swing - np.sin(2 * np.pi * swing) / (2 * np.pi)
+        foot = x + PACE / STEP_RATE * (np.floor(phase) + 0.3 - 0.5 * (i in (1, 2)) + eased)
+        forward = foot - PACE * time - x
+        hip = trunk[:, 2] - 0.08
+        tilt = np.zeros_like(time)
+        # The corner of a leaning shin is lower than the middle of its sole.
+        for _ in range(60):
+            down = hip - 0.09 * np.sin(np.pi * swing) ** 2 - FOOT * np.abs(np.sin(tilt))
+            reach = np.minimum(np.hypot(forward, down), 2 * LEG - 1e-6)
+            bend = np.arccos(reach / (2 * LEG))
+            thigh = np.arctan2(-forward, down) - bend
+            tilt = thigh + 2 * bend
+        upper, lower = _about(1, thigh), _about(1, tilt)
+        joint = trunk + np.array([x, y, -0.08])
+        knee = joint - LEG * upper[..., 2]
+        position += [joint - LEG / 2 * upper[..., 2], knee - LEG / 2 * lower[..., 2]]
+        rotation += [upper, lower]
+        angles += [thigh, 2 * bend]
+    turn = _about(2, np.array([course]))[0]
+    angle = np.column_stack(angles)
+    place = np.stack(position, 1) @ turn.T
+    return Recording(
+        time=time,
+        position=place,
+        rotation=turn @ np.stack(rotation, 1),
+        joint_angle=angle,
+        target_rate=np.gradient(angle, 1 / rate, axis=0),
+        cpg_output=np.sin(angle),
+        torque=np.zeros_like(angle),
+        distance=PACE * time,
+        goal=np.full(3, np.nan),
+        dof_names=tuple(f"{body.name}.y" for body in walker().bodies[1:]),
+    )
+
+
+def lowest_points(creature: Creature, recording: Recording) -> np.ndarray:
+    """Height of the lowest corner of every body's bounding box ``(t, b)``, m."""
+    half = np.array([body.shape.half_extents for body in creature.bodies])
+    drop = (np.abs(recording.rotation[..., 2, :]) * half).sum(-1)
+    return recording.position[..., 2] - drop
 
 
 def read(path) -> np.ndarray:

@@ -1,0 +1,106 @@
+"""Chance in a trial: where the animal starts, and how it is pushed about.
+
+Fukui 2003, chapter 4, finds that his simulation is not perfectly repeatable, so that chance
+decides who is kept. Here a trial repeats to the last bit, and chance is put in on purpose, from
+random numbers that belong to the trial alone (see `evo_cpg.training.experiment.trial_keys`).
+
+The push is a random walk added to the root's velocity: over a time t its standard deviation is
+``push sqrt(t)``, however long a control step is.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Shaped, UInt32
+
+from evo_cpg.creature.tree import Tree
+from evo_cpg.physics.state import State
+from evo_cpg.spatial.linear import lift
+from evo_cpg.spatial.rotation import integrate_quaternion
+
+# Tags that keep the random streams of one trial apart.
+_START, _PUSH = 0, 1
+
+
+class Noise(eqx.Module):
+    """How large chance is; what is 0 costs nothing.
+
+    Attributes:
+        joint_angle: standard deviation of every joint angle at the start, rad; no joint starts
+            beyond its limits.
+        tilt: standard deviation of the root's roll and of its pitch at the start, rad.
+        push: of the root in each direction, m/s per square root of a second.
+    """
+
+    joint_angle: float = 0.0
+    tilt: float = 0.0
+    push: float = 0.0
+
+    @property
+    def silent(self) -> bool:
+        """Whether every trial of an individual is the same."""
+        return not (self.joint_angle or self.tilt or self.push)
+
+
+def disturb_start(
+    noise: Noise, tree: Tree, state: State, keys: UInt32[Array, "w *n"] | None
+) -> State:
+    """The pose at the start, as chance has it.
+
+    Args:
+        noise: how large chance is.
+        tree: the creature.
+        state: the pose without noise.
+        keys: raw random keys of the trials; None without noise.
+    """
+    if keys is None or not (noise.joint_angle or noise.tilt):
+        return state
+    turn, bend = jnp.split(_normals(keys, _START, 2 + tree.dof_count), [2])
+    # The rotation vector as a rate that is held for a second.
+    tilt = noise.tilt * jnp.concatenate([turn, jnp.zeros_like(turn[:1])])
+    lower, upper = (lift(limit, state.q) for limit in (tree.lower, tree.upper))
+    return State(
+        state.position,
+        integrate_quaternion(state.orientation, tilt, 1.0) if noise.tilt else state.orientation,
+        state.velocity,
+        jnp.clip(state.q + noise.joint_angle * bend, lower, upper),
+        state.qd,
+    )
+
+
+def disturb_motion(
+    noise: Noise,
+    state: State,
+    keys: UInt32[Array, "w *n"] | None,
+    index: Array,
+    duration: float,
+) -> State:
+    """The state after the push of one control step.
+
+    Args:
+        noise: how large chance is.
+        state: before it.
+        keys: raw random keys of the trials; None without noise.
+        index: number of the control step.
+        duration: of a control step, s.
+    """
+    if keys is None or not noise.push:
+        return state
+    push = noise.push * float(np.sqrt(duration)) * _normals(keys, _PUSH, 3, index)
+    velocity = state.velocity + jnp.concatenate([jnp.zeros_like(push), push])
+    return eqx.tree_at(lambda s: s.velocity, state, velocity)
+
+
+def _normals(
+    keys: UInt32[Array, "w *n"], stream: int, count: int, index: Array | int = 0
+) -> Float[Array, "count *n"]:
+    """Normal deviates of every trial: each has its own, whoever else there is."""
+
+    def of_trial(key: Shaped[Array, ""]) -> Float[Array, " count"]:
+        key = jax.random.fold_in(jax.random.fold_in(key, stream), index)
+        return jax.random.normal(key, (count,), jnp.float32)
+
+    batch = keys.shape[1:]
+    flat = jax.random.wrap_key_data(keys.reshape(len(keys), -1).T)
+    return jax.vmap(of_trial, out_axes=1)(flat).reshape(count, *batch)

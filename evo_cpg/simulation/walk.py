@@ -1,0 +1,178 @@
+"""Go far: as in Fukui 2003, or with a posture that makes the animal walk instead of run.
+
+The thesis scores the distance moved after 20 s and nothing else (3.4), so its agents run; to get a
+walk, it proposes in 4.3 to score the posture as well and does not say how. `Distance` is the first,
+
+    f = D,
+
+and `Walk` takes from it what running has and walking has not, each term from the whole trial:
+
+    f = a D/l - b T - c H/l - d A,    T = mean(1 - cos(angle of the torso's up to the world's)).
+
+The thesis is silent on what "distance" is. Here D is the straight line over ground (heights do not
+count) from where the torso's centre was at the start to where it is at the last control step, and
+the torso is the root of the creature. Lengths are measured in torso lengths l, so a weight says how
+many torso lengths of way a term of 1 is worth.
+
+| symbol | name |
+|---|---|
+| D | ``distance`` or ``forward`` (m) |
+| T | ``tilt``: 0 upright, 1 on the side, 2 on the back |
+| H | ``bounce``: standard deviation of the height of the torso's centre (m) |
+| A | ``airborne``: share of the time in which nothing touches the ground |
+| l | ``torso_length`` (m) |
+| a, b, c, d | ``distance_weight``, ``tilt_weight``, ``bounce_weight``, ``airborne_weight`` |
+"""
+
+from collections.abc import Mapping
+from typing import Literal, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from evo_cpg.simulation.task import Moment, Task
+
+# ``any`` counts the way made whatever its direction; ``forward`` what of it leads along +x, which
+# the animal faces at the start, and counts a way back as negative.
+Heading = Literal["any", "forward"]
+
+
+class Way(NamedTuple):
+    """Where the torso set out and where it is, m."""
+
+    start: Float[Array, "3 *n"]
+    end: Float[Array, "3 *n"]
+
+
+class Gait(NamedTuple):
+    """The way and sums over the trial so far.
+
+    Attributes:
+        way: from the start.
+        tilt: of 1 - cos(angle to the vertical).
+        rise: of the height above that at the start, m; it is small, so the variance keeps its
+            digits.
+        squared_rise: of its square, m^2.
+        airborne: of the share of each control step off the ground.
+    """
+
+    way: Way
+    tilt: Float[Array, " *n"]
+    rise: Float[Array, " *n"]
+    squared_rise: Float[Array, " *n"]
+    airborne: Float[Array, " *n"]
+
+
+class Distance(Task):
+    """Get as far as possible.
+
+    Attributes:
+        light: none.
+        heading: ``any`` direction, or ``forward``.
+    """
+
+    light: None = eqx.field(default=None, init=False)
+    heading: Heading = eqx.field(static=True, default="any")
+
+    def begin(self, batch: tuple[int, ...], dtype: jnp.dtype, steps: int) -> Way:
+        """See `Task.begin`."""
+        del steps
+        return _no_way(batch, dtype)
+
+    def watch(self, tally: Way, moment: Moment, steps: int) -> Way:
+        """See `Task.watch`."""
+        del steps
+        return _go_on(tally, moment)
+
+    def terms(self, tally: Way, steps: int) -> dict[str, Float[Array, " *n"]]:
+        """``distance`` and, of it, what leads ``forward`` (m)."""
+        del steps
+        return _measured(tally)
+
+    def fitness(
+        self, terms: Mapping[str, Float[Array, " *n"]], scales: Mapping[str, Float[Array, ""]]
+    ) -> Float[Array, " *n"]:
+        """D, m."""
+        del scales
+        return _headed(terms, self.heading)
+
+
+class Walk(Task):
+    """Get far with a level, steady torso and a foot on the ground.
+
+    Attributes:
+        torso_length: l, m.
+        light: none.
+        heading: ``any`` direction, or ``forward``.
+        distance_weight: a.
+        tilt_weight: b.
+        bounce_weight: c.
+        airborne_weight: d.
+    """
+
+    torso_length: float
+    light: None = eqx.field(default=None, init=False)
+    heading: Heading = eqx.field(static=True, default="any")
+    distance_weight: float = 1.0
+    tilt_weight: float = 20.0
+    bounce_weight: float = 20.0
+    airborne_weight: float = 10.0
+
+    def begin(self, batch: tuple[int, ...], dtype: jnp.dtype, steps: int) -> Gait:
+        """See `Task.begin`."""
+        del steps
+        return Gait(_no_way(batch, dtype), *(jnp.zeros(batch, dtype) for _ in Gait._fields[1:]))
+
+    def watch(self, tally: Gait, moment: Moment, steps: int) -> Gait:
+        """See `Task.watch`."""
+        del steps
+        way = _go_on(tally.way, moment)
+        _, x, y, _ = moment.orientation
+        rise = way.end[2] - way.start[2]
+        return Gait(
+            way,
+            # The torso's up axis has the height 1 - 2 (x^2 + y^2).
+            tally.tilt + 2.0 * (x * x + y * y),
+            tally.rise + rise,
+            tally.squared_rise + rise * rise,
+            tally.airborne + moment.airborne,
+        )
+
+    def terms(self, tally: Gait, steps: int) -> dict[str, Float[Array, " *n"]]:
+        """``distance`` and ``forward`` (m), ``tilt``, ``bounce`` (m) and ``airborne``."""
+        mean = tally.rise / steps
+        return _measured(tally.way) | {
+            "tilt": tally.tilt / steps,
+            "bounce": jnp.sqrt(jnp.maximum(tally.squared_rise / steps - mean * mean, 0.0)),
+            "airborne": tally.airborne / steps,
+        }
+
+    def fitness(
+        self, terms: Mapping[str, Float[Array, " *n"]], scales: Mapping[str, Float[Array, ""]]
+    ) -> Float[Array, " *n"]:
+        """What it made of the way, in torso lengths."""
+        del scales
+        return (
+            self.distance_weight * _headed(terms, self.heading) / self.torso_length
+            - self.tilt_weight * terms["tilt"]
+            - self.bounce_weight * terms["bounce"] / self.torso_length
+            - self.airborne_weight * terms["airborne"]
+        )
+
+
+def _no_way(batch: tuple[int, ...], dtype: jnp.dtype) -> Way:
+    return Way(jnp.zeros((3, *batch), dtype), jnp.zeros((3, *batch), dtype))
+
+
+def _go_on(way: Way, moment: Moment) -> Way:
+    return Way(jnp.where(moment.step == 0, moment.position, way.start), moment.position)
+
+
+def _measured(way: Way) -> dict[str, Float[Array, " *n"]]:
+    ahead, aside, _ = way.end - way.start
+    return {"distance": jnp.sqrt(ahead * ahead + aside * aside), "forward": ahead}
+
+
+def _headed(terms: Mapping[str, Float[Array, " *n"]], heading: Heading) -> Float[Array, " *n"]:
+    return terms["distance" if heading == "any" else "forward"]

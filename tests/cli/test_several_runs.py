@@ -1,0 +1,69 @@
+"""Several noisy runs at once, from the command line to the films."""
+
+import csv
+import shutil
+
+import pytest
+
+from evo_cpg.training.run_folder import RunFolder
+from tiny_run import CONFIG, TINY
+
+NOISY = (
+    "runs=2",
+    "seed=3",
+    "simulation.trials=2",
+    "noise.joint_angle_deg=3",
+    "noise.tilt_deg=2",
+    "noise.push=0.05",
+)
+
+
+@pytest.fixture(scope="module")
+def noisy_run(finish, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("several") / "run"
+    overrides = (*TINY, *NOISY, "evolution.generations=2")
+    code, _, err = finish("train", CONFIG, *overrides, "--out", folder, "--cores", 2)
+    assert code == 0, err
+    assert "generation    2/2  best of 2 runs" in err and "  median" in err
+    assert "champion of generation" in err and " of run " in err
+    return folder
+
+
+def test_every_generation_has_a_row_for_each_run(noisy_run):
+    with (noisy_run / "metrics.csv").open() as file:
+        rows = [(row["generation"], row["run"]) for row in csv.DictReader(file)]
+    assert rows == [("0", "0"), ("0", "1"), ("1", "0"), ("1", "1")]
+
+
+def test_the_best_of_all_comes_out_exactly_noise_included(noisy_run, finish):
+    code, out, err = finish("verify", noisy_run)
+    assert (code, err) == (0, "")
+    assert out.endswith("comes out as recorded (exactly)\n")
+
+
+def test_the_champion_of_any_run_is_filmed(noisy_run, finish, tmp_path):
+    kept, _, _ = RunFolder(noisy_run).load_champion()
+    picture = tmp_path / "other.png"
+    options = ("--run", 1 - kept.run, "--size", "64x48", "-o", picture)
+    code, out, err = finish("render", noisy_run, *options)
+    assert (code, out) == (0, f"{picture}\n"), err
+    assert picture.stat().st_size > 0
+
+
+def test_a_run_that_is_not_there_is_refused(noisy_run, cli):
+    code, out, err = cli("render", noisy_run, "--run", 2)
+    assert (code, out) == (2, "")
+    assert err == f"evo-cpg: --run: {noisy_run} holds 2 run(s), counted from 0\n"
+
+
+def test_resume_refuses_another_number_of_runs(noisy_run, cli, tmp_path):
+    folder = tmp_path / "run"
+    shutil.copytree(noisy_run, folder)
+    config = folder / "config.yaml"
+    written = config.read_text()
+    # As many individuals as before, but in one run.
+    changed = written.replace("runs: 2", "runs: 1").replace("population: 8", "population: 16")
+    config.write_text(changed)
+    code, _, err = cli("resume", folder)
+    assert code == 2
+    assert "16 individuals in 1 run(s), the checkpoint has" in err and ", 16 and 2; start" in err

@@ -1,0 +1,98 @@
+"""Noise: as large as it says, each trial's own, and nothing where there is none."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from creatures import quick_jit
+from evo_cpg.physics.state import resting_state
+from evo_cpg.simulation.noise import Noise, disturb_motion, disturb_start
+from evo_cpg.simulation.rollout import record, rollout
+from trials import experiment
+
+COUNT = 4000
+KEYS = np.random.default_rng(0).integers(0, 2**32, (2, COUNT), dtype=np.uint32)
+
+
+@pytest.fixture(scope="module")
+def simulation():
+    return experiment(20).simulation
+
+
+def start(simulation, keys=KEYS, **noise):
+    tree = simulation.world.tree
+    rest = resting_state(tree, keys.shape[1:], jnp.float32)
+    return quick_jit(lambda k: disturb_start(Noise(**noise), tree, rest, k))(keys)
+
+
+def test_joints_start_off_their_angles_but_within_their_limits(simulation):
+    angles = np.asarray(start(simulation, joint_angle=0.2).q)
+    # Of 4000 draws a standard deviation is known to 1.1 %.
+    assert angles.std() == pytest.approx(0.2, rel=0.04)
+    assert abs(angles.mean()) < 4 * 0.2 / np.sqrt(COUNT)
+    wide = np.asarray(start(simulation, joint_angle=2.0).q)
+    assert wide.min() == -1.0 and wide.max() == 1.0
+    # Beyond half a deviation on either side lie 62 %.
+    assert (np.abs(wide) == 1.0).mean() == pytest.approx(0.617, abs=0.03)
+
+
+def test_the_root_rolls_and_pitches_but_does_not_turn(simulation):
+    state = start(simulation, tilt=0.1)
+    w, *vector = np.asarray(state.orientation, float)
+    rotation = 2 * np.arccos(w) * np.array(vector) / np.linalg.norm(vector, axis=0)
+    np.testing.assert_allclose(rotation[:2].std(1), 0.1, rtol=0.04)
+    assert abs(np.corrcoef(rotation[:2])[0, 1]) < 4 / np.sqrt(COUNT)
+    assert (rotation[2] == 0).all()
+    np.testing.assert_array_equal(state.q, 0)
+
+
+@pytest.mark.parametrize("rate", [60, 240])
+def test_pushes_add_up_to_a_random_walk_whatever_the_control_rate(simulation, rate):
+    """After t = 0.5 s the standard deviation of the velocity is push sqrt(t)."""
+    noise, rest = Noise(push=0.3), resting_state(simulation.world.tree, (COUNT,), jnp.float32)
+
+    def walk(keys):
+        def advance(state, index):
+            return disturb_motion(noise, state, keys, index, 1 / rate), None
+
+        return jax.lax.scan(advance, rest, jnp.arange(rate // 2))[0]
+
+    velocity = np.asarray(quick_jit(walk)(KEYS).velocity)
+    np.testing.assert_allclose(velocity[3:].std(1), 0.3 * np.sqrt(0.5), rtol=0.04)
+    assert (velocity[:3] == 0).all()
+
+
+def test_a_trial_draws_its_own_numbers_whoever_else_there_is(simulation):
+    noise = {"joint_angle": 0.1, "tilt": 0.1}
+    together, alone = start(simulation, **noise), start(simulation, KEYS[:, 7:8], **noise)
+    np.testing.assert_array_equal(together.q[:, 7:8], alone.q)
+    np.testing.assert_array_equal(together.orientation[:, 7:8], alone.orientation)
+    assert len(np.unique(np.asarray(together.q))) > COUNT - 10
+
+
+def test_without_noise_the_program_is_that_of_a_trial_without_keys(simulation):
+    genes, keys = jnp.ones((2, 3)), jnp.asarray(KEYS[:, :3])
+
+    def program(simulation, keys):
+        return jax.jit(lambda genes: rollout(simulation, genes, keys)).lower(genes).as_text()
+
+    silent = dataclasses.replace(simulation, noise=Noise(0.0, 0.0, 0.0))
+    noisy = dataclasses.replace(simulation, noise=Noise(push=0.1))
+    assert program(silent, keys) == program(simulation, None) == program(noisy, None)
+    assert program(noisy, keys) != program(noisy, None)
+
+
+def test_a_noisy_trial_and_its_recording_are_the_same_trial(simulation):
+    noisy = dataclasses.replace(simulation, noise=Noise(0.1, 0.1, 0.5))
+    genes, keys = np.full((2, 4), 2.0, np.float32), KEYS[:, [0, 1, 2, 0]]
+    outcome, frames = quick_jit(lambda g, k: (rollout(noisy, g, k), record(noisy, g, 4, k)))(
+        genes, keys
+    )
+    distance = np.asarray(outcome.terms["distance"])
+    assert len(np.unique(distance[:3])) == 3 and distance[3] == distance[0]
+    place = np.asarray(frames["position"])[:, :, simulation.world.tree.names.index("head")]
+    way = np.linalg.norm(np.array([3.0, 1.0, 0.5])[:, None] - place, axis=1)
+    np.testing.assert_allclose(distance, way.mean(0) / way[0], rtol=1e-5)

@@ -1,0 +1,150 @@
+"""Tasks without a light: their terms from invented motions, from trials, and from a falling box."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from creatures import quick_jit
+from evo_cpg.creature.creature import Body, Creature, Material
+from evo_cpg.creature.shapes import Box
+from evo_cpg.creature.tree import build_tree
+from evo_cpg.physics.contact import Ground, make_footing
+from evo_cpg.physics.world import World
+from evo_cpg.simulation.rollout import Simulation, as_recording, record, rollout
+from evo_cpg.simulation.sensors import place_sensors
+from evo_cpg.simulation.task import Moment
+from evo_cpg.simulation.walk import Distance, Walk
+from trials import SineController, experiment
+
+STEPS, ANIMALS = 40, 5
+GENES = np.array([[3.0, 2.0, 0.0], [1.0, 2.0, 1.0]], np.float32)
+
+
+@pytest.fixture(scope="module")
+def motion():
+    """A walk of random animals, wild enough that no two terms are alike."""
+    rng = np.random.default_rng(0)
+    position = rng.normal(size=(STEPS, 3, ANIMALS)).cumsum(0) + 5.0
+    turns = Rotation.from_quat(rng.normal(size=(STEPS * ANIMALS, 4)))
+    return position, turns, rng.uniform(size=(STEPS, ANIMALS))
+
+
+def watched(task, motion):
+    """The terms of an invented motion."""
+    position, turns, airborne = motion
+    quaternion = turns.as_quat()[:, [3, 0, 1, 2]].reshape(STEPS, ANIMALS, 4)
+    none = jnp.zeros((0, ANIMALS))
+    tally = task.begin((ANIMALS,), jnp.dtype(jnp.float32), STEPS)
+    for k in range(STEPS):
+        place, turn = jnp.float32(position[k]), jnp.float32(quaternion[k].T)
+        share = jnp.float32(airborne[k])
+        tally = task.watch(
+            tally, Moment(jnp.array(k), place, turn, none, none, share, share), STEPS
+        )
+    return task.terms(tally, STEPS)
+
+
+@pytest.mark.parametrize("heading", ["any", "forward"])
+def test_distance_is_the_straight_line_over_ground(motion, heading):
+    position = motion[0]
+    terms = watched(Distance(heading=heading), motion)
+    way = position[-1] - position[0]
+    np.testing.assert_allclose(terms["distance"], np.hypot(way[0], way[1]), rtol=1e-5)
+    np.testing.assert_allclose(terms["forward"], way[0], rtol=1e-5, atol=1e-5)
+    assert (way[0] < 0).any()
+    fitness = Distance(heading=heading).fitness(terms, {})
+    np.testing.assert_array_equal(fitness, terms["distance" if heading == "any" else "forward"])
+
+
+def test_a_walk_is_judged_by_tilt_bounce_and_flight(motion):
+    position, turns, airborne = motion
+    terms = watched(Walk(torso_length=0.6), motion)
+    up = turns.apply([0, 0, 1])[:, 2].reshape(STEPS, ANIMALS)
+    np.testing.assert_allclose(terms["tilt"], (1 - up).mean(0), rtol=1e-5)
+    np.testing.assert_allclose(terms["bounce"], position[:, 2].std(0), rtol=1e-4)
+    np.testing.assert_allclose(terms["airborne"], airborne.mean(0), rtol=1e-5)
+    np.testing.assert_array_equal(terms["distance"], watched(Distance(), motion)["distance"])
+
+
+@pytest.mark.parametrize("heading", ["any", "forward"])
+def test_the_weights_of_a_walk_are_in_torso_lengths(heading):
+    weights = {"distance_weight": 2.0, "tilt_weight": 3.0}
+    weights |= {"bounce_weight": 5.0, "airborne_weight": 7.0}
+    task = Walk(torso_length=0.5, heading=heading, **weights)
+    terms = {"distance": 4.0, "forward": -3.0, "tilt": 0.1, "bounce": 0.02, "airborne": 0.3}
+    way = 4.0 if heading == "any" else -3.0
+    fitness = float(task.fitness({name: jnp.float32(x) for name, x in terms.items()}, {}))
+    assert fitness == pytest.approx(2 * way / 0.5 - 3 * 0.1 - 5 * 0.02 / 0.5 - 7 * 0.3)
+
+
+@pytest.mark.parametrize("bounce", [0.0, 1e-3])
+def test_a_small_bounce_keeps_its_digits_in_a_long_trial(bounce):
+    """1200 steps at a height of 100 m, in float32."""
+    steps, task = 1200, Walk(torso_length=0.6)
+    heights = 100.0 + np.float32(bounce) * np.sign(np.arange(steps) % 2 - 0.5)
+    upright, none = jnp.array([1.0, 0.0, 0.0, 0.0]), jnp.zeros(0)
+
+    def advance(tally, now):
+        step, height = now
+        place = jnp.array([0.0, 0.0, 1.0]) * height
+        moment = Moment(step, place, upright, none, none, jnp.float32(0), jnp.float32(0))
+        return task.watch(tally, moment, steps), None
+
+    start = task.begin((), jnp.dtype(jnp.float32), steps)
+    moments = jnp.arange(steps), jnp.float32(heights)
+    terms = task.terms(jax.lax.scan(advance, start, moments)[0], steps)
+    assert float(terms["bounce"]) == pytest.approx(np.float32(heights).std(dtype=float), rel=1e-3)
+    assert float(terms["tilt"]) == 0.0
+
+
+def test_a_trial_in_the_dark_has_no_goal_and_its_distance_is_from_the_start():
+    """The same motion as beside the light, which the sine wave does not look at."""
+    lit = experiment(40).simulation
+    dark = dataclasses.replace(lit, task=Distance(), start_height=0.75)
+    by_light, in_dark, outcome = quick_jit(
+        lambda genes: (record(lit, genes, 1), record(dark, genes, 1), rollout(dark, genes))
+    )(GENES)
+    recordings = [
+        as_recording(simulation, frames, ["tail", "head"])
+        for simulation, frames in ((lit, by_light), (dark, in_dark))
+    ]
+    head = [recording.position[:, 1] for recording in recordings]
+    np.testing.assert_allclose(head[1][0], [0, 0, 0.75], atol=1e-7)
+    np.testing.assert_allclose(head[1] - [0, 0, 0.75], head[0], atol=1e-5)
+    assert np.isnan(recordings[1].goal).all() and np.isfinite(recordings[0].goal).all()
+    way = np.linalg.norm((head[1] - head[1][0])[:, :2], axis=1)
+    np.testing.assert_allclose(recordings[1].distance, way, atol=1e-7)
+    assert way[-1] > 5e-3
+    assert float(outcome.terms["distance"][0]) == pytest.approx(way[-1], rel=1e-5)
+    assert outcome.alive.all()
+
+
+def test_time_in_the_air_is_that_of_a_free_fall():
+    """A box let go 0.5 m above ground that returns nothing: sqrt(2 h / g) of one second."""
+    creature = Creature("box", (Body("box", Box((0.2, 0.2, 0.2)), Material(300.0, 0.0)),))
+    tree, ground = build_tree(creature), Ground(restitution=0.0)
+    simulation = Simulation(
+        world=World(tree, 9.81, footing=make_footing(creature, tree, ground)),
+        sensors=place_sensors(creature, tree),
+        controller=SineController(),
+        task=Walk(torso_length=0.2),
+        control_rate=60.0,
+        substeps=4,
+        steps=60,
+        start_height=0.6,
+    )
+    terms = quick_jit(lambda genes: rollout(simulation, genes))(GENES[:, :1]).terms
+    # It comes down within a physics step of that, and to rest in a few more.
+    fall = np.sqrt(2 * 0.5 / 9.81)
+    assert fall - 1 / 240 < float(terms["airborne"][0]) < fall + 10 / 240
+    assert float(terms["distance"][0]) < 1e-6
+
+
+def test_without_ground_all_is_in_the_air():
+    simulation = dataclasses.replace(experiment(3).simulation, task=Walk(torso_length=0.2))
+    terms = quick_jit(lambda genes: rollout(simulation, genes))(GENES).terms
+    np.testing.assert_allclose(terms["airborne"], 1.0, rtol=1e-6)

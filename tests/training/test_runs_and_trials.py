@@ -1,0 +1,207 @@
+"""Several runs side by side are the lone runs; several trials are averaged and come out again."""
+
+import dataclasses
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from creatures import quick_jit
+from evo_cpg.evolution.bits import BitGenetics
+from evo_cpg.simulation.noise import Noise
+from evo_cpg.simulation.rollout import Outcome, score
+from evo_cpg.training.devices import fast_jit, population_mesh
+from evo_cpg.training.experiment import (
+    breed,
+    compile_trials,
+    first_population,
+    generation_keys,
+    judge,
+    replay,
+    trial_keys,
+)
+from evo_cpg.training.loop import TIMING_COLUMNS, replay_champion, train
+from evo_cpg.training.run_folder import RunFolder
+from trials import experiment
+
+SEED, SIZE, GENERATIONS = 5, 6, 3
+NOISE = Noise(joint_angle=0.1, tilt=0.05, push=0.2)
+
+
+def alone(seed: int):
+    """A lone run."""
+    return experiment(20, SIZE, seed=seed)._replace(generations=GENERATIONS)
+
+
+def noisy(made):
+    return made._replace(simulation=dataclasses.replace(made.simulation, noise=NOISE))
+
+
+PAIR = alone(SEED)._replace(runs=2)
+# Every individual of two noisy runs lives twice.
+NOISY = noisy(PAIR)._replace(trials=2, generations=2)
+
+
+def evolve(experiment, path):
+    folder = RunFolder(path)
+    if not folder.config.exists():
+        folder.create("", {})
+    return folder, train(experiment, folder)
+
+
+@pytest.fixture(scope="module")
+def pair(tmp_path_factory):
+    """Two runs side by side, evolved."""
+    return evolve(PAIR, tmp_path_factory.mktemp("pair") / "run")
+
+
+@pytest.fixture(scope="module")
+def noisy_pair(tmp_path_factory):
+    return evolve(NOISY, tmp_path_factory.mktemp("noisy") / "run")
+
+
+def untimed(rows):
+    return [{k: v for k, v in row.items() if k not in TIMING_COLUMNS} for row in rows]
+
+
+def test_first_genomes_are_those_of_the_lone_runs():
+    both = [np.asarray(first_population(alone(seed))) for seed in (SEED, SEED + 1)]
+    np.testing.assert_array_equal(first_population(PAIR), np.concatenate(both, axis=1))
+    last = alone(2**31 - 2)
+    np.testing.assert_array_equal(
+        np.asarray(first_population(last._replace(runs=2)))[:, SIZE:],
+        first_population(last._replace(seed=2**31 - 1)),
+    )
+
+
+@pytest.mark.parametrize("trials", [1, 3])
+@pytest.mark.parametrize(
+    "genetics", [PAIR.genetics, BitGenetics(SIZE, 2, 1, (0.6, 0.4), 0.5, 1, 2)]
+)
+def test_runs_are_bred_as_if_each_were_alone(genetics, trials):
+    rng = np.random.default_rng(0)
+    places = (2, SIZE * trials)
+    genes = rng.integers(0, 2, (2, 2 * SIZE)).astype(np.float32)
+    terms = {name: rng.random(places, dtype=np.float32) for name in ("distance", "energy", "light")}
+    alive = rng.random(places) > 0.1
+    scales = {"energy": rng.random(2, dtype=np.float32)}
+
+    def bred(made, chosen, index):
+        made = made._replace(genetics=genetics, trials=trials)
+        outcome = Outcome(
+            {k: v[chosen].reshape(-1) for k, v in terms.items()}, alive[chosen].ravel()
+        )
+        own = genes.reshape(2, 2, SIZE)[:, chosen].reshape(2, -1)
+        yardsticks = {name: values[chosen] for name, values in scales.items()}
+        return quick_jit(functools.partial(breed, made))(own, outcome, np.int32(index), yardsticks)
+
+    for index in (0, 4):
+        together = bred(PAIR, slice(0, 2), index)
+        lone = [bred(alone(SEED + run), slice(run, run + 1), index) for run in (0, 1)]
+        joined = jax.tree.map(lambda *x: np.concatenate(x), *lone)
+        joined = joined._replace(
+            next_genes=np.concatenate([result.next_genes for result in lone], axis=1)
+        )
+        for one, other in zip(jax.tree.leaves(together), jax.tree.leaves(joined), strict=True):
+            np.testing.assert_array_equal(one, other)
+
+
+def test_runs_evolve_as_if_each_were_alone(pair, tmp_path):
+    """Up to rounding, which depends on how many animals a device has."""
+    _, done = pair
+    assert [(row["generation"], row["run"]) for row in done.history] == [
+        (generation, run) for generation in range(GENERATIONS) for run in (0, 1)
+    ]
+    for run in (0, 1):
+        _, lone = evolve(alone(SEED + run), tmp_path / str(run))
+        own = slice(run * SIZE, (run + 1) * SIZE)
+        np.testing.assert_allclose(done.genes[:, own], lone.genes, rtol=1e-5)
+        rows = untimed([row for row in done.history if row["run"] == run])
+        for row, expected in zip(rows, untimed(lone.history), strict=True):
+            assert "run" not in expected and row.pop("run") == run
+            assert row == pytest.approx(expected, rel=1e-4)
+        champion, expected = done.champions[run], lone.champion
+        assert (champion.run, champion.index) == (run, expected.index)
+        assert champion.fitness == pytest.approx(expected.fitness, rel=1e-4)
+        np.testing.assert_allclose(champion.genes, expected.genes, rtol=1e-5)
+
+
+def test_the_folder_keeps_the_champion_of_every_run_and_shows_the_best(pair):
+    folder, done = pair
+    fitness = [champion.fitness for champion in done.champions]
+    kept, _, _ = folder.load_champion()
+    assert kept.run == int(np.argmax(fitness)) and kept.fitness == max(fitness)
+    loaded = folder.load()
+    assert [champion.fitness for champion in loaded.champions] == fitness
+    assert loaded.scales == done.scales and len(done.scales["energy"]) == 2
+    assert folder.metrics.read_text().startswith("generation,run,best,")
+
+
+def test_a_stopped_noisy_run_goes_on_exactly(noisy_pair, tmp_path):
+    _, done = noisy_pair
+    evolve(NOISY._replace(generations=1), tmp_path / "run")
+    _, resumed = evolve(NOISY, tmp_path / "run")
+    np.testing.assert_array_equal(resumed.genes, done.genes)
+    assert untimed(resumed.history) == untimed(done.history)
+
+
+def test_every_champion_comes_out_as_recorded_with_its_own_noise(noisy_pair):
+    _, done = noisy_pair
+    for champion in done.champions:
+        fitness, terms, _ = replay_champion(NOISY, champion, 2)
+        assert (fitness, terms) == (champion.fitness, champion.terms)
+    other = champion._replace(index=(champion.index + 1) % SIZE)
+    assert replay_champion(NOISY, other, 2)[0] != champion.fitness
+
+
+def test_more_trials_than_a_device_has_places_are_replayed_exactly():
+    """One individual with 40 trials on two devices of 32 places each."""
+    single = noisy(experiment(20, 1))._replace(trials=40)
+    mesh, genes = population_mesh(2), np.asarray(first_population(single))
+    keys = np.asarray(generation_keys(single, np.int32(3)))
+    outcome = compile_trials(single.simulation, mesh)(np.repeat(genes, 40, axis=1), keys)
+    again, _ = fast_jit(functools.partial(replay, single, mesh))(genes[:, 0], keys)
+    for name, values in outcome.terms.items():
+        assert len(np.unique(values)) > 30
+        np.testing.assert_array_equal(again.terms[name], values)
+
+
+def test_random_keys_belong_to_seed_generation_individual_and_trial():
+    def keys(generation=2, **changes):
+        made = noisy(alone(SEED))._replace(trials=3)._replace(**changes)
+        drawn = np.asarray(generation_keys(made, np.int32(generation)))
+        return drawn.reshape(2, made.runs, made.genetics.population, made.trials)
+
+    base = keys()
+    assert len(np.unique(base.reshape(2, -1), axis=1).T) == 3 * SIZE
+    np.testing.assert_array_equal(keys(runs=2)[:, :1], base)
+    np.testing.assert_array_equal(keys(runs=2)[:, 1:], keys(seed=SEED + 1))
+    np.testing.assert_array_equal(keys(trials=5)[..., :3], base)
+    larger = experiment(20, 2 * SIZE).genetics
+    np.testing.assert_array_equal(keys(genetics=larger)[:, :, :SIZE], base)
+    assert (keys(generation=3) != base).any(0).all()
+    some = np.array([2, 4]), np.array([1, 0])
+    np.testing.assert_array_equal(
+        trial_keys(noisy(alone(SEED)), 2, np.zeros(2, int), *some), base[:, 0, some[0], some[1]]
+    )
+    assert generation_keys(alone(SEED), np.int32(2)) is None
+
+
+def test_fitness_and_terms_are_means_and_who_dies_once_is_dead():
+    task, scales = PAIR.simulation.task, {"energy": jnp.float32(2.0)}
+    rng = np.random.default_rng(1)
+    terms = {name: rng.random((4, 3), dtype=np.float32) for name in ("distance", "energy", "light")}
+    alive = np.ones((4, 3), bool)
+    alive[1, 2] = False
+    terms["light"][2, 0] = np.nan
+    outcome = Outcome(jax.tree.map(jnp.asarray, terms), jnp.asarray(alive))
+    fitness, mean = judge(task, outcome, scales)
+    assert np.isneginf(fitness).tolist() == [False, True, True, False]
+    assert np.asarray(mean.alive).tolist() == [True, False, True, True]
+    single = np.asarray(score(task, outcome, scales))
+    np.testing.assert_allclose(np.asarray(fitness)[[0, 3]], single[[0, 3]].mean(1), rtol=1e-6)
+    np.testing.assert_allclose(mean.terms["energy"], terms["energy"].mean(1), rtol=1e-6)
+    first = jax.tree.map(lambda x: x[:, :1], outcome)
+    np.testing.assert_array_equal(judge(task, first, scales)[0], single[:, 0])

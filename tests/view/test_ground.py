@@ -1,0 +1,277 @@
+"""Walkers: the ground is where the physics has it, and the picture shows what touches it."""
+
+import numpy as np
+import pytest
+import synthetic
+
+from evo_cpg.view import plots, scenery
+from evo_cpg.view.camera import project
+from evo_cpg.view.film import Stage, camera_path, film, sample
+from evo_cpg.view.meshes import body_colors
+from evo_cpg.view.preview import _apart, preview
+
+SIZE = (640, 360)
+INSTANT = 6.25
+SHINS = slice(2, 9, 2)
+UP = np.array([0.0, 0.0, 1.0])
+SIDES = ("left", "right")
+
+
+@pytest.fixture(scope="module")
+def creature():
+    return synthetic.walker()
+
+
+@pytest.fixture(scope="module")
+def recording():
+    return synthetic.walk(8)
+
+
+@pytest.fixture(scope="module")
+def stills(creature, recording, tmp_path_factory):
+    """A function that renders a still; settings and scenery left out go by name."""
+    folder = tmp_path_factory.mktemp("stills")
+
+    def still(motion=recording, without="", **settings):
+        settings = {
+            "world": "land",
+            "ground": 0.0,
+            "title": "",
+            "seconds": INSTANT,
+        } | settings
+        path = folder / "still.png"
+        with pytest.MonkeyPatch.context() as patch:
+            if without:
+                patch.setattr(scenery, without, lambda *_: lambda *_: None)
+            film(creature, motion, path, size=SIZE, **settings)
+        return synthetic.read(path)
+
+    return still
+
+
+def camera(creature, recording):
+    clip = sample(recording, 30)
+    stage = Stage(scenery.LOOKS["land"], "", SIZE, 1.0, 30.0, 1.0, 0.0)
+    return clip, camera_path(creature, recording, clip, stage)
+
+
+def place(creature, recording, points):
+    """Columns and rows ``(n, 2)`` of points of the world ``(n, 3)`` in the still."""
+    clip, path = camera(creature, recording)
+    frame = int(np.abs(clip.time - INSTANT).argmin())
+    every = np.repeat(np.asarray(points, float)[None], len(clip.time), 0)
+    x, y = project(path, every, SIZE[0] / SIZE[1])[frame].T
+    return np.column_stack([SIZE[0] * (1 + x) / 2, SIZE[1] * (1 - y) / 2])
+
+
+def brightness(image, spots):
+    columns, rows = np.rint(spots - 0.5).astype(int).T
+    return image[rows, columns].mean(-1)
+
+
+def test_the_synthetic_walker_touches_the_ground_exactly(creature, recording):
+    lowest = synthetic.lowest_points(creature, recording)
+    assert lowest.min() > -1e-9
+    assert (np.abs(lowest[:, SHINS]) < 1e-9).mean() == pytest.approx(0.6, abs=0.02)
+
+
+@pytest.mark.parametrize("height", [0.0, 0.3])
+def test_the_ground_is_at_the_height_of_the_physics(creature, recording, stills, height):
+    """The strong line 4 m from the start is where a plane of this height puts it."""
+    raised = recording._replace(position=recording.position + height * UP)
+    image = stills(raised, ground=height)
+    along = np.linspace(-0.5, 0.4, 10)
+    line = np.column_stack([0 * along + 4, along, 0 * along + height])
+    here = brightness(image, place(creature, raised, line))
+    for offset in ([0.07, 0, 0], [-0.07, 0, 0]):
+        beside = brightness(image, place(creature, raised, line + offset))
+        assert (beside - here).mean() > 25
+    # A plane 5 cm off is told apart.
+    above = brightness(image, place(creature, raised, line + 0.05 * UP))
+    assert (above - here).mean() > 20
+
+
+def blue(image):
+    return int((image[..., 2] - image[..., 0] > 60)[image.shape[0] // 3 :].sum())
+
+
+def test_a_foot_below_the_ground_is_hidden_and_one_above_it_is_not(recording, stills):
+    standing = blue(stills())
+    sunk = blue(stills(recording._replace(position=recording.position - 0.05 * UP)))
+    hovering = blue(stills(recording._replace(position=recording.position + 0.05 * UP)))
+    # Of the two shins that rest, one nearly hidden behind a third, 5 of the 24 cm are gone.
+    assert sunk < 0.94 * standing
+    assert hovering == pytest.approx(standing, rel=0.05)
+
+
+def test_dark_spots_lie_under_the_feet_that_touch(creature, recording, stills):
+    darker = (stills(without="add_contacts") - stills()).mean(-1)
+    now = int(np.abs(recording.time - INSTANT).argmin())
+    gap = synthetic.lowest_points(creature, recording)[now, SHINS]
+    shins = recording.position[now, SHINS]
+    soles = shins - synthetic.LEG / 2 * recording.rotation[now, SHINS, :, 2]
+    soles[:, 2] = 0
+    spots = place(creature, recording, soles).astype(int)
+    depth = [darker[row - 8 : row + 9, col - 16 : col + 17].max() for col, row in spots]
+    touching = gap < 1e-6
+    assert 2 <= touching.sum() < 4
+    # The far feet are partly hidden by the near ones.
+    assert (np.array(depth)[touching] > 30).all()
+    # And nowhere else than within 8 cm or so of a foot.
+    rows, columns = np.nonzero(darker > 12)
+    away = np.abs(np.column_stack([columns, rows])[:, None] - spots).max(-1).min(1)
+    assert len(rows) > 100 and away.max() < 30
+
+
+def test_a_spot_pales_as_the_foot_lifts(recording, stills):
+    darkest = []
+    for gap in (0.0, 0.02, 0.06):
+        raised = recording._replace(position=recording.position + gap * UP)
+        darker = stills(raised, without="add_contacts") - stills(raised)
+        darkest.append(darker.mean(-1).max())
+    assert darkest[0] > 1.8 * darkest[1] > 3 * darkest[2]
+
+
+def test_the_sun_shadow_darkens_the_ground_once(stills):
+    """Where the shadows of two bodies overlap it is no darker than elsewhere."""
+    look = scenery.LOOKS["land"]
+    bare, shaded = stills(without="add_sun_shadows"), stills()
+    changed = (bare - shaded).sum(-1) > 60
+    assert changed.mean() > 0.01
+    black = np.array([int(look.shadow[i : i + 2], 16) for i in (1, 3, 5)])
+    share = ((bare - shaded).sum(-1) / (bare - black).sum(-1))[changed]
+    assert np.median(share) == pytest.approx(look.cast_strength, abs=0.03)
+    assert np.quantile(share, 0.98) < look.cast_strength + 0.06
+
+
+def test_the_numbers_stand_beside_the_way(creature, recording, stills):
+    inked = (stills(without="add_numbers") - stills()).mean(-1) > 40
+    assert inked.sum() > 150
+    # The nearest is "3 m", on the viewer's side (y < 0) of a line at x = 3, to the right of it.
+    (low, high), (left, right) = np.sort(
+        place(creature, recording, [(3.0, -0.5, 0), (3.4, -0.15, 0)]).T[::-1]
+    )
+    near = inked[int(low) : int(high), int(left) : int(right)]
+    assert near.sum() > 60
+
+
+def test_a_picture_has_sky_sun_and_contrast(stills):
+    image = stills()
+    top, horizon, ground = image[2].mean(0), image[70].mean(0), image[200:].mean((0, 1))
+    assert top[2] - top[0] > 50
+    assert horizon.min() > 215
+    assert ground[0] - ground[2] > 25
+    light = image.mean(-1)
+    assert light.std() > 25
+    assert (light > 250).mean() < 0.01 and (light < 12).mean() < 0.01
+
+
+@pytest.mark.parametrize("world", list(scenery.LOOKS))
+def test_captions_can_be_read(world, stills):
+    """WCAG asks for a contrast of 4.5 of text with what lies behind it."""
+    image = stills(world=world)[300:, :].reshape(-1, 3) / 255
+    linear = np.where(image > 0.04045, ((image + 0.055) / 1.055) ** 2.4, image / 12.92)
+    behind = np.median(linear @ [0.2126, 0.7152, 0.0722])
+    text = np.array([int(scenery.LOOKS[world].text[i : i + 2], 16) for i in (1, 3, 5)]) / 255
+    written = ((text + 0.055) / 1.055) ** 2.4 @ [0.2126, 0.7152, 0.0722]
+    bright, dark = max(behind, written), min(behind, written)
+    assert (bright + 0.05) / (dark + 0.05) > 4.5
+
+
+def test_left_and_right_legs_differ(creature):
+    colors = body_colors(creature)
+    names = [body.name for body in creature.bodies]
+    for name in ("front", "hind"):
+        for part in ("thigh", "shin"):
+            left, right = (colors[names.index(f"{name}_{side}_{part}")] for side in SIDES)
+            assert left.sum() < 0.8 * right.sum()
+    # What has no side keeps its colour.
+    assert np.allclose(body_colors(synthetic.swimmer())[0], colors[0])
+
+
+@pytest.mark.parametrize("course", [0.0, 2.3])
+def test_the_camera_sees_a_walker_from_the_side_and_does_not_sway(creature, course):
+    motion = synthetic.walk(8, course=course)
+    clip, path = camera(creature, motion)
+    spots = project(path, clip.position, SIZE[0] / SIZE[1])
+    assert np.abs(spots).max() < 0.8
+    # It stays where it is in the picture and crosses the world to the right.
+    trunk = spots[:, 0]
+    assert np.ptp(trunk, axis=0).max() < 0.05
+    start = project(path, np.repeat(clip.position[:1, :1], len(spots), 0), SIZE[0] / SIZE[1])
+    assert start[-1, 0, 0] < start[0, 0, 0] - 1
+    speed = np.linalg.norm(np.diff(path.focus, axis=0), axis=1) * 30
+    assert np.allclose(speed, synthetic.PACE, rtol=0.05)
+    # Low enough to see under the trunk, and above the ground.
+    slant = path.position[0] - path.focus[0]
+    assert 8 < np.degrees(np.arctan2(slant[2], np.hypot(*slant[:2]))) < 15
+
+
+def test_the_pattern_stays_where_the_animal_started(recording, stills):
+    """Moved and turned in the world, an animal without a light gives the same picture."""
+    shift = np.array([3.3, -1.7, 0.0])
+    elsewhere = synthetic.walk(8, course=1.1)
+    elsewhere = elsewhere._replace(position=elsewhere.position + shift)
+    assert np.abs(stills() - stills(elsewhere)).mean() < 1.5
+    # But a step later, in the same pose, the ground has passed beneath it.
+    later = stills(seconds=INSTANT + 1 / synthetic.STEP_RATE)
+    assert np.abs(stills() - later)[200:].mean() > 5
+
+
+def test_without_ground_the_floor_is_below_the_way(creature, recording, stills):
+    """Nothing that looks like ground is drawn where there is none: no numbers, and far below."""
+    deep = recording._replace(position=recording.position - 40 * UP)
+    assert np.abs(stills(ground=None) - stills(deep, ground=None)).mean() < 1.0
+    assert np.abs(stills(ground=None) - stills()).mean() > 5
+
+
+def test_a_ground_that_is_no_height_is_refused(creature, recording, tmp_path):
+    with pytest.raises(ValueError, match="ground is nan; it must be finite, or None"):
+        film(creature, recording, tmp_path / "walk.png", ground=float("nan"))
+
+
+@pytest.mark.parametrize(
+    ("length", "spacing"), [(1.0, 1.0), (0.9, 1.0), (0.5, 0.5), (2.2, 2.0), (0.05, 0.05)]
+)
+def test_numbers_are_about_a_body_length_apart(length, spacing):
+    assert scenery.mark_spacing(length) == pytest.approx(spacing)
+
+
+def test_a_preview_of_a_walker_stands_on_its_ground(creature, tmp_path):
+    bare, standing = (
+        synthetic.read(preview(creature, tmp_path / f"{on}.png", size=SIZE, ground=on))
+        for on in (False, True)
+    )
+    changed = np.abs(bare - standing).sum(-1) > 20
+    # The ground fades towards the title and the scale bar, and lies behind names and bodies.
+    assert changed[SIZE[1] // 2 :].mean() > 0.5
+    assert changed[:30].mean() < 0.05
+    # A dark spot beside the sole of the leg that is nearest (lowest in the picture).
+    feet = np.argwhere(bare[..., 2] - bare[..., 0] > 40)
+    row, column = feet[feet[:, 0].argmax()]
+    assert standing[row + 1 : row + 4, column - 2 : column + 3].mean() < 165
+    assert bare[row + 3 : row + 6, column - 2 : column + 3].mean() > 235
+
+
+def test_names_that_cover_each_other_are_moved_apart():
+    places = np.array([(100.0, 50.0), (110.0, 54.0), (400.0, 50.0), (105.0, 50.0)])
+    sizes = np.full((4, 2), (80.0, 20.0))
+    apart = _apart(places, sizes)
+    assert np.array_equal(apart[[0, 2]], places[[0, 2]])
+    for i in range(4):
+        for j in range(i):
+            assert (np.abs(apart[i] - apart[j]) >= (80, 20)).any()
+    assert np.abs(apart - places).max() <= 31
+
+
+@pytest.mark.parametrize(
+    ("goal", "words"), [(np.nan, "way made (m)"), (3.0, "distance to the light (m)")]
+)
+def test_the_path_says_what_its_distance_is(recording, tmp_path, monkeypatch, goal, words):
+    figures = []
+    monkeypatch.setattr(plots, "_save", lambda figure, path: figures.append(figure) or path)
+    plots.plot_path(recording._replace(goal=np.full(3, goal)), tmp_path / "path.png")
+    labels = [axes.get_ylabel() for axes in figures[0].axes]
+    assert labels[1] == words
+    top = figures[0].axes[1].lines[0].get_ydata().max()
+    assert top == pytest.approx(recording.distance.max())
