@@ -15,6 +15,7 @@ def mujoco_model(
     options: dict[str, float | str] | None = None,
     fluid: str = "",
     motors: bool = False,
+    limits: bool = False,
     ground: Ground | None = None,
     height: float = 0.0,
 ) -> mujoco.MjModel:
@@ -24,8 +25,9 @@ def mujoco_model(
         creature: the animal.
         options: attributes of MuJoCo's ``option`` element.
         fluid: attributes added to every geom, such as ``fluidshape="ellipsoid"``.
-        motors: add the motor of every axis that has one, in the order of the joints: a velocity
+        motors: add the motor of every axis that has one (see `motor_order`): a velocity
             servo, or a position servo where it has a spring.
+        limits: hold every joint within its limits, with MuJoCo's own soft constraint.
         ground: a level floor that every body may touch, but no body another.
         height: of the root's centre at the start, m.
     """
@@ -48,7 +50,8 @@ def mujoco_model(
             joints = "".join(
                 f'<joint name="{body.name}.{i}" type="hinge" axis="{_text(axis)}" '
                 f'stiffness="{joint.stiffness}" damping="{joint.damping}" '
-                f'armature="{joint.armature}" limited="false"/>'
+                f'armature="{joint.armature}" limited="{str(limits).lower()}" '
+                f'range="{joint.lower[i]} {joint.upper[i]}"/>'
                 for i, axis in enumerate(joint.axes)
             )
         inner = "".join(element(child) for child in children.get(body.name, []))
@@ -85,6 +88,12 @@ def dof_order(model: mujoco.MjModel, tree: Tree) -> np.ndarray:
         body = model.body(name)
         order.extend(range(body.dofadr[0] - 6, body.dofadr[0] - 6 + body.dofnum[0]))
     return np.array(order, int)
+
+
+def motor_order(model: mujoco.MjModel, tree: Tree) -> np.ndarray:
+    """Index of the tree's degree of freedom that each of MuJoCo's motors drives."""
+    driven = model.jnt_dofadr[model.actuator_trnid[:, 0]] - 6
+    return np.argsort(dof_order(model, tree))[driven]
 
 
 def load_state(model: mujoco.MjModel, data: mujoco.MjData, tree: Tree, state: State) -> np.ndarray:

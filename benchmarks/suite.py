@@ -1,9 +1,10 @@
 """The benchmark suite behind `evo-cpg bench`.
 
-Ours and MuJoCo's (`mujoco.rollout`, as many threads as there are cores) swim the same chain of
-ten boxes with the same step of 1/120 s, motors and commands: a travelling wave. Every contender
-runs in turn, several times, in one process on the same cores; rates are individual physics steps
-per second, ratios are medians over rounds, and compiling is timed apart.
+Ours and MuJoCo's (`mujoco.rollout`, as many threads as there are cores) move the same animal with
+the same step, motors and commands: a chain of ten boxes that swims with a travelling wave (1/120 s)
+and a quadruped that takes random postures in turn on the ground (1/240 s). Every contender runs in
+turn, several times, in one process on the same cores; rates are individual physics steps per
+second, ratios are medians over rounds, and compiling is timed apart.
 """
 
 import dataclasses
@@ -19,18 +20,22 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import mujoco
 import numpy as np
+from jax import Array
 from jax.sharding import Mesh, PartitionSpec
+from mujoco import rollout
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.mujoco_model import mujoco_model
+from benchmarks.mujoco_model import motor_order, mujoco_model
 from benchmarks.timing import Contender, median_ratio, race
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import load_config
 from evo_cpg.physics.state import resting_state
 from evo_cpg.physics.step import step
 from evo_cpg.physics.world import World
+from evo_cpg.simulation.rollout import Simulation
 from evo_cpg.training.devices import (
     POPULATION_AXIS,
     fast_jit,
@@ -45,8 +50,8 @@ from evo_cpg.training.experiment import (
     padding,
 )
 
-CONFIG = Path(__file__).parents[1] / "configs" / "iwadate2010_swimmer.yaml"
-POPULATION = 200
+CONFIGS = Path(__file__).parents[1] / "configs"
+SWIMMERS = 200
 
 # The travelling wave that both swimmers are told to follow: amplitude (rad/s), frequency (Hz) and
 # lag from joint to joint (degrees) of the target rates about z.
@@ -58,13 +63,20 @@ def main(json_path: Path | None, quick: bool) -> None:
     cores = use_cores()
     console = Console()
     steps, repeats = (120, 3) if quick else (2000, 7)
-    experiment = build_experiment(load_config(CONFIG), CONFIG)
+    swimmer, quadruped = (
+        build_experiment(load_config(path), path)
+        for path in (CONFIGS / "iwadate2010_swimmer.yaml", CONFIGS / "fukui2003_model1.yaml")
+    )
     rows: list[dict[str, Any]] = []
     with console.status("compiling") as status:
         for name, measure in (
-            ("swimmer against MuJoCo", lambda: swimmer_cases(experiment, cores, steps, repeats)),
-            ("two cores against one", lambda: scaling(experiment, cores, steps, repeats)),
-            ("compile time", lambda: compile_time(experiment)),
+            ("swimmer against MuJoCo", lambda: swimmer_cases(swimmer, cores, steps, repeats)),
+            (
+                "quadruped against MuJoCo",
+                lambda: quadruped_cases(quadruped, cores, steps, repeats),
+            ),
+            ("two cores against one", lambda: scaling(swimmer, cores, steps, repeats)),
+            ("compile time", lambda: compile_time(swimmer)),
         ):
             status.update(name)
             rows += measure()
@@ -85,10 +97,10 @@ def swimmer_cases(
     genes = np.asarray(fast_jit(lambda: first_population(experiment))())
     whole = compile_trials(simulation, mesh)
     contenders = [
-        Contender("ours, physics", POPULATION * steps, wave_swim(experiment, mesh, steps)),
+        Contender("ours, physics", SWIMMERS * steps, wave_swim(experiment, mesh, steps)),
         Contender(
             "ours, whole stack",
-            POPULATION * trial_steps * experiment.simulation.substeps,
+            SWIMMERS * trial_steps * experiment.simulation.substeps,
             lambda: whole(genes),
         ),
     ]
@@ -100,7 +112,7 @@ def swimmer_cases(
     peer_steps = max(steps // 8, 10)
     for name, options in peers.items():
         call = mujoco_swim(experiment, options, cores, peer_steps)
-        contenders.append(Contender(name, POPULATION * peer_steps, call))
+        contenders.append(Contender(name, SWIMMERS * peer_steps, call))
     rates = race(contenders, repeats)
     how = (
         f"individual steps/s, h = 1/{round(1 / h)} s, {cores} cores each, median of {repeats} "
@@ -108,7 +120,7 @@ def swimmer_cases(
         f"mujoco.rollout with {cores} threads over {peer_steps} steps"
     )
     return [
-        _row(case, rates, ours, peer, how)
+        _row(case, SWIMMERS, rates, ours, peer, how)
         for case, ours in (
             ("swimmer, physics", "ours, physics"),
             ("swimmer, whole stack", "ours, whole stack"),
@@ -117,18 +129,58 @@ def swimmer_cases(
     ]
 
 
+def quadruped_cases(
+    experiment: Experiment, cores: int, steps: int, repeats: int
+) -> list[dict[str, Any]]:
+    """Physics alone and the whole stack on the ground against MuJoCo."""
+    simulation, mesh = experiment.simulation, population_mesh()
+    genes = np.asarray(fast_jit(lambda: first_population(experiment))())
+    population = genes.shape[1]
+    trial_steps = steps // simulation.substeps
+    whole = compile_trials(dataclasses.replace(simulation, steps=trial_steps), mesh)
+    physics = posture_walk(simulation, mesh, genes, steps)
+    theirs = mujoco_walk(experiment, genes, cores, steps)
+    rates = race(
+        [
+            Contender("ours, physics", population * steps, physics),
+            Contender(
+                "ours, whole stack",
+                population * trial_steps * simulation.substeps,
+                lambda: whole(genes),
+            ),
+            Contender("MuJoCo", population * steps, theirs),
+        ],
+        repeats,
+    )
+    peer_lost = int(stopped(theirs(), steps * simulation.step_length).sum())
+
+    def how(lost: int) -> str:
+        return (
+            f"individual steps/s, h = 1/{round(1 / simulation.step_length)} s, {cores} cores each, "
+            f"{steps} steps a call, median of {repeats} rounds in turn; ours float32, MuJoCo "
+            f"float64, implicitfast, mujoco.rollout with {cores} threads; of {population} "
+            f"individuals diverged {lost} of ours and {peer_lost} of MuJoCo's"
+        )
+
+    lost = int((~np.isfinite(physics())).any(0).sum()), int((~whole(genes).alive).sum())
+    return [
+        _row(f"quadruped, {part}", population, rates, f"ours, {part}", "MuJoCo", how(count))
+        for part, count in zip(("physics", "whole stack"), lost, strict=True)
+    ]
+
+
 def scaling(experiment: Experiment, cores: int, steps: int, repeats: int) -> list[dict[str, Any]]:
     """The same work on all cores and on one."""
     names = f"{cores} cores", "1 core"
     rates = race(
         [
-            Contender(name, POPULATION * steps, wave_swim(experiment, population_mesh(n), steps))
+            Contender(name, SWIMMERS * steps, wave_swim(experiment, population_mesh(n), steps))
             for name, n in zip(names, (cores, 1), strict=True)
         ],
         repeats,
     )
     how = f"individual physics steps/s of the swimmer, median of {repeats} rounds in turn"
-    return [_row(f"{cores} cores", rates, *names, how)]
+    return [_row(f"{cores} cores", SWIMMERS, rates, *names, how)]
 
 
 def compile_time(experiment: Experiment) -> list[dict[str, Any]]:
@@ -145,7 +197,7 @@ def compile_time(experiment: Experiment) -> list[dict[str, Any]]:
     return [
         {
             "case": "compile, cold",
-            "population": POPULATION,
+            "population": SWIMMERS,
             "ours": seconds,
             "unit": "s",
             "peer": None,
@@ -161,7 +213,6 @@ def wave_swim(experiment: Experiment, mesh: Mesh, steps: int) -> Callable[[], ob
     world = experiment.simulation.world
     h = experiment.simulation.step_length
     commands = jnp.asarray(wave_commands(world, steps, h), jnp.float32)
-    spec = PartitionSpec(None, POPULATION_AXIS)
 
     def swim(offsets):
         state = resting_state(world.tree, offsets.shape[1:])
@@ -172,12 +223,10 @@ def wave_swim(experiment: Experiment, mesh: Mesh, steps: int) -> Callable[[], ob
 
         return jax.lax.scan(advance, state, commands)[0].position
 
-    sharded = fast_jit(
-        jax.shard_map(swim, mesh=mesh, in_specs=spec, out_specs=spec, check_vma=False)
-    )
+    sharded = _on_all_cores(swim, mesh)
     # Amplitudes differ a little, so that no two individuals do the same. Empty lanes are computed
     # as in training, but not counted.
-    lanes = POPULATION + padding(POPULATION, mesh)
+    lanes = SWIMMERS + padding(SWIMMERS, mesh)
     offsets = jnp.linspace(0.9, 1.1, lanes, dtype=jnp.float32)[None]
     return lambda: jax.block_until_ready(sharded(offsets))
 
@@ -186,9 +235,6 @@ def mujoco_swim(
     experiment: Experiment, options: dict[str, Any], cores: int, steps: int
 ) -> Callable[[], object]:
     """MuJoCo's population following the same wave with the same motors."""
-    import mujoco
-    from mujoco import rollout
-
     world = experiment.simulation.world
     h = experiment.simulation.step_length
     model = mujoco_model(
@@ -203,13 +249,78 @@ def mujoco_swim(
         fluid=options["fluid"],
         motors=True,
     )
-    data = [mujoco.MjData(model) for _ in range(cores)]
-    start = np.zeros(mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS))
-    mujoco.mj_getState(model, data[0], start, mujoco.mjtState.mjSTATE_FULLPHYSICS)
-    states = np.tile(start, (POPULATION, 1))
-    scale = np.linspace(0.9, 1.1, POPULATION)[:, None, None]
+    scale = np.linspace(0.9, 1.1, SWIMMERS)[:, None, None]
     commands = wave_commands(world, steps, h)[None] * scale
-    return lambda: rollout.rollout(model, data, states, commands)
+    return _mujoco_rollout(model, commands[..., motor_order(model, world.tree)], cores)
+
+
+def posture_walk(
+    simulation: Simulation, mesh: Mesh, genes: np.ndarray, steps: int
+) -> Callable[[], np.ndarray]:
+    """Our population taking its postures on the ground: physics alone, with the angles given.
+
+    The call returns the positions ``(3, n)`` at the end, m.
+    """
+    world, h = simulation.world, simulation.step_length
+    postures = posture_numbers(simulation, steps)
+
+    def walk(genes):
+        angles = simulation.controller.decode(genes)
+        still = jnp.zeros_like(angles[0])
+        start = (0.0, 0.0, simulation.start_height)
+        state = resting_state(world.tree, genes.shape[1:], position=start)
+
+        def advance(state, posture):
+            state, _ = step(world, state, still, h, angles[posture])
+            return state, None
+
+        return jax.lax.scan(advance, state, postures)[0].position
+
+    sharded = _on_all_cores(walk, mesh)
+    population = genes.shape[1]
+    lanes = np.pad(genes, ((0, 0), (0, padding(population, mesh))), mode="edge")
+    return lambda: np.asarray(sharded(lanes))[:, :population]
+
+
+def mujoco_walk(
+    experiment: Experiment, genes: np.ndarray, cores: int, steps: int
+) -> Callable[[], np.ndarray]:
+    """MuJoCo's population taking the same postures with the same motors on the same ground.
+
+    Its contacts have no restitution. The call returns the states ``(n, steps, ...)``.
+    """
+    simulation = experiment.simulation
+    world = simulation.world
+    model = mujoco_model(
+        experiment.creature,
+        options={
+            "timestep": simulation.step_length,
+            "integrator": "implicitfast",
+            "gravity": f"0 0 {-world.gravity}",
+        },
+        motors=True,
+        limits=True,
+        ground=world.ground,
+        height=simulation.start_height,
+    )
+    angles = np.asarray(simulation.controller.decode(jnp.asarray(genes)), float)
+    angles = np.moveaxis(angles, -1, 0)[..., motor_order(model, world.tree)]
+    return _mujoco_rollout(model, angles[:, posture_numbers(simulation, steps)], cores)
+
+
+def posture_numbers(simulation: Simulation, steps: int) -> np.ndarray:
+    """Which posture is held in every physics step."""
+    return np.asarray(simulation.controller.posture(jnp.arange(steps) // simulation.substeps))
+
+
+def stopped(states: np.ndarray, seconds: float) -> np.ndarray:
+    """Which of MuJoCo's individuals diverged.
+
+    `mujoco.rollout` gives up one that does: it resets it, time included, and repeats that state
+    to the end.
+    """
+    last = states[:, -1]
+    return ~(np.isfinite(last).all(-1) & np.isclose(last[:, 0], seconds))
 
 
 def wave_commands(world: World, steps: int, h: float) -> np.ndarray:
@@ -221,12 +332,31 @@ def wave_commands(world: World, steps: int, h: float) -> np.ndarray:
     return WAVE_RATE * bends * np.cos(phase - np.deg2rad(WAVE_LAG) * joint)
 
 
+def _on_all_cores(function: Callable[[Array], Array], mesh: Mesh) -> Callable[..., Array]:
+    """Compiled and sharded over the last of two axes, the individuals."""
+    spec = PartitionSpec(None, POPULATION_AXIS)
+    return fast_jit(
+        jax.shard_map(function, mesh=mesh, in_specs=spec, out_specs=spec, check_vma=False)
+    )
+
+
+def _mujoco_rollout(
+    model: mujoco.MjModel, commands: np.ndarray, cores: int
+) -> Callable[[], np.ndarray]:
+    """All individuals from the model's pose, with commands ``(n, steps, motors)``."""
+    data = [mujoco.MjData(model) for _ in range(cores)]
+    start = np.zeros(mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS))
+    mujoco.mj_getState(model, data[0], start, mujoco.mjtState.mjSTATE_FULLPHYSICS)
+    states = np.tile(start, (len(commands), 1))
+    return lambda: np.asarray(rollout.rollout(model, data, states, commands)[0])
+
+
 def _row(
-    case: str, rates: dict[str, list[float]], ours: str, peer: str, how: str
+    case: str, population: int, rates: dict[str, list[float]], ours: str, peer: str, how: str
 ) -> dict[str, Any]:
     return {
         "case": case,
-        "population": POPULATION,
+        "population": population,
         "ours": statistics.median(rates[ours]),
         "unit": "steps/s",
         "peer": peer,
@@ -238,10 +368,10 @@ def _row(
 
 def _table(rows: list[dict[str, Any]], cores: int) -> Table:
     table = Table(
-        title=f"{POPULATION} individuals, {cores} cores of {_machine(cores)['processor']}",
-        caption="k/s: thousand individual physics steps per second",
+        title=f"{cores} cores of {_machine(cores)['processor']}",
+        caption="n: individuals; k/s: thousand individual physics steps per second",
     )
-    for column in ("case", "ours", "beside", "theirs", "ratio"):
+    for column in ("case", "n", "ours", "beside", "theirs", "ratio"):
         left = column in ("case", "beside")
         table.add_column(column, justify="left" if left else "right", no_wrap=True)
     for row in rows:
@@ -249,7 +379,7 @@ def _table(rows: list[dict[str, Any]], cores: int) -> Table:
         ours = f"{row['ours']:.1f} s" if timed else f"{row['ours'] / 1e3:,.0f} k/s"
         theirs = f"{row['peer_rate'] / 1e3:,.0f} k/s" if row["peer_rate"] else ""
         ratio = f"{row['ratio']:.2f}x" if row["ratio"] else ""
-        table.add_row(row["case"], ours, row["peer"] or "", theirs, ratio)
+        table.add_row(row["case"], str(row["population"]), ours, row["peer"] or "", theirs, ratio)
     return table
 
 

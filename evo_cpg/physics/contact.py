@@ -1,6 +1,7 @@
 """Contact with the ground: it holds, lets slide and throws back.
 
-Each point of a body that may touch the ground obeys, with its velocity v at the *end* of the step,
+Each point of a body that may touch the ground obeys, with its velocity v *after* the forces have
+acted (the mean over the step, so that h v is the point's way),
 
     f_n = max(0, c (v* - v_n)),      v* = max(v_gap, v_bounce),
     f_t = -c v_t                     while |f_t| <= mu_s f_n         (it sticks)
@@ -57,6 +58,9 @@ _PUSH_SHARE, _PUSH_SPEED = 0.2, 0.5
 
 # Below the first speed of approach (m/s) nothing bounces, above twice that everything does.
 _BOUNCE_SPEED = 0.1
+
+# v* of a point that is not to be held, m/s; infinity would spoil gradients.
+_OUT_OF_REACH = -1e4
 
 # Squared speed (m^2/s^2) and force (N^2) added under roots so that they have gradients at rest.
 _FLOOR = 1e-20
@@ -129,8 +133,8 @@ class Contacts(NamedTuple):
 
     Attributes:
         arm: from the body's origin to the lowest point, world axes, m.
-        coasting: at the end of the step, if the recursion's accelerations were zero.
-        wanted: v*; minus infinity where the point is out of reach.
+        coasting: their mean over the step, if the recursion's accelerations were zero.
+        wanted: v*; far below any velocity where the point is out of reach.
         push: the part of it that lifts a point out of the ground.
     """
 
@@ -223,7 +227,7 @@ def find_contacts(footing: Footing, kin: Kinematics, h: float) -> Contacts:
     rest = jnp.where(gap > 0, -gap / h, push)
     bounces = (gap <= h * approach) & (bounce > 0)
     wanted = jnp.where(bounces, jnp.maximum(rest, bounce), rest)
-    wanted = jnp.where(gap < ground.margin, wanted, -jnp.inf)
+    wanted = jnp.where(gap < ground.margin, wanted, _OUT_OF_REACH)
     return Contacts(arm, coasting, wanted, push)
 
 

@@ -155,7 +155,8 @@ def _refine(world: World, h: float, equations: Equations, laws: Laws) -> Laws:
     asked = wanted - h * gain * found.qdd
     limit = clamp_torque(world.tree, asked)
     over = overloaded(world.tree, asked)
-    slope = jnp.where(over, _SECANT_SHARE * gain * limit / asked, gain)
+    secant = gain * limit / jnp.where(over, asked, 1.0)
+    slope = jnp.where(over, _SECANT_SHARE * secant, gain)
     torque = jnp.where(over, limit + h * slope * found.qdd, wanted)
     footing, contacts, law = world.footing, equations.contacts, laws.contact
     if footing is not None and contacts is not None and law is not None:
@@ -190,7 +191,10 @@ def _impose(
     given, free = (solve_with(world, h, some, held) for some in (loaded, equations))
     velocity, without = (end_velocity(footing, contacts, some, h) for some in (given, free))
     share = work_share(contacts, force, velocity, without)
-    mixed = jax.tree.map(
-        lambda alone, with_force: alone + share * (with_force - alone), free, given
-    )
-    return Imposed(mixed, torque, share * force)
+
+    def shared(alone: Array, loaded: Array) -> Array:
+        return alone + jnp.expand_dims(share, tuple(range(alone.ndim - share.ndim))) * (
+            loaded - alone
+        )
+
+    return Imposed(jax.tree.map(shared, free, given), torque, shared(jnp.zeros_like(force), force))

@@ -215,7 +215,7 @@ def _control_step(
         return see(simulation.sensors, kinematics(world.tree, state), place)
 
     strength, cosine, sine = fuse(look, state, batch_ndim=len(batch))
-    # In open water nothing solid presses on the skin.
+    # Nothing solid presses on the skin in open water; the ground is not felt yet.
     pressure = jnp.zeros((len(simulation.sensors.pressure_bodies), *batch), genes.dtype)
     observation = Observation(strength, pressure, cosine, sine, state.q, state.qd)
     nerves, command = simulation.controller.act(genes, nerves, observation)

@@ -80,9 +80,9 @@ def test_energy_is_that_of_the_applied_torque(thrashing):
 
 
 def test_a_limit_that_is_not_reached_changes_nothing():
-    """An individual below its limits moves as without limits, bit by bit, whoever is beside it.
+    """An individual below its limits moves as without limits, whoever is beside it.
 
-    Its neighbours are overloaded, so the second and third pass run for the whole population.
+    Its neighbours are overloaded.
     """
     targets = jnp.asarray(np.tile([[0.01, 0.02, 100.0]], (20, 2, 1)))
     results = []
@@ -92,7 +92,8 @@ def test_a_limit_that_is_not_reached_changes_nothing():
         results.append((states, effort.torque))
     free, limited = results
     for unlimited, tight in zip(jax.tree.leaves(free), jax.tree.leaves(limited), strict=True):
-        np.testing.assert_array_equal(unlimited[..., :2], tight[..., :2])
+        # The torques found are imposed by a solve of their own, which rounds differently.
+        np.testing.assert_allclose(unlimited[..., :2], tight[..., :2], rtol=0, atol=1e-14)
     assert np.abs(free[1][..., 2]).max() > 10 * np.abs(limited[1][..., 2]).max()
 
 

@@ -1,0 +1,368 @@
+"""Single bodies on the ground against closed forms, at the walkers' own step of 1/240 s."""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from creatures import quick_jit
+from evo_cpg.creature.creature import Body, Creature, Material
+from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
+from evo_cpg.creature.tree import build_tree
+from evo_cpg.physics.contact import Ground, combine, find_contacts, make_footing
+from evo_cpg.physics.kinematics import kinematics
+from evo_cpg.physics.state import State, resting_state
+from evo_cpg.physics.step import step
+from evo_cpg.physics.world import World
+from evo_cpg.spatial.rotation import quaternion_to_matrix
+
+H = 1 / 240
+GRAVITY = 9.81
+DENSITY = 300.0
+# The lines' stiffness c h is 60 times the mass of a single body at each place that touches.
+STIFFNESS = 60
+
+SHAPES = {
+    "box": Box((0.3, 0.2, 0.1)),
+    "sphere": Sphere(0.1),
+    "capsule": Capsule(0.05, 0.3),
+    "ellipsoid": Ellipsoid((0.15, 0.1, 0.06)),
+}
+
+
+def alone(
+    shape: Shape, restitution: float = 0.0, static: float = 0.5, dynamic: float = 0.5, **ground
+) -> World:
+    """One body over ground of the same friction that gives back all that the body does."""
+    material = Material(DENSITY, restitution, static, dynamic)
+    creature = Creature("alone", (Body("body", shape, material),))
+    tree = build_tree(creature)
+    floor = Ground(
+        restitution=1.0,
+        static_friction=static,
+        dynamic_friction=dynamic,
+        restitution_rule="multiply",
+        friction_rule="geometric",
+        **ground,
+    )
+    return World(tree, GRAVITY, footing=make_footing(creature, tree, floor))
+
+
+def released(world: World, position, velocity=0.0, orientation=(1.0, 0.0, 0.0, 0.0)) -> State:
+    """A body at ``position`` (3, n) with ``velocity`` (6, n), angular first."""
+    position = jnp.asarray(position, jnp.float64)
+    count = position.shape[1]
+    state = resting_state(world.tree, (count,), jnp.float64, orientation=orientation)
+    velocity = jnp.broadcast_to(jnp.asarray(velocity, jnp.float64), (6, count))
+    return dataclasses.replace(state, position=position, velocity=velocity)
+
+
+def above(count: int, heights) -> np.ndarray:
+    """Places ``(3, count)`` at given heights over the origin."""
+    return np.stack([np.zeros(count), np.zeros(count), np.broadcast_to(heights, count)])
+
+
+def kept_speed(restitution: float, places: int) -> float:
+    """Restitution of a body that lands on so many places at once: v+ = e v - (1 + e) v / (1 + k).
+
+    The stiffness k = 60 per place takes that much at any h: 2.6 % of a ball's speed at e = 0.6.
+    """
+    return restitution - (1 + restitution) / (1 + STIFFNESS * places)
+
+
+def recorder(world: World, steps: int, h: float = H):
+    """A function of the state, and of the restitution of every place: states and supports."""
+
+    @quick_jit
+    def run(state, restitution):
+        changed = eqx.tree_at(
+            lambda w: w.footing, world, world.footing._replace(restitution=restitution)
+        )
+
+        def advance(s, _):
+            s, effort = step(changed, s, jnp.zeros_like(s.q), h)
+            return s, (s, effort.support)
+
+        return jax.lax.scan(advance, state, None, steps)[1]
+
+    return run
+
+
+def record(world: World, state: State, steps: int, h: float = H):
+    """States and supports at every step."""
+    return recorder(world, steps, h)(state, jnp.asarray(world.footing.restitution))
+
+
+def random_turns(count: int, seed: int = 0) -> np.ndarray:
+    """Unit quaternions ``(4, count)``."""
+    turns = np.random.default_rng(seed).normal(size=(4, count))
+    return turns / np.linalg.norm(turns, axis=0)
+
+
+def lowest_points(world: World, state: State) -> np.ndarray:
+    """Of every place, ``(3, places, *n)`` in the world."""
+
+    @quick_jit
+    def places(state):
+        kin = kinematics(world.tree, state)
+        return kin.origin + find_contacts(world.footing, kin, H).arm
+
+    return np.asarray(places(state))
+
+
+@pytest.mark.parametrize(
+    ("rule", "expected"),
+    [("multiply", 0.32), ("average", 0.6), ("geometric", 0.32**0.5), ("min", 0.4), ("max", 0.8)],
+)
+def test_combination_rules(rule, expected):
+    """Either way round; a material met by its like keeps its value, but for the product."""
+    assert combine(rule, 0.4, 0.8) == pytest.approx(expected, rel=1e-12)
+    assert combine(rule, 0.8, 0.4) == pytest.approx(expected, rel=1e-12)
+    if rule != "multiply":
+        assert combine(rule, 0.4, 0.4) == pytest.approx(0.4, rel=1e-12)
+
+
+def test_a_place_has_the_combined_values():
+    """Of restitution the product with the ground's, which is 1; of frictions geometric means."""
+    world = alone(SHAPES["box"], restitution=0.54, static=0.8, dynamic=0.4)
+    np.testing.assert_allclose(world.footing.restitution, 0.54, rtol=1e-12)
+    np.testing.assert_allclose(world.footing.static_friction, 0.8, rtol=1e-12)
+    np.testing.assert_allclose(world.footing.dynamic_friction, 0.4, rtol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["box", "sphere"])
+def test_restitution(name):
+    """Speed after over speed before within 0.05 of the setting, dropped from 0.2 to 1 m.
+
+    More closely, where anything bounces, it is what the stiffness leaves (`kept_speed`).
+    """
+    shape = SHAPES[name]
+    drops = np.array([0.2, 0.33, 0.5, 0.71, 1.0])
+    start = above(len(drops), shape.half_extents[2] + drops)
+    run = recorder(alone(shape), 150)
+    for setting in (0.0, 0.27, 0.54, 0.75):
+        world = alone(shape, setting)
+        states, support = run(released(world, start), jnp.asarray(world.footing.restitution))
+        hit = (np.asarray(support)[:, 2].sum(1) > 0).argmax(0)
+        speed = np.asarray(states.velocity)[:, 5]
+        columns = np.arange(len(drops))
+        # Without a bounce the step of the impact only brings it down to the ground.
+        after = np.maximum(speed[hit, columns], speed[hit + 1, columns])
+        ratio = after / -speed[hit - 1, columns]
+        np.testing.assert_allclose(ratio, setting, atol=0.05)
+        if setting > 0:
+            places = len(world.footing.bodies)
+            np.testing.assert_allclose(ratio, kept_speed(setting, places), atol=0.005)
+
+
+def test_a_bounce_converges_with_the_time_step():
+    """Some 0.3 s after a ball's bounce, errors of height and speed are in proportion to h.
+
+    Closed form with what the stiffness leaves of the restitution at any h. Where in a step the
+    impact falls matters, hence the root mean square over 32 heights of drop.
+    """
+    setting, end = 0.6, 0.65
+    world = alone(SHAPES["sphere"], setting)
+    kept = kept_speed(setting, 1)
+    drops = np.linspace(0.5, 0.8, 32)
+    fall = np.sqrt(2 * drops / GRAVITY)
+    start = released(world, above(32, 0.1 + drops))
+    rates = np.array([120, 240, 480, 960, 1920])
+    errors = []
+    for rate in rates:
+        states, _ = record(world, start, round(end * rate), 1 / rate)
+        since = end - fall
+        speed = kept * GRAVITY * fall
+        height = speed * since - GRAVITY * since**2 / 2
+        found = np.asarray(states.position)[-1, 2] - 0.1, np.asarray(states.velocity)[-1, 5]
+        wanted = height, speed - GRAVITY * since
+        errors.append([np.sqrt(np.mean((f - w) ** 2)) for f, w in zip(found, wanted, strict=True)])
+    order = -np.polyfit(np.log(rates), np.log(errors), 1)[0]
+    assert (order > 0.9).all()
+
+
+def on_slope(degrees: float, tall: float):
+    """A block on a slope that falls towards +x; and the direction downhill."""
+    angle = np.deg2rad(degrees)
+    normal = (float(np.sin(angle)), 0.0, float(np.cos(angle)))
+    world = alone(Box((0.2, 0.2, tall)), static=0.5, dynamic=0.4, normal=normal)
+    turned = (np.cos(angle / 2), 0.0, np.sin(angle / 2), 0.0)
+    state = released(world, np.array(normal)[:, None] * tall / 2, orientation=turned)
+    return world, state, np.array([np.cos(angle), 0.0, -np.sin(angle)])
+
+
+@pytest.mark.parametrize(
+    ("degrees", "tall"), [(10.0, 0.1), (20.0, 0.3), (25.0, 0.1), (25.5, 0.1), (25.5, 0.3)]
+)
+def test_static_friction_holds(degrees, tall):
+    """Up to a degree below atan 0.5 = 26.57 a block creeps less than 0.5 mm/s."""
+    world, state, downhill = on_slope(degrees, tall)
+    states, _ = record(world, state, 480)
+    place = np.asarray(states.position)[:, :, 0]
+    creep = downhill @ (place[-1] - place[239])
+    assert abs(creep) < 0.5e-3
+    assert np.linalg.norm(place[239] - np.asarray(state.position)[:, 0]) < 2e-3
+    assert np.abs(np.asarray(states.velocity)[-1, :3]).max() < 1e-3
+
+
+@pytest.mark.parametrize("tall", [0.1, 0.3])
+@pytest.mark.parametrize("degrees", [27.57, 35.0])
+def test_dynamic_friction_brakes(degrees, tall):
+    """Beyond it the block slides with g (sin a - mu_d cos a), once above ten Stribeck speeds."""
+    world, state, downhill = on_slope(degrees, tall)
+    states, _ = record(world, state, 480)
+    speed = np.asarray(states.velocity)[:, 3:, 0] @ downhill
+    fast = np.flatnonzero(speed > 10 * world.ground.stribeck_speed)
+    assert len(fast) > 120
+    angle = np.deg2rad(degrees)
+    expected = GRAVITY * (np.sin(angle) - 0.4 * np.cos(angle))
+    found = (speed[fast[-1]] - speed[fast[0]]) / (H * (fast[-1] - fast[0]))
+    assert found == pytest.approx(expected, rel=0.03)
+    assert np.abs(np.asarray(states.velocity)[-1, :3]).max() < 1e-3
+
+
+@pytest.mark.parametrize("name", ["box", "sphere"])
+def test_an_oblique_impact_stays_in_the_friction_cone(name):
+    """The momentum it takes along the ground is at most mu_s times that across it.
+
+    A fast ball slips throughout, and takes mu_d times as much.
+    """
+    static, dynamic = 0.5, 0.3
+    world = alone(SHAPES[name], 0.5, static, dynamic)
+    along = np.array([0.05, 0.3, 1.0, 3.0, 10.0, 30.0])
+    columns = np.arange(len(along))
+    velocity = np.zeros((6, len(along)))
+    velocity[3], velocity[4], velocity[5] = along, -0.4 * along, -2.0
+    clearance = SHAPES[name].half_extents[2] + 0.02
+    state = released(world, above(len(along), clearance), velocity)
+    states, support = record(world, state, 24)
+    pressed = np.asarray(support)[:, 2].sum(1) > 0
+    first = pressed.argmax(0)
+    speeds = np.concatenate([velocity[None], np.asarray(states.velocity)])[:, 3:]
+    # One step is the whole impact of a ball; a box touches down corner by corner.
+    change = speeds[first + 1, :, columns] - speeds[first, :, columns]
+    across = change[:, 2] + GRAVITY * H
+    taken = np.linalg.norm(change[:, :2], axis=1)
+    assert (taken <= 1.03 * static * across).all()
+    if name == "sphere":
+        # Four passes leave 2 % of the friction undone at 10 m/s, 0.1 % at 30 m/s.
+        assert taken[-2] == pytest.approx(dynamic * across[-2], rel=0.03)
+        assert taken[-1] == pytest.approx(dynamic * across[-1], rel=0.01)
+        np.testing.assert_allclose(change[-1, :2], -taken[-1] * np.array([1, -0.4]) / 1.16**0.5)
+
+
+@pytest.mark.parametrize("name", ["sphere", "capsule"])
+def test_sliding_turns_into_rolling(name):
+    """Angular momentum about the ground is kept: v = v0 / (1 + I / m r^2), 5/7 v0 for a ball.
+
+    Until then friction brakes with mu g; afterwards nothing does.
+    """
+    shape, friction = SHAPES[name], 0.5
+    world = alone(shape, static=friction, dynamic=friction)
+    radius = shape.half_extents[2]
+    start = np.array([0.5, 1.0, 2.0])
+    velocity = np.zeros((6, 3))
+    velocity[4] = start
+    states, _ = record(world, released(world, above(3, radius), velocity), 480)
+    speed, spin = np.asarray(states.velocity)[:, 4], np.asarray(states.velocity)[:, 0]
+    kept = 1 / (1 + shape.inertia(1.0)[0] / radius**2)
+    slides = (1 - kept) * start / (friction * GRAVITY)
+    np.testing.assert_allclose(speed[-1], kept * start, rtol=0.02)
+    np.testing.assert_allclose(speed[-1], speed[239], rtol=0.005)
+    np.testing.assert_allclose(-spin[-1] * radius, speed[-1], rtol=0.005)
+    for column, duration in enumerate(slides):
+        half = round(duration / 2 / H)
+        expected = start[column] - friction * GRAVITY * half * H
+        assert speed[half - 1, column] == pytest.approx(expected, rel=0.02)
+
+
+def test_an_ellipsoid_lies_still_and_rocks():
+    """On its flat side it stays; tilted, it rocks with w^2 = m g (a^2 / c - c) / (I + m c^2).
+
+    a^2 / c is the radius of curvature under it in the plane of the rocking; it rolls on the spot.
+    """
+    shape = SHAPES["ellipsoid"]
+    a, _, c = shape.radii
+    world = alone(shape, static=0.8, dynamic=0.8)
+    tilt = np.array([0.0, 0.06])
+    turns = np.stack([np.cos(tilt / 2), 0 * tilt, np.sin(tilt / 2), 0 * tilt])
+    low = np.sqrt((a * np.sin(tilt)) ** 2 + (c * np.cos(tilt)) ** 2)
+    state = dataclasses.replace(released(world, above(2, low)), orientation=jnp.asarray(turns))
+    states, _ = record(world, state, 480)
+    place, spin = np.asarray(states.position), np.asarray(states.velocity)[:, 1]
+    assert np.abs(place[:, :, 0] - np.array([0, 0, c])).max() < 1e-4
+    assert np.abs(spin[:, 0]).max() < 1e-6
+    turning = spin[:, 1]
+    crossings = np.flatnonzero(np.diff(np.sign(turning)))
+    places = crossings + turning[crossings] / (turning[crossings] - turning[crossings + 1])
+    found = np.pi / (H * np.diff(places).mean())
+    inertia = shape.inertia(1.0)[1]
+    expected = np.sqrt(GRAVITY * (a**2 / c - c) / (inertia + c**2))
+    assert len(crossings) > 5
+    assert found == pytest.approx(expected, rel=0.03)
+
+
+def test_a_block_rests_on_the_ground_at_its_height():
+    """Under 2 mm deep on ground 1.7 m up, after a fall of 0.2 m, and the ground carries it."""
+    height = 1.7
+    world = alone(SHAPES["box"], 0.5, height=height)
+    states, support = record(world, released(world, above(1, height + 0.25)), 720)
+    rest = np.asarray(states.position)[-1, 2, 0] - height - 0.05
+    weight = GRAVITY * world.tree.mass.sum()
+    assert -2e-3 < rest < 1e-4
+    assert np.asarray(support)[-1, 2].sum() == pytest.approx(weight, rel=1e-3)
+    assert np.abs(np.asarray(states.velocity)[-1]).max() < 1e-3
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_a_fall_at_ten_metres_a_second(name):
+    """In any orientation it is never deeper than it would fall in half a step, h v / 2 = 21 mm.
+
+    All but a ball (0.7 mm) are set spinning at up to 100 rad/s, and the lowest point of the next
+    step is another one: 9 mm for the box, 20 mm for the flat ellipsoid. An ellipsoid goes on
+    spinning and rocking; the others come to rest, under 2 mm deep.
+    """
+    world = alone(SHAPES[name], 0.0)
+    count = 32
+    velocity = np.zeros((6, count))
+    velocity[5] = -10.0
+    start = released(world, above(count, 0.5 + H * 10 * np.linspace(0, 1, count)), velocity)
+    start = dataclasses.replace(start, orientation=jnp.asarray(random_turns(count)))
+    states, _ = record(world, start, 960)
+    over_time = jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), states)
+    deep = -lowest_points(world, over_time)[2]
+
+    assert deep.max() < 10.0 * H / 2
+    if name != "ellipsoid":
+        assert deep[..., -1].max() < 2e-3
+        assert np.abs(np.asarray(states.velocity)[-1]).max() < 1e-3
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_lowest_points(name):
+    """The lowest of the places is the shape's support point, for any orientation.
+
+    Of a box they are four corners, and the others are a third of its height or more above.
+    """
+    shape, count = SHAPES[name], 300
+    world = alone(shape)
+    turns = random_turns(count)
+    state = dataclasses.replace(released(world, above(count, 0.3)), orientation=jnp.asarray(turns))
+    places = lowest_points(world, state)
+    rotations = np.asarray(quaternion_to_matrix(jnp.asarray(turns)))
+    half = shape.half_extents
+    corners = np.stack(np.meshgrid(*[[-1, 1]] * 3), -1).reshape(-1, 3) * half
+    for n in range(count):
+        rotation, ours = rotations[:, :, n], places[:, :, n].T - np.array([0, 0, 0.3])
+        lowest = rotation @ shape.support(-rotation[2])
+        np.testing.assert_allclose(ours[ours[:, 2].argmin()], lowest, atol=1e-12)
+        if name == "box":
+            every = corners @ rotation.T
+            distance = np.linalg.norm(every[:, None] - ours[None], axis=-1).min(1)
+            chosen = distance < 1e-12
+            assert chosen.sum() == 4
+            height = every[:, 2] - every[:, 2].min()
+            assert height[~chosen].min() >= height.max() / 3 - 1e-12

@@ -1,0 +1,263 @@
+"""Walking and falling animals of nine bodies on the ground."""
+
+import dataclasses
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from creatures import quick_jit
+from evo_cpg.config.build import build_experiment
+from evo_cpg.config.load import load_config
+from evo_cpg.control.controller import Observation
+from evo_cpg.creature.creature import Body, Creature, Joint, Material
+from evo_cpg.creature.shapes import Box
+from evo_cpg.creature.tree import build_tree
+from evo_cpg.physics.contact import Ground, find_contacts, make_footing
+from evo_cpg.physics.kinematics import kinematics
+from evo_cpg.physics.passes import search
+from evo_cpg.physics.state import State, resting_state
+from evo_cpg.physics.step import integrate, step
+from evo_cpg.physics.world import World
+
+H = 1 / 240
+CONFIG = Path(__file__).parents[2] / "configs" / "fukui2003_model1.yaml"
+WALKERS, SECONDS = 24, 4.0
+
+
+def mechanics(world: World, state: State) -> tuple[np.ndarray, np.ndarray]:
+    """Velocity of the centre of mass and mechanical energy of each individual."""
+    tree = world.tree
+    kin = kinematics(tree, state)
+    rotation, angular, linear, origin = (
+        np.asarray(part, float) for part in (kin.rotation, kin.angular, kin.linear, kin.origin)
+    )
+    arm = np.einsum("xyb...,yb->xb...", rotation, tree.com)
+    velocity = linear + np.cross(angular, arm, axis=0)
+    momentum = np.einsum("xb...,b->x...", velocity, tree.mass)
+    own = np.concatenate(
+        [np.einsum("xyb...,xb...->yb...", rotation, part) for part in (angular, linear)]
+    )
+    kinetic = 0.5 * np.einsum("ib...,ijb,jb...->...", own, tree.inertia, own)
+    height = np.einsum("b...,b->...", origin[2] + arm[2], tree.mass)
+    return momentum / tree.mass.sum(), kinetic + world.gravity * height
+
+
+def depths(world: World, states: State) -> np.ndarray:
+    """How deep each place is in the ground, ``(steps, places, n)``, m."""
+
+    @quick_jit
+    def gaps(state):
+        kin = kinematics(world.tree, state)
+        bodies = np.array(world.footing.bodies)
+        return (kin.origin[:, bodies] + find_contacts(world.footing, kin, H).arm)[2]
+
+    over_time = jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), states)
+    return -np.moveaxis(np.asarray(gaps(over_time)), -1, 0)
+
+
+@pytest.fixture(scope="module")
+def walk():
+    """24 random genomes of Fukui's Model 1 for 4 s in float32; the first only stands."""
+    with jax.enable_x64(False):
+        simulation = build_experiment(load_config(CONFIG), CONFIG).simulation
+        world, controller = simulation.world, simulation.controller
+        dofs = world.tree.dof_count
+        rng = np.random.default_rng(0)
+        genes = jnp.asarray(rng.random((controller.gene_count, WALKERS)) < 0.5, jnp.float32)
+        nothing = jnp.zeros((0, WALKERS), jnp.float32)
+        still = jnp.zeros((dofs, WALKERS), jnp.float32)
+        stands = jnp.asarray(np.arange(WALKERS) > 0, jnp.float32)[None]
+
+        @quick_jit
+        def run(genes):
+            state = resting_state(
+                world.tree, (WALKERS,), position=(0.0, 0.0, simulation.start_height)
+            )
+            nerves = controller.initial_state((WALKERS,), jnp.float32)
+            observed = Observation(nothing, nothing, nothing, nothing, still, still)
+
+            def control(carry, _):
+                state, nerves = carry
+                nerves, command = controller.act(genes, nerves, observed)
+
+                def move(s, _):
+                    angle = command.target_angle * stands
+                    s, effort = step(world, s, command.target_rate, H, angle)
+                    return s, (s, effort)
+
+                state, record = jax.lax.scan(move, state, None, simulation.substeps)
+                return (state, nerves), record
+
+            steps = round(SECONDS * simulation.control_rate)
+            _, record = jax.lax.scan(control, (state, nerves), None, steps)
+            return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), record)
+
+        states, effort = run(genes)
+        return world, states, effort
+
+
+@pytest.mark.slow
+def test_the_ground_pushes_and_motors_keep_their_limits(walk):
+    """No support is negative, no friction beyond mu_s times it, no torque above 40 N m."""
+    world, states, effort = walk
+    support = np.asarray(effort.support, float)
+    across, along = support[:, 2], np.hypot(support[:, 0], support[:, 1])
+    limit = world.footing.static_friction[:, None] * across
+    assert across.min() >= 0
+    assert (along <= (1 + 1e-5) * limit).all()
+    torque = np.abs(np.asarray(effort.torque))
+    assert (torque <= world.tree.torque_limit[:, None].astype(np.float32)).all()
+    for part in jax.tree.leaves(states):
+        assert np.isfinite(part).all()
+    # It is a walk that all this was seen in: feet slip, lift off, and motors are at their limits.
+    assert 0.02 < (across > 0).mean() < 0.5
+    assert (along > 0.99 * limit)[across > 0].mean() > 0.05
+    assert torque.max() == 40.0
+
+
+@pytest.mark.slow
+def test_support_is_weight_and_change_of_momentum(walk):
+    """The impulse of the ground, less that of gravity, is the change of the walkers' momentum.
+
+    Within 1 % of the latter, g t: the joints' motion keeps momentum at first order in h only.
+    """
+    world, states, effort = walk
+    total = np.asarray(effort.support, float).sum((0, 2)) * H / world.tree.mass.sum()
+    gained = total - np.array([[0], [0], [world.gravity * SECONDS]])
+    velocity, _ = mechanics(world, jax.tree.map(lambda x: x[-1], states))
+    assert np.abs(gained - velocity).max() < 0.01 * world.gravity * SECONDS
+
+
+@pytest.mark.slow
+def test_a_standing_animal(walk):
+    """Its feet carry its weight within 2 % (0.1 % on average), and are under 2 mm deep."""
+    world, states, effort = walk
+    support = np.asarray(effort.support, float)[:, 2, :, 0].sum(1)
+    weight = world.gravity * world.tree.mass.sum()
+    np.testing.assert_allclose(support[-480:], weight, rtol=0.02)
+    assert support.mean() == pytest.approx(weight, rel=1e-3)
+    deep = depths(world, jax.tree.map(lambda x: x[..., :1], states))
+    assert deep.max() < 2e-3
+    assert np.abs(np.asarray(states.velocity)[-1, :, 0]).max() < 1e-3
+
+
+@pytest.mark.slow
+def test_walking_feet_stay_on_the_ground(walk):
+    """Of all places at all times 99.8 % are less than 1 mm deep, and the rest is bounded.
+
+    The bound is what the fastest point moves in a step at 12 m/s.
+    """
+    world, states, _ = walk
+    deep = depths(world, states)
+    assert (deep > 1e-3).mean() < 0.002
+    assert deep.max() < 12.0 * H
+
+
+def legged(legs, segments: int) -> World:
+    """A torso on legs that turn about y, damped by 0.05 N m s/rad, without meeting a limit."""
+    flesh = Material(300.0, 0.3, 0.8, 0.8)
+    bodies = [Body("torso", Box((0.6, 0.3, 0.16)), flesh)]
+    for name, (x, y) in enumerate(legs):
+        parent, anchor = "torso", (x, y, -0.08)
+        for segment in range(segments):
+            joint = Joint(
+                parent,
+                anchor,
+                (0, 0, 0.12),
+                ((0.0, 1.0, 0.0),),
+                (-99.0,),
+                (99.0,),
+                damping=0.05,
+            )
+            parent, anchor = f"{name}-{segment}", (0, 0, -0.12)
+            bodies.append(Body(parent, Box((0.08, 0.08, 0.24)), flesh, joint))
+    creature = Creature("legged", tuple(bodies))
+    tree = build_tree(creature)
+    return World(tree, 9.81, footing=make_footing(creature, tree, Ground(1.0, 0.8, 0.8)))
+
+
+def thrown(world: World, count: int, height: float) -> State:
+    """Above the ground in any orientation, moving at some 1 m/s and 1 rad/s."""
+    rng = np.random.default_rng(0)
+    turns = rng.normal(size=(4, count))
+    state = resting_state(world.tree, (count,), jnp.float64, position=(0.0, 0.0, height))
+    return dataclasses.replace(
+        state,
+        orientation=jnp.asarray(turns / np.linalg.norm(turns, axis=0)),
+        velocity=jnp.asarray(rng.normal(size=(6, count))),
+        q=jnp.asarray(rng.uniform(-0.5, 0.5, (world.tree.dof_count, count))),
+    )
+
+
+@pytest.mark.slow
+def test_ragdolls_only_lose_energy_and_come_to_rest():
+    """Passive quadrupeds: above its least so far, energy never rises by 1 % of the start's.
+
+    After 10 s the torsos lie still; legs on lightly damped joints still swing a little.
+    """
+    world = legged([(0.26, 0.11), (0.26, -0.11), (-0.26, 0.11), (-0.26, -0.11)], segments=2)
+    start = thrown(world, 12, 1.0)
+
+    @quick_jit
+    def run(state):
+        def advance(s, _):
+            s, _ = step(world, s, jnp.zeros_like(s.q), H)
+            return s, s
+
+        return jax.lax.scan(advance, state, None, 2400)[1]
+
+    states = run(start)
+    _, energy = mechanics(world, jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), states))
+    _, first = mechanics(world, start)
+    rise = (energy - np.minimum.accumulate(energy, axis=1)) / first[:, None]
+    assert (energy < 1.01 * first[:, None]).all()
+    assert rise.max() < 0.01
+    assert depths(world, states)[-1].max() < 2e-3
+    assert np.abs(np.asarray(states.velocity)[-1]).max() < 0.05
+
+
+@pytest.fixture(scope="module")
+def touching():
+    """Tripods, some of which touch the ground: their world, state, and the unfused step."""
+    with jax.enable_x64(True):
+        world = legged([(0.2, 0.0), (-0.2, 0.0)], segments=1)
+        state = thrown(world, 12, 0.3)
+        still = jnp.zeros(world.tree.dof_count)
+
+        def alone(state):
+            return integrate(state, search(world, H, state, still, None).accelerations, H)
+
+        yield world, state, jax.vmap(alone, -1, -1)
+
+
+def test_a_fused_step_equals_the_unfused_one(touching):
+    """To 1e-9, between a contact or none and several."""
+    world, state, plain = touching
+    fused, effort = quick_jit(lambda s: step(world, s, jnp.zeros_like(s.q), H))(state)
+    touches = (np.asarray(effort.support)[2] > 0).any(0)
+    assert 2 < touches.sum() < 12
+    for got, wanted in zip(
+        jax.tree.leaves(fused), jax.tree.leaves(quick_jit(plain)(state)), strict=True
+    ):
+        np.testing.assert_allclose(got, wanted, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.slow
+def test_derivatives_of_a_step_in_contact(touching):
+    """Reverse mode against central differences, by the velocity at its start."""
+    _, state, plain = touching
+    weights = jnp.asarray(np.random.default_rng(1).normal(size=state.velocity.shape))
+
+    def outcome(velocity):
+        return (weights * plain(dataclasses.replace(state, velocity=velocity)).velocity).sum()
+
+    value = quick_jit(outcome)
+    slope = np.asarray(quick_jit(jax.grad(outcome))(state.velocity))
+    assert np.isfinite(slope).all()
+    for axis in range(6):
+        change = jnp.zeros_like(state.velocity).at[axis].set(1e-6)
+        up, down = (value(state.velocity + sign * change) for sign in (1, -1))
+        np.testing.assert_allclose(slope[axis].sum(), (up - down) / 2e-6, rtol=1e-5, atol=1e-6)

@@ -1,0 +1,83 @@
+"""The benchmark's quadruped is the same animal with the same commands on both sides."""
+
+import dataclasses
+
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+from benchmarks.mujoco_model import dof_order, motor_order, mujoco_model
+from benchmarks.suite import CONFIGS, mujoco_walk, posture_numbers, stopped
+from evo_cpg.config.build import build_experiment
+from evo_cpg.config.load import load_config
+
+CONFIG = CONFIGS / "fukui2003_model1.yaml"
+GENES = np.random.default_rng(0).integers(0, 2, (192, 24)).astype(np.float32)
+
+
+@pytest.fixture(scope="module")
+def quadruped():
+    return build_experiment(load_config(CONFIG), CONFIG)
+
+
+@pytest.fixture(scope="module")
+def model(quadruped):
+    ground = quadruped.simulation.world.ground
+    return mujoco_model(quadruped.creature, motors=True, limits=True, ground=ground)
+
+
+def test_the_model_has_the_animals_masses_motors_and_limits(quadruped, model):
+    tree = quadruped.simulation.world.tree
+    for name, mass in zip(tree.names, tree.mass, strict=True):
+        assert model.body(name).mass[0] == pytest.approx(mass, rel=1e-12)
+    motors = motor_order(model, tree)
+    assert sorted(motors) == list(range(8))
+    np.testing.assert_allclose(model.actuator_gainprm[:, 0], tree.servo_stiffness[motors])
+    np.testing.assert_allclose(-model.actuator_biasprm[:, 2], tree.servo_gain[motors])
+    limit = tree.torque_limit[motors]
+    np.testing.assert_allclose(model.actuator_forcerange, np.stack([-limit, limit], -1))
+    joints = dof_order(model, tree) + 1
+    np.testing.assert_allclose(model.jnt_range[joints], np.stack([tree.lower, tree.upper], -1))
+    assert model.jnt_limited[1:].all()
+
+
+def test_bodies_touch_the_floor_alone(model):
+    """Folded up in the floor, every contact has the plane on one side."""
+    data = mujoco.MjData(model)
+    data.qpos[7:] = 2.5
+    mujoco.mj_forward(model, data)
+    floor = np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE)
+    assert data.ncon > 4
+    assert np.isin(data.contact.geom, floor).sum(1).tolist() == [1] * data.ncon
+    np.testing.assert_allclose(data.contact.friction[:, 0], 0.8)
+
+
+def test_mujoco_takes_the_postures_of_the_controller(quadruped):
+    """In free fall nothing keeps a joint from where its spring pulls: 1/3 s is 17 of k/c."""
+    simulation = dataclasses.replace(quadruped.simulation, start_height=20.0)
+    world, h, steps = simulation.world, simulation.step_length, 160
+    assert posture_numbers(simulation, steps + 1).tolist() == [0] * 80 + [1] * 80 + [2]
+    walk = mujoco_walk(quadruped._replace(simulation=simulation), GENES, 1, steps)
+    states = walk()
+    assert not stopped(states, steps * h).any()
+    angles = simulation.controller.decode(jnp.asarray(GENES))
+    order = dof_order(mujoco_model(quadruped.creature), world.tree)
+    for posture in (0, 1):
+        # The clock and the root's pose come first.
+        joints = states[:, 80 * posture + 79, 1 + 7 : 1 + 7 + 8][:, order].T
+        np.testing.assert_allclose(joints, angles[posture], atol=np.deg2rad(1))
+
+
+def test_individuals_that_diverged_are_counted(quadruped, monkeypatch, tmp_path):
+    """At 1/60 s many do within 7 steps; MuJoCo logs each of them."""
+    monkeypatch.chdir(tmp_path)  # where MuJoCo writes its log
+    simulation = dataclasses.replace(quadruped.simulation, substeps=1)
+    walk = mujoco_walk(quadruped._replace(simulation=simulation), GENES, 1, 7)
+    states, seconds = walk(), 7 / 60
+    lost = stopped(states, seconds)
+    logged = (tmp_path / "MUJOCO_LOG.TXT").read_text().count("unstable")
+    assert lost.sum() == logged
+    assert 0 < logged < GENES.shape[1]
+    states[~lost, -1, 5] = np.nan
+    assert stopped(states, seconds).all()
