@@ -18,7 +18,7 @@ from evo_cpg.cli.errors import UsageError
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.load import dump_config, load_config
-from evo_cpg.config.schema import ExperimentConfig
+from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.training.checkpoint import Champion, genes_digest, outcome_digest
 from evo_cpg.training.devices import use_cores
 from evo_cpg.training.experiment import Experiment

@@ -10,14 +10,11 @@ from typing import Any
 import numpy as np
 
 from evo_cpg.config.errors import ConfigError
-from evo_cpg.config.schema import (
-    BitEvolutionConfig,
-    CustomConfig,
-    DistanceConfig,
-    ExperimentConfig,
-    WalkConfig,
-    WaterConfig,
-)
+from evo_cpg.config.schema.choice import CustomConfig
+from evo_cpg.config.schema.evolution import BitEvolutionConfig
+from evo_cpg.config.schema.experiment import ExperimentConfig
+from evo_cpg.config.schema.task import DistanceConfig, WalkConfig
+from evo_cpg.config.schema.world import WaterConfig
 from evo_cpg.control.brain_cpg import BrainCpgSettings, build_brain_cpg
 from evo_cpg.control.controller import Controller
 from evo_cpg.control.postures import PostureSettings, build_posture_controller

@@ -10,7 +10,7 @@ import pydantic
 import yaml
 
 from evo_cpg.config.errors import ConfigError, Key, nearest
-from evo_cpg.config.schema import ExperimentConfig
+from evo_cpg.config.schema.experiment import ExperimentConfig
 
 # What pydantic calls an unknown key, in models and in dataclasses.
 _UNKNOWN_KEY = ("extra_forbidden", "unexpected_keyword_argument")

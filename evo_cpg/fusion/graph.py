@@ -4,8 +4,14 @@ Each node is one scalar operation. Building it folds constants, drops what multi
 one, and reuses nodes that are already there, so a creature's zeros (a centre of mass on the joint,
 a principal axis) cost nothing in the end. These simplifications are exact, with two exceptions: the
 sign of a zero, and that 0 x stays 0 where x is not finite.
+
+Scalars with the same history (the same quantity of each of four legs) can be the *lanes* of one
+node: one operation then does for all of them, over arrays that are four times as long. `Graph.pack`
+makes lanes of scalars and `Graph.lane` takes one out again; each undoes the other, so values that
+stay in lanes are never moved.
 """
 
+import functools
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -59,6 +65,12 @@ _COSTLY = {
 }
 
 
+# Scalars to lanes, a lane to a scalar, and the sum of the lanes: moves of whole arrays, never within
+# a kernel.
+pack_p, lane_p, lane_sum_p = (Primitive(name) for name in ("pack", "lane", "lane_sum"))
+_MOVES = {"pack", "lane", "lane_sum"}
+
+
 class Call:
     """A function of whole arrays that is evaluated for all individuals as it stands.
 
@@ -87,17 +99,21 @@ class Node:
         precision: the floating-point type that it, or else what it comes from, has, if any.
         level: how many costly functions precede it on the longest path.
         company: the nodes that are wanted at the same time, itself among them; see `together`.
+        lanes: how many scalars it stands for.
+        source: of one lane of another node, that node and the lane's number.
     """
 
     __slots__ = (
         "company",
         "dtype",
+        "lanes",
         "level",
         "number",
         "operands",
         "params",
         "precision",
         "primitive",
+        "source",
         "value",
     )
 
@@ -109,6 +125,8 @@ class Node:
         params: Mapping[str, Any] | None = None,
         operands: "tuple[Node, ...]" = (),
         value: Any = None,
+        lanes: int = 1,
+        source: "tuple[Node, int] | None" = None,
     ):
         self.number = number
         self.dtype = dtype
@@ -120,6 +138,8 @@ class Node:
         types += [node.precision for node in operands if node.precision is not None]
         self.precision = types[0] if types else None
         self.company: tuple[Node, ...] = ()
+        self.lanes = lanes
+        self.source = source
         self.level = max((node.level + node.costly for node in operands), default=0)
 
     @property
@@ -135,7 +155,13 @@ class Node:
     @property
     def costly(self) -> bool:
         """Whether it gets a kernel of its own."""
-        return isinstance(self.primitive, Call) or self.name in _COSTLY or self._changes_precision
+        special = _COSTLY | _MOVES
+        return isinstance(self.primitive, Call) or self.name in special or self._changes_precision
+
+    @property
+    def uniform(self) -> bool:
+        """Whether it is made of lanes that are all one scalar."""
+        return self.primitive is pack_p and self.operands == (self.operands[0],) * self.lanes
 
     @property
     def _changes_precision(self) -> bool:
@@ -153,10 +179,15 @@ class Node:
 
 
 class Graph:
-    """Makes nodes, and hands out the one that is there already."""
+    """Makes nodes, and hands out the one that is there already.
+
+    Attributes:
+        lane_constants: values ``(lanes,)`` of the inputs that are constants, one for each lane.
+    """
 
     def __init__(self):
         self._nodes: dict[Any, Node] = {}
+        self.lane_constants: dict[Node, np.ndarray] = {}
 
     def input(self, key: Any, dtype: np.dtype) -> Node:
         """The input with this key."""
@@ -169,6 +200,10 @@ class Graph:
 
     def apply(self, primitive: Primitive, params: dict, operands: tuple[Node, ...]) -> Node:
         """The result of an elementwise primitive on scalars."""
+        lanes = max(node.lanes for node in operands)
+        if lanes > 1 and all(n.value is not None or n in self.lane_constants for n in operands):
+            each = (tuple(self.lane(n, i) for n in operands) for i in range(lanes))
+            return self.pack(tuple(self.apply(primitive, params, one) for one in each))
         name = primitive.name
         dtype = operands[-1].dtype
         if name in {"square", "integer_pow"}:
@@ -190,7 +225,45 @@ class Graph:
         if name in _COMMUTATIVE:
             operands = tuple(sorted(operands, key=lambda node: node.number))
         key = (name, repr(sorted(params.items())), *(node.number for node in operands))
-        return self._unique(key, dtype, primitive=primitive, params=params, operands=operands)
+        return self._unique(
+            key, dtype, primitive=primitive, params=params, operands=operands, lanes=lanes
+        )
+
+    def pack(self, scalars: tuple[Node, ...]) -> Node:
+        """A node whose lanes are the given scalars; a constant stays one if all are the same."""
+        first, lanes = scalars[0], len(scalars)
+        if lanes == 1 or (first.value is not None and scalars == (first,) * lanes):
+            return first
+        if first.source is not None:
+            whole = first.source[0]
+            if whole.lanes == lanes and all(
+                node.source == (whole, i) for i, node in enumerate(scalars)
+            ):
+                return whole
+        if all(node.value is not None for node in scalars):
+            values = np.array([node.value for node in scalars], first.dtype)
+            node = self._unique(("lanes", first.dtype, values.tobytes()), first.dtype, lanes=lanes)
+            self.lane_constants[node] = values
+            return node
+        key = ("pack", *(node.number for node in scalars))
+        return self._unique(key, first.dtype, primitive=pack_p, operands=scalars, lanes=lanes)
+
+    def lane(self, node: Node, number: int) -> Node:
+        """One of a node's lanes; a scalar has the same in all."""
+        if node.lanes == 1:
+            return node
+        if node in self.lane_constants:
+            return self.constant(self.lane_constants[node][number], node.dtype)
+        key = ("lane", node.number, number)
+        source = (node, number)
+        return self._unique(key, node.dtype, primitive=lane_p, operands=(node,), source=source)
+
+    def lane_sum(self, node: Node) -> Node:
+        """The sum of a node's lanes."""
+        if node in self.lane_constants:
+            return functools.reduce(self.add, (self.lane(node, i) for i in range(node.lanes)))
+        key = ("lane_sum", node.number)
+        return self._unique(key, node.dtype, primitive=lane_sum_p, operands=(node,))
 
     def call(
         self,

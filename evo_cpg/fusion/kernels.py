@@ -26,9 +26,9 @@ import numpy as np
 from jax import core
 from jax.extend.core import ClosedJaxpr
 
-from evo_cpg.fusion.graph import Call, Graph, Node
+from evo_cpg.fusion.graph import Call, Graph, Node, lane_p, lane_sum_p, pack_p
 from evo_cpg.fusion.schedule import KERNEL_ARRAYS, cut, read_by
-from evo_cpg.fusion.trace import array_call_p, constants, trace
+from evo_cpg.fusion.trace import array_call_p, constants, side_by_side_p, trace
 from evo_cpg.spatial.linear import compute_once
 
 # Up to so many sines, as many kernels are faster than one and what it takes to stack and part rows:
@@ -131,16 +131,31 @@ def _evaluate(
         for value in program.consts
     ]
     outputs = trace(graph, program.jaxpr, consts, inputs)
+    for node, each in graph.lane_constants.items():
+        values[node] = jnp.asarray(np.repeat(each, individuals))
 
     def value(node: Node) -> jax.Array:
         if node.value is not None:
             return jnp.full(individuals, node.value, node.dtype)
+        if node not in values and node.source is not None:
+            whole, lane = node.source
+            return values[whole].reshape(-1, individuals)[lane]
         return values[node]
 
-    wanted = [node for array in outputs for node in array.flat]
+    wanted = [
+        node.source[0] if node.source is not None else node
+        for array in outputs
+        for node in array.flat
+    ]
     for piece, kept in cut(wanted):
         if isinstance(piece[0].primitive, Call):
             values.update(_evaluate_call(piece[0].primitive, value, batch))
+        elif piece[0].primitive is pack_p:
+            values.update({node: _pack(node, value) for node in piece})
+        elif piece[0].primitive is lane_p:
+            values.update({node: value(node) for node in piece})
+        elif piece[0].primitive is lane_sum_p:
+            values.update(_add_lanes(piece, value, individuals))
         elif piece[0].costly:
             values.update(_evaluate_costly(piece, value))
         else:
@@ -162,6 +177,16 @@ def together(tree: Any) -> Any:
     spares storing what they share.
     """
     return jax.lax.optimization_barrier(tree) if _tracing.get() else tree
+
+
+def side_by_side(x: jax.Array) -> jax.Array:
+    """The same array ``(..., k)``; within a fused function its last axis becomes lanes.
+
+    What is the same for each of several legs is then computed in one go, by operations on arrays
+    that are ``k`` times as long: kernels of fewer operations on more numbers. The lanes go on
+    through everything that is computed from them in the same way for all ``k``.
+    """
+    return side_by_side_p.bind(x) if _tracing.get() and x.shape[-1] > 1 else x
 
 
 def unfused(function: Callable, *args: Any) -> Any:
@@ -260,6 +285,30 @@ def _evaluate_costly(
     if jnp.issubdtype(results.dtype, jnp.floating):
         results = compute_once(results)
     return {node: results[i] for i, node in enumerate(piece)}
+
+
+def _pack(node: Node, value: Callable[[Node], jax.Array]) -> jax.Array:
+    """The lanes of a node one behind the other."""
+    first = value(node.operands[0])
+    if node.uniform:
+        return jnp.broadcast_to(first, (node.lanes, *first.shape)).reshape(-1)
+    return jnp.concatenate([value(operand) for operand in node.operands])
+
+
+def _add_lanes(
+    piece: list[Node], value: Callable[[Node], jax.Array], individuals: int
+) -> dict[Node, jax.Array]:
+    """Sums over lanes, many in one kernel."""
+    sums = {}
+    for start in range(0, len(piece), KERNEL_ARRAYS // 2):
+        some = piece[start : start + KERNEL_ARRAYS // 2]
+        lanes = tuple(value(node.operands[0]).reshape(-1, individuals) for node in some)
+        neutral = tuple(np.zeros((), node.dtype)[()] for node in some)
+        results = jax.lax.reduce(
+            lanes, neutral, lambda total, new: tuple(map(jnp.add, total, new)), (0,)
+        )
+        sums.update(zip(some, results, strict=True))
+    return sums
 
 
 def _evaluate_call(

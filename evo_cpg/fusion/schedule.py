@@ -83,8 +83,9 @@ def _kind(node: Node) -> Any:
         return node.primitive
     if node.costly:
         operand_types = tuple(operand.dtype for operand in node.operands)
-        return node.primitive, repr(sorted(node.params.items())), operand_types
-    return node.precision
+        lanes = node.lanes, max((operand.lanes for operand in node.operands), default=1)
+        return node.primitive, repr(sorted(node.params.items())), operand_types, lanes
+    return node.precision, node.lanes
 
 
 def _stages(order: list[Node]) -> dict[Node, int]:

@@ -5,12 +5,15 @@ transposes) is then done by NumPy while tracing and leaves nothing behind; sums 
 products become additions and multiplications; elementwise operations one node per element.
 """
 
+import collections
+import functools
 from collections.abc import Callable
 
 import jax
 import numpy as np
 from jax import core
 from jax.extend.core import Jaxpr, Literal, Primitive
+from jax.interpreters import ad, batching, mlir
 
 from evo_cpg.fusion.graph import Graph, Node
 
@@ -33,6 +36,15 @@ def _(*inputs, function):
     shapes = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in inputs]
     return [core.ShapedArray(x.shape, x.dtype) for x in jax.eval_shape(function, *shapes)]
 
+
+# The elements along the last axis are to be lanes; see `evo_cpg.fusion.kernels.side_by_side`.
+# Anywhere else it does nothing.
+side_by_side_p = Primitive("side_by_side")
+side_by_side_p.def_impl(lambda x: x)
+side_by_side_p.def_abstract_eval(lambda x: core.ShapedArray(x.shape, x.dtype))
+ad.deflinear2(side_by_side_p, lambda cotangent, _: [cotangent])
+batching.primitive_batchers[side_by_side_p] = lambda xs, axes: (xs[0], axes[0])
+mlir.register_lowering(side_by_side_p, lambda _, x: [x])
 
 _ELEMENTWISE = {
     "abs",
@@ -137,16 +149,43 @@ def _type(atom) -> np.dtype:
 
 def constants(graph: Graph, values: np.ndarray) -> np.ndarray:
     """An array of constant nodes."""
-    return _map(lambda value: graph.constant(value, values.dtype), values)
+    nodes = [graph.constant(value, values.dtype) for value in values.flat]
+    result = np.empty(len(nodes), object)
+    result[:] = nodes
+    return result.reshape(values.shape)
 
 
-def _map(make: Callable[..., Node], *arrays: np.ndarray) -> np.ndarray:
-    """Apply a function of nodes element by element, with broadcasting."""
+def _map(graph: Graph, make: Callable[..., Node], *arrays: np.ndarray) -> np.ndarray:
+    """Apply a function of nodes element by element, with broadcasting.
+
+    Where the elements of some operand are all lanes of one node, that is done once for them all.
+    """
     arrays = tuple(np.broadcast_arrays(*arrays, subok=False))
-    result = np.empty(arrays[0].shape, object)
-    for index in np.ndindex(result.shape):
-        result[index] = make(*(array[index] for array in arrays))
-    return result
+    shape = arrays[0].shape
+    rows = list(zip(*(array.flat for array in arrays), strict=True))
+    result = np.empty(len(rows), object)
+    single = []
+    sets: dict[tuple, dict[int, list[int]]] = {}
+    for place, row in enumerate(rows):
+        sources = tuple(node.source and node.source[0] for node in row)
+        first = next((node.source for node in row if node.source is not None), None)
+        if first is None:
+            single.append(place)
+        else:
+            sets.setdefault(sources, {}).setdefault(first[1], []).append(place)
+    for sources, lanes in sets.items():
+        count = next(source.lanes for source in sources if source is not None)
+        if len({len(lanes.get(i, ())) for i in range(count)}) > 1:
+            single += [place for places in lanes.values() for place in places]
+            continue
+        for places in zip(*(lanes[i] for i in range(count)), strict=True):
+            packs = zip(*(rows[place] for place in places), strict=True)
+            whole = make(*(graph.pack(pack) for pack in packs))
+            for i, place in enumerate(places):
+                result[place] = graph.lane(whole, i)
+    for place in single:
+        result[place] = make(*rows[place])
+    return result.reshape(shape)
 
 
 def _evaluate(graph: Graph, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
@@ -163,7 +202,7 @@ def _evaluate(graph: Graph, equation, operands: list[np.ndarray]) -> list[np.nda
 
 def _elementwise(graph: Graph, equation, operands: list[np.ndarray]) -> np.ndarray:
     primitive, params = equation.primitive, equation.params
-    return _map(lambda *nodes: graph.apply(primitive, params, nodes), *operands)
+    return _map(graph, lambda *nodes: graph.apply(primitive, params, nodes), *operands)
 
 
 def _broadcast_in_dim(graph, operands, params):
@@ -238,16 +277,33 @@ def _reduction(primitive):
         (x,), axes = operands, params["axes"]
         kept = [i for i in range(x.ndim) if i not in axes]
         rows = x.transpose(*kept, *axes).reshape(*(x.shape[i] for i in kept), -1)
-        result = np.empty(rows.shape[:-1], object)
-        for index in np.ndindex(result.shape):
-            row = rows[index]
-            total = row[0]
-            for node in row[1:]:
-                total = graph.apply(primitive, {}, (total, node))
-            result[index] = total
-        return [result]
+        if primitive is jax.lax.add_p and any(
+            _all_lanes(row) for row in rows.reshape(-1, rows.shape[-1])
+        ):
+            return [np.apply_along_axis(functools.partial(_sum, graph), -1, rows)]
+        total = rows[..., 0]
+        for k in range(1, rows.shape[-1]):
+            total = _map(graph, lambda *two: graph.apply(primitive, {}, two), total, rows[..., k])
+        return [np.asarray(total, object)]
 
     return reduce
+
+
+def _all_lanes(row: np.ndarray) -> list[Node]:
+    """The nodes all of whose lanes are among some scalars."""
+    found = collections.Counter(node.source[0] for node in row if node.source is not None)
+    return [node for node, count in found.items() if count == node.lanes]
+
+
+def _sum(graph: Graph, row: np.ndarray) -> Node:
+    """The sum of scalars; the lanes of a node are added up as such."""
+    whole = _all_lanes(row)
+    sums: dict[int, Node] = {}
+    for node in whole:
+        sums[node.lanes] = graph.add(sums[node.lanes], node) if node.lanes in sums else node
+    terms = [node for node in row if node.source is None or node.source[0] not in whole]
+    terms += [graph.lane_sum(node) for node in sums.values()]
+    return functools.reduce(graph.add, terms)
 
 
 def _dot_general(graph, operands, params):
@@ -297,12 +353,24 @@ def _scalar_product(graph: Graph, a: np.ndarray, b: np.ndarray) -> Node:
     return total
 
 
+def _side_by_side(graph, operands, params):
+    (x,) = operands
+    result = np.empty(x.shape, object)
+    for index in np.ndindex(x.shape[:-1]):
+        whole = graph.pack(tuple(x[index]))
+        result[index] = [graph.lane(whole, i) for i in range(x.shape[-1])]
+    return [result]
+
+
 def _same(graph, operands, params):
     return operands
 
 
 def _together(graph, operands, params):
-    company = tuple(node for operand in operands for node in operand.flat if node.is_operation)
+    nodes = (
+        node.source[0] if node.source else node for operand in operands for node in operand.flat
+    )
+    company = tuple(dict.fromkeys(node for node in nodes if node.is_operation))
     for node in company:
         node.company = company
     return operands
@@ -327,6 +395,7 @@ _ARRAY_RULES: dict[str, Callable[[Graph, list[np.ndarray], dict], list[np.ndarra
     "reduce_sum": _reduction(jax.lax.add_p),
     "reshape": lambda graph, xs, params: [xs[0].reshape(params["new_sizes"])],
     "rev": lambda graph, xs, params: [np.flip(xs[0], params["dimensions"])],
+    "side_by_side": _side_by_side,
     "slice": _slice,
     "split": _split,
     "stack": lambda graph, xs, params: [np.stack(xs, params["axis"])],

@@ -23,11 +23,12 @@ import itertools
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.tree import Tree
 from evo_cpg.fusion.kernels import symmetric, together
-from evo_cpg.physics.kinematics import Kinematics
+from evo_cpg.physics.kinematics import Kinematics, take
 from evo_cpg.spatial.linear import (
     cross,
     dot,
@@ -129,30 +130,25 @@ def solve(
         torque_derivative: ``-dtau/dqdd`` (with armature), kg m^2.
     """
     batch = torque.shape[1:]
-    blocks = [[block[:, :, i] for block in inertia] for i in range(tree.body_count)]
-    wrenches = [[part[:, i] for part in bias] for i in range(tree.body_count)]
+    blocks = [_bodies(block, 2) for block in inertia]
+    wrenches = [_bodies(part, 1) for part in bias]
     motions = _motions(tree, kin, torque, torque_derivative)
     eliminations: list[_Elimination] = []
     for group, motion in zip(reversed(tree.groups), reversed(motions), strict=True):
-        members = range(group.bodies.start, group.bodies.stop)
-        own = Inertia(*(jnp.stack(b, 2) for b in zip(*(blocks[i] for i in members), strict=True)))
-        force = Wrench(
-            *(jnp.stack(w, 1) for w in zip(*(wrenches[i] for i in members), strict=True))
-        )
+        own = Inertia(*(jnp.stack(block[group.bodies], 2) for block in blocks))
+        force = Wrench(*(jnp.stack(part[group.bodies], 1) for part in wrenches))
         eliminate = _eliminate_axes if motion.to_axes is None else _eliminate_ball
         elimination, reduced, passed = eliminate(own, force, motion)
         moved, carried = _to_parent(reduced, passed, kin.offset[:, group.bodies])
         moved, carried, elimination = together((moved, carried, elimination))
         eliminations.append(elimination)
-        for j, parent in enumerate(group.parents):
-            blocks[parent] = [
-                total + block[:, :, j] for total, block in zip(blocks[parent], moved, strict=True)
-            ]
-            wrenches[parent] = [
-                total + part[:, j] for total, part in zip(wrenches[parent], carried, strict=True)
-            ]
+        for parts, sums, axis in ((moved, blocks, 2), (carried, wrenches, 1)):
+            for part, totals in zip(parts, sums, strict=True):
+                add_to_bodies(totals, group.parents, part, axis)
 
-    angular, linear = _free_body(Inertia(*blocks[0]), Wrench(*wrenches[0]))
+    angular, linear = _free_body(
+        Inertia(*(block[0] for block in blocks)), Wrench(*(part[0] for part in wrenches))
+    )
     accelerations = [(angular, linear)]
     qdd = [jnp.zeros((0, *batch), torque.dtype)]
     for group, motion, joint in zip(tree.groups, motions, reversed(eliminations), strict=True):
@@ -172,6 +168,34 @@ def solve(
         jnp.concatenate(qdd),
         *(jnp.stack(parts, 1) for parts in zip(*accelerations, strict=True)),
     )
+
+
+def _bodies(x: Array, axis: int) -> list[Array]:
+    return [jnp.take(x, i, axis) for i in range(x.shape[axis])]
+
+
+def add_to_bodies(totals: list[Array], bodies: tuple[int, ...], parts: Array, axis: int) -> None:
+    """Add to the totals of some bodies, in place, what stands along an axis of an array.
+
+    Args:
+        totals: of every body.
+        bodies: to which each part belongs; one may occur more than once.
+        parts: one for each of ``bodies`` along the axis.
+        axis: of ``parts``.
+    """
+    if len(set(bodies)) == 1:
+        totals[bodies[0]] = totals[bodies[0]] + parts.sum(axis)
+        return
+    waiting = list(range(len(bodies)))
+    while waiting:
+        # Every body once, so that what is alike in several is added in one operation.
+        now = [
+            j for k, j in enumerate(waiting) if bodies[j] not in {bodies[i] for i in waiting[:k]}
+        ]
+        sums = jnp.stack([totals[bodies[j]] for j in now], axis) + take(parts, np.array(now), axis)
+        for k, j in enumerate(now):
+            totals[bodies[j]] = jnp.take(sums, k, axis)
+        waiting = [j for j in waiting if j not in now]
 
 
 def _motions(tree: Tree, kin: Kinematics, torque: Array, derivative: Array) -> list[_Motion]:

@@ -36,7 +36,7 @@ from evo_cpg.creature.creature import Creature
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Sphere
 from evo_cpg.creature.tree import Tree
 from evo_cpg.fusion.kernels import symmetric, together
-from evo_cpg.physics.articulated import Accelerations, Inertia, Wrench
+from evo_cpg.physics.articulated import Accelerations, Inertia, Wrench, add_to_bodies
 from evo_cpg.physics.kinematics import Kinematics, take
 from evo_cpg.spatial.linear import cross, dot, lift, matmul, matmul_t, matvec, matvec_t, skew
 
@@ -319,18 +319,11 @@ def contact_equations(
     mixed = matmul(shift, slope)
     blocks = symmetric(matmul_t(mixed, shift)), mixed, slope
     loaded = pressed(footing, contacts, line_force(contacts, law, contacts.coasting), bias)
-    stiffened = []
-    for i in range(bias.force.shape[1]):
-        own = _places(footing, i)
-        parts = (whole[:, :, i] for whole in inertia)
-        sums = (take(block, own, 2).sum(2) for block in blocks)
-        wrench = (part[:, i] for part in loaded)
-        stiffened.append(together((*map(jnp.add, parts, sums), *wrench)))
-    parts = list(zip(*stiffened, strict=True))
-    return (
-        Inertia(*(jnp.stack(part, 2) for part in parts[:3])),
-        Wrench(*(jnp.stack(part, 1) for part in parts[3:])),
-    )
+    totals = [[jnp.take(whole, i, 2) for i in range(whole.shape[2])] for whole in inertia]
+    for total, block in zip(totals, blocks, strict=True):
+        add_to_bodies(total, footing.bodies, block, 2)
+    stiffened, loaded = together((Inertia(*(jnp.stack(total, 2) for total in totals)), loaded))
+    return stiffened, loaded
 
 
 def pressed(
@@ -340,13 +333,12 @@ def pressed(
     turn = lift(_frame(footing.ground).T, force, force.ndim + 1)
     force = matvec(turn, force)
     parts = cross(contacts.arm, force), force
-    bodies = range(bias.force.shape[1])
-    return Wrench(
-        *(
-            whole - jnp.stack([take(part, _places(footing, i), 1).sum(1) for i in bodies], 1)
-            for whole, part in zip(bias, parts, strict=True)
-        )
-    )
+    wrench = []
+    for whole, part in zip(bias, parts, strict=True):
+        totals = [whole[:, i] for i in range(whole.shape[1])]
+        add_to_bodies(totals, footing.bodies, -part, 1)
+        wrench.append(jnp.stack(totals, 1))
+    return Wrench(*wrench)
 
 
 def end_velocity(
@@ -427,11 +419,6 @@ def _lowest_corners(
     )
     corners = jnp.stack(signs, 2)
     return corners.reshape(3, -1, *corners.shape[3:])
-
-
-def _places(footing: Footing, body: int) -> np.ndarray:
-    """Indices of a body's places."""
-    return np.flatnonzero(np.array(footing.bodies) == body)
 
 
 def _length(vector: Float[Array, "3 p *n"]) -> Float[Array, "p *n"]:

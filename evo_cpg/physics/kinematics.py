@@ -22,6 +22,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.tree import Tree
+from evo_cpg.fusion.kernels import side_by_side
 from evo_cpg.physics.state import State
 from evo_cpg.spatial.linear import compute_once, cross, lift, matmul, matvec
 from evo_cpg.spatial.rotation import axis_rotation, quaternion_to_matrix
@@ -93,10 +94,9 @@ def accumulate(
     """
     values: list[Array] = [root]
     for group in tree.groups:
-        for i, parent in zip(
-            range(group.bodies.start, group.bodies.stop), group.parents, strict=True
-        ):
-            values.append(values[parent] + steps[:, i - 1])
+        before = jnp.stack([values[parent] for parent in group.parents], 1)
+        after = before + steps[:, group.bodies.start - 1 : group.bodies.stop - 1]
+        values.extend(after[:, j] for j in range(after.shape[1]))
     return jnp.stack(values, 1)
 
 
@@ -118,10 +118,11 @@ def _poses(tree: Tree, state: State) -> tuple[Array, Array, Array]:
     batch = state.q.shape[1:]
     local = _local_frames(tree, state.q)
     rotations = [quaternion_to_matrix(state.orientation)]
-    world_axes = []
+    world_axes, offsets = [], []
     for group in tree.groups:
         count = group.bodies.stop - group.bodies.start
-        parent = jnp.stack([rotations[parent] for parent in group.parents], 2)
+        parent = side_by_side(jnp.stack([rotations[parent] for parent in group.parents], 2))
+        offsets.append(matvec(parent, lift(tree.joint_offset[:, group.bodies], parent[0])))
         frame = jnp.stack([local[i] for i in range(group.bodies.start, group.bodies.stop)], 2)
         turned = matmul(parent, frame)
         rotations.extend(turned[:, :3, i] for i in range(count))
@@ -129,11 +130,10 @@ def _poses(tree: Tree, state: State) -> tuple[Array, Array, Array]:
         world_axes.append(axes.reshape(3, count * group.axes, *batch))
     rotation = jnp.stack(rotations, 2)
     empty = jnp.zeros((3, 0, *batch), state.q.dtype)
-    parents = take(rotation, np.array(tree.parents[1:], int), axis=2)
     return (
         rotation,
         jnp.concatenate([empty, *world_axes], 1),
-        matvec(parents, lift(tree.joint_offset[:, 1:], parents[0])),
+        jnp.concatenate([empty, *offsets], 1),
     )
 
 

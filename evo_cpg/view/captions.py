@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import pyvista as pv
 
-from evo_cpg.view.scenery import Look
+from evo_cpg.view.look import Look
 
 # In pixels of a picture 720 high; smaller pictures do not shrink below `_SMALLEST` of it.
 _MARGIN = 34

@@ -1,7 +1,9 @@
 """Films and stills of a recording, rendered off screen.
 
-The scene is built once; a frame moves actors and overwrites a few arrays. Frames are rendered
-larger than the film and averaged down by ffmpeg, which smooths edges, thin lines and text.
+The scene is built once: each ``add_...`` function puts actors into the plotter and, where they
+change from frame to frame, returns a function that moves them or overwrites arrays in place;
+nothing is meshed again. Frames are rendered larger than the film and averaged down by ffmpeg,
+which smooths edges, thin lines and text.
 """
 
 import os
@@ -15,13 +17,19 @@ from jaxtyping import Float
 
 from evo_cpg.creature.creature import Creature
 from evo_cpg.simulation.recording import Recording
-from evo_cpg.view import scenery
 from evo_cpg.view.camera import CameraPath, course, follow, smooth
 from evo_cpg.view.captions import add_captions
+from evo_cpg.view.goal_light import add_goal_light
+from evo_cpg.view.ground import Marks, add_floor, add_numbers, grid_spacing, mark_spacing
+from evo_cpg.view.look import LOOKS, Look
 from evo_cpg.view.meshes import add_bodies, head_index
 from evo_cpg.view.offscreen import canvas, pixels
 from evo_cpg.view.output import FILM_SUFFIXES, frame_writer, output_path
+from evo_cpg.view.particles import add_particles
+from evo_cpg.view.shadows import add_contacts, add_shadows, add_sun_shadows
+from evo_cpg.view.sky import add_sky, sun_direction
 from evo_cpg.view.textures import CELLS
+from evo_cpg.view.trail import add_trail
 
 # Pixels rendered per pixel of the result, a side. On one core of a software renderer a frame of
 # 1280 x 720 costs 46 ms at 1.25, 58 ms at 1.5, which looks hardly better, and 100 ms at 2.
@@ -48,7 +56,7 @@ class Stage(NamedTuple):
         ground: z of the ground, m; None where there is none.
     """
 
-    look: scenery.Look
+    look: Look
     title: str
     size: tuple[int, int]
     oversampling: float
@@ -132,7 +140,7 @@ def film(
     rendered = (round(width * oversampling), round(height * oversampling))
 
     stage = Stage(
-        look=scenery.LOOKS[world],
+        look=LOOKS[world],
         title=creature.name if title is None else title,
         size=(width, height),
         oversampling=oversampling,
@@ -218,7 +226,7 @@ def _set_scene(
     shown = np.concatenate([camera.focus, recording.goal[None]]) if lit else camera.focus
     lowest = min(clip.position[..., 2].min() - reach, shown[:, 2].min())
     floor = lowest - _DEPTH * radius if stage.ground is None else stage.ground
-    spacing = scenery.grid_spacing(2 * radius)
+    spacing = grid_spacing(2 * radius)
     centre = clip.position.mean(1)
     head = clip.position[:, head_index(creature)]
     sight = camera.focus[0] - camera.position[0]
@@ -229,27 +237,29 @@ def _set_scene(
         # Of the root, as the distance of a recording without a light.
         way = clip.position[:, next(i for i, b in enumerate(creature.bodies) if b.joint is None)]
         bearing = course(way, recording.goal, radius / 10)
-        marks = scenery.Marks(way[0, :2], bearing, scenery.mark_spacing(2 * radius))
+        marks = Marks(way[0, :2], bearing, mark_spacing(2 * radius))
         spacing = marks.spacing / CELLS
         head = head * [1.0, 1.0, 0.0] + [0.0, 0.0, floor]
 
-    move_sky = scenery.add_sky(plotter, look, sight, away)
-    move_floor = scenery.add_floor(plotter, look, floor, radius, spacing, marks)
+    # Translucent actors are drawn in the order in which they are added: what lies in the plane of
+    # the floor comes after it, the light and the trail over the shadows.
+    move_sky = add_sky(plotter, look, sight, away)
+    move_floor = add_floor(plotter, look, floor, radius, spacing, marks)
     moving = []
     if marks is not None:
-        moving.append(scenery.add_numbers(plotter, look, marks, centre, floor, radius, sight, away))
-    sun = scenery.sun_direction(look, sight)
+        moving.append(add_numbers(plotter, look, marks, centre, floor, radius, sight, away))
+    sun = sun_direction(look, sight)
     shadows = [
-        scenery.add_sun_shadows(plotter, look, creature, floor, sun),
-        scenery.add_shadows(plotter, look, floor, half_extents),
+        add_sun_shadows(plotter, look, creature, floor, sun),
+        add_shadows(plotter, look, floor, half_extents),
     ]
     if marks is not None:
-        shadows.append(scenery.add_contacts(plotter, look, creature, floor))
+        shadows.append(add_contacts(plotter, look, creature, floor))
     if lit:
-        scenery.add_light(plotter, look, recording.goal, floor, radius, sight)
-    grow_trail = scenery.add_trail(plotter, look, head, 0.0065 * radius, _TRAIL_FADE * stage.rate)
+        add_goal_light(plotter, look, recording.goal, floor, radius, sight)
+    grow_trail = add_trail(plotter, look, head, 0.0065 * radius, _TRAIL_FADE * stage.rate)
     if look.particles:
-        scenery.add_particles(plotter, shown, floor, radius, stage.oversampling)
+        add_particles(plotter, shown, floor, radius, stage.oversampling)
     bodies = add_bodies(plotter, creature, look.ambient)
     caption = add_captions(
         plotter,
@@ -302,8 +312,8 @@ def _check(
     speed: float,
     world: str,
 ) -> None:
-    if world not in scenery.LOOKS:
-        raise ValueError(f"world is {world!r}; choose {' or '.join(scenery.LOOKS)}")
+    if world not in LOOKS:
+        raise ValueError(f"world is {world!r}; choose {' or '.join(LOOKS)}")
     if min(size) < 16:
         raise ValueError(f"size is {size[0]} x {size[1]} pixels; the smallest is 16 x 16")
     for name, value in (("fps", fps), ("speed", speed)):

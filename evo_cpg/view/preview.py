@@ -9,10 +9,12 @@ import numpy as np
 import pyvista as pv
 
 from evo_cpg.creature.creature import Creature, lowest_height, neutral_pose
+from evo_cpg.view.ground import add_floor, grid_spacing
+from evo_cpg.view.look import LOOKS
 from evo_cpg.view.meshes import add_bodies
 from evo_cpg.view.offscreen import canvas, pixels
 from evo_cpg.view.output import frame_writer, output_path
-from evo_cpg.view.scenery import LOOKS, add_contacts, add_floor, add_shadows, grid_spacing
+from evo_cpg.view.shadows import add_contacts, add_shadows
 
 _BACKGROUND = "#f4f6f8"
 # The ground is as pale as paper, so that names and axes stand out.

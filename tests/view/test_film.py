@@ -12,9 +12,10 @@ import pytest
 import synthetic
 from PIL import Image
 
-from evo_cpg.view import output, scenery
+from evo_cpg.view import output
 from evo_cpg.view.camera import follow, project, smooth
 from evo_cpg.view.film import Stage, camera_path, film, sample
+from evo_cpg.view.look import LOOKS
 from evo_cpg.view.meshes import body_colors
 from evo_cpg.view.output import OutputError
 
@@ -60,7 +61,7 @@ def decode(path):
 
 
 def stage(world="water", size=(1280, 720), rate=30.0):
-    return Stage(scenery.LOOKS[world], "", size, 1.0, rate, 1.0)
+    return Stage(LOOKS[world], "", size, 1.0, rate, 1.0)
 
 
 def orange(image):

@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 import synthetic
 
-from evo_cpg.view import plots, scenery
+from evo_cpg.view import plots
 from evo_cpg.view.camera import project
 from evo_cpg.view.film import Stage, camera_path, film, sample
+from evo_cpg.view.ground import mark_spacing
+from evo_cpg.view.look import LOOKS
 from evo_cpg.view.meshes import body_colors
 from evo_cpg.view.preview import _apart, preview
 
@@ -42,7 +44,7 @@ def stills(creature, recording, tmp_path_factory):
         path = folder / "still.png"
         with pytest.MonkeyPatch.context() as patch:
             if without:
-                patch.setattr(scenery, without, lambda *_: lambda *_: None)
+                patch.setattr(f"evo_cpg.view.film.{without}", lambda *_: lambda *_: None)
             film(creature, motion, path, size=SIZE, **settings)
         return synthetic.read(path)
 
@@ -51,7 +53,7 @@ def stills(creature, recording, tmp_path_factory):
 
 def camera(creature, recording):
     clip = sample(recording, 30)
-    stage = Stage(scenery.LOOKS["land"], "", SIZE, 1.0, 30.0, 1.0, 0.0)
+    stage = Stage(LOOKS["land"], "", SIZE, 1.0, 30.0, 1.0, 0.0)
     return clip, camera_path(creature, recording, clip, stage)
 
 
@@ -134,7 +136,7 @@ def test_a_spot_pales_as_the_foot_lifts(recording, stills):
 
 def test_the_sun_shadow_darkens_the_ground_once(stills):
     """Where the shadows of two bodies overlap it is no darker than elsewhere."""
-    look = scenery.LOOKS["land"]
+    look = LOOKS["land"]
     bare, shaded = stills(without="add_sun_shadows"), stills()
     changed = (bare - shaded).sum(-1) > 60
     assert changed.mean() > 0.01
@@ -166,13 +168,13 @@ def test_a_picture_has_sky_sun_and_contrast(stills):
     assert (light > 250).mean() < 0.01 and (light < 12).mean() < 0.01
 
 
-@pytest.mark.parametrize("world", list(scenery.LOOKS))
+@pytest.mark.parametrize("world", list(LOOKS))
 def test_captions_can_be_read(world, stills):
     """WCAG asks for a contrast of 4.5 of text with what lies behind it."""
     image = stills(world=world)[300:, :].reshape(-1, 3) / 255
     linear = np.where(image > 0.04045, ((image + 0.055) / 1.055) ** 2.4, image / 12.92)
     behind = np.median(linear @ [0.2126, 0.7152, 0.0722])
-    text = np.array([int(scenery.LOOKS[world].text[i : i + 2], 16) for i in (1, 3, 5)]) / 255
+    text = np.array([int(LOOKS[world].text[i : i + 2], 16) for i in (1, 3, 5)]) / 255
     written = ((text + 0.055) / 1.055) ** 2.4 @ [0.2126, 0.7152, 0.0722]
     bright, dark = max(behind, written), min(behind, written)
     assert (bright + 0.05) / (dark + 0.05) > 4.5
@@ -234,7 +236,7 @@ def test_a_ground_that_is_no_height_is_refused(creature, recording, tmp_path):
     ("length", "spacing"), [(1.0, 1.0), (0.9, 1.0), (0.5, 0.5), (2.2, 2.0), (0.05, 0.05)]
 )
 def test_numbers_are_about_a_body_length_apart(length, spacing):
-    assert scenery.mark_spacing(length) == pytest.approx(spacing)
+    assert mark_spacing(length) == pytest.approx(spacing)
 
 
 def test_a_preview_of_a_walker_stands_on_its_ground(creature, tmp_path):

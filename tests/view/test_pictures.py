@@ -8,11 +8,11 @@ import synthetic
 
 from evo_cpg.creature.creature import LightSensor
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
+from evo_cpg.view.ground import grid_spacing
 from evo_cpg.view.meshes import eye_meshes, head_index, shape_mesh
 from evo_cpg.view.output import OutputError
 from evo_cpg.view.plots import _crests, plot_fitness, plot_joint_signals, plot_path
 from evo_cpg.view.preview import preview
-from evo_cpg.view.scenery import grid_spacing
 
 
 @pytest.fixture(scope="module")

@@ -3,8 +3,9 @@
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
+from evo_cpg.config.schema.section import Finite, NotNegative, Positive, Section, Share, Vector
 from evo_cpg.creature.creature import (
     Actuator,
     Body,
@@ -17,11 +18,6 @@ from evo_cpg.creature.creature import (
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
 from evo_cpg.spatial.rotation import euler_to_matrix
 
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Share = Annotated[float, Field(ge=0, le=1)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Vector = tuple[Finite, Finite, Finite]
 Size = tuple[Positive, Positive, Positive]
 
 # The middle one of three axes must keep this far from 90 degrees, where the first and the last
@@ -29,12 +25,6 @@ Size = tuple[Positive, Positive, Positive]
 _SINGULARITY_MARGIN_DEG = 5.0
 
 _AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
-
-
-class Section(BaseModel):
-    """A part of a configuration file; unknown keys are refused."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 class BoxConfig(Section):
@@ -259,7 +249,7 @@ class CreatureConfig(Section):
     name: str
     materials: dict[str, MaterialConfig]
     bodies: Annotated[list[BodyConfig], Field(min_length=1)]
-    light_sensors: list[LightSensorConfig] = []
+    light_sensors: list[LightSensorConfig] = Field(default_factory=list)
     pressure_sensors: Literal["all"] | list[str] = "all"
 
     def build(self) -> Creature:

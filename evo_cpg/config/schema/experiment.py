@@ -1,0 +1,58 @@
+"""The whole file."""
+
+from typing import Annotated
+
+from pydantic import Field, model_validator
+
+from evo_cpg.config.schema.controller import BrainCpgConfig, ControllerConfig
+from evo_cpg.config.schema.creature import CreatureConfig
+from evo_cpg.config.schema.evolution import EvolutionConfig, RealEvolutionConfig
+from evo_cpg.config.schema.section import Section
+from evo_cpg.config.schema.task import ReachLightConfig, TaskConfig
+from evo_cpg.config.schema.trial import NoiseConfig, SimulationConfig
+from evo_cpg.config.schema.world import WorldConfig
+
+
+class ExperimentConfig(Section):
+    """A whole experiment; every section but the creature has defaults.
+
+    Attributes:
+        name: of the run, and of its folder.
+        seed: of all randomness; of the first run where there are several.
+        runs: independent populations that evolve side by side, with the seeds ``seed``,
+            ``seed + 1`` and so on.
+        creature: the animal, or the path of its own file.
+        world: gravity, water and ground.
+        simulation: the trial.
+        noise: what is left to chance in it.
+        controller: the nervous system.
+        task: what the animals are judged by.
+        evolution: the genetic algorithm.
+    """
+
+    name: Annotated[str, Field(pattern=r"^[^./\\][^/\\]*$")]
+    seed: Annotated[int, Field(ge=0, lt=2**31)] = 0
+    runs: Annotated[int, Field(ge=1, le=10_000)] = 1
+    creature: CreatureConfig
+    world: WorldConfig = WorldConfig()
+    simulation: SimulationConfig = SimulationConfig()
+    noise: NoiseConfig = NoiseConfig()
+    controller: ControllerConfig = BrainCpgConfig()
+    task: TaskConfig = ReachLightConfig()
+    evolution: EvolutionConfig = RealEvolutionConfig()
+
+    @model_validator(mode="after")
+    def _check(self) -> "ExperimentConfig":
+        if self.seed + self.runs > 2**31:
+            raise ValueError(
+                f"runs: the seed of the last of {self.runs} runs must be less than {2**31}, got "
+                f"{self.seed + self.runs - 1}"
+            )
+        wanted = {"postures": "bits", "brain_cpg": "real"}.get(self.controller.type)
+        if wanted not in (None, self.evolution.type):
+            raise ValueError(
+                f"a controller of type {self.controller.type!r} has a genome of "
+                f"{'bits' if wanted == 'bits' else 'real numbers'}: set evolution.type to "
+                f"{wanted!r}, not {self.evolution.type!r}"
+            )
+        return self

@@ -1,0 +1,58 @@
+"""The light that the animal swims or walks to."""
+
+import numpy as np
+import pyvista as pv
+
+from evo_cpg.view.look import Look
+from evo_cpg.view.textures import spot_texture
+
+
+def add_goal_light(
+    plotter: pv.Plotter,
+    look: Look,
+    goal: np.ndarray,
+    height: float,
+    radius: float,
+    sight: np.ndarray,
+) -> None:
+    """The goal: a glowing sphere, its halo, its pool on the floor, and the light it sheds.
+
+    Args:
+        plotter: draws it.
+        look: of the world.
+        goal: place of the light ``(3,)``, m.
+        height: z of the floor, m.
+        radius: of the animal, m.
+        sight: the camera's fixed direction of view ``(3,)``, which the halo faces.
+    """
+    pool = pv.Plane(
+        center=(goal[0], goal[1], height),
+        i_size=3.6 * radius,
+        j_size=3.6 * radius,
+        i_resolution=1,
+        j_resolution=1,
+    )
+    shine = spot_texture(look.halo, look.glow, sharpness=3.0)
+    plotter.add_mesh(pool, texture=shine, lighting=False)
+    core = 0.075 * radius
+    plotter.add_mesh(
+        pv.Sphere(radius=core, center=goal, theta_resolution=32, phi_resolution=24),
+        color=look.light,
+        lighting=False,
+    )
+    for size, strength, sharpness in ((1.6 * radius, look.glow, 3.6), (4.5 * core, 0.95, 2.4)):
+        halo = pv.Plane(
+            center=goal - 1.05 * core * sight,
+            direction=-sight,
+            i_size=size,
+            j_size=size,
+            i_resolution=1,
+            j_resolution=1,
+        )
+        texture = spot_texture(look.halo, strength, sharpness)
+        plotter.add_mesh(halo, texture=texture, lighting=False)
+    lamp = pv.Light(position=goal, color=look.halo, intensity=0.9, light_type="scene light")
+    lamp.positional = True
+    lamp.cone_angle = 90
+    lamp.attenuation_values = (1.0, 0.0, (0.7 / radius) ** 2)
+    plotter.add_light(lamp)

@@ -1,0 +1,159 @@
+"""The floor that reaches to the horizon, its grid, and the distances painted on it.
+
+The floor writes no depth, so what lies in its plane does not flicker.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+import pyvista as pv
+
+from evo_cpg.view.look import Look
+from evo_cpg.view.textures import CELLS, floor_texture
+
+# Numbers on the ground: height of a digit and distance from the way, in radii of the animal.
+# They fade between these shares of the way from the focus to the camera, below which captions are.
+_DIGIT, _BESIDE = 0.1, 0.45
+_FADES = (0.33, 0.43)
+
+
+class Marks(NamedTuple):
+    """Where the pattern of the ground lies, along which the animal's way can be read.
+
+    Attributes:
+        origin: of the pattern and its numbers ``(2,)``, m.
+        course: bearing of the numbers from the x axis, rad.
+        spacing: distance between the numbers, m.
+    """
+
+    origin: np.ndarray
+    course: float
+    spacing: float
+
+    def turn(self) -> np.ndarray:
+        """Rotation from the pattern's axes to the world's ``(2, 2)``."""
+        c, s = np.cos(self.course), np.sin(self.course)
+        return np.array([[c, -s], [s, c]])
+
+
+def grid_spacing(length: float) -> float:
+    """Spacing of the floor's grid: 1, 2 or 5 times a power of ten, about half the length (m)."""
+    power = 10.0 ** np.floor(np.log10(length / 2))
+    return float(power * max(step for step in (1, 2, 5) if step * power <= length / 2 * 1.001))
+
+
+def mark_spacing(length: float) -> float:
+    """Distance between the numbers on the ground, about the length of the animal (m)."""
+    return grid_spacing(2.4 * length)
+
+
+def add_floor(
+    plotter: pv.Plotter,
+    look: Look,
+    height: float,
+    radius: float,
+    spacing: float,
+    marks: Marks | None = None,
+) -> Callable[[np.ndarray], None]:
+    """A floor that reaches to the horizon.
+
+    It is a disc that travels below the focus, while its texture stays where it is in the world.
+
+    Args:
+        plotter: draws it.
+        look: of the world.
+        height: z of the floor, m.
+        radius: of the animal, m.
+        spacing: of the grid, m.
+        marks: lie on the ground, with a strong line at each number; None where there are none.
+
+    Returns:
+        A function of the focus ``(3,)``, m.
+    """
+    visible = look.visibility * radius
+    reach = np.concatenate([[0.0], np.geomspace(0.2, 3.0, 28)]) * visible
+    bearing = np.linspace(0, 2 * np.pi, 49)
+    x = reach[:, None] * np.cos(bearing)
+    y = reach[:, None] * np.sin(bearing)
+    grid = pv.StructuredGrid(x[..., None], y[..., None], np.zeros_like(x)[..., None])
+    disc = grid.extract_surface(algorithm=None)
+    place = np.asarray(disc.points)[:, :2].copy()
+    fade = np.exp(-((np.linalg.norm(place, axis=1) / visible) ** 2))
+    disc["rgba"] = np.column_stack([np.full((len(place), 3), 255), 255 * fade]).astype(np.uint8)
+    disc.active_texture_coordinates = place / (CELLS * spacing)
+    texture = floor_texture(look.floor, look.grid, look.checkered, marks is not None)
+    actor = plotter.add_mesh(
+        disc, scalars="rgba", rgba=True, texture=texture, lighting=False, show_scalar_bar=False
+    )
+    origin, turn = (marks.origin, marks.turn()) if marks else (np.zeros(2), np.eye(2))
+
+    def update(focus: np.ndarray) -> None:
+        actor.position = (focus[0], focus[1], height)
+        world = place + focus[:2] - origin
+        disc.active_texture_coordinates = world @ turn / (CELLS * spacing)
+
+    return update
+
+
+def add_numbers(
+    plotter: pv.Plotter,
+    look: Look,
+    marks: Marks,
+    path: np.ndarray,
+    height: float,
+    radius: float,
+    sight: np.ndarray,
+    away: float,
+) -> Callable[[np.ndarray], None]:
+    """Distances from the start, painted on the ground on the viewer's side of the way.
+
+    Args:
+        plotter: draws them.
+        look: of the world.
+        marks: where they lie.
+        path: of the animal ``(frames, 3)``, m.
+        height: z of the ground, m.
+        radius: of the animal, m.
+        sight: the camera's fixed direction of view ``(3,)``, from which they are read.
+        away: distance of the camera from its focus, m.
+
+    Returns:
+        A function of the focus ``(3,)``, m.
+    """
+    along = (path[:, :2] - marks.origin) @ marks.turn()
+    ahead = sight[:2] / np.hypot(*sight[:2])
+    across = np.array([ahead[1], -ahead[0]])
+    # Beside the way, where the animal does not tread on them even if it sways.
+    nearer = -np.sign(ahead @ marks.turn()[:, 1]) or -1.0
+    side = nearer * (nearer * along[:, 1]).max() + nearer * _BESIDE * radius
+    last = int(np.ceil((along[:, 0].max() + 2 * radius) / marks.spacing))
+    first = int(np.floor(min(along[:, 0].min(), 0.0) / marks.spacing))
+    size = _DIGIT * radius
+    # Lying flat they look as low as the sight is slanting.
+    stretch = 0.7 / max(-sight[2] / np.linalg.norm(sight), 0.15)
+    digits = []
+    for count in range(first, last + 1):
+        digit = pv.Text3D(f"{count * marks.spacing:g} m", depth=0.0, height=size, center=(0, 0, 0))
+        flat = np.asarray(digit.points)[:, :2] * [1.0, stretch]
+        middle = marks.origin + marks.turn() @ [count * marks.spacing, side]
+        # To the right of its line.
+        flat[:, 0] += 0.7 * size - flat[:, 0].min()
+        place = middle + flat @ np.stack([across, ahead])
+        digit.points = np.column_stack([place, np.full(len(place), height)])
+        digits.append(digit)
+    mesh = pv.merge(digits).extract_surface(algorithm=None)
+    place = np.asarray(mesh.points)[:, :2].copy()
+    rgba = np.tile(pv.Color(look.text).int_rgba, (len(place), 1)).astype(np.uint8)
+    mesh["rgba"] = rgba
+    actor = plotter.add_mesh(mesh, scalars="rgba", rgba=True, lighting=False, show_scalar_bar=False)
+    actor.ForceTranslucentOn()
+
+    def update(focus: np.ndarray) -> None:
+        offset = place - focus[:2]
+        gone = np.linalg.norm(offset, axis=1) / (0.4 * look.visibility * radius)
+        near = np.interp(-(offset @ ahead) / away, _FADES, (1.0, 0.0))
+        rgba[:, 3] = 200 * near * np.exp(-(gone**2))
+        mesh["rgba"] = rgba
+
+    return update

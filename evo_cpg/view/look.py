@@ -1,0 +1,103 @@
+"""The looks of the worlds: colours, light and proportions of sea and land."""
+
+import dataclasses
+
+import numpy as np
+
+
+@dataclasses.dataclass(frozen=True)
+class Look:
+    """Colours and proportions of a world; lengths are relative to the animal's radius.
+
+    Attributes:
+        distance: colour of the background, into which the floor fades.
+        floor: tints of the floor, from dark to light.
+        grid: colour of the grid lines.
+        shadow: colour of shadows.
+        shadow_strength: opacity of the soft patches under the bodies, 0 to 1.
+        cast_strength: opacity of the shadows that the sun casts, 0 to 1; 0 where it casts none.
+        sun: colour of the directional light.
+        fill: colour of the weak light from the viewer's side.
+        ambient: share of light that comes from everywhere.
+        trail: colour of the trail.
+        light: colour of the glowing sphere.
+        halo: colour of the glow around it.
+        glow: opacity of the glow and of the pool of light on the floor, 0 to 1.
+        text: colour of the captions.
+        visibility: distance at which the floor has faded to a third.
+        elevation: of the camera above the focus, rad, when it looks towards a light.
+        side_elevation: the same when it looks at the animal's side; on land low enough that the
+            horizon and what is under the animal are seen.
+        particles: whether specks drift in the medium.
+        checkered: whether alternate grid cells differ in tone.
+        zenith: colour towards which the sky turns above the horizon; None where there is no sky.
+    """
+
+    distance: str
+    floor: tuple[str, str]
+    grid: str
+    shadow: str
+    shadow_strength: float
+    cast_strength: float
+    sun: str
+    fill: str
+    ambient: float
+    trail: str
+    light: str
+    halo: str
+    glow: float
+    text: str
+    visibility: float
+    elevation: float
+    side_elevation: float
+    particles: bool
+    checkered: bool
+    zenith: str | None
+
+
+LOOKS = {
+    "water": Look(
+        distance="#052a3b",
+        floor=("#0d4c5c", "#2f8a8c"),
+        grid="#8fe0d6",
+        shadow="#02141d",
+        shadow_strength=0.5,
+        cast_strength=0.0,
+        sun="#eafcff",
+        fill="#7fd0e6",
+        ambient=0.34,
+        trail="#ffd9a0",
+        light="#fffbe6",
+        halo="#ffe9a8",
+        glow=0.5,
+        text="#f2fbff",
+        visibility=5.5,
+        elevation=np.radians(24),
+        side_elevation=np.radians(24),
+        particles=True,
+        checkered=False,
+        zenith=None,
+    ),
+    "land": Look(
+        distance="#ece9e1",
+        floor=("#ab9878", "#dccbaa"),
+        grid="#75664c",
+        shadow="#2a2018",
+        shadow_strength=0.28,
+        cast_strength=0.42,
+        sun="#fff1d6",
+        fill="#cfe0f2",
+        ambient=0.4,
+        trail="#c2410c",
+        light="#ffd75e",
+        halo="#ffae1a",
+        glow=0.3,
+        text="#1d2530",
+        visibility=16.0,
+        elevation=np.radians(18),
+        side_elevation=np.radians(11),
+        particles=False,
+        checkered=True,
+        zenith="#7fb0dc",
+    ),
+}
