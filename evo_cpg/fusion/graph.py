@@ -65,7 +65,7 @@ _COSTLY = {
 }
 
 
-# Scalars to lanes, a lane to a scalar, and the sum of the lanes: moves of whole arrays, never within
+# Scalars to lanes, a lane to a scalar, and the sum of the lanes: moves of whole arrays, never part of
 # a kernel.
 pack_p, lane_p, lane_sum_p = (Primitive(name) for name in ("pack", "lane", "lane_sum"))
 _MOVES = {"pack", "lane", "lane_sum"}

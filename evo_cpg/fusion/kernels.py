@@ -110,16 +110,17 @@ def _evaluate(
     graph = Graph()
     individuals = int(np.prod(batch, dtype=int))
     values: dict[Node, jax.Array] = {}
+    homes: dict[Node, tuple[jax.Array, int]] = {}  # Array of an input, and its row in it.
 
     def as_nodes(array: jax.Array, shape: tuple[int, ...]) -> np.ndarray:
         """Nodes for the elements of an array, given for one individual or for each."""
         nodes = np.empty(shape, object)
         if not nodes.size:
             return nodes
-        rows = _rows(jnp.broadcast_to(array.reshape(nodes.size, -1), (nodes.size, individuals)))
-        for index, row in zip(np.ndindex(shape), rows, strict=True):
-            node = nodes[index] = graph.input(len(values), np.dtype(array.dtype))
-            values[node] = row
+        rows = jnp.broadcast_to(array.reshape(nodes.size, -1), (nodes.size, individuals))
+        for row, index in enumerate(np.ndindex(shape)):
+            node = nodes[index] = graph.input(len(homes), np.dtype(array.dtype))
+            homes[node] = rows, row
         return nodes
 
     inputs = [as_nodes(leaf, leaf.shape[: leaf.ndim - len(batch)]) for leaf in leaves]
@@ -147,11 +148,26 @@ def _evaluate(
         for array in outputs
         for node in array.flat
     ]
-    for piece, kept in cut(wanted):
+    pieces = cut(wanted)
+    for piece, _ in pieces:
+        for node in piece:
+            if node.primitive is pack_p and (rows := _run_of_rows(node, homes)) is not None:
+                values[node] = rows.reshape(-1)
+    read = dict.fromkeys(wanted)
+    read.update(
+        (o, None) for piece, _ in pieces for n in piece if n not in values for o in n.operands
+    )
+    by_array: dict[int, list[Node]] = {}
+    for node in read:
+        if node in homes:
+            by_array.setdefault(id(homes[node][0]), []).append(node)
+    for nodes in by_array.values():
+        values.update(_rows(homes[nodes[0]][0], {node: homes[node][1] for node in nodes}))
+    for piece, kept in pieces:
         if isinstance(piece[0].primitive, Call):
             values.update(_evaluate_call(piece[0].primitive, value, batch))
         elif piece[0].primitive is pack_p:
-            values.update({node: _pack(node, value) for node in piece})
+            values.update({node: _pack(node, value) for node in piece if node not in values})
         elif piece[0].primitive is lane_p:
             values.update({node: value(node) for node in piece})
         elif piece[0].primitive is lane_sum_p:
@@ -255,21 +271,36 @@ def _run(
     return list(results)[: len(kept)]
 
 
-def _rows(x: jax.Array) -> list[jax.Array]:
+def _run_of_rows(node: Node, homes: dict[Node, tuple[jax.Array, int]]) -> jax.Array | None:
+    """The part of an array that holds all lanes of a node, where they stand in a row."""
+    if not all(operand in homes for operand in node.operands):
+        return None
+    array, first = homes[node.operands[0]]
+    for i, operand in enumerate(node.operands):
+        home, row = homes[operand]
+        if home is not array or row != first + i:
+            return None
+    return array[first : first + node.lanes]
+
+
+def _rows(x: jax.Array, rows: dict[Node, int]) -> dict[Node, jax.Array]:
     """Rows of an array ``(k, n)``, each in memory of its own.
 
     By one kernel that passes them on: slices would be as many kernels. It also makes sure that
     the array is computed once, and not by every kernel that reads from it.
     """
-    rows: list[jax.Array] = []
-    for start in range(0, x.shape[0], KERNEL_ARRAYS // 2):
-        some = x[start : start + KERNEL_ARRAYS // 2]
-        twice = tuple(jnp.broadcast_to(row[None], (2, x.shape[1])) for row in [*some, some[0]])
+    values: dict[Node, jax.Array] = {}
+    nodes = list(rows)
+    for start in range(0, len(nodes), KERNEL_ARRAYS // 2):
+        some = nodes[start : start + KERNEL_ARRAYS // 2]
+        twice = tuple(
+            jnp.broadcast_to(x[rows[node]][None], (2, x.shape[1])) for node in [*some, some[0]]
+        )
         neutral = (np.zeros((), x.dtype)[()],) * len(twice)
         results = jax.lax.reduce(twice, neutral, lambda _, new: new, (0,))
         # Or a rule of StableHLO removes what nobody uses, in a time that grows with the square.
-        rows += jax.lax.optimization_barrier(results)[:-1]
-    return rows
+        values.update(zip(some, jax.lax.optimization_barrier(results)[:-1], strict=True))
+    return values
 
 
 def _evaluate_costly(
