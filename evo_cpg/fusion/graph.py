@@ -65,8 +65,8 @@ _COSTLY = {
 }
 
 
-# Scalars to lanes, a lane to a scalar, and the sum of the lanes: moves of whole arrays, never part of
-# a kernel.
+# Scalars to lanes, a lane to a scalar, and the sum of the lanes: done with whole arrays, outside of
+# the kernels.
 pack_p, lane_p, lane_sum_p = (Primitive(name) for name in ("pack", "lane", "lane_sum"))
 _MOVES = {"pack", "lane", "lane_sum"}
 
