@@ -5,7 +5,8 @@ Where there is no light to which the animal goes, it is seen from the side.
 The whole recording is known before the first frame, so the path is smoothed with a symmetric
 window, which does not lag; the viewing direction and the distance stay fixed, so whatever moves
 in the picture moves in the world. The distance is the smallest at which a sphere around the
-focus that holds every body at every instant fits the frame.
+focus that holds every body fits the frame: at every instant where there is a light, else in half
+of them, and then as much more as keeps every body inside the frame.
 """
 
 from typing import NamedTuple
@@ -73,7 +74,9 @@ def follow(
     away = np.linalg.norm(way, axis=-1, keepdims=True)
     lead = way * ((_LEAD if lit else _LEAD_UNLIT) * radius / np.maximum(away, 2 * radius))
     focus = smooth(centre + lead, SMOOTHING * rate)
-    radius = np.linalg.norm(position - focus[:, None], axis=-1).max() + reach
+    # An animal that leaps may come near the edge of the frame, rather than be small all the time.
+    spread = np.linalg.norm(position - focus[:, None], axis=-1).max(1)
+    radius = (spread.max() if lit else np.median(spread)) + reach
 
     half = np.radians(VIEW_ANGLE / 2)
     distance = radius / np.sin(min(half * _FILL, np.arctan(aspect * np.tan(half))))

@@ -78,7 +78,9 @@ def test_derivatives_and_vmap(x64):
     got = jax.jit(jax.grad(functools.partial(loss, functools.partial(fuse, limbs, batch_ndim=1))))(
         *values
     )
-    np.testing.assert_allclose(got, jax.jit(jax.grad(functools.partial(loss, limbs)))(*values), rtol=1e-9)
+    np.testing.assert_allclose(
+        got, jax.jit(jax.grad(functools.partial(loss, limbs)))(*values), rtol=1e-9
+    )
     one = functools.partial(fuse, limbs, batch_ndim=0)
     mapped = jax.jit(jax.vmap(one, in_axes=-1, out_axes=-1))(*values)
     for got, wanted in zip(mapped, jax.jit(limbs)(*values), strict=True):
