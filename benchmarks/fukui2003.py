@@ -220,9 +220,9 @@ def draw_run_or_walk(champions: dict[str, dict[str, dict]], path: Path) -> None:
             )
     axes.set_xlabel("mean tilt of the torso: 0 upright, 1 on its side, 2 on its back")
     axes.set_ylabel("distance in 20 s (m)")
-    axes.set_xlim(left=0)
+    axes.set_xlim(left=-0.05)
     axes.set_ylim(bottom=0)
-    axes.legend(frameon=False)
+    figure.legend(frameon=False, ncols=2, loc="outside upper center")
     figure.savefig(path, dpi=130)
 
 
