@@ -1,13 +1,17 @@
 """The same creature as a MuJoCo model: the tests' oracle and the benchmarks' peer."""
 
+from xml.etree.ElementTree import Element
+
 import mujoco
 import numpy as np
 
-from evo_cpg.creature.creature import Actuator, Body, Creature
-from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid
+from evo_cpg.creature.creature import Creature
 from evo_cpg.creature.tree import Tree
+from evo_cpg.exchange.mjcf_export import mjcf_model, mjcf_text
 from evo_cpg.physics.contact import Ground
 from evo_cpg.physics.state import State
+
+GRAVITY = 9.81
 
 
 def mujoco_model(
@@ -24,61 +28,26 @@ def mujoco_model(
     Args:
         creature: the animal.
         options: attributes of MuJoCo's ``option`` element.
-        fluid: attributes added to every geom, such as ``fluidshape="ellipsoid"``.
-        motors: add the motor of every axis that has one (see `motor_order`): a velocity
-            servo, or a position servo where it has a spring.
+        fluid: the ``fluidshape`` of every geom; empty for MuJoCo's default, the inertia box.
+        motors: let the motors work (see `motor_order`).
         limits: hold every joint within its limits, with MuJoCo's own soft constraint.
-        ground: a level floor that every body may touch, but no body another.
+        ground: that every body may touch, but no body another.
         height: of the root's centre at the start, m.
     """
-    children: dict[str | None, list[Body]] = {}
-    for body in creature.bodies:
-        children.setdefault(body.joint.parent if body.joint else None, []).append(body)
-
-    def element(body: Body) -> str:
-        joint = body.joint
-        anchor = np.array(joint.child_anchor if joint else (0.0, 0.0, 0.0))
-        if joint is None:
-            place, joints = f'pos="0 0 {height}"', "<freejoint/>"
-        else:
-            parent = creature.bodies[creature.body_index(joint.parent)]
-            parent_anchor = parent.joint.child_anchor if parent.joint else np.zeros(3)
-            place = (
-                f'pos="{_text(np.array(joint.parent_anchor) - parent_anchor)}" '
-                f'quat="{_text(_quaternion(np.array(joint.orientation)))}"'
-            )
-            joints = "".join(
-                f'<joint name="{body.name}.{i}" type="hinge" axis="{_text(axis)}" '
-                f'stiffness="{joint.stiffness}" damping="{joint.damping}" '
-                f'armature="{joint.armature}" limited="{str(limits).lower()}" '
-                f'range="{joint.lower[i]} {joint.upper[i]}"/>'
-                for i, axis in enumerate(joint.axes)
-            )
-        inner = "".join(element(child) for child in children.get(body.name, []))
-        geom = _geom(body, -anchor, fluid)
-        return f'<body name="{body.name}" {place}>{joints}{geom}{inner}</body>'
-
-    servos = "".join(
-        _motor(f"{body.name}.{i}", body.joint.actuator)
-        for body in creature.bodies
-        if motors and body.joint and body.joint.actuator
-        for i in range(len(body.joint.axes))
-    )
-    attributes = " ".join(f'{key}="{value}"' for key, value in (options or {}).items())
-    flag = '<flag contact="disable"/>' if ground is None else ""
-    floor = (
-        ""
-        if ground is None
-        else f'<geom type="plane" size="0 0 1" pos="0 0 {ground.height}" contype="1" '
-        f'conaffinity="0" friction="{ground.dynamic_friction} 0 0"/>'
-    )
-    xml = (
-        f'<mujoco><compiler angle="radian"/><option {attributes}>{flag}</option>'
-        '<default><geom contype="0" conaffinity="1" condim="3"/></default>'
-        f"<worldbody>{floor}{element(children[None][0])}</worldbody>"
-        f"<actuator>{servos}</actuator></mujoco>"
-    )
-    return mujoco.MjModel.from_xml_string(xml)
+    root = mjcf_model(creature, GRAVITY, ground, height=height)
+    for key, value in (options or {}).items():
+        _part(root, "option").set(key, str(value))
+    if fluid:
+        _part(root, "default/geom").set("fluidshape", fluid)
+    model = mujoco.MjModel.from_xml_string(mjcf_text(root))
+    for off, flag in (
+        (not motors, mujoco.mjtDisableBit.mjDSBL_ACTUATION),
+        (not limits, mujoco.mjtDisableBit.mjDSBL_LIMIT),
+        (ground is None, mujoco.mjtDisableBit.mjDSBL_CONTACT),
+    ):
+        if off:
+            model.opt.disableflags |= flag
+    return model
 
 
 def dof_order(model: mujoco.MjModel, tree: Tree) -> np.ndarray:
@@ -113,34 +82,8 @@ def load_state(model: mujoco.MjModel, data: mujoco.MjData, tree: Tree, state: St
     return rotation
 
 
-def _motor(joint: str, actuator: Actuator) -> str:
-    limit = actuator.torque_limit
-    force = f'forcerange="{-limit} {limit}"' if np.isfinite(limit) else ""
-    if actuator.stiffness:
-        return f'<position joint="{joint}" kp="{actuator.stiffness}" kv="{actuator.gain}" {force}/>'
-    return f'<velocity joint="{joint}" kv="{actuator.gain}" {force}/>'
-
-
-def _geom(body: Body, centre: np.ndarray, fluid: str) -> str:
-    shape, density = body.shape, body.material.density
-    if isinstance(shape, Box):
-        kind = f'type="box" size="{_text(shape.half_extents)}"'
-    elif isinstance(shape, Ellipsoid):
-        kind = f'type="ellipsoid" size="{_text(shape.half_extents)}"'
-    elif isinstance(shape, Capsule):
-        # MuJoCo's capsules lie along z.
-        kind = f'type="capsule" size="{shape.radius} {shape.length / 2}" zaxis="1 0 0"'
-    else:
-        raise TypeError(type(shape))
-    friction = f'friction="{body.material.dynamic_friction} 0 0"'
-    return f'<geom {kind} pos="{_text(centre)}" density="{density}" {friction} {fluid}/>'
-
-
-def _text(values) -> str:
-    return " ".join(f"{value:.17g}" for value in values)
-
-
-def _quaternion(rotation: np.ndarray) -> np.ndarray:
-    quaternion = np.zeros(4)
-    mujoco.mju_mat2Quat(quaternion, rotation.flatten())
-    return quaternion
+def _part(root: Element, path: str) -> Element:
+    """The element at a path that every exported model has."""
+    found = root.find(path)
+    assert found is not None
+    return found

@@ -105,7 +105,7 @@ def swimmer_cases(
         ),
     ]
     peers = {
-        "MuJoCo, ellipsoids": {"density": 1000.0, "fluid": 'fluidshape="ellipsoid"'},
+        "MuJoCo, ellipsoids": {"density": 1000.0, "fluid": "ellipsoid"},
         "MuJoCo, inertia box": {"density": 1000.0, "fluid": ""},
         "MuJoCo, no fluid": {"density": 0.0, "fluid": ""},
     }
@@ -267,8 +267,7 @@ def posture_walk(
     def walk(genes):
         angles = simulation.controller.decode(genes)
         still = jnp.zeros_like(angles[0])
-        start = (0.0, 0.0, simulation.start_height)
-        state = resting_state(world.tree, genes.shape[1:], position=start)
+        state = resting_state(world.tree, genes.shape[1:], position=simulation.start_position)
 
         def advance(state, posture):
             state, _ = step(world, state, still, h, angles[posture])
@@ -301,7 +300,7 @@ def mujoco_walk(
         motors=True,
         limits=True,
         ground=world.ground,
-        height=simulation.start_height,
+        height=simulation.start_position[2],
     )
     angles = np.asarray(simulation.controller.decode(jnp.asarray(genes)), float)
     angles = np.moveaxis(angles, -1, 0)[..., motor_order(model, world.tree)]

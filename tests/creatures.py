@@ -10,6 +10,8 @@ from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, Material
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
 from evo_cpg.creature.surface import outer_surfaces
 from evo_cpg.creature.tree import Tree, build_tree
+from evo_cpg.physics.added_mass import added_inertia
+from evo_cpg.physics.buoyancy import make_cells
 from evo_cpg.physics.fluid import DragLaw, Water, make_patches
 from evo_cpg.physics.state import State
 from evo_cpg.physics.world import World
@@ -140,8 +142,14 @@ def in_water(
     current: tuple[float, float, float] = (0.0, 0.0, 0.0),
     law: DragLaw = "normal",
     sheltered: bool = True,
+    surface: float | None = None,
+    added_mass: bool = False,
+    **stream,
 ) -> World:
-    """A creature under water, with the same quadrature for form and skin drag."""
+    """A creature under water, with the same quadrature for form and skin drag.
+
+    The further arguments are those of `Water` that make its current vary from place to place.
+    """
     tree = build_tree(creature)
     surfaces = {
         body.name: surface
@@ -149,5 +157,12 @@ def in_water(
             creature.bodies, outer_surfaces(creature, resolution, sheltered), strict=True
         )
     }
-    water = Water(density, form_drag, skin_drag, current, law)
-    return World(tree, gravity, water, make_patches(tree, surfaces, surfaces, law))
+    water = Water(density, form_drag, skin_drag, current, law, surface, **stream)
+    return World(
+        tree,
+        gravity,
+        water,
+        make_patches(tree, surfaces, surfaces, law, surface is not None),
+        cells=() if surface is None else make_cells(creature, tree),
+        added_inertia=added_inertia(creature, tree, density) if added_mass else None,
+    )

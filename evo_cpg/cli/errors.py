@@ -10,9 +10,10 @@ class UsageError(Exception):
 def is_users_fault(error: Exception) -> bool:
     """Whether an error is about the input, and its message meant for the user as it stands."""
     from evo_cpg.config.errors import ConfigError
+    from evo_cpg.exchange.errors import ExchangeError
     from evo_cpg.training.run_folder import RunFolderError
 
-    kinds: tuple[type[Exception], ...] = (ConfigError, RunFolderError, UsageError)
+    kinds: tuple[type[Exception], ...] = (ConfigError, ExchangeError, RunFolderError, UsageError)
     output = sys.modules.get("evo_cpg.view.output")
     if output is not None:
         kinds += (output.OutputError,)

@@ -1,4 +1,4 @@
-"""`evo-cpg`: train, resume, render, plot, preview, verify, validate, bench.
+"""`evo-cpg`: train, resume, render, plot, preview, verify, validate, export, import, bench.
 
 Every command imports what it needs only when it runs: `--help` must be quick, and training must
 not load VTK.
@@ -28,6 +28,7 @@ Overrides = Annotated[
     list[str] | None,
     typer.Argument(metavar="[KEY=VALUE]...", help="Settings to change, such as seed=3."),
 ]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the file if it exists.")]
 Cores = Annotated[int | None, typer.Option(min=1, help="Cores to use; all by default.")]
 
 
@@ -132,6 +133,38 @@ def validate(
     from evo_cpg.cli.training import validate_configs
 
     validate_configs(configs)
+
+
+@app.command()
+def export(
+    source: Annotated[
+        Path, typer.Argument(metavar="CONFIG_OR_RUN", help="A configuration file or run folder.")
+    ],
+    output: Annotated[Path, typer.Argument(metavar="OUT.xml", help="The MJCF file to write.")],
+    overwrite: Overwrite = False,
+) -> None:
+    """Write a creature and its world as a MuJoCo model."""
+    from evo_cpg.cli.exchange import export_model
+
+    export_model(source, output, overwrite)
+
+
+@app.command("import")
+def import_(
+    model: Annotated[
+        Path, typer.Argument(metavar="MODEL.xml", help="An MJCF file, read by MuJoCo.")
+    ],
+    output: Annotated[Path, typer.Argument(metavar="OUT.yaml", help="The creature to write.")],
+    motor_gain: Annotated[
+        float | None,
+        typer.Option(help="Make velocity servos of torque motors, with this gain in N m s/rad."),
+    ] = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Write a MuJoCo model as a creature, if creatures can be like that."""
+    from evo_cpg.cli.exchange import import_model
+
+    import_model(model, output, motor_gain, overwrite)
 
 
 @app.command()

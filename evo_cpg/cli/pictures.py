@@ -43,7 +43,8 @@ def render_run(
             speed=speed,
             title=experiment.name,
             world="land" if world.water is None else "water",
-            ground=None if world.ground is None else float(world.ground.height),
+            ground=world.ground,
+            surface=None if world.water is None else world.water.surface,
             progress=lambda done, total: progress.update(task, completed=done, total=total),
         )
     print(made)

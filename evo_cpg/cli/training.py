@@ -44,7 +44,7 @@ def start_run(path: Path, overrides: Sequence[str], out: Path | None, cores: int
 
 def resume_run(run: Path, generations: int | None, cores: int | None) -> None:
     """`evo-cpg resume`."""
-    folder, config, experiment = _open(run)
+    folder, config, experiment = open_run(run)
     if generations is not None:
         evolution = config.evolution.model_copy(update={"generations": generations})
         config = config.model_copy(update={"evolution": evolution})
@@ -73,7 +73,7 @@ def resume_run(run: Path, generations: int | None, cores: int | None) -> None:
 
 def verify_run(run: Path, cores: int | None) -> None:
     """`evo-cpg verify`."""
-    folder, _, experiment = _open(run)
+    folder, _, experiment = open_run(run)
     champion, _, digests = folder.load_champion()
     differences = []
     if digests["genes_sha256"] != genes_digest(champion.genes):
@@ -128,6 +128,22 @@ def validate_configs(paths: Sequence[Path]) -> None:
         raise SystemExit(2)
 
 
+def open_run(run: Path) -> tuple[RunFolder, ExperimentConfig, Experiment]:
+    """A run folder with its configuration, built.
+
+    Raises:
+        RunFolderError: there is no run.
+        ConfigError: its configuration is wrong.
+    """
+    folder = RunFolder(run)
+    folder.require()
+    config = load_config(folder.config)
+    # A user's own classes lie beside the config that the run was started with.
+    origin = folder.read_meta().get("config")
+    beside = [Path(origin).parent] if isinstance(origin, str) else []
+    return folder, config, build_experiment(config, folder.config, beside)
+
+
 def champion_motion(
     run: Path, number: int | None = None
 ) -> tuple[Experiment, Champion, Any, RunFolder]:
@@ -137,7 +153,7 @@ def champion_motion(
         run: the run folder.
         number: whose champion, where the folder holds several runs; None for the best.
     """
-    folder, _, experiment = _open(run)
+    folder, _, experiment = open_run(run)
     champion, recording, digests = folder.load_champion()
     if number is not None and number != champion.run:
         champion, recording = _champion_of(folder, number), None
@@ -221,16 +237,6 @@ def _progress(
             experiment.name, total=experiment.generations, completed=start, state="compiling"
         )
         yield lambda rows: progress.update(task, advance=1, state=line(rows))
-
-
-def _open(run: Path) -> tuple[RunFolder, ExperimentConfig, Experiment]:
-    folder = RunFolder(run)
-    folder.require()
-    config = load_config(folder.config)
-    # A user's own classes lie beside the config that the run was started with.
-    origin = folder.read_meta().get("config")
-    beside = [Path(origin).parent] if isinstance(origin, str) else []
-    return folder, config, build_experiment(config, folder.config, beside)
 
 
 def _champion_of(folder: RunFolder, number: int) -> Champion:

@@ -1,5 +1,6 @@
 """From a checked configuration to an experiment."""
 
+import dataclasses
 import importlib
 import inspect
 import sys
@@ -7,6 +8,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 
 from evo_cpg.config.errors import ConfigError
@@ -15,6 +17,7 @@ from evo_cpg.config.schema.evolution import BitEvolutionConfig
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.config.schema.task import DistanceConfig, WalkConfig
 from evo_cpg.config.schema.world import WaterConfig
+from evo_cpg.config.terrain import build_ground
 from evo_cpg.control.brain_cpg import BrainCpgSettings, build_brain_cpg
 from evo_cpg.control.controller import Controller
 from evo_cpg.control.postures import PostureSettings, build_posture_controller
@@ -22,8 +25,13 @@ from evo_cpg.creature.creature import Creature, CreatureError, lowest_height
 from evo_cpg.creature.shapes import Surface
 from evo_cpg.creature.surface import outer_surfaces, random_surfaces
 from evo_cpg.creature.tree import Tree, build_tree
-from evo_cpg.physics.contact import Ground, make_footing
+from evo_cpg.physics.added_mass import added_inertia
+from evo_cpg.physics.buoyancy import make_cells
+from evo_cpg.physics.contact import clearance, make_footing
+from evo_cpg.physics.current import Vortex
 from evo_cpg.physics.fluid import Patch, Water, make_patches
+from evo_cpg.physics.kinematics import kinematics
+from evo_cpg.physics.state import resting_state
 from evo_cpg.physics.world import World
 from evo_cpg.simulation.noise import Noise
 from evo_cpg.simulation.reach_light import ReachLight
@@ -35,6 +43,9 @@ from evo_cpg.training.experiment import Experiment
 
 # Random surface points are drawn from a quadrature this fine.
 _DENSE_RESOLUTION = 24
+
+# Tries to find the height at which an animal stands, and how exact it is to be, m.
+_START_STEPS, _START_ACCURACY = 200, 1e-5
 
 
 def build_experiment(
@@ -56,7 +67,7 @@ def build_experiment(
     creature = build_creature(config, source)
     tree = build_tree(creature)
     world = _build_world(config, creature, tree)
-    start_height = _start_height(config, creature, world)
+    start = _start_position(config, creature, world, source)
     genetics = config.evolution
     controller = _build_controller(config, creature, tree, source)
     noise = Noise(
@@ -80,12 +91,13 @@ def build_experiment(
             world=world,
             sensors=place_sensors(creature, tree),
             controller=controller,
-            task=_build_task(config, creature, start_height, source),
+            task=_build_task(config, creature, start, source),
             control_rate=config.simulation.control_rate_hz,
             substeps=config.simulation.substeps,
             steps=config.simulation.steps,
             noise=noise,
-            start_height=start_height,
+            start_position=start,
+            start_heading=float(np.deg2rad(config.simulation.start_heading_deg)),
         ),
         genetics=genetics.build(),
         generations=genetics.generations,
@@ -113,37 +125,79 @@ def build_creature(config: ExperimentConfig, source: Path | str) -> Creature:
 
 def _build_world(config: ExperimentConfig, creature: Creature, tree: Tree) -> World:
     water = config.world.water
-    ground = config.world.ground and Ground(**config.world.ground.model_dump())
+    ground = config.world.ground and build_ground(config.world.ground)
     return World(
         tree=tree,
         gravity=config.world.gravity,
-        water=water
-        and Water(water.density, water.form_drag, water.skin_drag, water.current, water.law),
+        water=_build_water(water) if water else None,
         patches=_surface_points(water, creature, tree) if water else (),
         footing=ground and make_footing(creature, tree, ground),
+        cells=make_cells(creature, tree) if water and water.surface is not None else (),
+        added_inertia=added_inertia(creature, tree, water.density)
+        if water and water.added_mass
+        else None,
     )
 
 
-def _start_height(config: ExperimentConfig, creature: Creature, world: World) -> float:
-    """Height of the root's centre at the start, m: 0 without ground."""
-    if world.ground is None:
-        return 0.0
-    lowest = lowest_height(creature)
-    return float(world.ground.height) + config.simulation.start_clearance - lowest
+def _build_water(water: WaterConfig) -> Water:
+    return Water(
+        water.density,
+        water.form_drag,
+        water.skin_drag,
+        water.current,
+        water.law,
+        water.surface,
+        water.current_gradient,
+        tuple(Vortex(**vortex.model_dump()) for vortex in water.vortices),
+    )
+
+
+def _start_position(
+    config: ExperimentConfig, creature: Creature, world: World, source: Path | str
+) -> tuple[float, float, float]:
+    """Of the root's centre, m: where the animal stands on the ground, or at height 0."""
+    x, y = config.simulation.start
+    footing = world.footing
+    if footing is None:
+        return x, y, 0.0
+    height = config.simulation.start_clearance - lowest_height(creature)
+    if footing.ground.level is not None:
+        return x, y, footing.ground.level + height
+    half = np.deg2rad(config.simulation.start_heading_deg) / 2
+    upright = (float(np.cos(half)), 0.0, 0.0, float(np.sin(half)))
+
+    @jax.jit
+    def gap(height):
+        state = resting_state(world.tree, (), position=(x, y, 0.0), orientation=upright)
+        raised = dataclasses.replace(state, position=state.position.at[2].set(height))
+        return clearance(footing, kinematics(world.tree, raised)).min()
+
+    # Raising it by its missing clearance raises it less than enough, but for level ground.
+    for _ in range(_START_STEPS):
+        missing = config.simulation.start_clearance - float(gap(height))
+        if abs(missing) < _START_ACCURACY:
+            return x, y, height
+        height += missing
+    raise ConfigError(
+        source,
+        ("simulation", "start"),
+        f"no place to stand at ({x:g}, {y:g}); is it in an obstacle?",
+    )
 
 
 def _surface_points(water: WaterConfig, creature: Creature, tree: Tree) -> tuple[Patch, ...]:
     def by_name(surfaces: tuple[Surface, ...]) -> dict[str, Surface]:
         return {body.name: s for body, s in zip(creature.bodies, surfaces, strict=True)}
 
+    surfacing = water.surface is not None
     if water.points == "random":
         rng = np.random.default_rng(water.points_seed)
         dense = outer_surfaces(creature, _DENSE_RESOLUTION, water.sheltered)
         points = by_name(random_surfaces(dense, water.random_points, rng))
-        return make_patches(tree, points, points, water.law)
+        return make_patches(tree, points, points, water.law, surfacing)
     form = by_name(outer_surfaces(creature, water.form_resolution, water.sheltered))
     skin = by_name(outer_surfaces(creature, water.skin_resolution, water.sheltered))
-    return make_patches(tree, form, skin, water.law)
+    return make_patches(tree, form, skin, water.law, surfacing)
 
 
 def _build_controller(
@@ -173,7 +227,10 @@ def _build_controller(
 
 
 def _build_task(
-    config: ExperimentConfig, creature: Creature, start_height: float, source: Path | str
+    config: ExperimentConfig,
+    creature: Creature,
+    start: tuple[float, float, float],
+    source: Path | str,
 ) -> Task:
     given = config.task
     if isinstance(given, CustomConfig):
@@ -184,9 +241,12 @@ def _build_task(
         torso = next(body for body in creature.bodies if body.joint is None)
         length = 2 * float(torso.shape.half_extents[0])
         return Walk(torso_length=length, **given.model_dump(exclude={"type"}))
-    x, y, z = given.light.position()
+    ahead, left, up = given.light.position()
+    heading = np.deg2rad(config.simulation.start_heading_deg)
+    x = start[0] + float(np.cos(heading) * ahead - np.sin(heading) * left)
+    y = start[1] + float(np.sin(heading) * ahead + np.cos(heading) * left)
     return ReachLight(
-        light=(x, y, start_height + z),
+        light=(x, y, start[2] + up),
         distance_weight=given.distance_weight,
         energy_weight=given.energy_weight,
         light_weight=given.light_weight,

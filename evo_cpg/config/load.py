@@ -10,7 +10,9 @@ import pydantic
 import yaml
 
 from evo_cpg.config.errors import ConfigError, Key, nearest
+from evo_cpg.config.schema.creature import CreatureConfig
 from evo_cpg.config.schema.experiment import ExperimentConfig
+from evo_cpg.config.terrain import read_heights
 
 # What pydantic calls an unknown key, in models and in dataclasses.
 _UNKNOWN_KEY = ("extra_forbidden", "unexpected_keyword_argument")
@@ -51,10 +53,10 @@ def load_config(path: Path | str, overrides: Sequence[str] = ()) -> ExperimentCo
     """
     path = Path(path)
     data = _read_yaml(path)
-    _read_creature(data, path)
+    _read_files(data, path)
     for override in overrides:
         _apply(data, override)
-        _read_creature(data, path)
+        _read_files(data, path)
     return check_config(data, path)
 
 
@@ -81,6 +83,12 @@ def check_config(data: dict[str, Any], source: Path | str) -> ExperimentConfig:
 def dump_config(config: ExperimentConfig) -> str:
     """The complete configuration as YAML, from which `load_config` makes an equal one."""
     return yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False, allow_unicode=True)
+
+
+def dump_creature(config: CreatureConfig) -> str:
+    """A creature's own file, without what has its default, from which an equal one is read."""
+    data = config.model_dump(mode="json", exclude_defaults=True)
+    return yaml.safe_dump(data, sort_keys=False, allow_unicode=True, default_flow_style=None)
 
 
 def _read_yaml(path: Path) -> dict[str, Any]:
@@ -110,10 +118,18 @@ def _parse(text: str) -> Any:
     return yaml.load(text, _Loader)
 
 
-def _read_creature(data: dict[str, Any], path: Path) -> None:
-    """Put the contents of the creature's own file in the place of its name."""
+def _read_files(data: dict[str, Any], path: Path) -> None:
+    """Put the contents of other files in the place of their names, so that one file holds all."""
     if isinstance(data.get("creature"), str):
         data["creature"] = _read_yaml(path.parent / data["creature"])
+    floor: Any = data
+    for key in ("world", "ground", "floor"):
+        floor = floor.get(key) if isinstance(floor, dict) else None
+    if isinstance(floor, dict) and isinstance(floor.get("file"), str):
+        limits = (
+            float(floor.pop(key, value)) for key, value in (("lowest", 0.0), ("highest", 1.0))
+        )
+        floor["heights"] = read_heights(path.parent / floor.pop("file"), *limits)
 
 
 def _misread(given: Any, made: Any) -> Iterator[tuple[tuple[str | int, ...], Any, str]]:

@@ -1,4 +1,4 @@
-"""Rigid shapes: volume, inertia, signed distance, support and a quadrature over the surface.
+"""Rigid shapes: volume, inertia, distance, support, cells, and a quadrature over the surface.
 
 Every shape is centred on its own frame. Elongated shapes point along their x axis, which is the
 direction an animal faces. ``surface(resolution)`` returns points ``(n, 3)`` in m, unit outward
@@ -8,10 +8,16 @@ uniform stream feels no sideways force, and they converge as the resolution grow
 
 import abc
 import dataclasses
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from typing_extensions import override
+
+# Discs into which the cylinder of a capsule is cut. Between them they have its second moment; a
+# capsule that floats level rights itself 33 % / n^2 too strongly about its short axes: 2 %.
+_SLICES = 4
+
+Profile = Literal["box", "ball", "disc"]
 
 
 class Surface(NamedTuple):
@@ -20,6 +26,23 @@ class Surface(NamedTuple):
     points: np.ndarray
     normals: np.ndarray
     areas: np.ndarray
+
+
+class Cell(NamedTuple):
+    """Part of a body's volume, of which the share below any plane is known in closed form.
+
+    Attributes:
+        profile: how height is distributed over it: as in a box, as in a ball stretched along
+            the axes, or as in a disc that stands upright.
+        centre: in the shape's frame, m.
+        half_axes: along x, y and z, m.
+        volume: m^3.
+    """
+
+    profile: Profile
+    centre: tuple[float, float, float]
+    half_axes: tuple[float, float, float]
+    volume: float
 
 
 class Shape(abc.ABC):
@@ -58,6 +81,10 @@ class Shape(abc.ABC):
     @abc.abstractmethod
     def surface(self, resolution: int) -> Surface:
         """Quadrature over the whole surface; the number of points grows with the resolution."""
+
+    @abc.abstractmethod
+    def cells(self) -> tuple[Cell, ...]:
+        """The volume in parts that have its first and second moments between them."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -110,6 +137,10 @@ class Box(Shape):
                 faces.append(Surface(points, normals, weight * 4 * half[first] * half[second]))
         return _join(faces)
 
+    @override
+    def cells(self) -> tuple[Cell, ...]:
+        return (Cell("box", (0.0, 0.0, 0.0), tuple(self.half_extents), self.volume),)
+
 
 @dataclasses.dataclass(frozen=True)
 class Ellipsoid(Shape):
@@ -157,6 +188,10 @@ class Ellipsoid(Shape):
             scaled / stretch[:, None],
             solid_angles * np.prod(self.radii) * stretch,
         )
+
+    @override
+    def cells(self) -> tuple[Cell, ...]:
+        return (Cell("ball", (0.0, 0.0, 0.0), self.radii, self.volume),)
 
 
 class Sphere(Ellipsoid):
@@ -237,6 +272,36 @@ class Capsule(Shape):
         shift = np.sign(directions[:, :1]) * np.array([[self.length / 2, 0, 0]])
         ends = Surface(self.radius * directions + shift, directions, solid_angles * self.radius**2)
         return _join([side, ends])
+
+    @override
+    def cells(self) -> tuple[Cell, ...]:
+        """Discs in a row, and an ellipsoid for each half-spherical end.
+
+        A half-sphere's centre of volume lies 3/8 r from its base; its second moment along the axis
+        about there is that of a half axis of sqrt(19/64) r.
+        """
+        r, slices = self.radius, _SLICES if self.length > 0 else 0
+        half_slice = self.length / (2 * _SLICES)
+        discs = [
+            Cell(
+                "disc",
+                ((2 * i + 1) * half_slice - self.length / 2, 0.0, 0.0),
+                # A disc's variance is a quarter of the square of its half axis, not a third.
+                (np.sqrt(4 / 3) * half_slice, r, r),
+                np.pi * r**2 * 2 * half_slice,
+            )
+            for i in range(slices)
+        ]
+        ends = [
+            Cell(
+                "ball",
+                (sign * (self.length / 2 + 3 / 8 * r), 0.0, 0.0),
+                (np.sqrt(19 / 64) * r, r, r),
+                2 / 3 * np.pi * r**3,
+            )
+            for sign in (1, -1)
+        ]
+        return (*discs, *ends)
 
 
 def _ring(resolution: int) -> np.ndarray:

@@ -38,7 +38,18 @@ from evo_cpg.creature.tree import Tree
 from evo_cpg.fusion.kernels import symmetric, together
 from evo_cpg.physics.articulated import Accelerations, Inertia, Wrench, add_to_bodies
 from evo_cpg.physics.kinematics import Kinematics, take
-from evo_cpg.spatial.linear import cross, dot, lift, matmul, matmul_t, matvec, matvec_t, skew
+from evo_cpg.physics.terrain import Part, Plane, nearest
+from evo_cpg.spatial.linear import (
+    cross,
+    dot,
+    lift,
+    matmul,
+    matmul_t,
+    matvec,
+    matvec_t,
+    skew,
+    transpose,
+)
 
 # How two materials' values become one. The factors 0.6 x 0.9 and 0.3 x 0.9 of Fukui 2003 suggest
 # products for restitution; PhysX averages unless told otherwise, Havok is believed to take the
@@ -62,12 +73,15 @@ _BOUNCE_SPEED = 0.1
 # v* of a point that is not to be held, m/s; infinity would spoil gradients.
 _OUT_OF_REACH = -1e4
 
+# 1 + z of a normal below which the ground is a ceiling, whose tangents are not exact.
+_CEILING = 1e-2
+
 # Squared speed (m^2/s^2) and force (N^2) added under roots so that they have gradients at rest.
 _FLOOR = 1e-20
 
 
 class Ground(eqx.Module):
-    """Flat ground.
+    """What the creature stands on: its material and its shape.
 
     Attributes:
         restitution: of its material.
@@ -75,8 +89,8 @@ class Ground(eqx.Module):
         dynamic_friction: of its material.
         restitution_rule: how the body's and the ground's restitution combine.
         friction_rule: how their frictions combine.
-        normal: unit vector out of the ground.
-        height: of the plane above the world's origin along its normal, m.
+        floor: its shape.
+        obstacles: what stands on it; of several the nearest counts.
         margin: points nearer than this are watched for an impact within the next step, m; it does
             not hold bodies off the ground.
         stribeck_speed: sliding speed at which friction has gone half of the way from static to
@@ -88,10 +102,23 @@ class Ground(eqx.Module):
     dynamic_friction: float = 0.8
     restitution_rule: Combination = eqx.field(static=True, default="multiply")
     friction_rule: Combination = eqx.field(static=True, default="geometric")
-    normal: tuple[float, float, float] = eqx.field(static=True, default=(0.0, 0.0, 1.0))
-    height: float = 0.0
+    floor: Part = Plane()
+    obstacles: tuple[Part, ...] = ()
     margin: float = 0.05
     stribeck_speed: float = 0.01
+
+    @property
+    def layers(self) -> tuple[tuple[Part, ...], ...]:
+        """What a point can touch at the same time: the floor, and an obstacle."""
+        return ((self.floor,), self.obstacles) if self.obstacles else ((self.floor,),)
+
+    @property
+    def level(self) -> float | None:
+        """Height of ground that is flat and level, m; None for any other."""
+        floor = self.floor
+        if isinstance(floor, Plane) and floor.normal == (0.0, 0.0, 1.0) and not self.obstacles:
+            return float(floor.height)
+        return None
 
 
 class Footing(NamedTuple):
@@ -99,7 +126,8 @@ class Footing(NamedTuple):
 
     Of a box only the four corners of the face that looks down most count: the other four are at
     least a third of the box's height above them. They come first, then the balls (the ends of
-    capsules, and spheres), then the ellipsoids.
+    capsules, and spheres), then the ellipsoids. Where there are obstacles all come twice, for what
+    they touch of the floor and for what they touch of an obstacle.
 
     Attributes:
         ground: that they may touch.
@@ -136,12 +164,14 @@ class Contacts(NamedTuple):
         coasting: their mean over the step, if the recursion's accelerations were zero.
         wanted: v*; far below any velocity where the point is out of reach.
         push: the part of it that lifts a point out of the ground.
+        frame: rows are two tangents and the normal of the ground at every place.
     """
 
     arm: Float[Array, "3 p *n"]
     coasting: Float[Array, "3 p *n"]
     wanted: Float[Array, "p *n"]
     push: Float[Array, "p *n"]
+    frame: Float[Array, "3 3 p *n"]
 
 
 class ContactLaw(NamedTuple):
@@ -177,6 +207,7 @@ def make_footing(creature: Creature, tree: Tree, ground: Ground) -> Footing:
         else:
             raise TypeError(f"no contact points for a {type(shape).__name__}")
     bodies = [i for i, *_ in boxes for _ in range(_CORNERS)] + [i for i, *_ in balls + ellipsoids]
+    bodies = bodies * len(ground.layers)
     materials = [creature.bodies[creature.body_index(tree.names[i])].material for i in bodies]
 
     def pairs(rule: Combination, name: str) -> np.ndarray:
@@ -220,16 +251,16 @@ def find_contacts(footing: Footing, kin: Kinematics, h: float) -> Contacts:
         h: s.
     """
     bodies = np.array(footing.bodies)
-    ground, frame = footing.ground, _frame(footing.ground)
-    arm, spoke = _lowest_points(frame[2], footing, kin)
+    ground = footing.ground
+    arm, spoke, gap, normal = _lowest_points(footing, kin)
+    frame = _frame(normal)
     angular, linear = take(kin.angular, bodies), take(kin.linear, bodies)
     velocity = linear + cross(angular, arm)
     # A ball's lowest point keeps below its centre: only the centre's way round is centripetal.
     turning = cross(angular, linear + cross(angular, spoke))
     drift = take(kin.bias_linear, bodies) + cross(take(kin.bias_angular, bodies), arm) + turning
 
-    gap = dot(lift(frame[2], arm), take(kin.origin, bodies) + arm) - ground.height
-    velocity, coasting = (_to_ground(frame, v) for v in (velocity, velocity + 0.5 * h * drift))
+    velocity, coasting = (matvec(frame, v) for v in (velocity, velocity + 0.5 * h * drift))
     approach = -velocity[2]
     push = jnp.clip(-_PUSH_SHARE / h * gap, 0.0, _PUSH_SPEED)
     share = jnp.clip(approach / _BOUNCE_SPEED - 1.0, 0.0, 1.0)
@@ -238,7 +269,12 @@ def find_contacts(footing: Footing, kin: Kinematics, h: float) -> Contacts:
     bounces = (gap <= h * approach) & (bounce > 0)
     wanted = jnp.where(bounces, jnp.maximum(rest, bounce), rest)
     wanted = jnp.where(gap < ground.margin, wanted, _OUT_OF_REACH)
-    return Contacts(arm, coasting, wanted, push)
+    return Contacts(arm, coasting, wanted, push, frame)
+
+
+def clearance(footing: Footing, kin: Kinematics) -> Float[Array, "p *n"]:
+    """Distance of every place from the ground, m; negative inside of it."""
+    return _lowest_points(footing, kin)[2]
 
 
 def first_law(gravity: float, footing: Footing, contacts: Contacts, h: float) -> ContactLaw:
@@ -322,7 +358,7 @@ def contact_equations(
     footing: Footing, contacts: Contacts, law: ContactLaw, inertia: Inertia, bias: Wrench, h: float
 ) -> tuple[Inertia, Wrench]:
     """The equations of the bodies with the contacts' lines in them."""
-    turn = lift(_frame(footing.ground).T, contacts.arm, contacts.arm.ndim + 1)
+    turn = transpose(contacts.frame)
     diagonal = jnp.stack([law.tangential, law.tangential, law.normal])
     slope = symmetric(h * matmul_t(turn * diagonal[None], turn))
     shift = skew(contacts.arm)
@@ -340,8 +376,7 @@ def pressed(
     footing: Footing, contacts: Contacts, force: Float[Array, "3 p *n"], bias: Wrench
 ) -> Wrench:
     """The bodies' bias wrenches with given contact forces (N, ground's frame)."""
-    turn = lift(_frame(footing.ground).T, force, force.ndim + 1)
-    force = matvec(turn, force)
+    force = matvec_t(contacts.frame, force)
     parts = cross(contacts.arm, force), force
     wrench = []
     for whole, part in zip(bias, parts, strict=True):
@@ -357,49 +392,76 @@ def end_velocity(
     """Velocity of every place at the end of the step, ground's frame, m/s."""
     bodies = np.array(footing.bodies)
     change = take(found.linear, bodies) + cross(take(found.angular, bodies), contacts.arm)
-    return contacts.coasting + h * _to_ground(_frame(footing.ground), change)
+    return contacts.coasting + h * matvec(contacts.frame, change)
 
 
-def _frame(ground: Ground) -> np.ndarray:
+def _frame(normal: Float[Array, "3 p *n"]) -> Float[Array, "3 3 p *n"]:
     """Rows: two tangents and the normal of the ground; the world's axes where it is level."""
-    normal = np.array(ground.normal, float)
-    # The rotation that takes z to the normal the short way, transposed.
-    x, y, z = normal / np.linalg.norm(normal)
-    k = 1.0 / (1.0 + z)
-    return np.array([[1 - k * x * x, -k * x * y, -x], [-k * x * y, 1 - k * y * y, -y], [x, y, z]])
-
-
-def _to_ground(frame: np.ndarray, vector: Float[Array, "3 *rest"]) -> Float[Array, "3 *rest"]:
-    return matvec(lift(frame, vector, vector.ndim + 1), vector)
+    # The rotation that takes z to the normal the short way, transposed; not for a ceiling.
+    x, y, z = normal
+    k = 1.0 / jnp.maximum(1.0 + z, _CEILING)
+    return jnp.stack(
+        [
+            jnp.stack([1 - k * x * x, -k * x * y, -x]),
+            jnp.stack([-k * x * y, 1 - k * y * y, -y]),
+            normal,
+        ]
+    )
 
 
 def _lowest_points(
-    normal: np.ndarray, footing: Footing, kin: Kinematics
-) -> tuple[Float[Array, "3 p *n"], Float[Array, "3 p *n"]]:
-    """From the body's origin to the lowest point of each place, and to its centre, world axes."""
+    footing: Footing, kin: Kinematics
+) -> tuple[
+    Float[Array, "3 p *n"], Float[Array, "3 p *n"], Float[Array, "p *n"], Float[Array, "3 p *n"]
+]:
+    """The point of each place that is lowest as the ground lies below its centre.
+
+    Returns:
+        From the body's origin to the point and to the place's centre, world axes; the point's
+        distance from the ground; the ground's normal.
+    """
     boxes, balls, ellipsoids = (
         part.shape[-1] for part in (footing.boxes, footing.radii, footing.semi_axes)
     )
     # A box has several places, all others one.
-    bodies = np.array(footing.bodies)
+    once = len(footing.bodies) // len(footing.ground.layers)
+    bodies = np.array(footing.bodies[:once])
     bodies = np.concatenate([bodies[: _CORNERS * boxes : _CORNERS], bodies[_CORNERS * boxes :]])
-    rotation = take(kin.rotation, bodies, 2)
+    rotation, origin = take(kin.rotation, bodies, 2), take(kin.origin, bodies)
     centre = matvec(rotation, lift(footing.centre, rotation[0]))
-    up = lift(normal, centre)
-    arms, spokes = [], []
-    if boxes:
-        arms.append(_lowest_corners(up, footing.boxes, rotation[:, :, :boxes], centre[:, :boxes]))
-        spokes.append(arms[0])
-    if balls:
-        spokes.append(centre[:, boxes : boxes + balls])
-        arms.append(spokes[-1] - lift(footing.radii, centre[0])[None] * up)
-    if ellipsoids:
-        turned, radii = rotation[:, :, boxes + balls :], lift(footing.semi_axes, centre)
-        stretched = radii * matvec_t(turned, up)
-        length = jnp.sqrt(dot(stretched, stretched))
-        spokes.append(centre[:, boxes + balls :])
-        arms.append(spokes[-1] - matvec(turned, radii * stretched / length[None]))
-    return jnp.concatenate(arms, 1), jnp.concatenate(spokes, 1)
+    found = []
+    for parts in footing.ground.layers:
+        above, up = _surface(parts, origin + centre)
+        if boxes:
+            own = slice(boxes)
+            arm = _lowest_corners(up[:, own], footing.boxes, rotation[:, :, own], centre[:, own])
+            corner = jnp.repeat(origin[:, own], _CORNERS, 1) + arm
+            found.append((arm, arm, *_surface(parts, corner)))
+        if balls:
+            own = slice(boxes, boxes + balls)
+            radii = lift(footing.radii, above)
+            arm = centre[:, own] - radii[None] * up[:, own]
+            found.append((arm, centre[:, own], above[own] - radii, up[:, own]))
+        if ellipsoids:
+            own = slice(boxes + balls, None)
+            turned, radii = rotation[:, :, own], lift(footing.semi_axes, centre)
+            stretched = radii * matvec_t(turned, up[:, own])
+            length = jnp.sqrt(dot(stretched, stretched))
+            arm = centre[:, own] - matvec(turned, radii * stretched / length[None])
+            found.append((arm, centre[:, own], *_surface(parts, origin[:, own] + arm)))
+    arm, spoke, gap, normal = zip(*found, strict=True)
+    return (
+        jnp.concatenate(arm, 1),
+        jnp.concatenate(spoke, 1),
+        jnp.concatenate(gap),
+        jnp.concatenate(normal, 1),
+    )
+
+
+def _surface(parts: tuple[Part, ...], point: Float[Array, "3 p *n"]) -> tuple[Array, Array]:
+    """Distance of points from the nearest part and its normal there."""
+    gap, normal = nearest(parts, point)
+    return gap, jnp.broadcast_to(normal, point.shape)
 
 
 def _lowest_corners(

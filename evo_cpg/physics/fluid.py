@@ -1,4 +1,4 @@
-"""Water: buoyancy, form drag and skin friction at points on the surface.
+"""Water: form drag and skin friction at points on the surface of the bodies.
 
 Iwadate 2010, eqs. 7 and 8. Each surface point has an outward normal n, two tangents and an area A.
 With its velocity relative to the water split into v_n n and v_t,
@@ -15,6 +15,9 @@ undulation gives no forward thrust.
 With W the constant matrix of point Jacobians, point velocities are ``W V``, the wrench is
 ``W^T F``, and the derivative ``D = sum_p c_p w_p w_p^T`` is a product of the constant outer
 products with the coefficients: small matrix products that the whole population shares.
+
+Where the water has a surface, each point's force and derivative are scaled by the share of its
+patch that is under water.
 """
 
 import functools
@@ -28,6 +31,7 @@ from jaxtyping import Array, Float
 from evo_cpg.creature.shapes import Surface
 from evo_cpg.creature.tree import Tree
 from evo_cpg.fusion.kernels import unfused
+from evo_cpg.physics.current import Gradient, Vortex
 
 # -df/dv of |v| v is 2 |v|; the smaller tangential part takes its secant, |v|, which keeps the
 # end-of-step force opposed to the motion.
@@ -41,7 +45,24 @@ _SPEED_FLOOR = 1e-12
 # products. With the swimmer's resolutions a box has about 110, a sphere 460, an ellipsoid 1080.
 _DENSE = 1000
 
+# Height over which a level patch gets wet, as a share of its size: water does not jump.
+_LEAST_SLOPE = 0.1
+
 DragLaw = Literal["normal", "isotropic"]
+
+
+class Places(NamedTuple):
+    """Where the points of a patch are, for their depth.
+
+    Attributes:
+        points: in the body's working frame, m.
+        normals: unit vectors.
+        extents: half the edge of a square of a point's area, m.
+    """
+
+    points: np.ndarray
+    normals: np.ndarray
+    extents: np.ndarray
 
 
 class Patch(NamedTuple):
@@ -49,7 +70,8 @@ class Patch(NamedTuple):
 
     Form drag and skin friction have points of their own. Points of form drag with the same
     normal velocity, up to its sign, feel the same wrench and are merged: of a box only half are
-    left, because those on opposite faces always move alike.
+    left, because those on opposite faces always move alike. At the water's surface they do not
+    get wet alike, and all are kept.
 
     Attributes:
         bodies: indices in the tree, in increasing order.
@@ -59,6 +81,8 @@ class Patch(NamedTuple):
         tangential: ``(2, skin points, 6)``, rows giving the two tangential velocities.
         tangential_area: m^2.
         tangential_outer: ``(27, skin points)``, summed over both tangents.
+        normal_places: None where water is everywhere.
+        tangential_places: likewise.
     """
 
     bodies: tuple[int, ...]
@@ -68,17 +92,22 @@ class Patch(NamedTuple):
     tangential: np.ndarray
     tangential_area: np.ndarray
     tangential_outer: np.ndarray
+    normal_places: Places | None = None
+    tangential_places: Places | None = None
 
 
 class Water(eqx.Module):
-    """Still or streaming water around the whole creature.
+    """Still or streaming water, around the whole creature or up to a surface.
 
     Attributes:
         density: kg/m^3.
         form_drag: C_d.
         skin_drag: C_f.
-        current: velocity of the water in the world, m/s.
+        current: velocity of the water at the origin of the world, but for the vortices, m/s.
         law: which velocity the drag opposes.
+        surface: height of its surface, m; None where water is everywhere.
+        gradient: how the current's components (rows) change along x, y and z, 1/s.
+        vortices: on top of that.
     """
 
     density: float
@@ -86,6 +115,9 @@ class Water(eqx.Module):
     skin_drag: float
     current: tuple[float, float, float] = (0.0, 0.0, 0.0)
     law: DragLaw = eqx.field(static=True, default="normal")
+    surface: float | None = None
+    gradient: Gradient | None = None
+    vortices: tuple[Vortex, ...] = ()
 
 
 def make_patches(
@@ -93,6 +125,7 @@ def make_patches(
     form: dict[str, Surface],
     skin: dict[str, Surface],
     law: DragLaw = "normal",
+    surfacing: bool = False,
 ) -> tuple[Patch, ...]:
     """Group bodies with the same surface and prepare their constant matrices.
 
@@ -101,6 +134,7 @@ def make_patches(
         form: points for form drag on each body by name, in its geometric frame.
         skin: points for skin friction; the isotropic law takes the form points for both.
         law: see `Water`.
+        surfacing: the water has a surface.
     """
     if law == "isotropic":
         skin = form
@@ -114,7 +148,7 @@ def make_patches(
         key = b"|".join(np.round(column, 9).tobytes() for column in (*form_points, *skin_points))
         patches.setdefault(key, ([], form_points, skin_points))[0].append(i)
     return tuple(
-        _patch(tuple(bodies), form_points, skin_points, merge=law == "normal")
+        _patch(tuple(bodies), form_points, skin_points, law == "normal", surfacing)
         for bodies, form_points, skin_points in patches.values()
         if len(form_points.areas)
     )
@@ -124,6 +158,7 @@ def drag(
     water: Water,
     patches: tuple[Patch, ...],
     velocity: Float[Array, "6 b *n"],
+    pose: Float[Array, "4 b *n"] | None = None,
 ) -> tuple[Float[Array, "6 b *n"], Float[Array, "3 3 3 b *n"]]:
     """Drag wrench and its velocity derivative on every body, in body axes.
 
@@ -131,6 +166,8 @@ def drag(
         water: density and coefficients.
         patches: surface points.
         velocity: of every body relative to the water in body axes: angular, then linear.
+        pose: upward unit vector in the axes of every body, and the height of its origin above the
+            surface; None where water is everywhere.
 
     Returns:
         The wrench (moment, force) and the blocks (angular-angular, angular-linear,
@@ -142,9 +179,9 @@ def drag(
         dense = np.count_nonzero(patch.normal_outer) + np.count_nonzero(patch.tangential_outer)
         evaluate = functools.partial(_patch_drag, water, patch)
         for run in _runs(patch.bodies):
-            part = velocity[:, run]
+            part = [x[:, run] for x in (velocity, pose) if x is not None]
             pieces.append(
-                (run.start, *(unfused(evaluate, part) if dense > _DENSE else evaluate(part)))
+                (run.start, *(unfused(evaluate, *part) if dense > _DENSE else evaluate(*part)))
             )
     wet = {body for patch in patches for body in patch.bodies}
     none = (
@@ -157,7 +194,10 @@ def drag(
 
 
 def _patch_drag(
-    water: Water, patch: Patch, velocity: Float[Array, "6 k *n"]
+    water: Water,
+    patch: Patch,
+    velocity: Float[Array, "6 k *n"],
+    pose: Float[Array, "4 k *n"] | None = None,
 ) -> tuple[Float[Array, "6 k *n"], Float[Array, "3 3 3 k *n"]]:
     """Constant factors go into the constant matrices, so a point costs few operations."""
     flat = velocity.reshape(6, -1)
@@ -181,9 +221,14 @@ def _patch_drag(
             patch.normal_area
         )
         along = speed
+    if pose is not None:
+        speed = speed * _wet_share(patch.normal_places, pose)
+        along = along * _wet_share(patch.tangential_places, pose)
     friction = jnp.concatenate([along * first, along * second])
     wrench = -product(patch.normal.T * normal_factor[None], speed * normal)
-    wrench = wrench - product(tangential_rows.T * jnp.tile(tangential_factor, 2)[None], friction)
+    wrench = wrench - product(
+        tangential_rows.T * jnp.concatenate([tangential_factor] * 2)[None], friction
+    )
     derivative = product(patch.normal_outer * (normal_derivative * normal_factor)[None], speed)
     derivative = derivative + product(
         patch.tangential_outer * (_TANGENTIAL_DERIVATIVE * tangential_factor)[None], along
@@ -191,10 +236,30 @@ def _patch_drag(
     return wrench.reshape(velocity.shape), derivative.reshape(3, 3, 3, *velocity.shape[1:])
 
 
-def _patch(bodies: tuple[int, ...], form: Surface, skin: Surface, merge: bool) -> Patch:
+def _wet_share(places: Places | None, pose: Float[Array, "4 k *n"]) -> Float[Array, "p kn"]:
+    """Share of the patch around each point that is under water: a cubic in the point's depth.
+
+    Raises:
+        ValueError: the patches were made for water without a surface.
+    """
+    if places is None:
+        raise ValueError("patches know no depth; make them with make_patches(..., surfacing=True)")
+    flat = pose.reshape(4, -1)
+    up, height = flat[:3], flat[3:]
+    points, normals, extents = (jnp.asarray(column, flat.dtype) for column in places)
+    steepness = normals @ up
+    spread = extents[:, None] * jnp.sqrt(1.0 - (1.0 - _LEAST_SLOPE**2) * steepness * steepness)
+    # Points with the same normal and area share the quotient.
+    share = jnp.clip(0.5 - (height + points @ up) * (0.5 / spread), 0.0, 1.0)
+    return share * share * (3.0 - 2.0 * share)
+
+
+def _patch(
+    bodies: tuple[int, ...], form: Surface, skin: Surface, merge: bool, surfacing: bool
+) -> Patch:
     normal, _, _ = _velocity_rows(form)
     normal_area = form.areas
-    if merge:
+    if merge and not surfacing:
         normal, normal_area = _merge_alike(normal, normal_area)
     _, first, second = _velocity_rows(skin)
     return Patch(
@@ -205,7 +270,13 @@ def _patch(bodies: tuple[int, ...], form: Surface, skin: Surface, merge: bool) -
         np.stack([first, second]),
         skin.areas,
         _outer_products(first) + _outer_products(second),
+        _places(form) if surfacing else None,
+        _places(skin) if surfacing else None,
     )
+
+
+def _places(surface: Surface) -> Places:
+    return Places(surface.points, surface.normals, np.sqrt(surface.areas) / 2)
 
 
 def _velocity_rows(surface: Surface) -> list[np.ndarray]:

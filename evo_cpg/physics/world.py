@@ -2,12 +2,16 @@
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.tree import Tree
 from evo_cpg.fusion.kernels import symmetric
+from evo_cpg.physics.added_mass import carried_water
 from evo_cpg.physics.articulated import Inertia, Wrench
+from evo_cpg.physics.buoyancy import Cells, Displacement, buoyancy, displacement
 from evo_cpg.physics.contact import Footing, Ground
+from evo_cpg.physics.current import stream
 from evo_cpg.physics.fluid import Patch, Water, drag
 from evo_cpg.physics.kinematics import Kinematics
 from evo_cpg.spatial.linear import cross, lift, matmul, matmul_t, matvec, matvec_t
@@ -22,6 +26,8 @@ class World(eqx.Module):
         water: None on dry land.
         patches: the surface points that meet the water.
         footing: the places that may touch the ground; None where there is nothing to stand on.
+        cells: the bodies' volumes; none are needed where water is everywhere.
+        added_inertia: of the water that the bodies carry; None to leave it out.
     """
 
     tree: Tree
@@ -29,6 +35,8 @@ class World(eqx.Module):
     water: Water | None = None
     patches: tuple[Patch, ...] = ()
     footing: Footing | None = None
+    cells: tuple[Cells, ...] = ()
+    added_inertia: Float[np.ndarray, "6 6 b"] | None = None
 
     @property
     def ground(self) -> Ground | None:
@@ -44,17 +52,33 @@ def body_equations(world: World, kin: Kinematics, h: float) -> tuple[Inertia, Wr
     tree = world.tree
     rotation = kin.rotation
     velocity = jnp.concatenate([matvec_t(rotation, kin.angular), matvec_t(rotation, kin.linear)])
-    wrench = weight(world, kin)
+    pose = displaced = None
+    if world.water is not None and world.water.surface is not None:
+        pose = jnp.concatenate([rotation[2], (kin.origin[2] - world.water.surface)[None]])
+        displaced = displacement(world.cells, pose)
+    wrench = weight(world, kin, displaced)
     constant = lift(tree.inertia, velocity, velocity.ndim + 1)
     momentum = matvec(constant, velocity)
-    blocks = jnp.stack([constant[:3, :3], constant[:3, 3:], constant[3:, 3:]])
+    blocks = _blocks(constant)
     if world.water is not None:
-        current = jnp.asarray(world.water.current, velocity.dtype)
-        stream = matvec_t(rotation, lift(current, kin.linear))
-        relative = jnp.concatenate([velocity[:3], velocity[3:] - stream])
-        resistance, derivative = drag(world.water, world.patches, relative)
+        current = matvec_t(rotation, _stream(world.water, tree, kin))
+        relative = jnp.concatenate([velocity[:3], velocity[3:] - current])
+        resistance, derivative = drag(world.water, world.patches, relative, pose)
         wrench = wrench + resistance
         blocks = blocks + h * derivative
+        if world.added_inertia is not None:
+            added = lift(world.added_inertia, velocity, velocity.ndim + 1)
+            if pose is not None and displaced is not None:
+                sinking = h * jnp.concatenate([cross(pose[:3], velocity[:3]), kin.linear[2:]])
+                ahead = displacement(world.cells, pose + sinking).volume
+                volume = lift(tree.volume, ahead)
+                gained = jnp.maximum(ahead - displaced.volume, 0.0) / volume
+                entering = added * gained[None, None]
+                wrench = wrench - matvec(entering, relative) / h
+                blocks = blocks + _blocks(entering)
+                added = added * (displaced.volume / volume)[None, None]
+            wrench = wrench + carried_water(added, velocity, current)
+            blocks = blocks + _blocks(added)
     w, v = velocity[:3], velocity[3:]
     moment = cross(w, momentum[:3]) + cross(v, momentum[3:]) - wrench[:3]
     force = cross(w, momentum[3:]) - wrench[3:]
@@ -72,10 +96,35 @@ def body_equations(world: World, kin: Kinematics, h: float) -> tuple[Inertia, Wr
     return inertia, bias
 
 
-def weight(world: World, kin: Kinematics) -> Float[Array, "6 b *n"]:
-    """Weight less buoyancy, both at the centre of mass, in body axes (Iwadate 2010, eq. 7)."""
-    tree = world.tree
-    displaced = world.water.density * tree.volume if world.water is not None else 0.0
+def weight(
+    world: World, kin: Kinematics, displaced: Displacement | None = None
+) -> Float[Array, "6 b *n"]:
+    """Weight and buoyancy, in body axes (Iwadate 2010, eq. 7).
+
+    Args:
+        world: the creature and its surroundings.
+        kin: its present kinematics.
+        displaced: at a surface; None where the whole creature is in water or on dry land, and all
+            acts at the centre of mass.
+    """
+    tree, water = world.tree, world.water
+    under = water.density * tree.volume if water is not None and displaced is None else 0.0
     up = kin.rotation[2]
-    force = lift((displaced - tree.mass) * world.gravity, up[0])[None] * up
-    return jnp.concatenate([cross(lift(tree.com, up), force), force])
+    force = lift((under - tree.mass) * world.gravity, up[0])[None] * up
+    wrench = jnp.concatenate([cross(lift(tree.com, up), force), force])
+    if water is None or displaced is None:
+        return wrench
+    return wrench + buoyancy(displaced, up, water.density * world.gravity)
+
+
+def _stream(water: Water, tree: Tree, kin: Kinematics) -> Float[Array, "3 b *#n"]:
+    """Velocity of the water at the bodies' centres of mass, in world axes."""
+    if water.gradient is None and not water.vortices:
+        return lift(jnp.asarray(water.current, kin.linear.dtype), kin.linear)
+    centres = kin.origin + matvec(kin.rotation, lift(tree.com, kin.origin))
+    return stream(water.current, water.gradient, water.vortices, centres)
+
+
+def _blocks(m: Float[Array, "6 6 *rest"]) -> Float[Array, "3 3 3 *rest"]:
+    """Angular-angular, angular-linear and linear-linear part of a symmetric matrix."""
+    return jnp.stack([m[:3, :3], m[:3, 3:], m[3:, 3:]])

@@ -5,7 +5,7 @@ Iwadate 2010); in each the controller senses and commands once, and the physics 
 ``substeps`` steps with the command held.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -21,7 +21,7 @@ from evo_cpg.physics.step import Effort, step
 from evo_cpg.physics.world import World
 from evo_cpg.simulation.noise import Noise, disturb_motion, disturb_start
 from evo_cpg.simulation.recording import Recording
-from evo_cpg.simulation.sensors import Sensors, see
+from evo_cpg.simulation.sensors import Sensors, feel, see
 from evo_cpg.simulation.task import Moment, Task
 from evo_cpg.spatial.linear import lift
 
@@ -43,7 +43,8 @@ class Simulation(eqx.Module):
         substeps: physics steps per control step.
         steps: control steps in a trial.
         noise: how much is left to chance.
-        start_height: of the root's centre at the start, m.
+        start_position: of the root's centre at the start, m.
+        start_heading: by which it is turned about z at the start, rad.
     """
 
     world: World
@@ -54,7 +55,8 @@ class Simulation(eqx.Module):
     substeps: int = eqx.field(static=True)
     steps: int = eqx.field(static=True)
     noise: Noise = Noise()
-    start_height: float = 0.0
+    start_position: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    start_heading: float = 0.0
 
     @property
     def step_length(self) -> float:
@@ -72,6 +74,20 @@ class Outcome(NamedTuple):
 
     terms: dict[str, Float[Array, " *n"]]
     alive: Bool[Array, " *n"]
+
+
+class _Animal(NamedTuple):
+    """What goes on from one control step to the next.
+
+    Attributes:
+        state: of the body.
+        nerves: of the controller.
+        pressure: what the skin felt last.
+    """
+
+    state: State
+    nerves: Any
+    pressure: Float[Array, "s *n"]
 
 
 class _Instant(NamedTuple):
@@ -99,18 +115,17 @@ def rollout(
     task, steps = simulation.task, simulation.steps
 
     def advance(carry, index):
-        state, nerves, tally, alive = carry
-        state, nerves, instant = _control_step(simulation, genes, keys, state, nerves, index)
+        animal, tally, alive = carry
+        animal, instant = _control_step(simulation, genes, keys, animal, index)
         tally = task.watch(tally, instant.moment, steps)
-        return (state, nerves, tally, alive & _is_sane(state)), None
+        return (animal, tally, alive & _is_sane(animal.state)), None
 
     carry = (
         _start(simulation, batch, dtype, keys),
-        simulation.controller.initial_state(batch, dtype),
         task.begin(batch, dtype, steps),
         jnp.ones(batch, bool),
     )
-    (_, _, tally, alive), _ = jax.lax.scan(advance, carry, jnp.arange(steps))
+    (_, tally, alive), _ = jax.lax.scan(advance, carry, jnp.arange(steps))
     return Outcome(task.terms(tally, steps), alive)
 
 
@@ -138,9 +153,8 @@ def record(
     batch, dtype = genes.shape[1:], genes.dtype
     tree = simulation.world.tree
 
-    def advance(carry, index):
-        state, nerves = carry
-        state, nerves, instant = _control_step(simulation, genes, keys, state, nerves, index)
+    def advance(animal, index):
+        animal, instant = _control_step(simulation, genes, keys, animal, index)
         kin = instant.kinematics
         centre = kin.origin + (kin.rotation * jnp.asarray(tree.com, dtype)[None, ..., None]).sum(1)
         frame = {
@@ -152,11 +166,10 @@ def record(
             "torque": instant.torque,
         }
         frame = {name: values[..., :count] for name, values in frame.items()}
-        return (state, nerves), frame
+        return animal, frame
 
     start = _start(simulation, batch, dtype, keys)
-    carry = start, simulation.controller.initial_state(batch, dtype)
-    return jax.lax.scan(advance, carry, jnp.arange(simulation.steps))[1]
+    return jax.lax.scan(advance, start, jnp.arange(simulation.steps))[1]
 
 
 def as_recording(
@@ -193,17 +206,24 @@ def as_recording(
 
 def _start(
     simulation: Simulation, batch: tuple[int, ...], dtype: jnp.dtype, keys: Array | None
-) -> State:
-    """The pose in which the trials begin."""
+) -> _Animal:
+    """The animals as the trials begin."""
     tree = simulation.world.tree
-    rest = resting_state(tree, batch, dtype, (0.0, 0.0, simulation.start_height))
-    return disturb_start(simulation.noise, tree, rest, keys)
+    half = simulation.start_heading / 2
+    upright = (float(np.cos(half)), 0.0, 0.0, float(np.sin(half)))
+    rest = resting_state(tree, batch, dtype, simulation.start_position, upright)
+    return _Animal(
+        disturb_start(simulation.noise, tree, rest, keys),
+        simulation.controller.initial_state(batch, dtype),
+        jnp.zeros((len(simulation.sensors.pressure_bodies), *batch), dtype),
+    )
 
 
 def _control_step(
-    simulation: Simulation, genes: Array, keys: Array | None, state: State, nerves, index: Array
-) -> tuple[State, object, _Instant]:
+    simulation: Simulation, genes: Array, keys: Array | None, animal: _Animal, index: Array
+) -> tuple[_Animal, _Instant]:
     """Sense, command, and move for one control step."""
+    state, nerves, pressure = animal
     world, batch = simulation.world, genes.shape[1:]
     h = simulation.step_length
     state = disturb_motion(simulation.noise, state, keys, index, 1.0 / simulation.control_rate)
@@ -215,23 +235,33 @@ def _control_step(
         return see(simulation.sensors, kinematics(world.tree, state), place)
 
     strength, cosine, sine = fuse(look, state, batch_ndim=len(batch))
-    # Nothing solid presses on the skin in open water; the ground is not felt yet.
-    pressure = jnp.zeros((len(simulation.sensors.pressure_bodies), *batch), genes.dtype)
     observation = Observation(strength, pressure, cosine, sine, state.q, state.qd)
     nerves, command = simulation.controller.act(genes, nerves, observation)
 
+    def touch(state: State, support: Array) -> Array:
+        return feel(simulation.sensors, world, kinematics(world.tree, state), support)
+
     def move(carry, _):
-        state, energy, airborne, _ = carry
+        state, energy, airborne, _, support = carry
         state, effort = step(world, state, command.target_rate, h, command.target_angle)
         airborne = airborne + _is_airborne(effort, energy) / simulation.substeps
-        return (state, energy + effort.energy.sum(0), airborne, effort.torque), None
+        support = effort.support if feels else support
+        return (state, energy + effort.energy.sum(0), airborne, effort.torque, support), None
 
     none = jnp.zeros(batch, genes.dtype)
-    (moved, energy, airborne, torque), _ = jax.lax.scan(
-        move, (state, none, none, jnp.zeros_like(state.q)), None, length=simulation.substeps
+    feels = world.footing is not None and bool(simulation.sensors.pressure_bodies)
+    places = len(world.footing.bodies) if world.footing is not None and feels else 0
+    untouched = jnp.zeros((3, places, *batch), state.q.dtype)
+    (moved, energy, airborne, torque, support), _ = jax.lax.scan(
+        move,
+        (state, none, none, jnp.zeros_like(state.q), untouched),
+        None,
+        length=simulation.substeps,
     )
+    if feels:
+        pressure = fuse(touch, moved, support, batch_ndim=len(batch))
     moment = Moment(index, state.position, state.orientation, strength, state.q, energy, airborne)
-    return moved, nerves, _Instant(moment, command, torque, kin)
+    return _Animal(moved, nerves, pressure), _Instant(moment, command, torque, kin)
 
 
 def _is_airborne(effort: Effort, like: Float[Array, " *n"]) -> Float[Array, " *n"]:

@@ -8,7 +8,8 @@ from jaxtyping import Array, Float
 
 from evo_cpg.creature.creature import Creature
 from evo_cpg.creature.tree import Tree
-from evo_cpg.physics.kinematics import Kinematics
+from evo_cpg.physics.kinematics import Kinematics, take
+from evo_cpg.physics.world import World
 from evo_cpg.spatial.linear import dot, lift, matvec
 
 # Added under the root so that the direction to a light at the sensor's own place has a gradient.
@@ -45,6 +46,38 @@ def place_sensors(creature: Creature, tree: Tree) -> Sensors:
         np.array([eye.field_of_view for eye in eyes], float),
         tuple(tree.names.index(name) for name in creature.pressure_sensors),
     )
+
+
+def feel(
+    sensors: Sensors, world: World, kin: Kinematics, support: Float[Array, "3 p *n"] | None
+) -> Float[Array, "s *n"]:
+    """What the skin tells: 1 where something solid presses harder than the water there, else 0.
+
+    The paper (2.1) compares the outer pressure with the water's. Here the pressure of the ground is
+    its normal force on the body over the body's mean cross-section, ``volume^(2/3)``, and that of
+    the water is hydrostatic, by the depth of the body's centre; it is 0 on land, and where water
+    has no surface to be deep under.
+
+    Args:
+        sensors: where they sit.
+        world: the animal's surroundings.
+        kin: its present pose.
+        support: force of the ground on every place of the footing, N; None without ground.
+    """
+    bodies = list(sensors.pressure_bodies)
+    if support is None or world.footing is None or not bodies:
+        return jnp.zeros((len(bodies), *kin.origin.shape[2:]), kin.origin.dtype)
+    places = np.array(world.footing.bodies)
+    force = jnp.stack([take(support[2], np.flatnonzero(places == i), 0).sum(0) for i in bodies])
+    own = take(kin.origin[2], np.array(bodies), 0)
+    pressing = jnp.zeros_like(force)
+    if world.water is not None and world.water.surface is not None:
+        com = lift(world.tree.com[:, bodies], own, own.ndim + 1)
+        lever = (take(kin.rotation[2], np.array(bodies)) * com).sum(0)
+        area = lift(world.tree.volume[bodies] ** (2 / 3), own)
+        depth = jnp.maximum(world.water.surface - own - lever, 0.0)
+        pressing = world.water.density * world.gravity * depth * area
+    return (force > pressing).astype(force.dtype)
 
 
 def light_strength(

@@ -94,3 +94,17 @@ def euler_to_matrix(roll: float, pitch: float, yaw: float) -> np.ndarray:
             [-sp, cp * sr, cp * cr],
         ]
     )
+
+
+def matrix_to_euler(rotation: np.ndarray) -> tuple[float, float, float]:
+    """Roll, pitch and yaw (rad) of a rotation matrix ``(3, 3)``, as `euler_to_matrix` takes them.
+
+    Where the pitch is 90 degrees only their sum or difference counts; roll is taken from what the
+    other two leave, so that the three give the same matrix even there.
+    """
+    r = rotation
+    yaw = np.arctan2(r[1, 0], r[0, 0])
+    pitch = np.arctan2(-r[2, 0], np.hypot(r[0, 0], r[1, 0]))
+    s, c = np.sin(yaw), np.cos(yaw)
+    roll = np.arctan2(s * r[0, 2] - c * r[1, 2], c * r[1, 1] - s * r[0, 1])
+    return float(roll), float(pitch), float(yaw)

@@ -9,6 +9,7 @@ focus that holds every body fits the frame: at every instant where there is a li
 of them, and then as much more as keeps every body inside the frame.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -29,6 +30,9 @@ _BEARINGS = np.radians([32.0, 62.0, 90.0, 130.0, 180.0])
 # The same angle where there is no goal: the animal crosses the picture to the right, and shows
 # its side and a little of its front.
 _SIDE = np.radians(112.0)
+# Points along a line of sight at which it is looked whether something stands in the way, and the
+# number of frames in which that is done.
+_SAMPLES, _LOOKS = 24, 60
 
 
 class CameraPath(NamedTuple):
@@ -89,6 +93,29 @@ def follow(
     while (overshoot := _overshoot(path, position, reach, aspect)) > 1:
         path = path._replace(position=focus + (path.position - focus) * min(overshoot, 1.5) * 1.02)
     return path
+
+
+def hidden(
+    path: CameraPath,
+    points: Float[np.ndarray, "frames n 3"],
+    height: Callable[[np.ndarray], np.ndarray],
+    margin: float,
+) -> float:
+    """Share of points, over all frames, before which something solid stands.
+
+    Args:
+        path: the camera of every frame.
+        points: what is looked at ``(frames, n, 3)``, m.
+        height: of what may stand in the way, m; a function of x and y ``(..., 2)``.
+        margin: by which the camera must be above it, m; at the points nothing is asked.
+    """
+    every = max(len(points) // _LOOKS, 1)
+    points, eye = points[::every], path.position[::every, None]
+    # A point may itself be within a stone or the ground.
+    share = np.linspace(0.1, 1.0, _SAMPLES)[:, None, None]
+    line = points + share[..., None] * (eye - points)
+    free = line[..., 2] - height(line[..., :2]) >= margin * share
+    return float((~free.all(0)).mean())
 
 
 def course(

@@ -16,20 +16,33 @@ import pyvista as pv
 from jaxtyping import Float
 
 from evo_cpg.creature.creature import Creature
+from evo_cpg.physics.contact import Ground
+from evo_cpg.physics.terrain import Plane
 from evo_cpg.simulation.recording import Recording
-from evo_cpg.view.camera import CameraPath, course, follow, smooth
+from evo_cpg.view.camera import CameraPath, course, follow, hidden, smooth
 from evo_cpg.view.captions import add_captions
 from evo_cpg.view.goal_light import add_goal_light
 from evo_cpg.view.ground import Marks, add_floor, add_numbers, grid_spacing, mark_spacing
-from evo_cpg.view.look import LOOKS, Look
-from evo_cpg.view.meshes import add_bodies, head_index
+from evo_cpg.view.look import LOOKS, SHORE, Look
+from evo_cpg.view.meshes import add_bodies, head_index, shape_mesh
+from evo_cpg.view.obstacles import add_obstacles, obstacle_mesh, obstacle_top
 from evo_cpg.view.offscreen import canvas, pixels
 from evo_cpg.view.output import FILM_SUFFIXES, frame_writer, output_path
 from evo_cpg.view.particles import add_particles
+from evo_cpg.view.relief import (
+    LIFT,
+    add_draped_contacts,
+    add_draped_light,
+    add_draped_patches,
+    add_draped_shadows,
+    add_relief,
+)
 from evo_cpg.view.shadows import add_contacts, add_shadows, add_sun_shadows
 from evo_cpg.view.sky import add_sky, sun_direction
+from evo_cpg.view.terrain import Terrain, heights, make_terrain
 from evo_cpg.view.textures import CELLS
 from evo_cpg.view.trail import add_trail
+from evo_cpg.view.water import add_water, add_waterlines
 
 # Pixels rendered per pixel of the result, a side. On one core of a software renderer a frame of
 # 1280 x 720 costs 46 ms at 1.25, 58 ms at 1.5, which looks hardly better, and 100 ms at 2.
@@ -41,6 +54,14 @@ _SPEED_WINDOW = 0.5
 _DEPTH = 0.55
 # Time in which the trail fades to a third, s.
 _TRAIL_FADE = 4.0
+# Angles of the camera that are tried in turn where something stands in its way, rad, and how far
+# above the ground it stays, in radii of the animal. Of all bodies and instants this share may be
+# hidden: stones that pass in front show how far away they are.
+_ELEVATIONS, _CLEARANCE, _HIDDEN = np.radians([16.0, 22.0, 28.0, 35.0, 45.0]), 0.3, 0.03
+# Land rises out of the water within so many radii of the animal's way: the film shows the surface.
+_NEARBY = 4.0
+# The ground's mesh ends so many visibilities from the way, where it has faded to nothing.
+_HORIZON = 2.4
 
 
 class Stage(NamedTuple):
@@ -53,7 +74,8 @@ class Stage(NamedTuple):
         oversampling: pixels rendered per pixel of the film, a side.
         rate: frames per second of recorded time.
         speed: recorded seconds per second of film.
-        ground: z of the ground, m; None where there is none.
+        ground: None where there is none.
+        surface: height of the water's surface, m; None where none is seen.
     """
 
     look: Look
@@ -62,7 +84,13 @@ class Stage(NamedTuple):
     oversampling: float
     rate: float
     speed: float
-    ground: float | None = None
+    ground: Ground | None = None
+    surface: float | None = None
+
+    @property
+    def level(self) -> float | None:
+        """Height of the ground where it is level and bare, and no water covers it, m."""
+        return None if self.ground is None or self.surface is not None else self.ground.level
 
 
 class Clip(NamedTuple):
@@ -94,7 +122,8 @@ def film(
     speed: float = 1.0,
     title: str | None = None,
     world: str = "water",
-    ground: float | None = None,
+    ground: Ground | None = None,
+    surface: float | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:
     """Render a recording.
@@ -111,8 +140,10 @@ def film(
         speed: recorded seconds per second of film.
         title: caption; the creature's name by default.
         world: where the animal lives, ``water`` or ``land``.
-        ground: z of the ground that carries the animal, m, with distances from the start painted
-            on it; by default there is none, and a floor is drawn below the animal's way.
+        ground: that carries the animal, with distances from the start painted on it; by default
+            there is none, and a floor is drawn below the animal's way.
+        surface: height of the water's surface, m. It is shown, from above and in daylight, where
+            the animal comes out of it or land near its way does.
         progress: called with the number of frames done and their total.
 
     Returns:
@@ -125,8 +156,8 @@ def film(
     """
     path = output_path(path, FILM_SUFFIXES)
     _check(creature, recording, size, fps, speed, world)
-    if ground is not None and not np.isfinite(ground):
-        raise ValueError(f"ground is {ground:g}; it must be finite, or None where there is none")
+    if surface is not None and not np.isfinite(surface):
+        raise ValueError(f"surface is {surface:g}; it must be finite, or None where there is none")
     if seconds is not None and seconds < 0:
         raise ValueError(f"seconds is {seconds:g}; it must not be negative")
     clip = sample(recording, fps, speed, None if path.suffix.lower() == ".png" else seconds)
@@ -139,14 +170,17 @@ def film(
     width, height = (max(side // 2 * 2, 2) for side in size)
     rendered = (round(width * oversampling), round(height * oversampling))
 
+    if surface is not None and not _surface_is_seen(creature, clip, ground, surface):
+        surface = None
     stage = Stage(
-        look=LOOKS[world],
+        look=LOOKS[world] if surface is None else SHORE,
         title=creature.name if title is None else title,
         size=(width, height),
         oversampling=oversampling,
         rate=fps / speed,
         speed=speed,
         ground=ground,
+        surface=surface,
     )
     with canvas(rendered) as plotter:
         show = _set_scene(plotter, creature, recording, clip, stage)
@@ -200,17 +234,33 @@ def sample(
 
 
 def camera_path(creature: Creature, recording: Recording, clip: Clip, stage: Stage) -> CameraPath:
-    """The camera that looks at these frames."""
+    """The camera that looks at these frames, over whatever stands in its way."""
     width, height = stage.size
     look, lit = stage.look, np.isfinite(recording.goal).all()
-    return follow(
-        clip.position,
-        recording.goal,
-        _reach(creature),
-        stage.rate,
-        width / height,
-        look.elevation if lit else look.side_elevation,
-    )
+    first = look.elevation if lit else look.side_elevation
+
+    def at(elevation: float) -> CameraPath:
+        return follow(
+            clip.position, recording.goal, _reach(creature), stage.rate, width / height, elevation
+        )
+
+    path, ground = at(first), stage.ground
+    if stage.surface is None and (ground is None or stage.level is not None):
+        return path
+    margin = _CLEARANCE * _radius(creature, clip)
+
+    def top(place: np.ndarray) -> np.ndarray:
+        if ground is None:
+            return np.full(place.shape[:-1], -np.inf)
+        tops = [obstacle_top(obstacle, place) for obstacle in ground.obstacles]
+        return np.maximum.reduce([heights(ground.floor, place), *tops])
+
+    for elevation in _ELEVATIONS[first < _ELEVATIONS]:
+        dry = stage.surface is None or (path.position[:, 2] > stage.surface + margin).all()
+        if dry and hidden(path, clip.position, top, margin) <= _HIDDEN:
+            break
+        path = at(elevation)
+    return path
 
 
 def _set_scene(
@@ -221,11 +271,11 @@ def _set_scene(
     camera = camera_path(creature, recording, clip, stage)
     half_extents = np.array([body.shape.half_extents for body in creature.bodies])
     reach = _reach(creature)
-    radius = np.linalg.norm(clip.position[0] - clip.position[0].mean(0), axis=-1).max() + reach
+    radius = _radius(creature, clip)
     lit = bool(np.isfinite(recording.goal).all())
     shown = np.concatenate([camera.focus, recording.goal[None]]) if lit else camera.focus
     lowest = min(clip.position[..., 2].min() - reach, shown[:, 2].min())
-    floor = lowest - _DEPTH * radius if stage.ground is None else stage.ground
+    floor = lowest - _DEPTH * radius if stage.level is None else stage.level
     spacing = grid_spacing(2 * radius)
     centre = clip.position.mean(1)
     head = clip.position[:, head_index(creature)]
@@ -239,27 +289,48 @@ def _set_scene(
         bearing = course(way, recording.goal, radius / 10)
         marks = Marks(way[0, :2], bearing, mark_spacing(2 * radius))
         spacing = marks.spacing / CELLS
-        head = head * [1.0, 1.0, 0.0] + [0.0, 0.0, floor]
+    terrain = None
+    if stage.surface is not None or (stage.ground is not None and stage.level is None):
+        ground = Plane(height=floor) if stage.ground is None else stage.ground.floor
+        filmed = np.concatenate([shown, clip.position.reshape(-1, 3)])[:, :2]
+        terrain = make_terrain(ground, filmed, radius, _HORIZON * look.visibility * radius)
+    if stage.ground is not None:
+        # Where it swims its way stays in the water.
+        deep = np.inf if look.particles else None
+        water = deep if stage.surface is None else stage.surface
+        head = _laid_down(head, floor if terrain is None else terrain, water, radius)
 
     # Translucent actors are drawn in the order in which they are added: what lies in the plane of
-    # the floor comes after it, the light and the trail over the shadows.
+    # the floor comes after it, the light and the trail over the shadows, the water over all.
     move_sky = add_sky(plotter, look, sight, away)
-    move_floor = add_floor(plotter, look, floor, radius, spacing, marks)
-    moving = []
-    if marks is not None:
-        moving.append(add_numbers(plotter, look, marks, centre, floor, radius, sight, away))
     sun = sun_direction(look, sight)
-    shadows = [
-        add_sun_shadows(plotter, look, creature, floor, sun),
-        add_shadows(plotter, look, floor, half_extents),
-    ]
-    if marks is not None:
-        shadows.append(add_contacts(plotter, look, creature, floor))
+    if terrain is None:
+        moving = [add_floor(plotter, look, floor, radius, spacing, marks)]
+        if marks is not None:
+            moving.append(add_numbers(plotter, look, marks, centre, floor, radius, sight, away))
+        shadows = [
+            add_sun_shadows(plotter, look, creature, floor, sun),
+            add_shadows(plotter, look, floor, half_extents),
+        ]
+        if marks is not None:
+            shadows.append(add_contacts(plotter, look, creature, floor))
+    else:
+        moving, shadows = _add_terrain(
+            plotter, creature, clip, stage, terrain, marks, spacing, sight, sun, away
+        )
+        if lit:
+            add_draped_light(plotter, look, terrain, recording.goal, radius)
     if lit:
-        add_goal_light(plotter, look, recording.goal, floor, radius, sight)
+        height = floor if terrain is None else None
+        add_goal_light(plotter, look, recording.goal, height, radius, sight)
     grow_trail = add_trail(plotter, look, head, 0.0065 * radius, _TRAIL_FADE * stage.rate)
     if look.particles:
-        add_particles(plotter, shown, floor, radius, stage.oversampling)
+        depths = floor if terrain is None else terrain
+        add_particles(plotter, shown, depths, radius, stage.oversampling, stage.surface)
+    flow = None
+    if terrain is not None and stage.surface is not None:
+        flow = add_water(plotter, look, terrain, stage.surface, radius, sight)
+        shadows.append(add_waterlines(plotter, stage.surface, half_extents, radius))
     bodies = add_bodies(plotter, creature, look.ambient)
     caption = add_captions(
         plotter,
@@ -280,10 +351,12 @@ def _set_scene(
         plotter.camera.focal_point = camera.focus[frame]
         plotter.camera.clipping_range = (0.05 * away, 20 * away)
         move_sky(camera.position[frame])
-        for move in (move_floor, *moving):
+        for move in moving:
             move(camera.focus[frame])
         for move in shadows:
             move(clip.position[frame], clip.rotation[frame])
+        if flow is not None:
+            flow(camera.focus[frame], camera.position[frame], clip.time[frame])
         grow_trail(frame)
         for actors, place, turn in zip(
             bodies, clip.position[frame], clip.rotation[frame], strict=True
@@ -297,6 +370,80 @@ def _set_scene(
         plotter.render()
 
     return show
+
+
+def _add_terrain(
+    plotter: pv.Plotter,
+    creature: Creature,
+    clip: Clip,
+    stage: Stage,
+    terrain: Terrain,
+    marks: Marks | None,
+    spacing: float,
+    sight: np.ndarray,
+    sun: np.ndarray,
+    away: float,
+) -> tuple[list[Callable[[np.ndarray], None]], list[Callable[[np.ndarray, np.ndarray], None]]]:
+    """Ground that is not level, its obstacles, and what lies on it."""
+    look, surface, radius = stage.look, stage.surface, _radius(creature, clip)
+    net = marks or Marks(np.zeros(2), 0.0, CELLS * spacing)
+    moving = [add_relief(plotter, look, terrain, radius, spacing, net, sight, sun, surface)]
+
+    def dry(place: np.ndarray) -> np.ndarray:
+        high = terrain.height(place) + LIFT * radius
+        return high if surface is None else np.where(high > surface, high, np.nan)
+
+    if marks is not None:
+        centre = clip.position.mean(1)
+        moving.append(add_numbers(plotter, look, marks, centre, dry, radius, sight, away))
+    obstacles = () if stage.ground is None else stage.ground.obstacles
+    add_obstacles(plotter, obstacles, look.ambient)
+    if obstacles:
+        meshes, places, turns = zip(*map(obstacle_mesh, obstacles), strict=True)
+        half_extents = np.array([np.ptp(np.asarray(mesh.points), axis=0) / 2 for mesh in meshes])
+        for lay in (
+            add_draped_patches(plotter, look, terrain, half_extents, radius),
+            add_draped_shadows(plotter, look, list(meshes), terrain, sun, radius),
+        ):
+            lay(np.array(places), np.array(turns))
+    bodies = [shape_mesh(body.shape) for body in creature.bodies]
+    half_extents = np.array([body.shape.half_extents for body in creature.bodies])
+    shadows = [
+        add_draped_shadows(plotter, look, bodies, terrain, sun, radius),
+        add_draped_patches(plotter, look, terrain, half_extents, radius),
+        add_draped_contacts(plotter, look, creature, terrain, radius),
+    ]
+    return moving, shadows
+
+
+def _laid_down(
+    path: np.ndarray, ground: float | Terrain, surface: float | None, radius: float
+) -> np.ndarray:
+    """A way on the ground, or through the water where there is water."""
+    if not isinstance(ground, Terrain):
+        return path * [1.0, 1.0, 0.0] + [0.0, 0.0, ground]
+    lift = LIFT * radius
+    low = ground.height(path[:, :2]) + lift
+    top = low if surface is None else np.maximum(low, surface + lift)
+    return np.column_stack([path[:, :2], np.clip(path[:, 2], low, top)])
+
+
+def _surface_is_seen(creature: Creature, clip: Clip, ground: Ground | None, surface: float) -> bool:
+    """Whether the animal, or land near its way, rises out of the water."""
+    half = np.array([body.shape.half_extents for body in creature.bodies])
+    if (clip.position[..., 2] + (np.abs(clip.rotation[..., 2, :]) * half).sum(-1)).max() > surface:
+        return True
+    if ground is None:
+        return False
+    near = _NEARBY * _radius(creature, clip)
+    way = clip.position.reshape(-1, 3)[:, :2]
+    return bool(make_terrain(ground.floor, way, near / 4, near).z.max() > surface)
+
+
+def _radius(creature: Creature, clip: Clip) -> float:
+    """Distance of the animal's far ends from its middle at the start, m."""
+    start = clip.position[0]
+    return float(np.linalg.norm(start - start.mean(0), axis=-1).max()) + _reach(creature)
 
 
 def _reach(creature: Creature) -> float:

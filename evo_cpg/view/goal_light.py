@@ -11,7 +11,7 @@ def add_goal_light(
     plotter: pv.Plotter,
     look: Look,
     goal: np.ndarray,
-    height: float,
+    height: float | None,
     radius: float,
     sight: np.ndarray,
 ) -> None:
@@ -21,19 +21,20 @@ def add_goal_light(
         plotter: draws it.
         look: of the world.
         goal: place of the light ``(3,)``, m.
-        height: z of the floor, m.
+        height: z of the level floor, m; None to leave the pool to `evo_cpg.view.relief`.
         radius: of the animal, m.
         sight: the camera's fixed direction of view ``(3,)``, which the halo faces.
     """
-    pool = pv.Plane(
-        center=(goal[0], goal[1], height),
-        i_size=3.6 * radius,
-        j_size=3.6 * radius,
-        i_resolution=1,
-        j_resolution=1,
-    )
-    shine = spot_texture(look.halo, look.glow, sharpness=3.0)
-    plotter.add_mesh(pool, texture=shine, lighting=False)
+    if height is not None:
+        pool = pv.Plane(
+            center=(goal[0], goal[1], height),
+            i_size=3.6 * radius,
+            j_size=3.6 * radius,
+            i_resolution=1,
+            j_resolution=1,
+        )
+        shine = spot_texture(look.halo, look.glow, sharpness=3.0)
+        plotter.add_mesh(pool, texture=shine, lighting=False)
     core = 0.075 * radius
     plotter.add_mesh(
         pv.Sphere(radius=core, center=goal, theta_resolution=32, phi_resolution=24),

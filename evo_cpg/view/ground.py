@@ -101,7 +101,7 @@ def add_numbers(
     look: Look,
     marks: Marks,
     path: np.ndarray,
-    height: float,
+    height: float | Callable[[np.ndarray], np.ndarray],
     radius: float,
     sight: np.ndarray,
     away: float,
@@ -113,7 +113,8 @@ def add_numbers(
         look: of the world.
         marks: where they lie.
         path: of the animal ``(frames, 3)``, m.
-        height: z of the ground, m.
+        height: z of the ground, m; where it varies a function of x and y ``(n, 2)``, which is not
+            finite where no number shall stand.
         radius: of the animal, m.
         sight: the camera's fixed direction of view ``(3,)``, from which they are read.
         away: distance of the camera from its focus, m.
@@ -140,8 +141,12 @@ def add_numbers(
         # To the right of its line.
         flat[:, 0] += 0.7 * size - flat[:, 0].min()
         place = middle + flat @ np.stack([across, ahead])
-        digit.points = np.column_stack([place, np.full(len(place), height)])
-        digits.append(digit)
+        high = height(place) if callable(height) else np.full(len(place), height)
+        digit.points = np.column_stack([place, high])
+        if np.isfinite(high).all():
+            digits.append(digit)
+    if not digits:
+        return lambda focus: None
     mesh = pv.merge(digits).extract_surface(algorithm=None)
     place = np.asarray(mesh.points)[:, :2].copy()
     rgba = np.tile(pv.Color(look.text).int_rgba, (len(place), 1)).astype(np.uint8)

@@ -101,3 +101,15 @@ LOOKS = {
         zenith="#7fb0dc",
     ),
 }
+
+# Where water has a surface that is seen from above.
+SHORE = dataclasses.replace(
+    LOOKS["land"],
+    distance="#dfebf1",
+    floor=("#bfa77a", "#eedcb1"),
+    grid="#7d6b4a",
+    zenith="#6ea8dc",
+    elevation=np.radians(20),
+    side_elevation=np.radians(15),
+    particles=True,
+)

@@ -7,8 +7,9 @@ from typing import cast
 import numpy as np
 import pyvista as pv
 from vtkmodules.util.numpy_support import vtk_to_numpy
-from vtkmodules.vtkCommonCore import vtkUnsignedCharArray
+from vtkmodules.vtkCommonCore import vtkInformation, vtkUnsignedCharArray
 from vtkmodules.vtkRenderingCore import vtkRenderWindow
+from vtkmodules.vtkRenderingOpenGL2 import vtkOpenGLActor
 
 
 @contextlib.contextmanager
@@ -39,3 +40,10 @@ def pixels(plotter: pv.Plotter) -> np.ndarray:
     window = cast(vtkRenderWindow, plotter.render_window)
     window.GetPixelData(0, 0, width - 1, height - 1, 0, buffer, 0)
     return vtk_to_numpy(buffer).reshape(height, width, 3)
+
+
+def write_depth(actor: pv.Actor) -> None:
+    """Let a translucent actor hide what is drawn later and lies behind it."""
+    keys = vtkInformation()
+    keys.Set(vtkOpenGLActor.GLDepthMaskOverride(), 1)
+    actor.SetPropertyKeys(keys)

@@ -3,28 +3,43 @@
 import numpy as np
 import pyvista as pv
 
+from evo_cpg.view.terrain import Terrain
+
 _PARTICLES = 1200
 _PARTICLE = "#d9fff6"
 _PARTICLE_SEED = 20101
 
 
 def add_particles(
-    plotter: pv.Plotter, path: np.ndarray, floor: float, radius: float, scale: float
+    plotter: pv.Plotter,
+    path: np.ndarray,
+    floor: float | Terrain,
+    radius: float,
+    scale: float,
+    surface: float | None = None,
 ) -> None:
     """Specks at rest in the world.
 
     Args:
         plotter: draws them.
         path: points around which they float ``(n, 3)``, m.
-        floor: z below which there are none, m.
+        floor: z below which there are none, m, or ground of many heights.
         radius: of the animal, m.
         scale: pixels rendered per pixel of the film.
+        surface: of the water, above which there are none, m.
     """
     generator = np.random.default_rng(_PARTICLE_SEED)
     low, high = path.min(0) - 3 * radius, path.max(0) + 3 * radius
-    low[2], high[2] = floor, path[:, 2].max() + 1.2 * radius
+    high[2] = path[:, 2].max() + 1.2 * radius
+    if surface is not None:
+        high[2] = min(high[2], surface)
+    low[2] = min(floor.z.min(), high[2]) if isinstance(floor, Terrain) else floor
     points = generator.uniform(low, high, (_PARTICLES, 3))
+    if isinstance(floor, Terrain):
+        points = points[points[:, 2] > floor.height(points[:, :2])]
     for chosen, size, opacity in ((points[::4], 2.1, 0.5), (points[1::2], 1.3, 0.35)):
+        if not len(chosen):
+            continue
         plotter.add_mesh(
             pv.PolyData(chosen),
             color=_PARTICLE,

@@ -277,7 +277,7 @@ def test_over_ground_a_creature_starts_on_it():
     def start(**changes):
         simulation = build_experiment(check_config(small(**changes), "x.yaml"), "x.yaml").simulation
         assert isinstance(simulation.task, ReachLight)
-        return simulation.start_height, simulation.task.light
+        return simulation.start_position[2], simulation.task.light
 
     hanging = {
         "creature__bodies__1__joint__at": [0, 0, -0.1],
@@ -321,7 +321,7 @@ def test_the_walkers_of_fukui_2003(model, bits, height):
     simulation = experiment.simulation
     assert simulation.controller.gene_count == bits
     assert simulation.steps / simulation.control_rate == 20
-    assert simulation.start_height == pytest.approx(height)
+    assert simulation.start_position[2] == pytest.approx(height)
     assert experiment.genetics == BitGenetics()
     assert {
         (body.material.restitution, body.joint is None) for body in experiment.creature.bodies
@@ -331,7 +331,7 @@ def test_the_walkers_of_fukui_2003(model, bits, height):
     }
     centres, rotations = neutral_pose(experiment.creature)
     feet = [
-        centre[2] - body.shape.half_extents[2] + simulation.start_height
+        centre[2] - body.shape.half_extents[2] + simulation.start_position[2]
         for body, centre in zip(experiment.creature.bodies, centres, strict=True)
         if body.name.endswith("lower")
     ]
@@ -446,6 +446,42 @@ def test_wrong_overrides_are_refused(override, expected):
     with pytest.raises(ConfigError) as caught:
         load_config(CONFIG, [override])
     assert expected in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_water_with_a_surface_is_built():
+    water = {
+        "surface": 0.5,
+        "added_mass": True,
+        "current_gradient": [[0, 0, 0.5], [0, 0, 0], [0, 0, 0]],
+        "vortices": [{"centre": [1, 2], "circulation": 3, "core": 0.2}],
+    }
+    world = build_experiment(check_config(small(world={"water": water}), "x.yaml"), "x.yaml")
+    world = world.simulation.world
+    assert world.water.surface == 0.5
+    assert world.water.gradient[0] == (0, 0, 0.5)
+    assert world.water.vortices[0].core == 0.2
+    assert world.added_inertia.shape == (6, 6, 2)
+    assert [cells.bodies for cells in world.cells] == [(0, 1)]
+    everywhere = build_experiment(check_config(small(), "x.yaml"), "x.yaml").simulation.world
+    assert everywhere.cells == () and everywhere.added_inertia is None
+
+
+@pytest.mark.parametrize(
+    ("water", "expected"),
+    [
+        ({"surfce": 0}, "world.water.surfce: unknown key; did you mean 'surface'?"),
+        (
+            {"current_gradient": [[0.2, 0, 0], [0, 0.1, 0], [0, 0, 0]]},
+            "water keeps its volume, so the diagonal must add up to 0",
+        ),
+        (
+            {"vortices": [{"circulation": 1, "core": 0}]},
+            "world.water.vortices.0.core: 0: input should be greater than 0",
+        ),
+    ],
+)
+def test_wrong_water_is_refused(water, expected):
+    assert expected in problem(small(world={"water": water}))
 
 
 def test_overrides_apply_in_order_and_reach_everything():

@@ -2,26 +2,21 @@
 
 import dataclasses
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from creatures import quick_jit
-from evo_cpg.creature.creature import Body, Creature, Material
-from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
-from evo_cpg.creature.tree import build_tree
-from evo_cpg.physics.contact import Ground, combine, find_contacts, make_footing
+from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Sphere
+from evo_cpg.physics.contact import combine, find_contacts
 from evo_cpg.physics.kinematics import kinematics
-from evo_cpg.physics.state import State, resting_state
-from evo_cpg.physics.step import step
+from evo_cpg.physics.state import State
+from evo_cpg.physics.terrain import Plane
 from evo_cpg.physics.world import World
 from evo_cpg.spatial.rotation import quaternion_to_matrix
+from on_ground import GRAVITY, H, alone, record, recorder, released
 
-H = 1 / 240
-GRAVITY = 9.81
-DENSITY = 300.0
 # The lines' stiffness c h is 60 times the mass of a single body at each place that touches.
 STIFFNESS = 60
 
@@ -31,33 +26,6 @@ SHAPES = {
     "capsule": Capsule(0.05, 0.3),
     "ellipsoid": Ellipsoid((0.15, 0.1, 0.06)),
 }
-
-
-def alone(
-    shape: Shape, restitution: float = 0.0, static: float = 0.5, dynamic: float = 0.5, **ground
-) -> World:
-    """One body over ground of the same friction that gives back all that the body does."""
-    material = Material(DENSITY, restitution, static, dynamic)
-    creature = Creature("alone", (Body("body", shape, material),))
-    tree = build_tree(creature)
-    floor = Ground(
-        restitution=1.0,
-        static_friction=static,
-        dynamic_friction=dynamic,
-        restitution_rule="multiply",
-        friction_rule="geometric",
-        **ground,
-    )
-    return World(tree, GRAVITY, footing=make_footing(creature, tree, floor))
-
-
-def released(world: World, position, velocity=0.0, orientation=(1.0, 0.0, 0.0, 0.0)) -> State:
-    """A body at ``position`` (3, n) with ``velocity`` (6, n), angular first."""
-    position = jnp.asarray(position, jnp.float64)
-    count = position.shape[1]
-    state = resting_state(world.tree, (count,), jnp.float64, orientation=orientation)
-    velocity = jnp.broadcast_to(jnp.asarray(velocity, jnp.float64), (6, count))
-    return dataclasses.replace(state, position=position, velocity=velocity)
 
 
 def above(count: int, heights) -> np.ndarray:
@@ -71,29 +39,6 @@ def kept_speed(restitution: float, places: int) -> float:
     The stiffness k = 60 per place takes that much at any h: 2.6 % of a ball's speed at e = 0.6.
     """
     return restitution - (1 + restitution) / (1 + STIFFNESS * places)
-
-
-def recorder(world: World, steps: int, h: float = H):
-    """A function of the state, and of the restitution of every place: states and supports."""
-
-    @quick_jit
-    def run(state, restitution):
-        changed = eqx.tree_at(
-            lambda w: w.footing, world, world.footing._replace(restitution=restitution)
-        )
-
-        def advance(s, _):
-            s, effort = step(changed, s, jnp.zeros_like(s.q), h)
-            return s, (s, effort.support)
-
-        return jax.lax.scan(advance, state, None, steps)[1]
-
-    return run
-
-
-def record(world: World, state: State, steps: int, h: float = H):
-    """States and supports at every step."""
-    return recorder(world, steps, h)(state, jnp.asarray(world.footing.restitution))
 
 
 def random_turns(count: int, seed: int = 0) -> np.ndarray:
@@ -188,7 +133,7 @@ def on_slope(degrees: float, tall: float):
     """A block on a slope that falls towards +x; and the direction downhill."""
     angle = np.deg2rad(degrees)
     normal = (float(np.sin(angle)), 0.0, float(np.cos(angle)))
-    world = alone(Box((0.2, 0.2, tall)), static=0.5, dynamic=0.4, normal=normal)
+    world = alone(Box((0.2, 0.2, tall)), static=0.5, dynamic=0.4, floor=Plane(normal))
     turned = (np.cos(angle / 2), 0.0, np.sin(angle / 2), 0.0)
     state = released(world, np.array(normal)[:, None] * tall / 2, orientation=turned)
     return world, state, np.array([np.cos(angle), 0.0, -np.sin(angle)])
@@ -308,7 +253,7 @@ def test_an_ellipsoid_lies_still_and_rocks():
 def test_a_block_rests_on_the_ground_at_its_height():
     """Under 2 mm deep on ground 1.7 m up, after a fall of 0.2 m, and the ground carries it."""
     height = 1.7
-    world = alone(SHAPES["box"], 0.5, height=height)
+    world = alone(SHAPES["box"], 0.5, floor=Plane(height=height))
     states, support = record(world, released(world, above(1, height + 0.25)), 720)
     rest = np.asarray(states.position)[-1, 2, 0] - height - 0.05
     weight = GRAVITY * world.tree.mass.sum()

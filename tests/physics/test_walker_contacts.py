@@ -73,9 +73,7 @@ def walk():
 
         @quick_jit
         def run(genes):
-            state = resting_state(
-                world.tree, (WALKERS,), position=(0.0, 0.0, simulation.start_height)
-            )
+            state = resting_state(world.tree, (WALKERS,), position=simulation.start_position)
             nerves = controller.initial_state((WALKERS,), jnp.float32)
             observed = Observation(nothing, nothing, nothing, nothing, still, still)
 

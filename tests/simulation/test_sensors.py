@@ -1,5 +1,7 @@
 """Eyes against eq. 1 and plain geometry."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,9 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from evo_cpg.creature.tree import build_tree
+from evo_cpg.physics.contact import Ground, make_footing
+from evo_cpg.physics.fluid import Water
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import State, resting_state
-from evo_cpg.simulation.sensors import light_strength, place_sensors, see
+from evo_cpg.physics.world import World
+from evo_cpg.simulation.sensors import feel, light_strength, place_sensors, see
 from evo_cpg.spatial.rotation import euler_to_matrix
 from trials import EYES, swimmer
 
@@ -95,3 +100,30 @@ def quaternion(rotation: np.ndarray) -> np.ndarray:
     w = np.sqrt(1 + np.trace(rotation)) / 2
     skew = rotation - rotation.T
     return np.array([w, *(np.array([skew[2, 1], skew[0, 2], skew[1, 0]]) / (4 * w))])
+
+
+def test_the_skin_feels_the_ground_but_under_water_only_what_presses_harder():
+    """At 0.5 m the water presses with 4.9 kPa on the cross-section of the tail."""
+    creature = swimmer(EYES)
+    tree = build_tree(creature)
+    creature = dataclasses.replace(creature, pressure_sensors=tree.names)
+    sensors = place_sensors(creature, tree)
+    footing = make_footing(creature, tree, Ground())
+    kin = kinematics(tree, resting_state(tree, (3,), position=(0.0, 0.0, -0.5)))
+    touched = np.array(footing.bodies) == 1
+    area = tree.volume[1] ** (2 / 3)
+    weight = 1000 * 9.81 * 0.5 * area
+    support = np.zeros((3, len(footing.bodies), 3))
+    support[2, np.flatnonzero(touched)[:2]] = np.array([0.0, 0.49 * weight, 0.51 * weight])
+    support = jnp.asarray(support, jnp.float32)
+
+    def felt(water):
+        return np.asarray(feel(sensors, World(tree, 9.81, water, footing=footing), kin, support))
+
+    np.testing.assert_array_equal(felt(None), [[0, 0, 0], [0, 1, 1]])
+    np.testing.assert_array_equal(felt(Water(1000.0, 1.0, 0.02)), [[0, 0, 0], [0, 1, 1]])
+    np.testing.assert_array_equal(
+        felt(Water(1000.0, 1.0, 0.02, surface=0.0)), [[0, 0, 0], [0, 0, 1]]
+    )
+    afloat = World(tree, 9.81, Water(1000.0, 1.0, 0.02))
+    np.testing.assert_array_equal(feel(sensors, afloat, kin, None), np.zeros((2, 3)))

@@ -10,6 +10,7 @@ from evo_cpg.spatial.rotation import (
     axis_rotation,
     euler_to_matrix,
     integrate_quaternion,
+    matrix_to_euler,
     quaternion_product,
     quaternion_to_matrix,
 )
@@ -90,3 +91,14 @@ def test_roll_pitch_yaw():
     for angles in np.random.default_rng(5).uniform(-3, 3, (10, 3)):
         expected = Rotation.from_euler("xyz", angles).as_matrix()
         np.testing.assert_allclose(euler_to_matrix(*angles), expected, atol=1e-14)
+
+
+def test_euler_angles_of_a_matrix_give_the_matrix():
+    """Also where the pitch is 90 degrees, or all but, and the angles are not unique."""
+    poles = [
+        euler_to_matrix(roll, pitch, yaw)
+        for roll, yaw in ((0.3, -1.1), (2.0, 2.0))
+        for pitch in (np.pi / 2, -np.pi / 2, np.pi / 2 - 1e-9)
+    ]
+    for matrix in [*turns(4).as_matrix(), *poles]:
+        np.testing.assert_allclose(euler_to_matrix(*matrix_to_euler(matrix)), matrix, atol=1e-15)

@@ -55,7 +55,7 @@ def test_bodies_touch_the_floor_alone(model):
 
 def test_mujoco_takes_the_postures_of_the_controller(quadruped):
     """In free fall nothing keeps a joint from where its spring pulls: 1/3 s is 17 of k/c."""
-    simulation = dataclasses.replace(quadruped.simulation, start_height=20.0)
+    simulation = dataclasses.replace(quadruped.simulation, start_position=(0.0, 0.0, 20.0))
     world, h, steps = simulation.world, simulation.step_length, 160
     assert posture_numbers(simulation, steps + 1).tolist() == [0] * 80 + [1] * 80 + [2]
     walk = mujoco_walk(quadruped._replace(simulation=simulation), GENES, 1, steps)

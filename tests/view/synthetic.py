@@ -207,6 +207,33 @@ def walk(seconds: float = 20.0, rate: float = 60.0, course: float = 0.0) -> Reco
     )
 
 
+def over(recording: Recording, height, ahead: float = 0.3) -> Recording:
+    """The same motion, made for the ground z = 0, carried over hills.
+
+    At every instant the whole animal is lifted to the height below its middle and tilted, about the
+    point there, to the slope within ``ahead`` (m).
+
+    Args:
+        recording: on level ground.
+        height: a function of x and y ``(n, 2)``, m.
+        ahead: half of the animal's length.
+    """
+    middle = recording.position.mean(1)[:, :2]
+    east, north = np.array([ahead, 0.0]), np.array([0.0, ahead])
+    slope = [(height(middle + d) - height(middle - d)) / (2 * ahead) for d in (east, north)]
+    up = np.column_stack([-slope[0], -slope[1], np.ones(len(middle))])
+    up /= np.linalg.norm(up, axis=1, keepdims=True)
+    right = np.cross(up, [1.0, 0.0, 0.0])
+    right /= np.linalg.norm(right, axis=1, keepdims=True)
+    tilt = np.stack([np.cross(right, up), right, up], -1)
+    foot = np.column_stack([middle, np.zeros(len(middle))])
+    position = np.einsum("tij,tbj->tbi", tilt, recording.position - foot[:, None])
+    foot[:, 2] = height(middle)
+    return recording._replace(
+        position=position + foot[:, None], rotation=tilt[:, None] @ recording.rotation
+    )
+
+
 def lowest_points(creature: Creature, recording: Recording) -> np.ndarray:
     """Height of the lowest corner of every body's bounding box ``(t, b)``, m."""
     half = np.array([body.shape.half_extents for body in creature.bodies])

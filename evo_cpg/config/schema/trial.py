@@ -4,7 +4,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from evo_cpg.config.schema.section import Count, NotNegative, Positive, Section
+from evo_cpg.config.schema.section import Count, Finite, NotNegative, Positive, Section
 
 
 class SimulationConfig(Section):
@@ -14,13 +14,17 @@ class SimulationConfig(Section):
         control_rate_hz: control steps per second, 1/s.
         substeps: physics steps in a control step.
         steps: control steps.
-        start_clearance: of the creature's lowest point above the ground at the start, m.
+        start: x and y of the root's centre at the start, m.
+        start_heading_deg: by which it is turned to the left at the start, degrees.
+        start_clearance: of the creature above the ground at the start, m.
         trials: of every individual, over which its fitness is averaged; one without noise.
     """
 
     control_rate_hz: Positive = 60.0
     substeps: Count = 2
     steps: Count = 2000
+    start: tuple[Finite, Finite] = (0.0, 0.0)
+    start_heading_deg: Finite = 0.0
     start_clearance: NotNegative = 0.0
     trials: Annotated[int, Field(ge=1, le=10_000)] = 1
 

@@ -2,21 +2,42 @@
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
-from evo_cpg.config.schema.section import NotNegative, Positive, Section, Share, Vector
-from evo_cpg.physics.contact import Combination
+from evo_cpg.config.schema.ground import GroundConfig
+from evo_cpg.config.schema.section import Finite, NotNegative, Positive, Section, Vector
 from evo_cpg.physics.fluid import DragLaw
+
+# Relative to the largest element of a gradient: what typing decimals leaves.
+_TRACE_TOLERANCE = 1e-6
+
+
+class VortexConfig(Section):
+    """Water that circles an upright axis.
+
+    Attributes:
+        centre: x and y of the axis, m.
+        circulation: far from the axis, counterclockwise seen from above, m^2/s.
+        core: distance from the axis at which the water is fastest, m.
+    """
+
+    centre: tuple[Finite, Finite] = (0.0, 0.0)
+    circulation: Finite
+    core: Positive
 
 
 class WaterConfig(Section):
-    """Water around the whole creature.
+    """Water around the whole creature, or up to a surface.
 
     Attributes:
         density: kg/m^3.
         form_drag: C_d of the normal velocity at every surface point.
         skin_drag: C_f of the tangential velocity.
-        current: velocity of the water, m/s.
+        surface: height of its surface, m; null for water everywhere.
+        added_mass: bodies set the water around them in motion, as in ideal fluid.
+        current: velocity of the water, m/s; with a gradient, at the origin.
+        current_gradient: how the current's components (rows) change along x, y and z, 1/s.
+        vortices: on top of the current.
         law: ``normal`` splits the drag as above; ``isotropic`` is eq. 8 to the letter.
         sheltered: leave out faces that other bodies cover at rest.
         points: ``quadrature`` places the points evenly; ``random`` draws them once, as the paper
@@ -30,7 +51,11 @@ class WaterConfig(Section):
     density: Positive = 1000.0
     form_drag: NotNegative = 1.0
     skin_drag: NotNegative = 0.02
+    surface: Finite | None = None
+    added_mass: bool = False
     current: Vector = (0.0, 0.0, 0.0)
+    current_gradient: tuple[Vector, Vector, Vector] | None = None
+    vortices: tuple[VortexConfig, ...] = ()
     law: DragLaw = "normal"
     sheltered: bool = True
     points: Literal["quadrature", "random"] = "quadrature"
@@ -39,27 +64,17 @@ class WaterConfig(Section):
     random_points: Annotated[int, Field(ge=1, le=10_000)] = 32
     points_seed: Annotated[int, Field(ge=0)] = 0
 
-
-class GroundConfig(Section):
-    """Flat, level ground at height 0.
-
-    Attributes:
-        restitution: of the ground's material.
-        static_friction: of the ground's material.
-        dynamic_friction: of the ground's material.
-        restitution_rule: how the body's and the ground's restitution combine.
-        friction_rule: how their frictions combine.
-        margin: points nearer than this are watched for an impact, m.
-        stribeck_speed: sliding speed at which friction is half-way from static to dynamic, m/s.
-    """
-
-    restitution: Share = 0.5
-    static_friction: NotNegative = 0.8
-    dynamic_friction: NotNegative = 0.8
-    restitution_rule: Combination = "multiply"
-    friction_rule: Combination = "geometric"
-    margin: Positive = 0.05
-    stribeck_speed: Positive = 0.01
+    @field_validator("current_gradient")
+    @classmethod
+    def _keeps_its_volume(cls, gradient: tuple[Vector, Vector, Vector] | None):
+        if gradient is not None:
+            total = sum(gradient[i][i] for i in range(3))
+            if abs(total) > _TRACE_TOLERANCE * max(abs(x) for row in gradient for x in row):
+                raise ValueError(
+                    "water keeps its volume, so the diagonal must add up to 0 (a shear has none: "
+                    f"[[0, 0, 0.5], [0, 0, 0], [0, 0, 0]]); it adds up to {total:g}"
+                )
+        return gradient
 
 
 class WorldConfig(Section):

@@ -1,0 +1,117 @@
+"""From the configuration of the ground to the ground."""
+
+from pathlib import Path
+
+import numpy as np
+
+from evo_cpg.config.errors import ConfigError
+from evo_cpg.config.schema.ground import (
+    MOST_HEIGHTS,
+    BlockConfig,
+    BoulderConfig,
+    GroundConfig,
+    HillsConfig,
+    PlaneConfig,
+    ReliefConfig,
+    ShoreConfig,
+)
+from evo_cpg.physics.contact import Ground
+from evo_cpg.physics.terrain import Block, Boulder, Part, Plane, Relief, Shore
+
+_ARRAYS, _TABLES, _IMAGES = (".npy",), (".csv", ".txt"), (".png", ".jpg", ".jpeg", ".tif", ".tiff")
+
+
+def build_ground(config: GroundConfig) -> Ground:
+    """The ground that a configuration describes."""
+    material = config.model_dump(exclude={"floor", "obstacles"})
+    obstacles = tuple(_obstacle(obstacle) for obstacle in config.obstacles)
+    return Ground(**material, floor=_floor(config.floor), obstacles=obstacles)
+
+
+def _floor(config: PlaneConfig | ShoreConfig | HillsConfig | ReliefConfig) -> Part:
+    if isinstance(config, PlaneConfig):
+        slope, downhill = np.deg2rad([config.slope_deg, config.downhill_deg])
+        normal = (
+            float(np.sin(slope) * np.cos(downhill)),
+            float(np.sin(slope) * np.sin(downhill)),
+            float(np.cos(slope)),
+        )
+        return Plane(normal, config.height * normal[2])
+    if isinstance(config, ShoreConfig):
+        return Shore(**config.model_dump(exclude={"type"}))
+    heights = _hills(config) if isinstance(config, HillsConfig) else np.array(config.heights)
+    corner = None if isinstance(config, HillsConfig) else config.corner
+    if corner is None:
+        x, y = (-(count - 1) / 2 * config.spacing for count in heights.shape)
+        corner = (x, y)
+    return Relief(heights, corner, config.spacing)
+
+
+def _obstacle(config: BoulderConfig | BlockConfig) -> Part:
+    if isinstance(config, BoulderConfig):
+        return Boulder(config.centre, config.radius)
+    x, y, z = config.size
+    return Block(config.centre, (x / 2, y / 2, z / 2), float(np.deg2rad(config.heading_deg)))
+
+
+def _hills(config: HillsConfig) -> np.ndarray:
+    """Smoothed noise ``(n, n)``, 0 at the origin and nearly so around it, m."""
+    count = round(config.size / config.spacing) + 1
+    place = (np.arange(count) - (count - 1) / 2) * config.spacing
+    noise = np.random.default_rng(config.seed).normal(size=(count, count))
+    # A Gaussian in the frequencies; waves longer than `length` remain.
+    wave = 2 * np.pi * np.fft.fftfreq(count, config.spacing)
+    width = config.length / 4
+    soft = np.exp(-0.5 * width**2 * (wave[:, None] ** 2 + wave[None] ** 2))
+    heights = np.fft.ifft2(np.fft.fft2(noise) * soft).real
+    heights = heights * (config.height / max(heights.std(), np.finfo(float).tiny))
+    away = np.hypot(*np.meshgrid(place, place, indexing="ij"))
+    return heights * (1 - np.exp(-0.5 * (away / max(config.clearing, config.spacing)) ** 2))
+
+
+def read_heights(path: Path, lowest: float, highest: float) -> list[list[float]]:
+    """Heights from an array (.npy), a table (.csv, .txt) or an image, m.
+
+    Args:
+        path: the file. The first axis of an array, and a line of a table, is x; an image is seen
+            from above, its right edge straight ahead.
+        lowest: height of black, m; only for images.
+        highest: height of white, m.
+
+    Raises:
+        ConfigError: there is no such file, or it does not hold a grid of numbers.
+    """
+    where = ("world", "ground", "floor", "file")
+    known = (*_ARRAYS, *_TABLES, *_IMAGES)
+    if path.suffix.lower() not in known:
+        raise ConfigError(path, where, f"{path.suffix!r} is not known; allowed: {', '.join(known)}")
+    if not path.is_file():
+        raise ConfigError(path, where, "no such file")
+    try:
+        if path.suffix.lower() in _ARRAYS:
+            heights = np.load(path, allow_pickle=False)
+        elif path.suffix.lower() in _TABLES:
+            heights = np.loadtxt(path, delimiter="," if path.suffix.lower() == ".csv" else None)
+        else:
+            heights = _image(path, lowest, highest)
+        heights = np.asarray(heights, float)
+    except Exception as error:
+        # Whatever the readers raise is about the file.
+        raise ConfigError(path, where, f"cannot be read ({error})") from None
+    if heights.ndim != 2 or not np.isfinite(heights).all():
+        raise ConfigError(path, where, f"must hold a grid of finite numbers, not {heights.shape}")
+    if not all(2 <= count <= MOST_HEIGHTS for count in heights.shape):
+        size = " x ".join(map(str, heights.shape))
+        raise ConfigError(path, where, f"{size} heights; allowed: 2 to {MOST_HEIGHTS} each way")
+    return heights.tolist()
+
+
+def _image(path: Path, lowest: float, highest: float) -> np.ndarray:
+    from matplotlib.image import imread
+
+    pixels = np.asarray(imread(path), float)
+    if np.asarray(imread(path)).dtype == np.uint8:
+        pixels = pixels / 255
+    grey = pixels if pixels.ndim == 2 else pixels[..., :3].mean(-1)
+    # Rows go down in the picture, which is to the right on the ground.
+    return lowest + (highest - lowest) * grey[::-1].T

@@ -1,0 +1,1 @@
+"""Creatures from and for other programs: MuJoCo's MJCF."""

@@ -1,0 +1,94 @@
+"""A file as MuJoCo understands it, and how its elements are called and refused."""
+
+import importlib
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from evo_cpg.exchange.errors import ExchangeError
+
+# Relative differences that nobody would tell apart, and digits that are written.
+TOLERANCE = 1e-6
+_DIGITS = 12
+
+# Those of the world's elements belong to this body.
+WORLD = 0
+
+
+class Compiled(NamedTuple):
+    """MuJoCo, and what it made of a file.
+
+    Attributes:
+        mujoco: the module.
+        model: the compiled model.
+        source: the file, for messages.
+    """
+
+    mujoco: Any
+    model: Any
+    source: Path
+
+    def named(self, kind: str, number: int) -> str:
+        """An element as it is called in messages."""
+        code = getattr(self.mujoco.mjtObj, f"mjOBJ_{kind.upper()}", None)
+        name = code is not None and self.mujoco.mj_id2name(self.model, code, number)
+        if name:
+            return f"{kind} {name!r}"
+        owner = {"joint": "jnt_bodyid", "geom": "geom_bodyid"}.get(kind)
+        if owner is None:
+            return f"{kind} number {number} (unnamed)"
+        return f"unnamed {kind} of {self.named('body', int(getattr(self.model, owner)[number]))}"
+
+    def refusal(self, kind: str, number: int, problem: str, allowed: str) -> ExchangeError:
+        """What to say of an element that no creature can have."""
+        what = self.named(kind, number)
+        return ExchangeError(f"{self.source}: {what}: {problem}; allowed: {allowed}")
+
+    def require_zero(self, kind: str, number: int, fields: dict[str, str], at: int) -> None:
+        """Refuse an element with a property that no creature has."""
+        for field, word in fields.items():
+            if np.any(getattr(self.model, field, np.zeros(at + 1))[at]):
+                raise self.refusal(kind, number, f"it has {word}", f"no {word}")
+
+
+def compile_model(path: Path) -> Compiled:
+    """Have MuJoCo read a file.
+
+    Raises:
+        ExchangeError: MuJoCo is missing or cannot load the file.
+    """
+    try:
+        mujoco = importlib.import_module("mujoco")
+    except ModuleNotFoundError:
+        raise ExchangeError(
+            "reading MJCF needs MuJoCo; install it with pip install 'evo-cpg[mujoco]'"
+        ) from None
+    if not path.is_file():
+        raise ExchangeError(f"{path}: no such file")
+    try:
+        model = mujoco.MjModel.from_xml_path(str(path))
+    except ValueError as error:
+        raise ExchangeError(
+            f"{path}: MuJoCo cannot load it: {' '.join(str(error).split())}"
+        ) from None
+    return Compiled(mujoco, model, path)
+
+
+def rotation(compiled: Compiled, quaternion: np.ndarray) -> np.ndarray:
+    """Rotation matrix ``(3, 3)`` of one of the model's quaternions."""
+    matrix = np.zeros(9)
+    compiled.mujoco.mju_quat2Mat(matrix, quaternion)
+    return matrix.reshape(3, 3)
+
+
+def tidy(value: float) -> float:
+    """A number without the digits that rounding in the compiler leaves."""
+    short = float(f"{value:.{_DIGITS}g}")
+    return short if abs(short) > 10.0**-_DIGITS else 0.0
+
+
+def tidy_vector(values: np.ndarray) -> tuple[float, float, float]:
+    """Three numbers as `tidy` has them."""
+    x, y, z = (tidy(value) for value in values)
+    return x, y, z

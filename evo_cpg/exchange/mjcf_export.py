@@ -1,0 +1,186 @@
+"""A creature and its world as a MuJoCo model (MJCF), without MuJoCo.
+
+| here | in MJCF |
+|---|---|
+| body, in its working frame at the joint | ``body``; the root's stands at its centre |
+| shape and density | one ``geom``, centred at ``-child_anchor``; capsules lie along z there |
+| joint axis | ``hinge`` at the body's origin, named ``body.1``, ``body.2``, ... |
+| motor with a spring | ``position``: ``kp`` is its stiffness, ``kv`` its gain |
+| motor without | ``velocity``: ``kv`` is its gain |
+| buoyancy | ``gravcomp``: density of the water over that of the body |
+| friction of a body on the ground | a ``pair`` of the two geoms |
+
+Masses, inertias, springs, dampers, rotors, motors, gravity and buoyancy are the same on both sides.
+What MJCF has no words for stays behind: drag and added mass, the surface of the water, restitution,
+static friction other than dynamic, sensors. How soft joint limits and contacts are is MuJoCo's own
+affair, with its defaults.
+"""
+
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element, SubElement
+
+import numpy as np
+
+from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, topological_order
+from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
+from evo_cpg.exchange.errors import ExchangeError
+from evo_cpg.exchange.mjcf_ground import add_ground
+from evo_cpg.exchange.mjcf_numbers import number_text, place_text
+from evo_cpg.physics.contact import Ground, combine
+from evo_cpg.physics.fluid import Water
+
+# MuJoCo has a body of this name in every model: the one that does not move.
+_WORLD = "world"
+
+
+def mjcf_model(
+    creature: Creature,
+    gravity: float,
+    ground: Ground | None = None,
+    water: Water | None = None,
+    height: float = 0.0,
+    time_step: float | None = None,
+) -> Element:
+    """The ``mujoco`` element of a creature in its world.
+
+    Args:
+        creature: the animal.
+        gravity: m/s^2, pulling along -z.
+        ground: that every body may touch, but no body another.
+        water: whose buoyancy carries the bodies, unless it has a surface.
+        height: of the root's centre at the start, m.
+        time_step: s; None for MuJoCo's own.
+
+    Raises:
+        CreatureError: the bodies do not form one tree.
+        ExchangeError: a body's name, a shape or a part of the ground that MJCF cannot hold.
+    """
+    topological_order(creature)
+    names = [body.name for body in creature.bodies]
+    if _WORLD in names:
+        raise ExchangeError(
+            f"body {_WORLD!r}: MuJoCo keeps this name for what does not move; rename the body"
+        )
+    root = Element("mujoco", model=creature.name)
+    SubElement(root, "compiler", angle="radian")
+    # The servos are too stiff for MuJoCo's other integrators at our steps.
+    option = SubElement(root, "option", gravity=number_text(0.0, 0.0, -gravity))
+    option.set("integrator", "implicitfast")
+    if time_step is not None:
+        option.set("timestep", number_text(time_step))
+    # A geom of the user's own collides with all of these, and they with none of each other.
+    default = SubElement(root, "default")
+    SubElement(default, "geom", contype="0", conaffinity="1", condim="3")
+    place = SubElement(root, "worldbody")
+    parts = add_ground(root, place, ground, names) if ground else []
+    _add_bodies(place, creature, water, height)
+    if ground:
+        contact = SubElement(root, "contact")
+        for part in parts:
+            for body in creature.bodies:
+                friction = combine(
+                    ground.friction_rule, body.material.dynamic_friction, ground.dynamic_friction
+                )
+                pair = SubElement(contact, "pair", geom1=part, geom2=body.name)
+                pair.set("friction", number_text(friction, friction))
+    actuator = SubElement(root, "actuator")
+    for body in creature.bodies:
+        motor = body.joint and body.joint.actuator
+        if motor:
+            for name in _joint_names(body):
+                _add_motor(actuator, name, motor)
+    return root
+
+
+def mjcf_text(model: Element) -> str:
+    """The model as indented XML."""
+    ElementTree.indent(model)
+    return ElementTree.tostring(model, encoding="unicode") + "\n"
+
+
+def _joint_names(body: Body) -> list[str]:
+    """Names of the hinges of a body, in the order of its axes."""
+    count = len(body.joint.axes) if body.joint else 0
+    return [f"{body.name}.{i + 1}" for i in range(count)]
+
+
+def _add_bodies(place: Element, creature: Creature, water: Water | None, height: float) -> None:
+    children: dict[str, list[Body]] = {}
+    for body in creature.bodies:
+        children.setdefault(body.joint.parent if body.joint else "", []).append(body)
+
+    def add(outer: Element, body: Body, parent_anchor: tuple[float, float, float]) -> None:
+        """A body in the frame of its parent's joint, which lies at ``parent_anchor``."""
+        joint = body.joint
+        own_anchor = joint.child_anchor if joint else (0.0, 0.0, 0.0)
+        element = SubElement(outer, "body", name=body.name)
+        if joint is None:
+            element.set("pos", number_text(0.0, 0.0, height))
+        else:
+            element.set("pos", place_text(np.subtract(joint.parent_anchor, parent_anchor)))
+            turn = np.array(joint.orientation)
+            if not np.array_equal(turn, np.eye(3)):
+                element.set("xyaxes", place_text(turn[:, :2].T.ravel()))
+        if water is not None and water.surface is None:
+            element.set("gravcomp", number_text(water.density / body.material.density))
+        if joint is None:
+            SubElement(element, "freejoint")
+        else:
+            _add_hinges(element, body, joint)
+        _add_geom(element, body, own_anchor)
+        for child in children.get(body.name, []):
+            add(element, child, own_anchor)
+
+    add(place, children[""][0], (0.0, 0.0, 0.0))
+
+
+def _add_hinges(element: Element, body: Body, joint: Joint) -> None:
+    springs = {"stiffness": joint.stiffness, "damping": joint.damping, "armature": joint.armature}
+    for name, axis, lower, upper in zip(
+        _joint_names(body), joint.axes, joint.lower, joint.upper, strict=True
+    ):
+        hinge = SubElement(
+            element, "joint", name=name, type="hinge", axis=place_text(np.array(axis))
+        )
+        hinge.set("limited", "true")
+        hinge.set("range", number_text(lower, upper))
+        for key, value in springs.items():
+            if value:
+                hinge.set(key, number_text(value))
+
+
+def _add_geom(element: Element, body: Body, anchor: tuple[float, float, float]) -> None:
+    geom = SubElement(element, "geom", {"name": body.name, **_solid(body.shape)})
+    if any(anchor):
+        geom.set("pos", place_text(np.negative(anchor)))
+    geom.set("density", number_text(body.material.density))
+    geom.set("friction", number_text(body.material.dynamic_friction))
+    if body.color:
+        red, green, blue = (int(body.color[i : i + 2], 16) / 255 for i in (1, 3, 5))
+        geom.set("rgba", number_text(red, green, blue, 1.0))
+
+
+def _solid(shape: Shape) -> dict[str, str]:
+    if isinstance(shape, Box):
+        return {"type": "box", "size": number_text(*shape.half_extents)}
+    if isinstance(shape, Sphere):
+        return {"type": "sphere", "size": number_text(shape.radius)}
+    if isinstance(shape, Ellipsoid):
+        return {"type": "ellipsoid", "size": number_text(*shape.half_extents)}
+    if isinstance(shape, Capsule):
+        size = number_text(shape.radius, shape.length / 2)
+        return {"type": "capsule", "size": size, "zaxis": number_text(1.0, 0.0, 0.0)}
+    raise ExchangeError(
+        f"a {type(shape).__name__} cannot be written as MJCF; "
+        "allowed: Box, Sphere, Ellipsoid, Capsule"
+    )
+
+
+def _add_motor(actuator: Element, joint: str, motor: Actuator) -> None:
+    kind = "position" if motor.stiffness else "velocity"
+    element = SubElement(actuator, kind, name=joint, joint=joint)
+    if motor.stiffness:
+        element.set("kp", number_text(motor.stiffness))
+    element.set("kv", number_text(motor.gain))
+    if np.isfinite(motor.torque_limit):
+        element.set("forcerange", number_text(-motor.torque_limit, motor.torque_limit))

@@ -1,0 +1,123 @@
+"""The ground and what stands on it, in MJCF.
+
+Planes, boulders and blocks are one geom each and exact. A shore is three slabs, of which the outer
+two end somewhere. A relief is a height field: MuJoCo halves its cells into triangles where ours are
+bilinear, and it ends at its edges where ours goes on level.
+"""
+
+from xml.etree.ElementTree import Element, SubElement
+
+import numpy as np
+
+from evo_cpg.exchange.errors import ExchangeError
+from evo_cpg.exchange.mjcf_numbers import number_text, place_text
+from evo_cpg.physics.contact import Ground
+from evo_cpg.physics.terrain import Block, Boulder, Part, Plane, Relief, Shore
+
+# How far slabs reach, and how thick they and height fields are, m: more than an animal walks in a
+# trial or sinks in a step.
+_FAR, _THICK = 100.0, 1.0
+
+
+def add_ground(root: Element, place: Element, ground: Ground, taken: list[str]) -> list[str]:
+    """Add the floor and the obstacles.
+
+    Args:
+        root: the ``mujoco`` element.
+        place: its ``worldbody``.
+        ground: what to add.
+        taken: names that geoms of the creature have.
+
+    Returns:
+        The names of the geoms.
+
+    Raises:
+        ExchangeError: a part that MJCF cannot hold.
+    """
+    parts = {"ground": ground.floor}
+    parts |= {f"obstacle{i + 1}": part for i, part in enumerate(ground.obstacles)}
+    names = []
+    for name, part in parts.items():
+        solids = _solids(root, name, part)
+        for i, solid in enumerate(solids):
+            unique = f"{name}.{i + 1}" if len(solids) > 1 else name
+            while unique in taken:
+                unique += "_"
+            geom = SubElement(place, "geom", {"name": unique, **solid})
+            geom.set("friction", number_text(ground.dynamic_friction))
+            names.append(unique)
+    return names
+
+
+def _solids(root: Element, name: str, part: Part) -> list[dict[str, str]]:
+    """Attributes of the geoms that a part consists of."""
+    if isinstance(part, Plane):
+        normal = np.array(part.normal) / np.linalg.norm(part.normal)
+        return [
+            {
+                "type": "plane",
+                "size": number_text(0.0, 0.0, 1.0),
+                "pos": place_text(part.height * normal),
+                "zaxis": place_text(normal),
+            }
+        ]
+    if isinstance(part, Boulder):
+        ball = {"type": "sphere", "size": number_text(part.radius)}
+        return [ball | {"pos": number_text(*part.centre)}]
+    if isinstance(part, Block):
+        box = {"type": "box", "size": number_text(*part.half_extents)}
+        turn = number_text(0.0, 0.0, part.heading)
+        return [box | {"pos": number_text(*part.centre), "euler": turn}]
+    if isinstance(part, Shore):
+        return _shore(part)
+    if isinstance(part, Relief):
+        return [_relief(root, name, part)]
+    raise ExchangeError(
+        f"ground with a {type(part).__name__} cannot be written as MJCF; "
+        "allowed: Plane, Boulder, Block, Shore, Relief"
+    )
+
+
+def _shore(part: Shore) -> list[dict[str, str]]:
+    """Slabs whose upper faces meet where the slope begins and ends."""
+    first = np.array([part.start, part.start_height])
+    last = np.array([part.stop, part.stop_height])
+    out = np.array([_FAR, 0.0])
+    slabs = []
+    for begin, end in ((first - out, first), (first, last), (last, last + out)):
+        length = float(np.linalg.norm(end - begin))
+        along, up = (end - begin) / length
+        middle = (begin + end) / 2 - _THICK / 2 * np.array([-up, along])
+        across = part.axis == "y"
+        size = (_FAR, length / 2) if across else (length / 2, _FAR)
+        centre = (0.0, middle[0]) if across else (middle[0], 0.0)
+        axes = (1, 0, 0, 0, along, up) if across else (along, 0, up, 0, 1, 0)
+        slabs.append(
+            {
+                "type": "box",
+                "size": number_text(*size, _THICK / 2),
+                "pos": place_text(np.array([*centre, middle[1]])),
+                "xyaxes": place_text(np.array(axes, float)),
+            }
+        )
+    return slabs
+
+
+def _relief(root: Element, name: str, part: Relief) -> dict[str, str]:
+    """A height field, with the heights in an asset of the same name."""
+    heights = np.asarray(part.heights, float)
+    lowest, rise = float(heights.min()), float(np.ptp(heights))
+    half = part.spacing * (np.array(heights.shape) - 1) / 2
+    asset = root.find("asset")
+    if asset is None:
+        asset = Element("asset")
+        # After compiler, option and default.
+        root.insert(3, asset)
+    field = SubElement(asset, "hfield", name=name)
+    field.set("ncol", str(heights.shape[0]))
+    field.set("nrow", str(heights.shape[1]))
+    # MuJoCo scales heights to 0 to 1, and has the last row first, as on a map.
+    field.set("size", number_text(*half, rise or 1.0, _THICK))
+    field.set("elevation", number_text(*(heights.T[::-1] - lowest).ravel()))
+    middle = np.array(part.corner) + half
+    return {"type": "hfield", "hfield": name, "pos": number_text(*middle, lowest)}

@@ -1,0 +1,90 @@
+"""Motors of a compiled model: position and velocity servos, and what passes for one."""
+
+import numpy as np
+
+from evo_cpg.config.schema.creature import ActuatorConfig
+from evo_cpg.exchange.compiled import TOLERANCE, Compiled, tidy
+
+_ZERO_OF_ACTUATOR = {
+    "actuator_delay": "delay",
+    "actuator_damping": "damping",
+    "actuator_dampingpoly": "damping polynomial",
+    "actuator_armature": "armature",
+}
+
+
+def read_motors(compiled: Compiled, motor_gain: float | None) -> dict[int, ActuatorConfig]:
+    """The motor of every joint that has one."""
+    model = compiled.model
+    motors: dict[int, ActuatorConfig] = {}
+    for number in range(model.nu):
+        joint = int(model.actuator_trnid[number, 0])
+        compiled.require_zero("actuator", number, _ZERO_OF_ACTUATOR, number)
+        on_joint = int(model.actuator_trntype[number]) == compiled.mujoco.mjtTrn.mjTRN_JOINT
+        if not on_joint or int(model.jnt_type[joint]) != compiled.mujoco.mjtJoint.mjJNT_HINGE:
+            raise compiled.refusal("actuator", number, "it drives no hinge", "joint=, a hinge")
+        if joint in motors:
+            raise compiled.refusal(
+                "actuator",
+                number,
+                f"it is the second that drives {compiled.named('joint', joint)}",
+                "one",
+            )
+        motors[joint] = _read_motor(compiled, number, joint, motor_gain)
+    return motors
+
+
+def _read_motor(
+    compiled: Compiled, number: int, joint: int, motor_gain: float | None
+) -> ActuatorConfig:
+    """One motor; the gear stretches the angle and multiplies the force."""
+    mujoco, model = compiled.mujoco, compiled.model
+    gear = float(model.actuator_gear[number, 0])
+    strength = float(model.actuator_gainprm[number, 0])
+    offset, stiffness, damping = -model.actuator_biasprm[number, :3]
+    affine = int(model.actuator_biastype[number]) == mujoco.mjtBias.mjBIAS_AFFINE
+    simple = (
+        gear != 0
+        and (affine or int(model.actuator_biastype[number]) == mujoco.mjtBias.mjBIAS_NONE)
+        and int(model.actuator_dyntype[number]) == mujoco.mjtDyn.mjDYN_NONE
+        and int(model.actuator_gaintype[number]) == mujoco.mjtGain.mjGAIN_FIXED
+    )
+    follows = offset == 0 and stiffness >= 0 and strength == (stiffness or damping)
+    if not simple or (affine and not follows):
+        raise compiled.refusal(
+            "actuator",
+            number,
+            "its law is not that of a servo",
+            "position, velocity, motor without dynamics of their own",
+        )
+    limits = [
+        (gear * model.actuator_forcerange[number], model.actuator_forcelimited[number]),
+        (model.jnt_actfrcrange[joint], model.jnt_actfrclimited[joint]),
+    ]
+    if not affine:
+        if motor_gain is None:
+            raise compiled.refusal(
+                "actuator",
+                number,
+                "it gives a torque, and our motors are servos",
+                "position, velocity, or --motor-gain, which makes velocity servos of torque motors",
+            )
+        # What a motor can give at most, its servo may.
+        command = gear * strength * model.actuator_ctrlrange[number]
+        limits.append((command, model.actuator_ctrllimited[number]))
+        stiffness, damping = 0.0, motor_gain / gear**2
+    elif not damping > 0:
+        raise compiled.refusal("actuator", number, "it is undamped", "a kv of more than 0")
+    torques = [torque for torque, given in limits if given]
+    if not affine and not torques:
+        raise compiled.refusal("actuator", number, "it has no limits", "ctrlrange or forcerange")
+    for lower, upper in torques:
+        if not np.isclose(-lower, upper, rtol=TOLERANCE):
+            raise compiled.refusal(
+                "actuator", number, f"its limits {lower:g} and {upper:g} differ", "equal limits"
+            )
+    return ActuatorConfig(
+        gain=tidy(gear**2 * damping),
+        stiffness=tidy(gear**2 * stiffness),
+        torque_limit=tidy(min(abs(float(upper)) for _, upper in torques)) if torques else None,
+    )

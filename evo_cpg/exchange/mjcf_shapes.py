@@ -1,0 +1,108 @@
+"""Bodies of a compiled model: the shape of each, its frame and its density."""
+
+import itertools
+from typing import NamedTuple
+
+import numpy as np
+
+from evo_cpg.config.schema.creature import (
+    BoxConfig,
+    CapsuleConfig,
+    EllipsoidConfig,
+    ShapeConfig,
+    SphereConfig,
+)
+from evo_cpg.exchange.compiled import TOLERANCE, Compiled, rotation, tidy, tidy_vector
+
+_ZERO_OF_GEOM = {"geom_adhesion": "adhesion", "geom_surfacevel": "surface velocity"}
+
+# Proper turns of a box onto itself: columns are its new axes in the old ones.
+_TURNS = [
+    turn
+    for order in itertools.permutations(np.eye(3))
+    for signs in itertools.product((1.0, -1.0), repeat=3)
+    if np.linalg.det(turn := np.array(order) * np.array(signs)) > 0
+]
+
+
+class Placed(NamedTuple):
+    """A body's shape, and its frame (ours) in the frame of MuJoCo's body."""
+
+    shape: ShapeConfig
+    centre: np.ndarray
+    turn: np.ndarray
+
+
+def only_geom(compiled: Compiled, body: int) -> int:
+    """The geom of a body, which must not have several."""
+    model = compiled.model
+    count = int(model.body_geomnum[body])
+    if count != 1:
+        raise compiled.refusal("body", body, f"it has {count} geoms", "one, its shape")
+    geom = int(model.body_geomadr[body])
+    compiled.require_zero("geom", geom, _ZERO_OF_GEOM, geom)
+    return geom
+
+
+def place_body(compiled: Compiled, body: int, geom: int, is_root: bool) -> Placed:
+    """Put a frame of ours into the geom's centre, as near to the body's own as its shape allows.
+
+    The root's is as near to the world's as it can be: it has to be that in the neutral pose.
+    """
+    model, kinds = compiled.model, compiled.mujoco.mjtGeom
+    size = model.geom_size[geom]
+    outer = rotation(compiled, model.body_quat[body]) if is_root else np.eye(3)
+    turn = outer @ rotation(compiled, model.geom_quat[geom])
+    kind = int(model.geom_type[geom])
+    if kind == kinds.mjGEOM_SPHERE:
+        shape, turn = SphereConfig(type="sphere", radius=tidy(size[0])), np.eye(3)
+    elif kind == kinds.mjGEOM_CAPSULE:
+        # MuJoCo's capsules lie along z, ours along x; either end may be the front.
+        turn = _shortest_turn(turn[:, 2] if turn[0, 2] >= 0 else -turn[:, 2])
+        radius, length = tidy(size[0]), tidy(2 * size[1])
+        shape = CapsuleConfig(type="capsule", radius=radius, length=length)
+    elif kind in (kinds.mjGEOM_BOX, kinds.mjGEOM_ELLIPSOID):
+        best = max(_TURNS, key=lambda own: np.trace(turn @ own))
+        turn, size = turn @ best, np.abs(best.T @ size)
+        if kind == kinds.mjGEOM_BOX:
+            shape = BoxConfig(type="box", size=tidy_vector(2 * size))
+        else:
+            shape = EllipsoidConfig(type="ellipsoid", radii=tidy_vector(size))
+    else:
+        word = str(kinds(kind).name).removeprefix("mjGEOM_").lower()
+        raise compiled.refusal("geom", geom, f"it is a {word}", "box, sphere, ellipsoid, capsule")
+    if is_root and not np.allclose(turn, np.eye(3), rtol=0, atol=TOLERANCE):
+        raise compiled.refusal(
+            "geom",
+            geom,
+            f"the root's {shape.type} stands askew in the world",
+            "edges and axes along x, y and z, a capsule's along x",
+        )
+    return Placed(shape, np.array(model.geom_pos[geom]), outer.T @ turn)
+
+
+def uniform_density(compiled: Compiled, body: int, geom: int, own: Placed) -> float:
+    """Density of a body, which has to be uniform, kg/m^3."""
+    model = compiled.model
+    shape = own.shape.build()
+    mass = float(model.body_mass[body])
+    axes = rotation(compiled, model.body_iquat[body])
+    found = axes @ np.diag(model.body_inertia[body]) @ axes.T
+    expected = own.turn @ np.diag(shape.inertia(mass)) @ own.turn.T
+    reach = float(np.linalg.norm(shape.half_extents))
+    off_centre = np.abs(model.body_ipos[body] - own.centre).max() > TOLERANCE * reach
+    if off_centre or np.abs(found - expected).max() > TOLERANCE * expected.max():
+        raise compiled.refusal(
+            "body",
+            body,
+            f"its centre of mass or inertia is not that of its {own.shape.type}",
+            "uniform density, without an inertial of its own",
+        )
+    return mass / shape.volume
+
+
+def _shortest_turn(direction: np.ndarray) -> np.ndarray:
+    """Rotation that takes x to a unit vector, which does not point backwards."""
+    x, y, z = direction
+    cross = np.array([[0, -y, -z], [y, 0, 0], [z, 0, 0]])
+    return np.eye(3) + cross + cross @ cross / (1 + x)

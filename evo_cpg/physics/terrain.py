@@ -1,0 +1,192 @@
+"""The shape of the ground, as signed distances.
+
+Every part answers for points how far they are outside of it and which way leads out. So slopes,
+relief, shores and obstacles are met by one contact code (`evo_cpg.physics.contact`), which asks for
+the centres of bodies and for their lowest points.
+
+Distances to planes, spheres and blocks are exact. To a surface z = H(x, y) they are of first order,
+``(z - H) / sqrt(1 + |grad H|^2)``: exact on the surface, and wrong by its curvature times the
+square of the distance further off, where nothing touches.
+"""
+
+import abc
+from typing import Literal
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from evo_cpg.fusion.kernels import unfused
+from evo_cpg.spatial.linear import dot, lift
+
+# Squared length (m^2) added under roots so that they have gradients on the spot.
+_FLOOR = 1e-12
+
+Axis = Literal["x", "y"]
+
+
+class Part(eqx.Module):
+    """Something solid that does not move."""
+
+    @abc.abstractmethod
+    def distance(
+        self, point: Float[Array, "3 *rest"]
+    ) -> tuple[Float[Array, "*rest"], Float[Array, "3 *#rest"]]:
+        """Signed distance of points in the world, m, positive outside, and the normal there."""
+
+
+class Plane(Part):
+    """Flat ground, level or sloping.
+
+    Attributes:
+        normal: unit vector out of the ground.
+        height: of the plane above the world's origin along its normal, m.
+    """
+
+    normal: tuple[float, float, float] = eqx.field(static=True, default=(0.0, 0.0, 1.0))
+    height: float = 0.0
+
+    def distance(self, point: Array) -> tuple[Array, Array]:
+        """As in `Part`."""
+        normal = np.array(self.normal, float)
+        normal = lift(normal / np.linalg.norm(normal), point)
+        return dot(normal, point) - self.height, normal
+
+
+class Shore(Part):
+    """A level, a slope, and a level: land that runs into water.
+
+    Attributes:
+        axis: along which the height changes.
+        start: where the slope begins, m.
+        stop: where it ends, m; further along the axis than ``start``.
+        start_height: of the ground before the slope, m.
+        stop_height: of the ground behind it, m.
+    """
+
+    axis: Axis = eqx.field(static=True, default="x")
+    start: float = 0.0
+    stop: float = 1.0
+    start_height: float = 0.0
+    stop_height: float = -1.0
+
+    def distance(self, point: Array) -> tuple[Array, Array]:
+        """As in `Part`."""
+        along = point["xy".index(self.axis)]
+        slope = (self.stop_height - self.start_height) / (self.stop - self.start)
+        inside = jnp.clip(along, self.start, self.stop)
+        height = self.start_height + slope * (inside - self.start)
+        steepness = jnp.where((along > self.start) & (along < self.stop), slope, 0.0)
+        none = jnp.zeros_like(along)
+        gradient = (steepness, none) if self.axis == "x" else (none, steepness)
+        return _above(point, height, *gradient)
+
+
+class Relief(Part):
+    """Heights on a regular grid, bilinear in between; beyond its edges they go on level.
+
+    Attributes:
+        heights: above the world's origin, m; the first axis is x.
+        corner: x and y of the first height, m.
+        spacing: of the grid, m.
+    """
+
+    heights: Float[np.ndarray, "nx ny"]
+    corner: tuple[float, float] = eqx.field(static=True, default=(0.0, 0.0))
+    spacing: float = eqx.field(static=True, default=0.1)
+
+    def distance(self, point: Array) -> tuple[Array, Array]:
+        """As in `Part`."""
+        # Looked up at computed places, which scalar code cannot do.
+        height, along_x, along_y = unfused(self._look_up, point[0], point[1])
+        return _above(point, height, along_x, along_y)
+
+    def _look_up(self, x: Array, y: Array) -> tuple[Array, Array, Array]:
+        """Height and its two derivatives."""
+        heights = jnp.asarray(self.heights, x.dtype)
+        (i, u, on_x), (j, v, on_y) = (
+            self._cell(value - first, count)
+            for value, first, count in zip((x, y), self.corner, heights.shape, strict=True)
+        )
+        a, b = heights[i, j], heights[i + 1, j]
+        c, d = heights[i, j + 1], heights[i + 1, j + 1]
+        near, far = a + u * (b - a), c + u * (d - c)
+        slope_x = jnp.where(on_x, ((1 - v) * (b - a) + v * (d - c)) / self.spacing, 0.0)
+        slope_y = jnp.where(on_y, (far - near) / self.spacing, 0.0)
+        return near + v * (far - near), slope_x, slope_y
+
+    def _cell(self, offset: Array, count: int) -> tuple[Array, Array, Array]:
+        """Number of the cell, place in it from 0 to 1, and whether it is on the grid at all."""
+        steps = offset / self.spacing
+        inside = jnp.clip(steps, 0.0, count - 1.0)
+        cell = jnp.clip(jnp.floor(inside).astype(jnp.int32), 0, count - 2)
+        return cell, inside - cell, (steps > 0) & (steps < count - 1)
+
+
+class Boulder(Part):
+    """A sphere that lies about, sunk in or not.
+
+    Attributes:
+        centre: m.
+        radius: m.
+    """
+
+    centre: tuple[float, float, float] = eqx.field(static=True)
+    radius: float
+
+    def distance(self, point: Array) -> tuple[Array, Array]:
+        """As in `Part`."""
+        away = point - lift(np.array(self.centre), point)
+        length = jnp.sqrt(dot(away, away) + _FLOOR)
+        return length - self.radius, away / length[None]
+
+
+class Block(Part):
+    """An upright box: a wall, a step, a pillar.
+
+    Attributes:
+        centre: m.
+        half_extents: half edges along x, y and z before it is turned, m.
+        heading: by which it is turned about z, rad.
+    """
+
+    centre: tuple[float, float, float] = eqx.field(static=True)
+    half_extents: tuple[float, float, float] = eqx.field(static=True)
+    heading: float = eqx.field(static=True, default=0.0)
+
+    def distance(self, point: Array) -> tuple[Array, Array]:
+        """As in `Part`."""
+        away = point - lift(np.array(self.centre), point)
+        c, s = float(np.cos(self.heading)), float(np.sin(self.heading))
+        own = jnp.stack([c * away[0] + s * away[1], c * away[1] - s * away[0], away[2]])
+        beyond = jnp.abs(own) - lift(np.array(self.half_extents), own)
+        deepest = beyond.max(0)
+        outside = jnp.maximum(beyond, 0.0)
+        length = jnp.sqrt(dot(outside, outside) + _FLOOR)
+        # Inside, the nearest face leads out.
+        face = jnp.where(beyond >= deepest[None], 1.0, 0.0)
+        way = jnp.where((deepest > 0)[None], outside / length[None], face)
+        way = way / jnp.sqrt(dot(way, way) + _FLOOR)[None] * jnp.where(own < 0, -1.0, 1.0)
+        normal = jnp.stack([c * way[0] - s * way[1], s * way[0] + c * way[1], way[2]])
+        return jnp.where(deepest > 0, length, deepest), normal
+
+
+def nearest(
+    parts: tuple[Part, ...], point: Float[Array, "3 *rest"]
+) -> tuple[Float[Array, "*rest"], Float[Array, "3 *#rest"]]:
+    """Signed distance of points from the nearest of some parts, m, and its normal."""
+    gap, normal = parts[0].distance(point)
+    for part in parts[1:]:
+        other, direction = part.distance(point)
+        closer = other < gap
+        gap = jnp.where(closer, other, gap)
+        normal = jnp.where(closer[None], direction, normal)
+    return gap, normal
+
+
+def _above(point: Array, height: Array, along_x: Array, along_y: Array) -> tuple[Array, Array]:
+    """Distance from a surface of given height and slopes, and its normal."""
+    upward = 1.0 / jnp.sqrt(1.0 + along_x * along_x + along_y * along_y)
+    normal = jnp.stack([-along_x * upward, -along_y * upward, upward])
+    return (point[2] - height) * upward, normal

@@ -1,0 +1,111 @@
+"""What stands on the ground, as stone."""
+
+from typing import cast
+
+import numpy as np
+import pyvista as pv
+
+from evo_cpg.physics.terrain import Block, Boulder, Part
+
+_STONE = np.array([0.60, 0.57, 0.53])
+_SEED = 20102
+# Waves that make the grain: how many, their lowest and highest number across the stone, how much
+# they change its brightness, and how far they tilt its normals.
+_WAVES, _LOWEST, _HIGHEST = 60, 2.0, 30.0
+_GRAIN, _ROUGHNESS = 0.07, 0.25
+# Facets along an edge of a block and around a boulder.
+_EDGE, _ROUND = 40, 144
+
+
+def obstacle_mesh(obstacle: Part) -> tuple[pv.PolyData, np.ndarray, np.ndarray]:
+    """Surface of an obstacle in its own frame, its place ``(3,)`` and rotation ``(3, 3)``, m.
+
+    Raises:
+        TypeError: an obstacle that this module does not know.
+    """
+    if isinstance(obstacle, Boulder):
+        mesh = pv.Sphere(
+            radius=float(obstacle.radius), theta_resolution=_ROUND, phi_resolution=_ROUND // 2
+        )
+        return mesh, np.array(obstacle.centre, float), np.eye(3)
+    if isinstance(obstacle, Block):
+        half = np.array(obstacle.half_extents, float)
+        mesh = pv.Box((-1, 1, -1, 1, -1, 1), level=_EDGE, quads=True).triangulate()
+        faces = mesh.regular_faces
+        mesh = pv.PolyData.from_regular_faces(np.asarray(mesh.points) * half, faces)
+        mesh = cast(pv.PolyData, mesh.compute_normals(split_vertices=True, feature_angle=30.0))
+        return mesh, np.array(obstacle.centre, float), _heading(obstacle)
+    raise _unknown(obstacle)
+
+
+def obstacle_top(obstacle: Part, place: np.ndarray) -> np.ndarray:
+    """Height of an obstacle's upper side, m; -inf beside it.
+
+    Args:
+        obstacle: of the ground.
+        place: x and y ``(..., 2)``, m.
+
+    Raises:
+        TypeError: an obstacle that this module does not know.
+    """
+    if isinstance(obstacle, Boulder):
+        offset = place - np.array(obstacle.centre[:2])
+        rise = np.sqrt(np.maximum(float(obstacle.radius) ** 2 - (offset**2).sum(-1), 0.0))
+        return np.where(rise > 0, obstacle.centre[2] + rise, -np.inf)
+    if isinstance(obstacle, Block):
+        own = (place - np.array(obstacle.centre[:2])) @ _heading(obstacle)[:2, :2]
+        over = (np.abs(own) < obstacle.half_extents[:2]).all(-1)
+        return np.where(over, obstacle.centre[2] + obstacle.half_extents[2], -np.inf)
+    raise _unknown(obstacle)
+
+
+def add_obstacles(plotter: pv.Plotter, obstacles: tuple[Part, ...], ambient: float) -> None:
+    """Stones where the obstacles are; only their shading is rough, not their surface.
+
+    Args:
+        plotter: draws them.
+        obstacles: of the ground.
+        ambient: share of light that comes from everywhere.
+    """
+    generator = np.random.default_rng(_SEED)
+    for obstacle in obstacles:
+        mesh, place, turn = obstacle_mesh(obstacle)
+        own = np.asarray(mesh.points).astype(float)
+        extent = np.ptp(own, axis=0).max()
+        size = _LOWEST * (_HIGHEST / _LOWEST) ** generator.random(_WAVES)
+        wave = generator.normal(size=(_WAVES, 3))
+        wave *= size[:, None] / np.linalg.norm(wave, axis=1, keepdims=True)
+        phase = own @ wave.T * (2 * np.pi / extent) + generator.random(_WAVES) * 2 * np.pi
+        share = size**-0.5 / np.sqrt((1 / size).sum() / 2)
+        grain = np.cos(phase) @ share
+        tilt = -np.sin(phase) * share @ (wave / np.linalg.norm(wave, axis=1, keepdims=True))
+        normal = np.asarray(mesh.point_data.active_normals) - _ROUGHNESS * tilt
+        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+        mesh.point_data.active_normals = normal
+        tone = _STONE * (1 + _GRAIN * grain[:, None])
+        mesh["rgb"] = (255 * np.clip(tone, 0, 1)).astype(np.uint8)
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = turn, place
+        actor = plotter.add_mesh(
+            mesh,
+            scalars="rgb",
+            rgb=True,
+            smooth_shading=True,
+            ambient=ambient,
+            diffuse=0.75,
+            specular=0.05,
+            show_scalar_bar=False,
+        )
+        actor.user_matrix = pose
+
+
+def _heading(block: Block) -> np.ndarray:
+    """From a block's axes to the world's ``(3, 3)``."""
+    c, s = np.cos(block.heading), np.sin(block.heading)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def _unknown(obstacle: Part) -> TypeError:
+    return TypeError(
+        f"no picture for a {type(obstacle).__name__}; an obstacle is a Boulder or a Block"
+    )

@@ -1,0 +1,143 @@
+"""Ground that is not level, as a mesh of its heights.
+
+The mesh is a grid whose lines are close together along the animal's way and ever further apart
+towards the horizon; they run along the creases of the ground, where it has any.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from evo_cpg.physics.terrain import Part, Plane, Relief, Shore
+
+# Distance of the grid's lines near the way and how far to both sides they are as close, in radii of
+# the animal; most lines of that kind; growth of their distance further out. A frame of 960 x 540
+# with 100,000 crossings took 126 ms on one core of a software renderer.
+_STEP, _NEAR, _LINES, _GROWTH = 0.08, 5.0, 150, 1.18
+
+
+class Terrain(NamedTuple):
+    """Heights at the crossings of grid lines; two triangles make each cell.
+
+    Attributes:
+        x: of the lines, ascending, m.
+        y: likewise.
+        z: heights, m.
+    """
+
+    x: Float[np.ndarray, " nx"]
+    y: Float[np.ndarray, " ny"]
+    z: Float[np.ndarray, "nx ny"]
+
+    def points(self) -> Float[np.ndarray, "n 3"]:
+        """The crossings, m; the last axis of the grid counts fastest."""
+        x, y = np.meshgrid(self.x, self.y, indexing="ij")
+        return np.stack([x, y, self.z], -1).reshape(-1, 3)
+
+    def normals(self) -> Float[np.ndarray, "n 3"]:
+        """Unit vectors out of the ground at the crossings."""
+        along_x, along_y = np.gradient(self.z, self.x, self.y)
+        normal = np.stack([-along_x, -along_y, np.ones_like(self.z)], -1).reshape(-1, 3)
+        return normal / np.linalg.norm(normal, axis=1, keepdims=True)
+
+    def triangles(self) -> np.ndarray:
+        """Numbers of their corners among the crossings ``(m, 3)``."""
+        first = np.arange(self.z.size).reshape(self.z.shape)
+        a, b, c, d = first[:-1, :-1], first[1:, :-1], first[1:, 1:], first[:-1, 1:]
+        return np.stack([np.stack([a, b, c], -1), np.stack([a, c, d], -1)], 2).reshape(-1, 3)
+
+    def height(self, place: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n"]:
+        """Height of the mesh, m; beyond its edges that of the nearest edge.
+
+        Args:
+            place: x and y, m.
+        """
+        (i, u), (j, v) = (
+            _cell(place[..., axis], lines) for axis, lines in enumerate((self.x, self.y))
+        )
+        a, c = self.z[i, j], self.z[i + 1, j + 1]
+        corner = np.where(u > v, self.z[i + 1, j], self.z[i, j + 1])
+        less, more = np.minimum(u, v), np.maximum(u, v)
+        return a + (more - less) * (corner - a) + less * (c - a)
+
+
+def heights(floor: Part, place: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n"]:
+    """Height of the ground above the world's origin, m.
+
+    From a point at z = 0 the surface is ``gap / n_z`` straight down, for planes exactly and for
+    z = H(x, y) by what their distance is.
+
+    Args:
+        floor: of the ground.
+        place: x and y, m.
+
+    Raises:
+        TypeError: ground of a kind that has no heights.
+    """
+    if not isinstance(floor, Plane | Shore | Relief):
+        raise TypeError(
+            f"no heights for a {type(floor).__name__}; a floor is a Plane, a Shore or a Relief"
+        )
+    flat = np.asarray(place, float).reshape(-1, 2)
+    point = jnp.asarray(np.stack([flat[:, 0], flat[:, 1], np.zeros(len(flat))]))
+    gap, normal = floor.distance(point)
+    high = -np.asarray(gap, float) / np.asarray(normal, float)[2]
+    return np.broadcast_to(high, len(flat)).reshape(place.shape[:-1])
+
+
+def make_terrain(floor: Part, path: Float[np.ndarray, "n 2"], radius: float, far: float) -> Terrain:
+    """Mesh the ground around a way.
+
+    Args:
+        floor: its shape.
+        path: x and y of what is filmed, m.
+        radius: of the animal, m.
+        far: how far beyond the way the mesh reaches, m.
+    """
+    low, high = path.min(0) - _NEAR * radius, path.max(0) + _NEAR * radius
+    step = max(_STEP * radius, float((high - low).max()) / _LINES)
+    x, y = (_lines(low[i], high[i], far, step, _creases(floor, "xy"[i])) for i in (0, 1))
+    return Terrain(x, y, heights(floor, np.stack(np.meshgrid(x, y, indexing="ij"), -1)))
+
+
+def _lines(
+    low: float, high: float, far: float, step: float, creases: np.ndarray
+) -> Float[np.ndarray, " n"]:
+    """Coordinates of grid lines."""
+    near = np.linspace(low, high, int(np.ceil((high - low) / step)) + 1)
+    count = int(np.ceil(np.log1p(far * (_GROWTH - 1) / step) / np.log(_GROWTH)))
+    beyond = step * (_GROWTH ** np.arange(1, count + 1) - 1) / (_GROWTH - 1)
+    even = np.concatenate([low - beyond[::-1], near, high + beyond])
+    # An even line makes way for a crease, unless creases are finer than the lines; then heights
+    # are only right at the lines.
+    width = np.gradient(even)
+    inside = creases[(creases > even[0]) & (creases < even[-1])]
+    room = np.interp(inside, even, width)
+    if len(inside) > 1 and np.diff(inside).min() < 0.7 * step:
+        inside = inside[:0]
+    elif len(inside) > 2:
+        # Of a grid's creases those count that lie where lines are as close.
+        inside = inside[room <= 1.5 * np.diff(inside).min()]
+    if not len(inside):
+        return even
+    clear = np.abs(even[:, None] - inside).min(1) > 0.35 * width
+    return np.sort(np.concatenate([even[clear], inside]))
+
+
+def _creases(floor: Part, axis: str) -> np.ndarray:
+    """Where along an axis the slope of the ground jumps, m."""
+    if isinstance(floor, Shore) and floor.axis == axis:
+        return np.array([floor.start, floor.stop], float)
+    if isinstance(floor, Relief):
+        i = "xy".index(axis)
+        return floor.corner[i] + floor.spacing * np.arange(floor.heights.shape[i])
+    return np.zeros(0)
+
+
+def _cell(value: np.ndarray, lines: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Number of the cell between lines, and the place in it from 0 to 1."""
+    inside = np.clip(value, lines[0], lines[-1])
+    cell = np.clip(np.searchsorted(lines, inside, "right") - 1, 0, len(lines) - 2)
+    return cell, (inside - lines[cell]) / (lines[cell + 1] - lines[cell])

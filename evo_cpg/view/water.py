@@ -1,0 +1,232 @@
+"""The surface of the water, seen from above.
+
+Two sheets lie on each other. The lower one tints what is below it, the more the deeper the ground;
+the upper one mirrors the sky in ripples. These are waves of a seeded random spectrum that run as
+waves on deep water do, omega^2 = g k, on a tile that repeats. They are for the eye only: the
+physics' surface is level, and so are both sheets.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+import pyvista as pv
+
+from evo_cpg.view.look import Look
+from evo_cpg.view.terrain import Terrain
+from evo_cpg.view.textures import spot_texture
+
+_SHALLOW, _DEEP = "#bfeae4", "#4cadd2"
+# Opacity of the lower sheet where it is shallow and deep; depth of two thirds of the change and
+# depth up to which it clears away towards the shore, in radii of the animal.
+_CLEAR, _OPAQUE, _DEEPENS, _SHORE = 0.26, 0.52, 0.5, 0.1
+# A tile's side in radii of the animal, its texels, and its longest and shortest waves as parts of
+# the side. Their steepness is the root of the mean square of their slopes.
+_TILE, _TEXELS, _LONGEST, _SHORTEST, _STEEPNESS = 5.0, 256, 6.0, 50.0, 0.12
+_SEED = 20103
+_GRAVITY = 9.81
+# Share of light that water mirrors when it falls straight down, 0 to 1 (Schlick 1994).
+_REFLECTION = 0.02
+# Glints are sharp and bright where a ripple throws the sun towards the viewer.
+_GLINT, _GLINT_SHARPNESS, _GLINT_HEIGHT = 0.8, 320.0, 0.62
+# The ring where a body breaks through the surface: opacity, and width beyond the body.
+_RING, _RING_WIDTH = 0.8, 1.9
+
+
+class Ripples:
+    """Slopes of a sea of small waves on a square tile.
+
+    Args:
+        side: of the tile, m.
+    """
+
+    def __init__(self, side: float):
+        generator = np.random.default_rng(_SEED)
+        along = 2 * np.pi / side * np.fft.fftfreq(_TEXELS, 1 / _TEXELS)[:, None]
+        across = 2 * np.pi / side * np.fft.rfftfreq(_TEXELS, 1 / _TEXELS)
+        number = np.hypot(along, across)
+        band = (number >= 2 * np.pi / side * _LONGEST) & (number <= 2 * np.pi / side * _SHORTEST)
+        phase = 2 * np.pi * generator.random(number.shape)
+        wind = 0.35 + (along / np.where(number > 0, number, 1.0)) ** 2
+        self._start = band * wind * np.exp(1j * phase) / np.where(number > 0, number, 1.0) ** 2.3
+        self._number = along, across
+        # Half of the waves run against the other half, as those of a pond.
+        self._rate = np.sqrt(_GRAVITY * number) * generator.choice([-1.0, 1.0], number.shape)
+        steepness = np.sqrt(np.mean(np.square(self.slopes(0.0))) * 2)
+        self._start *= _STEEPNESS / steepness
+
+    def slopes(self, time: float) -> np.ndarray:
+        """Slopes along x and y ``(2, n, n)`` at a time, s; the first axis of the tile is x."""
+        now = self._start * np.exp(1j * self._rate * time)
+        shape = (_TEXELS, _TEXELS)
+        return np.stack([np.fft.irfft2(1j * k * now, shape) for k in self._number])
+
+
+def add_water(
+    plotter: pv.Plotter,
+    look: Look,
+    terrain: Terrain,
+    surface: float,
+    radius: float,
+    sight: np.ndarray,
+) -> Callable[[np.ndarray, np.ndarray, float], None]:
+    """The surface of the water.
+
+    Args:
+        plotter: draws it.
+        look: of the world.
+        terrain: what lies below it.
+        surface: its height, m.
+        radius: of the animal, m.
+        sight: the camera's fixed direction of view ``(3,)``.
+
+    Returns:
+        A function of the focus ``(3,)`` and the camera's place ``(3,)``, m, and time, s.
+    """
+    visible = look.visibility * radius
+    tint = _add_tint(plotter, terrain, surface, radius, visible)
+    mirror = _add_mirror(plotter, look, surface, radius, visible, sight)
+
+    def update(focus: np.ndarray, eye: np.ndarray, time: float) -> None:
+        tint(focus)
+        mirror(focus, eye, time)
+
+    return update
+
+
+def add_waterlines(
+    plotter: pv.Plotter, surface: float, half_extents: np.ndarray, radius: float
+) -> Callable[[np.ndarray, np.ndarray], None]:
+    """Bright rings where bodies break through the surface.
+
+    Args:
+        plotter: draws them.
+        surface: its height, m.
+        half_extents: of the bodies ``(bodies, 3)``, m.
+        radius: of the animal, m.
+
+    Returns:
+        A function of the bodies' centres ``(bodies, 3)`` in m and rotations ``(bodies, 3, 3)``.
+    """
+    texture = spot_texture("#ffffff", _RING, sharpness=2.0)
+    patch = pv.Plane(i_size=2, j_size=2, i_resolution=1, j_resolution=1)
+    actors = [plotter.add_mesh(patch, texture=texture, lighting=False) for _ in half_extents]
+    for actor in actors:
+        actor.ForceTranslucentOn()
+    lift = 0.004 * radius
+
+    def update(position: np.ndarray, rotation: np.ndarray) -> None:
+        for actor, centre, turn, half in zip(actors, position, rotation, half_extents, strict=True):
+            # An ellipsoid of these half axes, cut by the surface.
+            shape = (turn * half**2) @ turn.T
+            off = surface - centre[2]
+            share = 1 - off**2 / shape[2, 2]
+            actor.prop.opacity = float(np.clip(3 * share, 0.0, 1.0))
+            if share <= 0:
+                continue
+            lean = shape[:2, 2] / shape[2, 2]
+            cut = (shape[:2, :2] - np.outer(lean, lean) * shape[2, 2]) * share
+            spread, axes = np.linalg.eigh(cut)
+            size = _RING_WIDTH * np.sqrt(np.maximum(spread, 0.0)) + 0.6 * half.min()
+            matrix = np.eye(4)
+            matrix[:2, :2] = axes * size
+            matrix[:3, 3] = *(centre[:2] + lean * off), surface + lift
+            actor.user_matrix = matrix
+
+    return update
+
+
+def _add_tint(
+    plotter: pv.Plotter, terrain: Terrain, surface: float, radius: float, visible: float
+) -> Callable[[np.ndarray], None]:
+    """The sheet that colours what is below it."""
+    # Its corners lie over those of the ground, where the depth is known.
+    points, triangles = terrain.points(), terrain.triangles()
+    depth = (surface - points[:, 2]) / radius
+    wet = triangles[(depth[triangles] > 0).any(1)]
+    used, wet = np.unique(wet, return_inverse=True)
+    if not len(used):
+        return lambda focus: None
+    depth = np.maximum(depth[used], 0.0)
+    place = points[used, :2]
+    mesh = pv.PolyData.from_regular_faces(
+        np.column_stack([place, np.full(len(used), surface)]), wet.reshape(-1, 3)
+    )
+    deep = 1 - np.exp(-depth / _DEEPENS)
+    colors = [np.array(pv.Color(color).int_rgb) for color in (_SHALLOW, _DEEP)]
+    rgba = np.empty((len(used), 4), np.uint8)
+    rgba[:, :3] = colors[0] + deep[:, None] * (colors[1] - colors[0])
+    opacity = (_CLEAR + (_OPAQUE - _CLEAR) * deep) * np.clip(depth / _SHORE, 0.25, 1.0)
+    mesh["rgba"] = rgba
+    actor = plotter.add_mesh(mesh, scalars="rgba", rgba=True, lighting=False, show_scalar_bar=False)
+    actor.ForceTranslucentOn()
+
+    def update(focus: np.ndarray) -> None:
+        away = ((place - focus[:2]) ** 2).sum(1)
+        rgba[:, 3] = 255 * opacity * np.exp(-away / visible**2)
+        mesh["rgba"] = rgba
+
+    return update
+
+
+def _add_mirror(
+    plotter: pv.Plotter,
+    look: Look,
+    surface: float,
+    radius: float,
+    visible: float,
+    sight: np.ndarray,
+) -> Callable[[np.ndarray, np.ndarray, float], None]:
+    """The sheet that mirrors the sky: a disc below the focus."""
+    reach = np.concatenate([[0.0], np.geomspace(0.02, 2.5, 28)]) * visible
+    bearing = np.linspace(0, 2 * np.pi, 49)
+    x, y = reach[:, None] * np.cos(bearing), reach[:, None] * np.sin(bearing)
+    grid = pv.StructuredGrid(x[..., None], y[..., None], np.zeros_like(x)[..., None])
+    disc = grid.extract_surface(algorithm=None)
+    place = np.asarray(disc.points)[:, :2].astype(float)
+    rgba = np.full((len(place), 4), 255, np.uint8)
+    disc["rgba"] = rgba
+    side = _TILE * radius
+    disc.active_texture_coordinates = place / side
+    ripples = Ripples(side)
+    image = np.zeros((_TEXELS, _TEXELS, 4), np.uint8)
+    texture = pv.Texture(image)
+    texture.repeat = True
+    texture.interpolate = True
+    texture.mipmap = True
+    texture.SetMaximumAnisotropicFiltering(1)
+    actor = plotter.add_mesh(
+        disc, scalars="rgba", rgba=True, texture=texture, lighting=False, show_scalar_bar=False
+    )
+    actor.ForceTranslucentOn()
+    fade = np.exp(-((np.linalg.norm(place, axis=1) / visible) ** 2))
+    pixels = pv.wrap(texture.GetInput())
+    haze, zenith = (np.array(pv.Color(c).int_rgb) for c in (look.distance, look.zenith))
+    level = np.hypot(*sight[:2])
+    # Half-way between the viewer and a sun that stands ahead of him.
+    sun = np.array([*(sight[:2] / level * np.sqrt(1 - _GLINT_HEIGHT**2)), _GLINT_HEIGHT])
+    half = (sun - sight) / np.linalg.norm(sun - sight)
+
+    def update(focus: np.ndarray, eye: np.ndarray, time: float) -> None:
+        along_x, along_y = ripples.slopes(time)
+        upward = 1 / np.sqrt(1 + along_x**2 + along_y**2)
+        normal = np.stack([-along_x * upward, -along_y * upward, upward], -1)
+        facing = np.clip(-(normal @ sight), 0.0, 1.0)
+        share = _REFLECTION + (1 - _REFLECTION) * (1 - facing) ** 5
+        mirrored = np.clip(2 * facing * upward + sight[2], 0.0, 1.0)[..., None]
+        glint = _GLINT * np.clip(normal @ half, 0.0, 1.0) ** _GLINT_SHARPNESS
+        sky = haze + np.minimum(1.2 * mirrored, 1.0) * (zenith - haze)
+        rgb = sky + glint[..., None] * (255 - sky)
+        shown = np.concatenate([rgb, 255 * np.clip(share + glint, 0, 0.95)[..., None]], -1)
+        # Texels count along x fastest.
+        pixels.point_data.active_scalars[:] = shown.swapaxes(0, 1).reshape(-1, 4)
+        pixels.Modified()
+        actor.position = (focus[0], focus[1], surface)
+        disc.active_texture_coordinates = (place + focus[:2]) / side
+        # The lower the view, the more the water mirrors.
+        away = np.hypot(*(place + focus[:2] - eye[:2]).T)
+        slant = (eye[2] - surface) / np.hypot(away, eye[2] - surface)
+        more = ((1 - slant) / (1 + sight[2])) ** 4
+        rgba[:, 3] = 255 * fade * np.clip(0.6 * more, 0.2, 1.0)
+        disc["rgba"] = rgba
+
+    return update

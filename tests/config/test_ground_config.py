@@ -1,0 +1,140 @@
+"""Ground from YAML: what is built from it, and what is refused."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from matplotlib.image import imsave
+
+from evo_cpg.config.build import build_experiment
+from evo_cpg.config.errors import ConfigError
+from evo_cpg.config.load import check_config, dump_config, load_config
+from evo_cpg.physics.terrain import Block, Boulder, Plane, Relief, Shore
+from tiny_run import REPOSITORY
+
+HEXAPOD = REPOSITORY / "configs" / "hexapod.yaml"
+
+
+def build(*ground: str):
+    config = load_config(HEXAPOD, [f"world.ground.{override}" for override in ground])
+    return build_experiment(config, HEXAPOD).simulation
+
+
+def floor(text: str):
+    return build(f"floor={text}").world.ground.floor
+
+
+def test_ground_is_level_unless_said_otherwise():
+    assert build().world.ground.level == 0.0
+
+
+def test_a_plane_falls_in_the_direction_given():
+    plane = floor("{type: plane, slope_deg: 30, downhill_deg: 90, height: 1}")
+    assert isinstance(plane, Plane)
+    np.testing.assert_allclose(plane.normal, (0, 0.5, np.sqrt(0.75)), atol=1e-12)
+    gap, _ = plane.distance(jnp.array([0.0, 0.0, 1.0]))
+    assert float(gap) == pytest.approx(0, abs=1e-6)
+
+
+def test_a_shore():
+    shore = floor("{type: shore, axis: y, start: 1, stop: 3, start_height: 0.5, stop_height: -1}")
+    assert shore == Shore("y", 1.0, 3.0, 0.5, -1.0)
+
+
+def test_hills_have_their_height_and_a_clearing():
+    hills = floor("{type: hills, height: 0.3, length: 2, size: 40, spacing: 0.5, clearing: 1}")
+    assert isinstance(hills, Relief)
+    assert hills.heights.shape == (81, 81) and hills.corner == (-20.0, -20.0)
+    assert hills.heights.std() == pytest.approx(0.3, rel=0.05)
+    assert abs(hills.heights[40, 40]) < 1e-12
+    other = floor("{type: hills, seed: 1, height: 0.3, length: 2, size: 40, spacing: 0.5}")
+    assert not np.allclose(hills.heights, other.heights)
+
+
+def test_obstacles():
+    ground = build(
+        "obstacles=[{type: boulder, centre: [1, 2, 0], radius: 0.5}, "
+        "{type: block, centre: [4, 0, 0], size: [2, 4, 1], heading_deg: 90}]"
+    ).world.ground
+    boulder, block = ground.obstacles
+    assert boulder == Boulder((1.0, 2.0, 0.0), 0.5)
+    assert block == Block((4.0, 0.0, 0.0), (1.0, 2.0, 0.5), np.pi / 2)
+
+
+@pytest.mark.parametrize("suffix", ["npy", "csv", "txt", "png"])
+def test_heights_from_a_file_end_up_in_the_configuration(suffix, tmp_path):
+    """Rows of arrays and tables run along x; a picture is seen from above, x to the right."""
+    heights = np.array([[0.0, 0.2], [0.4, 0.6], [0.8, 1.0]])
+    path = tmp_path / f"heights.{suffix}"
+    if suffix == "npy":
+        np.save(path, heights)
+    elif suffix == "png":
+        imsave(path, heights.T[::-1], cmap="gray", vmin=0, vmax=1)
+    else:
+        np.savetxt(path, heights, delimiter="," if suffix == "csv" else " ")
+    limits = "lowest: 0, highest: 2, " if suffix == "png" else ""
+    override = f"world.ground.floor={{type: relief, {limits}spacing: 0.5, file: {path}}}"
+    config = load_config(HEXAPOD, [override])
+    path.unlink()
+    (tmp_path / "config.yaml").write_text(dump_config(config))
+    again = load_config(tmp_path / "config.yaml")
+    assert again == config
+    relief = build_experiment(again, "x.yaml").simulation.world.ground.floor
+    scale = 2 if suffix == "png" else 1
+    np.testing.assert_allclose(relief.heights, scale * heights, atol=0.01)
+    assert (relief.corner, relief.spacing) == ((-0.5, -0.25), 0.5)
+
+
+def test_an_animal_starts_standing_wherever_it_is_put():
+    """As high above a plateau as above level ground, and turned as asked."""
+    level = build().start_position[2]
+    config = load_config(
+        HEXAPOD,
+        [
+            "world.ground.floor={type: shore, start: 1, stop: 2, stop_height: 0.7}",
+            "simulation.start=[4, -1]",
+            "simulation.start_heading_deg=90",
+            "simulation.start_clearance=0.1",
+        ],
+    )
+    simulation = build_experiment(config, HEXAPOD).simulation
+    assert simulation.start_position == pytest.approx((4, -1, level + 0.8), abs=1e-5)
+    assert simulation.start_heading == pytest.approx(np.pi / 2)
+
+
+def test_a_light_is_where_the_animal_sees_it():
+    data = load_config(REPOSITORY / "configs" / "iwadate2010_swimmer.yaml").model_dump()
+    data["simulation"] |= {"start": (1.0, 2.0), "start_heading_deg": 90.0}
+    data["task"]["light"] = {"distance": 3.0, "bearing_deg": 0.0, "elevation_deg": 0.0}
+    task = build_experiment(check_config(data, "x.yaml"), "x.yaml").simulation.task
+    assert task.light == pytest.approx((1.0, 5.0, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("ground", "words"),
+    [
+        ("floor={type: shoer}", "allowed: 'plane', 'shore', 'hills', 'relief'"),
+        ("floor={type: shore, start: 2, stop: 1, stop_height: 0}", "stop (1) must be more than"),
+        ("floor={type: shore, stop: 1, stop_hight: 0}", "did you mean 'stop_height'"),
+        ("floor={type: hills, size: 100, spacing: 0.1}", "allowed: 2 to 256"),
+        ("floor={type: relief, heights: [[0, 1], [0]]}", "equally long"),
+        ("floor={type: relief, heights: [[0, 1]]}", "1 x 2 heights"),
+        ("floor={type: relief, file: nowhere.npy}", "no such file"),
+        ("floor={type: relief, file: heights.obj}", "'.obj' is not known; allowed: .npy"),
+        ("obstacles=[{type: boulder, centre: [0, 0, 0], radius: 0}]", "greater than 0"),
+        ("obstacles=[{type: blok, centre: [0, 0, 0]}]", "allowed: 'boulder', 'block'"),
+    ],
+)
+def test_wrong_ground_is_refused(ground, words):
+    with pytest.raises(ConfigError) as refused:
+        build(ground)
+    assert words in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"no array", np.zeros((2, 2, 2)), np.full((3, 3), np.nan)]
+)
+def test_a_file_that_holds_no_heights_is_refused(content, tmp_path):
+    path = tmp_path / "heights.npy"
+    path.write_bytes(content) if isinstance(content, bytes) else np.save(path, content)
+    with pytest.raises(ConfigError, match=r"heights.npy: world.ground.floor.file: "):
+        build(f"floor={{type: relief, file: {path}}}")

@@ -1,0 +1,213 @@
+"""What MuJoCo makes of an exported creature is the creature: masses, inertias, accelerations."""
+
+import dataclasses
+from xml.etree import ElementTree
+
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+from benchmarks.mujoco_model import dof_order, load_state, motor_order
+from creatures import STRUCTURES, in_water, quick_jit, random_creature, random_state
+from evo_cpg.creature.creature import Actuator, Body, Creature, CreatureError, Material
+from evo_cpg.creature.shapes import Box, Shape, Sphere
+from evo_cpg.creature.tree import build_tree
+from evo_cpg.exchange.errors import ExchangeError
+from evo_cpg.exchange.mjcf_export import mjcf_model, mjcf_text
+from evo_cpg.physics.articulated import solve
+from evo_cpg.physics.contact import Ground
+from evo_cpg.physics.joints import clamp_torque, passive_torque, servo_torque
+from evo_cpg.physics.kinematics import kinematics
+from evo_cpg.physics.terrain import Block, Boulder, Part, Plane, Relief, Shore
+from evo_cpg.physics.world import body_equations
+from evo_cpg.spatial.linear import lift
+
+GRAVITY = 9.81
+STATES = 5
+MOTORS = {
+    "position servos": Actuator(2.0, 3.0, stiffness=5.0),
+    "velocity servos": Actuator(2.0, 4.0),
+}
+
+each_structure = pytest.mark.parametrize("number", range(len(STRUCTURES)))
+
+
+def animal(number: int, motor: Actuator | None = None, seed: int = 0) -> Creature:
+    rng = np.random.default_rng([number, seed])
+    return random_creature(rng, STRUCTURES[number], motor=motor, axes_seed=number)
+
+
+def ball(name: str = "ball") -> Creature:
+    material = Material(1000.0, dynamic_friction=0.4)
+    return Creature("ball", (Body(name, Sphere(0.1), material),))
+
+
+@each_structure
+def test_masses_and_inertias_are_those_of_the_creature(compiled, number):
+    """Every body's mass, centre of mass and inertia about it in the working frame: 1e-12."""
+    creature = animal(number)
+    tree, model = build_tree(creature), compiled(creature, GRAVITY)
+    assert model.nbody == tree.body_count + 1
+    for i, name in enumerate(tree.names):
+        body = model.body(name)
+        assert body.mass[0] == pytest.approx(tree.mass[i], rel=1e-12)
+        np.testing.assert_allclose(body.ipos, tree.com[:, i], atol=1e-14)
+        turn = np.zeros(9)
+        mujoco.mju_quat2Mat(turn, body.iquat)
+        turn = turn.reshape(3, 3)
+        part = creature.bodies[creature.body_index(name)]
+        expected = np.diag(part.shape.inertia(tree.mass[i]))
+        inertia = turn @ np.diag(body.inertia) @ turn.T
+        np.testing.assert_allclose(inertia, expected, atol=1e-12 * expected.max())
+
+
+@pytest.mark.parametrize(("number", "kind"), list(zip(range(6), 3 * list(MOTORS), strict=True)))
+def test_it_accelerates_as_in_mujoco(compiled, number, kind):
+    """Gravity, buoyancy, springs, rotors, motors at and below their limits, torques: 1e-9.
+
+    The water is there for its buoyancy: it has no drag. Motors get random commands, of which a part
+    asks for more than the limit.
+    """
+    creature = animal(number, MOTORS[kind])
+    world = in_water(creature, density=1030.0, form_drag=0.0, skin_drag=0.0)
+    tree = world.tree
+    model = compiled(creature, GRAVITY, water=world.water)
+    data, order = mujoco.MjData(model), dof_order(model, tree)
+    rng = np.random.default_rng(number)
+
+    @quick_jit
+    def ours(state, tau, rate, angle):
+        kin = kinematics(tree, state)
+        inertia, bias = body_equations(world, kin, 0.0)
+        passive, derivative = passive_torque(tree, state, 0.0)
+        motor = clamp_torque(tree, servo_torque(tree, state, rate, angle, 0.0))
+        rotor = derivative + lift(tree.armature, tau)
+        found = solve(tree, kin, inertia, bias, tau + passive + motor, rotor)
+        linear = found.root[3:] + jnp.cross(state.velocity[:3], state.velocity[3:])
+        return jnp.concatenate([found.root[:3], linear, found.qdd]), motor
+
+    strained = 0
+    for _ in range(STATES):
+        state = random_state(tree, rng)
+        tau, rate, angle = rng.normal(size=(3, tree.dof_count))
+        springs = bool(MOTORS[kind].stiffness)
+        expected, motor = ours(state, tau, np.zeros_like(rate) if springs else rate, angle)
+        rotation = load_state(model, data, tree, state)
+        data.qfrc_applied[6 + order] = tau
+        data.ctrl = (angle if springs else rate)[motor_order(model, tree)]
+        mujoco.mj_forward(model, data)
+        theirs = [rotation @ data.qacc[3:6], data.qacc[:3], data.qacc[6 + order]]
+        theirs = np.concatenate(theirs)
+        assert np.abs(expected - theirs).max() < 1e-9 * np.abs(theirs).max()
+        strained += int((np.abs(motor) == MOTORS[kind].torque_limit).sum())
+    assert strained > 0
+
+
+def test_joints_have_their_limits(compiled):
+    creature = animal(3)
+    tree, model = build_tree(creature), compiled(creature, GRAVITY)
+    joints = dof_order(model, tree) + 1
+    np.testing.assert_array_equal(model.jnt_range[joints], np.stack([tree.lower, tree.upper], -1))
+    assert model.jnt_limited[1:].all()
+    assert model.jnt(joints[0]).name == f"{tree.names[1]}.1"
+
+
+def test_it_starts_at_its_height_and_lies_on_the_ground(compiled):
+    """Friction is that of the pair: the root of 0.4 x 0.9, and MuJoCo would take the larger."""
+    ground = Ground(dynamic_friction=0.9, floor=Plane(height=0.5))
+    model = compiled(ball(), GRAVITY, ground, height=0.6, time_step=0.01)
+    assert model.opt.timestep == 0.01
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    assert data.ncon == 1
+    assert data.contact[0].dist == pytest.approx(0.0, abs=1e-12)
+    np.testing.assert_allclose(data.contact[0].friction[:2], 0.6)
+
+
+def test_a_slope_boulders_and_blocks_are_where_they_are(compiled):
+    """Distance of MuJoCo's geoms from a ball against `Part.distance` of its centre."""
+    slope = (0.28, 0.0, 0.96)
+    parts = (
+        Plane(slope, 0.1),
+        Boulder((0.4, 0.2, 0.3), 0.25),
+        Block((0.0, 0.6, 0.2), (0.1, 0.3, 0.4), heading=0.5),
+    )
+    ground = Ground(floor=parts[0], obstacles=parts[1:])
+    model = compiled(ball("ground"), GRAVITY, ground, height=0.45)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    own = model.geom("ground").id
+    for part, name in zip(parts, ("ground_", "obstacle1", "obstacle2"), strict=True):
+        found = mujoco.mj_geomDistance(model, data, model.geom(name).id, own, 10.0, None)
+        centre, _ = part.distance(jnp.array([0.0, 0.0, 0.45]))
+        assert found == pytest.approx(float(centre) - 0.1, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    "floor",
+    [
+        Shore("x", -0.5, 1.0, 0.2, -0.4),
+        Shore("y", -1.0, 0.5, -0.3, 0.3),
+        Relief(np.outer(np.arange(4.0), np.ones(6)) / 9 - 0.1, (-1.0, -1.5), 0.5),
+        Relief(np.outer(np.ones(5), np.array([0.2, 0.0, 0.1, 0.4])), (-1.0, -0.75), 0.5),
+        Relief(np.full((3, 3), 0.2), (-1.0, -1.0), 1.0),
+    ],
+    ids=["shore", "shore along y", "relief", "relief along y", "level relief"],
+)
+def test_uneven_ground_is_as_high_as_ours(compiled, floor):
+    """Rays from above meet it where `Part.distance` is zero: to 1e-6 m, the hfield's float32."""
+    model = compiled(ball(), GRAVITY, Ground(floor=floor), height=10.0)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    for x, y in np.random.default_rng(0).uniform(-0.5, 0.45, (20, 2)):
+        found = np.zeros(1, np.int32)
+        down = np.array([0.0, 0.0, -1.0])
+        fall = mujoco.mj_ray(model, data, np.array([x, y, 5.0]), down, None, 1, -1, found)
+        gap, _ = floor.distance(jnp.array([x, y, 5.0 - fall]))
+        assert abs(float(gap)) < 1e-6
+
+
+def test_the_text_is_readable_and_exact():
+    """Numbers as they were written, bodies inside each other, colours."""
+    material = Material(850.0, dynamic_friction=0.3)
+    body = Body("trunk", Box((0.1, 0.2, 0.3)), material, color="#ff8000")
+    text = mjcf_text(mjcf_model(Creature("toy", (body,)), GRAVITY, height=0.1))
+    root = ElementTree.fromstring(text)
+    assert root.get("model") == "toy"
+    geom = root.find("worldbody/body[@name='trunk']/geom")
+    assert geom is not None
+    assert geom.attrib == {
+        "name": "trunk",
+        "type": "box",
+        "size": "0.05 0.1 0.15",
+        "density": "850",
+        "friction": "0.3",
+        "rgba": "1 0.5019607843137255 0 1",
+    }
+    assert '\n    <body name="trunk" pos="0 0 0.1">\n' in text
+
+
+class Ring(Shape):
+    """Unknown to MJCF."""
+
+    volume = 1.0
+    half_extents = np.ones(3)
+    inertia = distance = support = surface = cells = None
+
+
+class Mud(Part):
+    def distance(self, point):
+        return point[2], point
+
+
+def test_what_mjcf_cannot_hold_is_refused_by_name():
+    with pytest.raises(ExchangeError, match="body 'world': MuJoCo keeps this name"):
+        mjcf_model(ball("world"), GRAVITY)
+    ring = dataclasses.replace(ball().bodies[0], shape=Ring())
+    with pytest.raises(ExchangeError, match="a Ring cannot be written as MJCF; allowed: Box, Sph"):
+        mjcf_model(Creature("x", (ring,)), GRAVITY)
+    with pytest.raises(ExchangeError, match=r"ground with a Mud cannot be written.*allowed: Plane"):
+        mjcf_model(ball(), GRAVITY, Ground(floor=Mud()))
+    with pytest.raises(CreatureError, match="two bodies are called 'ball'"):
+        mjcf_model(Creature("x", ball().bodies * 2), GRAVITY)

@@ -1,0 +1,70 @@
+"""Single bodies on the ground at the walkers' own step."""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from creatures import quick_jit
+from evo_cpg.creature.creature import Body, Creature, Material
+from evo_cpg.creature.shapes import Shape
+from evo_cpg.creature.tree import build_tree
+from evo_cpg.physics.contact import Ground, make_footing
+from evo_cpg.physics.state import State, resting_state
+from evo_cpg.physics.step import step
+from evo_cpg.physics.world import World
+
+H = 1 / 240
+GRAVITY = 9.81
+DENSITY = 300.0
+
+
+def alone(
+    shape: Shape, restitution: float = 0.0, static: float = 0.5, dynamic: float = 0.5, **ground
+) -> World:
+    """One body over ground of the same friction that gives back all that the body does."""
+    material = Material(DENSITY, restitution, static, dynamic)
+    creature = Creature("alone", (Body("body", shape, material),))
+    tree = build_tree(creature)
+    floor = Ground(
+        restitution=1.0,
+        static_friction=static,
+        dynamic_friction=dynamic,
+        restitution_rule="multiply",
+        friction_rule="geometric",
+        **ground,
+    )
+    return World(tree, GRAVITY, footing=make_footing(creature, tree, floor))
+
+
+def released(world: World, position, velocity=0.0, orientation=(1.0, 0.0, 0.0, 0.0)) -> State:
+    """A body at ``position`` (3, n) with ``velocity`` (6, n), angular first."""
+    position = jnp.asarray(position, jnp.float64)
+    count = position.shape[1]
+    state = resting_state(world.tree, (count,), jnp.float64, orientation=orientation)
+    velocity = jnp.broadcast_to(jnp.asarray(velocity, jnp.float64), (6, count))
+    return dataclasses.replace(state, position=position, velocity=velocity)
+
+
+def recorder(world: World, steps: int, h: float = H):
+    """A function of the state, and of the restitution of every place: states and supports."""
+
+    @quick_jit
+    def run(state, restitution):
+        changed = eqx.tree_at(
+            lambda w: w.footing, world, world.footing._replace(restitution=restitution)
+        )
+
+        def advance(s, _):
+            s, effort = step(changed, s, jnp.zeros_like(s.q), h)
+            return s, (s, effort.support)
+
+        return jax.lax.scan(advance, state, None, steps)[1]
+
+    return run
+
+
+def record(world: World, state: State, steps: int, h: float = H):
+    """States and supports at every step."""
+    return recorder(world, steps, h)(state, jnp.asarray(world.footing.restitution))

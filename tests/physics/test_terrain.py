@@ -1,0 +1,119 @@
+"""Ground that is not flat: distances by their definition, bodies on it against closed forms."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from creatures import quick_jit
+from evo_cpg.creature.shapes import Box, Sphere
+from evo_cpg.physics.terrain import Block, Boulder, Plane, Relief, Shore, nearest
+from on_ground import GRAVITY, H, alone, record, released
+
+SLOPE = 0.2
+
+
+def tilted_grid(slope: float) -> Relief:
+    """Heights of a plane that rises along x, on a grid from -4 to 4 m."""
+    x = np.arange(81) * 0.1 - 4.0
+    return Relief(np.repeat(slope * x[:, None], 81, 1), (-4.0, -4.0), 0.1)
+
+
+PARTS = {
+    "plane": Plane((0.3, 0.0, 0.954), 0.2),
+    "shore": Shore("y", -0.5, 1.5, 0.3, -0.4),
+    "relief": tilted_grid(SLOPE),
+    "boulder": Boulder((0.2, 0.1, -0.1), 0.5),
+    "block": Block((0.1, -0.2, 0.0), (0.5, 0.3, 0.2), 0.4),
+}
+
+
+@pytest.mark.parametrize("name", PARTS)
+def test_the_normal_is_the_gradient_of_the_distance(name):
+    """Everywhere but on edges; for what rises along x or y too, as its slopes are constant."""
+    points = jnp.asarray(np.random.default_rng(1).uniform(-1, 1, (3, 200)))
+    part = PARTS[name]
+    _, normal = part.distance(points)
+    gradient = jax.vmap(jax.grad(lambda p: part.distance(p)[0]), -1, -1)(points)
+    normal = jnp.broadcast_to(normal, points.shape)
+    np.testing.assert_allclose(jnp.linalg.norm(normal, axis=0), 1.0, rtol=1e-6)
+    np.testing.assert_allclose(gradient, normal, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["plane", "boulder", "block"])
+def test_the_distance_leads_to_the_surface(name):
+    """Going back along the normal by the distance ends where the distance is 0."""
+    points = jnp.asarray(np.random.default_rng(2).uniform(-1, 1, (3, 200)))
+    gap, normal = PARTS[name].distance(points)
+    left, _ = PARTS[name].distance(points - gap[None] * normal)
+    np.testing.assert_allclose(left, 0.0, atol=2e-6)
+
+
+def test_the_nearest_part_counts():
+    gap, normal = nearest((Plane(), Boulder((0.0, 0.0, 0.0), 1.0)), jnp.array([[0.0, 3.0]] * 3))
+    np.testing.assert_allclose(gap, [-1.0, 3.0], atol=1e-6)
+    np.testing.assert_allclose(normal[:, 1], [0.0, 0.0, 1.0])
+
+
+def test_a_relief_is_bilinear_and_level_beyond_its_edges():
+    heights = np.random.default_rng(3).normal(size=(4, 5))
+    relief = Relief(heights, (1.0, 2.0), 0.5)
+
+    @quick_jit
+    def height(x, y):
+        gap, normal = relief.distance(jnp.stack([x, y, jnp.zeros_like(x)]))
+        return -gap / normal[2], normal
+
+    x, y = np.meshgrid(1 + 0.5 * np.arange(4), 2 + 0.5 * np.arange(5), indexing="ij")
+    np.testing.assert_allclose(height(x, y)[0], heights, atol=1e-12)
+    middle, _ = height(x[:-1, :-1] + 0.25, y[:-1, :-1] + 0.25)
+    corners = heights[:-1, :-1] + heights[1:, :-1] + heights[:-1, 1:] + heights[1:, 1:]
+    np.testing.assert_allclose(middle, corners / 4, atol=1e-12)
+    outside, normal = height(np.array([-3.0]), np.array([9.0]))
+    np.testing.assert_allclose(outside, heights[:1, -1])
+    np.testing.assert_allclose(normal[:, 0], [0.0, 0.0, 1.0])
+
+
+def test_a_block_slides_down_a_relief_as_down_a_plane():
+    """The same slope given as heights: a = g (sin - mu cos), and never off the ground."""
+    tilt = np.arctan(SLOPE)
+    turned = (np.cos(tilt / 2), 0.0, -np.sin(tilt / 2), 0.0)
+    world = alone(Box((0.2, 0.2, 0.1)), static=0.1, dynamic=0.1, floor=tilted_grid(SLOPE))
+    rest = 0.05 / np.cos(tilt)
+    start = released(world, [[1.0], [0.0], [SLOPE + rest]], orientation=turned)
+    states, _ = record(world, start, 240)
+    down = (np.asarray(states.position)[:, :, 0] @ [np.cos(tilt), 0.0, np.sin(tilt)])[[60, -1]]
+    seconds = np.array([61, 240]) * H
+    travelled = down[0] - down[1]
+    expected = GRAVITY * (np.sin(tilt) - 0.1 * np.cos(tilt)) / 2 * np.diff(seconds**2)[0]
+    assert travelled == pytest.approx(expected, rel=0.01)
+    above = states.position[:, 2, 0] - SLOPE * states.position[:, 0, 0]
+    np.testing.assert_allclose(above, rest, atol=1e-4)
+
+
+def test_a_ball_runs_into_a_wall_and_comes_back():
+    """Along a frictionless floor; the wall gives back half of the speed."""
+    wall = Block((2.0, 0.0, 0.0), (0.5, 3.0, 1.0))
+    world = alone(Sphere(0.1), restitution=0.5, static=0.0, dynamic=0.0, obstacles=(wall,))
+    start = released(world, [[1.0], [0.0], [0.1]], np.array([[0.0, 0, 0, 2.0, 0, 0]]).T)
+    states, _ = record(world, start, 120)
+    x, speed = states.position[:, 0, 0], states.velocity[:, 3, 0]
+    # A step before it would hit it takes the speed of its return.
+    assert 1.4 - 2.0 * H < float(x.max()) < 1.4 + 1e-6
+    assert float(speed[-1]) == pytest.approx(-1.0, abs=0.05)
+    np.testing.assert_allclose(states.position[:, 2, 0], 0.1, atol=1e-3)
+
+
+def test_bodies_come_to_rest_on_a_block_and_beside_a_boulder():
+    """The box on top of the block, the ball in the corner of boulder and plane."""
+    step_up = Block((0.0, 0.0, 0.0), (1.0, 1.0, 0.3))
+    world = alone(Box((0.2, 0.2, 0.1)), static=0.8, dynamic=0.8, obstacles=(step_up,))
+    states, _ = record(world, released(world, [[0.2], [0.1], [0.5]]), 240)
+    assert float(states.position[-1, 2, 0]) == pytest.approx(0.35, abs=1e-3)
+
+    boulder = Boulder((0.0, 0.0, 0.0), 0.5)
+    world = alone(Sphere(0.1), static=0.0, dynamic=0.0, obstacles=(boulder,))
+    states, _ = record(world, released(world, [[0.3], [0.0], [0.6]]), 480)
+    away = np.linalg.norm(states.position[:, :, 0], axis=-1)
+    assert away.min() > 0.6 - 0.005
+    assert states.position[:, 2, 0].min() > 0.1 - 0.005

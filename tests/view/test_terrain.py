@@ -1,0 +1,321 @@
+"""Relief, obstacles and the water's surface: where the physics has them, and told apart."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import pyvista as pv
+import synthetic
+
+from evo_cpg.physics.contact import Ground
+from evo_cpg.physics.terrain import Block, Boulder, Plane, Relief, Shore
+from evo_cpg.view.camera import hidden, project
+from evo_cpg.view.film import Stage, _surface_is_seen, camera_path, film, sample
+from evo_cpg.view.look import SHORE
+from evo_cpg.view.obstacles import obstacle_mesh, obstacle_top
+from evo_cpg.view.particles import add_particles
+from evo_cpg.view.terrain import heights, make_terrain
+from evo_cpg.view.water import Ripples
+
+SIZE = (320, 180)
+INSTANT = 3.0
+SLANT = (0.28, 0.0, 0.96)
+# Falls from 0.3 m on the animal's left to -0.5 m on its right, which the viewer faces.
+SHORE_BESIDE = Shore("y", -1.0, 1.0, -0.5, 0.3)
+WATERLINE = 0.25
+_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+
+
+def bumps(spacing=0.1, height=0.2):
+    """Smooth hills around the origin."""
+    x = spacing * np.arange(-40, 41)
+    wave = height * np.sin(1.7 * x)[:, None] * np.cos(1.3 * x)
+    return Relief(wave, (float(x[0]), float(x[0])), spacing)
+
+
+FLOORS = {
+    "plane": Plane(height=0.4),
+    "slope": Plane(SLANT, 0.2),
+    "shore": SHORE_BESIDE,
+    "relief": bumps(),
+    "fine relief": bumps(0.01),
+}
+
+
+def height_of(floor, x, y):
+    """The same heights from the definitions."""
+    if isinstance(floor, Plane):
+        n = np.array(floor.normal)
+        return (floor.height - n[0] * x - n[1] * y) / n[2]
+    if isinstance(floor, Shore):
+        return np.interp(y, (-1.0, 1.0), (-0.5, 0.3))
+    steps = [(value - floor.corner[0]) / floor.spacing for value in (x, y)]
+    steps = [np.clip(s, 0, n - 1) for s, n in zip(steps, floor.heights.shape, strict=True)]
+    (i, u), (j, v) = ((c := np.minimum(s.astype(int), 79), s - c) for s in steps)
+    h = floor.heights
+    near = h[i, j] + u * (h[i + 1, j] - h[i, j])
+    far = h[i, j + 1] + u * (h[i + 1, j + 1] - h[i, j + 1])
+    return near + v * (far - near)
+
+
+@pytest.mark.parametrize("name", FLOORS)
+def test_the_mesh_has_the_terrains_heights(name):
+    floor = FLOORS[name]
+    path = np.array([[-0.5, 0.0], [0.7, 0.3]])
+    terrain = make_terrain(floor, path, 0.5, 10.0)
+    x, y, z = terrain.points().T
+    assert np.allclose(z, height_of(floor, x, y), atol=1e-5)
+    assert (np.diff(terrain.x) > 0).all() and (np.diff(terrain.y) > 0).all()
+    assert terrain.x[0] < -10 and terrain.x[-1] > 10
+    # Between its lines the mesh is as good as its triangles are small.
+    spots = np.random.default_rng(1).uniform(-2, 2, (500, 2))
+    off = terrain.height(spots) - height_of(floor, *spots.T)
+    assert np.abs(off).max() < (0.006 if "relief" in name else 1e-5)
+    normal = terrain.normals()
+    assert np.allclose(np.linalg.norm(normal, axis=1), 1) and (normal[:, 2] > 0).all()
+
+
+def test_the_triangles_are_those_of_the_height():
+    terrain = make_terrain(bumps(), np.zeros((1, 2)), 0.5, 3.0)
+    corners = terrain.points()[terrain.triangles()]
+    middle = corners.mean(1)
+    assert np.allclose(terrain.height(middle[:, :2]), middle[:, 2])
+    # They face up.
+    edge, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    assert (np.cross(edge, other)[:, 2] > 0).all()
+
+
+def test_a_floor_without_heights_is_refused():
+    with pytest.raises(TypeError, match="no heights for a Boulder; a floor is a Plane, a Shore or"):
+        heights(Boulder((0.0, 0.0, 0.0), 1.0), np.zeros((1, 2)))
+
+
+STONES = [Boulder((0.3, -0.2, 0.1), 0.4), Block((0.2, 0.1, 0.3), (0.4, 0.2, 0.1), 0.6)]
+
+
+@pytest.mark.parametrize("stone", STONES, ids=("boulder", "block"))
+def test_a_stone_has_the_shape_of_the_physics(stone):
+    mesh, place, turn = obstacle_mesh(stone)
+    world = np.asarray(mesh.points) @ turn.T + place
+    gap, outward = stone.distance(jnp.asarray(world.T))
+    assert np.abs(gap).max() < 1e-5
+    normal = np.asarray(mesh.point_data.active_normals) @ turn.T
+    # Two faces share an edge, whose way out is of one of them.
+    along = np.einsum("ij,ji->i", normal, np.asarray(outward))
+    assert along.min() > -1e-6 and (along > 0.99).mean() > 0.9
+    # From above: outside of it nothing, over it the upper side.
+    spots = np.random.default_rng(2).uniform(-1, 1, (600, 2))
+    top = obstacle_top(stone, spots)
+    over = np.isfinite(top)
+    assert 20 < over.sum() < 500
+    gap, _ = stone.distance(jnp.asarray(np.column_stack([spots[over], top[over]]).T))
+    assert np.abs(np.asarray(gap)).max() < 1e-5
+    column = np.linspace(-1, 1, 41)
+    for spot in spots[~over][:20]:
+        points = np.column_stack([np.tile(spot, (41, 1)), column])
+        gap, _ = stone.distance(jnp.asarray(points.T))
+        assert np.asarray(gap).min() > -1e-6
+
+
+def test_an_unknown_obstacle_is_refused():
+    for function in (obstacle_mesh, lambda part: obstacle_top(part, np.zeros((1, 2)))):
+        with pytest.raises(TypeError, match="no picture for a Plane; an obstacle is a Boulder or"):
+            function(Plane())
+
+
+def test_ripples_repeat_and_move_like_waves():
+    ripples = Ripples(2.0)
+    still, later = ripples.slopes(0.0), ripples.slopes(0.1)
+    assert np.array_equal(still, Ripples(2.0).slopes(0.0))
+    assert np.sqrt((still**2).sum(0).mean()) == pytest.approx(0.12, rel=1e-6)
+    # A slope of a field that repeats is zero on average; and its field has no curl.
+    assert np.abs(still.mean((1, 2))).max() < 1e-12
+    number = 2 * np.pi * np.fft.fftfreq(256, 2.0 / 256)
+    spectrum = np.fft.fft2(still)
+    curl = number[:, None] * spectrum[1] - number * spectrum[0]
+    assert np.abs(curl).max() < 1e-9 * np.abs(number[:, None] * spectrum[0]).max()
+    # omega^2 = g k: within a tenth of a second the wave of the longest kind turns by this much.
+    first, then = (np.fft.fft2(s[0])[7, 0] for s in (still, later))
+    turned = np.angle(then / first)
+    assert abs(turned) == pytest.approx(0.1 * np.sqrt(9.81 * 2 * np.pi * 7 / 2.0), rel=1e-6)
+
+
+@pytest.fixture(scope="module")
+def creature():
+    return synthetic.walker()
+
+
+@pytest.fixture(scope="module")
+def wading():
+    """The walker along the shore, with its feet a quarter of a metre deep."""
+    walk = synthetic.walk(6)
+    return walk._replace(position=walk.position - [0.0, 0.0, WATERLINE])
+
+
+def still(creature, motion, folder, **settings):
+    path = film(
+        creature, motion, folder / "s.png", size=SIZE, title="", seconds=INSTANT, **settings
+    )
+    return synthetic.read(path)
+
+
+def spots(creature, motion, stage, points):
+    """Columns and rows of points of the world ``(n, 3)`` in the still."""
+    clip = sample(motion, 30)
+    path = camera_path(creature, motion, clip, stage)
+    frame = int(np.abs(clip.time - INSTANT).argmin())
+    every = np.repeat(np.asarray(points, float)[None], len(clip.time), 0)
+    x, y = project(path, every, SIZE[0] / SIZE[1])[frame].T
+    return np.column_stack([SIZE[0] * (1 + x) / 2, SIZE[1] * (1 - y) / 2]).astype(int)
+
+
+def test_water_and_land_are_told_apart(creature, wading, tmp_path):
+    ground = Ground(floor=SHORE_BESIDE)
+    image = still(creature, wading, tmp_path, ground=ground, surface=0.0)
+    stage = Stage(SHORE, "", SIZE, 1.0, 30.0, 1.0, ground, 0.0)
+    x = wading.position[int(INSTANT * 60), 0, 0]
+    land = [(x + a, 0.9, 0.26) for a in (-0.8, 0.9)]
+    water = [(x + a, -0.7, 0.0) for a in (-0.4, 0.1, 0.5)]
+    mean = []
+    for points in (land, water):
+        places = spots(creature, wading, stage, points)
+        assert ((places > 8) & (places < np.array(SIZE) - 8)).all()
+        mean.append(
+            np.mean([image[r - 3 : r + 4, c - 3 : c + 4].mean((0, 1)) for c, r in places], 0)
+        )
+    (red, _, blue), (red_water, _, blue_water) = mean
+    assert red - blue > 20
+    assert blue_water - red_water > 10
+    # The orange trunk is above the surface, and the feet can be seen below it.
+    orange = (image[..., 0] - image[..., 2] > 150) & (image[..., 1] < 140)
+    assert orange.mean() > 0.01
+    bare = still(creature, wading, tmp_path, ground=ground, world="land")
+    assert np.abs(bare - image)[orange].mean() < 12
+
+
+def test_what_is_under_water_is_tinted_and_what_is_above_is_not(creature, wading, tmp_path):
+    """Raising the surface over the trunk's lower half takes the red out of it there."""
+    ground = Ground(floor=SHORE_BESIDE)
+    low = still(creature, wading, tmp_path, ground=ground, surface=0.0)
+    high = still(creature, wading, tmp_path, ground=ground, surface=0.25)
+    stage = Stage(SHORE, "", SIZE, 1.0, 30.0, 1.0, ground, 0.25)
+    trunk = wading.position[int(INSTANT * 60), 0]
+    side = trunk - [0.0, 0.16, 0.0]
+    heights_on_it = np.array([[0, 0, 0.04], [0, 0, -0.06]])
+    above, below = spots(creature, wading, stage, side + heights_on_it)
+    for (column, row), tinted in ((above, False), (below, True)):
+        change = (low - high)[row, column]
+        assert (change[0] > 20) == tinted
+        assert (np.abs(change).max() < 12) == (not tinted)
+
+
+def test_the_water_moves_by_itself(creature, wading, tmp_path):
+    """The same pose in the same place half a second later: only the ripples differ."""
+    later = wading._replace(time=wading.time + 0.5)
+    one, two = (
+        still(creature, motion, tmp_path, ground=Ground(floor=SHORE_BESIDE), surface=0.0)
+        for motion in (wading, later)
+    )
+    changed = np.abs(one - two).max(-1) > 6
+    assert 0.02 < changed.mean() < 0.7
+    again = still(creature, wading, tmp_path, ground=Ground(floor=SHORE_BESIDE), surface=0.0)
+    assert np.array_equal(one, again)
+
+
+@pytest.mark.parametrize(("surface", "seen"), [(-0.3, True), (0.2, True), (0.45, False)])
+def test_the_surface_is_shown_where_something_comes_out_of_it(creature, surface, seen):
+    """The walker's back is at about 0.58 - 0.3 m, the ridge beside it at 0.4."""
+    walk = synthetic.walk(2)
+    clip = sample(walk._replace(position=walk.position - [0.0, 0.0, 0.5]), 30)
+    ridge = Ground(floor=Shore("y", -1.0, 1.0, -0.5, 0.4))
+    assert _surface_is_seen(creature, clip, ridge, surface) == seen
+    assert not _surface_is_seen(creature, clip, None, 0.2)
+
+
+def test_deep_under_the_surface_the_film_is_as_ever(tmp_path):
+    swimmer, swim = synthetic.swimmer(), synthetic.swim(6)
+    deep, boundless = (still(swimmer, swim, tmp_path, surface=s) for s in (5.0, None))
+    assert np.array_equal(deep, boundless)
+    shallow = still(swimmer, swim, tmp_path, surface=0.0)
+    assert shallow.mean() > deep.mean() + 40
+    # WCAG asks for a contrast of 4.5 of text with what lies behind it.
+    behind, written = (
+        np.median(np.where(c > 0.04045, ((c + 0.055) / 1.055) ** 2.4, c / 12.92) @ _LUMINANCE)
+        for c in (shallow[150:] / 255, np.array(pv.Color(SHORE.text).float_rgb))
+    )
+    assert (behind + 0.05) / (written + 0.05) > 4.5
+
+
+def test_ground_with_relief_hides_what_is_behind_it(creature, tmp_path):
+    """Sunk by a quarter of a metre into hills, of the blue shins is little left."""
+    floor = bumps(height=0.1)
+    walk = synthetic.over(synthetic.walk(6), lambda place: heights(floor, place))
+    sunk = walk._replace(position=walk.position - [0.0, 0.0, 0.25])
+    count = []
+    for motion in (walk, sunk):
+        image = still(creature, motion, tmp_path, world="land", ground=Ground(floor=floor))
+        count.append(int((image[60:, :, 2] - image[60:, :, 0] > 60).sum()))
+    assert count[0] > 150
+    assert count[1] < 0.35 * count[0]
+
+
+def test_relief_can_be_read(creature, tmp_path):
+    """The slopes differ in brightness by more than the level ground does."""
+    walk = synthetic.walk(6)
+    level = Ground(floor=Shore("x", 90.0, 91.0, 0.0, 0.1))
+    tones = []
+    for ground in (level, Ground(floor=bumps(height=0.3))):
+        walk = synthetic.over(synthetic.walk(6), lambda p, g=ground: heights(g.floor, p))
+        light = still(creature, walk, tmp_path, world="land", ground=ground).mean(-1)[90:150]
+        tones.append(light.std())
+    assert tones[1] > 1.15 * tones[0]
+
+
+def test_ground_nearly_level_looks_like_level_ground(creature, tmp_path):
+    """A shore far away puts the same things in the same places, by the other way of drawing."""
+    walk = synthetic.walk(6)
+    far = Ground(floor=Shore("x", 90.0, 91.0, 0.0, 0.1))
+    one, two = (still(creature, walk, tmp_path, world="land", ground=g) for g in (Ground(), far))
+    assert np.abs(one - two).mean() < 12
+    assert not np.array_equal(one, two)
+
+
+def test_the_camera_rises_over_what_hides_the_animal(creature):
+    walk = synthetic.walk(6)
+    clip = sample(walk, 30)
+    wall = Block((1.5, -1.0, 0.0), (6.0, 0.1, 0.55))
+    stages = [
+        Stage(SHORE, "", SIZE, 1.0, 30.0, 1.0, Ground(obstacles=stones)) for stones in ((), (wall,))
+    ]
+    low, high = (camera_path(creature, walk, clip, stage) for stage in stages)
+
+    def top(place):
+        return np.maximum(obstacle_top(wall, place), 0.0)
+
+    assert hidden(low, clip.position, top, 0.0) > 0.3
+    assert hidden(high, clip.position, top, 0.0) < 0.1
+    assert high.position[0, 2] > low.position[0, 2] + 0.3
+
+
+@pytest.mark.parametrize("ground", [None, Ground(floor=Plane(height=-6.0))])
+def test_the_camera_is_above_the_surface_of_a_diver(creature, ground):
+    """It is a body's length deep, where the eye at the usual slant would be under water."""
+    walk = synthetic.walk(2)
+    clip = sample(walk._replace(position=walk.position - [0.0, 0.0, 1.0]), 30)
+    path = camera_path(creature, walk, clip, Stage(SHORE, "", SIZE, 1.0, 30.0, 1.0, ground, 0.0))
+    assert path.position[:, 2].min() > 0.1
+
+
+def test_a_surface_that_is_no_height_is_refused(creature, wading, tmp_path):
+    with pytest.raises(ValueError, match="surface is nan; it must be finite, or None"):
+        film(creature, wading, tmp_path / "walk.png", surface=float("nan"))
+
+
+def test_no_specks_in_the_air(wading):
+    terrain = make_terrain(SHORE_BESIDE, wading.position[:, 0, :2], 0.5, 5.0)
+    plotter = pv.Plotter(off_screen=True)
+    add_particles(plotter, wading.position[:, 0], terrain, 0.5, 1.0, 0.0)
+    points = np.concatenate([mesh.points for mesh in plotter.meshes])
+    plotter.close()
+    assert len(points) > 100
+    assert (points[:, 2] < 0).all()
+    assert (points[:, 2] > terrain.height(points[:, :2]) - 1e-6).all()
