@@ -47,14 +47,14 @@ from evo_cpg.spatial.linear import lift
 
 # Solves with lines before the forces are imposed. On the ground: of the points of tumbling
 # quadrupeds without motors, 1.2 % are more than 1 mm deep with 3, 0.75 % with 4. In water, for
-# motors alone: of 200 random swimmers with limits of 20 N m and of 5 N m none diverged with 5.
-_GROUND_PASSES, _MOTOR_PASSES = 4, 5
+# motors alone: of 200 random swimmers with limits of 20 N m (5 N m) 39 (28) diverge with 5, none (5)
+# with 10.
+_GROUND_PASSES, _MOTOR_PASSES = 4, 10
 
 # Slope given to a saturated servo, as a share of its secant. With the tangent (0) the passes cycle
-# between the two limits where inertias are small: 108 and 193 of 200 random swimmers with limits of
-# 20 N m and of 5 N m blew up. The secant (1) never overshoots but takes twice the passes; from 1/2
-# on convergence is assured, because the piecewise quadratic energy of the servos then lies below
-# its model.
+# between the two limits where inertias are small, and over half of such swimmers blew up. The
+# secant (1) never overshoots but takes twice the passes; from 1/2 on convergence is assured,
+# because the piecewise quadratic energy of the servos then lies below its model.
 _SECANT_SHARE = 0.5
 
 
