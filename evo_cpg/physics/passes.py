@@ -47,7 +47,7 @@ from evo_cpg.spatial.linear import lift
 
 # Solves with lines before the forces are imposed. On the ground: of the points of tumbling
 # quadrupeds without motors, 1.2 % are more than 1 mm deep with 3, 0.75 % with 4. In water, for
-# motors alone: of 200 random swimmers with limits of 20 N m (5 N m) 39 (28) diverge with 5, none (5)
+# motors alone: of 200 random swimmers with limits of 20 (5) N m, 39 (28) diverge with 5, none (5)
 # with 10.
 _GROUND_PASSES, _MOTOR_PASSES = 4, 10
 
