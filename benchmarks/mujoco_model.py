@@ -21,7 +21,7 @@ def mujoco_model(
     motors: bool = False,
     limits: bool = False,
     ground: Ground | None = None,
-    height: float = 0.0,
+    start: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> mujoco.MjModel:
     """Compile a creature for MuJoCo.
 
@@ -32,9 +32,9 @@ def mujoco_model(
         motors: let the motors work (see `motor_order`).
         limits: hold every joint within its limits, with MuJoCo's own soft constraint.
         ground: that every body may touch, but no body another.
-        height: of the root's centre at the start, m.
+        start: place of the root's centre at the start, m.
     """
-    root = mjcf_model(creature, GRAVITY, ground, height=height)
+    root = mjcf_model(creature, GRAVITY, ground, start=start)
     for key, value in (options or {}).items():
         _part(root, "option").set(key, str(value))
     if fluid:

@@ -300,7 +300,7 @@ def mujoco_walk(
         motors=True,
         limits=True,
         ground=world.ground,
-        height=simulation.start_position[2],
+        start=simulation.start_position,
     )
     angles = np.asarray(simulation.controller.decode(jnp.asarray(genes)), float)
     angles = np.moveaxis(angles, -1, 0)[..., motor_order(model, world.tree)]

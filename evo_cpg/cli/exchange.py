@@ -25,7 +25,8 @@ def export_model(source: Path, output: Path, overwrite: bool) -> None:
         world.gravity,
         world.ground,
         world.water,
-        simulation.start_position[2],
+        simulation.start_position,
+        simulation.start_heading,
         simulation.step_length,
     )
     _write(output, mjcf_text(model))

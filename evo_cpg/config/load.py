@@ -125,11 +125,9 @@ def _read_files(data: dict[str, Any], path: Path) -> None:
     floor: Any = data
     for key in ("world", "ground", "floor"):
         floor = floor.get(key) if isinstance(floor, dict) else None
-    if isinstance(floor, dict) and isinstance(floor.get("file"), str):
-        limits = (
-            float(floor.pop(key, value)) for key, value in (("lowest", 0.0), ("highest", 1.0))
-        )
-        floor["heights"] = read_heights(path.parent / floor.pop("file"), *limits)
+    if isinstance(floor, dict) and floor.get("type") == "relief" and "file" in floor:
+        given = {key: floor.pop(key) for key in ("file", "lowest", "highest") if key in floor}
+        floor["heights"] = read_heights(path, **given)
 
 
 def _misread(given: Any, made: Any) -> Iterator[tuple[tuple[str | int, ...], Any, str]]:

@@ -18,6 +18,7 @@ from evo_cpg.config.schema.ground import (
 from evo_cpg.physics.contact import Ground
 from evo_cpg.physics.terrain import Block, Boulder, Part, Plane, Relief, Shore
 
+_FLOOR = ("world", "ground", "floor")
 _ARRAYS, _TABLES, _IMAGES = (".npy",), (".csv", ".txt"), (".png", ".jpg", ".jpeg", ".tif", ".tiff")
 
 
@@ -69,49 +70,71 @@ def _hills(config: HillsConfig) -> np.ndarray:
     return heights * (1 - np.exp(-0.5 * (away / max(config.clearing, config.spacing)) ** 2))
 
 
-def read_heights(path: Path, lowest: float, highest: float) -> list[list[float]]:
+def read_heights(
+    source: Path, file: object, lowest: object = 0.0, highest: object = 1.0
+) -> list[list[float]]:
     """Heights from an array (.npy), a table (.csv, .txt) or an image, m.
 
     Args:
-        path: the file. The first axis of an array, and a line of a table, is x; an image is seen
-            from above, its right edge straight ahead.
+        source: the configuration file, beside which the file is looked for.
+        file: its name, as it stands in the configuration. The first axis of an array, and a line of
+            a table, is x; an image is seen from above, its right edge straight ahead.
         lowest: height of black, m; only for images.
         highest: height of white, m.
 
     Raises:
-        ConfigError: there is no such file, or it does not hold a grid of numbers.
+        ConfigError: there is no such file, it does not hold a grid of numbers, or a limit is none.
     """
-    where = ("world", "ground", "floor", "file")
+    black, white = (
+        _number(source, (*_FLOOR, key), value)
+        for key, value in (("lowest", lowest), ("highest", highest))
+    )
+    where = (*_FLOOR, "file")
+    if not isinstance(file, str):
+        raise ConfigError(source, where, f"{file!r}: must be the name of a file")
+    path = source.parent / file
+    suffix = path.suffix.lower()
     known = (*_ARRAYS, *_TABLES, *_IMAGES)
-    if path.suffix.lower() not in known:
-        raise ConfigError(path, where, f"{path.suffix!r} is not known; allowed: {', '.join(known)}")
+    if suffix not in known:
+        raise ConfigError(
+            source, where, f"{file}: {path.suffix!r} is not known; allowed: {', '.join(known)}"
+        )
     if not path.is_file():
-        raise ConfigError(path, where, "no such file")
+        raise ConfigError(source, where, f"{file}: no such file")
     try:
-        if path.suffix.lower() in _ARRAYS:
+        if suffix in _ARRAYS:
             heights = np.load(path, allow_pickle=False)
-        elif path.suffix.lower() in _TABLES:
-            heights = np.loadtxt(path, delimiter="," if path.suffix.lower() == ".csv" else None)
+        elif suffix in _TABLES:
+            heights = np.loadtxt(path, delimiter="," if suffix == ".csv" else None)
         else:
-            heights = _image(path, lowest, highest)
+            heights = _image(path, black, white)
         heights = np.asarray(heights, float)
     except Exception as error:
         # Whatever the readers raise is about the file.
-        raise ConfigError(path, where, f"cannot be read ({error})") from None
+        raise ConfigError(source, where, f"{file}: cannot be read ({error})") from None
     if heights.ndim != 2 or not np.isfinite(heights).all():
-        raise ConfigError(path, where, f"must hold a grid of finite numbers, not {heights.shape}")
+        raise ConfigError(
+            source, where, f"{file}: must hold a grid of finite numbers, not {heights.shape}"
+        )
     if not all(2 <= count <= MOST_HEIGHTS for count in heights.shape):
         size = " x ".join(map(str, heights.shape))
-        raise ConfigError(path, where, f"{size} heights; allowed: 2 to {MOST_HEIGHTS} each way")
+        raise ConfigError(
+            source, where, f"{file}: {size} heights; allowed: 2 to {MOST_HEIGHTS} each way"
+        )
     return heights.tolist()
+
+
+def _number(source: Path, where: tuple[str, ...], value: object) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
+        raise ConfigError(source, where, f"{value!r}: must be a finite number")
+    return float(value)
 
 
 def _image(path: Path, lowest: float, highest: float) -> np.ndarray:
     from matplotlib.image import imread
 
-    pixels = np.asarray(imread(path), float)
-    if np.asarray(imread(path)).dtype == np.uint8:
-        pixels = pixels / 255
+    pixels = np.asarray(imread(path))
+    full = 255 if pixels.dtype == np.uint8 else 1
     grey = pixels if pixels.ndim == 2 else pixels[..., :3].mean(-1)
     # Rows go down in the picture, which is to the right on the ground.
-    return lowest + (highest - lowest) * grey[::-1].T
+    return lowest + (highest - lowest) / full * grey[::-1].T

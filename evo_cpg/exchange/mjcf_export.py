@@ -38,7 +38,8 @@ def mjcf_model(
     gravity: float,
     ground: Ground | None = None,
     water: Water | None = None,
-    height: float = 0.0,
+    start: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    heading: float = 0.0,
     time_step: float | None = None,
 ) -> Element:
     """The ``mujoco`` element of a creature in its world.
@@ -48,7 +49,8 @@ def mjcf_model(
         gravity: m/s^2, pulling along -z.
         ground: that every body may touch, but no body another.
         water: whose buoyancy carries the bodies, unless it has a surface.
-        height: of the root's centre at the start, m.
+        start: place of the root's centre at the start, m.
+        heading: by which it is turned about z there, rad.
         time_step: s; None for MuJoCo's own.
 
     Raises:
@@ -73,7 +75,7 @@ def mjcf_model(
     SubElement(default, "geom", contype="0", conaffinity="1", condim="3")
     place = SubElement(root, "worldbody")
     parts = add_ground(root, place, ground, names) if ground else []
-    _add_bodies(place, creature, water, height)
+    _add_bodies(place, creature, water, start, heading)
     if ground:
         contact = SubElement(root, "contact")
         for part in parts:
@@ -104,7 +106,13 @@ def _joint_names(body: Body) -> list[str]:
     return [f"{body.name}.{i + 1}" for i in range(count)]
 
 
-def _add_bodies(place: Element, creature: Creature, water: Water | None, height: float) -> None:
+def _add_bodies(
+    place: Element,
+    creature: Creature,
+    water: Water | None,
+    start: tuple[float, float, float],
+    heading: float,
+) -> None:
     children: dict[str, list[Body]] = {}
     for body in creature.bodies:
         children.setdefault(body.joint.parent if body.joint else "", []).append(body)
@@ -115,7 +123,9 @@ def _add_bodies(place: Element, creature: Creature, water: Water | None, height:
         own_anchor = joint.child_anchor if joint else (0.0, 0.0, 0.0)
         element = SubElement(outer, "body", name=body.name)
         if joint is None:
-            element.set("pos", number_text(0.0, 0.0, height))
+            element.set("pos", number_text(*start))
+            if heading:
+                element.set("euler", number_text(0.0, 0.0, heading))
         else:
             element.set("pos", place_text(np.subtract(joint.parent_anchor, parent_anchor)))
             turn = np.array(joint.orientation)

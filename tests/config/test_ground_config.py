@@ -120,6 +120,12 @@ def test_a_light_is_where_the_animal_sees_it():
         ("floor={type: relief, heights: [[0, 1]]}", "1 x 2 heights"),
         ("floor={type: relief, file: nowhere.npy}", "no such file"),
         ("floor={type: relief, file: heights.obj}", "'.obj' is not known; allowed: .npy"),
+        ("floor={type: relief, file: 3}", "file: 3: must be the name of a file"),
+        (
+            "floor={type: relief, file: a.png, lowest: low}",
+            "lowest: 'low': must be a finite number",
+        ),
+        ("floor={type: shore, stop: 1, stop_height: 0, file: a.png}", "unknown key"),
         ("obstacles=[{type: boulder, centre: [0, 0, 0], radius: 0}]", "greater than 0"),
         ("obstacles=[{type: blok, centre: [0, 0, 0]}]", "allowed: 'boulder', 'block'"),
     ],
@@ -136,5 +142,5 @@ def test_wrong_ground_is_refused(ground, words):
 def test_a_file_that_holds_no_heights_is_refused(content, tmp_path):
     path = tmp_path / "heights.npy"
     path.write_bytes(content) if isinstance(content, bytes) else np.save(path, content)
-    with pytest.raises(ConfigError, match=r"heights.npy: world.ground.floor.file: "):
+    with pytest.raises(ConfigError, match=r"world.ground.floor.file: .*heights.npy: "):
         build(f"floor={{type: relief, file: {path}}}")

@@ -113,10 +113,16 @@ def test_joints_have_their_limits(compiled):
     assert model.jnt(joints[0]).name == f"{tree.names[1]}.1"
 
 
+def test_it_starts_where_and_as_it_is_put(compiled):
+    model = compiled(ball(), GRAVITY, start=(1.0, -2.0, 0.3), heading=0.4)
+    np.testing.assert_allclose(model.qpos0[:3], (1.0, -2.0, 0.3))
+    np.testing.assert_allclose(model.qpos0[3:], (np.cos(0.2), 0, 0, np.sin(0.2)), atol=1e-12)
+
+
 def test_it_starts_at_its_height_and_lies_on_the_ground(compiled):
     """Friction is that of the pair: the root of 0.4 x 0.9, and MuJoCo would take the larger."""
     ground = Ground(dynamic_friction=0.9, floor=Plane(height=0.5))
-    model = compiled(ball(), GRAVITY, ground, height=0.6, time_step=0.01)
+    model = compiled(ball(), GRAVITY, ground, start=(0.0, 0.0, 0.6), time_step=0.01)
     assert model.opt.timestep == 0.01
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
@@ -134,7 +140,7 @@ def test_a_slope_boulders_and_blocks_are_where_they_are(compiled):
         Block((0.0, 0.6, 0.2), (0.1, 0.3, 0.4), heading=0.5),
     )
     ground = Ground(floor=parts[0], obstacles=parts[1:])
-    model = compiled(ball("ground"), GRAVITY, ground, height=0.45)
+    model = compiled(ball("ground"), GRAVITY, ground, start=(0.0, 0.0, 0.45))
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     own = model.geom("ground").id
@@ -157,7 +163,7 @@ def test_a_slope_boulders_and_blocks_are_where_they_are(compiled):
 )
 def test_uneven_ground_is_as_high_as_ours(compiled, floor):
     """Rays from above meet it where `Part.distance` is zero: to 1e-6 m, the hfield's float32."""
-    model = compiled(ball(), GRAVITY, Ground(floor=floor), height=10.0)
+    model = compiled(ball(), GRAVITY, Ground(floor=floor), start=(0.0, 0.0, 10.0))
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     for x, y in np.random.default_rng(0).uniform(-0.5, 0.45, (20, 2)):
@@ -172,7 +178,7 @@ def test_the_text_is_readable_and_exact():
     """Numbers as they were written, bodies inside each other, colours."""
     material = Material(850.0, dynamic_friction=0.3)
     body = Body("trunk", Box((0.1, 0.2, 0.3)), material, color="#ff8000")
-    text = mjcf_text(mjcf_model(Creature("toy", (body,)), GRAVITY, height=0.1))
+    text = mjcf_text(mjcf_model(Creature("toy", (body,)), GRAVITY, start=(0.0, 0.0, 0.1)))
     root = ElementTree.fromstring(text)
     assert root.get("model") == "toy"
     geom = root.find("worldbody/body[@name='trunk']/geom")

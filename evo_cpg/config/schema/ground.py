@@ -22,7 +22,7 @@ class PlaneConfig(Section):
         type: ``plane``.
         slope_deg: by which it falls, degrees.
         downhill_deg: direction in which it falls, to the left of straight ahead, degrees.
-        height: below the start, m.
+        height: of the ground at the world's origin, m.
     """
 
     type: Literal["plane"] = "plane"
