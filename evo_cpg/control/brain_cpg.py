@@ -6,7 +6,7 @@ sigma an output of the brain, between 0 and 1:
 
     u = u_max sigma,    b = b_min + (b_max - b_min) sigma,    d = d_max (2 sigma - 1),
     u_e = u (1 + d),    u_f = u (1 - d),
-    target = G g_axis (y_e - y_f) - k_c q,    within plus and minus max_rate.
+    target = G g (y_e - y_f) - k_c q,    within plus and minus max_rate.
 
 The paper says no more than "angular-velocity control" of the last line.
 
@@ -16,7 +16,7 @@ The paper says no more than "angular-velocity control" of the last line.
 | b, b_min, b_max | ``adaptation_gain``, ``min_adaptation_gain``, ``max_adaptation_gain`` |
 | d, d_max | ``steering``, ``steering_range`` |
 | G | ``rate_gain`` (rad/s) |
-| g_axis | ``axis_gain`` |
+| g | ``AxisSettings.gain`` |
 | k_c | ``centring`` (1/s) |
 | q | ``joint_angle`` (rad) |
 
@@ -50,21 +50,44 @@ CONTROL_STEP = 1 / 60  # s: Iwadate 2010, 2000 steps in 33.3 s.
 
 
 @dataclasses.dataclass(frozen=True)
+class AxisSettings:
+    """What is different about the motors of one axis.
+
+    Attributes:
+        gain: factor on ``rate_gain``.
+        centring: 1/s; that of the whole animal if None.
+        steering_range: likewise, 0 to 1.
+
+    Raises:
+        ValueError: a value outside its range.
+    """
+
+    gain: float = 1.0
+    centring: float | None = None
+    steering_range: float | None = None
+
+    def __post_init__(self):
+        _check_range(self.steering_range, self.centring)
+
+
+@dataclasses.dataclass(frozen=True)
 class BrainCpgSettings:
     """Settings of the whole controller.
 
     Attributes:
         cpg: the oscillators.
         brain: the network that sets them.
-        drive: what the brain sets: "shared", u and steering of each axis and one b for the whole
-            animal; "per_joint", the three of each joint; "per_dof", the three of each degree of
-            freedom.
+        drive: what the brain sets: "shared", u and steering of each axis (of each group) and one b
+            for the whole animal; "per_joint", the three of each joint; "per_dof", the three of
+            each degree of freedom.
+        groups: names of bodies, or patterns such as ``*_arm``, whose joints have axes of their
+            own, named ``group/axis``; those of all other bodies are named by the axis alone.
         steering_range: largest relative difference between extensor and flexor drive, 0 to 1.
         rate_gain: G, joint rate per unit of output, rad/s.
         centring: k_c, rate at which a joint returns to its neutral angle, 1/s; 0 is the literal
             angular-velocity control.
         max_rate: largest rate asked of a motor, rad/s.
-        axis_gain: factor on ``rate_gain`` for each axis name; 1 where not given.
+        axes: what is different about the axes named.
         joint_rates: let the brain sense the joint rates as well, which the paper's text lists
             but its Table 2 does not.
 
@@ -75,20 +98,18 @@ class BrainCpgSettings:
     cpg: CpgSettings = CpgSettings()
     brain: BrainSettings = BrainSettings()
     drive: Literal["shared", "per_joint", "per_dof"] = "shared"
+    groups: Mapping[str, tuple[str, ...]] = dataclasses.field(default_factory=dict, hash=False)
     steering_range: float = 0.3
     rate_gain: float = 5.0
     centring: float = 1.0
     max_rate: float = 5.0
-    axis_gain: Mapping[str, float] = dataclasses.field(default_factory=dict, hash=False)
+    axes: Mapping[str, AxisSettings] = dataclasses.field(default_factory=dict, hash=False)
     joint_rates: bool = False
 
     def __post_init__(self):
-        if not 0 <= self.steering_range <= 1:
-            raise ValueError(f"steering_range must be from 0 to 1, got {self.steering_range}")
+        _check_range(self.steering_range, self.centring)
         if not self.max_rate > 0:
             raise ValueError(f"max_rate must be positive, got {self.max_rate}")
-        if not self.centring >= 0:
-            raise ValueError(f"centring must not be negative, got {self.centring}")
 
 
 class BrainCpg(Controller):
@@ -102,7 +123,9 @@ class BrainCpg(Controller):
         settings: ranges and gains.
         source: which tonic input (and steering) each oscillator takes.
         gain_source: which adaptation gain it takes.
-        rate_gain: G g_axis of each degree of freedom, rad/s.
+        steering_range: d_max of each steering.
+        rate_gain: G g of each degree of freedom, rad/s.
+        centring: k_c of each degree of freedom, 1/s.
         control_step: s.
     """
 
@@ -112,7 +135,9 @@ class BrainCpg(Controller):
     settings: BrainCpgSettings = eqx.field(static=True)
     source: tuple[int, ...] = eqx.field(static=True)
     gain_source: tuple[int, ...] = eqx.field(static=True)
+    steering_range: Float[np.ndarray, " s"]
     rate_gain: Float[np.ndarray, " d"]
+    centring: Float[np.ndarray, " d"]
     control_step: float = eqx.field(static=True)
 
     def random_genes(
@@ -148,7 +173,7 @@ class BrainCpg(Controller):
             self.network, state, tonic_input, adaptation_gain, self.control_step
         )
         signal = matsuoka.output(state)
-        rate = lift(self.rate_gain, signal) * signal - self.settings.centring * joint_angle
+        rate = lift(self.rate_gain, signal) * signal - lift(self.centring, signal) * joint_angle
         limit = self.settings.max_rate
         return state, Command(target_rate=jnp.clip(rate, -limit, limit), signal=signal)
 
@@ -180,7 +205,7 @@ class BrainCpg(Controller):
         cpg = self.settings.cpg
         count = max(self.source) + 1
         tonic = cpg.max_tonic_input * outputs[:count]
-        steering = self.settings.steering_range * (2 * outputs[count : 2 * count] - 1)
+        steering = lift(self.steering_range, outputs) * (2 * outputs[count : 2 * count] - 1)
         sides = jnp.stack([tonic * (1 + steering), tonic * (1 - steering)])
         span = cpg.max_adaptation_gain - cpg.min_adaptation_gain
         adaptation_gain = cpg.min_adaptation_gain + span * outputs[2 * count :]
@@ -204,18 +229,16 @@ def build_brain_cpg(
         control_step: time between two calls of `BrainCpg.act`, s.
 
     Raises:
-        ValueError: the creature has no joint, or ``axis_gain`` names an axis it does not have.
+        ValueError: the creature has no joint, or lacks a body or an axis that the settings name.
     """
     settings = settings or BrainCpgSettings()
     if not tree.dof_count:
         raise ValueError("the controller needs a creature with at least one joint")
-    axes = matsuoka.axis_names(tree)
+    axes = _grouped_axes(tree, settings.groups)
     kinds = sorted(set(axes))
-    for axis in settings.axis_gain:
+    for axis in settings.axes:
         if axis not in kinds:
-            raise ValueError(
-                f"axis_gain names axis {axis!r}, but the joints turn about {', '.join(kinds)}"
-            )
+            raise ValueError(f"axes names {axis!r}, but the joints turn about {', '.join(kinds)}")
     joints = sorted(set(tree.dof_bodies))
     per_joint = tuple(joints.index(body) for body in tree.dof_bodies)
     per_dof = tuple(range(tree.dof_count))
@@ -227,7 +250,8 @@ def build_brain_cpg(
     senses_per_joint = 4 if settings.joint_rates else 3
     input_count = 3 * light_count + pressure_count + senses_per_joint * tree.dof_count
     output_count = 2 * (max(source) + 1) + max(gain_source) + 1
-    gains = np.array([settings.axis_gain.get(axis, 1.0) for axis in axes])
+    own = [settings.axes.get(axis, AxisSettings()) for axis in axes]
+    steering = [_or(axis.steering_range, settings.steering_range) for axis in own]
     brain = build_brain(input_count, output_count, settings.brain)
     return BrainCpg(
         gene_count=brain.gene_count,
@@ -236,7 +260,10 @@ def build_brain_cpg(
         settings=settings,
         source=source,
         gain_source=gain_source,
-        rate_gain=settings.rate_gain * gains,
+        # Axes of one joint that share a steering share the range of the first.
+        steering_range=np.array([steering[source.index(i)] for i in range(max(source) + 1)]),
+        rate_gain=np.array([settings.rate_gain * axis.gain for axis in own]),
+        centring=np.array([_or(axis.centring, settings.centring) for axis in own]),
         control_step=control_step,
     )
 
@@ -244,7 +271,34 @@ def build_brain_cpg(
 def max_amplitude(settings: BrainCpgSettings) -> float:
     """A_max: the output of an oscillator never exceeds it, in units of the tonic input."""
     cpg = settings.cpg
-    return cpg.max_tonic_input * (1 + settings.steering_range) + max(cpg.sensory_feedback, 0.0)
+    ranges = [_or(axis.steering_range, 0.0) for axis in settings.axes.values()]
+    steering = max([settings.steering_range, *ranges])
+    return cpg.max_tonic_input * (1 + steering) + max(cpg.sensory_feedback, 0.0)
+
+
+def _grouped_axes(tree: Tree, groups: Mapping[str, tuple[str, ...]]) -> list[str]:
+    """Axis of each degree of freedom, behind the group of its body where it is in one."""
+    group_of: dict[int, str] = {}
+    for group, patterns in groups.items():
+        for body in matsuoka.matching_bodies(tree, patterns, f"groups.{group}"):
+            if group_of.setdefault(body, group) != group:
+                raise ValueError(
+                    f"groups {group_of[body]} and {group} both name {tree.names[body]!r}"
+                )
+    names = [group_of.get(body) for body in tree.dof_bodies]
+    axes = matsuoka.axis_names(tree)
+    return [f"{group}/{axis}" if group else axis for group, axis in zip(names, axes, strict=True)]
+
+
+def _or(own: float | None, common: float) -> float:
+    return common if own is None else own
+
+
+def _check_range(steering_range: float | None, centring: float | None) -> None:
+    if steering_range is not None and not 0 <= steering_range <= 1:
+        raise ValueError(f"steering_range must be from 0 to 1, got {steering_range}")
+    if centring is not None and not centring >= 0:
+        raise ValueError(f"centring must not be negative, got {centring}")
 
 
 def _assemble(parts: list[Array]) -> Array:

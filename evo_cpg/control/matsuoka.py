@@ -20,21 +20,26 @@ Iwadate 2010, eqs. 4-6, for neuron i with the others j acting on it:
 Every degree of freedom has one *oscillator*: an extensor and a flexor neuron that inhibit each
 other with weight a. Oscillators of the same axis on successive bodies inhibit each other
 contralaterally (extensor to flexor, flexor to extensor), more strongly from parent to child than
-back; that asymmetry is what makes the wave run from head to tail. So all inhibition goes from
-one side to the other, and one matrix A (oscillator by oscillator) states it:
+back; that asymmetry is what makes the wave run from head to tail. Where the two axes point in
+opposite directions (the z of a right leg that swings forwards by a turn about -z), what is
+contralateral for the muscles is ipsilateral for the neurons. The axes of one joint may inhibit
+each other contralaterally, too (``cross_weight``). One signed matrix (oscillator by oscillator)
+states it, its positive part A from one side to the other, its negative part B within a side:
 
-    T_r dx_e/dt + x_e = -A y_f - b z_e + u_e + s,    and the same with e and f exchanged.
+    T_r dx_e/dt + x_e = -A y_f - B y_e - b z_e + u_e + s,    and the same with e and f exchanged.
 
 Differs from Iwadate 2010: the paper prints no connections between joints, and its T_r and T_a
 admit no oscillation; the default exchanges the two (``docs/models/controller.md`` derives why).
 
-Layout: ``(2, oscillators, *n)``, extensors first. A has few non-zero diagonals (three for a
-chain), so its product is a sum of shifted rows. One `advance` of 27 oscillators and 112
+Layout: ``(2, oscillators, *n)``, extensors first. The matrix has few non-zero diagonals (three
+for a chain), so its product is a sum of shifted rows. One `advance` of 27 oscillators and 112
 individuals takes 10 us on one core in float32.
 """
 
 import dataclasses
+import fnmatch
 import functools
+import itertools
 import math
 from typing import Literal
 
@@ -75,6 +80,10 @@ class CpgSettings:
         pair_weight: a, between extensor and flexor of one oscillator.
         parent_weight: inhibition from the parent's oscillator, in units of ``pair_weight``.
         child_weight: inhibition from a child's oscillator, in units of ``pair_weight``.
+        cross_weight: mutual inhibition of successive axes of one joint, in units of
+            ``pair_weight``; they then turn together, positive with positive.
+        opposite: bodies, or patterns such as ``front_*``, whose oscillators follow the other side
+            of their parents' than their axes say; so front legs that step against hind legs.
         sensory_feedback: s, the same for every neuron.
         max_tonic_input: u_max; outputs are proportional to it.
         min_adaptation_gain: smallest b.
@@ -89,6 +98,8 @@ class CpgSettings:
     pair_weight: float = 1.070772
     parent_weight: float = 1.0
     child_weight: float = 0.2
+    cross_weight: float = 0.0
+    opposite: tuple[str, ...] = ()
     sensory_feedback: float = 0.0
     max_tonic_input: float = 1.0
     min_adaptation_gain: float = 1.0
@@ -98,7 +109,7 @@ class CpgSettings:
         for name in ("time_scale", "max_tonic_input", "min_adaptation_gain"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
-        for name in ("pair_weight", "parent_weight", "child_weight"):
+        for name in ("pair_weight", "parent_weight", "child_weight", "cross_weight"):
             if not getattr(self, name) >= 0:
                 raise ValueError(
                     f"{name} is the strength of an inhibition and must not be negative, "
@@ -115,9 +126,11 @@ class MatsuokaNetwork(eqx.Module):
     """Connections and time constants; one oscillator per degree of freedom of the tree.
 
     Attributes:
-        offsets: which diagonals of the inhibition matrix A are not zero; offset k means that
-            oscillator i is inhibited by oscillator i + k.
+        offsets: which diagonals of the inhibition A from the other side are not zero; offset k
+            means that oscillator i is inhibited by oscillator i + k.
         weights: those diagonals, ``weights[m, i] = A[i, i + offsets[m]]``, 0 outside.
+        own_offsets: the same of the inhibition B from the same side.
+        own_weights: likewise.
         rise_time: T_r, s.
         adaptation_time: T_a, s.
         sensory_feedback: s.
@@ -126,6 +139,8 @@ class MatsuokaNetwork(eqx.Module):
 
     offsets: tuple[int, ...] = eqx.field(static=True)
     weights: Float[np.ndarray, "k o"]
+    own_offsets: tuple[int, ...] = eqx.field(static=True)
+    own_weights: Float[np.ndarray, "m o"]
     rise_time: float = eqx.field(static=True)
     adaptation_time: float = eqx.field(static=True)
     sensory_feedback: float = eqx.field(static=True)
@@ -162,14 +177,44 @@ def axis_names(tree: Tree) -> tuple[str, ...]:
     )
 
 
+def matching_bodies(tree: Tree, patterns: tuple[str, ...], setting: str) -> set[int]:
+    """Indices of the bodies that are named by patterns such as ``*_arm``.
+
+    Args:
+        tree: the creature.
+        patterns: names, in which ``*`` stands for anything.
+        setting: where they are written, for the message.
+
+    Raises:
+        ValueError: a pattern that no body matches.
+    """
+    found: set[int] = set()
+    for pattern in patterns:
+        matches = fnmatch.filter(tree.names, pattern)
+        if not matches:
+            raise ValueError(
+                f"{setting} names {pattern!r}, but the bodies are {', '.join(tree.names)}"
+            )
+        found.update(map(tree.names.index, matches))
+    return found
+
+
 def inhibition_matrix(tree: Tree, settings: CpgSettings) -> Float[np.ndarray, "o o"]:
     """How strongly each oscillator (row) is inhibited by each other one (column).
 
     An oscillator is joined to the one of the same axis on its body's nearest ancestor that has
     such an axis; an ancestor may be joined to several (a trunk with limbs).
+
+    Returns:
+        Positive where the other side inhibits, negative where the same side does.
+
+    Raises:
+        ValueError: no body is named as ``opposite`` says.
     """
     axes = axis_names(tree)
-    matrix = settings.pair_weight * np.eye(tree.dof_count)
+    matrix = np.eye(tree.dof_count)
+    direction = np.array([-1 if (axis <= 0).all() else 1 for axis in tree.joint_axes.T])
+    opposite = matching_bodies(tree, settings.opposite, "opposite")
     oscillator = {key: i for i, key in enumerate(zip(tree.dof_bodies, axes, strict=True))}
     for child, (body, axis) in enumerate(zip(tree.dof_bodies, axes, strict=True)):
         ancestor = tree.parents[body]
@@ -177,31 +222,46 @@ def inhibition_matrix(tree: Tree, settings: CpgSettings) -> Float[np.ndarray, "o
             ancestor = tree.parents[ancestor]
         if ancestor >= 0:
             parent = oscillator[ancestor, axis]
-            matrix[child, parent] = settings.pair_weight * settings.parent_weight
-            matrix[parent, child] = settings.pair_weight * settings.child_weight
-    return matrix
+            side = direction[child] * direction[parent] * (-1 if body in opposite else 1)
+            matrix[child, parent] = side * settings.parent_weight
+            matrix[parent, child] = side * settings.child_weight
+    for i, (body, following) in enumerate(itertools.pairwise(tree.dof_bodies)):
+        if body == following:
+            matrix[i, i + 1] = matrix[i + 1, i] = settings.cross_weight
+    return settings.pair_weight * matrix
 
 
 def build_network(tree: Tree, settings: CpgSettings) -> MatsuokaNetwork:
     """Grow the network on a creature's tree."""
     matrix = inhibition_matrix(tree, settings)
-    count = len(matrix)
-    offsets, weights = [], []
-    for offset in range(1 - count, count):
-        row = np.zeros(count)
-        row[max(0, -offset) : count - max(0, offset)] = np.diagonal(matrix, offset)
-        if row.any():
-            offsets.append(offset)
-            weights.append(row)
+    offsets, weights = _diagonals(np.maximum(matrix, 0))
+    own_offsets, own_weights = _diagonals(np.maximum(-matrix, 0))
     rise_time, adaptation_time = TIME_CONSTANTS[settings.constants]
     return MatsuokaNetwork(
-        offsets=tuple(offsets),
-        weights=np.array(weights).reshape(-1, count),
+        offsets=offsets,
+        weights=weights,
+        own_offsets=own_offsets,
+        own_weights=own_weights,
         rise_time=settings.time_scale * rise_time,
         adaptation_time=settings.time_scale * adaptation_time,
         sensory_feedback=settings.sensory_feedback,
         initial_potential=INITIAL_SHARE * settings.max_tonic_input,
     )
+
+
+def _diagonals(
+    matrix: Float[np.ndarray, "o o"],
+) -> tuple[tuple[int, ...], Float[np.ndarray, "k o"]]:
+    """The diagonals that are not zero, each as long as the matrix, and their offsets."""
+    count = len(matrix)
+    offsets, diagonals = [], []
+    for offset in range(1 - count, count):
+        row = np.zeros(count)
+        row[max(0, -offset) : count - max(0, offset)] = np.diagonal(matrix, offset)
+        if row.any():
+            offsets.append(offset)
+            diagonals.append(row)
+    return tuple(offsets), np.array(diagonals).reshape(-1, count)
 
 
 def initial_state(
@@ -281,7 +341,7 @@ def _runge_kutta(
     Potentials stand between rows of zeros, so that each diagonal of A meets a plain slice.
     """
     count = network.oscillator_count
-    margin = max((abs(offset) for offset in network.offsets), default=0)
+    margin = max(map(abs, network.offsets + network.own_offsets), default=0)
     zeros = jnp.zeros((2, margin, *drive.shape[2:]), drive.dtype)
     per_rise, per_adaptation = h / network.rise_time, h / network.adaptation_time
 
@@ -294,10 +354,12 @@ def _runge_kutta(
     def change(padded: Array, adaptation: Array) -> tuple[Array, Array]:
         """``T_r dx/dt`` and ``T_a dz/dt``."""
         firing = jnp.maximum(padded, 0.0)
-        other_side = firing[::-1]
+        other = zip(network.offsets, network.weights, strict=True)
+        own = zip(network.own_offsets, network.own_weights, strict=True)
         inhibition = sum(
-            lift(weight[None], drive) * rows(other_side, offset)
-            for offset, weight in zip(network.offsets, network.weights, strict=True)
+            lift(weight[None], drive) * rows(side, offset)
+            for side, diagonals in ((firing[::-1], other), (firing, own))
+            for offset, weight in diagonals
         )
         excess = drive - rows(padded) - inhibition - adaptation_gain[None] * adaptation
         return excess, rows(firing) - adaptation

@@ -7,7 +7,13 @@ from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, Material
 from evo_cpg.creature.shapes import Box
 from evo_cpg.creature.tree import Tree, build_tree
 
-UNIT = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+# A capital letter is the axis that points the other way.
+UNIT = {
+    "x": (1.0, 0.0, 0.0),
+    "y": (0.0, 1.0, 0.0),
+    "z": (0.0, 0.0, 1.0),
+    "Z": (0.0, 0.0, -1.0),
+}
 
 
 @pytest.fixture(autouse=True)

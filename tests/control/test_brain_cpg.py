@@ -11,7 +11,7 @@ import pytest
 from evo_cpg.control import controller as protocol
 from evo_cpg.control import matsuoka
 from evo_cpg.control.brain import BrainSettings
-from evo_cpg.control.brain_cpg import BrainCpgSettings, build_brain_cpg, max_amplitude
+from evo_cpg.control.brain_cpg import AxisSettings, BrainCpgSettings, build_brain_cpg, max_amplitude
 from evo_cpg.control.controller import Observation
 from evo_cpg.control.matsuoka import CpgSettings
 
@@ -96,7 +96,10 @@ def test_outputs_set_the_oscillators(chain, drive):
 
 def test_motor_command_follows_the_rhythm_and_centres_the_joint(chain):
     settings = BrainCpgSettings(
-        rate_gain=4.0, centring=0.5, max_rate=1.5, axis_gain={"y": 0.0, "z": 2.0}
+        rate_gain=4.0,
+        centring=0.5,
+        max_rate=1.5,
+        axes={"y": AxisSettings(gain=0.0, centring=2.0), "z": AxisSettings(gain=2.0)},
     )
     tree = chain(4, "yz")
     grown = build_brain_cpg(tree, 1, 10, settings)
@@ -110,7 +113,7 @@ def test_motor_command_follows_the_rhythm_and_centres_the_joint(chain):
     signal = np.maximum(state.potential[0], 0) - np.maximum(state.potential[1], 0)
     np.testing.assert_allclose(command.signal, signal, rtol=0, atol=1e-15)
     weights = 4.0 * np.array([0.0, 2.0] * 3)
-    wanted = weights * signal - 0.5 * np.asarray(sense.joint_angle)
+    wanted = weights * signal - np.array([2.0, 0.5] * 3) * np.asarray(sense.joint_angle)
     np.testing.assert_allclose(command.target_rate, np.clip(wanted, -1.5, 1.5), atol=1e-14)
 
 
@@ -186,7 +189,7 @@ def test_gradient_flows_through_brain_and_cord(chain):
 
 
 def test_controller_passes_through_jit_as_an_argument(chain):
-    grown = build_brain_cpg(chain(3, "yz"), 1, 10, BrainCpgSettings(axis_gain={"y": 0.5}))
+    grown = build_brain_cpg(chain(3, "yz"), 1, 10, BrainCpgSettings(axes={"y": AxisSettings(0.5)}))
     sense = observe(np.random.default_rng(7), 4)
     genes = grown.random_genes(jax.random.key(0), (), float)
     state = grown.initial_state((), float)
@@ -215,10 +218,34 @@ def test_creature_without_joints_is_refused(grow):
         build_brain_cpg(grow({"stone": (None, "")}), 1, 1)
 
 
-def test_gain_of_an_unknown_axis_is_refused(chain):
-    settings = BrainCpgSettings(axis_gain={"x": 0.5})
-    with pytest.raises(ValueError, match="names axis 'x', but the joints turn about y, z"):
-        build_brain_cpg(chain(3, "yz"), 1, 1, settings)
+def test_unknown_axes_and_bodies_are_refused(chain):
+    tree = chain(3, "yz")
+    settings = BrainCpgSettings(axes={"x": AxisSettings(0.5)})
+    with pytest.raises(ValueError, match="axes names 'x', but the joints turn about y, z"):
+        build_brain_cpg(tree, 1, 1, settings)
+    with pytest.raises(ValueError, match=r"groups.legs names 'leg\*', but the bodies are b0"):
+        build_brain_cpg(tree, 1, 1, BrainCpgSettings(groups={"legs": ("leg*",)}))
+    twice = BrainCpgSettings(groups={"front": ("b1",), "all": ("b*",)})
+    with pytest.raises(ValueError, match="groups front and all both name 'b1'"):
+        build_brain_cpg(tree, 1, 1, twice)
+
+
+def test_a_group_of_bodies_has_tonic_inputs_and_steerings_of_its_own(chain):
+    settings = BrainCpgSettings(
+        groups={"tail": ("b3", "b[4-9]")},
+        steering_range=0.5,
+        axes={"tail/z": AxisSettings(steering_range=1.0)},
+    )
+    grown = build_brain_cpg(chain(5, "yz"), 1, 3, settings)
+    tonic, steering = np.array([0.1, 0.2, 0.3, 0.4]), np.array([0.9, 0.8, 0.7, 0.6])
+    found, gain = grown.cpg_inputs(jnp.concatenate([tonic, steering, jnp.array([0.5])]))
+    # In the order of their names: tail/y, tail/z, y, z.
+    source = [2, 3, 2, 3, 0, 1, 0, 1]
+    turn = (np.array([0.5, 1.0, 0.5, 0.5]) * (2 * steering - 1))[source]
+    u = tonic[source]
+    np.testing.assert_allclose(found, [u * (1 + turn), u * (1 - turn)], rtol=0, atol=1e-15)
+    np.testing.assert_allclose(gain, 5.5)
+    assert max_amplitude(settings) == 2.0
 
 
 @pytest.mark.parametrize(
@@ -232,12 +259,15 @@ def test_gain_of_an_unknown_axis_is_refused(chain):
 def test_settings_out_of_range_are_refused(changes, words):
     with pytest.raises(ValueError, match=words):
         BrainCpgSettings(**changes)
+    if "max_rate" not in changes:
+        with pytest.raises(ValueError, match=words):
+            AxisSettings(**changes)
 
 
 def test_settings_serve_as_a_static_field():
     # Equal settings are one compiled function.
     assert BrainCpgSettings(brain=BrainSettings()) == BrainCpgSettings()
-    assert hash(BrainCpgSettings(axis_gain={"z": 1.0})) == hash(BrainCpgSettings())
+    assert hash(BrainCpgSettings(axes={"z": AxisSettings()})) == hash(BrainCpgSettings())
 
 
 def test_example_in_the_protocol_works():

@@ -275,14 +275,87 @@ def test_branches_couple_to_the_nearest_ancestor_with_the_same_axis(grow):
     assert np.array_equal(dense(network), matrix)
 
 
+def test_mirrored_axes_and_opposite_bodies_are_inhibited_by_the_same_side(grow):
+    tree = grow(
+        {
+            "head": (None, ""),
+            "chest": ("head", "z"),
+            "left": ("chest", "Zy"),
+            "right": ("chest", "zy"),
+            "paw": ("left", "Z"),
+            "hip": ("chest", "z"),
+        }
+    )
+    settings = CpgSettings(
+        parent_weight=0.7, child_weight=0.3, cross_weight=0.4, opposite=("rig*", "hip")
+    )
+    matrix = inhibition_matrix(tree, settings) / A
+    expected = np.eye(tree.dof_count)
+    for child, parent, side in (
+        ("left.z", "chest.z", -1),  # the axis is turned
+        ("right.z", "chest.z", -1),  # named as opposite
+        ("hip.z", "chest.z", -1),
+        ("paw.z", "left.z", 1),  # both are turned
+    ):
+        i, j = tree.dof_names.index(child), tree.dof_names.index(parent)
+        expected[i, j], expected[j, i] = 0.7 * side, 0.3 * side
+    for leg in ("left", "right"):
+        i, j = (tree.dof_names.index(f"{leg}.{axis}") for axis in "zy")
+        expected[i, j] = expected[j, i] = 0.4
+    np.testing.assert_allclose(matrix, expected, rtol=0, atol=1e-15)
+
+
+def test_opposite_bodies_do_what_the_others_do_with_sides_exchanged(chain):
+    # Exchanging extensor and flexor of an oscillator turns every inhibition between it and others
+    # from crossed to uncrossed and changes nothing else.
+    tree, exchanged = chain(6, "z"), [1, 2, 4]
+    plain = build_network(tree, CpgSettings())
+    turned = build_network(tree, CpgSettings(opposite=("b2", "b4", "b5")))
+    sign = np.ones(5)
+    sign[exchanged] = -1
+    direction = np.outer(sign, sign)
+    np.testing.assert_array_equal(np.sign(dense(turned)), np.sign(dense(plain)) * direction)
+    rng = np.random.default_rng(2)
+    x, z, drive = rng.uniform(0, 1, (3, 2, 5))
+    gain = jnp.full(5, 4.0)
+
+    def exchange(values):
+        values = values.copy()
+        values[:, exchanged] = values[::-1, exchanged]
+        return jnp.asarray(values)
+
+    state = MatsuokaState(jnp.asarray(x), jnp.asarray(z))
+    other = MatsuokaState(exchange(x), exchange(z))
+    straight = simulate(plain, state, jnp.asarray(drive), gain, 1 / 60, 600)
+    mirrored = simulate(turned, other, exchange(drive), gain, 1 / 60, 600)
+    assert np.abs(straight[-200:]).max(0).min() > 0.05
+    np.testing.assert_allclose(mirrored, np.asarray(straight) * sign, rtol=0, atol=1e-12)
+
+
+def test_axes_of_one_joint_are_bound_by_the_cross_weight(chain):
+    """Two oscillators that inhibit each other crosswise and equally end up in step."""
+    network = build_network(chain(2, "yz"), CpgSettings(cross_weight=1.0))
+    state = MatsuokaState(jnp.array([[0.3, 0.0], [0.0, 0.2]]), jnp.zeros((2, 2)))
+    found = simulate(network, state, jnp.ones((2, 2)), jnp.full(2, 5.0), 1 / 60, 2400)[-600:]
+    assert np.ptp(found[:, 0]) > 0.3
+    np.testing.assert_allclose(found[:, 0], found[:, 1], rtol=0, atol=1e-6)
+
+
+def test_a_body_that_is_not_there_cannot_be_opposite(chain):
+    with pytest.raises(ValueError, match=r"opposite names 'arm\*', but the bodies are b0, b1"):
+        build_network(chain(2, "z"), CpgSettings(opposite=("arm*",)))
+
+
 def dense(network: MatsuokaNetwork) -> np.ndarray:
     """The inhibition matrix put together from its diagonals."""
     count = network.oscillator_count
     matrix = np.zeros((count, count))
-    for offset, weights in zip(network.offsets, network.weights, strict=True):
+    other = zip(network.offsets, network.weights, strict=True)
+    own = zip(network.own_offsets, -network.own_weights, strict=True)
+    for offset, weights in (*other, *own):
         for i in range(count):
             if 0 <= i + offset < count:
-                matrix[i, i + offset] = weights[i]
+                matrix[i, i + offset] += weights[i]
     return matrix
 
 
@@ -291,13 +364,13 @@ def test_one_step_of_a_branching_network_equals_plain_runge_kutta(grow):
         {
             "trunk": (None, ""),
             "chest": ("trunk", "xyz"),
-            "left": ("chest", "yz"),
+            "left": ("chest", "yZ"),
             "right": ("chest", "yz"),
             "paw": ("left", "z"),
             "tail": ("trunk", "z"),
         }
     )
-    settings = CpgSettings(sensory_feedback=0.1)
+    settings = CpgSettings(sensory_feedback=0.1, cross_weight=0.5)
     network, matrix = build_network(tree, settings), inhibition_matrix(tree, settings)
     count, h = tree.dof_count, 1 / 60
     rng = np.random.default_rng(1)
@@ -307,7 +380,9 @@ def test_one_step_of_a_branching_network_equals_plain_runge_kutta(grow):
     def slope(state):
         x, z = state
         y = np.maximum(x, 0)
-        dx = (-x - np.stack([matrix @ y[1], matrix @ y[0]]) - b * z + u + 0.1) / RISE
+        crossed, straight = np.maximum(matrix, 0), np.maximum(-matrix, 0)
+        inhibition = y[::-1] @ crossed.T + y @ straight.T
+        dx = (-x - inhibition - b * z + u + 0.1) / RISE
         return np.stack([dx, (y - z) / ADAPTATION])
 
     start = np.stack([x, z])

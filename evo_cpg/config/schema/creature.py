@@ -24,7 +24,16 @@ Size = tuple[Positive, Positive, Positive]
 # axis coincide.
 _SINGULARITY_MARGIN_DEG = 5.0
 
-_AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+AxisName = Literal["x", "y", "z", "-x", "-y", "-z"]
+
+_AXES = {
+    "x": (1.0, 0.0, 0.0),
+    "y": (0.0, 1.0, 0.0),
+    "z": (0.0, 0.0, 1.0),
+    "-x": (-1.0, 0.0, 0.0),
+    "-y": (0.0, -1.0, 0.0),
+    "-z": (0.0, 0.0, -1.0),
+}
 
 
 class BoxConfig(Section):
@@ -107,7 +116,7 @@ class JointConfig(Section):
         parent: name of the parent body.
         at: place of the joint in the parent's frame, m.
         child_at: place of the joint in this body's frame, m.
-        axes: 1 to 3 axes that turn one after the other: x, y, z or a vector.
+        axes: 1 to 3 axes that turn one after the other: x, y, z, -x, -y, -z or a vector.
         limits_deg: lower and upper limit, for all axes or one pair for each, degrees.
         rotation_deg: roll, pitch and yaw of this body against its parent at rest, degrees.
         stiffness: passive spring, N m/rad.
@@ -119,7 +128,7 @@ class JointConfig(Section):
     parent: str
     at: Vector
     child_at: Vector
-    axes: Annotated[list[Literal["x", "y", "z"] | Vector], Field(min_length=1, max_length=3)]
+    axes: Annotated[list[AxisName | Vector], Field(min_length=1, max_length=3)]
     limits_deg: tuple[Finite, Finite] | list[tuple[Finite, Finite]] = (-60.0, 60.0)
     rotation_deg: Vector = (0.0, 0.0, 0.0)
     stiffness: NotNegative = 0.0
