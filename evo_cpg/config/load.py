@@ -10,6 +10,7 @@ import pydantic
 import yaml
 
 from evo_cpg.config.errors import ConfigError, Key, nearest
+from evo_cpg.config.meshes import read_mesh
 from evo_cpg.config.schema.creature import CreatureConfig
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.config.terrain import read_heights
@@ -57,6 +58,7 @@ def load_config(path: Path | str, overrides: Sequence[str] = ()) -> ExperimentCo
     for override in overrides:
         _apply(data, override)
         _read_files(data, path)
+    _read_meshes(data, path)
     return check_config(data, path)
 
 
@@ -121,13 +123,37 @@ def _parse(text: str) -> Any:
 def _read_files(data: dict[str, Any], path: Path) -> None:
     """Put the contents of other files in the place of their names, so that one file holds all."""
     if isinstance(data.get("creature"), str):
+        folder = Path(data["creature"]).parent
         data["creature"] = _read_yaml(path.parent / data["creature"])
+        for _, entry in _mesh_entries(data):
+            if isinstance(entry["shape"]["file"], str):
+                entry["shape"] = entry["shape"] | {"file": str(folder / entry["shape"]["file"])}
     floor: Any = data
     for key in ("world", "ground", "floor"):
         floor = floor.get(key) if isinstance(floor, dict) else None
     if isinstance(floor, dict) and floor.get("type") == "relief" and "file" in floor:
         given = {key: floor.pop(key) for key in ("file", "lowest", "highest") if key in floor}
         floor["heights"] = read_heights(path, **given)
+
+
+def _read_meshes(data: dict[str, Any], path: Path) -> None:
+    """Put the vertices and faces of mesh files in the place of their names, each file once."""
+    found: dict[str, dict[str, Any]] = {}
+    for key, entry in _mesh_entries(data):
+        shape = entry["shape"]
+        if repr(shape) not in found:
+            found[repr(shape)] = read_mesh(path, key, shape)
+        entry["shape"] = found[repr(shape)]
+
+
+def _mesh_entries(data: dict[str, Any]) -> Iterator[tuple[Key, dict[str, Any]]]:
+    """The bodies whose shape is the mesh of a file, and the keys of their shapes."""
+    creature = data.get("creature")
+    bodies = creature.get("bodies") if isinstance(creature, dict) else None
+    for i, entry in enumerate(bodies if isinstance(bodies, list) else []):
+        shape = entry.get("shape") if isinstance(entry, dict) else None
+        if isinstance(shape, dict) and shape.get("type") == "mesh" and "file" in shape:
+            yield ("creature", "bodies", i, "shape"), entry
 
 
 def _misread(given: Any, made: Any) -> Iterator[tuple[tuple[str | int, ...], Any, str]]:
@@ -220,7 +246,7 @@ def _key_in(data: Any, location: Key) -> tuple[str | int, ...]:
         if is_key or is_index:
             key.append(part)
             place = cast(Any, place)[part]
-        elif i == len(location) - 1 and isinstance(place, dict):
+        elif i == len(location) - 1 and isinstance(place, dict) and part != place.get("type"):
             key.append(part)
     return tuple(key)
 

@@ -17,7 +17,7 @@ from typing_extensions import override
 # capsule that floats level rights itself 33 % / n^2 too strongly about its short axes: 2 %.
 _SLICES = 4
 
-Profile = Literal["box", "ball", "disc"]
+Profile = Literal["box", "ball", "disc", "polyhedron"]
 
 
 class Surface(NamedTuple):
@@ -33,16 +33,19 @@ class Cell(NamedTuple):
 
     Attributes:
         profile: how height is distributed over it: as in a box, as in a ball stretched along
-            the axes, or as in a disc that stands upright.
+            the axes, as in a disc that stands upright, or as in the polyhedron of its triangles.
         centre: in the shape's frame, m.
         half_axes: along x, y and z, m.
         volume: m^3.
+        triangles: of a polyhedron ``(f, 3, 3)``: their corners about the centre,
+            counterclockwise seen from outside, m.
     """
 
     profile: Profile
     centre: tuple[float, float, float]
     half_axes: tuple[float, float, float]
     volume: float
+    triangles: np.ndarray | None = None
 
 
 class Shape(abc.ABC):
@@ -60,7 +63,16 @@ class Shape(abc.ABC):
 
     @abc.abstractmethod
     def inertia(self, mass: float) -> np.ndarray:
-        """Principal moments of inertia ``(3,)`` about the centre for a uniform mass, kg m^2."""
+        """Moments of inertia ``(3,)`` about x, y and z through the centre, uniform mass, kg m^2."""
+
+    def inertia_tensor(self, mass: float) -> np.ndarray:
+        """Inertia ``(3, 3)`` about the centre; diagonal but for meshes, kg m^2."""
+        return np.diag(self.inertia(mass))
+
+    @property
+    def stretch(self) -> tuple[np.ndarray, np.ndarray]:
+        """Half lengths ``(3,)`` along its principal axes, m, and the axes as columns ``(3, 3)``."""
+        return self.half_extents, np.eye(3)
 
     @abc.abstractmethod
     def distance(self, points: np.ndarray) -> np.ndarray:

@@ -132,7 +132,7 @@ def build_tree(creature: Creature) -> Tree:
     com = -child_anchor
     inertia = np.stack(
         [
-            spatial_inertia(m, c, np.diag(body.shape.inertia(m)))
+            spatial_inertia(m, c, body.shape.inertia_tensor(m))
             for m, c, body in zip(mass, com, bodies, strict=True)
         ],
         axis=-1,
@@ -217,7 +217,7 @@ def _effective_inertia(creature: Creature, order: list[int]) -> np.ndarray:
             halves = {True: 0.0, False: 0.0}
             for j, body in enumerate(creature.bodies):
                 mass = body.shape.volume * body.material.density
-                spin = rotations[j] @ np.diag(body.shape.inertia(mass)) @ rotations[j].T
+                spin = rotations[j] @ body.shape.inertia_tensor(mass) @ rotations[j].T
                 arm = np.cross(direction, centres[j] - anchor)
                 halves[body.name in distal] += direction @ spin @ direction + mass * arm @ arm
             effective.append(halves[True] * halves[False] / (halves[True] + halves[False]))

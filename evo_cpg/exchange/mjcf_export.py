@@ -4,6 +4,7 @@
 |---|---|
 | body, in its working frame at the joint | ``body``; the root's stands at its centre |
 | shape and density | one ``geom``, centred at ``-child_anchor``; capsules lie along z there |
+| mesh | a ``mesh`` asset of the body's name, which holds its vertices and faces |
 | joint axis | ``hinge`` at the body's origin, named ``body.1``, ``body.2``, ... |
 | motor with a spring | ``position``: ``kp`` is its stiffness, ``kv`` its gain |
 | motor without | ``velocity``: ``kv`` is its gain |
@@ -22,7 +23,8 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 
 from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, topological_order
-from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
+from evo_cpg.creature.mesh import ConvexMesh
+from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Sphere
 from evo_cpg.exchange.errors import ExchangeError
 from evo_cpg.exchange.mjcf_ground import add_ground
 from evo_cpg.exchange.mjcf_numbers import number_text, place_text
@@ -73,6 +75,7 @@ def mjcf_model(
     # A geom of the user's own collides with all of these, and they with none of each other.
     default = SubElement(root, "default")
     SubElement(default, "geom", contype="0", conaffinity="1", condim="3")
+    _add_meshes(root, creature)
     place = SubElement(root, "worldbody")
     parts = add_ground(root, place, ground, names) if ground else []
     _add_bodies(place, creature, water, start, heading)
@@ -98,6 +101,20 @@ def mjcf_text(model: Element) -> str:
     """The model as indented XML."""
     ElementTree.indent(model)
     return ElementTree.tostring(model, encoding="unicode") + "\n"
+
+
+def _add_meshes(root: Element, creature: Creature) -> None:
+    solid = [body for body in creature.bodies if isinstance(body.shape, ConvexMesh)]
+    asset = SubElement(root, "asset") if solid else None
+    for body in solid:
+        assert asset is not None and isinstance(body.shape, ConvexMesh)
+        SubElement(
+            asset,
+            "mesh",
+            name=body.name,
+            vertex=number_text(*body.shape.points.ravel()),
+            face=" ".join(str(corner) for face in body.shape.faces for corner in face),
+        )
 
 
 def _joint_names(body: Body) -> list[str]:
@@ -160,7 +177,7 @@ def _add_hinges(element: Element, body: Body, joint: Joint) -> None:
 
 
 def _add_geom(element: Element, body: Body, anchor: tuple[float, float, float]) -> None:
-    geom = SubElement(element, "geom", {"name": body.name, **_solid(body.shape)})
+    geom = SubElement(element, "geom", {"name": body.name, **_solid(body)})
     if any(anchor):
         geom.set("pos", place_text(np.negative(anchor)))
     geom.set("density", number_text(body.material.density))
@@ -170,7 +187,8 @@ def _add_geom(element: Element, body: Body, anchor: tuple[float, float, float]) 
         geom.set("rgba", number_text(red, green, blue, 1.0))
 
 
-def _solid(shape: Shape) -> dict[str, str]:
+def _solid(body: Body) -> dict[str, str]:
+    shape = body.shape
     if isinstance(shape, Box):
         return {"type": "box", "size": number_text(*shape.half_extents)}
     if isinstance(shape, Sphere):
@@ -180,9 +198,11 @@ def _solid(shape: Shape) -> dict[str, str]:
     if isinstance(shape, Capsule):
         size = number_text(shape.radius, shape.length / 2)
         return {"type": "capsule", "size": size, "zaxis": number_text(1.0, 0.0, 0.0)}
+    if isinstance(shape, ConvexMesh):
+        return {"type": "mesh", "mesh": body.name}
     raise ExchangeError(
         f"a {type(shape).__name__} cannot be written as MJCF; "
-        "allowed: Box, Sphere, Ellipsoid, Capsule"
+        "allowed: Box, Sphere, Ellipsoid, Capsule, ConvexMesh"
     )
 
 

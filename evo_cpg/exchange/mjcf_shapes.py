@@ -9,9 +9,11 @@ from evo_cpg.config.schema.creature import (
     BoxConfig,
     CapsuleConfig,
     EllipsoidConfig,
+    MeshConfig,
     ShapeConfig,
     SphereConfig,
 )
+from evo_cpg.creature.mesh import MeshError, convex_mesh
 from evo_cpg.exchange.compiled import TOLERANCE, Compiled, rotation, tidy, tidy_vector
 
 _ZERO_OF_GEOM = {"geom_adhesion": "adhesion", "geom_surfacevel": "surface velocity"}
@@ -68,9 +70,14 @@ def place_body(compiled: Compiled, body: int, geom: int, is_root: bool) -> Place
             shape = BoxConfig(type="box", size=tidy_vector(2 * size))
         else:
             shape = EllipsoidConfig(type="ellipsoid", radii=tidy_vector(size))
+    elif kind == kinds.mjGEOM_MESH:
+        # MuJoCo has turned it to its principal axes.
+        shape, turn = _read_mesh(compiled, geom, turn), np.eye(3)
     else:
         word = str(kinds(kind).name).removeprefix("mjGEOM_").lower()
-        raise compiled.refusal("geom", geom, f"it is a {word}", "box, sphere, ellipsoid, capsule")
+        raise compiled.refusal(
+            "geom", geom, f"it is a {word}", "box, sphere, ellipsoid, capsule, mesh"
+        )
     if is_root and not np.allclose(turn, np.eye(3), rtol=0, atol=TOLERANCE):
         raise compiled.refusal(
             "geom",
@@ -88,7 +95,7 @@ def uniform_density(compiled: Compiled, body: int, geom: int, own: Placed) -> fl
     mass = float(model.body_mass[body])
     axes = rotation(compiled, model.body_iquat[body])
     found = axes @ np.diag(model.body_inertia[body]) @ axes.T
-    expected = own.turn @ np.diag(shape.inertia(mass)) @ own.turn.T
+    expected = own.turn @ shape.inertia_tensor(mass) @ own.turn.T
     reach = float(np.linalg.norm(shape.half_extents))
     off_centre = np.abs(model.body_ipos[body] - own.centre).max() > TOLERANCE * reach
     if off_centre or np.abs(found - expected).max() > TOLERANCE * expected.max():
@@ -99,6 +106,23 @@ def uniform_density(compiled: Compiled, body: int, geom: int, own: Placed) -> fl
             "uniform density, without an inertial of its own",
         )
     return mass / shape.volume
+
+
+def _read_mesh(compiled: Compiled, geom: int, turn: np.ndarray) -> MeshConfig:
+    """The mesh of a geom about its centre of mass, with axes that are turned to the geom's."""
+    model = compiled.model
+    mesh = int(model.geom_dataid[geom])
+    first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
+    vertices = np.array(model.mesh_vert[first : first + count], float) @ turn.T
+    first, count = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
+    faces = np.array(model.mesh_face[first : first + count], int)
+    try:
+        _, centre = convex_mesh(vertices, faces)
+    except MeshError as error:
+        raise compiled.refusal("geom", geom, f"its mesh: {error}", "a closed convex mesh") from None
+    # MuJoCo keeps vertices in single precision.
+    vertices = tuple(tidy_vector(vertex) for vertex in vertices - centre)
+    return MeshConfig(type="mesh", vertices=vertices, faces=tuple(map(tuple, faces.tolist())))
 
 
 def _shortest_turn(direction: np.ndarray) -> np.ndarray:

@@ -7,8 +7,8 @@ velocity ``V_r = V - (0, s)`` relative to a stream s, all in body axes,
     wrench = -M dV_r/dt - V_r x* (M V_r),     dV_r/dt = A + (0, w x s),
 
 where A is the spatial acceleration, so that M joins I in the articulated inertia. M is that of an
-ellipsoid in the proportions of the shape's bounding box and with its volume; bodies do not shelter
-each other.
+ellipsoid in the proportions of the shape's bounding box and with its volume, that of a mesh along
+its principal axes in the proportions of its second moments; bodies do not shelter each other.
 
 A body that crosses the surface carries M in proportion to its share under water. On the way in
 the body sets more water in motion, which takes the momentum ``dM V_r`` in a step (von Karman 1929);
@@ -46,7 +46,9 @@ def added_inertia(creature: Creature, tree: Tree, density: float) -> Float[np.nd
         x, y, z = com
         to_centre = np.eye(6)
         to_centre[3:, :3] = [[0, z, -y], [-z, 0, x], [y, -x, 0]]
-        inertias.append(to_centre.T @ np.diag(density * ellipsoid(shapes[name])) @ to_centre)
+        turn = np.kron(np.eye(2), shapes[name].stretch[1])
+        own = turn @ np.diag(density * ellipsoid(shapes[name])) @ turn.T
+        inertias.append(to_centre.T @ own @ to_centre)
     return np.stack(inertias, -1)
 
 
@@ -59,9 +61,9 @@ def ellipsoid(shape: Shape) -> Float[np.ndarray, " 6"]:
         I_x = V/5 (b^2 - c^2)^2 (gamma - beta) / (2 (b^2 - c^2) + (b^2 + c^2) (beta - gamma)).
 
     Returns:
-        About x, y and z (m^5), then along them (m^3).
+        About the axes of its `Shape.stretch` (m^5), then along them (m^3).
     """
-    half = shape.half_extents
+    half, _ = shape.stretch
     axes = half * (shape.volume / (4 / 3 * np.pi * np.prod(half))) ** (1 / 3)
     nodes, weights = np.polynomial.legendre.leggauss(_NODES)
     # l = a^2 (x / (1 - x))^2 takes 0 to 1 to 0 to infinity and leaves a smooth integrand.

@@ -18,27 +18,37 @@ energy by it. E depends on how height is distributed over the cell (`Cell.profil
 
   That takes some 240 operations; a lattice of points would have to be seven wide before the
   righting moment is 1 % right.
+- In a polyhedron E is an integral over its triangles (Gauss): with t the depths of a triangle's
+  corners, A its area and n its outward normal,
+
+      V E = -2 sum_triangles A (n.u) [t_1, t_2, t_3] max(0, t)^4 / 24,
+
+  in which the bracket is a divided difference; f and m are its derivatives, taken by JAX.
 
 | symbol | name |
 |---|---|
 | d | ``depth`` of the cell's centre |
 | u | ``up`` |
+| t | ``depths`` |
 | a, b | ``half_axes`` |
 | H; w | ``reach`` |
 """
 
+import functools
 import itertools
 import typing
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.creature import Creature
-from evo_cpg.creature.shapes import Profile
+from evo_cpg.creature.shapes import Cell, Profile
 from evo_cpg.creature.tree import Tree
+from evo_cpg.fusion.kernels import unfused
 from evo_cpg.physics.kinematics import take
 from evo_cpg.spatial.linear import cross, dot, lift, matmul_t
 
@@ -57,8 +67,12 @@ _DENSITIES = {
 }
 
 
+# Product of two differences in depth (m^2) up to which a corner counts as level with the others.
+_LEAST_SIDES = 1e-12
+
+
 class Cells(eqx.Module):
-    """The parts of the creature's bodies that have the same profile.
+    """The parts of the creature's bodies that have the same profile, and the same triangles.
 
     Attributes:
         profile: see `evo_cpg.creature.shapes.Cell`.
@@ -66,6 +80,7 @@ class Cells(eqx.Module):
         centre: in that body's working frame, m.
         half_axes: m.
         volume: m^3.
+        triangles: of polyhedra, which are all the same: their corners about the centre, m.
     """
 
     profile: Profile = eqx.field(static=True)
@@ -73,6 +88,7 @@ class Cells(eqx.Module):
     centre: Float[np.ndarray, "3 c"]
     half_axes: Float[np.ndarray, "3 c"]
     volume: Float[np.ndarray, " c"]
+    triangles: Float[np.ndarray, "f 3 3"] | None = None
 
 
 class Displacement(NamedTuple):
@@ -91,9 +107,14 @@ def make_cells(creature: Creature, tree: Tree) -> tuple[Cells, ...]:
     """The volume of all bodies in parts, profile by profile."""
     shapes = {body.name: body.shape for body in creature.bodies}
     parts = [(i, cell) for i, name in enumerate(tree.names) for cell in shapes[name].cells()]
+    alike: dict[tuple[Profile, bytes], list[tuple[int, Cell]]] = {
+        (profile, b""): [] for profile in typing.get_args(Profile)
+    }
+    for i, cell in parts:
+        outline = b"" if cell.triangles is None else cell.triangles.tobytes()
+        alike.setdefault((cell.profile, outline), []).append((i, cell))
     groups = []
-    for profile in typing.get_args(Profile):
-        chosen = [(i, cell) for i, cell in parts if cell.profile == profile]
+    for (profile, _), chosen in alike.items():
         if not chosen:
             continue
         bodies = tuple(i for i, _ in chosen)
@@ -105,6 +126,7 @@ def make_cells(creature: Creature, tree: Tree) -> tuple[Cells, ...]:
                 np.array([cell.centre for _, cell in chosen]).T + tree.com[:, list(bodies)],
                 np.array([cell.half_axes for _, cell in chosen]).T,
                 np.array([cell.volume for _, cell in chosen]),
+                chosen[0][1].triangles,
             )
         )
     return tuple(groups)
@@ -126,6 +148,8 @@ def displacement(cells: tuple[Cells, ...], pose: Float[Array, "4 b *n"]) -> Disp
         depth = -own[3] - dot(up, centre)
         if group.profile == "box":
             share, moment = _box(half_axes, up, depth)
+        elif group.profile == "polyhedron":
+            share, moment = unfused(functools.partial(_polyhedron, group), up, depth)
         else:
             share, moment = _round(_DENSITIES[group.profile], half_axes, up, depth)
         parts = jnp.concatenate([share[None], share[None] * centre + moment])
@@ -192,3 +216,35 @@ def _box(half_axes: Array, up: Array, depth: Array) -> tuple[Array, Array]:
     slope = (scale[None] * slope - energy[None] / reach) / reach
     moment = -stretched * ((1 - least) * slope + least * slope.sum(0, keepdims=True))
     return share, moment
+
+
+def _polyhedron(cells: Cells, up: Array, depth: Array) -> tuple[Array, Array]:
+    """Share f and first moment m of polyhedra that are all the same, from their potential E."""
+    triangles = cells.triangles
+    assert triangles is not None
+    a, b, c = triangles.swapaxes(0, 1)
+    faces = np.cross(b - a, c - a) / cells.volume[0]
+    # Further out nothing changes, and the powers of large depths would cancel badly.
+    limit = float(np.linalg.norm(triangles, axis=-1).max())
+    flat_up, flat_depth = up.reshape(3, -1), jnp.clip(depth, -limit, limit).reshape(-1)
+
+    def total(up: Array, depth: Array) -> Array:
+        depths = [depth[None] - jnp.asarray(corner, up.dtype) @ up for corner in (a, b, c)]
+        return -((jnp.asarray(faces, up.dtype) @ up) * _wet_difference(*depths)).sum()
+
+    slope, share = jax.grad(total, (0, 1))(flat_up, flat_depth)
+    return share.reshape(depth.shape), -slope.reshape(up.shape)
+
+
+def _wet_difference(first: Array, second: Array, third: Array) -> Array:
+    """Divided difference of ``max(0, t)^4 / 24`` at three depths, equal ones among them."""
+    low = jnp.minimum(jnp.minimum(first, second), third)
+    high = jnp.maximum(jnp.maximum(first, second), third)
+    middle = jnp.maximum(jnp.minimum(first, second), jnp.minimum(jnp.maximum(first, second), third))
+    whole = first * (first + second + third) + second * (second + third) + third * third
+    # A lone corner on its side of the surface is at least its own depth away from the others.
+    tip = jnp.where(middle > 0, low, high)
+    sides = (high - low) * jnp.where(middle > 0, middle - low, high - middle)
+    cut = tip * tip * (tip * tip / jnp.where(sides > _LEAST_SIDES, sides, 1.0))
+    some = jnp.where(middle > 0, whole - cut, cut)
+    return jnp.where(low >= 0, whole, jnp.where(high > 0, some, 0.0)) / 24

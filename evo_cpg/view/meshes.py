@@ -8,6 +8,7 @@ import numpy as np
 import pyvista as pv
 
 from evo_cpg.creature.creature import Creature, LightSensor, neutral_pose
+from evo_cpg.creature.mesh import ConvexMesh
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape
 
 _HEAD_TO_TAIL = ("#f4601f", "#f99b4f", "#f7e3b5", "#8fc7ee", "#4a78e0")
@@ -60,11 +61,17 @@ def body_colors(creature: Creature) -> np.ndarray:
 def shape_mesh(shape: Shape) -> pv.PolyData:
     """Surface of a shape in its own frame, in m, with a ``Normals`` array for smooth shading.
 
+    A mesh's edges stay sharp: every triangle has corners of its own.
+
     Raises:
         TypeError: a shape that this module does not know.
     """
     directions, signs, faces = _split_sphere()
-    if isinstance(shape, Box):
+    if isinstance(shape, ConvexMesh):
+        points = shape.triangles.reshape(-1, 3)
+        faces = np.arange(len(points)).reshape(-1, 3)
+        normals = np.repeat(pv.PolyData.from_regular_faces(points, faces).face_normals, 3, 0)
+    elif isinstance(shape, Box):
         radius = _ROUNDING * shape.half_extents.min()
         points = signs * (shape.half_extents - radius) + radius * directions
         normals = directions

@@ -6,6 +6,7 @@ import numpy as np
 import pyvista as pv
 
 from evo_cpg.creature.creature import Creature
+from evo_cpg.creature.mesh import ConvexMesh
 from evo_cpg.creature.shapes import Box, Shape
 from evo_cpg.view.look import Look
 from evo_cpg.view.meshes import shape_mesh
@@ -147,6 +148,8 @@ def soles(shape: Shape) -> np.ndarray:
     if isinstance(shape, Box):
         corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
         return corners * shape.half_extents
+    if isinstance(shape, ConvexMesh):
+        return shape.corners
     return np.asarray(shape_mesh(shape).points)
 
 

@@ -4,6 +4,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
+from typing_extensions import override
 
 from evo_cpg.config.schema.section import Finite, NotNegative, Positive, Section, Share, Vector
 from evo_cpg.creature.creature import (
@@ -15,6 +16,7 @@ from evo_cpg.creature.creature import (
     Material,
     topological_order,
 )
+from evo_cpg.creature.mesh import ConvexMesh, convex_mesh
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
 from evo_cpg.spatial.rotation import euler_to_matrix
 
@@ -36,7 +38,16 @@ _AXES = {
 }
 
 
-class BoxConfig(Section):
+class SolidConfig(Section):
+    """A kind of shape."""
+
+    @property
+    def centre(self) -> np.ndarray:
+        """Centre of mass ``(3,)`` in the body's frame, m; a mesh's alone is not at 0."""
+        return np.zeros(3)
+
+
+class BoxConfig(SolidConfig):
     """Cuboid; edges along x, y and z (m)."""
 
     type: Literal["box"]
@@ -47,7 +58,7 @@ class BoxConfig(Section):
         return Box(self.size)
 
 
-class SphereConfig(Section):
+class SphereConfig(SolidConfig):
     """Sphere (m)."""
 
     type: Literal["sphere"]
@@ -58,7 +69,7 @@ class SphereConfig(Section):
         return Sphere(self.radius)
 
 
-class EllipsoidConfig(Section):
+class EllipsoidConfig(SolidConfig):
     """Ellipsoid; semi-axes along x, y and z (m)."""
 
     type: Literal["ellipsoid"]
@@ -69,7 +80,7 @@ class EllipsoidConfig(Section):
         return Ellipsoid(self.radii)
 
 
-class CapsuleConfig(Section):
+class CapsuleConfig(SolidConfig):
     """Cylinder along x with half-spherical ends; ``length`` is the cylinder's (m)."""
 
     type: Literal["capsule"]
@@ -81,8 +92,40 @@ class CapsuleConfig(Section):
         return Capsule(self.radius, self.length)
 
 
+class MeshConfig(SolidConfig):
+    """Convex polyhedron, in a frame of its own choice.
+
+    Attributes:
+        type: ``mesh``.
+        vertices: m; with ``file`` they are read from there, and multiplied by ``scale``.
+        faces: triangles of three vertices, counted from 0, counterclockwise seen from outside.
+    """
+
+    type: Literal["mesh"]
+    vertices: tuple[Vector, ...]
+    faces: tuple[tuple[int, int, int], ...]
+
+    @model_validator(mode="after")
+    def _check(self) -> "MeshConfig":
+        self._made()
+        return self
+
+    @property
+    @override
+    def centre(self) -> np.ndarray:
+        return self._made()[1]
+
+    def build(self) -> Shape:
+        """The shape, centred on its own frame."""
+        return self._made()[0]
+
+    def _made(self) -> tuple[ConvexMesh, np.ndarray]:
+        return convex_mesh(np.array(self.vertices).reshape(-1, 3), np.array(self.faces, int))
+
+
 ShapeConfig = Annotated[
-    BoxConfig | SphereConfig | EllipsoidConfig | CapsuleConfig, Field(discriminator="type")
+    BoxConfig | SphereConfig | EllipsoidConfig | CapsuleConfig | MeshConfig,
+    Field(discriminator="type"),
 ]
 
 
@@ -171,15 +214,21 @@ class JointConfig(Section):
         """The axes as vectors, not normalised."""
         return [_AXES[axis] if isinstance(axis, str) else axis for axis in self.axes]
 
-    def build(self, parent: str) -> Joint:
-        """The joint, on the given parent."""
+    def build(self, parent: str, parent_centre: np.ndarray, centre: np.ndarray) -> Joint:
+        """The joint, on the given parent, in frames moved to the bodies' centres of mass.
+
+        Args:
+            parent: its name.
+            parent_centre: its centre of mass in the frame that ``at`` is given in, m.
+            centre: that of the body itself, in the frame of ``child_at``, m.
+        """
         rotation = euler_to_matrix(*np.deg2rad(self.rotation_deg))
         limits = np.deg2rad(self.limits)
         actuator = self.actuator
         return Joint(
             parent=parent,
-            parent_anchor=self.at,
-            child_anchor=self.child_at,
+            parent_anchor=_moved(self.at, parent_centre),
+            child_anchor=_moved(self.child_at, centre),
             axes=tuple(_unit(axis) for axis in self.directions),
             lower=tuple(limits[:, 0]),
             upper=tuple(limits[:, 1]),
@@ -201,7 +250,7 @@ class BodyConfig(Section):
 
     Attributes:
         name: unique; of a repeated body it contains ``{i}``, which counts from 1.
-        shape: centred on the body's frame.
+        shape: centred on the body's frame; a mesh lies in it as in its file.
         material: name of one of the creature's materials.
         joint: how it hangs on its parent; the root has none.
         repeat: number of equal bodies in a row; the first hangs on the joint's ``parent``, every
@@ -268,12 +317,21 @@ class CreatureConfig(Section):
             CreatureError: its parts do not fit together.
         """
         bodies: list[Body] = []
+        centres = {
+            name: centre
+            for entry in self.bodies
+            for centre in [entry.shape.centre]
+            for name in entry.names()
+        }
         for entry in self.bodies:
             material = Material(**self.materials[entry.material].model_dump())
-            parent = entry.joint.parent if entry.joint else ""
+            parent, shape = entry.joint.parent if entry.joint else "", entry.shape.build()
             for name in entry.names():
-                joint = entry.joint.build(parent) if entry.joint else None
-                bodies.append(Body(name, entry.shape.build(), material, joint, entry.color))
+                joint = None
+                if entry.joint:
+                    at = centres.get(parent, np.zeros(3))
+                    joint = entry.joint.build(parent, at, centres[name])
+                bodies.append(Body(name, shape, material, joint, entry.color))
                 parent = name
         everything = tuple(body.name for body in bodies)
         creature = Creature(
@@ -282,7 +340,7 @@ class CreatureConfig(Section):
             light_sensors=tuple(
                 LightSensor(
                     eye.body,
-                    eye.position,
+                    _moved(eye.position, centres.get(eye.body, np.zeros(3))),
                     _unit(eye.axis),
                     float(np.deg2rad(eye.field_of_view_deg)),
                 )
@@ -319,3 +377,9 @@ class CreatureConfig(Section):
 def _unit(vector: Any) -> tuple[float, float, float]:
     x, y, z = np.asarray(vector, float) / np.linalg.norm(vector)
     return float(x), float(y), float(z)
+
+
+def _moved(place: tuple[float, float, float], origin: np.ndarray) -> tuple[float, float, float]:
+    """A place in a frame that is moved to ``origin``; as it is where the frame stays."""
+    x, y, z = np.subtract(place, origin).tolist() if origin.any() else place
+    return x, y, z

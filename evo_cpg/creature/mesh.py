@@ -1,0 +1,447 @@
+"""Convex meshes as shapes: polyhedra, whose mass, buoyancy and moments are exact.
+
+A `ConvexMesh` is centred on its own frame as every shape is; `convex_mesh` moves it there. Two
+things are bounded, so that a fine mesh does not make every step slow:
+
+- What touches the ground and what floats are the hull of at most `MOST_CORNERS` of its corners:
+  those at which three of its planes meet, and of more than that each the farthest from those taken
+  before, the first of all the farthest from the centre. A hull with fewer corners than the mesh is
+  blown up to the mesh's volume about the mesh's centre where it floats.
+- Water streams against about as many points as against an ellipsoid. Coplanar triangles are one
+  facet; more facets than points share them with their neighbours.
+"""
+
+import dataclasses
+import functools
+import itertools
+from typing import NamedTuple
+
+import numpy as np
+from typing_extensions import override
+
+from evo_cpg.creature.shapes import Cell, Shape, Surface
+
+# More triangles tell nothing that the physics would feel, and go into the run folder's config.
+MOST_TRIANGLES = 2000
+MOST_CORNERS = 64
+# Longest side, m: what lies outside has most likely been drawn in other units.
+SHORTEST, LONGEST = 1e-3, 100.0
+# How far a corner may lie beyond the plane of a face, and volume of something flat, as shares of
+# the longest side and of its cube.
+_DENT, _FLAT = 1e-3, 1e-9
+
+# Height of a triangle below which rounding in files (single precision) turns it noticeably, as a
+# share of the longest side.
+_THIN = 1e-4
+# Planes that differ by less than so many radians are one: rounding in files turns them by 1e-6.
+_SAME_PLANE = 1e-4
+# Of the smallest of three planes' spread at a corner; squared radians.
+_SPREAD = 1e-7
+# By which corners are moved to decide which of several coplanar triangles make up a face of the
+# hull, as a share of the longest side.
+_JIGGLE = 1e-7
+# Corners farther along a direction than all others but for this share of the reach share the lead.
+_EQUALLY_FAR = 1e-9
+# Steps after which the shares of the surface points no longer change much.
+_SHARING_STEPS = 20
+# Fewest surface points between which facets are shared: an icosahedron's half.
+_FEWEST_POINTS = 12
+# Relative difference of the second moments of a facet below which it has no axes of its own.
+_ROUND = 1e-6
+# Points by triangles for which distances are found at a time: some 100 MB.
+_PAIRS = 400_000
+
+
+class MeshError(ValueError):
+    """A mesh that cannot be a body; the message is for the user."""
+
+
+@dataclasses.dataclass(frozen=True)
+class ConvexMesh(Shape):
+    """Convex polyhedron with its centre of mass at the origin; made by `convex_mesh`.
+
+    Attributes:
+        vertices: m.
+        faces: triangles of three vertices' indices, counterclockwise seen from outside.
+    """
+
+    vertices: tuple[tuple[float, float, float], ...]
+    faces: tuple[tuple[int, int, int], ...]
+
+    @functools.cached_property
+    def points(self) -> np.ndarray:
+        """The vertices as an array ``(v, 3)``, m."""
+        return np.array(self.vertices, float)
+
+    @functools.cached_property
+    def triangles(self) -> np.ndarray:
+        """The faces' corners ``(f, 3, 3)``, m."""
+        return self.points[np.array(self.faces)]
+
+    @property
+    @override
+    def volume(self) -> float:
+        return self._mass_properties[0]
+
+    @property
+    @override
+    def half_extents(self) -> np.ndarray:
+        return np.ptp(self.points, axis=0) / 2
+
+    @override
+    def inertia(self, mass: float) -> np.ndarray:
+        return np.diag(self.inertia_tensor(mass)).copy()
+
+    @override
+    def inertia_tensor(self, mass: float) -> np.ndarray:
+        return mass / self.volume * self._mass_properties[2]
+
+    @property
+    @override
+    def stretch(self) -> tuple[np.ndarray, np.ndarray]:
+        """Of a box with the same second moments."""
+        tensor = self.inertia_tensor(1.0)
+        moments, turn = np.linalg.eigh(np.trace(tensor) / 2 * np.eye(3) - tensor)
+        return np.sqrt(3 * moments), turn
+
+    @functools.cached_property
+    def _mass_properties(self) -> tuple[float, np.ndarray, np.ndarray]:
+        return _mass_properties(self.triangles)
+
+    @functools.cached_property
+    def broad(self) -> np.ndarray:
+        """The triangles that are not thin, on which the surface is looked at, ``(f, 3, 3)``, m."""
+        return self.triangles[_is_broad(self.triangles, np.ptp(self.points, axis=0).max())]
+
+    @functools.cached_property
+    def planes(self) -> tuple[np.ndarray, np.ndarray]:
+        """Unit outward normals ``(f, 3)`` of the broad triangles and their areas ``(f,)``, m^2."""
+        return _planes(self.broad)
+
+    @override
+    def distance(self, points: np.ndarray) -> np.ndarray:
+        from trimesh.triangles import closest_point
+
+        normals, _ = self.planes
+        beyond = points @ normals.T - (normals * self.broad[:, 0]).sum(1)
+        distance = beyond.max(1)
+        outside = np.flatnonzero(distance > 0)
+        count = len(self.broad)
+        for some in np.array_split(outside, len(outside) * count // _PAIRS + 1):
+            pairs = np.repeat(points[some], count, 0)
+            nearest = closest_point(np.tile(self.broad, (len(some), 1, 1)), pairs)
+            gaps = np.linalg.norm(pairs - nearest, axis=1).reshape(len(some), count)
+            distance[some] = gaps.min(1)
+        return distance
+
+    @override
+    def support(self, direction: np.ndarray) -> np.ndarray:
+        reach = self.points @ direction
+        far = reach.max() - reach <= _EQUALLY_FAR * np.ptp(reach)
+        return self.points[far].mean(0)
+
+    @functools.cached_property
+    def corners(self) -> np.ndarray:
+        """The corners that may touch the ground ``(k, 3)``, at most `MOST_CORNERS`, m."""
+        normals, _ = _planes(self.triangles)
+        spread = np.zeros((len(self.points), 3, 3))
+        for corner in np.array(self.faces).T:
+            np.add.at(spread, corner, normals[:, :, None] * normals[:, None])
+        least = np.linalg.eigvalsh(spread)
+        points = self.points[least[:, 0] > _SPREAD * least[:, 2]]
+        farthest = int(np.linalg.norm(points, axis=1).argmax())
+        return points[_far_apart(points, farthest, min(len(points), MOST_CORNERS))]
+
+    @override
+    def cells(self) -> tuple[Cell, ...]:
+        """One: the hull of the corners, with the mesh's volume and centre."""
+        corners = self.corners
+        triangles = corners[_hull(corners)]
+        volume, centre, _ = _mass_properties(triangles)
+        triangles = (triangles - centre) * (self.volume / volume) ** (1 / 3)
+        half_axes = np.ptp(triangles.reshape(-1, 3), axis=0) / 2
+        return (
+            Cell("polyhedron", (0.0, 0.0, 0.0), tuple(half_axes), self.volume, triangles=triangles),
+        )
+
+    @override
+    def surface(self, resolution: int) -> Surface:
+        """Points in which a facet has its area, centre and second moments; on many facets, fewer.
+
+        Four points at one standard deviation along the facet's principal axes lie within it,
+        whatever convex polygon it is (Kannan, Lovasz and Simonovits 1995); on a rectangle they are
+        Gauss's. Resolution 1 has one point in the middle of each facet; above 2 facets are cut into
+        quarters. Where there are more facets than points (of which an ellipsoid has 8 times the
+        square of the resolution), a point stands for neighbouring ones: for their whole area at
+        their mean place and along their mean normal.
+        """
+        facets = self._facets()
+        budget = max(8 * resolution**2, _FEWEST_POINTS)
+        if len(facets) > budget:
+            return self._shared_surface(facets, budget)
+        if resolution == 1 or 4 * len(facets) > budget:
+            return _join([_moments(self.broad[facet]) for facet in facets], spread=False)
+        pieces = [self.broad[facet] for facet in facets]
+        quarters = 4
+        while quarters <= resolution**2 // 4 and 16 * len(pieces) <= budget:
+            pieces = [part for piece in pieces for half in _halves(piece) for part in _halves(half)]
+            quarters *= 4
+        return _join([_moments(piece) for piece in pieces], spread=True)
+
+    def _facets(self) -> list[np.ndarray]:
+        """Indices of the broad triangles in each plane."""
+        normals, _ = self.planes
+        alike = normals @ normals.T > 1 - _SAME_PLANE**2 / 2
+        first = alike.argmax(1)
+        return [np.flatnonzero(first == i) for i in np.unique(first)]
+
+    def _shared_surface(self, facets: list[np.ndarray], count: int) -> Surface:
+        """Facets shared out among points by place and normal (Lloyd's iteration)."""
+        normals, areas = self.planes
+        area = np.array([areas[facet].sum() for facet in facets])
+        middle = np.array(
+            [np.average(self.broad[facet].mean(1), 0, areas[facet]) for facet in facets]
+        )
+        normal = normals[[facet[0] for facet in facets]]
+        features = np.column_stack([middle / self.half_extents.max(), normal])
+        centres = features[_far_apart(features, int(area.argmax()), count)]
+        owner = np.zeros(len(facets), int)
+        for _ in range(_SHARING_STEPS):
+            owner = ((centres**2).sum(1) - 2 * features @ centres.T).argmin(1)
+            for i in np.unique(owner):
+                centres[i] = np.average(features[owner == i], 0, area[owner == i])
+        parts = []
+        for i in np.unique(owner):
+            own = owner == i
+            mean = area[own] @ normal[own]
+            place = np.average(middle[own], 0, area[own])
+            parts.append((place, mean / np.linalg.norm(mean), area[own].sum()))
+        places, directions, shares = zip(*parts, strict=True)
+        return Surface(np.array(places), np.array(directions), np.array(shares))
+
+
+def convex_mesh(vertices: np.ndarray, faces: np.ndarray) -> tuple[ConvexMesh, np.ndarray]:
+    """A mesh as a shape, and its centre of mass ``(3,)`` in the frame that it was given in.
+
+    Args:
+        vertices: ``(v, 3)``, m.
+        faces: ``(f, 3)`` indices of vertices, counterclockwise seen from outside.
+
+    Raises:
+        MeshError: it is no closed convex body of a sensible size.
+    """
+    vertices, faces = np.asarray(vertices, float), np.asarray(faces, int)
+    _require_triangles(vertices, faces)
+    used, renumbered = np.unique(faces, return_inverse=True)
+    vertices, faces = vertices[used], renumbered.reshape(faces.shape)
+    longest = _sensible_length(vertices)
+    _require_one_closed_surface(faces)
+    _, centre, _ = _mass_properties(vertices[faces], longest)
+    vertices = vertices - centre
+    _require_convex(vertices, faces, longest)
+    shape = ConvexMesh(tuple(map(tuple, vertices.tolist())), tuple(map(tuple, faces.tolist())))
+    return shape, centre
+
+
+def _require_triangles(vertices: np.ndarray, faces: np.ndarray) -> None:
+    if not len(faces):
+        raise MeshError("it has no faces")
+    if len(faces) > MOST_TRIANGLES:
+        raise MeshError(
+            f"it has {len(faces)} triangles; allowed: at most {MOST_TRIANGLES}; simplify it in the "
+            "program that made it (in Blender: Decimate)"
+        )
+    if not np.isfinite(vertices).all():
+        raise MeshError("a coordinate of a vertex is not a finite number")
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        wrong = int(faces.min() if faces.min() < 0 else faces.max())
+        raise MeshError(f"a face names vertex {wrong}; allowed: 0 to {len(vertices) - 1}")
+
+
+def _sensible_length(vertices: np.ndarray) -> float:
+    """The longest side of the bounding box, m."""
+    longest = float(np.ptp(vertices, axis=0).max())
+    if longest > LONGEST:
+        raise MeshError(
+            f"its longest side is {longest:.4g} m; allowed: {SHORTEST:g} to {LONGEST:g} m; "
+            "drawn in millimetres it needs scale: 0.001"
+        )
+    if longest < SHORTEST:
+        raise MeshError(
+            f"its longest side is {longest:.4g} m; allowed: {SHORTEST:g} to {LONGEST:g} m; "
+            "is the scale too small?"
+        )
+    return longest
+
+
+def _require_one_closed_surface(faces: np.ndarray) -> None:
+    directed = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    edges, counts = np.unique(np.sort(directed, 1), axis=0, return_counts=True)
+    wrong = int((counts != 2).sum())
+    if wrong:
+        raise MeshError(
+            f"it is open: {wrong} of {len(edges)} edges do not join two faces; close its holes "
+            "and remove what lies inside"
+        )
+    label = np.arange(faces.max() + 1)
+    while True:
+        before = label.copy()
+        np.minimum.at(label, edges[:, 0], before[edges[:, 1]])
+        np.minimum.at(label, edges[:, 1], before[edges[:, 0]])
+        label = label[label]
+        if np.array_equal(before, label):
+            break
+    pieces = len(np.unique(label))
+    if pieces > 1:
+        raise MeshError(
+            f"it consists of {pieces} separate pieces; allowed: one; give each its file"
+        )
+    if len(np.unique(directed, axis=0)) != len(directed):
+        raise MeshError(
+            "neighbouring faces run round in different directions; make their normals consistent"
+        )
+
+
+def _require_convex(vertices: np.ndarray, faces: np.ndarray, longest: float) -> None:
+    triangles = vertices[faces]
+    normals, _ = _planes(triangles)
+    beyond = normals @ vertices.T - (normals * triangles[:, 0]).sum(1)[:, None]
+    beyond = np.where(_is_broad(triangles, longest)[:, None], beyond, 0.0)
+    deepest = float(beyond.max())
+    if deepest > _DENT * longest:
+        face, vertex = np.unravel_index(beyond.argmax(), beyond.shape)
+        raise MeshError(
+            f"it is not convex: vertex {vertex} lies {deepest:.3g} m beyond the plane of face "
+            f"{face}; allowed: {_DENT:.1%} of its longest side, {_DENT * longest:.2g} m; split it "
+            "into convex bodies, or take its convex hull in the program that made it"
+        )
+
+
+def _planes(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Unit normals ``(f, 3)`` and areas ``(f,)`` of triangles; without area, zero."""
+    a, b, c = triangles.swapaxes(0, 1)
+    normals = np.cross(b - a, c - a)
+    doubled = np.linalg.norm(normals, axis=1)
+    return normals / np.maximum(doubled, np.finfo(float).tiny)[:, None], doubled / 2
+
+
+def _is_broad(triangles: np.ndarray, longest: float) -> np.ndarray:
+    """Which triangles ``(f,)`` are high enough for their normals to be known."""
+    sides = np.linalg.norm(triangles - np.roll(triangles, 1, axis=1), axis=-1)
+    return 2 * _planes(triangles)[1] > _THIN * longest * sides.max(1)
+
+
+def _mass_properties(
+    triangles: np.ndarray, longest: float | None = None
+) -> tuple[float, np.ndarray, np.ndarray]:
+    """Volume, centre ``(3,)``, and inertia ``(3, 3)`` about it at a density of 1.
+
+    Raises:
+        MeshError: with ``longest``, the longest side: there is no volume, or it is negative.
+    """
+    from trimesh.triangles import mass_properties
+
+    # About a point of its own a mesh far from its origin loses no digits.
+    middle = triangles.mean((0, 1))
+    volume = float(np.linalg.det(triangles - middle).sum() / 6)
+    if longest is not None and abs(volume) <= _FLAT * longest**3:
+        raise MeshError(f"it is flat: {longest:.3g} m long, it encloses {abs(volume):.2g} m^3")
+    if longest is not None and volume < 0:
+        raise MeshError("it is inside out: its faces look inwards; flip its normals")
+    found = mass_properties(triangles - middle, density=1.0)
+    return volume, middle + found.center_mass, np.asarray(found.inertia)
+
+
+def _hull(corners: np.ndarray) -> np.ndarray:
+    """Triangles ``(f, 3)`` of the convex hull of points that are all corners of it.
+
+    Three points make up a face where all others are on one side of them. Points are moved a little
+    outwards at random, so that a face of more corners, too, is cut into triangles that fit.
+    """
+    rng = np.random.default_rng(0)
+    points = corners * (1 + _JIGGLE * rng.uniform(size=(len(corners), 1)))
+    i, j, k = np.array(list(itertools.combinations(range(len(points)), 3))).T
+    normals = np.cross(points[j] - points[i], points[k] - points[i])
+    height = normals @ points.T - (normals * points[i]).sum(1)[:, None]
+    for own in (i, j, k):
+        height[np.arange(len(own)), own] = 0.0
+    outwards, inwards = (height <= 0).all(1), (height >= 0).all(1)
+    return np.concatenate(
+        [np.column_stack([i, j, k])[outwards], np.column_stack([i, k, j])[inwards]]
+    )
+
+
+def _far_apart(points: np.ndarray, first: int, count: int) -> list[int]:
+    """Indices of points, each the farthest from all before it."""
+    chosen = [first]
+    away = np.full(len(points), np.inf)
+    while len(chosen) < count:
+        away = np.minimum(away, np.linalg.norm(points - points[chosen[-1]], axis=1))
+        chosen.append(int(away.argmax()))
+    return chosen
+
+
+class _Moments(NamedTuple):
+    """Area, centre and normal of a flat piece of surface, and its standard deviations."""
+
+    area: float
+    centre: np.ndarray
+    normal: np.ndarray
+    deviations: np.ndarray
+
+
+def _moments(triangles: np.ndarray) -> _Moments:
+    """Of triangles ``(t, 3, 3)`` in one plane; deviations are two vectors along its axes."""
+    a, b, c = triangles.swapaxes(0, 1)
+    doubled = np.cross(b - a, c - a)
+    weights = np.linalg.norm(doubled, axis=1)
+    total = doubled.sum(0)
+    normal = total / np.linalg.norm(total)
+    centre = np.average(triangles.mean(1), 0, weights)
+    # Of a triangle: a twelfth of the sum over its corners, and nine twelfths from its middle.
+    nodes = np.concatenate([triangles.reshape(-1, 3), triangles.mean(1)]) - centre
+    shares = np.concatenate([np.repeat(weights, 3) / 12, weights * 9 / 12]) / weights.sum()
+    # Where a square leaves the axes open they are as near to the frame's as they can be.
+    first = np.eye(3)[np.abs(normal).argmin()]
+    first = first - (first @ normal) * normal
+    first /= np.linalg.norm(first)
+    basis = np.array([first, np.cross(normal, first)])
+    flat = nodes @ basis.T
+    covariance = (shares * flat.T) @ flat
+    spread, axes = np.linalg.eigh(covariance)
+    if np.ptp(spread) < _ROUND * spread.max():
+        axes = np.eye(2)
+    deviations = np.sqrt(spread)[:, None] * (axes.T @ basis)
+    return _Moments(float(weights.sum() / 2), centre, normal, deviations)
+
+
+def _halves(triangles: np.ndarray) -> list[np.ndarray]:
+    """A flat piece, cut through its middle across its longest axis."""
+    piece = _moments(triangles)
+    height = (triangles - piece.centre) @ piece.deviations[1]
+    halves: list[np.ndarray] = []
+    for sign in (1.0, -1.0):
+        kept = []
+        for corners, heights in zip(triangles, sign * height, strict=True):
+            polygon = []
+            for here in range(3):
+                there = (here + 1) % 3
+                if heights[here] >= 0:
+                    polygon.append(corners[here])
+                if heights[here] * heights[there] < 0:
+                    share = heights[here] / (heights[here] - heights[there])
+                    polygon.append(corners[here] + share * (corners[there] - corners[here]))
+            kept += [[polygon[0], polygon[n], polygon[n + 1]] for n in range(1, len(polygon) - 1)]
+        halves.append(np.array(kept))
+    return halves
+
+
+def _join(pieces: list[_Moments], spread: bool) -> Surface:
+    """One point in the middle of each piece, or four around it."""
+    signs = list(itertools.product((1.0, -1.0), repeat=2)) if spread else [(0.0, 0.0)]
+    points = [
+        piece.centre + sign @ piece.deviations for piece in pieces for sign in np.array(signs)
+    ]
+    normals = np.repeat([piece.normal for piece in pieces], len(signs), 0)
+    areas = np.repeat([piece.area / len(signs) for piece in pieces], len(signs))
+    return Surface(np.array(points), normals, areas)

@@ -1,0 +1,210 @@
+"""Meshes from files: where they are looked for, what is built from them, and what is refused."""
+
+import numpy as np
+import pytest
+import trimesh
+import yaml
+
+from evo_cpg.config.build import build_creature
+from evo_cpg.config.errors import ConfigError
+from evo_cpg.config.load import check_config, dump_config, load_config
+from evo_cpg.creature.creature import neutral_pose
+from evo_cpg.creature.mesh import ConvexMesh
+from evo_cpg.creature.shapes import Box
+from polyhedra import TETRAHEDRON, TETRAHEDRON_FACES
+
+SIZE = (0.3, 0.2, 0.1)
+CREATURE = {
+    "name": "duck",
+    "materials": {"wood": {"density": 500}},
+    "bodies": [
+        {"name": "trunk", "shape": {"type": "box", "size": list(SIZE)}, "material": "wood"},
+        {
+            "name": "head",
+            "shape": {"type": "mesh", "file": "head.stl", "scale": 0.001},
+            "material": "wood",
+            "joint": {
+                "parent": "trunk",
+                "at": [0.15, 0, 0],
+                "child_at": [0.01, 0.02, 0.03],
+                "axes": ["z"],
+                "actuator": {"gain": 1},
+            },
+        },
+    ],
+    "light_sensors": [{"body": "head", "position": [0.1, 0.02, 0.03]}],
+}
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """An experiment whose creature lies in a folder of its own, beside the mesh of its head.
+
+    The head is drawn in millimetres, with its back at the origin.
+    """
+    parts = tmp_path / "animals"
+    parts.mkdir()
+    head = trimesh.creation.box(np.array(SIZE) * 1000)
+    head.apply_translation([150, 0, 0])
+    for name in ("head.stl", "head.obj"):
+        head.export(parts / name)
+    (parts / "duck.yaml").write_text(yaml.safe_dump(CREATURE))
+    (tmp_path / "x.yaml").write_text("name: x\ncreature: animals/duck.yaml\n")
+    return tmp_path
+
+
+def load(folder, *overrides: str):
+    return load_config(folder / "x.yaml", overrides)
+
+
+@pytest.mark.parametrize("suffix", ["stl", "obj"])
+def test_a_mesh_is_looked_for_beside_the_file_that_names_it(folder, suffix):
+    """And it is the box that it was drawn as, to the single precision of its file."""
+    override = () if suffix == "stl" else ("creature.bodies.1.shape.file=animals/head.obj",)
+    shape = build_creature(load(folder, *override), "x").bodies[1].shape
+    assert isinstance(shape, ConvexMesh)
+    assert len(shape.vertices) == 8 and len(shape.faces) == 12
+    assert shape.volume == pytest.approx(Box(SIZE).volume, rel=1e-6)
+    np.testing.assert_allclose(shape.inertia(1.0), Box(SIZE).inertia(1.0), rtol=1e-6)
+
+
+def test_an_override_can_scale_it(folder):
+    shape = build_creature(load(folder, "creature.bodies.1.shape.scale=0.002"), "x").bodies[1].shape
+    np.testing.assert_allclose(shape.half_extents, SIZE, rtol=1e-6)
+    three = "creature.bodies.1.shape.scale=[0.001, 0.002, 0.004]"
+    shape = build_creature(load(folder, three), "x").bodies[1].shape
+    np.testing.assert_allclose(shape.half_extents, [0.15, 0.2, 0.2], rtol=1e-6)
+
+
+def test_places_are_given_in_the_frame_of_the_file(folder):
+    """Anchor and eye lie where the file has them; the body's own frame sits at its centre."""
+    creature = build_creature(load(folder), "x")
+    head = creature.bodies[1]
+    assert head.joint is not None
+    np.testing.assert_allclose(head.joint.child_anchor, [0.01 - 0.15, 0.02, 0.03], atol=1e-7)
+    np.testing.assert_allclose(creature.light_sensors[0].position, [-0.05, 0.02, 0.03], atol=1e-7)
+    centres, _ = neutral_pose(creature)
+    np.testing.assert_allclose(centres[1], [0.15 + 0.14, -0.02, -0.03], atol=1e-7)
+
+
+def test_a_child_s_place_on_a_mesh_is_given_in_its_frame(folder):
+    """A row of two heads: each hangs at ``at`` of the one before, in the file's frame."""
+    head = CREATURE["bodies"][1] | {"name": "h{i}", "repeat": 2}
+    mesh = {"name": "root", "shape": head["shape"], "material": "wood"}
+    chain = head | {"joint": head["joint"] | {"parent": "root"}}
+    (folder / "animals" / "duck.yaml").write_text(
+        yaml.safe_dump(CREATURE | {"bodies": [mesh, chain], "light_sensors": []})
+    )
+    centres, _ = neutral_pose(build_creature(load(folder), "x"))
+    np.testing.assert_allclose(np.diff(centres, axis=0), [[0.14, -0.02, -0.03]] * 2, atol=1e-7)
+
+
+def test_the_mesh_goes_into_the_configuration(folder):
+    """What a run folder keeps needs no other file, and is the same creature."""
+    config = load(folder)
+    text = dump_config(config)
+    assert "head.stl" not in text
+    again = check_config(yaml.safe_load(text), "run.yaml")
+    assert again == config
+    assert build_creature(again, "x") == build_creature(config, "x")
+
+
+def test_a_mesh_can_stand_in_the_configuration_itself(folder):
+    written = {"vertices": TETRAHEDRON.tolist(), "faces": TETRAHEDRON_FACES.tolist()}
+    shape = yaml.safe_dump({"type": "mesh", **written}, default_flow_style=True)
+    override = f"creature.bodies.1.shape={' '.join(shape.split())}"
+    made = build_creature(load(folder, override), "x").bodies[1].shape
+    assert made.volume == pytest.approx(0.001, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("override", "expected"),
+    [
+        ("shape.file=nowhere.stl", "shape.file: nowhere.stl: no such file"),
+        ("shape.file=head.step", "file: head.step: '.step' is not known; allowed: .obj, .stl"),
+        ("shape.file=3", "shape.file: 3: must be the name of a file"),
+        ("shape.scale=big", "shape.scale: 'big': must be a number greater than 0, or three"),
+        ("shape.scale=[1, 2]", r"scale: \[1, 2\]: must be a number greater than 0"),
+        ("shape.scale=-1", "scale: -1: must be a number greater than 0"),
+        ("shape.scle=2", "shape.scle: unknown key; did you mean 'scale'"),
+        ("shape.scale=1", "head.stl: its longest side is 300 m; .* it needs scale: 0.001"),
+        ("shape={type: mesh}", "shape.vertices: is missing"),
+        ("shape={type: mesh, vertices: [], faces: []}", "bodies.1.shape: it has no faces"),
+        ("shape={type: mash}", "allowed: .*'mesh'"),
+    ],
+)
+def test_wrong_keys_are_refused_by_name(folder, override, expected):
+    with pytest.raises(ConfigError, match=expected) as caught:
+        load(folder, f"creature.bodies.1.{override}")
+    assert str(caught.value).startswith(f"{folder / 'x.yaml'}: creature.bodies.1.shape")
+
+
+def concave() -> trimesh.Trimesh:
+    return trimesh.creation.annulus(0.05, 0.1, 0.1, sections=16)
+
+
+def pieces() -> trimesh.Trimesh:
+    box = trimesh.creation.box(SIZE)
+    return trimesh.util.concatenate([box, box.copy().apply_translation((1, 0, 0))])
+
+
+def holed() -> trimesh.Trimesh:
+    box = trimesh.creation.box(SIZE)
+    box.update_faces(np.arange(len(box.faces)) > 1)
+    return box
+
+
+def inverted() -> trimesh.Trimesh:
+    box = trimesh.creation.box(SIZE)
+    box.invert()
+    return box
+
+
+@pytest.mark.parametrize(
+    ("mesh", "expected"),
+    [
+        (concave, r"it is not convex: vertex \d+ lies .* m beyond the plane of face \d+"),
+        (pieces, "it consists of 2 separate pieces; allowed: one"),
+        (holed, "it is open: 4 of 17 edges do not join two faces"),
+        (inverted, "it is inside out: its faces look inwards; flip its normals"),
+        (lambda: trimesh.creation.icosphere(4), "it has 5120 triangles; allowed: at most 2000"),
+    ],
+    ids=["concave", "pieces", "open", "inverted", "huge"],
+)
+@pytest.mark.parametrize("suffix", ["stl", "obj"])
+def test_a_mesh_that_cannot_be_a_body_is_refused(folder, mesh, expected, suffix):
+    mesh().export(folder / f"bad.{suffix}")
+    shape = f"{{type: mesh, file: bad.{suffix}}}"
+    key = rf"x.yaml: creature.bodies.1.shape.file: bad.{suffix}: "
+    with pytest.raises(ConfigError, match=key + expected):
+        load(folder, f"creature.bodies.1.shape={shape}")
+
+
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [
+        (b"", r"bad.stl: cannot be read as a mesh \(it has no faces\)"),
+        (b"\x89PNG\r\n" + bytes(200), r"bad.stl: cannot be read as a mesh \(it has no faces\)"),
+        (b"solid nothing\nendsolid nothing\n", "bad.stl: cannot be read as a mesh"),
+    ],
+)
+def test_a_file_that_holds_no_mesh_is_refused(folder, content, expected):
+    (folder / "bad.stl").write_bytes(content)
+    with pytest.raises(ConfigError, match=expected):
+        load(folder, "creature.bodies.1.shape={type: mesh, file: bad.stl}")
+
+
+def test_an_obj_with_materials_and_groups_is_one_body(folder):
+    """Vertices that differ by texture or normal are one; materials are not looked for."""
+    lines = ["mtllib missing.mtl", "o first"]
+    box = trimesh.creation.box(SIZE)
+    lines += [f"v {x} {y} {z}" for x, y, z in box.vertices]
+    lines += [f"vt {i / 40} 0.5" for i in range(36)]
+    for i, face in enumerate(box.faces):
+        if i == 6:
+            lines += ["o second", "usemtl other"]
+        lines.append("f " + " ".join(f"{v + 1}/{3 * i + k + 1}" for k, v in enumerate(face)))
+    (folder / "box.obj").write_text("\n".join(lines))
+    config = load(folder, "creature.bodies.1.shape={type: mesh, file: box.obj}")
+    shape = build_creature(config, "x").bodies[1].shape
+    assert isinstance(shape, ConvexMesh) and len(shape.vertices) == 8

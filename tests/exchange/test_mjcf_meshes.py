@@ -1,0 +1,153 @@
+"""Meshes out to MuJoCo and back: masses, inertias and accelerations, and what is refused."""
+
+import dataclasses
+
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+import trimesh
+import yaml
+
+from benchmarks.mujoco_model import dof_order, load_state
+from creatures import quick_jit, random_state
+from evo_cpg.config.load import dump_creature
+from evo_cpg.config.schema.creature import CreatureConfig
+from evo_cpg.creature.creature import Body, Creature, Joint, Material, neutral_pose
+from evo_cpg.creature.shapes import Box
+from evo_cpg.creature.tree import build_tree
+from evo_cpg.exchange.errors import ExchangeError
+from evo_cpg.exchange.mjcf_export import mjcf_model, mjcf_text
+from evo_cpg.exchange.mjcf_import import read_mjcf
+from evo_cpg.physics.articulated import solve
+from evo_cpg.physics.kinematics import kinematics
+from evo_cpg.physics.world import World, body_equations
+from evo_cpg.spatial.linear import lift
+from evo_cpg.spatial.rotation import euler_to_matrix
+from polyhedra import tetrahedron, wedge
+
+GRAVITY = 9.81
+
+
+def animal() -> Creature:
+    """Bodies without symmetry, turned against each other, and a box at the end."""
+    joint = Joint(
+        "a",
+        (0.2, 0.01, -0.03),
+        (-0.1, 0.04, 0.02),
+        ((0, 0, 1.0), (0, 1.0, 0)),
+        (-1.0, -0.5),
+        (1.0, 0.8),
+        tuple(map(tuple, euler_to_matrix(0.3, -0.2, 0.7))),
+        damping=0.1,
+        stiffness=2.0,
+    )
+    return Creature(
+        "meshes",
+        (
+            Body("a", wedge(), Material(800.0)),
+            Body("b", tetrahedron(), Material(1200.0), joint),
+            Body(
+                "c", Box((0.1, 0.2, 0.05)), Material(500.0), dataclasses.replace(joint, parent="b")
+            ),
+        ),
+    )
+
+
+def test_masses_and_inertias_are_those_of_the_creature(compiled):
+    """MuJoCo integrates the exported mesh, in single precision: 1e-5."""
+    creature = animal()
+    tree, model = build_tree(creature), compiled(creature, GRAVITY)
+    for i, name in enumerate(tree.names):
+        body = model.body(name)
+        assert body.mass[0] == pytest.approx(tree.mass[i], rel=1e-5)
+        np.testing.assert_allclose(body.ipos, tree.com[:, i], atol=1e-7)
+        turn = np.zeros(9)
+        mujoco.mju_quat2Mat(turn, body.iquat)
+        turn = turn.reshape(3, 3)
+        shape = creature.bodies[creature.body_index(name)].shape
+        expected = shape.inertia_tensor(tree.mass[i])
+        found = turn @ np.diag(body.inertia) @ turn.T
+        np.testing.assert_allclose(found, expected, atol=1e-5 * expected.max())
+
+
+def test_it_accelerates_as_in_mujoco(compiled):
+    """Weight, springs, dampers and turning in five states: 1e-4 of the largest acceleration."""
+    creature = animal()
+    tree, model = build_tree(creature), compiled(creature, GRAVITY)
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_LIMIT
+    data, order = mujoco.MjData(model), dof_order(model, tree)
+
+    @quick_jit
+    def ours(state):
+        kin = kinematics(tree, state)
+        inertia, bias = body_equations(World(tree, GRAVITY), kin, 0.0)
+        torque = -lift(tree.stiffness, state.q) * state.q - lift(tree.damping, state.q) * state.qd
+        found = solve(tree, kin, inertia, bias, torque, lift(tree.armature, torque))
+        linear = found.root[3:] + jnp.cross(state.velocity[:3], state.velocity[3:])
+        return jnp.concatenate([found.root[:3], linear, found.qdd])
+
+    for seed in range(5):
+        state = random_state(tree, np.random.default_rng(seed))
+        rotation = load_state(model, data, tree, state)
+        mujoco.mj_forward(model, data)
+        theirs = [rotation @ data.qacc[3:6], data.qacc[:3], data.qacc[6 + order]]
+        theirs = np.concatenate(theirs)
+        assert np.abs(ours(state) - theirs).max() < 1e-4 * np.abs(theirs).max()
+
+
+@pytest.fixture
+def read(tmp_path):
+    def call(text: str):
+        path = tmp_path / "model.xml"
+        path.write_text(text, encoding="utf-8")
+        return read_mjcf(path)
+
+    return call
+
+
+def test_a_creature_comes_back_as_it_went_out(read):
+    """Written to YAML and read again: places, volumes and inertias, to single precision."""
+    creature = animal()
+    found, left_out = read(mjcf_text(mjcf_model(creature, 0.0)))
+    again = CreatureConfig.model_validate(yaml.safe_load(dump_creature(found))).build()
+    assert left_out == ()
+    for ours, theirs in zip(again.bodies, creature.bodies, strict=True):
+        assert (ours.name, type(ours.shape)) == (theirs.name, type(theirs.shape))
+        assert ours.shape.volume == pytest.approx(theirs.shape.volume, rel=1e-5)
+        assert ours.material.density == pytest.approx(theirs.material.density, rel=1e-5)
+        expected = theirs.shape.inertia_tensor(1.0)
+        found = ours.shape.inertia_tensor(1.0)
+        np.testing.assert_allclose(found, expected, atol=1e-5 * expected.max())
+    for ours, theirs in zip(neutral_pose(again), neutral_pose(creature), strict=True):
+        np.testing.assert_allclose(ours, theirs, atol=1e-6)
+
+
+def model(mesh: trimesh.Trimesh) -> str:
+    vertices = " ".join(f"{x:.6g}" for x in mesh.vertices.ravel())
+    faces = " ".join(map(str, mesh.faces.ravel()))
+    return f"""
+<mujoco>
+  <asset><mesh name="part" inertia="exact" vertex="{vertices}" face="{faces}"/></asset>
+  <worldbody>
+    <body name="trunk"><freejoint/><geom type="mesh" mesh="part" pos="1 2 3" euler="0 0 30"/></body>
+  </worldbody>
+</mujoco>
+"""
+
+
+def test_a_turned_root_stands_in_the_world_s_axes(read):
+    """A box that is turned by 30 degrees in its body: a mesh with its corners there."""
+    found, _ = read(model(trimesh.creation.box((0.3, 0.2, 0.1))))
+    shape = found.build().bodies[0].shape
+    half = np.deg2rad(30)
+    corner = [0.15 * np.cos(half) - 0.1 * np.sin(half), 0.15 * np.sin(half) + 0.1 * np.cos(half)]
+    assert np.abs(shape.points[:, :2] - corner).max(1).min() < 1e-6
+
+
+def test_a_mesh_that_cannot_be_a_body_is_refused(read):
+    ring = trimesh.creation.annulus(0.05, 0.1, 0.1, sections=8)
+    with pytest.raises(
+        ExchangeError, match="unnamed geom of body 'trunk': its mesh: it is not con"
+    ):
+        read(model(ring))

@@ -1,0 +1,33 @@
+"""Meshes of bodies that tests know otherwise."""
+
+import numpy as np
+import trimesh
+
+from evo_cpg.creature.mesh import ConvexMesh, convex_mesh
+
+# One corner at the origin, the others on the axes.
+LEGS = (0.3, 0.2, 0.1)
+TETRAHEDRON = np.array([[0, 0, 0], [0.3, 0, 0], [0, 0.2, 0], [0, 0, 0.1]])
+TETRAHEDRON_FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+
+
+def shape(mesh: trimesh.Trimesh) -> ConvexMesh:
+    return convex_mesh(mesh.vertices, mesh.faces)[0]
+
+
+def box_mesh(size: tuple[float, float, float]) -> ConvexMesh:
+    return shape(trimesh.creation.box(size))
+
+
+def ball_mesh(radius: float, subdivisions: int) -> ConvexMesh:
+    return shape(trimesh.creation.icosphere(subdivisions, radius=radius))
+
+
+def tetrahedron() -> ConvexMesh:
+    return convex_mesh(TETRAHEDRON, TETRAHEDRON_FACES)[0]
+
+
+def wedge() -> ConvexMesh:
+    """A body without any symmetry: a tetrahedron, turned and cut off at its tips."""
+    points = np.random.default_rng(4).normal(size=(9, 3)) * [0.2, 0.12, 0.08]
+    return shape(trimesh.PointCloud(points).convex_hull)
