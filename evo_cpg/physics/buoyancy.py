@@ -23,7 +23,7 @@ energy by it. E depends on how height is distributed over the cell (`Cell.profil
 
       V E = -2 sum_triangles A (n.u) [t_1, t_2, t_3] max(0, t)^4 / 24,
 
-  in which the bracket is a divided difference; f and m are its derivatives, taken by JAX.
+  in which the bracket is a divided difference.
 
 | symbol | name |
 |---|---|
@@ -40,7 +40,6 @@ import typing
 from typing import NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -219,32 +218,54 @@ def _box(half_axes: Array, up: Array, depth: Array) -> tuple[Array, Array]:
 
 
 def _polyhedron(cells: Cells, up: Array, depth: Array) -> tuple[Array, Array]:
-    """Share f and first moment m of polyhedra that are all the same, from their potential E."""
+    """Share f and first moment m of polyhedra that are all the same."""
     triangles = cells.triangles
     assert triangles is not None
+    corners = jnp.asarray(triangles.swapaxes(0, 1), up.dtype)
     a, b, c = triangles.swapaxes(0, 1)
-    faces = np.cross(b - a, c - a) / cells.volume[0]
+    faces = jnp.asarray(np.cross(b - a, c - a) / cells.volume[0], up.dtype)
     # Further out nothing changes, and the powers of large depths would cancel badly.
     limit = float(np.linalg.norm(triangles, axis=-1).max())
     flat_up, flat_depth = up.reshape(3, -1), jnp.clip(depth, -limit, limit).reshape(-1)
+    first, second, third = (flat_depth[None] - corner @ flat_up for corner in corners)
+    value, slopes = _wet_difference(first, second, third)
+    facing = faces @ flat_up
+    share = -(facing * (slopes[0] + slopes[1] + slopes[2])).sum(0)
+    moment = faces.T @ value
+    for corner, slope in zip(corners, slopes, strict=True):
+        moment = moment - corner.T @ (facing * slope)
+    return share.reshape(depth.shape), moment.reshape(up.shape)
 
-    def total(up: Array, depth: Array) -> Array:
-        depths = [depth[None] - jnp.asarray(corner, up.dtype) @ up for corner in (a, b, c)]
-        return -((jnp.asarray(faces, up.dtype) @ up) * _wet_difference(*depths)).sum()
 
-    slope, share = jax.grad(total, (0, 1))(flat_up, flat_depth)
-    return share.reshape(depth.shape), -slope.reshape(up.shape)
+def _wet_difference(
+    first: Array, second: Array, third: Array
+) -> tuple[Array, tuple[Array, Array, Array]]:
+    """Divided difference of ``max(0, t)^4 / 24`` at three depths, and its slopes in them.
 
-
-def _wet_difference(first: Array, second: Array, third: Array) -> Array:
-    """Divided difference of ``max(0, t)^4 / 24`` at three depths, equal ones among them."""
-    low = jnp.minimum(jnp.minimum(first, second), third)
-    high = jnp.maximum(jnp.maximum(first, second), third)
-    middle = jnp.maximum(jnp.minimum(first, second), jnp.minimum(jnp.maximum(first, second), third))
-    whole = first * (first + second + third) + second * (second + third) + third * third
-    # A lone corner on its side of the surface is at least its own depth away from the others.
-    tip = jnp.where(middle > 0, low, high)
-    sides = (high - low) * jnp.where(middle > 0, middle - low, high - middle)
-    cut = tip * tip * (tip * tip / jnp.where(sides > _LEAST_SIDES, sides, 1.0))
-    some = jnp.where(middle > 0, whole - cut, cut)
-    return jnp.where(low >= 0, whole, jnp.where(high > 0, some, 0.0)) / 24
+    With a lone corner t_0 on one side of the surface 24 times it is
+    ``t_0^4 / ((t_0 - t_1)(t_0 - t_2))``, or that less than where all is wet; t_0 is at least its
+    own depth away from the others.
+    """
+    wet = [depth > 0 for depth in (first, second, third)]
+    lone = [(wet[i] != wet[i - 1]) & (wet[i] != wet[i - 2]) for i in range(3)]
+    tip = jnp.where(lone[0], first, jnp.where(lone[1], second, third))
+    others = jnp.where(lone[0], second, first), jnp.where(lone[2], second, third)
+    sides = [tip - other for other in others]
+    counts = (lone[0] | lone[1] | lone[2]) & (sides[0] * sides[1] > _LEAST_SIDES)
+    shares = [tip / jnp.where(counts, side, 1.0) for side in sides]
+    most = (wet[0] & (wet[1] | wet[2])) | (wet[1] & wet[2])
+    sign = jnp.where(counts, jnp.where(most, -1.0, 1.0), 0.0).astype(tip.dtype)
+    both = sign * shares[0] * shares[1] * tip
+    own = both * (4.0 - shares[0] - shares[1])
+    theirs = [both * share for share in shares]
+    total = jnp.where(most, first + second + third, 0.0)
+    whole = jnp.where(most, first * first + second * second + third * third, 0.0) + total * total
+    slopes = (
+        total + jnp.where(most, first, 0.0) + jnp.where(lone[0], own, theirs[0]),
+        total
+        + jnp.where(most, second, 0.0)
+        + jnp.where(lone[1], own, jnp.where(lone[0], theirs[0], theirs[1])),
+        total + jnp.where(most, third, 0.0) + jnp.where(lone[2] | ~counts, own, theirs[1]),
+    )
+    value = (whole / 2 + both * tip) / 24
+    return value, (slopes[0] / 24, slopes[1] / 24, slopes[2] / 24)

@@ -525,15 +525,14 @@ def _lowest_of_meshes(meshes: np.ndarray, up: Float[Array, "3 m *n"]) -> Float[A
     farthest from the first, third and fourth are farthest from their line on either side. Where
     none lies low enough, the first is taken again.
     """
-    count = meshes.shape[1]
     corners = lift(meshes, up, up.ndim + 1)
     rise = (corners * up[:, None]).sum(0)
     rise = (rise - rise.min(0, keepdims=True)) / _TILT
-    number = jnp.arange(count).reshape(-1, *(1,) * (up.ndim - 1))
+    table = jnp.asarray(np.swapaxes(meshes, 0, 2), up.dtype)
+    mesh = jnp.arange(len(table)).reshape(-1, *(1,) * (up.ndim - 2))
 
     def best(score: Array) -> Array:
-        chosen = jnp.argmax(score, 0)
-        return jnp.where((number == chosen[None])[None], corners, 0.0).sum(1)
+        return jnp.moveaxis(table[mesh, jnp.argmax(score, 0)], -1, 0)
 
     first = best(-rise)
     way = corners - first[:, None]

@@ -171,10 +171,10 @@ def _add_sensors(
         meaning["line of sight"] = _SIGHT
     for name in creature.pressure_sensors:
         i = creature.body_index(name)
-        half = creature.bodies[i].shape.half_extents
+        shape = creature.bodies[i].shape
         for axis in (1, 2):
             for side in (1, -1):
-                place = centres[i] + rotations[i][:, axis] * side * half[axis]
+                place = centres[i] + rotations[i] @ shape.support(side * np.eye(3)[axis])
                 dot = pv.Sphere(radius=0.22 * scale, center=place)
                 plotter.add_mesh(dot, color=_PRESSURE, lighting=False)
         meaning["feels contact"] = _PRESSURE

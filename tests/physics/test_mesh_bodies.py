@@ -277,6 +277,7 @@ def test_a_step_fused_is_the_step():
         np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_gradients_at_the_surface():
     """Of the height after two steps by the height at the start, against central differences."""
     world = in_water(single(wedge()), surface=0.0)
