@@ -267,7 +267,8 @@ def posture_walk(
     def walk(genes):
         angles = simulation.controller.decode(genes)
         still = jnp.zeros_like(angles[0])
-        state = resting_state(world.tree, genes.shape[1:], position=simulation.start_position)
+        place = simulation.situations[0].start_position
+        state = resting_state(world.tree, genes.shape[1:], position=place)
 
         def advance(state, posture):
             state, _ = step(world, state, still, h, angles[posture])
@@ -300,7 +301,7 @@ def mujoco_walk(
         motors=True,
         limits=True,
         ground=world.ground,
-        start=simulation.start_position,
+        start=simulation.situations[0].start_position,
     )
     angles = np.asarray(simulation.controller.decode(jnp.asarray(genes)), float)
     angles = np.moveaxis(angles, -1, 0)[..., motor_order(model, world.tree)]

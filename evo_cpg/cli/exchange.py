@@ -19,14 +19,14 @@ def export_model(source: Path, output: Path, overwrite: bool) -> None:
     else:
         experiment = build_experiment(load_config(source), source)
     simulation = experiment.simulation
-    world = simulation.world
+    world, situation = simulation.world, simulation.situations[0]
     model = mjcf_model(
         experiment.creature,
         world.gravity,
         world.ground,
         world.water,
-        simulation.start_position,
-        simulation.start_heading,
+        situation.start_position,
+        situation.start_heading,
         simulation.step_length,
     )
     _write(output, mjcf_text(model))

@@ -29,6 +29,14 @@ Overrides = Annotated[
     typer.Argument(metavar="[KEY=VALUE]...", help="Settings to change, such as seed=3."),
 ]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the file if it exists.")]
+Number = Annotated[
+    int | None,
+    typer.Option("--run", min=0, help="Of several runs side by side, which; the best by default."),
+]
+Trial = Annotated[
+    int,
+    typer.Option("--trial", min=0, help="Of the champion's trials, which; counted from 0."),
+]
 Cores = Annotated[int | None, typer.Option(min=1, help="Cores to use; all by default.")]
 
 
@@ -74,17 +82,13 @@ def render(
     seconds: Annotated[
         float | None, typer.Option(min=0.1, help="Show only the first seconds of the trial.")
     ] = None,
-    number: Annotated[
-        int | None,
-        typer.Option(
-            "--run", min=0, help="Of several runs side by side, which; the best by default."
-        ),
-    ] = None,
+    number: Number = None,
+    trial: Trial = 0,
 ) -> None:
     """Film the champion of a run."""
     from evo_cpg.cli.pictures import render_run
 
-    render_run(run, output, size, fps, speed, seconds, number)
+    render_run(run, output, size, fps, speed, seconds, number, trial)
 
 
 @app.command()
@@ -93,11 +97,12 @@ def plot(
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="Folder; RUN/plots by default.")
     ] = None,
+    trial: Trial = 0,
 ) -> None:
     """Plot the fitness over the generations and the champion's joint signals and path."""
     from evo_cpg.cli.pictures import plot_run
 
-    plot_run(run, output)
+    plot_run(run, output, trial)
 
 
 @app.command()

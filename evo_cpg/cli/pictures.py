@@ -21,15 +21,16 @@ def render_run(
     speed: float,
     seconds: float | None,
     number: int | None,
+    trial: int,
 ) -> None:
     """`evo-cpg render`."""
     pixels = _pixels(size)
-    experiment, _, recording, folder = champion_motion(run, number)
+    experiment, _, recording, folder = champion_motion(run, number, trial)
     from evo_cpg.view.film import film
 
     world = experiment.simulation.world
-    name = "champion.mp4" if number is None else f"champion_run{number}.mp4"
-    path = output or folder.path / "videos" / name
+    name = "champion" if number is None else f"champion_run{number}"
+    path = output or folder.path / "videos" / f"{name}{_of_trial(trial)}.mp4"
     console = Console(stderr=True)
     with Progress(console=console, disable=not console.is_terminal) as progress:
         task = progress.add_task("rendering", total=None)
@@ -50,18 +51,18 @@ def render_run(
     print(made)
 
 
-def plot_run(run: Path, output: Path | None) -> None:
+def plot_run(run: Path, output: Path | None, trial: int) -> None:
     """`evo-cpg plot`."""
-    _, _, recording, folder = champion_motion(run)
+    _, _, recording, folder = champion_motion(run, trial=trial)
     from evo_cpg.view.plots import plot_fitness, plot_joint_signals, plot_path
 
-    place = output or folder.path / "plots"
+    place, which = output or folder.path / "plots", _of_trial(trial)
     history = folder.history()
     history["best_so_far"] = history["champion"]
     print(plot_fitness(history, place / "fitness.png"))
     if recording.dof_names:
-        print(plot_joint_signals(recording, place / "joint_signals.png"))
-    print(plot_path(recording, place / "path.png"))
+        print(plot_joint_signals(recording, place / f"joint_signals{which}.png"))
+    print(plot_path(recording, place / f"path{which}.png"))
 
 
 def preview_config(path: Path, overrides: Sequence[str], output: Path | None, size: str) -> None:
@@ -73,6 +74,11 @@ def preview_config(path: Path, overrides: Sequence[str], output: Path | None, si
 
     stands = config.world.ground is not None
     print(preview(creature, output or Path(f"{creature.name}.png"), pixels, ground=stands))
+
+
+def _of_trial(trial: int) -> str:
+    """What is added to the name of a picture of another trial than the first."""
+    return f"_trial{trial}" if trial else ""
 
 
 def _pixels(size: str) -> tuple[int, int]:

@@ -144,10 +144,10 @@ def open_run(run: Path) -> tuple[RunFolder, ExperimentConfig, Experiment]:
     return folder, config, build_experiment(config, folder.config, beside)
 
 
-def champion_motion(
+def open_champion(
     run: Path, number: int | None = None
 ) -> tuple[Experiment, Champion, Any, RunFolder]:
-    """The champion of a run with its motion, which is replayed where it was not recorded.
+    """The champion of a run, with its motion in its first trial where the folder has that.
 
     Args:
         run: the run folder.
@@ -160,12 +160,34 @@ def champion_motion(
     wrong = _misfit(experiment, champion)
     if wrong:
         raise RunFolderError(f"{folder.config} was changed after training: {wrong}")
-    if recording is None or digests["config_sha256"] != folder.config_digest():
+    if digests["config_sha256"] != folder.config_digest():
+        recording = None
+    return experiment, champion, recording, folder
+
+
+def champion_motion(
+    run: Path, number: int | None = None, trial: int = 0
+) -> tuple[Experiment, Champion, Any, RunFolder]:
+    """The champion of a run with its motion, which is replayed where it was not recorded.
+
+    Args:
+        run: the run folder.
+        number: whose champion, where the folder holds several runs; None for the best.
+        trial: in which of its trials, from 0.
+    """
+    experiment, champion, recording, folder = open_champion(run, number)
+    if trial >= experiment.trials:
+        raise UsageError(
+            f"--trial: an individual of {folder.path} has {experiment.trials} trial(s), counted "
+            "from 0"
+        )
+    # The folder keeps the motion in the first.
+    if recording is None or trial > 0:
         devices = folder.read_meta().get("devices", 1)
         use_cores(devices)
         from evo_cpg.training.loop import replay_champion
 
-        _, _, recording = replay_champion(experiment, champion, devices)
+        _, _, recording = replay_champion(experiment, champion, devices, trial)
     return experiment, champion, recording, folder
 
 

@@ -1,6 +1,5 @@
 """From a checked configuration to an experiment."""
 
-import dataclasses
 import importlib
 import inspect
 import sys
@@ -8,30 +7,29 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 
 from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.schema.choice import CustomConfig
 from evo_cpg.config.schema.evolution import BitEvolutionConfig
 from evo_cpg.config.schema.experiment import ExperimentConfig
+from evo_cpg.config.schema.section import Vector
 from evo_cpg.config.schema.task import DistanceConfig, WalkConfig
 from evo_cpg.config.schema.world import WaterConfig
+from evo_cpg.config.situations import build_situations, require_light
 from evo_cpg.config.terrain import build_ground
 from evo_cpg.control.brain_cpg import BrainCpgSettings, build_brain_cpg
 from evo_cpg.control.controller import Controller
 from evo_cpg.control.postures import PostureSettings, build_posture_controller
-from evo_cpg.creature.creature import Creature, CreatureError, lowest_height
+from evo_cpg.creature.creature import Creature, CreatureError
 from evo_cpg.creature.shapes import Surface
 from evo_cpg.creature.surface import outer_surfaces, random_surfaces
 from evo_cpg.creature.tree import Tree, build_tree
 from evo_cpg.physics.added_mass import added_inertia
 from evo_cpg.physics.buoyancy import make_cells
-from evo_cpg.physics.contact import clearance, make_footing
+from evo_cpg.physics.contact import make_footing
 from evo_cpg.physics.current import Vortex
 from evo_cpg.physics.fluid import Patch, Water, make_patches
-from evo_cpg.physics.kinematics import kinematics
-from evo_cpg.physics.state import resting_state
 from evo_cpg.physics.world import World
 from evo_cpg.simulation.noise import Noise
 from evo_cpg.simulation.reach_light import ReachLight
@@ -43,9 +41,6 @@ from evo_cpg.training.experiment import Experiment
 
 # Random surface points are drawn from a quadrature this fine.
 _DENSE_RESOLUTION = 24
-
-# Tries to find the height at which an animal stands, and how exact it is to be, m.
-_START_STEPS, _START_ACCURACY = 200, 1e-5
 
 
 def build_experiment(
@@ -67,7 +62,6 @@ def build_experiment(
     creature = build_creature(config, source)
     tree = build_tree(creature)
     world = _build_world(config, creature, tree)
-    start = _start_position(config, creature, world, source)
     genetics = config.evolution
     controller = _build_controller(config, creature, tree, source)
     noise = Noise(
@@ -84,6 +78,15 @@ def build_experiment(
                 f"at most {controller.gene_count}, the bits in a genome of this creature, can "
                 f"change, got {most}",
             )
+    situations = build_situations(config, creature, world, source)
+    task = _build_task(config, creature, situations[0].light, source)
+    require_light(config, task, source)
+    trials = config.simulation.trials
+    if isinstance(trials, list):
+        trials = len(trials)
+    elif noise.silent:
+        # One trial is as good as many.
+        trials = 1
     return Experiment(
         name=config.name,
         creature=creature,
@@ -91,20 +94,18 @@ def build_experiment(
             world=world,
             sensors=place_sensors(creature, tree),
             controller=controller,
-            task=_build_task(config, creature, start, source),
+            task=task,
             control_rate=config.simulation.control_rate_hz,
             substeps=config.simulation.substeps,
             steps=config.simulation.steps,
             noise=noise,
-            start_position=start,
-            start_heading=float(np.deg2rad(config.simulation.start_heading_deg)),
+            situations=situations,
         ),
         genetics=genetics.build(),
         generations=genetics.generations,
         seed=config.seed,
         runs=config.runs,
-        # Without noise one trial is as good as many.
-        trials=1 if noise.silent else config.simulation.trials,
+        trials=trials,
     )
 
 
@@ -152,39 +153,6 @@ def _build_water(water: WaterConfig) -> Water:
     )
 
 
-def _start_position(
-    config: ExperimentConfig, creature: Creature, world: World, source: Path | str
-) -> tuple[float, float, float]:
-    """Of the root's centre, m: where the animal stands on the ground, or at height 0."""
-    x, y = config.simulation.start
-    footing = world.footing
-    if footing is None:
-        return x, y, 0.0
-    height = config.simulation.start_clearance - lowest_height(creature)
-    if footing.ground.level is not None:
-        return x, y, footing.ground.level + height
-    half = np.deg2rad(config.simulation.start_heading_deg) / 2
-    upright = (float(np.cos(half)), 0.0, 0.0, float(np.sin(half)))
-
-    @jax.jit
-    def gap(height):
-        state = resting_state(world.tree, (), position=(x, y, 0.0), orientation=upright)
-        raised = dataclasses.replace(state, position=state.position.at[2].set(height))
-        return clearance(footing, kinematics(world.tree, raised)).min()
-
-    # Raising it by its missing clearance raises it less than enough, but for level ground.
-    for _ in range(_START_STEPS):
-        missing = config.simulation.start_clearance - float(gap(height))
-        if abs(missing) < _START_ACCURACY:
-            return x, y, height
-        height += missing
-    raise ConfigError(
-        source,
-        ("simulation", "start"),
-        f"no place to stand at ({x:g}, {y:g}); is it in an obstacle?",
-    )
-
-
 def _surface_points(water: WaterConfig, creature: Creature, tree: Tree) -> tuple[Patch, ...]:
     def by_name(surfaces: tuple[Surface, ...]) -> dict[str, Surface]:
         return {body.name: s for body, s in zip(creature.bodies, surfaces, strict=True)}
@@ -227,10 +195,7 @@ def _build_controller(
 
 
 def _build_task(
-    config: ExperimentConfig,
-    creature: Creature,
-    start: tuple[float, float, float],
-    source: Path | str,
+    config: ExperimentConfig, creature: Creature, light: Vector | None, source: Path | str
 ) -> Task:
     given = config.task
     if isinstance(given, CustomConfig):
@@ -241,12 +206,9 @@ def _build_task(
         torso = next(body for body in creature.bodies if body.joint is None)
         length = 2 * float(torso.shape.half_extents[0])
         return Walk(torso_length=length, **given.model_dump(exclude={"type"}))
-    ahead, left, up = given.light.position()
-    heading = np.deg2rad(config.simulation.start_heading_deg)
-    x = start[0] + float(np.cos(heading) * ahead - np.sin(heading) * left)
-    y = start[1] + float(np.sin(heading) * ahead + np.cos(heading) * left)
+    assert light is not None
     return ReachLight(
-        light=(x, y, start[2] + up),
+        light=light,
         distance_weight=given.distance_weight,
         energy_weight=given.energy_weight,
         light_weight=given.light_weight,

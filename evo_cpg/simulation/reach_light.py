@@ -37,7 +37,7 @@ class ReachLight(Task):
     """Swim to a point light.
 
     Attributes:
-        light: place of the light, m.
+        light: place of the light, m, where a situation does not have its own.
         distance_weight: a.
         energy_weight: b.
         light_weight: c.
@@ -57,7 +57,7 @@ class ReachLight(Task):
 
     def watch(self, tally: LightTally, moment: Moment, steps: int) -> LightTally:
         """See `Task.watch`."""
-        distance = self.distance(moment.position)
+        distance = _distance(moment.position, moment.light_position)
         last = moment.step >= steps - min(self.final_steps, steps)
         return LightTally(
             jnp.where(moment.step == 0, distance, tally.start_distance),
@@ -91,7 +91,10 @@ class ReachLight(Task):
             + self.light_weight * terms["light"]
         )
 
-    def distance(self, position: Float[Array, "3 *n"]) -> Float[Array, " *n"]:
-        """Distance from a place to the light, m."""
-        light = jnp.asarray(self.light, position.dtype).reshape(3, *(1,) * (position.ndim - 1))
-        return jnp.sqrt(jnp.sum((light - position) ** 2, 0))
+
+def _distance(
+    position: Float[Array, "3 *n"], light: Float[Array, "3 *#n"] | None
+) -> Float[Array, " *n"]:
+    """From the light, m."""
+    assert light is not None
+    return jnp.sqrt(jnp.sum((light - position) ** 2, 0))

@@ -11,17 +11,18 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, UInt32
+from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from evo_cpg.control.controller import Command, Controller, Observation
 from evo_cpg.fusion.kernels import fuse
 from evo_cpg.physics.kinematics import Kinematics, kinematics
-from evo_cpg.physics.state import State, resting_state
+from evo_cpg.physics.state import State
 from evo_cpg.physics.step import Effort, step
 from evo_cpg.physics.world import World
 from evo_cpg.simulation.noise import Noise, disturb_motion, disturb_start
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.simulation.sensors import Sensors, feel, see
+from evo_cpg.simulation.situation import Situation, light_places, starting_state
 from evo_cpg.simulation.task import Moment, Task
 from evo_cpg.spatial.linear import lift
 
@@ -43,8 +44,7 @@ class Simulation(eqx.Module):
         substeps: physics steps per control step.
         steps: control steps in a trial.
         noise: how much is left to chance.
-        start_position: of the root's centre at the start, m.
-        start_heading: by which it is turned about z at the start, rad.
+        situations: what each trial of an individual begins with, or one for all of its trials.
     """
 
     world: World
@@ -55,13 +55,17 @@ class Simulation(eqx.Module):
     substeps: int = eqx.field(static=True)
     steps: int = eqx.field(static=True)
     noise: Noise = Noise()
-    start_position: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    start_heading: float = 0.0
+    situations: tuple[Situation, ...] = (Situation(),)
 
     @property
     def step_length(self) -> float:
         """Length of a physics step, s."""
         return 1.0 / (self.control_rate * self.substeps)
+
+    @property
+    def lights(self) -> tuple[tuple[float, float, float] | None, ...]:
+        """Where the light is in each situation, m; None for tasks in the dark."""
+        return tuple(situation.light or self.task.light for situation in self.situations)
 
 
 class Outcome(NamedTuple):
@@ -103,6 +107,7 @@ def rollout(
     simulation: Simulation,
     genes: Float[Array, "g *n"],
     keys: UInt32[Array, "w *n"] | None = None,
+    trial: Int[Array, " *n"] | None = None,
 ) -> Outcome:
     """Let every individual live through one trial.
 
@@ -110,18 +115,20 @@ def rollout(
         simulation: the trial.
         genes: one genome per individual, on the trailing axes.
         keys: a raw random key for each trial's noise; None lets all live without noise.
+        trial: number of the situation in each lane; None puts all into the first.
     """
     batch, dtype = genes.shape[1:], genes.dtype
     task, steps = simulation.task, simulation.steps
+    light = light_places(simulation.lights, trial, dtype)
 
     def advance(carry, index):
         animal, tally, alive = carry
-        animal, instant = _control_step(simulation, genes, keys, animal, index)
+        animal, instant = _control_step(simulation, genes, keys, light, animal, index)
         tally = task.watch(tally, instant.moment, steps)
         return (animal, tally, alive & _is_sane(animal.state)), None
 
     carry = (
-        _start(simulation, batch, dtype, keys),
+        _start(simulation, batch, dtype, keys, trial),
         task.begin(batch, dtype, steps),
         jnp.ones(batch, bool),
     )
@@ -140,6 +147,7 @@ def record(
     genes: Float[Array, "g n"],
     count: int = 1,
     keys: UInt32[Array, "w n"] | None = None,
+    trial: Int[Array, " n"] | None = None,
 ) -> dict[str, Array]:
     """The trials of the first individuals, step by step; see `as_recording`.
 
@@ -149,12 +157,14 @@ def record(
             had in training and its numbers come out the same.
         count: individuals to record.
         keys: see `rollout`.
+        trial: see `rollout`.
     """
     batch, dtype = genes.shape[1:], genes.dtype
     tree = simulation.world.tree
+    light = light_places(simulation.lights, trial, dtype)
 
     def advance(animal, index):
-        animal, instant = _control_step(simulation, genes, keys, animal, index)
+        animal, instant = _control_step(simulation, genes, keys, light, animal, index)
         kin = instant.kinematics
         centre = kin.origin + (kin.rotation * jnp.asarray(tree.com, dtype)[None, ..., None]).sum(1)
         frame = {
@@ -168,12 +178,16 @@ def record(
         frame = {name: values[..., :count] for name, values in frame.items()}
         return animal, frame
 
-    start = _start(simulation, batch, dtype, keys)
+    start = _start(simulation, batch, dtype, keys, trial)
     return jax.lax.scan(advance, start, jnp.arange(simulation.steps))[1]
 
 
 def as_recording(
-    simulation: Simulation, frames: dict[str, Array], names: list[str], individual: int = 0
+    simulation: Simulation,
+    frames: dict[str, Array],
+    names: list[str],
+    individual: int = 0,
+    trial: int = 0,
 ) -> Recording:
     """Order the bodies as the creature does and add what belongs to a film.
 
@@ -182,10 +196,11 @@ def as_recording(
         frames: from `record`.
         names: of the bodies in the order of ``creature.bodies``.
         individual: which of those recorded.
+        trial: number of the situation that it lived in.
     """
     tree = simulation.world.tree
     order = [tree.names.index(name) for name in names]
-    light = simulation.task.light
+    light = simulation.lights[trial if len(simulation.situations) > 1 else 0]
     arrays = {name: np.asarray(values[..., individual]) for name, values in frames.items()}
     position = np.moveaxis(arrays["position"], -1, 1)
     root = position[:, 0]
@@ -205,13 +220,15 @@ def as_recording(
 
 
 def _start(
-    simulation: Simulation, batch: tuple[int, ...], dtype: jnp.dtype, keys: Array | None
+    simulation: Simulation,
+    batch: tuple[int, ...],
+    dtype: jnp.dtype,
+    keys: Array | None,
+    trial: Array | None,
 ) -> _Animal:
     """The animals as the trials begin."""
     tree = simulation.world.tree
-    half = simulation.start_heading / 2
-    upright = (float(np.cos(half)), 0.0, 0.0, float(np.sin(half)))
-    rest = resting_state(tree, batch, dtype, simulation.start_position, upright)
+    rest = starting_state(simulation.situations, trial, tree, batch, dtype)
     return _Animal(
         disturb_start(simulation.noise, tree, rest, keys),
         simulation.controller.initial_state(batch, dtype),
@@ -220,7 +237,12 @@ def _start(
 
 
 def _control_step(
-    simulation: Simulation, genes: Array, keys: Array | None, animal: _Animal, index: Array
+    simulation: Simulation,
+    genes: Array,
+    keys: Array | None,
+    light: np.ndarray | Array | None,
+    animal: _Animal,
+    index: Array,
 ) -> tuple[_Animal, _Instant]:
     """Sense, command, and move for one control step."""
     state, nerves, pressure = animal
@@ -228,13 +250,16 @@ def _control_step(
     h = simulation.step_length
     state = disturb_motion(simulation.noise, state, keys, index, 1.0 / simulation.control_rate)
     kin = kinematics(world.tree, state)
+    # What differs between individuals must be an argument of what is fused, what does not is a
+    # constant there.
+    own = None if isinstance(light, np.ndarray) else light
 
-    def look(state: State) -> tuple[Array, Array, Array]:
-        light = simulation.task.light
-        place = lift(np.array(light), state.position) if light else None
+    def look(state: State, own: Array | None) -> tuple[Array, Array, Array]:
+        place = light if own is None else own
+        place = None if place is None else lift(place, state.position)
         return see(simulation.sensors, kinematics(world.tree, state), place)
 
-    strength, cosine, sine = fuse(look, state, batch_ndim=len(batch))
+    strength, cosine, sine = fuse(look, state, own, batch_ndim=len(batch))
     observation = Observation(strength, pressure, cosine, sine, state.q, state.qd)
     nerves, command = simulation.controller.act(genes, nerves, observation)
 
@@ -260,7 +285,16 @@ def _control_step(
     )
     if feels:
         pressure = fuse(touch, moved, support, batch_ndim=len(batch))
-    moment = Moment(index, state.position, state.orientation, strength, state.q, energy, airborne)
+    moment = Moment(
+        index,
+        state.position,
+        state.orientation,
+        strength,
+        state.q,
+        energy,
+        airborne,
+        None if light is None else lift(light, state.position),
+    )
     return _Animal(moved, nerves, pressure), _Instant(moment, command, torque, kin)
 
 

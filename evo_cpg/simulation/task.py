@@ -27,6 +27,7 @@ class Moment(NamedTuple):
         energy: spent by all motors in this control step, J.
         airborne: share of this control step in which nothing of the animal touches the ground; 1
             where there is no ground.
+        light_position: place of the light in this trial, m; None for a task in the dark.
     """
 
     step: Array
@@ -36,6 +37,7 @@ class Moment(NamedTuple):
     joint_angle: Float[Array, "d *n"]
     energy: Float[Array, " *n"]
     airborne: Float[Array, " *n"]
+    light_position: Float[Array, "3 *#n"] | None = None
 
 
 class Task(eqx.Module):
@@ -45,7 +47,8 @@ class Task(eqx.Module):
     is built with the keyword arguments in the config's ``task.options``.
 
     Attributes:
-        light: place of the point light, m; None for a task in the dark.
+        light: place of the point light, m, where a situation does not have its own; None for a
+            task in the dark. `Moment.light_position` is where it is.
 
     Example:
         A race along x::

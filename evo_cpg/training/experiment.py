@@ -38,7 +38,8 @@ class Experiment(NamedTuple):
         generations: to evolve.
         seed: of all randomness; of the first run where there are several.
         runs: independent populations side by side.
-        trials: of every individual, over which its fitness is averaged.
+        trials: of every individual, over which its fitness is averaged; as many as the simulation
+            has situations, or any number of trials of the only one.
     """
 
     name: str
@@ -119,6 +120,12 @@ def generation_keys(experiment: Experiment, generation: ArrayLike) -> UInt32[Arr
     return trial_keys(experiment, generation, run, individual, trial)
 
 
+def situation_numbers(experiment: Experiment) -> Int[np.ndarray, " trials"] | None:
+    """Of the trials of an individual; None where all have the same situation."""
+    several = len(experiment.simulation.situations) > 1
+    return np.arange(experiment.trials) if several else None
+
+
 def compile_trials(simulation: Simulation, mesh: Mesh) -> Callable[..., Outcome]:
     """One trial of every individual of a population, sharded over the devices of the mesh.
 
@@ -129,24 +136,30 @@ def compile_trials(simulation: Simulation, mesh: Mesh) -> Callable[..., Outcome]
     Returns:
         A function of the host arrays that `rollout` takes, compiled at its first call.
     """
-    sharding = NamedSharding(mesh, PartitionSpec(None, POPULATION_AXIS))
+    columns, lanes = PartitionSpec(None, POPULATION_AXIS), PartitionSpec(POPULATION_AXIS)
     trials = fast_jit(
         jax.shard_map(
             functools.partial(rollout, simulation),
             mesh=mesh,
-            in_specs=sharding.spec,
-            out_specs=PartitionSpec(POPULATION_AXIS),
+            in_specs=(columns, columns, lanes),
+            out_specs=lanes,
             check_vma=False,
         )
     )
 
     def run(
-        genes: Float[np.ndarray, "g n"], keys: UInt32[np.ndarray, "w n"] | None = None
+        genes: Float[np.ndarray, "g n"],
+        keys: UInt32[np.ndarray, "w n"] | None = None,
+        trial: Int[np.ndarray, " n"] | None = None,
     ) -> Outcome:
         count = genes.shape[1]
-        width = ((0, 0), (0, padding(count, mesh)))
-        given = jax.tree.map(lambda x: np.pad(x, width, mode="edge"), (genes, keys))
-        outcome = trials(*jax.device_put(given, sharding))
+
+        def share(x: np.ndarray) -> Array:
+            width = (*((0, 0),) * (x.ndim - 1), (0, padding(count, mesh)))
+            spec = columns if x.ndim == 2 else lanes
+            return jax.device_put(np.pad(x, width, mode="edge"), NamedSharding(mesh, spec))
+
+        outcome = trials(*jax.tree.map(share, (genes, keys, trial)))
         return jax.tree.map(lambda x: np.asarray(x)[:count], outcome)
 
     return run
@@ -230,31 +243,42 @@ def replay(
     mesh: Mesh,
     genes: Float[Array, " g"],
     keys: UInt32[Array, "w trials"] | None = None,
+    numbers: Int[Array, " trials"] | None = None,
+    recorded: int = 0,
 ) -> tuple[Outcome, dict[str, Array]]:
     """One individual's trials, with as many neighbours as they had in training.
 
-    Compiled code may round differently for different array lengths; with equal ones the numbers
-    are those of the training run.
+    Compiled code may round differently for different array lengths, and where an array is a
+    constant of it; with equal lengths and the same arguments the numbers are those of the training
+    run.
 
     Args:
         experiment: that the individual was evolved in.
         mesh: the devices of the training run.
         genes: of the individual.
         keys: of its trials; None without noise.
+        numbers: of its trials, see `situation_numbers`.
+        recorded: which of its trials is recorded.
 
     Returns:
-        What each of its trials amounted to, and the first one step by step.
+        What each of its trials amounted to, and one of them step by step.
     """
     simulation, trials = experiment.simulation, experiment.trials
     count = experiment.runs * experiment.genetics.population * trials
     lanes = (count + padding(count, mesh)) // mesh.size
     crowd = jnp.broadcast_to(genes[:, None], (genes.shape[0], lanes))
+
+    def beginning_with(first: int) -> tuple[Array | None, Array | None]:
+        """Keys and numbers of the trials in all lanes."""
+        order = (np.arange(lanes) + first) % trials
+        return jax.tree.map(lambda x: x[..., order], (keys, numbers))
+
     # One device may have held fewer trials than an individual has.
-    shifts = [(np.arange(lanes) + start) % trials for start in range(0, trials, lanes)]
-    chosen = [None if keys is None else keys[:, shift] for shift in shifts]
-    parts = [rollout(simulation, crowd, some) for some in chosen]
+    starts = range(0, trials, lanes)
+    parts = [rollout(simulation, crowd, *beginning_with(start)) for start in starts]
     outcome = jax.tree.map(lambda *x: jnp.concatenate(x)[:trials], *parts)
-    return outcome, record(simulation, crowd, keys=chosen[0])
+    some, situation = beginning_with(recorded)
+    return outcome, record(simulation, crowd, keys=some, trial=situation)
 
 
 def padding(count: int, mesh: Mesh) -> int:

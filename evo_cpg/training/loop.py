@@ -22,6 +22,7 @@ from evo_cpg.training.experiment import (
     generation_keys,
     judge,
     replay,
+    situation_numbers,
     trial_keys,
 )
 from evo_cpg.training.run_folder import RunFolder
@@ -58,13 +59,15 @@ def train(
         # A kill may have come between the checkpoint and the table.
         folder.write_metrics(checkpoint.history)
     run_trials = compile_trials(experiment.simulation, mesh)
+    everybody = experiment.runs * experiment.genetics.population
+    numbers = jax.tree.map(lambda x: np.tile(x, everybody), situation_numbers(experiment))
     run_breeding = fast_jit(functools.partial(breed, experiment))
     draw_keys = fast_jit(functools.partial(generation_keys, experiment))
     while checkpoint.generation < experiment.generations:
         start = time.perf_counter()
         index = np.int32(checkpoint.generation)
         keys = jax.device_get(draw_keys(index))
-        outcome = run_trials(np.repeat(checkpoint.genes, experiment.trials, axis=1), keys)
+        outcome = run_trials(np.repeat(checkpoint.genes, experiment.trials, axis=1), keys, numbers)
         yardsticks = {
             name: np.array(values, np.float32) for name, values in checkpoint.scales.items()
         }
@@ -91,7 +94,7 @@ def train(
 
 
 def replay_champion(
-    experiment: Experiment, champion: Champion, devices: int
+    experiment: Experiment, champion: Champion, devices: int, recorded: int = 0
 ) -> tuple[float, dict[str, float], Recording]:
     """Live the champion's trials again, with the noise that they had.
 
@@ -99,22 +102,24 @@ def replay_champion(
         experiment: that it was evolved in.
         champion: the individual.
         devices: how many shared the population in training.
+        recorded: number of the trial whose motion is wanted, from 0.
 
     Returns:
-        Its fitness, its terms and its motion in the first trial.
+        Its fitness, its terms and its motion in one trial.
     """
     mesh = population_mesh(min(devices, len(jax.devices())))
     simulation, trials = experiment.simulation, np.arange(experiment.trials)
     run, individual = (np.full_like(trials, i) for i in (champion.run, champion.index))
     keys = trial_keys(experiment, champion.generation, run, individual, trials)
-    outcome, frames = fast_jit(functools.partial(replay, experiment, mesh))(champion.genes, keys)
+    live = fast_jit(functools.partial(replay, experiment, mesh, recorded=recorded))
+    outcome, frames = live(champion.genes, keys, situation_numbers(experiment))
     scales = {name: jnp.float32(value) for name, value in champion.scales.items()}
     # Compiled as in training: a multiplication and an addition may become one operation, with one
     # rounding.
     fitness, mean = fast_jit(functools.partial(judge, simulation.task))(outcome, scales)
     terms = {name: float(value) for name, value in mean.terms.items()}
     names = [body.name for body in experiment.creature.bodies]
-    return float(fitness), terms, as_recording(simulation, frames, names)
+    return float(fitness), terms, as_recording(simulation, frames, names, trial=recorded)
 
 
 def _no_scales(experiment: Experiment) -> dict[str, tuple[float, ...]]:

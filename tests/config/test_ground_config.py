@@ -86,7 +86,7 @@ def test_heights_from_a_file_end_up_in_the_configuration(suffix, tmp_path):
 
 def test_an_animal_starts_standing_wherever_it_is_put():
     """As high above a plateau as above level ground, and turned as asked."""
-    level = build().start_position[2]
+    level = build().situations[0].start_position[2]
     config = load_config(
         HEXAPOD,
         [
@@ -96,9 +96,9 @@ def test_an_animal_starts_standing_wherever_it_is_put():
             "simulation.start_clearance=0.1",
         ],
     )
-    simulation = build_experiment(config, HEXAPOD).simulation
-    assert simulation.start_position == pytest.approx((4, -1, level + 0.8), abs=1e-5)
-    assert simulation.start_heading == pytest.approx(np.pi / 2)
+    (situation,) = build_experiment(config, HEXAPOD).simulation.situations
+    assert situation.start_position == pytest.approx((4, -1, level + 0.8), abs=1e-5)
+    assert situation.start_heading == pytest.approx(np.pi / 2)
 
 
 def test_a_light_is_where_the_animal_sees_it():

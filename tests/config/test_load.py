@@ -277,7 +277,7 @@ def test_over_ground_a_creature_starts_on_it():
     def start(**changes):
         simulation = build_experiment(check_config(small(**changes), "x.yaml"), "x.yaml").simulation
         assert isinstance(simulation.task, ReachLight)
-        return simulation.start_position[2], simulation.task.light
+        return simulation.situations[0].start_position[2], simulation.task.light
 
     hanging = {
         "creature__bodies__1__joint__at": [0, 0, -0.1],
@@ -321,7 +321,7 @@ def test_the_walkers_of_fukui_2003(model, bits, height):
     simulation = experiment.simulation
     assert simulation.controller.gene_count == bits
     assert simulation.steps / simulation.control_rate == 20
-    assert simulation.start_position[2] == pytest.approx(height)
+    assert simulation.situations[0].start_position[2] == pytest.approx(height)
     assert experiment.genetics == BitGenetics()
     assert {
         (body.material.restitution, body.joint is None) for body in experiment.creature.bodies
@@ -331,7 +331,7 @@ def test_the_walkers_of_fukui_2003(model, bits, height):
     }
     centres, rotations = neutral_pose(experiment.creature)
     feet = [
-        centre[2] - body.shape.half_extents[2] + simulation.start_position[2]
+        centre[2] - body.shape.half_extents[2] + simulation.situations[0].start_position[2]
         for body, centre in zip(experiment.creature.bodies, centres, strict=True)
         if body.name.endswith("lower")
     ]

@@ -73,7 +73,8 @@ def walk():
 
         @quick_jit
         def run(genes):
-            state = resting_state(world.tree, (WALKERS,), position=simulation.start_position)
+            place = simulation.situations[0].start_position
+            state = resting_state(world.tree, (WALKERS,), position=place)
             nerves = controller.initial_state((WALKERS,), jnp.float32)
             observed = Observation(nothing, nothing, nothing, nothing, still, still)
 

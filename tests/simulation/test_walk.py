@@ -16,6 +16,7 @@ from evo_cpg.physics.contact import Ground, make_footing
 from evo_cpg.physics.world import World
 from evo_cpg.simulation.rollout import Simulation, as_recording, record, rollout
 from evo_cpg.simulation.sensors import place_sensors
+from evo_cpg.simulation.situation import Situation
 from evo_cpg.simulation.task import Moment
 from evo_cpg.simulation.walk import Distance, Walk
 from trials import SineController, experiment
@@ -104,7 +105,7 @@ def test_a_small_bounce_keeps_its_digits_in_a_long_trial(bounce):
 def test_a_trial_in_the_dark_has_no_goal_and_its_distance_is_from_the_start():
     """The same motion as beside the light, which the sine wave does not look at."""
     lit = experiment(40).simulation
-    dark = dataclasses.replace(lit, task=Distance(), start_position=(0.0, 0.0, 0.75))
+    dark = dataclasses.replace(lit, task=Distance(), situations=(Situation((0.0, 0.0, 0.75)),))
     by_light, in_dark, outcome = quick_jit(
         lambda genes: (record(lit, genes, 1), record(dark, genes, 1), rollout(dark, genes))
     )(GENES)
@@ -135,7 +136,7 @@ def test_time_in_the_air_is_that_of_a_free_fall():
         control_rate=60.0,
         substeps=4,
         steps=60,
-        start_position=(0.0, 0.0, 0.6),
+        situations=(Situation((0.0, 0.0, 0.6)),),
     )
     terms = quick_jit(lambda genes: rollout(simulation, genes))(GENES[:, :1]).terms
     # It comes down within a physics step of that, and to rest in a few more.

@@ -11,6 +11,7 @@ from benchmarks.mujoco_model import dof_order, motor_order, mujoco_model
 from benchmarks.suite import CONFIGS, mujoco_walk, posture_numbers, stopped
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import load_config
+from evo_cpg.simulation.situation import Situation
 
 CONFIG = CONFIGS / "fukui2003_model1.yaml"
 GENES = np.random.default_rng(0).integers(0, 2, (192, 24)).astype(np.float32)
@@ -55,7 +56,8 @@ def test_bodies_touch_the_floor_alone(model):
 
 def test_mujoco_takes_the_postures_of_the_controller(quadruped):
     """In free fall nothing keeps a joint from where its spring pulls: 1/3 s is 17 of k/c."""
-    simulation = dataclasses.replace(quadruped.simulation, start_position=(0.0, 0.0, 20.0))
+    aloft = (Situation((0.0, 0.0, 20.0)),)
+    simulation = dataclasses.replace(quadruped.simulation, situations=aloft)
     world, h, steps = simulation.world, simulation.step_length, 160
     assert posture_numbers(simulation, steps + 1).tolist() == [0] * 80 + [1] * 80 + [2]
     walk = mujoco_walk(quadruped._replace(simulation=simulation), GENES, 1, steps)

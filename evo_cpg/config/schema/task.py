@@ -3,35 +3,72 @@
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field, Tag, model_validator
+from pydantic import Field, Tag, field_validator, model_validator
 
 from evo_cpg.config.schema.choice import CustomConfig, by_type
-from evo_cpg.config.schema.section import Finite, NotNegative, Positive, Section
+from evo_cpg.config.schema.section import (
+    Finite,
+    NotNegative,
+    OpenSection,
+    Positive,
+    Section,
+    Vector,
+)
 from evo_cpg.simulation.walk import Heading
 
 
-class LightConfig(Section):
-    """Where the light is, seen from the root at the start.
+class LightConfig(OpenSection):
+    """Where the light is: as seen from the root at the start, or anywhere in the world.
 
     Attributes:
         distance: m.
         bearing_deg: to the left of straight ahead, degrees.
         elevation_deg: above the horizon, degrees.
+        at: its place in the world, m, instead of the other three.
     """
 
-    distance: Positive = 8.0
-    bearing_deg: Finite = 30.0
-    elevation_deg: Annotated[float, Field(ge=-90, le=90)] = 0.0
+    distance: Positive | None = None
+    bearing_deg: Finite | None = None
+    elevation_deg: Annotated[float, Field(ge=-90, le=90)] | None = None
+    at: Vector | None = None
 
-    def position(self) -> tuple[float, float, float]:
-        """Place of the light, m."""
-        bearing, elevation = np.deg2rad([self.bearing_deg, self.elevation_deg])
-        level = self.distance * np.cos(elevation)
+    @model_validator(mode="after")
+    def _check(self) -> "LightConfig":
+        given = self.model_dump()
+        if self.at is not None and len(given) > 1:
+            others = ", ".join(name for name in given if name != "at")
+            raise ValueError(f"at is a place in the world; leave out {others}, or at")
+        return self
+
+    def over(self, other: "LightConfig") -> "LightConfig":
+        """This light; what it leaves open is that of another one, or, beside `at`, the default."""
+        given = self.model_dump()
+        if self.at is not None or not given:
+            return self if given else other
+        seen = DEFAULT_LIGHT if other.at is not None else other
+        return LightConfig(**seen.model_dump() | given)
+
+    def position(self, start: Vector, heading: float) -> Vector:
+        """Place of the light, m; NaN where something is left open.
+
+        Args:
+            start: place of the root at the start, m.
+            heading: by which it is turned to the left there, rad.
+        """
+        if self.at is not None:
+            return self.at
+        seen = np.array([self.distance, self.bearing_deg, self.elevation_deg], float)
+        distance, (bearing, elevation) = seen[0], np.deg2rad(seen[1:])
+        level = distance * np.cos(elevation)
+        ahead, left = level * np.cos(bearing), level * np.sin(bearing)
         return (
-            float(level * np.cos(bearing)),
-            float(level * np.sin(bearing)),
-            float(self.distance * np.sin(elevation)),
+            start[0] + float(np.cos(heading) * ahead - np.sin(heading) * left),
+            start[1] + float(np.sin(heading) * ahead + np.cos(heading) * left),
+            start[2] + float(distance * np.sin(elevation)),
         )
+
+
+DEFAULT_LIGHT = LightConfig(distance=8.0, bearing_deg=30.0, elevation_deg=0.0)
 
 
 class ReachLightConfig(Section):
@@ -47,11 +84,16 @@ class ReachLightConfig(Section):
     """
 
     type: Literal["reach_light"] = "reach_light"
-    light: LightConfig = LightConfig()
+    light: LightConfig = DEFAULT_LIGHT
     distance_weight: NotNegative = 1.0
     light_weight: NotNegative = 0.5
     energy_weight: NotNegative = 0.2
     final_seconds: Positive = 1.0
+
+    @field_validator("light")
+    @classmethod
+    def _fill(cls, light: LightConfig) -> LightConfig:
+        return light.over(DEFAULT_LIGHT)
 
     @model_validator(mode="after")
     def _check(self) -> "ReachLightConfig":

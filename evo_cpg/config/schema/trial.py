@@ -1,10 +1,45 @@
 """How long a trial takes, in which steps, and what is left to chance in it."""
 
-from typing import Annotated
+from typing import Annotated, Any
 
-from pydantic import Field
+from pydantic import Discriminator, Field, Tag, field_validator
 
-from evo_cpg.config.schema.section import Count, Finite, NotNegative, Positive, Section
+from evo_cpg.config.schema.section import (
+    Count,
+    Finite,
+    NotNegative,
+    OpenSection,
+    Positive,
+    Section,
+)
+from evo_cpg.config.schema.task import LightConfig
+
+_MOST_TRIALS = 10_000
+
+
+class SituationConfig(OpenSection):
+    """What one trial begins with; what is left open is as for all trials.
+
+    Attributes:
+        start: x and y of the root's centre at the start, m.
+        start_heading_deg: by which it is turned to the left at the start, degrees.
+        light: keys that differ from those of the task's light.
+    """
+
+    start: tuple[Finite, Finite] | None = None
+    start_heading_deg: Finite | None = None
+    light: LightConfig | None = None
+
+
+def _number_or_list(value: Any) -> str:
+    return "list" if isinstance(value, (list, tuple)) else "number"
+
+
+TrialsConfig = Annotated[
+    Annotated[int, Field(ge=1, le=_MOST_TRIALS), Tag("number")]
+    | Annotated[list[SituationConfig], Field(min_length=1, max_length=_MOST_TRIALS), Tag("list")],
+    Discriminator(_number_or_list),
+]
 
 
 class SimulationConfig(Section):
@@ -17,7 +52,8 @@ class SimulationConfig(Section):
         start: x and y of the root's centre at the start, m.
         start_heading_deg: by which it is turned to the left at the start, degrees.
         start_clearance: of the creature above the ground at the start, m.
-        trials: of every individual, over which its fitness is averaged; one without noise.
+        trials: of every individual, over which its fitness is averaged: how many, which without
+            noise is one, or a list of situations.
     """
 
     control_rate_hz: Positive = 60.0
@@ -26,7 +62,14 @@ class SimulationConfig(Section):
     start: tuple[Finite, Finite] = (0.0, 0.0)
     start_heading_deg: Finite = 0.0
     start_clearance: NotNegative = 0.0
-    trials: Annotated[int, Field(ge=1, le=10_000)] = 1
+    trials: TrialsConfig = 1
+
+    @field_validator("trials", mode="before")
+    @classmethod
+    def _is_no_mapping(cls, trials: Any) -> Any:
+        if isinstance(trials, dict):
+            raise ValueError("must be a number, or a list of situations")
+        return trials
 
 
 class NoiseConfig(Section):

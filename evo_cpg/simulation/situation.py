@@ -1,0 +1,92 @@
+"""What a trial begins with: where the animal starts, and where the light is.
+
+An individual may live through several situations, one in each of its trials. Which one a lane of
+the population axis lives in is told by the number of its trial. Where all trials have the same
+situation its numbers are constants of the compiled program.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from evo_cpg.creature.tree import Tree
+from evo_cpg.physics.state import State, resting_state
+
+Vector = tuple[float, float, float]
+
+
+class Situation(NamedTuple):
+    """Start and light of one trial.
+
+    Attributes:
+        start_position: of the root's centre at the start, m.
+        start_heading: by which it is turned about z at the start, rad.
+        light: place of the light, m; None for where the task has it.
+    """
+
+    start_position: Vector = (0.0, 0.0, 0.0)
+    start_heading: float = 0.0
+    light: Vector | None = None
+
+
+def starting_state(
+    situations: tuple[Situation, ...],
+    trial: Int[Array, " *n"] | None,
+    tree: Tree,
+    batch: tuple[int, ...],
+    dtype: jnp.dtype,
+) -> State:
+    """The neutral pose at rest, where each trial has it.
+
+    Args:
+        situations: of the trials.
+        trial: number of each lane's trial; None for the first in all lanes.
+        tree: the creature.
+        batch: trailing axes.
+        dtype: floating-point type of every array.
+    """
+    first = situations[0]
+    state = resting_state(tree, batch, dtype, first.start_position, _upright(first))
+    if trial is None or len(situations) == 1:
+        return state
+    positions = np.array([situation.start_position for situation in situations], float)
+    turns = np.array([_upright(situation) for situation in situations])
+    return State(
+        _chosen(positions, trial, dtype),
+        _chosen(turns, trial, dtype),
+        state.velocity,
+        state.q,
+        state.qd,
+    )
+
+
+def light_places(
+    lights: tuple[Vector | None, ...], trial: Int[Array, " *n"] | None, dtype: jnp.dtype
+) -> Float[np.ndarray, "3"] | Float[Array, "3 *n"] | None:
+    """Where the light is in each lane, m: a constant where that is the same in all.
+
+    Args:
+        lights: of the trials; None for those in the dark, which are all or none.
+        trial: number of each lane's trial; None for the first in all lanes.
+        dtype: floating-point type.
+    """
+    if lights[0] is None:
+        return None
+    if trial is None or len(lights) == 1:
+        return np.array(lights[0])
+    return _chosen(np.array(lights, float), trial, dtype)
+
+
+def _upright(situation: Situation) -> tuple[float, float, float, float]:
+    """The root's orientation: a turn about z alone."""
+    half = situation.start_heading / 2
+    return float(np.cos(half)), 0.0, 0.0, float(np.sin(half))
+
+
+def _chosen(
+    rows: Float[np.ndarray, "situations k"], trial: Int[Array, " *n"], dtype: jnp.dtype
+) -> Float[Array, "k *n"]:
+    """The row that belongs to the trial of each lane, as columns."""
+    return jnp.asarray(rows.T, dtype)[:, trial]

@@ -1,0 +1,73 @@
+"""A run of three situations, from the command line to films and plots of any of them."""
+
+import numpy as np
+import pytest
+import yaml
+
+from evo_cpg.cli import training
+from evo_cpg.cli.pictures import plot_run
+from evo_cpg.training import loop
+from evo_cpg.training.run_folder import RunFolder
+from tiny_run import CONFIG, TINY
+
+TRIALS = (
+    "[{light: {bearing_deg: -60}}, {light: {bearing_deg: 60, distance: 5}}, "
+    "{start: [3, 0], start_heading_deg: 180, light: {at: [0, 1, 0.5]}}]"
+)
+
+
+@pytest.fixture(scope="module")
+def situated_run(finish, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("situated") / "run"
+    overrides = (*TINY, f"simulation.trials={TRIALS}", "evolution.generations=2")
+    code, _, err = finish("train", CONFIG, *overrides, "--out", folder, "--cores", 2)
+    assert code == 0, err
+    return folder
+
+
+def test_the_champion_comes_out_exactly(situated_run, finish):
+    code, out, err = finish("verify", situated_run)
+    assert (code, err) == (0, "")
+    assert out.endswith("comes out as recorded (exactly)\n")
+    written = yaml.safe_load((situated_run / "config.yaml").read_text())
+    assert written["simulation"]["trials"] == yaml.safe_load(TRIALS)
+
+
+def test_pictures_are_made_of_any_trial(situated_run, finish, tmp_path):
+    code, out, err = finish("plot", situated_run, "--trial", 2, "-o", tmp_path)
+    assert code == 0, err
+    names = ["fitness.png", "joint_signals_trial2.png", "path_trial2.png"]
+    assert out.splitlines() == [str(tmp_path / name) for name in names]
+    assert all((tmp_path / name).stat().st_size > 0 for name in names)
+    picture = tmp_path / "film.png"
+    code, out, err = finish("render", situated_run, "--trial", 1, "--size", "64x48", "-o", picture)
+    assert (code, out) == (0, f"{picture}\n"), err
+
+
+def test_the_first_trial_is_shown_from_the_folder_and_others_are_replayed(
+    situated_run, tmp_path, monkeypatch
+):
+    champion, kept, _ = RunFolder(situated_run).load_champion()
+    assert kept is not None
+    assert kept.goal == pytest.approx((4, -8 * np.sin(np.pi / 3), 0))
+    asked = []
+
+    def replay(experiment, individual, devices, recorded):
+        asked.append((individual.fitness, recorded))
+        return champion.fitness, champion.terms, kept
+
+    monkeypatch.setattr(loop, "replay_champion", replay)
+    monkeypatch.setattr(training, "use_cores", lambda count=None: 2)
+    for trial in (0, 2):
+        plot_run(situated_run, tmp_path, trial)
+    assert asked == [(champion.fitness, 2)]
+
+
+@pytest.mark.parametrize("command", ["render", "plot"])
+def test_a_trial_that_is_not_there_is_refused(situated_run, cli, command):
+    code, out, err = cli(command, situated_run, "--trial", 3)
+    assert (code, out) == (2, "")
+    allowed = "has 3 trial(s), counted from 0"
+    assert err == f"evo-cpg: --trial: an individual of {situated_run} {allowed}\n"
+    code, _, err = cli(command, situated_run, "--trial", -1)
+    assert code == 2 and "--trial" in err

@@ -1,0 +1,196 @@
+"""Lists of situations and places of lights: what is built from YAML, and what is refused."""
+
+import numpy as np
+import pytest
+import yaml
+
+from evo_cpg.config.build import build_experiment
+from evo_cpg.config.errors import ConfigError
+from evo_cpg.config.load import check_config, dump_config, load_config
+from evo_cpg.simulation.situation import Situation
+from tiny_run import CONFIG, REPOSITORY
+
+HEXAPOD = REPOSITORY / "configs" / "hexapod.yaml"
+TASK = """
+from evo_cpg.simulation.task import Task
+
+class Lit(Task):
+    light: tuple[float, float, float] = (1.0, 2.0, 3.0)
+
+    def begin(self, batch, dtype, steps): ...
+    def watch(self, tally, moment, steps): ...
+    def terms(self, tally, steps): ...
+    def fitness(self, terms, scales): ...
+"""
+
+
+def built(*overrides: str, path=CONFIG):
+    return build_experiment(load_config(path, overrides), path)
+
+
+def situations(trials: str, *overrides: str, path=CONFIG) -> tuple[Situation, ...]:
+    return built(f"simulation.trials={trials}", *overrides, path=path).simulation.situations
+
+
+def places(trials: str, *overrides: str):
+    return [situation.light for situation in situations(trials, *overrides)]
+
+
+def test_a_number_of_trials_is_one_situation():
+    (situation,) = situations("1", "simulation.start=[1, 2]", "simulation.start_heading_deg=90")
+    assert situation.start_position == (1.0, 2.0, 0.0)
+    assert situation.start_heading == pytest.approx(np.pi / 2)
+    experiment = built("simulation.trials=5", "noise.push=0.1")
+    assert (len(experiment.simulation.situations), experiment.trials) == (1, 5)
+    assert experiment.simulation.lights == (experiment.simulation.task.light,)
+
+
+def test_an_entry_changes_what_it_names():
+    """Start, heading and the keys of the light, one by one."""
+    some = (
+        "[{light: {bearing_deg: -60}}, {light: {bearing_deg: 90, distance: 5}}, {},"
+        " {start: [3, 0], start_heading_deg: 180, light: {bearing_deg: 0}}, {start: [0, 1]}]"
+    )
+    light = "task.light={distance: 4, bearing_deg: 90}"
+    made = built(f"simulation.trials={some}", "simulation.start=[1, 0]", light).simulation
+    goals = [(3, -2 * np.sqrt(3), 0), (1, 5, 0), (1, 4, 0), (-1, 0, 0), (0, 5, 0)]
+    np.testing.assert_allclose([made.lights[i] for i in range(5)], goals, atol=1e-12)
+    assert made.task.light == made.lights[0]
+    starts = [situation.start_position[:2] for situation in made.situations]
+    assert starts == [(1, 0), (1, 0), (1, 0), (3, 0), (0, 1)]
+    turns = [situation.start_heading for situation in made.situations]
+    np.testing.assert_allclose(turns, [0, 0, 0, np.pi, 0])
+
+
+def test_every_situation_is_a_trial_with_and_without_noise():
+    for noise in ((), ("noise.push=0.1",)):
+        assert built("simulation.trials=[{}, {start: [1, 1]}]", *noise).trials == 2
+
+
+def test_a_light_may_be_at_a_place():
+    """Whatever the start; beside it or on it, the other keys begin from their defaults."""
+    trials = "[{}, {start: [5, 5], start_heading_deg: 70}, {light: {bearing_deg: 0}}]"
+    found = places(trials, "task.light={at: [1, 2, 3]}")
+    assert found[:2] == [(1, 2, 3), (1, 2, 3)]
+    assert found[2] == pytest.approx((8, 0, 0))
+    assert places("[{light: {at: [1, 2, 3]}}]", "task.light.distance=4") == [(1, 2, 3)]
+    assert places("[{light: {}}]", "task.light.at=null", "task.light.bearing_deg=0") == [(8, 0, 0)]
+
+
+def test_situations_survive_being_written_and_read(tmp_path):
+    trials = "[{light: {bearing_deg: -60}}, {start: [3, 0], light: {at: [1, 2, 3]}}, {}]"
+    config = load_config(CONFIG, [f"simulation.trials={trials}"])
+    copy = tmp_path / "copy.yaml"
+    copy.write_text(dump_config(config))
+    assert load_config(copy) == config
+    assert yaml.safe_load(copy.read_text())["simulation"]["trials"] == [
+        {"light": {"bearing_deg": -60.0}},
+        {"start": [3.0, 0.0], "light": {"at": [1.0, 2.0, 3.0]}},
+        {},
+    ]
+    again = build_experiment(load_config(copy), copy).simulation.situations
+    assert again == situations(trials)
+
+
+def test_an_override_reaches_into_the_list():
+    config = load_config(CONFIG, ["simulation.trials=[{}, {}]", "simulation.trials.1.start=[2, 3]"])
+    trials = config.simulation.trials
+    assert isinstance(trials, list)
+    assert [entry.start for entry in trials] == [None, (2.0, 3.0)]
+
+
+def test_every_start_stands_on_its_ground():
+    """On a shore and on the land above it."""
+    lower, upper = situations(
+        "[{}, {start: [4, -1]}]",
+        "world.ground.floor={type: shore, start: 1, stop: 2, stop_height: 0.7}",
+        path=HEXAPOD,
+    )
+    difference = upper.start_position[2] - lower.start_position[2]
+    assert difference == pytest.approx(0.7, abs=1e-4)
+
+
+def test_a_task_of_ones_own_keeps_its_light_unless_an_entry_moves_it(tmp_path, monkeypatch):
+    (tmp_path / "lit_task.py").write_text(TASK)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    data = load_config(CONFIG).model_dump()
+    data["task"] = {"type": "lit_task:Lit"}
+    data["simulation"]["trials"] = [{}, {"light": {"bearing_deg": 0}}]
+    simulation = build_experiment(check_config(data, "x.yaml"), "x.yaml").simulation
+    assert [situation.light for situation in simulation.situations] == [None, (8.0, 0.0, 0.0)]
+    assert simulation.lights == ((1.0, 2.0, 3.0), (8.0, 0.0, 0.0))
+
+
+STONE = "world.ground.obstacles=[{type: block, centre: [4, 0, 0], size: [2, 2, 2000]}]"
+
+
+@pytest.mark.parametrize(
+    ("overrides", "words"),
+    [
+        (["simulation.trials=[]"], "simulation.trials: []: list should have at least 1 item"),
+        (["simulation.trials={}"], "simulation.trials: must be a number, or a list of situations"),
+        (["simulation.trials=[3]"], "simulation.trials.0: 3: input should be a valid dictionary"),
+        (
+            ["simulation.trials=[{}, {strat: [1, 2]}]"],
+            "simulation.trials.1.strat: unknown key; did you mean 'start'?",
+        ),
+        (
+            ["simulation.trials=[{}, {light: {bearing: 3}}]"],
+            "simulation.trials.1.light.bearing: unknown key; did you mean 'bearing_deg'?",
+        ),
+        (
+            ["simulation.trials=[{light: {distance: -1}}]"],
+            "simulation.trials.0.light.distance: -1: input should be greater than 0",
+        ),
+        (
+            ["simulation.trials=[{light: {distance: '5'}}]"],
+            "simulation.trials.0.light.distance: '5': must be a number",
+        ),
+        (
+            ["simulation.trials=[{light: {at: [0, 0, 1], bearing_deg: 0}}]"],
+            "simulation.trials.0.light: at is a place in the world; leave out bearing_deg, or at",
+        ),
+        (
+            ["task.light.at=[0, 0, 1]"],
+            "task.light: at is a place in the world; leave out distance, bearing_deg",
+        ),
+        (
+            ["task={type: distance}", "simulation.trials=[{}, {light: {distance: 3}}]"],
+            "simulation.trials.1.light: a task of type 'distance' has no light",
+        ),
+        (
+            ["simulation.trials=[{light: {distance: 10000}}]"],
+            "simulation.trials.0.light: the light at (8660.25, 5000, 0) would be 1e+04 m from the "
+            "start; allowed: up to 1000 times the creature's length, 2.22e+03 m",
+        ),
+        (["task.light={at: [9e9, 0, 0]}"], "task.light: the light at (9e+09, 0, 0) would be"),
+        (
+            ["world.ground={}", "simulation.trials=[{}, {light: {elevation_deg: -60}}]"],
+            "simulation.trials.1.light: the light at (3.4641, 2, -6.8",
+        ),
+        (["world.ground={}", "task.light={at: [1, 0, -0.5]}"], "would be 0.5 m deep in the ground"),
+        (
+            ["world.ground={}", STONE, "task.light={at: [4, 0, 2]}"],
+            "task.light: the light at (4, 0, 2) would be 1 m deep in the ground",
+        ),
+        (
+            ["world.ground={}", STONE, "simulation.trials=[{}, {start: [4, 0]}]"],
+            "simulation.trials.1.start: no place to stand at (4, 0); is it in an obstacle?",
+        ),
+        (
+            ["world.ground={}", STONE, "simulation.start=[4, 0]", "simulation.trials=[{}]"],
+            "simulation.start: no place to stand at (4, 0); is it in an obstacle?",
+        ),
+    ],
+)
+def test_wrong_situations_and_lights_are_refused(overrides, words):
+    with pytest.raises(ConfigError) as refused:
+        built(*overrides)
+    assert words in str(refused.value)
+
+
+def test_a_start_that_no_trial_has_may_be_anywhere():
+    """What every entry overrides is not looked at."""
+    stone = ("world.ground={}", STONE, "simulation.start=[4, 0]")
+    (situation,) = situations("[{start: [0, 0], light: {bearing_deg: 90}}]", *stone)
+    assert situation.start_position[:2] == (0, 0)

@@ -1,0 +1,176 @@
+"""Each lane lives in the situation of its trial, as a simulation with only that one would."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from creatures import quick_jit
+from evo_cpg.simulation.noise import Noise
+from evo_cpg.simulation.reach_light import ReachLight
+from evo_cpg.simulation.rollout import as_recording, record, rollout
+from evo_cpg.simulation.situation import Situation
+from evo_cpg.simulation.task import Task
+from trials import experiment
+from watching import Watcher
+
+STEPS = 30
+# The same light from two sides, one that only the task knows of, and another start.
+SITUATIONS = (
+    Situation(light=(3.0, 1.0, 0.5)),
+    Situation(light=(3.0, -2.0, 0.5)),
+    Situation((1.0, -0.5, 0.25), 2.0),
+)
+TRIAL = np.array([0, 1, 2, 2, 1, 0, 0, 1])
+GENES = np.random.default_rng(0).uniform(1, 2, (2, len(TRIAL))).astype(np.float32)
+KEYS = np.random.default_rng(1).integers(0, 2**32, (2, len(TRIAL)), dtype=np.uint32)
+
+
+@pytest.fixture(scope="module")
+def simulation():
+    made = experiment(STEPS).simulation
+    return dataclasses.replace(made, controller=Watcher(), situations=SITUATIONS)
+
+
+def only(simulation, number: int):
+    return dataclasses.replace(simulation, situations=simulation.situations[number : number + 1])
+
+
+def live(simulation, trial=None, keys=None):
+    """All outcomes and motions."""
+
+    def run(genes, keys, trial):
+        frames = record(simulation, genes, len(TRIAL), keys, trial)
+        return rollout(simulation, genes, keys, trial), frames
+
+    return quick_jit(run)(GENES, keys, trial)
+
+
+@pytest.fixture(scope="module")
+def together(simulation):
+    return live(simulation, TRIAL)
+
+
+def test_a_lane_does_what_it_would_if_all_had_its_situation(simulation, together):
+    """To the last bit, although places are constants of the program with one situation."""
+    outcome, frames = together
+    assert outcome.alive.all()
+    for number in range(3):
+        lanes = number == TRIAL
+        alone, motion = live(only(simulation, number))
+        for name, values in outcome.terms.items():
+            np.testing.assert_array_equal(values[lanes], alone.terms[name][lanes])
+        for name, values in frames.items():
+            np.testing.assert_array_equal(values[..., lanes], motion[name][..., lanes])
+    # The situations are not the same to the animals.
+    one, other = (np.asarray(frames["target_rate"])[..., lane] for lane in (1, 7))
+    assert np.abs(one - other).max() > 0.1
+
+
+def test_situations_may_stand_in_any_order(simulation, together):
+    """Each is then chosen by another number, and nothing else changes, to the last bit."""
+    order = (2, 0, 1)
+    turned = dataclasses.replace(simulation, situations=tuple(SITUATIONS[i] for i in order))
+    outcome, frames = live(turned, np.argsort(order)[TRIAL])
+    jax.tree.map(np.testing.assert_array_equal, (outcome, frames), together)
+
+
+def test_equal_situations_given_twice_are_the_same_trial(simulation, together):
+    twice = dataclasses.replace(simulation, situations=SITUATIONS[:1] * 2)
+    outcome, _ = live(twice, TRIAL % 2)
+    same = TRIAL == 0
+    for name, values in outcome.terms.items():
+        np.testing.assert_array_equal(values[same], together[0].terms[name][same])
+
+
+def test_animals_start_where_and_as_they_should(simulation, together):
+    _, frames = together
+    motions = [
+        as_recording(simulation, frames, ["tail", "head"], lane, int(TRIAL[lane]))
+        for lane in range(3)
+    ]
+    heads = [motion.position[0, 1] for motion in motions]
+    np.testing.assert_allclose(heads, [(0, 0, 0), (0, 0, 0), (1, -0.5, 0.25)], atol=1e-6)
+    facing = motions[2].rotation[0, 1, :, 0]
+    np.testing.assert_allclose(facing, (np.cos(2), np.sin(2), 0), atol=1e-6)
+    goals = [tuple(motion.goal) for motion in motions]
+    assert goals == [(3.0, 1.0, 0.5), (3.0, -2.0, 0.5), (3.0, 1.0, 0.5)]
+    for motion in motions:
+        way = np.linalg.norm(motion.position[0, 1] - motion.goal)
+        assert motion.distance[0] == pytest.approx(way, rel=1e-6)
+
+
+def test_without_numbers_all_are_in_the_first(simulation):
+    given = live(only(simulation, 0))
+    jax.tree.map(np.testing.assert_array_equal, live(simulation), given)
+
+
+class Where(Task):
+    """Tells where it was told the light is."""
+
+    light: tuple[float, float, float] | None = (7.0, 8.0, 9.0)
+
+    def begin(self, batch, dtype, steps):
+        return jnp.zeros((3, *batch), dtype)
+
+    def watch(self, tally, moment, steps):
+        return tally + moment.light_position
+
+    def terms(self, tally, steps):
+        return dict(zip("xyz", tally / steps, strict=True))
+
+    def fitness(self, terms, scales):
+        return terms["x"]
+
+
+def test_a_task_of_ones_own_is_told_where_the_light_is(simulation):
+    short = dataclasses.replace(simulation, task=Where(), steps=2)
+
+    def told(simulation, trial):
+        outcome = quick_jit(lambda genes, trial: rollout(simulation, genes, None, trial))
+        return np.transpose([outcome(GENES, trial).terms[name] for name in "xyz"])
+
+    expected = np.array([(3, 1, 0.5), (3, -2, 0.5), (7, 8, 9)])[TRIAL]
+    np.testing.assert_array_equal(told(short, TRIAL), expected)
+    single = dataclasses.replace(short, situations=(Situation(),))
+    np.testing.assert_array_equal(told(single, None), np.tile([7.0, 8.0, 9.0], (8, 1)))
+
+
+def test_one_situation_is_a_constant_of_the_program(simulation):
+    """Nothing is looked up, whether or not trials are numbered."""
+
+    def program(simulation, trial):
+        trial = None if trial is None else jnp.asarray(trial)
+        lowered = jax.jit(lambda genes: rollout(simulation, genes, None, trial)).lower(GENES)
+        return lowered.as_text()
+
+    first = only(simulation, 0)
+    built_in = dataclasses.replace(
+        first, task=ReachLight((3.0, 1.0, 0.5)), situations=(Situation(),)
+    )
+    single = program(first, None)
+    assert single == program(first, TRIAL) == program(built_in, None) == program(simulation, None)
+    assert program(simulation, TRIAL) != single
+
+
+def test_every_trial_has_its_own_noise_on_top_of_its_situation(simulation):
+    noisy = dataclasses.replace(simulation, noise=Noise(joint_angle=0.1, push=0.3))
+    outcome, frames = live(noisy, TRIAL, KEYS)
+    angles = np.asarray(frames["joint_angle"])[0]
+    assert len(np.unique(angles)) == len(TRIAL)
+    alone, motion = live(only(noisy, 1), None, KEYS)
+    lanes = TRIAL == 1
+    np.testing.assert_array_equal(angles[:, lanes], motion["joint_angle"][0][:, lanes])
+    for name, values in outcome.terms.items():
+        np.testing.assert_array_equal(values[lanes], alone.terms[name][lanes])
+
+
+def test_one_animal_without_a_population_has_a_situation_too(simulation):
+    one = quick_jit(lambda genes, trial: rollout(simulation, genes, None, trial))
+    all_of_them = one(GENES, TRIAL)
+    for lane in (0, 3):
+        alone = one(GENES[:, lane], TRIAL[lane])
+        for name, values in all_of_them.terms.items():
+            assert float(alone.terms[name]) == pytest.approx(float(values[lane]), rel=2e-5)
