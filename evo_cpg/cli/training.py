@@ -34,22 +34,22 @@ _PACKAGES = ("evo-cpg", "jax", "jaxlib", "equinox", "numpy")
 def start_run(path: Path, overrides: Sequence[str], out: Path | None, cores: int | None) -> None:
     """`evo-cpg train`."""
     config = load_config(path, overrides)
+    # Finding a place to stand on uneven ground starts JAX.
+    devices = use_cores(cores)
     experiment = build_experiment(config, path)
     folder = RunFolder(out or Path("runs") / config.name)
-    # The folder is made before JAX starts, so that a wrong path costs no time.
-    devices = use_cores(cores)
     folder.create(dump_config(config), _meta(config, devices, path))
     _evolve(experiment, folder)
 
 
 def resume_run(run: Path, generations: int | None, cores: int | None) -> None:
     """`evo-cpg resume`."""
+    devices = _use_cores_of(run, cores)
     folder, config, experiment = open_run(run)
     if generations is not None:
         evolution = config.evolution.model_copy(update={"generations": generations})
         config = config.model_copy(update={"evolution": evolution})
         experiment = experiment._replace(generations=generations)
-    devices = use_cores(cores or folder.read_meta().get("devices"))
     done = folder.load()
     if done is not None and done.generation > config.evolution.generations:
         raise UsageError(
@@ -73,6 +73,7 @@ def resume_run(run: Path, generations: int | None, cores: int | None) -> None:
 
 def verify_run(run: Path, cores: int | None) -> None:
     """`evo-cpg verify`."""
+    _use_cores_of(run, cores)
     folder, _, experiment = open_run(run)
     champion, _, digests = folder.load_champion()
     differences = []
@@ -93,7 +94,6 @@ def verify_run(run: Path, cores: int | None) -> None:
     if wrong:
         _report(run, [*differences, wrong])
     devices = folder.read_meta().get("devices", 1)
-    use_cores(cores or devices)
     from evo_cpg.training.loop import replay_champion
 
     fitness, terms, _ = replay_champion(experiment, champion, devices)
@@ -153,6 +153,7 @@ def open_champion(
         run: the run folder.
         number: whose champion, where the folder holds several runs; None for the best.
     """
+    _use_cores_of(run)
     folder, _, experiment = open_run(run)
     champion, recording, digests = folder.load_champion()
     if number is not None and number != champion.run:
@@ -184,11 +185,18 @@ def champion_motion(
     # The folder keeps the motion in the first.
     if recording is None or trial > 0:
         devices = folder.read_meta().get("devices", 1)
-        use_cores(devices)
         from evo_cpg.training.loop import replay_champion
 
         _, _, recording = replay_champion(experiment, champion, devices, trial)
     return experiment, champion, recording, folder
+
+
+def _use_cores_of(run: Path, cores: int | None = None) -> int:
+    """As many cores as the run was trained on, unless told otherwise.
+
+    Before it is built: finding a place to stand on uneven ground starts JAX.
+    """
+    return use_cores(cores or RunFolder(run).read_meta().get("devices"))
 
 
 def _evolve(experiment: Experiment, folder: RunFolder) -> None:
