@@ -1,4 +1,4 @@
-"""`evo-cpg`: train, resume, render, plot, preview, verify, validate, export, import, bench.
+"""`evo-cpg`: train, resume, render, plot, probe, preview, verify, validate, export, import, bench.
 
 Every command imports what it needs only when it runs: `--help` must be quick, and training must
 not load VTK.
@@ -103,6 +103,39 @@ def plot(
     from evo_cpg.cli.pictures import plot_run
 
     plot_run(run, output, trial)
+
+
+@app.command("probe")
+def probe_(
+    run: Run,
+    bearings: Annotated[
+        str | None,
+        typer.Option(
+            help="Of the light to the left, in degrees: START:STOP:COUNT, -75:75:11 by default, "
+            "or a list such as -60,0,60."
+        ),
+    ] = None,
+    distances: Annotated[
+        str | None,
+        typer.Option(help="Of the light, in m, likewise; that of the config by default."),
+    ] = None,
+    trials: Annotated[
+        bool, typer.Option("--trials", help="Take the situations of the config instead.")
+    ] = False,
+    blind: Annotated[bool, typer.Option("--blind", help="Let all light sensors give 0.")] = False,
+    reach: Annotated[
+        float,
+        typer.Option(min=0, help="Share of the distance that may be left of a light reached."),
+    ] = 0.2,
+    number: Number = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Folder for the files; RUN by default.")
+    ] = None,
+) -> None:
+    """Put the champion into situations that it never saw."""
+    from evo_cpg.cli.probe import probe_run
+
+    probe_run(run, bearings, distances, trials, blind, reach, number, out)
 
 
 @app.command()

@@ -25,6 +25,7 @@ class Sensors(NamedTuple):
         eye_axes: ``(3, eyes)`` unit vectors.
         fields_of_view: ``(eyes,)`` full opening angles, rad.
         pressure_bodies: index of the body behind each pressure sensor.
+        blind: whether no eye sees any light.
     """
 
     eye_bodies: tuple[int, ...]
@@ -32,6 +33,7 @@ class Sensors(NamedTuple):
     eye_axes: np.ndarray
     fields_of_view: np.ndarray
     pressure_bodies: tuple[int, ...]
+    blind: bool = False
 
 
 def place_sensors(creature: Creature, tree: Tree) -> Sensors:
@@ -111,7 +113,7 @@ def see(
     axis = matvec(rotation, lift(sensors.eye_axes, origin))
     cosine = axis[2]
     sine = jnp.sqrt(jnp.maximum(1.0 - cosine * cosine, 0.0) + _DISTANCE_FLOOR)
-    if light is None:
+    if light is None or sensors.blind:
         return jnp.zeros_like(cosine), cosine, sine
     to_light = light[:, None] - origin - matvec(rotation, lift(sensors.eye_positions, origin))
     distance = jnp.sqrt(dot(to_light, to_light) + _DISTANCE_FLOOR)

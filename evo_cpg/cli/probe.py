@@ -1,0 +1,172 @@
+"""The command that puts a champion into situations that it never saw: probe."""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from evo_cpg.cli.errors import UsageError
+from evo_cpg.cli.training import open_champion
+from evo_cpg.config.situations import out_of_reach
+from evo_cpg.simulation.situation import Situation
+from evo_cpg.training.experiment import Experiment
+from evo_cpg.training.probe import Probe, around, blinded, probe, seen_from_start
+from evo_cpg.training.run_folder import RunFolder
+
+_BEARINGS = "-75:75:11"
+_MOST = 10_000
+
+
+def probe_run(
+    run: Path,
+    bearings: str | None,
+    distances: str | None,
+    own_trials: bool,
+    blind: bool,
+    reach: float,
+    number: int | None,
+    out: Path | None,
+) -> None:
+    """`evo-cpg probe`."""
+    if own_trials and (bearings or distances):
+        raise UsageError(
+            "--trials takes the lights of the config: leave out --bearings and --distances, or it"
+        )
+    turned = np.deg2rad(_numbers("--bearings", bearings or _BEARINGS))
+    away = _numbers("--distances", distances) if distances else []
+    if min(away, default=1.0) <= 0:
+        raise UsageError(f"--distances: must be greater than 0, got {min(away):g}")
+    experiment, champion, _, folder = open_champion(run, number)
+    situations = _own_situations(experiment, folder)
+    if not own_trials:
+        situations = around(situations[0], turned, away)
+        _require_reachable(experiment, situations)
+    place = out or folder.path
+    try:
+        place.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(f"--out: {place} cannot be made ({error.strerror})") from None
+    simulation = blinded(experiment.simulation) if blind else experiment.simulation
+    found = probe(simulation, champion.genes, situations)
+    from evo_cpg.view.probe_plot import plot_probe
+
+    reached = found.reached(reach)
+    rows = probe_rows(found, reach)
+    result = f"{reached.sum()} of {len(rows)} lights reached"
+    name = "probe" if number is None else f"probe_run{number}"
+    table = place / f"{name}{'_blind' if blind else ''}.csv"
+    _write(table, rows)
+    who = f"{experiment.name}, blind" if blind else experiment.name
+    picture = plot_probe(found, reach, f"{who}: {result}", table.with_suffix(".png"))
+    Console().print(_table(rows))
+    print(f"{result} ({reached.mean():.0%}): at most {reach:g} of the distance left")
+    print(table)
+    print(picture)
+
+
+def probe_rows(found: Probe, reach: float) -> list[dict[str, float | int]]:
+    """The rows of probe.csv, one for each situation.
+
+    Args:
+        found: what became of the animal.
+        reach: share of the distance that may be left where a light counts as reached.
+    """
+    reached = found.reached(reach)
+    rows = []
+    for i, situation in enumerate(found.situations):
+        distance, bearing, elevation = seen_from_start(situation)
+        x, y, _ = situation.start_position
+        rows.append(
+            {
+                "start_x": x,
+                "start_y": y,
+                "start_heading_deg": _degrees(situation.start_heading),
+                "bearing_deg": _degrees(bearing),
+                "elevation_deg": _degrees(elevation),
+                "start_distance": distance,
+                "distance": float(found.distance[i]),
+                "distance_left": float(found.distance[i]) * distance,
+                "light": float(found.light[i]),
+                "reached": int(reached[i]),
+                "diverged": int(not found.alive[i]),
+            }
+        )
+    return rows
+
+
+def _numbers(option: str, text: str) -> list[float]:
+    """What START:STOP:COUNT or a list says."""
+    try:
+        if ":" not in text:
+            numbers = [float(part) for part in text.split(",")]
+        else:
+            start, stop, count = text.split(":")
+            numbers = np.linspace(float(start), float(stop), int(count)).tolist()
+    except ValueError:
+        numbers = []
+    if not numbers or len(numbers) > _MOST or not np.isfinite(numbers).all():
+        raise UsageError(
+            f"{option}: {text!r} is neither START:STOP:COUNT, such as {_BEARINGS}, nor a list, "
+            f"such as -60,0,60; at most {_MOST} numbers"
+        )
+    return numbers
+
+
+def _own_situations(experiment: Experiment, folder: RunFolder) -> tuple[Situation, ...]:
+    """Those that the animal evolved in, with their lights."""
+    simulation = experiment.simulation
+    if None in simulation.lights:
+        raise UsageError(f"{folder.path}: its task has no light, so there is none to look for")
+    return tuple(
+        situation._replace(light=light)
+        for situation, light in zip(simulation.situations, simulation.lights, strict=True)
+    )
+
+
+def _require_reachable(experiment: Experiment, situations: tuple[Situation, ...]) -> None:
+    world = experiment.simulation.world
+    for situation in situations:
+        assert situation.light is not None
+        problem = out_of_reach(
+            experiment.creature, world, situation.start_position, situation.light
+        )
+        if problem:
+            distance, bearing, _ = seen_from_start(situation)
+            raise UsageError(
+                f"--bearings, --distances: {_degrees(bearing):g} degrees, {distance:g} m: {problem}"
+            )
+
+
+def _write(path: Path, rows: list[dict[str, float | int]]) -> None:
+    try:
+        with path.open("w", encoding="utf-8", newline="") as file:
+            writer = csv.DictWriter(file, fieldnames=list(rows[0]), lineterminator="\n")
+            writer.writeheader()
+            writer.writerows(rows)
+    except OSError as error:
+        raise UsageError(f"{path} cannot be written ({error.strerror})") from None
+
+
+def _table(rows: list[dict[str, float | int]]) -> Table:
+    """For the terminal."""
+    table = Table("bearing", "from (m)", "left (m)", "left", "light seen", "reached")
+    for column in table.columns:
+        column.justify = "right"
+    for row in rows:
+        lost = bool(row["diverged"])
+        table.add_row(
+            f"{row['bearing_deg']:+.1f}",
+            f"{row['start_distance']:.2f}",
+            "diverged" if lost else f"{row['distance_left']:.2f}",
+            "" if lost else f"{row['distance']:.1%}",
+            "" if lost else f"{row['light']:.2f}",
+            "yes" if row["reached"] else "no",
+        )
+    return table
+
+
+def _degrees(angle: float) -> float:
+    """Without the last digits, in which 60 becomes 59.99999999999999; never -0."""
+    return round(float(np.rad2deg(angle)), 9) + 0.0

@@ -1,0 +1,122 @@
+"""How an animal does in situations that it did not evolve in."""
+
+import dataclasses
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from evo_cpg.simulation.noise import Noise
+from evo_cpg.simulation.reach_light import ReachLight
+from evo_cpg.simulation.rollout import Simulation, record
+from evo_cpg.simulation.situation import Situation
+from evo_cpg.training.devices import fast_jit, population_mesh
+from evo_cpg.training.experiment import compile_trials
+
+
+class Probe(NamedTuple):
+    """What became of one animal in several situations; arrays have a row for each.
+
+    Attributes:
+        situations: what each began with; all have a light.
+        start_distance: from the light at the start, m.
+        distance: left at the end, as a share of that; NaN where the animal diverged.
+        light: seen by the best eye, mean over the trial, 0 to 1; NaN where the animal diverged.
+        alive: False where the animal diverged.
+        paths: of the root's centre, m, once per control step.
+    """
+
+    situations: tuple[Situation, ...]
+    start_distance: Float[np.ndarray, " n"]
+    distance: Float[np.ndarray, " n"]
+    light: Float[np.ndarray, " n"]
+    alive: Bool[np.ndarray, " n"]
+    paths: Float[np.ndarray, "n t 3"]
+
+    def reached(self, share: float) -> Bool[np.ndarray, " n"]:
+        """Where no more than this share of the distance was left."""
+        return self.alive & (self.distance <= share)
+
+
+def probe(
+    simulation: Simulation, genes: Float[np.ndarray, " g"], situations: tuple[Situation, ...]
+) -> Probe:
+    """Let one animal live in several situations at once, without noise.
+
+    The distance is measured as by the task `ReachLight`, whatever the animal evolved for.
+
+    Args:
+        simulation: that it evolved in.
+        genes: of the animal.
+        situations: to put it into; each with a light.
+    """
+    task = simulation.task
+    if not isinstance(task, ReachLight):
+        task = ReachLight(_light(situations[0]))
+    simulation = dataclasses.replace(simulation, task=task, situations=situations, noise=Noise())
+    count = len(situations)
+    crowd, trial = np.repeat(genes[:, None], count, axis=1), np.arange(count)
+    outcome = compile_trials(simulation, population_mesh())(crowd, None, trial)
+
+    def follow(genes, trial):
+        # The root is the first body of the tree.
+        return record(simulation, genes, count, trial=trial)["position"][:, :, 0]
+
+    paths = np.asarray(fast_jit(follow)(crowd, trial))
+    starts = np.array([situation.start_position for situation in situations])
+    lights = np.array([_light(situation) for situation in situations])
+    terms = {name: np.where(outcome.alive, x, np.nan) for name, x in outcome.terms.items()}
+    return Probe(
+        situations,
+        np.linalg.norm(lights - starts, axis=1),
+        terms["distance"],
+        terms["light"],
+        np.asarray(outcome.alive),
+        np.moveaxis(paths, -1, 0),
+    )
+
+
+def blinded(simulation: Simulation) -> Simulation:
+    """The same, but that light sensors give 0."""
+    sensors = simulation.sensors._replace(blind=True)
+    return dataclasses.replace(simulation, sensors=sensors)
+
+
+def around(
+    situation: Situation, bearings: Iterable[float], distances: Iterable[float] = ()
+) -> tuple[Situation, ...]:
+    """The situation with its light elsewhere, as high above the horizon as it is.
+
+    Args:
+        situation: with a light.
+        bearings: of the light, to the left of straight ahead, rad.
+        distances: of the light from the start, m; where it is if there are none.
+    """
+    x, y, z = situation.start_position
+    distance, _, elevation = seen_from_start(situation)
+    return tuple(
+        situation._replace(
+            light=(
+                x + away * float(np.cos(elevation) * np.cos(situation.start_heading + bearing)),
+                y + away * float(np.cos(elevation) * np.sin(situation.start_heading + bearing)),
+                z + away * float(np.sin(elevation)),
+            )
+        )
+        for away in (tuple(distances) or (distance,))
+        for bearing in bearings
+    )
+
+
+def seen_from_start(situation: Situation) -> tuple[float, float, float]:
+    """Distance of the light (m), bearing to the left and elevation above the horizon (rad)."""
+    away = np.subtract(_light(situation), situation.start_position)
+    level = float(np.hypot(away[0], away[1]))
+    bearing = float(np.arctan2(away[1], away[0])) - situation.start_heading
+    turned = float(np.arctan2(np.sin(bearing), np.cos(bearing)))
+    return float(np.linalg.norm(away)), turned, float(np.arctan2(away[2], level))
+
+
+def _light(situation: Situation) -> tuple[float, float, float]:
+    assert situation.light is not None
+    return situation.light

@@ -1,0 +1,126 @@
+"""A picture of how an animal does in many situations: its paths, seen from above."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.markers import MarkerStyle
+from matplotlib.patches import Circle
+from matplotlib.transforms import Affine2D
+
+from evo_cpg.training.probe import Probe, seen_from_start
+from evo_cpg.view.output import in_one_piece, output_path
+
+_SUFFIXES = (".png", ".svg", ".pdf")
+_INK, _GREY = "#1f2937", "#6b7280"
+# From lights on the right to those on the left: Okabe and Ito's palette and a violet, all of which
+# stand out on white.
+_COLOURS = LinearSegmentedColormap.from_list(
+    "bearing", ["#5b2a86", "#0072B2", "#009E73", "#E69F00", "#D55E00"]
+)
+# Of the picture: its longer side, and the least of the shorter one, inches.
+_LONG, _SHORT = 7.4, 5.6
+
+# Of a label's centre from its light, across and up, points.
+_LABEL = np.array([27.0, 19.0])
+
+
+def plot_probe(probe: Probe, share: float, title: str, path: str | os.PathLike[str]) -> Path:
+    """Draw where the animal went in each situation; each path has the colour of its light.
+
+    A light that was reached is filled. Around each lies the disc within which it counts as reached.
+
+    Args:
+        probe: what became of the animal.
+        share: of the distance at the start that may be left where a light counts as reached.
+        title: above the picture.
+        path: ``.png``, ``.svg`` or ``.pdf``.
+
+    Returns:
+        The path.
+
+    Raises:
+        OutputError: nothing can be written there, or not this kind of file.
+    """
+    path = output_path(path, _SUFFIXES)
+    bearings = np.array([seen_from_start(situation)[1] for situation in probe.situations])
+    widest = max(float(np.abs(bearings).max()), 1e-9)
+    colours = _COLOURS(0.5 + 0.5 * bearings / widest)
+    reached = probe.reached(share)
+    starts = np.array([situation.start_position for situation in probe.situations])
+    lights = np.array([situation.light for situation in probe.situations], float)
+    figure = Figure(figsize=_size(probe, lights), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots()
+    for i, colour in enumerate(colours):
+        place, away = lights[i, :2], (lights - starts)[i, :2]
+        near = Circle(tuple(place.tolist()), share * probe.start_distance[i], color=colour, lw=0)
+        near.set_alpha(0.07)
+        axes.add_patch(near)
+        way = probe.paths[i][np.isfinite(probe.paths[i]).all(1)]
+        axes.plot(way[:, 0], way[:, 1], color=colour, lw=1.5, zorder=3)
+        axes.plot(way[-1:, 0], way[-1:, 1], "o", color=colour, mec="white", mew=0.8, ms=7, zorder=5)
+        face = colour if reached[i] else "white"
+        axes.plot(*place, "*", mfc=face, mec=colour, mew=1.4, ms=17, zorder=4)
+        axes.annotate(
+            _bearing(bearings[i]),
+            tuple(place.tolist()),
+            tuple((_LABEL * away / max(float(np.linalg.norm(away)), 1e-9)).tolist()),
+            textcoords="offset points",
+            ha="center",
+            va="center",
+            fontsize=9,
+            color=_INK,
+        )
+    _draw_starts(axes, probe)
+    axes.set_aspect("equal", "datalim")
+    axes.margins(0.07)
+    axes.set_xlabel("x (m)")
+    axes.set_ylabel("y (m)")
+    axes.set_title(title, fontsize=12, fontweight="bold", color=_INK, pad=12)
+    axes.grid(color="#e5e7eb", lw=0.8)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
+    figure.legend(handles=_legend(share), loc="outside lower center", ncols=2, frameon=False)
+    with in_one_piece(path) as partial:
+        figure.savefig(partial, dpi=160)
+    return path
+
+
+def _size(probe: Probe, lights: np.ndarray) -> tuple[float, float]:
+    """Of a picture that is as wide and as high as what it shows, inches."""
+    places = np.concatenate([lights, probe.paths[np.isfinite(probe.paths).all(-1)]])
+    extent = np.ptp(places[:, :2], axis=0) + 1e-9
+    width, height = np.maximum(_LONG * extent / extent.max(), _SHORT)
+    # The title and the legend take height.
+    return float(width), float(height) + 1.0
+
+
+def _bearing(angle: float) -> str:
+    """In degrees, with a sign; none for straight ahead."""
+    text = f"{np.rad2deg(angle):+.0f}".replace("-", "\N{MINUS SIGN}")
+    return f"{text if text[1:] != '0' else '0'}\N{DEGREE SIGN}"
+
+
+def _draw_starts(axes: Axes, probe: Probe) -> None:
+    """A wedge at every start, which points where the animal looks."""
+    for (x, y, _), heading in {s[:2] for s in probe.situations}:
+        marker = MarkerStyle(">", transform=Affine2D().rotate(heading))
+        axes.plot(x, y, marker=marker, color=_INK, mec="white", mew=0.8, ms=12, zorder=6)
+
+
+def _legend(share: float) -> list[Line2D]:
+    def star(face: str, label: str) -> Line2D:
+        return Line2D([], [], ls="", marker="*", mfc=face, mec=_GREY, ms=13, label=label)
+
+    return [
+        Line2D([], [], ls="", marker=">", color=_INK, ms=9, label="start"),
+        Line2D([], [], ls="-", color=_GREY, marker="o", ms=5, label="path and its end"),
+        star(_GREY, f"light, reached: {share:.0%} left or less"),
+        star("white", "light, not reached"),
+    ]

@@ -1,0 +1,111 @@
+"""`evo-cpg probe` on a tiny run: its table, its picture, and what it refuses."""
+
+import csv
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from evo_cpg.training.run_folder import RunFolder
+
+LIGHTS = ("--bearings=-60:60:3", "--distances", "3,5")
+
+
+def rows(path: Path) -> list[dict[str, float]]:
+    with path.open() as file:
+        return [{k: float(v) for k, v in row.items()} for row in csv.DictReader(file)]
+
+
+@pytest.fixture(scope="module")
+def probed(finished_run, finish, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("probe") / "made"
+    code, out, err = finish("probe", finished_run, *LIGHTS, "--out", folder, "--reach", 0.97)
+    assert code == 0, err
+    return folder, out
+
+
+def test_it_prints_a_table_a_summary_and_its_files(probed):
+    folder, out = probed
+    found = rows(folder / "probe.csv")
+    *table, summary, file, picture = out.splitlines()
+    assert (file, picture) == (str(folder / "probe.csv"), str(folder / "probe.png"))
+    reached = sum(row["reached"] for row in found)
+    assert summary.startswith(f"{reached:.0f} of 6 lights reached ({reached / 6:.0%}): at most")
+    assert all(f"{row['distance']:.1%}" in "\n".join(table) for row in found)
+    assert (folder / "probe.png").stat().st_size > 10_000
+
+
+def test_the_table_says_what_was_asked_and_what_came_of_it(probed):
+    found = rows(probed[0] / "probe.csv")
+    lights = [(row["bearing_deg"], row["start_distance"]) for row in found]
+    asked = [(b, d) for d in (3, 5) for b in (-60, 0, 60)]
+    np.testing.assert_allclose(lights, asked, atol=1e-9)
+    for row in found:
+        assert row["distance_left"] == pytest.approx(row["distance"] * row["start_distance"])
+        assert row["reached"] == (row["distance"] <= 0.97)
+        assert row["diverged"] == 0
+    assert len({row["light"] for row in found}) == 6
+
+
+def test_a_row_is_that_of_a_probe_of_its_light_alone(finished_run, finish, probed, tmp_path):
+    alone = ("--bearings", "60", "--distances", "5", "--reach", "0.97")
+    code, _, err = finish("probe", finished_run, *alone, "--out", tmp_path)
+    assert code == 0, err
+    (row,) = rows(tmp_path / "probe.csv")
+    assert row == pytest.approx(rows(probed[0] / "probe.csv")[-1], rel=1e-5)
+
+
+def test_its_own_trials_come_out_as_in_training(finished_run, finish, tmp_path):
+    code, _, err = finish("probe", finished_run, "--trials", "--out", tmp_path)
+    assert code == 0, err
+    (row,) = rows(tmp_path / "probe.csv")
+    champion, _, _ = RunFolder(finished_run).load_champion()
+    assert row["bearing_deg"] == 30 and row["start_distance"] == pytest.approx(8)
+    assert row["distance"] == pytest.approx(champion.terms["distance"], rel=1e-4)
+    assert row["light"] == pytest.approx(champion.terms["light"], rel=1e-4)
+
+
+def test_the_blind_see_nothing_and_have_files_of_their_own(finished_run, finish, probed, tmp_path):
+    code, out, err = finish("probe", finished_run, *LIGHTS, "--blind", "--out", tmp_path)
+    assert code == 0, err
+    found = rows(tmp_path / "probe_blind.csv")
+    assert out.splitlines()[-1] == str(tmp_path / "probe_blind.png")
+    assert all(row["light"] == 0 for row in found)
+    seeing = rows(probed[0] / "probe.csv")
+    assert any(
+        one["distance"] != pytest.approx(other["distance"], rel=1e-4)
+        for one, other in zip(found, seeing, strict=True)
+    )
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--bearings", "left"], "--bearings: 'left' is neither START:STOP:COUNT, such as -75:75"),
+        (["--bearings", "0:90"], "--bearings: '0:90' is neither START:STOP:COUNT"),
+        (["--bearings", "0:90:0"], "nor a list, such as -60,0,60; at most 10000 numbers"),
+        (["--bearings", "0:90:20000"], "--bearings: '0:90:20000' is neither"),
+        (["--distances", "nan"], "--distances: 'nan' is neither START:STOP:COUNT"),
+        (["--distances", "3,-2"], "--distances: must be greater than 0, got -2"),
+        (["--distances", "1e9"], "--bearings, --distances: -75 degrees, 1e+09 m: the light at"),
+        (["--trials", "--bearings", "0"], "leave out --bearings and --distances, or it"),
+        (["--run", "3"], "holds 1 run(s), counted from 0"),
+        (["--out", "/proc/no/where"], "--out: /proc/no/where cannot be made ("),
+    ],
+)
+def test_what_makes_no_sense_is_refused(finished_run, cli, options, words):
+    code, out, err = cli("probe", finished_run, *options)
+    assert (code, out) == (2, "") and words in err and err.count("\n") == 1
+
+
+def test_a_task_without_a_light_cannot_be_probed(finished_run, cli, tmp_path):
+    copy = tmp_path / "run"
+    shutil.copytree(finished_run, copy)
+    config = yaml.safe_load((copy / "config.yaml").read_text())
+    config["task"] = {"type": "distance"}
+    (copy / "config.yaml").write_text(yaml.safe_dump(config))
+    code, out, err = cli("probe", copy)
+    assert (code, out) == (2, "")
+    assert err == f"evo-cpg: {copy}: its task has no light, so there is none to look for\n"

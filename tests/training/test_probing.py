@@ -1,0 +1,108 @@
+"""An animal in situations that it never saw does what it does in each of them alone."""
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from creatures import quick_jit
+from evo_cpg.physics.kinematics import kinematics
+from evo_cpg.physics.state import resting_state
+from evo_cpg.simulation.noise import Noise
+from evo_cpg.simulation.rollout import record
+from evo_cpg.simulation.sensors import see
+from evo_cpg.simulation.situation import Situation
+from evo_cpg.simulation.walk import Distance
+from evo_cpg.training.devices import population_mesh
+from evo_cpg.training.experiment import compile_trials
+from evo_cpg.training.probe import around, blinded, probe, seen_from_start
+from trials import experiment
+from watching import Watcher
+
+STEPS = 70
+GENES = np.array([1.5, 1.2], np.float32)
+SITUATIONS = around(
+    Situation((1.0, -1.0, 0.5), 0.5, (4.0, 0.0, 1.5)), np.deg2rad([-60, 10, 80]), [2, 4]
+)
+
+
+@pytest.fixture(scope="module")
+def simulation():
+    return dataclasses.replace(experiment(STEPS).simulation, controller=Watcher())
+
+
+@pytest.fixture(scope="module")
+def found(simulation):
+    # Neither noise nor what the animal evolved for makes a difference to where it goes.
+    noisy = dataclasses.replace(simulation, noise=Noise(0.1, 0.1, 0.5), task=Distance())
+    return probe(noisy, GENES, SITUATIONS)
+
+
+def test_lights_are_put_around_the_start_as_high_as_they_were():
+    seen = np.array([seen_from_start(situation) for situation in SITUATIONS])
+    elevation = np.arcsin(1 / np.sqrt(11))
+    expected = [(d, np.deg2rad(b), elevation) for d in (2, 4) for b in (-60, 10, 80)]
+    np.testing.assert_allclose(seen, expected, atol=1e-12)
+    for situation in SITUATIONS:
+        away = np.subtract(situation.light, situation.start_position)
+        assert np.linalg.norm(away) in (pytest.approx(2), pytest.approx(4))
+    ahead = np.subtract(SITUATIONS[1].light, SITUATIONS[1].start_position)
+    level = 2 * np.cos(elevation)
+    turn = 0.5 + np.deg2rad(10)
+    expected = (level * np.cos(turn), level * np.sin(turn), 2 / np.sqrt(11))
+    np.testing.assert_allclose(ahead, expected, atol=1e-12)
+    (kept,) = around(SITUATIONS[0], [np.pi])
+    assert seen_from_start(kept)[0] == pytest.approx(2)
+
+
+def test_each_situation_comes_out_as_it_does_alone(simulation, found):
+    assert found.alive.all() and len(found.paths) == 6
+    for i in (0, 4):
+        alone = dataclasses.replace(simulation, situations=SITUATIONS[i : i + 1])
+        outcome = compile_trials(alone, population_mesh(1))(GENES[:, None])
+        assert found.distance[i] == pytest.approx(float(outcome.terms["distance"][0]), rel=1e-5)
+        assert found.light[i] == pytest.approx(float(outcome.terms["light"][0]), rel=1e-5)
+        frames = quick_jit(lambda genes, alone=alone: record(alone, genes))(GENES[:, None])
+        path = np.asarray(frames["position"])[:, :, 0, 0]
+        np.testing.assert_allclose(found.paths[i], path, atol=1e-5)
+        # What is left is that of the path's last second.
+        way = np.linalg.norm(path - SITUATIONS[i].light, axis=1)
+        assert found.start_distance[i] == pytest.approx(way[0], rel=1e-6)
+        assert found.distance[i] == pytest.approx(way[-60:].mean() / way[0], rel=1e-5)
+    assert len(np.unique(found.light)) == 6
+
+
+def test_a_light_is_reached_where_little_is_left_and_the_animal_lives(found):
+    some = float(np.sort(found.distance)[2])
+    assert found.reached(some).sum() == 3 and not found.reached(0.0).any()
+    dead = found._replace(alive=np.zeros(6, bool))
+    assert not dead.reached(9.0).any()
+
+
+def test_an_animal_that_diverges_has_no_numbers(simulation):
+    lost = probe(simulation, np.array([np.nan, 1.0], np.float32), SITUATIONS[:2])
+    assert not lost.alive.any() and np.isnan([lost.distance, lost.light]).all()
+
+
+def test_the_blind_see_no_light_and_feel_everything_else(simulation):
+    blind = blinded(simulation)
+    tree = simulation.world.tree
+    kin = kinematics(tree, resting_state(tree, (2,)))
+    light = jnp.array([3.0, 1.0, 0.5])[:, None]
+    strength, *others = see(simulation.sensors, kin, light)
+    nothing, *felt = see(blind.sensors, kin, light)
+    assert float(strength.max()) > 0.5
+    np.testing.assert_array_equal(nothing, np.zeros_like(strength))
+    np.testing.assert_array_equal(felt, others)
+    restored = dataclasses.replace(blind, sensors=blind.sensors._replace(blind=False))
+    assert repr(restored) == repr(simulation)
+
+
+def test_the_blind_go_the_same_way_wherever_the_light_is(simulation, found):
+    """And not the way of those that see."""
+    unseen = probe(blinded(simulation), GENES, SITUATIONS)
+    np.testing.assert_array_equal(unseen.light, 0)
+    np.testing.assert_array_equal(unseen.paths, np.broadcast_to(unseen.paths[0], (6, STEPS, 3)))
+    assert np.abs(found.paths - unseen.paths).max() > 1e-3
+    assert np.ptp(found.paths[:, -1], axis=0).max() > 1e-3
