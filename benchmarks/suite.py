@@ -1,8 +1,9 @@
 """The benchmark suite behind `evo-cpg bench`.
 
 Ours and MuJoCo's (`mujoco.rollout`, as many threads as there are cores) move the same animal with
-the same step, motors and commands: a chain of ten boxes that swims with a travelling wave (1/120 s)
-and a quadruped that takes random postures in turn on the ground (1/240 s). Every contender runs in
+the same step, motors and commands: a chain of ten boxes and a salamander of sixteen ellipsoids and
+capsules that swim with a travelling wave (1/120 s), and a quadruped that takes random postures in
+turn on the ground (1/240 s). Every contender runs in
 turn, several times, in one process on the same cores; rates are individual physics steps per
 second, ratios are medians over rounds, and compiling is timed apart.
 """
@@ -53,7 +54,7 @@ from evo_cpg.training.experiment import (
 CONFIGS = Path(__file__).parents[1] / "configs"
 SWIMMERS = 200
 
-# The travelling wave that both swimmers are told to follow: amplitude (rad/s), frequency (Hz) and
+# The travelling wave that all swimmers are told to follow: amplitude (rad/s), frequency (Hz) and
 # lag from joint to joint (degrees) of the target rates about z.
 WAVE_RATE, WAVE_FREQUENCY, WAVE_LAG = 2.0, 1.0, 36.0
 
@@ -63,14 +64,25 @@ def main(json_path: Path | None, quick: bool) -> None:
     cores = use_cores()
     console = Console()
     steps, repeats = (120, 3) if quick else (2000, 7)
-    swimmer, quadruped = (
+    swimmer, salamander, quadruped = (
         build_experiment(load_config(path), path)
-        for path in (CONFIGS / "iwadate2010_swimmer.yaml", CONFIGS / "fukui2003_model1.yaml")
+        for path in (
+            CONFIGS / "iwadate2010_swimmer.yaml",
+            CONFIGS / "iwadate2010_salamander_water.yaml",
+            CONFIGS / "fukui2003_model1.yaml",
+        )
     )
     rows: list[dict[str, Any]] = []
     with console.status("compiling") as status:
         for name, measure in (
-            ("swimmer against MuJoCo", lambda: swimmer_cases(swimmer, cores, steps, repeats)),
+            (
+                "swimmer against MuJoCo",
+                lambda: swimming_cases("swimmer", swimmer, cores, steps, repeats),
+            ),
+            (
+                "salamander against MuJoCo",
+                lambda: swimming_cases("salamander in water", salamander, cores, steps, repeats),
+            ),
             (
                 "quadruped against MuJoCo",
                 lambda: quadruped_cases(quadruped, cores, steps, repeats),
@@ -86,8 +98,8 @@ def main(json_path: Path | None, quick: bool) -> None:
         console.print(str(json_path), highlight=False)
 
 
-def swimmer_cases(
-    experiment: Experiment, cores: int, steps: int, repeats: int
+def swimming_cases(
+    animal: str, experiment: Experiment, cores: int, steps: int, repeats: int
 ) -> list[dict[str, Any]]:
     """Physics alone and the whole stack against MuJoCo with its fluid models."""
     h = experiment.simulation.step_length
@@ -104,9 +116,11 @@ def swimmer_cases(
             lambda: whole(genes),
         ),
     ]
+    water = simulation.world.water
+    assert water is not None
     peers = {
-        "MuJoCo, ellipsoids": {"density": 1000.0, "fluid": "ellipsoid"},
-        "MuJoCo, inertia box": {"density": 1000.0, "fluid": ""},
+        "MuJoCo, ellipsoids": {"density": water.density, "fluid": "ellipsoid"},
+        "MuJoCo, inertia box": {"density": water.density, "fluid": ""},
         "MuJoCo, no fluid": {"density": 0.0, "fluid": ""},
     }
     peer_steps = max(steps // 8, 10)
@@ -122,8 +136,8 @@ def swimmer_cases(
     return [
         _row(case, SWIMMERS, rates, ours, peer, how)
         for case, ours in (
-            ("swimmer, physics", "ours, physics"),
-            ("swimmer, whole stack", "ours, whole stack"),
+            (f"{animal}, physics", "ours, physics"),
+            (f"{animal}, whole stack", "ours, whole stack"),
         )
         for peer in peers
     ]
@@ -326,7 +340,10 @@ def stopped(states: np.ndarray, seconds: float) -> np.ndarray:
 def wave_commands(world: World, steps: int, h: float) -> np.ndarray:
     """Target rates ``(steps, d)`` of the travelling wave, rad/s."""
     tree = world.tree
-    joint = np.array(tree.dof_bodies) - 1
+    depth = [0]
+    for parent in tree.parents[1:]:
+        depth.append(depth[parent] + 1)
+    joint = np.array([depth[body] for body in tree.dof_bodies]) - 1
     bends = np.array([name.endswith(".z") for name in tree.dof_names])
     phase = 2 * np.pi * WAVE_FREQUENCY * h * np.arange(steps)[:, None]
     return WAVE_RATE * bends * np.cos(phase - np.deg2rad(WAVE_LAG) * joint)

@@ -173,6 +173,7 @@ def _build_controller(
 ) -> Controller:
     given = config.controller
     eyes, pressure = len(creature.light_sensors), len(creature.pressure_sensors)
+    depth = len(creature.depth_sensors)
     step = 1.0 / config.simulation.control_rate_hz
     if isinstance(given, CustomConfig):
         return _custom(
@@ -184,12 +185,13 @@ def _build_controller(
             light_count=eyes,
             pressure_count=pressure,
             control_step=step,
+            depth_count=depth,
         )
     options = {name: getattr(given, name) for name in type(given).model_fields if name != "type"}
     try:
         if given.type == "postures":
             return build_posture_controller(tree, PostureSettings(**options), step)
-        return build_brain_cpg(tree, eyes, pressure, BrainCpgSettings(**options), step)
+        return build_brain_cpg(tree, eyes, pressure, BrainCpgSettings(**options), step, depth)
     except ValueError as error:
         raise ConfigError(source, ("controller",), str(error)) from None
 

@@ -182,7 +182,8 @@ class BrainCpg(Controller):
 
         In order: light, pressure, cosine and sine to the vertical; cosine of each joint angle,
         sine of each, normalised gain A / A_max of each oscillator in the last step, and, where
-        wanted, each joint rate in units of ``max_rate``, cut off at 1.
+        wanted, each joint rate in units of ``max_rate``, cut off at 1; last the depths, which are
+        not in Table 2, of an animal with depth gauges.
         """
         angle = observation.joint_angle
         values = [
@@ -196,7 +197,7 @@ class BrainCpg(Controller):
         ]
         if self.settings.joint_rates:
             values.append(jnp.clip(observation.joint_rate / self.settings.max_rate, -1.0, 1.0))
-        return _assemble(values)
+        return _assemble([*values, observation.depth])
 
     def cpg_inputs(
         self, outputs: Float[Array, "s *n"]
@@ -218,6 +219,7 @@ def build_brain_cpg(
     pressure_count: int,
     settings: BrainCpgSettings | None = None,
     control_step: float = CONTROL_STEP,
+    depth_count: int = 0,
 ) -> BrainCpg:
     """Grow the controller on a creature's tree.
 
@@ -227,6 +229,7 @@ def build_brain_cpg(
         pressure_count: pressure sensors.
         settings: the defaults if None.
         control_step: time between two calls of `BrainCpg.act`, s.
+        depth_count: depth gauges.
 
     Raises:
         ValueError: the creature has no joint, or lacks a body or an axis that the settings name.
@@ -248,7 +251,8 @@ def build_brain_cpg(
         "per_dof": (per_dof, per_dof),
     }[settings.drive]
     senses_per_joint = 4 if settings.joint_rates else 3
-    input_count = 3 * light_count + pressure_count + senses_per_joint * tree.dof_count
+    input_count = 3 * light_count + pressure_count + depth_count
+    input_count += senses_per_joint * tree.dof_count
     output_count = 2 * (max(source) + 1) + max(gain_source) + 1
     own = [settings.axes.get(axis, AxisSettings()) for axis in axes]
     steering = [_or(axis.steering_range, settings.steering_range) for axis in own]

@@ -21,6 +21,7 @@ class Observation(NamedTuple):
         vertical_sine: its sine.
         joint_angle: rad.
         joint_rate: rad/s.
+        depth: of each depth gauge below the water's surface, 0 to 1 at its full scale and below.
     """
 
     light: Float[Array, "l *n"]
@@ -29,6 +30,7 @@ class Observation(NamedTuple):
     vertical_sine: Float[Array, "v *n"]
     joint_angle: Float[Array, "d *n"]
     joint_rate: Float[Array, "d *n"]
+    depth: Float[Array, "z *n"]
 
 
 class Command(NamedTuple):

@@ -136,6 +136,21 @@ class LightSensor:
 
 
 @dataclasses.dataclass(frozen=True)
+class DepthSensor:
+    """A gauge of the water's hydrostatic pressure, in depth of water.
+
+    Attributes:
+        body: name of the body that carries it.
+        position: in the body's frame, m.
+        full_scale: depth at which it reads 1, and below which it does not change, m.
+    """
+
+    body: str
+    position: tuple[float, float, float]
+    full_scale: float
+
+
+@dataclasses.dataclass(frozen=True)
 class Creature:
     """A tree of rigid bodies with sensors.
 
@@ -144,12 +159,14 @@ class Creature:
         bodies: in any order; exactly one has no joint.
         light_sensors: its eyes.
         pressure_sensors: names of the bodies that feel solid contact.
+        depth_sensors: its depth gauges.
     """
 
     name: str
     bodies: tuple[Body, ...]
     light_sensors: tuple[LightSensor, ...] = ()
     pressure_sensors: tuple[str, ...] = ()
+    depth_sensors: tuple[DepthSensor, ...] = ()
 
     def body_index(self, name: str) -> int:
         """Position of a body in ``bodies``."""

@@ -21,7 +21,7 @@ from evo_cpg.physics.step import Effort, step
 from evo_cpg.physics.world import World
 from evo_cpg.simulation.noise import Noise, disturb_motion, disturb_start
 from evo_cpg.simulation.recording import Recording
-from evo_cpg.simulation.sensors import Sensors, feel, see
+from evo_cpg.simulation.sensors import Sensors, fathom, feel, see
 from evo_cpg.simulation.situation import Situation, light_places, starting_state
 from evo_cpg.simulation.task import Moment, Task
 from evo_cpg.spatial.linear import lift
@@ -254,13 +254,14 @@ def _control_step(
     # constant there.
     own = None if isinstance(light, np.ndarray) else light
 
-    def look(state: State, own: Array | None) -> tuple[Array, Array, Array]:
+    def look(state: State, own: Array | None) -> tuple[Array, Array, Array, Array]:
         place = light if own is None else own
         place = None if place is None else lift(place, state.position)
-        return see(simulation.sensors, kinematics(world.tree, state), place)
+        kin = kinematics(world.tree, state)
+        return *see(simulation.sensors, kin, place), fathom(simulation.sensors, world, kin)
 
-    strength, cosine, sine = fuse(look, state, own, batch_ndim=len(batch))
-    observation = Observation(strength, pressure, cosine, sine, state.q, state.qd)
+    strength, cosine, sine, depth = fuse(look, state, own, batch_ndim=len(batch))
+    observation = Observation(strength, pressure, cosine, sine, state.q, state.qd, depth)
     nerves, command = simulation.controller.act(genes, nerves, observation)
 
     def touch(state: State, support: Array) -> Array:

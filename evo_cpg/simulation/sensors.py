@@ -1,4 +1,4 @@
-"""What the animal feels: light, pressure, its attitude (Iwadate 2010, eq. 1 and Table 2)."""
+"""What the animal feels: light, pressure, its attitude (Iwadate 2010, eq. 1 and Table 2), depth."""
 
 from typing import NamedTuple
 
@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from evo_cpg.creature.creature import Creature
+from evo_cpg.creature.creature import Creature, DepthSensor, LightSensor
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.kinematics import Kinematics, take
 from evo_cpg.physics.world import World
@@ -25,6 +25,9 @@ class Sensors(NamedTuple):
         eye_axes: ``(3, eyes)`` unit vectors.
         fields_of_view: ``(eyes,)`` full opening angles, rad.
         pressure_bodies: index of the body behind each pressure sensor.
+        depth_bodies: index of the body that carries each depth gauge.
+        depth_positions: ``(3, gauges)`` in the body's working frame, m.
+        depth_scales: ``(gauges,)`` depths at which they read 1, m.
         blind: whether no eye sees any light.
     """
 
@@ -33,20 +36,34 @@ class Sensors(NamedTuple):
     eye_axes: np.ndarray
     fields_of_view: np.ndarray
     pressure_bodies: tuple[int, ...]
+    depth_bodies: tuple[int, ...]
+    depth_positions: np.ndarray
+    depth_scales: np.ndarray
     blind: bool = False
 
 
 def place_sensors(creature: Creature, tree: Tree) -> Sensors:
     """Find the creature's sensors on its tree."""
-    bodies = tuple(tree.names.index(eye.body) for eye in creature.light_sensors)
-    eyes = creature.light_sensors
-    positions = np.array([eye.position for eye in eyes], float).reshape(-1, 3).T
+    eyes, gauges = creature.light_sensors, creature.depth_sensors
+
+    def place(
+        carried: tuple[LightSensor, ...] | tuple[DepthSensor, ...],
+    ) -> tuple[tuple[int, ...], np.ndarray]:
+        bodies = tuple(tree.names.index(sensor.body) for sensor in carried)
+        positions = np.array([sensor.position for sensor in carried], float).reshape(-1, 3).T
+        return bodies, positions + tree.com[:, list(bodies)]
+
+    eye_bodies, eye_positions = place(eyes)
+    depth_bodies, depth_positions = place(gauges)
     return Sensors(
-        bodies,
-        positions + tree.com[:, list(bodies)],
+        eye_bodies,
+        eye_positions,
         np.array([eye.axis for eye in eyes], float).reshape(-1, 3).T,
         np.array([eye.field_of_view for eye in eyes], float),
         tuple(tree.names.index(name) for name in creature.pressure_sensors),
+        depth_bodies,
+        depth_positions,
+        np.array([gauge.full_scale for gauge in gauges], float),
     )
 
 
@@ -80,6 +97,23 @@ def feel(
         depth = jnp.maximum(world.water.surface - own - lever, 0.0)
         pressing = world.water.density * world.gravity * depth * area
     return (force > pressing).astype(force.dtype)
+
+
+def fathom(sensors: Sensors, world: World, kin: Kinematics) -> Float[Array, "k *n"]:
+    """What the depth gauges tell: 0 at the surface and above, 1 from their full scale down.
+
+    That is the hydrostatic pressure in units of the one at full scale. They read 0 on land, and
+    where the water has no surface to be deep under.
+    """
+    bodies = np.array(sensors.depth_bodies, int)
+    if not len(bodies) or world.water is None or world.water.surface is None:
+        return jnp.zeros((len(bodies), *kin.origin.shape[2:]), kin.origin.dtype)
+    own = take(kin.origin[2], bodies, 0)
+    lever = (take(kin.rotation[2], bodies) * lift(sensors.depth_positions, own, own.ndim + 1)).sum(
+        0
+    )
+    depth = world.water.surface - own - lever
+    return jnp.clip(depth / lift(sensors.depth_scales, own), 0.0, 1.0)
 
 
 def light_strength(

@@ -348,8 +348,42 @@ def test_references_must_lead_to_something():
     assert message.startswith("creature.light_sensors.0.body: 'tial' does not exist; did you mean")
     message = problem(small(creature__pressure_sensors=["fin"]))
     assert message.startswith("creature.pressure_sensors.0: 'fin' does not exist; valid here: head")
+    message = problem(small(creature__depth_sensors=[{"body": "fin"}]))
+    assert message.startswith("creature.depth_sensors.0.body: 'fin' does not exist; valid here")
     message = problem(small(creature__bodies__0__material="bone"))
     assert message.startswith("creature.bodies.0.material: 'bone' does not exist")
+
+
+def test_depth_gauges_reach_the_brain():
+    gauge = {"body": "head", "position": [0.1, 0, 0], "full_scale": 3}
+    plain, deep = (
+        build_experiment(check_config(small(**changes), "x.yaml"), "x.yaml").simulation
+        for changes in ({}, {"creature__depth_sensors": [gauge, {"body": "tail"}]})
+    )
+    assert deep.sensors.depth_scales.tolist() == [3, 1]
+    assert deep.controller.brain.sizes[0] == plain.controller.brain.sizes[0] + 2
+
+
+def test_axes_may_point_the_other_way():
+    axes, reverse = (
+        build_experiment(
+            check_config(small(creature__bodies__1__joint__axes=axes), "x.yaml"), "x.yaml"
+        ).simulation.world.tree
+        for axes in (["y", "z"], ["-y", "-z"])
+    )
+    np.testing.assert_array_equal(reverse.joint_axes, -axes.joint_axes)
+    assert reverse.dof_names == axes.dof_names
+
+
+def test_limbs_have_drives_of_their_own_and_unknown_ones_are_named():
+    message = problem(small(controller__groups={"fins": ["fin*"]}))
+    assert message.startswith("controller: groups.fins names 'fin*', but the bodies are head, tail")
+    message = problem(small(controller__axes={"q": {"gain": 2}}))
+    assert message.startswith("controller: axes names 'q', but the joints turn about")
+    message = problem(small(controller__cpg={"opposite": ["fin"]}))
+    assert message.startswith("controller: opposite names 'fin', but the bodies are head, tail")
+    message = problem(small(controller__axes={"z": {"gian": 2}}))
+    assert message.startswith("controller.axes.z.gian: unknown key; did you mean 'gain'?")
 
 
 def test_bodies_must_form_one_tree():

@@ -16,7 +16,7 @@ from evo_cpg.control.controller import Observation
 from evo_cpg.control.matsuoka import CpgSettings
 
 
-def observe(rng, dofs, batch=(), lights=1, pressures=10):
+def observe(rng, dofs, batch=(), lights=1, pressures=10, gauges=0):
     """Random senses within their ranges."""
     tilt = rng.uniform(0, np.pi, (lights, *batch))
     values = (
@@ -26,6 +26,7 @@ def observe(rng, dofs, batch=(), lights=1, pressures=10):
         np.sin(tilt),
         rng.uniform(-1, 1, (dofs, *batch)),
         rng.uniform(-8, 8, (dofs, *batch)),
+        rng.uniform(0, 1, (gauges, *batch)),
     )
     return Observation(*map(jnp.asarray, values))
 
@@ -42,9 +43,10 @@ def test_swimmer_has_the_expected_number_of_genes(chain, drive, outputs, genes):
 
 
 def test_brain_senses_table_2_in_order(chain):
-    grown = build_brain_cpg(chain(3, "yz"), 2, 3, BrainCpgSettings(joint_rates=True))
+    settings = BrainCpgSettings(joint_rates=True)
+    grown = build_brain_cpg(chain(3, "yz"), 2, 3, settings, depth_count=2)
     rng = np.random.default_rng(0)
-    sense = observe(rng, 4, lights=2, pressures=3)
+    sense = observe(rng, 4, lights=2, pressures=3, gauges=2)
     state = matsuoka.MatsuokaState(jnp.asarray(rng.uniform(-1, 1.3, (2, 4))), jnp.zeros((2, 4)))
     firing = np.maximum(state.potential, 0)
     expected = np.concatenate(
@@ -57,6 +59,7 @@ def test_brain_senses_table_2_in_order(chain):
             np.sin(sense.joint_angle),
             np.abs(firing[0] - firing[1]) / 1.3,
             np.clip(sense.joint_rate / 5.0, -1, 1),
+            sense.depth,
         ]
     )
     np.testing.assert_allclose(grown.brain_inputs(state, sense), expected, rtol=0, atol=1e-15)

@@ -31,7 +31,7 @@ def observe(dofs, batch=(), dtype=float):
     """Senses, which the postures ignore."""
     nothing = jnp.zeros((0, *batch), dtype)
     joints = jnp.full((dofs, *batch), 0.3, dtype)
-    return Observation(nothing, nothing, nothing, nothing, joints, joints)
+    return Observation(nothing, nothing, nothing, nothing, joints, joints, nothing)
 
 
 def encode(numbers, bits):

@@ -76,7 +76,7 @@ def walk():
             place = simulation.situations[0].start_position
             state = resting_state(world.tree, (WALKERS,), position=place)
             nerves = controller.initial_state((WALKERS,), jnp.float32)
-            observed = Observation(nothing, nothing, nothing, nothing, still, still)
+            observed = Observation(nothing, nothing, nothing, nothing, still, still, nothing)
 
             def control(carry, _):
                 state, nerves = carry

@@ -9,13 +9,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from evo_cpg.creature.creature import DepthSensor
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.physics.contact import Ground, make_footing
 from evo_cpg.physics.fluid import Water
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import State, resting_state
 from evo_cpg.physics.world import World
-from evo_cpg.simulation.sensors import feel, light_strength, place_sensors, see
+from evo_cpg.simulation.sensors import fathom, feel, light_strength, place_sensors, see
 from evo_cpg.spatial.rotation import euler_to_matrix
 from trials import EYES, swimmer
 
@@ -127,3 +128,30 @@ def test_the_skin_feels_the_ground_but_under_water_only_what_presses_harder():
     )
     afloat = World(tree, 9.81, Water(1000.0, 1.0, 0.02))
     np.testing.assert_array_equal(feel(sensors, afloat, kin, None), np.zeros((2, 3)))
+
+
+def test_depth_gauges_read_the_depth_of_their_own_place(x64):
+    """A head at -0.5 m that is bent down by 0.3 rad; the tail's gauge is far below its scale."""
+    gauges = (
+        DepthSensor("head", (0.1, 0.0, 0.02), 2.0),
+        DepthSensor("tail", (-0.1, 0.0, 0.0), 0.1),
+        DepthSensor("head", (0.0, 0.0, 0.0), 0.5),
+    )
+    creature = dataclasses.replace(swimmer(EYES), depth_sensors=gauges)
+    tree = build_tree(creature)
+    sensors = place_sensors(creature, tree)
+    pitch = np.asarray(euler_to_matrix(0.0, 0.3, 0.0))
+    down = tuple(map(float, quaternion(pitch)))
+    own = -0.5 + pitch[2] @ [0.1, 0.0, 0.02]
+    for surface, expected in (
+        (0.0, [-own / 2.0, 1.0, 1.0]),
+        (-0.3, [(-0.3 - own) / 2.0, 1.0, 0.4]),
+        (-1.0, [0.0, 0.0, 0.0]),
+        (None, [0.0, 0.0, 0.0]),
+    ):
+        world = World(tree, 9.81, Water(1000.0, 1.0, 0.02, surface=surface), ())
+        kin = kinematics(
+            tree,
+            resting_state(tree, dtype=jnp.float64, position=(0.0, 0.0, -0.5), orientation=down),
+        )
+        np.testing.assert_allclose(fathom(sensors, world, kin), expected, rtol=0, atol=1e-9)

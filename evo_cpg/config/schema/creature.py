@@ -11,6 +11,7 @@ from evo_cpg.creature.creature import (
     Actuator,
     Body,
     Creature,
+    DepthSensor,
     Joint,
     LightSensor,
     Material,
@@ -293,6 +294,14 @@ class LightSensorConfig(Section):
         return self
 
 
+class DepthSensorConfig(Section):
+    """A depth gauge: reads 0 at the surface and above it, and 1 from ``full_scale`` (m) down."""
+
+    body: str
+    position: Vector = (0.0, 0.0, 0.0)
+    full_scale: Positive = 1.0
+
+
 class CreatureConfig(Section):
     """A creature; it may stand in a file of its own that several configs name.
 
@@ -302,6 +311,7 @@ class CreatureConfig(Section):
         bodies: in any order; exactly one, the root, has no joint.
         light_sensors: its eyes.
         pressure_sensors: ``all`` bodies, or a list of names.
+        depth_sensors: its depth gauges.
     """
 
     name: str
@@ -309,6 +319,7 @@ class CreatureConfig(Section):
     bodies: Annotated[list[BodyConfig], Field(min_length=1)]
     light_sensors: list[LightSensorConfig] = Field(default_factory=list)
     pressure_sensors: Literal["all"] | list[str] = "all"
+    depth_sensors: list[DepthSensorConfig] = Field(default_factory=list)
 
     def build(self) -> Creature:
         """The creature.
@@ -349,6 +360,14 @@ class CreatureConfig(Section):
             pressure_sensors=everything
             if self.pressure_sensors == "all"
             else tuple(self.pressure_sensors),
+            depth_sensors=tuple(
+                DepthSensor(
+                    gauge.body,
+                    _moved(gauge.position, centres.get(gauge.body, np.zeros(3))),
+                    gauge.full_scale,
+                )
+                for gauge in self.depth_sensors
+            ),
         )
         topological_order(creature)
         return creature
@@ -368,6 +387,8 @@ class CreatureConfig(Section):
                 found.append((("bodies", i, "joint", "parent"), entry.joint.parent, bodies))
         for i, eye in enumerate(self.light_sensors):
             found.append((("light_sensors", i, "body"), eye.body, bodies))
+        for i, gauge in enumerate(self.depth_sensors):
+            found.append((("depth_sensors", i, "body"), gauge.body, bodies))
         if self.pressure_sensors != "all":
             for i, name in enumerate(self.pressure_sensors):
                 found.append((("pressure_sensors", i), name, bodies))
