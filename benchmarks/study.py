@@ -10,9 +10,8 @@ import numpy as np
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import dump_config, load_config
 from evo_cpg.simulation.recording import Recording
-from evo_cpg.simulation.rollout import score
 from evo_cpg.training.devices import population_mesh
-from evo_cpg.training.experiment import compile_trials
+from evo_cpg.training.experiment import compile_trials, judge, situation_numbers
 from evo_cpg.training.loop import replay_champion, train
 from evo_cpg.training.run_folder import Champion, RunFolder
 
@@ -57,15 +56,19 @@ def random_search(config_file: Path, seed: int, overrides: tuple[str, ...] = ())
     experiment = build_experiment(config, config_file)
     simulation, size = experiment.simulation, experiment.genetics.population
     task, trials = simulation.task, compile_trials(simulation, population_mesh())
+    situations = situation_numbers(experiment)
+    numbers = None if situations is None else np.tile(situations, size)
     scales: dict = {}
     fitness, distance = [], []
     for generation in range(experiment.generations):
         key = jax.random.fold_in(jax.random.key(1000 + seed), generation)
         genes = simulation.controller.random_genes(key, (size,), np.float32)
-        outcome = trials(np.asarray(genes))
+        outcome = trials(np.repeat(np.asarray(genes), experiment.trials, axis=1), None, numbers)
         scales = scales or task.scales(outcome.terms)
-        fitness.append(np.asarray(score(task, outcome, scales)))
-        distance.append(outcome.terms["distance"])
+        grouped = jax.tree.map(lambda x: x.reshape(size, experiment.trials), outcome)
+        score, mean = judge(task, grouped, scales)
+        fitness.append(np.asarray(score))
+        distance.append(np.asarray(mean.terms["distance"]))
     best = int(np.concatenate(fitness).argmax())
     return {
         "seed": seed,
