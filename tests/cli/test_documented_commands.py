@@ -1,0 +1,89 @@
+"""The commands of README, docs and configs: every one parses, and the README's session is run."""
+
+import re
+import shlex
+import shutil
+from pathlib import Path
+
+import pytest
+import typer
+
+from evo_cpg.cli.main import app
+
+ROOT = Path(__file__).parents[2]
+PAGES = [ROOT / "README.md", *(p for p in (ROOT / "docs").rglob("*.md") if "_build" not in p.parts)]
+# As they stand in a ```console block, and at the top of a config.
+PROMPTS = (r"^\$ (.+)$", r"^# {3}((?:evo-cpg|make) .+)$")
+
+# What a run of the README's session is cut down to.
+SMALL = (
+    "simulation.steps=60",
+    "evolution.population=16",
+    "evolution.elites=2",
+    "evolution.generations=2",
+)
+
+
+def commands() -> list[tuple[str, list[str]]]:
+    """Where each command stands, and its words."""
+    found = []
+    for page in (*PAGES, *(ROOT / "configs").glob("*.yaml")):
+        for pattern in PROMPTS:
+            for line in re.findall(pattern, page.read_text(), re.MULTILINE):
+                words = shlex.split(line, comments=True)
+                found.append((str(page.relative_to(ROOT)), words))
+    return found
+
+
+OURS = [(page, words) for page, words in commands() if words[0] == "evo-cpg"]
+
+
+def test_the_commands_are_found():
+    pages = {page for page, _ in OURS}
+    assert {"README.md", "docs/getting-started.md", "configs/iwadate2010_swimmer.yaml"} <= pages
+    assert len(OURS) > 30
+
+
+@pytest.mark.parametrize(("page", "words"), OURS, ids=lambda x: x if isinstance(x, str) else x[1])
+def test_every_command_is_one_that_the_program_takes(page, words):
+    _, name, *arguments = words
+    program = typer.main.get_command(app)
+    assert name in program.commands, page
+    # Complains of unknown options, missing arguments and values out of range.
+    program.commands[name].make_context(name, list(arguments))
+    for word in arguments:
+        if word.startswith("configs/") and name != "import":
+            assert (ROOT / word).is_file(), page
+
+
+def test_every_make_target_and_study_exists():
+    targets = re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    made = [words[1] for _, words in commands() if words[0] == "make"]
+    assert made and set(made) <= set(targets)
+    studies = {
+        study
+        for page in PAGES
+        for study in re.findall(r"python (benchmarks/\w+\.py)", page.read_text())
+    }
+    assert len(studies) >= 3
+    assert all((ROOT / study).is_file() for study in studies)
+
+
+def test_the_session_of_the_readme_runs(cli, monkeypatch, tmp_path):
+    shutil.copytree(ROOT / "configs", tmp_path / "configs")
+    monkeypatch.chdir(tmp_path)
+    block = re.search(
+        r"## What you can do\n\n```console\n(.+?)```", (ROOT / "README.md").read_text(), re.S
+    )
+    assert block is not None
+    ran = []
+    for line in block[1].splitlines():
+        _, name, *arguments = shlex.split(line.removeprefix("$ "))
+        if name == "train" and "configs/iwadate2010_swimmer.yaml" not in arguments:
+            # Other animals take the same way through the program, and long to compile.
+            name, arguments = "validate", arguments[:1]
+        extra = {"train": SMALL, "render": ("--size", "64x36", "--seconds", "0.1")}.get(name, ())
+        code, _, complaint = cli(name, *arguments, *extra)
+        assert code == 0, (line, complaint)
+        ran.append(name)
+    assert {"train", "resume", "render", "plot", "probe", "verify", "preview", "export"} <= set(ran)
