@@ -8,7 +8,7 @@ import numpy as np
 from evo_cpg.creature.creature import Creature
 from evo_cpg.creature.tree import Tree
 from evo_cpg.exchange.mjcf_export import mjcf_model, mjcf_text
-from evo_cpg.physics.contact import Ground
+from evo_cpg.physics.footing import Ground
 from evo_cpg.physics.state import State
 
 GRAVITY = 9.81

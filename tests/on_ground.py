@@ -10,7 +10,7 @@ from creatures import quick_jit
 from evo_cpg.creature.creature import Body, Creature, Material
 from evo_cpg.creature.shapes import Shape
 from evo_cpg.creature.tree import build_tree
-from evo_cpg.physics.contact import Ground, make_footing
+from evo_cpg.physics.footing import Ground, make_footing
 from evo_cpg.physics.state import State, resting_state
 from evo_cpg.physics.step import step
 from evo_cpg.physics.world import World

@@ -27,9 +27,9 @@ from evo_cpg.creature.surface import outer_surfaces, random_surfaces
 from evo_cpg.creature.tree import Tree, build_tree
 from evo_cpg.physics.added_mass import added_inertia
 from evo_cpg.physics.buoyancy import make_cells
-from evo_cpg.physics.contact import make_footing
 from evo_cpg.physics.current import Vortex
 from evo_cpg.physics.fluid import Patch, Water, make_patches
+from evo_cpg.physics.footing import make_footing
 from evo_cpg.physics.world import World
 from evo_cpg.simulation.noise import Noise
 from evo_cpg.simulation.reach_light import ReachLight

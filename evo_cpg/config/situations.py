@@ -14,7 +14,7 @@ from evo_cpg.config.schema.section import Vector
 from evo_cpg.config.schema.task import DEFAULT_LIGHT, ReachLightConfig
 from evo_cpg.config.schema.trial import SituationConfig
 from evo_cpg.creature.creature import Creature, lowest_height, neutral_pose
-from evo_cpg.physics.contact import clearance
+from evo_cpg.physics.footing import clearance
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import resting_state
 from evo_cpg.physics.terrain import nearest

@@ -15,7 +15,7 @@ from evo_cpg.config.schema.ground import (
     ReliefConfig,
     ShoreConfig,
 )
-from evo_cpg.physics.contact import Ground
+from evo_cpg.physics.footing import Ground
 from evo_cpg.physics.terrain import Block, Boulder, Part, Plane, Relief, Shore
 
 _FLOOR = ("world", "ground", "floor")

@@ -11,7 +11,7 @@ import numpy as np
 
 from evo_cpg.exchange.errors import ExchangeError
 from evo_cpg.exchange.mjcf_numbers import number_text, place_text
-from evo_cpg.physics.contact import Ground
+from evo_cpg.physics.footing import Ground
 from evo_cpg.physics.terrain import Block, Boulder, Part, Plane, Relief, Shore
 
 # How far slabs reach, and how thick they and height fields are, m: more than an animal walks in a

@@ -10,9 +10,9 @@ from evo_cpg.fusion.kernels import symmetric
 from evo_cpg.physics.added_mass import carried_water
 from evo_cpg.physics.articulated import Inertia, Wrench
 from evo_cpg.physics.buoyancy import Cells, Displacement, buoyancy, displacement
-from evo_cpg.physics.contact import Footing, Ground
 from evo_cpg.physics.current import stream
 from evo_cpg.physics.fluid import Patch, Water, drag
+from evo_cpg.physics.footing import Footing, Ground
 from evo_cpg.physics.kinematics import Kinematics
 from evo_cpg.spatial.linear import cross, lift, matmul, matmul_t, matvec, matvec_t
 

@@ -16,7 +16,7 @@ import pyvista as pv
 from jaxtyping import Float
 
 from evo_cpg.creature.creature import Creature
-from evo_cpg.physics.contact import Ground
+from evo_cpg.physics.footing import Ground
 from evo_cpg.physics.terrain import Plane
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.view.camera import CameraPath, course, follow, hidden, smooth

@@ -16,7 +16,7 @@ from evo_cpg.creature.tree import build_tree
 from evo_cpg.exchange.errors import ExchangeError
 from evo_cpg.exchange.mjcf_export import mjcf_model, mjcf_text
 from evo_cpg.physics.articulated import solve
-from evo_cpg.physics.contact import Ground
+from evo_cpg.physics.footing import Ground
 from evo_cpg.physics.joints import clamp_torque, passive_torque, servo_torque
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.terrain import Block, Boulder, Part, Plane, Relief, Shore

@@ -9,7 +9,8 @@ import pytest
 
 from creatures import quick_jit
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Sphere
-from evo_cpg.physics.contact import combine, find_contacts
+from evo_cpg.physics.contact import find_contacts
+from evo_cpg.physics.footing import combine
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import State
 from evo_cpg.physics.terrain import Plane

@@ -16,8 +16,8 @@ from evo_cpg.creature.tree import build_tree
 from evo_cpg.fusion.kernels import fuse
 from evo_cpg.physics.added_mass import added_inertia
 from evo_cpg.physics.buoyancy import displacement, make_cells
-from evo_cpg.physics.contact import clearance, make_footing
 from evo_cpg.physics.fluid import drag
+from evo_cpg.physics.footing import clearance, make_footing
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import resting_state
 from evo_cpg.physics.step import step

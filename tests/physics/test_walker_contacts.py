@@ -15,7 +15,8 @@ from evo_cpg.control.controller import Observation
 from evo_cpg.creature.creature import Body, Creature, Joint, Material
 from evo_cpg.creature.shapes import Box
 from evo_cpg.creature.tree import build_tree
-from evo_cpg.physics.contact import Ground, find_contacts, make_footing
+from evo_cpg.physics.contact import find_contacts
+from evo_cpg.physics.footing import Ground, make_footing
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.passes import search
 from evo_cpg.physics.state import State, resting_state

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from evo_cpg.creature.creature import DepthSensor
 from evo_cpg.creature.tree import build_tree
-from evo_cpg.physics.contact import Ground, make_footing
 from evo_cpg.physics.fluid import Water
+from evo_cpg.physics.footing import Ground, make_footing
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import State, resting_state
 from evo_cpg.physics.world import World

@@ -12,7 +12,7 @@ from creatures import quick_jit
 from evo_cpg.creature.creature import Body, Creature, Material
 from evo_cpg.creature.shapes import Box
 from evo_cpg.creature.tree import build_tree
-from evo_cpg.physics.contact import Ground, make_footing
+from evo_cpg.physics.footing import Ground, make_footing
 from evo_cpg.physics.world import World
 from evo_cpg.simulation.rollout import Simulation, as_recording, record, rollout
 from evo_cpg.simulation.sensors import place_sensors

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import synthetic
 
-from evo_cpg.physics.contact import Ground
+from evo_cpg.physics.footing import Ground
 from evo_cpg.physics.terrain import Plane
 from evo_cpg.view import plots
 from evo_cpg.view.camera import project

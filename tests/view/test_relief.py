@@ -6,7 +6,7 @@ import pytest
 import pyvista as pv
 import synthetic
 
-from evo_cpg.physics.contact import Ground
+from evo_cpg.physics.footing import Ground
 from evo_cpg.physics.terrain import Block, Boulder, Plane, Relief, Shore
 from evo_cpg.view.camera import hidden, project
 from evo_cpg.view.film import Stage, _surface_is_seen, camera_path, film, sample

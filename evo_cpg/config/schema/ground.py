@@ -6,7 +6,7 @@ from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
 from evo_cpg.config.schema.choice import by_type
 from evo_cpg.config.schema.section import Finite, NotNegative, Positive, Section, Share, Vector
-from evo_cpg.physics.contact import Combination
+from evo_cpg.physics.footing import Combination
 from evo_cpg.physics.terrain import Axis
 
 # Heights are written into the run folder's configuration, and every step looks them up.
