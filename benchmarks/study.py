@@ -64,6 +64,9 @@ def random_search(config_file: Path, seed: int, overrides: tuple[str, ...] = ())
         key = jax.random.fold_in(jax.random.key(1000 + seed), generation)
         genes = simulation.controller.random_genes(key, (size,), np.float32)
         outcome = trials(np.repeat(np.asarray(genes), experiment.trials, axis=1), None, numbers)
+        outcome = outcome._replace(
+            terms={name: np.where(outcome.alive, x, np.nan) for name, x in outcome.terms.items()}
+        )
         scales = scales or task.scales(outcome.terms)
         grouped = jax.tree.map(lambda x: x.reshape(size, experiment.trials), outcome)
         score, mean = judge(task, grouped, scales)

@@ -30,12 +30,15 @@ def probe_run(
     out: Path | None,
 ) -> None:
     """`evo-cpg probe`."""
-    if own_trials and (bearings or distances):
+    if own_trials and (bearings is not None or distances is not None):
         raise UsageError(
             "--trials takes the lights of the config: leave out --bearings and --distances, or it"
         )
-    turned = np.deg2rad(_numbers("--bearings", bearings or _BEARINGS))
-    away = _numbers("--distances", distances) if distances else []
+    turned = np.deg2rad(_numbers("--bearings", _BEARINGS if bearings is None else bearings))
+    away = [] if distances is None else _numbers("--distances", distances)
+    lights = len(turned) * max(len(away), 1)
+    if lights > _MOST:
+        raise UsageError(f"--bearings, --distances: {lights} lights; allowed: up to {_MOST}")
     if min(away, default=1.0) <= 0:
         raise UsageError(f"--distances: must be greater than 0, got {min(away):g}")
     experiment, champion, _, folder = open_champion(run, number)
@@ -103,7 +106,8 @@ def _numbers(option: str, text: str) -> list[float]:
             numbers = [float(part) for part in text.split(",")]
         else:
             start, stop, count = text.split(":")
-            numbers = np.linspace(float(start), float(stop), int(count)).tolist()
+            many = min(int(count), _MOST + 1)
+            numbers = np.linspace(float(start), float(stop), many).tolist()
     except ValueError:
         numbers = []
     if not numbers or len(numbers) > _MOST or not np.isfinite(numbers).all():
@@ -135,7 +139,8 @@ def _require_reachable(experiment: Experiment, situations: tuple[Situation, ...]
         if problem:
             distance, bearing, _ = seen_from_start(situation)
             raise UsageError(
-                f"--bearings, --distances: {_degrees(bearing):g} degrees, {distance:g} m: {problem}"
+                f"--bearings, --distances: {_degrees(bearing):g} degrees, {distance:g} m: "
+                f"{problem}; choose others, or --trials"
             )
 
 

@@ -102,6 +102,8 @@ def out_of_reach(creature: Creature, world: World, start: Vector, light: Vector)
     reach = max(float(np.linalg.norm(body.shape.half_extents)) for body in creature.bodies)
     length = float(np.ptp(centres, axis=0).max()) + 2 * reach
     distance = float(np.linalg.norm(np.subtract(light, start)))
+    if not distance:
+        return f"the light at {where} would be where the animal starts"
     if distance > _FARTHEST_LIGHT * length:
         return (
             f"the light at {where} would be {distance:.3g} m from the start; allowed: up to "

@@ -123,7 +123,7 @@ class BrainCpg(Controller):
         settings: ranges and gains.
         source: which tonic input (and steering) each oscillator takes.
         gain_source: which adaptation gain it takes.
-        steering_range: d_max of each steering.
+        steering_range: d_max of each degree of freedom.
         rate_gain: G g of each degree of freedom, rad/s.
         centring: k_c of each degree of freedom, 1/s.
         control_step: s.
@@ -135,7 +135,7 @@ class BrainCpg(Controller):
     settings: BrainCpgSettings = eqx.field(static=True)
     source: tuple[int, ...] = eqx.field(static=True)
     gain_source: tuple[int, ...] = eqx.field(static=True)
-    steering_range: Float[np.ndarray, " s"]
+    steering_range: Float[np.ndarray, " d"]
     rate_gain: Float[np.ndarray, " d"]
     centring: Float[np.ndarray, " d"]
     control_step: float = eqx.field(static=True)
@@ -204,13 +204,14 @@ class BrainCpg(Controller):
     ) -> tuple[Float[Array, "2 d *n"], Float[Array, "d *n"]]:
         """Tonic input of each neuron (extensors first) and adaptation gain of each oscillator."""
         cpg = self.settings.cpg
-        count = max(self.source) + 1
-        tonic = cpg.max_tonic_input * outputs[:count]
-        steering = lift(self.steering_range, outputs) * (2 * outputs[count : 2 * count] - 1)
+        count, source = max(self.source) + 1, np.array(self.source)
+        tonic = cpg.max_tonic_input * outputs[:count][source]
+        turn = (2 * outputs[count : 2 * count] - 1)[source]
+        steering = lift(self.steering_range, turn) * turn
         sides = jnp.stack([tonic * (1 + steering), tonic * (1 - steering)])
         span = cpg.max_adaptation_gain - cpg.min_adaptation_gain
         adaptation_gain = cpg.min_adaptation_gain + span * outputs[2 * count :]
-        return sides[:, np.array(self.source)], adaptation_gain[np.array(self.gain_source)]
+        return sides, adaptation_gain[np.array(self.gain_source)]
 
 
 def build_brain_cpg(
@@ -255,7 +256,6 @@ def build_brain_cpg(
     input_count += senses_per_joint * tree.dof_count
     output_count = 2 * (max(source) + 1) + max(gain_source) + 1
     own = [settings.axes.get(axis, AxisSettings()) for axis in axes]
-    steering = [_or(axis.steering_range, settings.steering_range) for axis in own]
     brain = build_brain(input_count, output_count, settings.brain)
     return BrainCpg(
         gene_count=brain.gene_count,
@@ -264,8 +264,9 @@ def build_brain_cpg(
         settings=settings,
         source=source,
         gain_source=gain_source,
-        # Axes of one joint that share a steering share the range of the first.
-        steering_range=np.array([steering[source.index(i)] for i in range(max(source) + 1)]),
+        steering_range=np.array(
+            [_or(axis.steering_range, settings.steering_range) for axis in own]
+        ),
         rate_gain=np.array([settings.rate_gain * axis.gain for axis in own]),
         centring=np.array([_or(axis.centring, settings.centring) for axis in own]),
         control_step=control_step,
@@ -284,14 +285,20 @@ def _grouped_axes(tree: Tree, groups: Mapping[str, tuple[str, ...]]) -> list[str
     """Axis of each degree of freedom, behind the group of its body where it is in one."""
     group_of: dict[int, str] = {}
     for group, patterns in groups.items():
-        for body in matsuoka.matching_bodies(tree, patterns, f"groups.{group}"):
+        found = matsuoka.matching_bodies(tree, patterns, f"groups.{group}")
+        if not found & set(tree.dof_bodies):
+            raise ValueError(f"groups.{group} names no body with a joint")
+        for body in found:
             if group_of.setdefault(body, group) != group:
                 raise ValueError(
                     f"groups {group_of[body]} and {group} both name {tree.names[body]!r}"
                 )
     names = [group_of.get(body) for body in tree.dof_bodies]
     axes = matsuoka.axis_names(tree)
-    return [f"{group}/{axis}" if group else axis for group, axis in zip(names, axes, strict=True)]
+    return [
+        f"{group}/{axis}" if group is not None else axis
+        for group, axis in zip(names, axes, strict=True)
+    ]
 
 
 def _or(own: float | None, common: float) -> float:

@@ -33,8 +33,8 @@ from jaxtyping import Array, Float
 
 from evo_cpg.simulation.task import Moment, Task
 
-# ``any`` counts the way made whatever its direction; ``forward`` what of it leads along +x, which
-# the animal faces at the start, and counts a way back as negative.
+# ``any`` counts the way made whatever its direction; ``forward`` what of it leads along the world's
+# +x, which an animal faces at the start unless it is turned, and counts a way back as negative.
 Heading = Literal["any", "forward"]
 
 

@@ -53,7 +53,8 @@ def probe(
     """
     task = simulation.task
     if not isinstance(task, ReachLight):
-        task = ReachLight(_light(situations[0]))
+        last_second = max(1, round(simulation.control_rate))
+        task = ReachLight(_light(situations[0]), final_steps=last_second)
     simulation = dataclasses.replace(simulation, task=task, situations=situations, noise=Noise())
     count = len(situations)
     crowd, trial = np.repeat(genes[:, None], count, axis=1), np.arange(count)

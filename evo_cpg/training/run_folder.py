@@ -7,6 +7,7 @@
     champion.npz     genome, fitness and terms of the best individual ever evaluated, its motion;
                      of several runs the best, the champions of all are in the checkpoints
     videos/, plots/  what `render` and `plot` make
+    probe.csv, .png  what `probe` finds
 
 Files are written beside their place and then moved into it, which is atomic. Checkpoints are
 plain ``.npz`` files rather than orbax checkpoints: a dozen arrays are written in 5 ms, and they

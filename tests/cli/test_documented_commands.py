@@ -1,5 +1,6 @@
 """The commands of README, docs and configs: every one parses, and the README's session is run."""
 
+import importlib
 import re
 import shlex
 import shutil
@@ -67,6 +68,17 @@ def test_every_make_target_and_study_exists():
     }
     assert len(studies) >= 3
     assert all((ROOT / study).is_file() for study in studies)
+
+
+@pytest.mark.parametrize("study", ["fukui2003", "iwadate2010", "salamander"])
+def test_every_study_can_be_imported(study):
+    assert callable(importlib.import_module(f"benchmarks.{study}").main)
+
+
+def test_every_picture_is_there():
+    for page in PAGES:
+        for picture in re.findall(r"!\[[^]]*\]\(([^)]+)\)", page.read_text()):
+            assert (page.parent / picture).is_file(), (page, picture)
 
 
 def test_the_session_of_the_readme_runs(cli, monkeypatch, tmp_path):

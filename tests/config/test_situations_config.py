@@ -164,6 +164,7 @@ STONE = "world.ground.obstacles=[{type: block, centre: [4, 0, 0], size: [2, 2, 2
             "start; allowed: up to 1000 times the creature's length, 2.22e+03 m",
         ),
         (["task.light={at: [9e9, 0, 0]}"], "task.light: the light at (9e+09, 0, 0) would be"),
+        (["task.light={at: [0, 0, 0]}"], "the light at (0, 0, 0) would be where the animal starts"),
         (
             ["world.ground={}", "simulation.trials=[{}, {light: {elevation_deg: -60}}]"],
             "simulation.trials.1.light: the light at (3.4641, 2, -6.8",

@@ -226,8 +226,10 @@ def test_unknown_axes_and_bodies_are_refused(chain):
     settings = BrainCpgSettings(axes={"x": AxisSettings(0.5)})
     with pytest.raises(ValueError, match="axes names 'x', but the joints turn about y, z"):
         build_brain_cpg(tree, 1, 1, settings)
-    with pytest.raises(ValueError, match=r"groups.legs names 'leg\*', but the bodies are b0"):
+    with pytest.raises(ValueError, match=r"groups\.legs names 'leg\*', but the bodies are b0"):
         build_brain_cpg(tree, 1, 1, BrainCpgSettings(groups={"legs": ("leg*",)}))
+    with pytest.raises(ValueError, match=r"groups\.root names no body with a joint"):
+        build_brain_cpg(tree, 1, 1, BrainCpgSettings(groups={"root": ("b0",)}))
     twice = BrainCpgSettings(groups={"front": ("b1",), "all": ("b*",)})
     with pytest.raises(ValueError, match="groups front and all both name 'b1'"):
         build_brain_cpg(tree, 1, 1, twice)
