@@ -15,8 +15,8 @@ import numpy as np
 from benchmarks.study import evolve, random_search
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import load_config
-from evo_cpg.training.devices import use_cores
-from evo_cpg.training.probe import probe
+from evo_cpg.training.devices import population_mesh, use_cores
+from evo_cpg.training.experiment import compile_trials
 
 CONFIGS = Path(__file__).parents[1] / "configs"
 WORLDS = {
@@ -27,40 +27,46 @@ WORLDS = {
 SEEDS = range(5)
 
 
-def put(genes: np.ndarray, world: Path) -> list[float]:
-    """Share of the distance that an animal leaves in each of a world's situations."""
+def put(animals: dict[str, np.ndarray], world: Path) -> dict[str, list[float]]:
+    """Share of the distance that each animal leaves in each of a world's situations."""
     simulation = build_experiment(load_config(world), world).simulation
-    return [float(share) for share in probe(simulation, genes, simulation.situations).distance]
+    count = len(simulation.situations)
+    crowd = np.repeat(np.stack(list(animals.values()), axis=1), count, axis=1)
+    numbers = np.tile(np.arange(count), len(animals)) if count > 1 else None
+    outcome = compile_trials(simulation, population_mesh())(crowd, None, numbers)
+    shares = outcome.terms["distance"].reshape(-1, count)
+    return {name: row.tolist() for name, row in zip(animals, shares, strict=True)}
 
 
-def still(world: Path) -> list[float]:
-    """The same of an animal whose brain gives its spinal cord no drive at all."""
+def still() -> np.ndarray:
+    """Genes of an animal whose brain gives its spinal cord no drive at all."""
+    world = WORLDS["water"]
     controller = build_experiment(load_config(world), world).simulation.controller
-    inputs, *hidden, outputs = controller.brain.sizes
-    del inputs
+    *_, hidden, outputs = controller.brain.sizes
     genes = np.zeros(controller.gene_count, np.float32)
     # The last layer's biases, each behind its weights.
-    genes[-outputs * (hidden[-1] + 1) :].reshape(outputs, -1)[:, -1] = -60.0
-    return put(genes, world)
+    genes[-outputs * (hidden + 1) :].reshape(outputs, -1)[:, -1] = -60.0
+    return genes
 
 
 def main(out: Path) -> None:
     """Run the study, keeping what is done so that it can be stopped and gone on with."""
     devices = use_cores()
-    study: dict = {}
+    study: dict = {name: {"runs": [], "random_search": []} for name in WORLDS}
+    animals = {"motionless": still()}
     for name, world in WORLDS.items():
-        found = study[name] = {"runs": [], "random_search": []}
         for seed in SEEDS:
             measures, champion, _ = evolve(world, [f"seed={seed}"], out / f"{name}-{seed}", devices)
-            measures["elsewhere"] = {
-                other: put(champion.genes, place) for other, place in WORLDS.items()
-            }
-            found["runs"].append(measures)
+            animals[f"{name} {seed}"] = champion.genes
+            study[name]["runs"].append(measures)
             print(name, json.dumps(measures), flush=True)
+    for name, world in WORLDS.items():
+        study[name]["animals"] = put(animals, world)
+        print(name, json.dumps(study[name]["animals"]), flush=True)
+    for name, world in WORLDS.items():
         for seed in SEEDS:
-            found["random_search"].append(random_search(world, seed))
-            print(name, found["random_search"][-1], flush=True)
-        found["still"] = still(world)
+            study[name]["random_search"].append(random_search(world, seed))
+            print(name, study[name]["random_search"][-1], flush=True)
     (out / "study.json").write_text(json.dumps(study, indent=1))
 
 

@@ -27,6 +27,17 @@ def tetrahedron() -> ConvexMesh:
     return convex_mesh(TETRAHEDRON, TETRAHEDRON_FACES)[0]
 
 
+def two_boxes(size: tuple[float, float, float]) -> trimesh.Trimesh:
+    """Side by side, a metre apart."""
+    box = trimesh.creation.box(size)
+    return trimesh.util.concatenate([box, box.copy().apply_translation((1, 0, 0))])
+
+
+def whisker() -> trimesh.Trimesh:
+    """A cylinder so slender that all its triangles are thin."""
+    return trimesh.creation.cylinder(0.0005, 1.0)
+
+
 def wedge() -> ConvexMesh:
     """A body without any symmetry: a tetrahedron, turned and cut off at its tips."""
     points = np.random.default_rng(4).normal(size=(9, 3)) * [0.2, 0.12, 0.08]

@@ -126,7 +126,7 @@ def _read_files(data: dict[str, Any], path: Path) -> None:
         folder = Path(data["creature"]).parent
         data["creature"] = _read_yaml(path.parent / data["creature"])
         for _, entry in _mesh_entries(data):
-            if isinstance(entry["shape"]["file"], str):
+            if isinstance(entry["shape"].get("file"), str):
                 entry["shape"] = entry["shape"] | {"file": str(folder / entry["shape"]["file"])}
     floor: Any = data
     for key in ("world", "ground", "floor"):
@@ -147,12 +147,17 @@ def _read_meshes(data: dict[str, Any], path: Path) -> None:
 
 
 def _mesh_entries(data: dict[str, Any]) -> Iterator[tuple[Key, dict[str, Any]]]:
-    """The bodies whose shape is the mesh of a file, and the keys of their shapes."""
+    """The bodies whose shape is the mesh of a file, and the keys of their shapes.
+
+    What has neither vertices nor faces is meant to have a file.
+    """
     creature = data.get("creature")
     bodies = creature.get("bodies") if isinstance(creature, dict) else None
     for i, entry in enumerate(bodies if isinstance(bodies, list) else []):
         shape = entry.get("shape") if isinstance(entry, dict) else None
-        if isinstance(shape, dict) and shape.get("type") == "mesh" and "file" in shape:
+        if not isinstance(shape, dict) or shape.get("type") != "mesh":
+            continue
+        if "file" in shape or not {"vertices", "faces"} & set(shape):
             yield ("creature", "bodies", i, "shape"), entry
 
 
@@ -227,6 +232,8 @@ def _worded(
     message = problem["msg"].removeprefix("Value error, ")
     if kind == "value_error":
         return ConfigError(source, key, message)
+    if kind == "union_tag_not_found" and isinstance(given, dict):
+        return ConfigError(source, (*key, "type"), "is missing and has no default")
     if kind.startswith("union_tag"):
         allowed = problem.get("ctx", {}).get("expected_tags", "")
         allowed = allowed.replace("'custom'", "or module:Class for your own")

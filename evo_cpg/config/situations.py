@@ -99,7 +99,7 @@ def out_of_reach(creature: Creature, world: World, start: Vector, light: Vector)
         if depth > 0:
             return f"the light at {where} would be {depth:.3g} m deep in the ground"
     centres, _ = neutral_pose(creature)
-    reach = max(float(np.linalg.norm(body.shape.half_extents)) for body in creature.bodies)
+    reach = max(body.shape.reach for body in creature.bodies)
     length = float(np.ptp(centres, axis=0).max()) + 2 * reach
     distance = float(np.linalg.norm(np.subtract(light, start)))
     if not distance:

@@ -33,6 +33,8 @@ _DENT, _FLAT = 1e-3, 1e-9
 # Height of a triangle below which rounding in files (single precision) turns it noticeably, as a
 # share of the longest side.
 _THIN = 1e-4
+# Share of the surface that thin triangles may have.
+_LOST = 1e-4
 # Planes that differ by less than so many radians are one: rounding in files turns them by 1e-6.
 _SAME_PLANE = 1e-4
 # Of the smallest of three planes' spread at a corner; squared radians.
@@ -87,6 +89,11 @@ class ConvexMesh(Shape):
     @override
     def half_extents(self) -> np.ndarray:
         return np.ptp(self.points, axis=0) / 2
+
+    @property
+    @override
+    def reach(self) -> float:
+        return float(np.linalg.norm(self.points, axis=1).max())
 
     @override
     def inertia(self, mass: float) -> np.ndarray:
@@ -225,12 +232,15 @@ def convex_mesh(vertices: np.ndarray, faces: np.ndarray) -> tuple[ConvexMesh, np
 
     Args:
         vertices: ``(v, 3)``, m.
-        faces: ``(f, 3)`` indices of vertices, counterclockwise seen from outside.
+        faces: ``(f, 3)`` indices of vertices, counterclockwise seen from outside; those that name
+            a vertex twice, which are lines, are left out.
 
     Raises:
         MeshError: it is no closed convex body of a sensible size.
     """
     vertices, faces = np.asarray(vertices, float), np.asarray(faces, int)
+    first, second, third = faces.T
+    faces = faces[(first != second) & (second != third) & (third != first)]
     _require_triangles(vertices, faces)
     used, renumbered = np.unique(faces, return_inverse=True)
     vertices, faces = vertices[used], renumbered.reshape(faces.shape)
@@ -238,6 +248,7 @@ def convex_mesh(vertices: np.ndarray, faces: np.ndarray) -> tuple[ConvexMesh, np
     _require_one_closed_surface(faces)
     _, centre, _ = _mass_properties(vertices[faces], longest)
     vertices = vertices - centre
+    _require_broad(vertices[faces], longest)
     _require_convex(vertices, faces, longest)
     shape = ConvexMesh(tuple(map(tuple, vertices.tolist())), tuple(map(tuple, faces.tolist())))
     return shape, centre
@@ -260,7 +271,8 @@ def _require_triangles(vertices: np.ndarray, faces: np.ndarray) -> None:
 
 def _sensible_length(vertices: np.ndarray) -> float:
     """The longest side of the bounding box, m."""
-    longest = float(np.ptp(vertices, axis=0).max())
+    with np.errstate(over="ignore"):
+        longest = float(np.ptp(vertices, axis=0).max())
     if longest > LONGEST:
         raise MeshError(
             f"its longest side is {longest:.4g} m; allowed: {SHORTEST:g} to {LONGEST:g} m; "
@@ -299,6 +311,16 @@ def _require_one_closed_surface(faces: np.ndarray) -> None:
     if len(np.unique(directed, axis=0)) != len(directed):
         raise MeshError(
             "neighbouring faces run round in different directions; make their normals consistent"
+        )
+
+
+def _require_broad(triangles: np.ndarray, longest: float) -> None:
+    """Thin triangles do not tell where they look: of a body of little else, nothing is known."""
+    areas, thin = _planes(triangles)[1], ~_is_broad(triangles, longest)
+    if areas[thin].sum() > _LOST * areas.sum():
+        raise MeshError(
+            f"{thin.sum()} of its {len(triangles)} triangles are lower than {_THIN:.2%} of its "
+            "longest side; make it thicker, or of fewer triangles"
         )
 
 

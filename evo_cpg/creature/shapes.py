@@ -61,6 +61,11 @@ class Shape(abc.ABC):
     def half_extents(self) -> np.ndarray:
         """Half sizes of the bounding box along x, y and z, m."""
 
+    @property
+    def reach(self) -> float:
+        """Largest distance from the centre that a part of it may have, m."""
+        return float(np.linalg.norm(self.half_extents))
+
     @abc.abstractmethod
     def inertia(self, mass: float) -> np.ndarray:
         """Moments of inertia ``(3,)`` about x, y and z through the centre, uniform mass, kg m^2."""

@@ -430,9 +430,12 @@ def _laid_down(
 
 def _surface_is_seen(creature: Creature, clip: Clip, ground: Ground | None, surface: float) -> bool:
     """Whether the animal, or land near its way, rises out of the water."""
-    half = np.array([body.shape.half_extents for body in creature.bodies])
-    if (clip.position[..., 2] + (np.abs(clip.rotation[..., 2, :]) * half).sum(-1)).max() > surface:
-        return True
+    for i, body in enumerate(creature.bodies):
+        # Upwards, in the body's frame.
+        ups = clip.rotation[:, i, 2]
+        tops = [body.shape.support(up) @ up for up in ups]
+        if (clip.position[:, i, 2] + tops).max() > surface:
+            return True
     if ground is None:
         return False
     near = _NEARBY * _radius(creature, clip)
@@ -447,8 +450,8 @@ def _radius(creature: Creature, clip: Clip) -> float:
 
 
 def _reach(creature: Creature) -> float:
-    """Largest distance from a body's centre to its surface, m."""
-    return max(float(np.linalg.norm(body.shape.half_extents)) for body in creature.bodies)
+    """Largest distance from a body's centre that a part of it may have, m."""
+    return max(body.shape.reach for body in creature.bodies)
 
 
 def _check(

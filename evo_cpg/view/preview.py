@@ -11,7 +11,7 @@ import pyvista as pv
 from evo_cpg.creature.creature import Creature, lowest_height, neutral_pose
 from evo_cpg.view.ground import add_floor, grid_spacing
 from evo_cpg.view.look import LOOKS
-from evo_cpg.view.meshes import add_bodies
+from evo_cpg.view.meshes import add_bodies, shape_mesh
 from evo_cpg.view.offscreen import canvas, pixels
 from evo_cpg.view.output import frame_writer, output_path
 from evo_cpg.view.shadows import add_contacts, add_shadows
@@ -68,9 +68,12 @@ def preview(
         raise ValueError(f"size is {size[0]} x {size[1]} pixels; the smallest is 16 x 16")
     centres, rotations = neutral_pose(creature)
     half_extents = np.array([body.shape.half_extents for body in creature.bodies])
-    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-    turned = (half_extents[:, None] * corners) @ rotations.swapaxes(1, 2)
-    hull = (centres[:, None] + turned).reshape(-1, 3)
+    hull = np.concatenate(
+        [
+            np.asarray(shape_mesh(body.shape).points) @ turn.T + centre
+            for body, centre, turn in zip(creature.bodies, centres, rotations, strict=True)
+        ]
+    )
     scale = np.median(half_extents.min(1))
     rendered = (size[0] * _OVERSAMPLING, size[1] * _OVERSAMPLING)
     with canvas(rendered) as plotter:

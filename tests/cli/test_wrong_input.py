@@ -4,8 +4,10 @@ import sys
 from pathlib import Path
 
 import pytest
+import trimesh
 import yaml
 
+from polyhedra import whisker
 from tiny_run import CONFIG, REPOSITORY, TINY
 
 TASKS = """
@@ -84,6 +86,25 @@ def test_a_wrong_config_is_refused_by_every_command(refused, tmp_path, command):
 )
 def test_a_wrong_setting_is_refused_before_anything_is_written(refused, override, expected):
     assert expected in refused("train", CONFIG, override, "--out", "run")
+
+
+@pytest.mark.parametrize(
+    ("mesh", "scale", "expected"),
+    [
+        (lambda: trimesh.creation.annulus(0.05, 0.1, 0.1), 1, "it is not convex"),
+        (lambda: trimesh.creation.box((300, 200, 100)), 1, "it needs scale: 0.001"),
+        (whisker, 1, "triangles are lower than"),
+        (lambda: trimesh.creation.box(), 10**20, "must be a number greater than 0"),
+    ],
+    ids=["annulus", "millimetres", "whisker", "scale"],
+)
+def test_a_mesh_that_cannot_be_a_body_is_refused(refused, tmp_path, mesh, scale, expected):
+    file = tmp_path / "part.stl"
+    mesh().export(file)
+    shape = f"creature.bodies.0.shape={{type: mesh, file: {file}, scale: {scale}}}"
+    message = refused("train", CONFIG, shape, "--out", "run")
+    assert f"{CONFIG}: creature.bodies.0.shape." in message
+    assert expected in message and "\n" not in message
 
 
 def test_legs_that_cannot_reach_their_postures_are_refused(refused):

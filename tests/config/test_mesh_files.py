@@ -11,7 +11,7 @@ from evo_cpg.config.load import check_config, dump_config, load_config
 from evo_cpg.creature.creature import neutral_pose
 from evo_cpg.creature.mesh import ConvexMesh
 from evo_cpg.creature.shapes import Box
-from polyhedra import TETRAHEDRON, TETRAHEDRON_FACES
+from polyhedra import TETRAHEDRON, TETRAHEDRON_FACES, two_boxes, whisker
 
 SIZE = (0.3, 0.2, 0.1)
 CREATURE = {
@@ -33,6 +33,7 @@ CREATURE = {
         },
     ],
     "light_sensors": [{"body": "head", "position": [0.1, 0.02, 0.03]}],
+    "depth_sensors": [{"body": "head", "position": [0.1, 0.02, 0.03]}],
 }
 
 
@@ -48,6 +49,7 @@ def folder(tmp_path):
     head.apply_translation([150, 0, 0])
     for name in ("head.stl", "head.obj"):
         head.export(parts / name)
+    (tmp_path / "folder.stl").mkdir()
     (parts / "duck.yaml").write_text(yaml.safe_dump(CREATURE))
     (tmp_path / "x.yaml").write_text("name: x\ncreature: animals/duck.yaml\n")
     return tmp_path
@@ -77,12 +79,13 @@ def test_an_override_can_scale_it(folder):
 
 
 def test_places_are_given_in_the_frame_of_the_file(folder):
-    """Anchor and eye lie where the file has them; the body's own frame sits at its centre."""
+    """Anchor, eye and gauge lie where the file has them; the body's frame sits at its centre."""
     creature = build_creature(load(folder), "x")
     head = creature.bodies[1]
     assert head.joint is not None
     np.testing.assert_allclose(head.joint.child_anchor, [0.01 - 0.15, 0.02, 0.03], atol=1e-7)
     np.testing.assert_allclose(creature.light_sensors[0].position, [-0.05, 0.02, 0.03], atol=1e-7)
+    np.testing.assert_allclose(creature.depth_sensors[0].position, [-0.05, 0.02, 0.03], atol=1e-7)
     centres, _ = neutral_pose(creature)
     np.testing.assert_allclose(centres[1], [0.15 + 0.14, -0.02, -0.03], atol=1e-7)
 
@@ -93,7 +96,9 @@ def test_a_child_s_place_on_a_mesh_is_given_in_its_frame(folder):
     mesh = {"name": "root", "shape": head["shape"], "material": "wood"}
     chain = head | {"joint": head["joint"] | {"parent": "root"}}
     (folder / "animals" / "duck.yaml").write_text(
-        yaml.safe_dump(CREATURE | {"bodies": [mesh, chain], "light_sensors": []})
+        yaml.safe_dump(
+            CREATURE | {"bodies": [mesh, chain], "light_sensors": [], "depth_sensors": []}
+        )
     )
     centres, _ = neutral_pose(build_creature(load(folder), "x"))
     np.testing.assert_allclose(np.diff(centres, axis=0), [[0.14, -0.02, -0.03]] * 2, atol=1e-7)
@@ -123,12 +128,27 @@ def test_a_mesh_can_stand_in_the_configuration_itself(folder):
         ("shape.file=nowhere.stl", "shape.file: nowhere.stl: no such file"),
         ("shape.file=head.step", "file: head.step: '.step' is not known; allowed: .obj, .stl"),
         ("shape.file=3", "shape.file: 3: must be the name of a file"),
-        ("shape.scale=big", "shape.scale: 'big': must be a number greater than 0, or three"),
+        (
+            "shape.scale=big",
+            r"shape.scale: 'big': must be a number greater than 0 and less than 1e\+09, or",
+        ),
+        ("shape.scale=100000000000000000000", "scale: 1(0*): must be a number greater than 0"),
+        ("shape.scale=.nan", "scale: nan: must be a number greater than 0"),
         ("shape.scale=[1, 2]", r"scale: \[1, 2\]: must be a number greater than 0"),
         ("shape.scale=-1", "scale: -1: must be a number greater than 0"),
         ("shape.scle=2", "shape.scle: unknown key; did you mean 'scale'"),
         ("shape.scale=1", "head.stl: its longest side is 300 m; .* it needs scale: 0.001"),
-        ("shape={type: mesh}", "shape.vertices: is missing"),
+        ("shape={type: mesh}", "shape.file: is missing and has no default"),
+        ("shape={type: mesh, vertices: []}", "shape.faces: is missing and has no default"),
+        ("shape={type: mesh, fiel: ok.stl}", "shape.fiel: unknown key; did you mean 'file'"),
+        ("shape={file: ok.stl}", "shape.type: is missing and has no default"),
+        (
+            "shape={type: mesh, vertices: [[0, 0, 0]], faces: [[0, 1, 100000000000000000000]]}",
+            "shape.faces.0.2: 1(0*): input should be less than 2147483648",
+        ),
+        (f"shape.file={'x' * 5000}.stl", r"file: x{60}: cannot be read \(File name too long\)"),
+        ('shape.file="a\\0.stl"', r"file: a.\.stl: cannot be read \(.*null"),
+        ("shape.file=folder.stl", "file: folder.stl: is a folder"),
         ("shape={type: mesh, vertices: [], faces: []}", "bodies.1.shape: it has no faces"),
         ("shape={type: mash}", "allowed: .*'mesh'"),
     ],
@@ -141,11 +161,6 @@ def test_wrong_keys_are_refused_by_name(folder, override, expected):
 
 def concave() -> trimesh.Trimesh:
     return trimesh.creation.annulus(0.05, 0.1, 0.1, sections=16)
-
-
-def pieces() -> trimesh.Trimesh:
-    box = trimesh.creation.box(SIZE)
-    return trimesh.util.concatenate([box, box.copy().apply_translation((1, 0, 0))])
 
 
 def holed() -> trimesh.Trimesh:
@@ -164,12 +179,13 @@ def inverted() -> trimesh.Trimesh:
     ("mesh", "expected"),
     [
         (concave, r"it is not convex: vertex \d+ lies .* m beyond the plane of face \d+"),
-        (pieces, "it consists of 2 separate pieces; allowed: one"),
+        (lambda: two_boxes(SIZE), "it consists of 2 separate pieces; allowed: one"),
         (holed, "it is open: 4 of 17 edges do not join two faces"),
         (inverted, "it is inside out: its faces look inwards; flip its normals"),
         (lambda: trimesh.creation.icosphere(4), "it has 5120 triangles; allowed: at most 2000"),
+        (whisker, "128 of its 128 triangles are lower than 0.01% of its longest side"),
     ],
-    ids=["concave", "pieces", "open", "inverted", "huge"],
+    ids=["concave", "pieces", "open", "inverted", "huge", "whisker"],
 )
 @pytest.mark.parametrize("suffix", ["stl", "obj"])
 def test_a_mesh_that_cannot_be_a_body_is_refused(folder, mesh, expected, suffix):
@@ -189,6 +205,27 @@ def test_a_mesh_that_cannot_be_a_body_is_refused(folder, mesh, expected, suffix)
     ],
 )
 def test_a_file_that_holds_no_mesh_is_refused(folder, content, expected):
+    (folder / "bad.stl").write_bytes(content)
+    with pytest.raises(ConfigError, match=expected):
+        load(folder, "creature.bodies.1.shape={type: mesh, file: bad.stl}")
+
+
+@pytest.mark.parametrize(
+    ("number", "expected"),
+    [
+        (np.nan, "a coordinate of a vertex is not a finite number"),
+        (np.inf, "a coordinate of a vertex is not a finite number"),
+        (1e38, r"its longest side is 1e\+38 m; allowed: 0.001 to 100 m"),
+    ],
+)
+@pytest.mark.filterwarnings("error")
+def test_numbers_that_no_body_has_are_refused_without_a_warning(folder, number, expected):
+    box = trimesh.creation.box(SIZE)
+    triangles = box.vertices[box.faces].copy()
+    triangles[0, 0, 0] = number
+    record = np.zeros(12, [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("end", "<u2")])
+    record["corners"] = triangles
+    content = bytes(80) + np.uint32(12).tobytes() + record.tobytes()
     (folder / "bad.stl").write_bytes(content)
     with pytest.raises(ConfigError, match=expected):
         load(folder, "creature.bodies.1.shape={type: mesh, file: bad.stl}")

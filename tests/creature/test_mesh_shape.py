@@ -22,7 +22,9 @@ from polyhedra import (
     box_mesh,
     shape,
     tetrahedron,
+    two_boxes,
     wedge,
+    whisker,
 )
 
 SIZE = (0.3, 0.2, 0.1)
@@ -225,11 +227,6 @@ def l_shape() -> trimesh.Trimesh:
     return trimesh.Trimesh(bottom + top, faces, process=False)
 
 
-def two_boxes() -> trimesh.Trimesh:
-    box = trimesh.creation.box(SIZE)
-    return trimesh.util.concatenate([box, box.copy().apply_translation((1, 0, 0))])
-
-
 def flipped(mesh: trimesh.Trimesh, faces: slice) -> tuple[np.ndarray, np.ndarray]:
     turned = np.array(mesh.faces)
     turned[faces] = turned[faces, ::-1]
@@ -268,7 +265,7 @@ REFUSED = {
         np.array(BOX.faces)[1:],
         "it is open: 3 of 18 edges do not join two faces; close its holes",
     ),
-    "two": (*of(two_boxes()), "it consists of 2 separate pieces; allowed: one"),
+    "two": (*of(two_boxes(SIZE)), "it consists of 2 separate pieces; allowed: one"),
     "tangled": (*flipped(BOX, slice(1)), "different directions; make their normals consistent"),
     "inside out": (*flipped(BOX, slice(None)), "it is inside out: .* flip its normals"),
     "flat": (
@@ -276,6 +273,16 @@ REFUSED = {
         TETRAHEDRON_FACES,
         r"it is flat: 0.3 m long, it encloses 0 m\^3",
     ),
+    "overflow": (
+        TETRAHEDRON * 1e300 * [-1, 1, 1] * 1e8,
+        TETRAHEDRON_FACES[:, ::-1],
+        "its longest side is 3e.307 m",
+    ),
+    "whisker": (
+        *of(whisker()),
+        "128 of its 128 triangles are lower than 0.01% of its longest side; make it thicker, or of",
+    ),
+    "lines": (TETRAHEDRON, np.array([[0, 1, 1], [2, 2, 3]]), "it has no faces"),
     "dent": (
         *of(l_shape()),
         r"it is not convex: vertex \d+ lies 0.1 m beyond the plane of face \d+; allowed: 0.1% of "
@@ -291,7 +298,7 @@ def test_what_cannot_be_a_body_is_refused(vertices, faces, words):
 
 
 def test_a_dent_that_is_allowed_changes_nothing():
-    """0.3 mm of 0.3 m, as far as the planes beside it tell: volume and corners to 0.1 %."""
+    """0.05 mm in the middle of a face, of 0.3 m: volume to 0.1 % and the same corners."""
     mesh = trimesh.creation.box(SIZE).subdivide()
     vertices = np.array(mesh.vertices)
     middle = np.abs(vertices - [0, 0, 0.05]).sum(1).argmin()
@@ -300,6 +307,19 @@ def test_a_dent_that_is_allowed_changes_nothing():
     assert isinstance(dented, ConvexMesh)
     assert dented.volume == pytest.approx(Box(SIZE).volume, rel=1e-3)
     np.testing.assert_allclose(np.sort(np.abs(dented.corners), 0)[0], [0.15, 0.1, 0.05], atol=1e-4)
+
+
+def test_triangles_that_are_lines_are_left_out():
+    faces = np.concatenate([TETRAHEDRON_FACES, [[0, 1, 1], [2, 3, 2]]])
+    assert convex_mesh(TETRAHEDRON, faces)[0] == tetrahedron()
+
+
+def test_reach_is_the_farthest_vertex():
+    """Of the tetrahedron (3a/4, b/4, c/4): farther than a corner of its bounding box, centred."""
+    mesh = tetrahedron()
+    assert mesh.reach == pytest.approx(np.linalg.norm([0.225, 0.05, 0.025]), rel=1e-12)
+    assert mesh.reach > 1.2 * np.linalg.norm(mesh.half_extents)
+    assert MESHES["box"].reach == pytest.approx(Box(SIZE).reach, rel=1e-12)
 
 
 def test_thin_triangles_do_no_harm():

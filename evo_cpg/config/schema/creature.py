@@ -22,6 +22,8 @@ from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
 from evo_cpg.spatial.rotation import euler_to_matrix
 
 Size = tuple[Positive, Positive, Positive]
+# Of a vertex; larger ones do not fit into arrays.
+Index = Annotated[int, Field(ge=0, lt=2**31)]
 
 # The middle one of three axes must keep this far from 90 degrees, where the first and the last
 # axis coincide.
@@ -104,7 +106,7 @@ class MeshConfig(SolidConfig):
 
     type: Literal["mesh"]
     vertices: tuple[Vector, ...]
-    faces: tuple[tuple[int, int, int], ...]
+    faces: tuple[tuple[Index, Index, Index], ...]
 
     @model_validator(mode="after")
     def _check(self) -> "MeshConfig":
@@ -121,7 +123,8 @@ class MeshConfig(SolidConfig):
         return self._made()[0]
 
     def _made(self) -> tuple[ConvexMesh, np.ndarray]:
-        return convex_mesh(np.array(self.vertices).reshape(-1, 3), np.array(self.faces, int))
+        faces = np.array(self.faces, int).reshape(-1, 3)
+        return convex_mesh(np.array(self.vertices).reshape(-1, 3), faces)
 
 
 ShapeConfig = Annotated[
