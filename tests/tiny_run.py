@@ -34,16 +34,20 @@ def program(
         compiled: where it keeps what it compiles, for the next process to use.
         folder: working folder.
     """
-    return subprocess.Popen(
-        [sys.executable, "-m", "evo_cpg.cli.main", *map(str, arguments)],
-        env=environment(compiled),
-        cwd=folder,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        # A shell that runs the tests in the background has them ignore it, and what they start.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-    )
+    # A shell that runs the tests in the background has them ignore it, and what they start. It is
+    # not changed in the child itself, for that takes a fork, against which JAX warns.
+    interrupt = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        return subprocess.Popen(
+            [sys.executable, "-m", "evo_cpg.cli.main", *map(str, arguments)],
+            env=environment(compiled),
+            cwd=folder,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+    finally:
+        signal.signal(signal.SIGINT, interrupt)
 
 
 def environment(compiled: Path) -> dict[str, str]:
