@@ -14,6 +14,7 @@ from evo_cpg.physics.added_mass import added_inertia
 from evo_cpg.physics.buoyancy import make_cells
 from evo_cpg.physics.fluid import DragLaw, Water, make_patches
 from evo_cpg.physics.state import State
+from evo_cpg.physics.step import step
 from evo_cpg.physics.world import World
 from evo_cpg.spatial.rotation import euler_to_matrix
 
@@ -166,3 +167,18 @@ def in_water(
         cells=() if surface is None else make_cells(creature, tree),
         added_inertia=added_inertia(creature, tree, density) if added_mass else None,
     )
+
+
+def coast(world: World, state: State, seconds: float, h: float) -> State:
+    """The motion with motors that are told to stand still, steps first."""
+    rest = jnp.zeros_like(state.qd)
+
+    @quick_jit
+    def motion(state):
+        def advance(s, _):
+            s = step(world, s, rest, h)[0]
+            return s, s
+
+        return jax.lax.scan(advance, state, None, round(seconds / h))[1]
+
+    return jax.tree.map(np.asarray, motion(state))

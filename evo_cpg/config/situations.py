@@ -125,11 +125,13 @@ def _start_height(
     height = start_clearance - lowest_height(creature)
     if footing.ground.level is not None:
         return footing.ground.level + height
-    upright = (float(np.cos(heading / 2)), 0.0, 0.0, float(np.sin(heading / 2)))
+    level = Situation((x, y, 0.0), heading)
 
     @jax.jit
     def gap(height):
-        state = resting_state(world.tree, (), position=(x, y, 0.0), orientation=upright)
+        state = resting_state(
+            world.tree, (), position=level.start_position, orientation=level.orientation
+        )
         raised = dataclasses.replace(state, position=state.position.at[2].set(height))
         return clearance(footing, kinematics(world.tree, raised)).min()
 

@@ -68,17 +68,8 @@ def body_equations(world: World, kin: Kinematics, h: float) -> tuple[Inertia, Wr
         blocks = blocks + h * derivative
         if world.added_inertia is not None:
             added = lift(world.added_inertia, velocity, velocity.ndim + 1)
-            if pose is not None and displaced is not None:
-                sinking = h * jnp.concatenate([cross(pose[:3], velocity[:3]), kin.linear[2:]])
-                ahead = displacement(world.cells, pose + sinking).volume
-                volume = lift(tree.volume, ahead)
-                gained = jnp.maximum(ahead - displaced.volume, 0.0) / volume
-                entering = added * gained[None, None]
-                wrench = wrench - matvec(entering, relative) / h
-                blocks = blocks + _blocks(entering)
-                added = added * (displaced.volume / volume)[None, None]
-            wrench = wrench + carried_water(added, velocity, current)
-            blocks = blocks + _blocks(added)
+            push, carried = _carried(world, kin, velocity, added, current, h, pose, displaced)
+            wrench, blocks = wrench + push, blocks + carried
     w, v = velocity[:3], velocity[3:]
     moment = cross(w, momentum[:3]) + cross(v, momentum[3:]) - wrench[:3]
     force = cross(w, momentum[3:]) - wrench[3:]
@@ -123,6 +114,34 @@ def _stream(water: Water, tree: Tree, kin: Kinematics) -> Float[Array, "3 b *#n"
         return lift(jnp.asarray(water.current, kin.linear.dtype), kin.linear)
     centres = kin.origin + matvec(kin.rotation, lift(tree.com, kin.origin))
     return stream(water.current, water.gradient, water.vortices, centres)
+
+
+def _carried(
+    world: World,
+    kin: Kinematics,
+    velocity: Float[Array, "6 b *n"],
+    added: Float[Array, "6 6 b *#n"],
+    current: Float[Array, "3 b *#n"],
+    h: float,
+    pose: Float[Array, "4 b *n"] | None,
+    displaced: Displacement | None,
+) -> tuple[Float[Array, "6 b *n"], Float[Array, "3 3 3 b *n"]]:
+    """Wrench (body axes) and inertia of the water that the bodies carry along.
+
+    At a surface it is the share of the body's volume that is under water; what more gets under
+    within the step is set in motion by an impact without bounce.
+    """
+    if pose is None or displaced is None:
+        return carried_water(added, velocity, current), _blocks(added)
+    sinking = h * jnp.concatenate([cross(pose[:3], velocity[:3]), kin.linear[2:]])
+    ahead = displacement(world.cells, pose + sinking).volume
+    volume = lift(world.tree.volume, ahead)
+    gained = jnp.maximum(ahead - displaced.volume, 0.0) / volume
+    entering = added * gained[None, None]
+    relative = jnp.concatenate([velocity[:3], velocity[3:] - current])
+    own = added * (displaced.volume / volume)[None, None]
+    impact = -matvec(entering, relative) / h
+    return impact + carried_water(own, velocity, current), _blocks(entering) + _blocks(own)
 
 
 def _blocks(m: Float[Array, "6 6 *rest"]) -> Float[Array, "3 3 3 *rest"]:

@@ -88,14 +88,11 @@ def feel(
         return jnp.zeros((len(bodies), *kin.origin.shape[2:]), kin.origin.dtype)
     places = np.array(world.footing.bodies)
     force = jnp.stack([take(support[2], np.flatnonzero(places == i), 0).sum(0) for i in bodies])
-    own = take(kin.origin[2], np.array(bodies), 0)
     pressing = jnp.zeros_like(force)
     if world.water is not None and world.water.surface is not None:
-        com = lift(world.tree.com[:, bodies], own, own.ndim + 1)
-        lever = (take(kin.rotation[2], np.array(bodies)) * com).sum(0)
-        area = lift(world.tree.volume[bodies] ** (2 / 3), own)
-        depth = jnp.maximum(world.water.surface - own - lever, 0.0)
-        pressing = world.water.density * world.gravity * depth * area
+        depth = _depth(world.water.surface, kin, np.array(bodies), world.tree.com[:, bodies])
+        area = lift(world.tree.volume[bodies] ** (2 / 3), depth)
+        pressing = world.water.density * world.gravity * jnp.maximum(depth, 0.0) * area
     return (force > pressing).astype(force.dtype)
 
 
@@ -108,12 +105,17 @@ def fathom(sensors: Sensors, world: World, kin: Kinematics) -> Float[Array, "k *
     bodies = np.array(sensors.depth_bodies, int)
     if not len(bodies) or world.water is None or world.water.surface is None:
         return jnp.zeros((len(bodies), *kin.origin.shape[2:]), kin.origin.dtype)
+    depth = _depth(world.water.surface, kin, bodies, sensors.depth_positions)
+    return jnp.clip(depth / lift(sensors.depth_scales, depth), 0.0, 1.0)
+
+
+def _depth(
+    surface: float, kin: Kinematics, bodies: np.ndarray, places: Float[np.ndarray, "3 k"]
+) -> Float[Array, "k *n"]:
+    """How far places of bodies are under the water's surface, m; negative above it."""
     own = take(kin.origin[2], bodies, 0)
-    lever = (take(kin.rotation[2], bodies) * lift(sensors.depth_positions, own, own.ndim + 1)).sum(
-        0
-    )
-    depth = world.water.surface - own - lever
-    return jnp.clip(depth / lift(sensors.depth_scales, own), 0.0, 1.0)
+    lever = take(kin.rotation[2], bodies) * lift(places, own, own.ndim + 1)
+    return surface - own - lever.sum(0)
 
 
 def light_strength(

@@ -30,6 +30,12 @@ class Situation(NamedTuple):
     start_heading: float = 0.0
     light: Vector | None = None
 
+    @property
+    def orientation(self) -> tuple[float, float, float, float]:
+        """Of the root at the start, quaternion (w, x, y, z): a turn about z alone."""
+        half = self.start_heading / 2
+        return float(np.cos(half)), 0.0, 0.0, float(np.sin(half))
+
 
 def starting_state(
     situations: tuple[Situation, ...],
@@ -48,11 +54,11 @@ def starting_state(
         dtype: floating-point type of every array.
     """
     first = situations[0]
-    state = resting_state(tree, batch, dtype, first.start_position, _upright(first))
+    state = resting_state(tree, batch, dtype, first.start_position, first.orientation)
     if trial is None or len(situations) == 1:
         return state
     positions = np.array([situation.start_position for situation in situations], float)
-    turns = np.array([_upright(situation) for situation in situations])
+    turns = np.array([situation.orientation for situation in situations])
     return State(
         _chosen(positions, trial, dtype),
         _chosen(turns, trial, dtype),
@@ -77,12 +83,6 @@ def light_places(
     if trial is None or len(lights) == 1:
         return np.array(lights[0])
     return _chosen(np.array(lights, float), trial, dtype)
-
-
-def _upright(situation: Situation) -> tuple[float, float, float, float]:
-    """The root's orientation: a turn about z alone."""
-    half = situation.start_heading / 2
-    return float(np.cos(half)), 0.0, 0.0, float(np.sin(half))
 
 
 def _chosen(

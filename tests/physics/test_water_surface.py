@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from creatures import STRUCTURES, in_water, quick_jit, random_creature, random_state
+from creatures import STRUCTURES, coast, in_water, quick_jit, random_creature, random_state
 from evo_cpg.creature.creature import Body, Creature, Material
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
 from evo_cpg.creature.tree import build_tree
@@ -63,21 +63,6 @@ def start(world: World, heights, tilts=None, velocity=None) -> State:
         orientation=jnp.asarray(orientation),
         velocity=state.velocity if velocity is None else jnp.asarray(velocity, float),
     )
-
-
-def run(world: World, state: State, seconds: float, h: float = H) -> State:
-    """The motion, steps first."""
-    rest = jnp.zeros((0, *state.q.shape[1:]))
-
-    @quick_jit
-    def motion(state):
-        def advance(s, _):
-            s = step(world, s, rest, h)[0]
-            return s, s
-
-        return jax.lax.scan(advance, state, None, round(seconds / h))[1]
-
-    return jax.tree.map(np.asarray, motion(state))
 
 
 def volume_points(shape: Shape, log2_count: int) -> np.ndarray:
@@ -176,7 +161,9 @@ def test_draught(kind, density):
         shape, half = Sphere(0.1), 0.1
         roots = np.roots([-1, 3 * 0.1, 0, -4 * 0.1**3 * share]).real
         draught = float(roots[(roots > 0) & (roots < 0.2)][0])
-    motion = run(floating(shape, density, drag=1.0), start(floating(shape, density), [0.12]), 20.0)
+    motion = coast(
+        floating(shape, density, drag=1.0), start(floating(shape, density), [0.12]), 20.0, H
+    )
     # Quadratic drag takes long to end the last small bobbing: its mean is at rest.
     assert half - motion.position[-480:, 2, 0].mean() == pytest.approx(draught, rel=0.01)
 
@@ -194,7 +181,7 @@ def test_bobbing_and_rolling_periods_of_a_box(density):
     world = floating(Box(size), density)
     level = c / 2 - d
     tilts = np.array([[0, 0, 0], [0.03, 0, 0], [0, 0.03, 0]]).T
-    motion = run(world, start(world, [level + 0.01, level, level], tilts), 10.0)
+    motion = coast(world, start(world, [level + 0.01, level, level], tilts), 10.0, H)
     assert period(motion.position[:, 2, 0]) == pytest.approx(
         2 * np.pi * np.sqrt(d / GRAVITY), rel=0.002
     )
@@ -222,7 +209,7 @@ def test_first_accelerations_of_a_tilted_slender_body(shape, section):
     tilt, height, density = np.pi / 6, 0.1, 400.0
     world = floating(shape, density)
     # About -y the x axis rises.
-    motion = run(world, start(world, [height], [[0.0], [-tilt], [0.0]]), H)
+    motion = coast(world, start(world, [height], [[0.0], [-tilt], [0.0]]), H, H)
     length, mass = shape.volume / section, density * shape.volume
     waterline = -height / np.sin(tilt)
     lift = WATER * GRAVITY * section * (length / 2 + waterline)
@@ -246,7 +233,7 @@ def test_energy_across_the_surface(shape):
     rng = np.random.default_rng(1)
     speeds = np.concatenate([rng.normal(size=(3, 4)), np.zeros((3, 4))])
     first = start(world, [0.4, 0.3, 0.4, 0.5], rng.normal(size=(3, 4)), speeds)
-    motion = run(world, first, seconds)
+    motion = coast(world, first, seconds, H)
     points = volume_points(shape, 14)
     mass = density * shape.volume
     part = WATER * GRAVITY * shape.volume / len(points)
@@ -328,6 +315,6 @@ def test_patches_without_depth_are_refused():
 def test_a_surface_current_carries_what_floats():
     """A floating box drifts with a current, and stays where it floats."""
     world = floating(Box((0.2, 0.2, 0.1)), 500.0, drag=1.0, current=(0.5, -0.2, 0.0))
-    motion = run(world, start(world, [0.0]), 20.0)
+    motion = coast(world, start(world, [0.0]), 20.0, H)
     np.testing.assert_allclose(motion.velocity[-1, 3:5, 0], [0.5, -0.2], atol=0.01)
     assert abs(motion.position[-1, 2, 0]) < 0.001
