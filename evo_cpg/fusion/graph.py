@@ -30,6 +30,7 @@ _FOLDABLE: dict[str, Callable] = {
     "abs": np.abs,
     "max": np.maximum,
     "min": np.minimum,
+    "floor": np.floor,
     "sqrt": np.sqrt,
     "sign": np.sign,
     "eq": np.equal,

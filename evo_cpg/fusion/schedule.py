@@ -103,6 +103,7 @@ def _stages(order: list[Node]) -> dict[Node, int]:
 
 def _depth_first(wanted: list[Node]) -> list[Node]:
     """Operations in an order in which a value is computed shortly before it is used."""
+    needed = set(_ancestors(wanted))
     done: set[Node] = set()
     order: list[Node] = []
     for root in _nearest_first(wanted):
@@ -118,7 +119,7 @@ def _depth_first(wanted: list[Node]) -> list[Node]:
                 if node.company:
                     company, node.company = node.company, ()
                     stack.append((node, False))
-                    stack.extend((other, False) for other in reversed(company))
+                    stack.extend((other, False) for other in reversed(company) if other in needed)
                     continue
                 stack.append((node, True))
                 latest_last = sorted(node.operands, key=lambda operand: operand.number)

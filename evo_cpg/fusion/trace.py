@@ -16,6 +16,7 @@ from jax.extend.core import Jaxpr, Literal, Primitive
 from jax.interpreters import ad, batching, mlir
 
 from evo_cpg.fusion.graph import Graph, Node
+from evo_cpg.fusion.sine import cosine, has_polynomial, sine
 
 # Programs within the program, by primitive, and the parameter that holds them.
 _CALLS = {
@@ -93,6 +94,8 @@ _ELEMENTWISE = {
     "tanh",
     "xor",
 }
+
+_POLYNOMIALS = {"cos": cosine, "sin": sine}
 
 
 def trace(
@@ -202,6 +205,9 @@ def _evaluate(graph: Graph, equation, operands: list[np.ndarray]) -> list[np.nda
 
 def _elementwise(graph: Graph, equation, operands: list[np.ndarray]) -> np.ndarray:
     primitive, params = equation.primitive, equation.params
+    polynomial = _POLYNOMIALS.get(primitive.name)
+    if polynomial is not None and has_polynomial(_type(equation.invars[0])):
+        return _map(graph, functools.partial(polynomial, graph), *operands)
     return _map(graph, lambda *nodes: graph.apply(primitive, params, nodes), *operands)
 
 

@@ -22,7 +22,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.tree import Tree
-from evo_cpg.fusion.kernels import side_by_side
+from evo_cpg.fusion.kernels import side_by_side, together
 from evo_cpg.physics.state import State
 from evo_cpg.spatial.linear import compute_once, cross, lift, matmul, matvec
 from evo_cpg.spatial.rotation import axis_rotation, quaternion_to_matrix
@@ -41,67 +41,64 @@ class Kinematics(NamedTuple):
     bias_linear: Float[Array, "3 b *n"]
 
 
+class _Motion(NamedTuple):
+    """Where one or several bodies are and how they move; see `Kinematics`."""
+
+    origin: Array
+    angular: Array
+    linear: Array
+    bias_angular: Array
+    bias_linear: Array
+
+
 def kinematics(tree: Tree, state: State) -> Kinematics:
-    """Forward kinematics, Featherstone 2008, section 5.3 (first pass)."""
-    rotation, axes, offset = _poses(tree, state)
-    rates = axes * state.qd[None]
-    spin, spin_rate = _joint_motion(tree, rates)
-    parents = np.array(tree.parents[1:], int)
+    """Forward kinematics, Featherstone 2008, section 5.3 (first pass).
 
-    rest = jnp.zeros_like(state.position)
-    angular, origin = _split(
-        accumulate(
-            tree,
-            jnp.concatenate([state.velocity[:3], state.position]),
-            jnp.concatenate([spin, offset]),
-        )
-    )
-    parent_angular = take(angular, parents)
-    linear, bias_angular = _split(
-        accumulate(
-            tree,
-            jnp.concatenate([state.velocity[3:], rest]),
-            jnp.concatenate(
-                [cross(parent_angular, offset), cross(parent_angular, spin) + spin_rate]
-            ),
-        )
-    )
-    bias_linear = accumulate(
-        tree, rest, cross(take(bias_angular, parents), offset) + cross(linear[:, 1:], spin)
-    )
-    root_offset = jnp.zeros_like(state.position)[:, None]
-    return Kinematics(
-        rotation,
-        origin,
-        jnp.concatenate([root_offset, offset], 1),
-        axes,
-        angular,
-        linear,
-        bias_angular,
-        bias_linear,
-    )
-
-
-def accumulate(
-    tree: Tree, root: Float[Array, "c *n"], steps: Float[Array, "c joints *n"]
-) -> Float[Array, "c b *n"]:
-    """Sum from the root to every body: ``y_i = y_parent + steps_i``.
-
-    Args:
-        tree: the creature.
-        root: value of the root.
-        steps: what each other body adds to its parent's value.
+    Fused, all that concerns a body is computed together, so that what it needs of its parent
+    rarely leaves the registers.
     """
-    values: list[Array] = [root]
+    rest, batch = jnp.zeros_like(state.position), state.q.shape[1:]
+    local = _local_frames(tree, state.q)
+    rotations = [quaternion_to_matrix(state.orientation)]
+    motions = [_Motion(state.position, state.velocity[:3], state.velocity[3:], rest, rest)]
+    offsets, axes = [rest[:, None]], [jnp.zeros((3, 0, *batch), rest.dtype)]
     for group in tree.groups:
-        before = jnp.stack([values[parent] for parent in group.parents], 1)
-        after = before + steps[:, group.bodies.start - 1 : group.bodies.stop - 1]
-        values.extend(after[:, j] for j in range(after.shape[1]))
-    return jnp.stack(values, 1)
+        members = range(group.bodies.start, group.bodies.stop)
+        parent_rotation = side_by_side(jnp.stack([rotations[i] for i in group.parents], 2))
+        parent = _Motion(
+            *(jnp.stack(parts, 1) for parts in zip(*(motions[i] for i in group.parents), strict=True))
+        )
+        offset = matvec(parent_rotation, lift(tree.joint_offset[:, group.bodies], parent.origin))
+        frame = matmul(parent_rotation, jnp.stack([local[i] for i in members], 2))
+        rotation, group_axes = frame[:, :3], jnp.swapaxes(frame[:, 3:], 1, 2)
+        rates = state.qd[group.dofs].reshape(len(members), group.axes, *batch)
+        spin, spin_rate = _joint_motion(group_axes * rates[None])
+        motion = _across(parent, offset, spin, spin_rate)
+        rotation, offset, group_axes, motion = together((rotation, offset, group_axes, motion))
+        rotations.extend(rotation[:, :, i] for i in range(len(members)))
+        motions.extend(_Motion(*(part[:, i] for part in motion)) for i in range(len(members)))
+        offsets.append(offset)
+        axes.append(group_axes.reshape(3, -1, *batch))
+    whole = _Motion(*(jnp.stack(parts, 1) for parts in zip(*motions, strict=True)))
+    return Kinematics(
+        jnp.stack(rotations, 2),
+        whole.origin,
+        jnp.concatenate(offsets, 1),
+        jnp.concatenate(axes, 1),
+        *whole[1:],
+    )
 
 
-def _split(pair: Float[Array, "6 *rest"]) -> tuple[Array, Array]:
-    return pair[:3], pair[3:]
+def _across(parent: _Motion, offset: Array, spin: Array, spin_rate: Array) -> _Motion:
+    """How bodies move that turn with ``spin`` against their parents, and ``offset`` from them."""
+    linear = parent.linear + cross(parent.angular, offset)
+    return _Motion(
+        parent.origin + offset,
+        parent.angular + spin,
+        linear,
+        parent.bias_angular + cross(parent.angular, spin) + spin_rate,
+        parent.bias_linear + cross(parent.bias_angular, offset) + cross(linear, spin),
+    )
 
 
 def take(x: Array, indices: np.ndarray, axis: int = 1) -> Array:
@@ -111,30 +108,6 @@ def take(x: Array, indices: np.ndarray, axis: int = 1) -> Array:
         return jax.lax.slice_in_dim(x, int(indices[0]), int(indices[-1]) + 1, step, axis)
     pieces = [jax.lax.slice_in_dim(x, int(i), int(i) + 1, axis=axis) for i in indices]
     return jnp.concatenate(pieces, axis) if pieces else jax.lax.slice_in_dim(x, 0, 0, axis=axis)
-
-
-def _poses(tree: Tree, state: State) -> tuple[Array, Array, Array]:
-    """World rotations of all bodies, world joint axes, and world offsets of all joints."""
-    batch = state.q.shape[1:]
-    local = _local_frames(tree, state.q)
-    rotations = [quaternion_to_matrix(state.orientation)]
-    world_axes, offsets = [], []
-    for group in tree.groups:
-        count = group.bodies.stop - group.bodies.start
-        parent = side_by_side(jnp.stack([rotations[parent] for parent in group.parents], 2))
-        offsets.append(matvec(parent, lift(tree.joint_offset[:, group.bodies], parent[0])))
-        frame = jnp.stack([local[i] for i in range(group.bodies.start, group.bodies.stop)], 2)
-        turned = matmul(parent, frame)
-        rotations.extend(turned[:, :3, i] for i in range(count))
-        axes = jnp.swapaxes(turned[:, 3:], 1, 2)
-        world_axes.append(axes.reshape(3, count * group.axes, *batch))
-    rotation = jnp.stack(rotations, 2)
-    empty = jnp.zeros((3, 0, *batch), state.q.dtype)
-    return (
-        rotation,
-        jnp.concatenate([empty, *world_axes], 1),
-        jnp.concatenate([empty, *offsets], 1),
-    )
 
 
 def _local_frames(tree: Tree, q: Float[Array, "d *n"]) -> dict[int, Float[Array, "3 c *n"]]:
@@ -187,18 +160,15 @@ def _turn(
     return turned, columns[along] * direction
 
 
-def _joint_motion(tree: Tree, rates: Float[Array, "3 d *n"]) -> tuple[Array, Array]:
-    """Angular velocity across each joint, and its rate of change seen from the parent."""
-    spins, spin_rates = [], []
-    for group in tree.groups:
-        count = group.bodies.stop - group.bodies.start
-        rate = rates[:, group.dofs].reshape(3, count, group.axes, *rates.shape[2:])
-        spin = rate[:, :, 0]
-        spin_rate = jnp.zeros_like(spin)
-        for k in range(1, group.axes):
-            spin_rate = spin_rate + cross(spin, rate[:, :, k])
-            spin = spin + rate[:, :, k]
-        spins.append(spin)
-        spin_rates.append(spin_rate)
-    empty = jnp.zeros((3, 0, *rates.shape[2:]), rates.dtype)
-    return jnp.concatenate([empty, *spins], 1), jnp.concatenate([empty, *spin_rates], 1)
+def _joint_motion(rates: Float[Array, "3 bodies axes *n"]) -> tuple[Array, Array]:
+    """Angular velocity across each joint, and its rate of change seen from the parent.
+
+    Args:
+        rates: of the joint's axes, each along its axis.
+    """
+    spin = rates[:, :, 0]
+    spin_rate = jnp.zeros_like(spin)
+    for k in range(1, rates.shape[2]):
+        spin_rate = spin_rate + cross(spin, rates[:, :, k])
+        spin = spin + rates[:, :, k]
+    return spin, spin_rate
