@@ -195,7 +195,9 @@ def _extensions(order: list[Node], start: int, uses: dict[Node, int]) -> Iterato
         arrays = len(inputs) + max(len(inputs), results)
         if 2 * len(inputs) > KERNEL_ARRAYS:
             return
-        if (stop % _CUT_STRIDE == 0 or stop == len(order)) and arrays <= KERNEL_ARRAYS:
+        # A reduction reads as many arrays as it writes.
+        fits = 2 * max(len(inputs), results) <= KERNEL_ARRAYS
+        if fits and (stop % _CUT_STRIDE == 0 or stop == len(order)):
             yield stop, arrays
 
 
