@@ -28,6 +28,7 @@ from jax.extend.core import ClosedJaxpr
 
 from evo_cpg.fusion.graph import Call, Graph, Node, lane_p, lane_sum_p, pack_p
 from evo_cpg.fusion.schedule import KERNEL_ARRAYS, cut, read_by
+from evo_cpg.fusion.sums import chain_sums
 from evo_cpg.fusion.trace import array_call_p, constants, side_by_side_p, trace
 from evo_cpg.spatial.linear import compute_once
 
@@ -148,6 +149,7 @@ def _evaluate(
         for array in outputs
         for node in array.flat
     ]
+    chain_sums(wanted)
     pieces = cut(wanted)
     for piece, _ in pieces:
         for node in piece:
