@@ -36,6 +36,9 @@ from evo_cpg.spatial.linear import compute_once
 # 36 instead of 74 us for the 8 joints of 64 quadrupeds.
 _FEW = 16
 
+# Bytes.
+_CACHE_LINE = 64
+
 _tracing = contextvars.ContextVar("tracing", default=False)
 
 
@@ -134,14 +137,14 @@ def _evaluate(
     ]
     outputs = trace(graph, program.jaxpr, consts, inputs)
     for node, each in graph.lane_constants.items():
-        values[node] = jnp.asarray(np.repeat(each, individuals))
+        values[node] = jnp.asarray(_padded(np.repeat(each, individuals), np))
 
     def value(node: Node) -> jax.Array:
         if node.value is not None:
             return jnp.full(individuals, node.value, node.dtype)
         if node not in values and node.source is not None:
             whole, lane = node.source
-            return values[whole].reshape(-1, individuals)[lane]
+            return _lanes(values[whole], whole.lanes, individuals)[lane]
         return values[node]
 
     wanted = [
@@ -154,7 +157,7 @@ def _evaluate(
     for piece, _ in pieces:
         for node in piece:
             if node.primitive is pack_p and (rows := _run_of_rows(node, homes)) is not None:
-                values[node] = rows.reshape(-1)
+                values[node] = _padded(rows.reshape(-1))
     read = dict.fromkeys(wanted)
     read.update(
         (o, None) for piece, _ in pieces for n in piece if n not in values for o in n.operands
@@ -324,8 +327,23 @@ def _pack(node: Node, value: Callable[[Node], jax.Array]) -> jax.Array:
     """The lanes of a node one behind the other."""
     first = value(node.operands[0])
     if node.uniform:
-        return jnp.broadcast_to(first, (node.lanes, *first.shape)).reshape(-1)
-    return jnp.concatenate([value(operand) for operand in node.operands])
+        return _padded(jnp.broadcast_to(first, (node.lanes, *first.shape)).reshape(-1))
+    return _padded(jnp.concatenate([value(operand) for operand in node.operands]))
+
+
+def _padded(x: Any, numpy: Any = jnp) -> Any:
+    """An array ``(k,)``, longer by one line of the cache where it has an even number of them.
+
+    Arrays that lie one behind the other would else compete for the same few places in the cache.
+    """
+    lines = x.shape[0] * x.dtype.itemsize / _CACHE_LINE
+    extra = _CACHE_LINE // x.dtype.itemsize if lines and lines % 2 == 0 else 0
+    return numpy.concatenate([x, x[:extra]]) if extra else x
+
+
+def _lanes(x: jax.Array, count: int, individuals: int) -> jax.Array:
+    """The lanes ``(count, individuals)`` in an array that may be longer."""
+    return x[: count * individuals].reshape(count, individuals)
 
 
 def _add_lanes(
@@ -335,7 +353,8 @@ def _add_lanes(
     sums = {}
     for start in range(0, len(piece), KERNEL_ARRAYS // 2):
         some = piece[start : start + KERNEL_ARRAYS // 2]
-        lanes = tuple(value(node.operands[0]).reshape(-1, individuals) for node in some)
+        packs = [node.operands[0] for node in some]
+        lanes = tuple(_lanes(value(pack), pack.lanes, individuals) for pack in packs)
         neutral = tuple(np.zeros((), node.dtype)[()] for node in some)
         results = jax.lax.reduce(
             lanes, neutral, lambda total, new: tuple(map(jnp.add, total, new)), (0,)
