@@ -15,13 +15,13 @@ from evo_cpg.fusion.graph import Call, Node
 
 # Most operations in one kernel, and most arrays that it reads and writes: LLVM's alias analysis
 # gives up beyond 250 of them, and the loop is then not vectorised.
-KERNEL_SIZE = 1200
+KERNEL_SIZE = 3600
 KERNEL_ARRAYS = 240
 
 # Cuts are considered every so many operations, too few to touch KERNEL_ARRAYS; starting a kernel
 # costs as much as so many arrays.
 _CUT_STRIDE = 20
-_KERNEL_COST = 10
+_KERNEL_COST = 60
 
 
 def cut(wanted: list[Node]) -> list[tuple[list[Node], list[Node]]]:
