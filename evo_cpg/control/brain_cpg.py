@@ -158,11 +158,13 @@ class BrainCpg(Controller):
         Raises:
             ValueError: the senses are not those that the brain was built for.
         """
-        outputs = think(self.brain, genes, self.brain_inputs(state, observation))
+        batch_ndim = genes.ndim - 1
+        inputs = fuse(self.brain_inputs, state, observation, batch_ndim=batch_ndim)
+        outputs = think(self.brain, genes, inputs)
         arguments = outputs, state, observation.joint_angle
         if self.network.substeps(self.control_step) > matsuoka.UNROLLED:
             return self._follow(*arguments)
-        return fuse(self._follow, *arguments, batch_ndim=genes.ndim - 1)
+        return fuse(self._follow, *arguments, batch_ndim=batch_ndim)
 
     def _follow(
         self, outputs: Array, state: MatsuokaState, joint_angle: Array
@@ -197,7 +199,7 @@ class BrainCpg(Controller):
         ]
         if self.settings.joint_rates:
             values.append(jnp.clip(observation.joint_rate / self.settings.max_rate, -1.0, 1.0))
-        return _assemble([*values, observation.depth])
+        return jnp.concatenate([*values, observation.depth])
 
     def cpg_inputs(
         self, outputs: Float[Array, "s *n"]
@@ -310,18 +312,3 @@ def _check_range(steering_range: float | None, centring: float | None) -> None:
         raise ValueError(f"steering_range must be from 0 to 1, got {steering_range}")
     if centring is not None and not centring >= 0:
         raise ValueError(f"centring must not be negative, got {centring}")
-
-
-def _assemble(parts: list[Array]) -> Array:
-    """Concatenate along the first axis, computed once.
-
-    XLA fuses `jnp.concatenate` into the product with the weights and computes every sine again
-    for every hidden unit, even behind an optimization barrier: a control step then takes six
-    times as long.
-    """
-    whole = jnp.zeros((sum(part.shape[0] for part in parts), *parts[0].shape[1:]), parts[0].dtype)
-    start = 0
-    for part in parts:
-        whole = jax.lax.dynamic_update_slice_in_dim(whole, part.astype(whole.dtype), start, axis=0)
-        start += part.shape[0]
-    return whole

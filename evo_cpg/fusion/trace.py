@@ -283,10 +283,8 @@ def _reduction(primitive):
         (x,), axes = operands, params["axes"]
         kept = [i for i in range(x.ndim) if i not in axes]
         rows = x.transpose(*kept, *axes).reshape(*(x.shape[i] for i in kept), -1)
-        if primitive is jax.lax.add_p and any(
-            _all_lanes(row) for row in rows.reshape(-1, rows.shape[-1])
-        ):
-            return [np.apply_along_axis(functools.partial(_sum, graph), -1, rows)]
+        if any(_all_lanes(row) for row in rows.reshape(-1, rows.shape[-1])):
+            return [np.apply_along_axis(functools.partial(_combine, graph, primitive), -1, rows)]
         total = rows[..., 0]
         for k in range(1, rows.shape[-1]):
             total = _map(graph, lambda *two: graph.apply(primitive, {}, two), total, rows[..., k])
@@ -301,15 +299,23 @@ def _all_lanes(row: np.ndarray) -> list[Node]:
     return [node for node, count in found.items() if count == node.lanes]
 
 
-def _sum(graph: Graph, row: np.ndarray) -> Node:
-    """The sum of scalars; the lanes of a node are added up as such."""
+def _combine(graph: Graph, primitive: Primitive, row: np.ndarray) -> Node:
+    """The sum (product, maximum, ...) of scalars; the lanes of a node are combined as such."""
+
+    def both(a: Node, b: Node) -> Node:
+        return graph.apply(primitive, {}, (a, b))
+
     whole = _all_lanes(row)
-    sums: dict[int, Node] = {}
+    totals: dict[int, Node] = {}
     for node in whole:
-        sums[node.lanes] = graph.add(sums[node.lanes], node) if node.lanes in sums else node
+        totals[node.lanes] = both(totals[node.lanes], node) if node.lanes in totals else node
     terms = [node for node in row if node.source is None or node.source[0] not in whole]
-    terms += [graph.lane_sum(node) for node in sums.values()]
-    return functools.reduce(graph.add, terms)
+    for node in totals.values():
+        if primitive is jax.lax.add_p:
+            terms.append(graph.lane_sum(node))
+        else:
+            terms += [graph.lane(node, i) for i in range(node.lanes)]
+    return functools.reduce(both, terms)
 
 
 def _dot_general(graph, operands, params):

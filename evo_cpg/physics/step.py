@@ -28,13 +28,13 @@ class Effort(NamedTuple):
 
     Attributes:
         torque: applied on each axis at the end of the step, N m.
-        energy: spent by each motor, the sum of |torque x rate| over the step, J.
+        energy: spent by all motors, the sum of |torque x rate| over the step, J.
         support: force of the ground on every place of the footing, in the ground's frame (two
             tangents, then the normal), N; None without ground.
     """
 
     torque: Float[Array, "d *n"]
-    energy: Float[Array, "d *n"]
+    energy: Float[Array, " *n"]
     support: Float[Array, "3 p *n"] | None = None
 
 
@@ -93,7 +93,7 @@ def _finish(h: float, state: State, imposed: Imposed) -> tuple[State, Effort]:
     """Move, and note what the motors did."""
     with jax.named_scope("integrate"):
         new_state = integrate(state, imposed.accelerations, h)
-    energy = h * jnp.abs(imposed.torque * 0.5 * (state.qd + new_state.qd))
+    energy = h * jnp.abs(imposed.torque * 0.5 * (state.qd + new_state.qd)).sum(0)
     return new_state, Effort(imposed.torque, energy, imposed.support)
 
 

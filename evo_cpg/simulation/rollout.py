@@ -267,12 +267,19 @@ def _control_step(
     def touch(state: State, support: Array) -> Array:
         return feel(simulation.sensors, world, kinematics(world.tree, state), support)
 
+    def go_on(state: State, command: Command) -> tuple[State, Array, Array, Array, Array | None]:
+        state, effort = step(world, state, command.target_rate, h, command.target_angle)
+        airborne = _is_airborne(effort) / simulation.substeps
+        return state, effort.energy, airborne, effort.torque, effort.support if feels else None
+
     def move(carry, _):
         state, energy, airborne, _, support = carry
-        state, effort = step(world, state, command.target_rate, h, command.target_angle)
-        airborne = airborne + _is_airborne(effort, energy) / simulation.substeps
-        support = effort.support if feels else support
-        return (state, energy + effort.energy.sum(0), airborne, effort.torque, support), None
+        # Fused as a whole, so that of the ground's many forces only what is asked for is stored.
+        state, spent, off_ground, torque, felt = fuse(
+            go_on, state, command, batch_ndim=len(batch)
+        )
+        support = support if felt is None else felt
+        return (state, energy + spent, airborne + off_ground, torque, support), None
 
     none = jnp.zeros(batch, genes.dtype)
     feels = world.footing is not None and bool(simulation.sensors.pressure_bodies)
@@ -299,11 +306,11 @@ def _control_step(
     return _Animal(moved, nerves, pressure), _Instant(moment, command, torque, kin)
 
 
-def _is_airborne(effort: Effort, like: Float[Array, " *n"]) -> Float[Array, " *n"]:
+def _is_airborne(effort: Effort) -> Float[Array, " *n"]:
     """1 where nothing touched the ground in a physics step, else 0; 1 without ground."""
     if effort.support is None:
-        return jnp.ones_like(like)
-    return jnp.all(effort.support[2] <= 0, axis=0).astype(like.dtype)
+        return jnp.ones_like(effort.energy)
+    return jnp.all(effort.support[2] <= 0, axis=0).astype(effort.energy.dtype)
 
 
 def _is_sane(state: State) -> Bool[Array, " *n"]:
