@@ -5,6 +5,9 @@ import time
 from collections.abc import Callable
 from typing import NamedTuple
 
+# A call that takes this share of the wanted time tells well enough how long others will take.
+_TELLING = 0.2
+
 
 class Contender(NamedTuple):
     """Something to time.
@@ -32,12 +35,43 @@ def race(contenders: list[Contender], repeats: int) -> dict[str, list[float]]:
     rates: dict[str, list[float]] = {contender.name: [] for contender in contenders}
     for _ in range(repeats):
         for contender in contenders:
-            start = time.perf_counter()
-            contender.call()
-            rates[contender.name].append(contender.work / (time.perf_counter() - start))
+            rates[contender.name].append(contender.work / seconds(contender.call))
     return rates
 
 
-def median_ratio(rates: dict[str, list[float]], ours: str, peer: str) -> float:
-    """Median over the rounds of our rate over the peer's in the same round."""
-    return statistics.median(a / b for a, b in zip(rates[ours], rates[peer], strict=True))
+def ratio_quartiles(
+    rates: dict[str, list[float]], ours: str, peer: str
+) -> tuple[float, float, float]:
+    """Lower quartile, median and upper quartile of our rate over the peer's in the same round."""
+    ratios = [a / b for a, b in zip(rates[ours], rates[peer], strict=True)]
+    if len(ratios) == 1:
+        return ratios[0], ratios[0], ratios[0]
+    low, middle, high = statistics.quantiles(ratios, n=4, method="inclusive")
+    return low, middle, high
+
+
+def seconds(call: Callable[[], object]) -> float:
+    """Wall-clock time of one call, s."""
+    start = time.perf_counter()
+    call()
+    return time.perf_counter() - start
+
+
+def count_lasting(
+    prepare: Callable[[int], Callable[[], object]], wanted: float, fewest: int, most: int
+) -> int:
+    """How many steps (or whatever is counted) take about the wanted time.
+
+    Args:
+        prepare: makes a call of so many steps; what it does itself is not timed.
+        wanted: s.
+        fewest: steps; the first try.
+        most: steps.
+    """
+    count = fewest
+    prepare(count)()
+    while True:
+        taken = seconds(prepare(count))
+        if count >= most or taken >= _TELLING * wanted:
+            return min(max(round(count * wanted / taken), fewest), most)
+        count = min(count * 8, most)

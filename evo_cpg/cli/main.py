@@ -207,17 +207,42 @@ def import_(
 
 @app.command()
 def bench(
+    cases: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[CASE]...",
+            help="swimmer, salamander-water, salamander-land, quadruped, cpg, brain, ga, "
+            "generation, gradient, scaling or startup; all by default.",
+        ),
+    ] = None,
+    sizes: Annotated[
+        str | None,
+        typer.Option(help="Individuals, such as 1,15,200; each case has its own by default."),
+    ] = None,
     json: Annotated[
         Path | None, typer.Option("--json", help="Also write the rows to this file.")
     ] = None,
+    plot: Annotated[
+        Path | None, typer.Option("--plot", help="Draw the rates: a .png, .svg or .pdf file.")
+    ] = None,
+    compare: Annotated[
+        Path | None,
+        typer.Option("--compare", help="An earlier --json file; exit code 1 if anything lost."),
+    ] = None,
+    tolerance: Annotated[
+        float, typer.Option(min=0, max=1, help="Share that may be lost before that.")
+    ] = 0.1,
+    limit: Annotated[
+        float, typer.Option(min=1, help="Seconds that a peer written in JAX may compile.")
+    ] = 120.0,
     quick: Annotated[
-        bool, typer.Option("--quick", help="Fewer steps and repeats, for a first look.")
+        bool, typer.Option("--quick", help="One size, short calls, few repeats: a first look.")
     ] = False,
 ) -> None:
     """Measure this program beside its peers on this machine."""
     from evo_cpg.cli.bench import run_suite
 
-    run_suite(json, quick)
+    run_suite(cases or [], sizes, json, plot, compare, tolerance, limit, quick)
 
 
 def main() -> None:

@@ -7,25 +7,23 @@ import mujoco
 import numpy as np
 import pytest
 
+from benchmarks.exercise import Postures, Wave
 from benchmarks.mujoco_model import dof_order, motor_order, mujoco_model
-from benchmarks.suite import CONFIGS, mujoco_walk, posture_numbers, stopped
-from evo_cpg.config.build import build_experiment
-from evo_cpg.config.load import load_config
+from benchmarks.mujoco_peer import DRY, WET, Motion, peer_model, stopped
+from benchmarks.plan import experiment_of
 from evo_cpg.simulation.situation import Situation
 
-CONFIG = CONFIGS / "fukui2003_model1.yaml"
-GENES = np.random.default_rng(0).integers(0, 2, (192, 24)).astype(np.float32)
+COUNT = 24
 
 
 @pytest.fixture(scope="module")
 def quadruped():
-    return build_experiment(load_config(CONFIG), CONFIG)
+    return experiment_of("fukui2003_model1")
 
 
 @pytest.fixture(scope="module")
 def model(quadruped):
-    ground = quadruped.simulation.world.ground
-    return mujoco_model(quadruped.creature, motors=True, limits=True, ground=ground)
+    return peer_model(Postures(quadruped), DRY[0])
 
 
 def test_the_model_has_the_animals_masses_motors_and_limits(quadruped, model):
@@ -54,16 +52,23 @@ def test_bodies_touch_the_floor_alone(model):
     np.testing.assert_allclose(data.contact.friction[:, 0], 0.8)
 
 
+def walk(experiment, steps):
+    """The states of MuJoCo's individuals from rest."""
+    exercise = Postures(experiment)
+    motion = Motion(exercise, DRY[0], exercise.lanes(COUNT), 1)
+    return motion.states(motion.rest(), motion.signals(steps))
+
+
 def test_mujoco_takes_the_postures_of_the_controller(quadruped):
     """In free fall nothing keeps a joint from where its spring pulls: 1/3 s is 17 of k/c."""
     aloft = (Situation((0.0, 0.0, 20.0)),)
     simulation = dataclasses.replace(quadruped.simulation, situations=aloft)
     world, h, steps = simulation.world, simulation.step_length, 160
-    assert posture_numbers(simulation, steps + 1).tolist() == [0] * 80 + [1] * 80 + [2]
-    walk = mujoco_walk(quadruped._replace(simulation=simulation), GENES, 1, steps)
-    states = walk()
+    exercise = Postures(quadruped)
+    assert exercise.numbers(np.arange(steps + 1)).tolist() == [0] * 80 + [1] * 80 + [2]
+    states = walk(quadruped._replace(simulation=simulation), steps)
     assert not stopped(states, steps * h).any()
-    angles = simulation.controller.decode(jnp.asarray(GENES))
+    angles = simulation.controller.decode(jnp.asarray(exercise.lanes(COUNT)))
     order = dof_order(mujoco_model(quadruped.creature), world.tree)
     for posture in (0, 1):
         # The clock and the root's pose come first.
@@ -75,11 +80,34 @@ def test_individuals_that_diverged_are_counted(quadruped, monkeypatch, tmp_path)
     """At 1/60 s many do within 7 steps; MuJoCo logs each of them."""
     monkeypatch.chdir(tmp_path)  # where MuJoCo writes its log
     simulation = dataclasses.replace(quadruped.simulation, substeps=1)
-    walk = mujoco_walk(quadruped._replace(simulation=simulation), GENES, 1, 7)
-    states, seconds = walk(), 7 / 60
+    states, seconds = walk(quadruped._replace(simulation=simulation), 7), 7 / 60
     lost = stopped(states, seconds)
     logged = (tmp_path / "MUJOCO_LOG.TXT").read_text().count("unstable")
     assert lost.sum() == logged
-    assert 0 < logged < GENES.shape[1]
+    assert 0 < logged < COUNT
     states[~lost, -1, 5] = np.nan
     assert stopped(states, seconds).all()
+
+
+@pytest.mark.parametrize("kind", ["wave", "postures"])
+def test_both_sides_are_told_the_same(quadruped, kind):
+    """Ours step by step, MuJoCo's all at once, in the order of our degrees of freedom."""
+    exercise = Wave(experiment_of("iwadate2010_swimmer")) if kind == "wave" else Postures(quadruped)
+    lanes = exercise.lanes(3)
+    np.testing.assert_array_equal(lanes, exercise.lanes(50)[:, :3])
+    index = np.array([0, 1, 79, 80, 119, 120, 300])
+    signals = exercise.signals(lanes, index)
+    told = exercise.prepare(jnp.asarray(lanes))
+    for place, number in enumerate(index):
+        rate, angle = exercise.command(told, jnp.int32(number))
+        ours = rate if angle is None else angle
+        np.testing.assert_allclose(ours.T, signals[:, place], atol=1e-5)
+    assert np.ptp(signals, axis=0).max() > 0.1
+
+
+def test_the_swimmer_meets_three_kinds_of_water():
+    exercise = Wave(experiment_of("iwadate2010_swimmer"))
+    models = [peer_model(exercise, kind) for kind in WET]
+    assert [model.opt.density for model in models] == [1000, 1000, 0]
+    assert [bool(model.geom_fluid[:, 0].any()) for model in models] == [True, False, False]
+    assert all(not model.opt.gravity.any() for model in models)

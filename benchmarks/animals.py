@@ -1,0 +1,59 @@
+"""The animals that move, by the name of their case."""
+
+from collections.abc import Callable
+
+from benchmarks.exercise import Postures, Wave
+from benchmarks.jax_peers import GROUNDED, WET
+from benchmarks.moving import Animal
+from benchmarks.plan import experiment_of
+
+# Scalar additions, multiplications, divisions, roots and comparisons that the equations of one
+# physics step of the ten-body swimmer need, counted once on its scalar program after constants are
+# folded and products with zero dropped. It is fixed, and does not follow the program: who does the
+# same with fewer operations does not thereby get a lower rate.
+SWIMMER_FLOPS = 13_944
+
+_MANY = (1, 15, 64, 1024, 4096)
+
+
+def swimmer() -> Animal:
+    """Ten boxes in water."""
+    return Animal(
+        "swimmer",
+        Wave(experiment_of("iwadate2010_swimmer")),
+        (200, *_MANY),
+        WET,
+        SWIMMER_FLOPS,
+        (200, 4096),
+    )
+
+
+def salamander_water() -> Animal:
+    """Sixteen ellipsoids and capsules in water."""
+    exercise = Wave(experiment_of("iwadate2010_salamander_water"))
+    return Animal("salamander-water", exercise, (200,))
+
+
+def salamander_land() -> Animal:
+    """The same on hills, which MuJoCo has as a height field."""
+    exercise = Wave(experiment_of("iwadate2010_salamander_land"))
+    return Animal("salamander-land", exercise, (200,))
+
+
+def quadruped() -> Animal:
+    """Nine boxes on flat ground."""
+    return Animal(
+        "quadruped",
+        Postures(experiment_of("fukui2003_model1")),
+        (120, 1, 15, 64, 200, 1024, 4096),
+        GROUNDED,
+        memory_sizes=(200, 4096),
+    )
+
+
+ANIMALS: dict[str, Callable[[], Animal]] = {
+    "swimmer": swimmer,
+    "salamander-water": salamander_water,
+    "salamander-land": salamander_land,
+    "quadruped": quadruped,
+}

@@ -1,0 +1,83 @@
+"""What became slower since an earlier run.
+
+Where a row stands beside a peer, the ratios to the peer are compared: a machine that is slow today
+is so for both. Other rows are compared by their rates.
+"""
+
+from typing import Any, NamedTuple
+
+from benchmarks.rows import SECONDS, Row
+
+
+class Change(NamedTuple):
+    """One row, then and now.
+
+    Attributes:
+        row: as measured now.
+        kind: "ratio to NAME" or the unit of the rate.
+        then: the earlier value.
+        now: the value.
+        gain: how many times as fast as then; below 1 is slower.
+        slower: by more than is tolerated.
+    """
+
+    row: Row
+    kind: str
+    then: float
+    now: float
+    gain: float
+    slower: bool
+
+
+class Verdict(NamedTuple):
+    """All rows that both runs have.
+
+    Attributes:
+        changes: one for each.
+        remarks: for the reader, in sentences.
+    """
+
+    changes: list[Change]
+    remarks: list[str]
+
+    @property
+    def slower(self) -> list[Change]:
+        """Those that lost too much."""
+        return [change for change in self.changes if change.slower]
+
+
+def compare(
+    then: tuple[dict[str, Any], list[Row]],
+    now: tuple[dict[str, Any], list[Row]],
+    tolerance: float,
+) -> Verdict:
+    """Find what became slower.
+
+    Args:
+        then: machine and rows of the earlier run.
+        now: of this run.
+        tolerance: largest share that a rate or ratio may lose.
+    """
+    earlier = {row.key: row for row in then[1]}
+    changes = [_change(earlier[row.key], row, tolerance) for row in now[1] if row.key in earlier]
+    remarks = []
+    alone = len(now[1]) - len(changes)
+    if alone:
+        remarks.append(f"{alone} of {len(now[1])} rows have no counterpart in the earlier run")
+    for key, what in (("processor", "processor"), ("cores", "number of cores")):
+        if then[0].get(key) != now[0].get(key):
+            remarks.append(f"the earlier run had another {what}: {then[0].get(key)}")
+    if then[0].get("quick") != now[0].get("quick"):
+        remarks.append("one run was quick and the other was not: their calls differ in length")
+    return Verdict(changes, remarks)
+
+
+def _change(then: Row, now: Row, tolerance: float) -> Change:
+    if then.ratio and now.ratio:
+        kind, before, after = f"ratio to {now.peer}", then.ratio, now.ratio
+        gain = after / before
+    else:
+        kind, before, after = now.unit, then.rate, now.rate
+        old, new = (after, before) if now.unit == SECONDS else (before, after)
+        gain = new / old if old else 1.0
+    return Change(now, kind, before, after, gain, gain < 1 - tolerance)

@@ -1,0 +1,136 @@
+"""What a population of an animal is told to do, the same for us and for our peers.
+
+An exercise has no brain: the commands of the motors are given. They are held over a physics step
+of the config, however finely that is divided.
+"""
+
+import abc
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Float, Int
+
+from evo_cpg.control.postures import PostureController
+from evo_cpg.training.experiment import Experiment
+
+# The travelling wave: amplitude (rad/s), frequency (Hz) and lag from joint to joint (degrees) of
+# the target rates about z.
+WAVE_RATE, WAVE_FREQUENCY, WAVE_LAG = 2.0, 1.0, 36.0
+# Amplitudes of individuals lie this far apart at most.
+_WAVE_SPREAD = 0.2
+# Multiples of it, whole numbers taken away, fill the range from 0 to 1 evenly however many there
+# are: the first individuals are the same in every population.
+_GOLDEN = 0.6180339887498949
+_SEED = 0
+
+
+@dataclasses.dataclass(frozen=True)
+class Exercise(abc.ABC):
+    """Commands for all individuals at all times.
+
+    Attributes:
+        experiment: whose animal and world these are.
+    """
+
+    experiment: Experiment
+
+    @abc.abstractmethod
+    def lanes(self, count: int) -> Float[np.ndarray, "k n"]:
+        """What individuals do differently, float32; larger populations begin like smaller ones."""
+
+    @abc.abstractmethod
+    def prepare(self, lanes: Float[Array, "k n"]) -> Array:
+        """What is worked out once, before the first step."""
+
+    @abc.abstractmethod
+    def command(self, told: Array, index: Int[Array, ""]) -> tuple[Array, Array | None]:
+        """Target rates ``(d, n)`` in rad/s and, for motors with springs, target angles in rad.
+
+        Args:
+            told: from `prepare`.
+            index: number of the physics step.
+        """
+
+    @abc.abstractmethod
+    def signals(
+        self, lanes: Float[np.ndarray, "k n"], index: Int[np.ndarray, " steps"]
+    ) -> Float[np.ndarray, "n steps d"]:
+        """The commands that MuJoCo's motors get: rates, or angles where they have springs."""
+
+
+class Wave(Exercise):
+    """A wave that travels from head to tail; individuals differ in its amplitude."""
+
+    def lanes(self, count: int) -> Float[np.ndarray, "k n"]:
+        """Factors on the amplitude."""
+        spread = (np.arange(count) * _GOLDEN % 1 - 0.5) * _WAVE_SPREAD
+        return (1 + spread)[None].astype(np.float32)
+
+    def prepare(self, lanes: Float[Array, "k n"]) -> Array:
+        """The factors themselves."""
+        return lanes
+
+    def command(self, told: Array, index: Int[Array, ""]) -> tuple[Array, Array | None]:
+        """A row of the table of one period, times the factors."""
+        table = jnp.asarray(self.period(), told.dtype)
+        return table[index % len(table)][:, None] * told, None
+
+    def signals(
+        self, lanes: Float[np.ndarray, "k n"], index: Int[np.ndarray, " steps"]
+    ) -> Float[np.ndarray, "n steps d"]:
+        """The same rates."""
+        table = self.period()
+        return lanes[0].astype(float)[:, None, None] * table[index % len(table)][None]
+
+    def period(self) -> Float[np.ndarray, "steps d"]:
+        """Target rates of the axes about z over one period, rad/s."""
+        simulation = self.experiment.simulation
+        tree, h = simulation.world.tree, simulation.step_length
+        depth = [0]
+        for parent in tree.parents[1:]:
+            depth.append(depth[parent] + 1)
+        joint = np.array([depth[body] for body in tree.dof_bodies]) - 1
+        bends = np.array([name.endswith(".z") for name in tree.dof_names])
+        index = np.arange(round(1 / (WAVE_FREQUENCY * h)))
+        phase = 2 * np.pi * WAVE_FREQUENCY * h * index[:, None]
+        return WAVE_RATE * bends * np.cos(phase - np.deg2rad(WAVE_LAG) * joint)
+
+
+class Postures(Exercise):
+    """Random postures in turn, as the genes of a posture controller encode them."""
+
+    @property
+    def controller(self) -> PostureController:
+        """That of the config."""
+        controller = self.experiment.simulation.controller
+        assert isinstance(controller, PostureController)
+        return controller
+
+    def lanes(self, count: int) -> Float[np.ndarray, "k n"]:
+        """Random bits."""
+        generator = np.random.default_rng(_SEED)
+        bits = generator.integers(0, 2, (count, self.controller.gene_count))
+        return bits.T.astype(np.float32)
+
+    def prepare(self, lanes: Float[Array, "k n"]) -> Array:
+        """Angles ``(postures, d, n)``, rad."""
+        return self.controller.decode(lanes)
+
+    def command(self, told: Array, index: Int[Array, ""]) -> tuple[Array, Array | None]:
+        """No rates; the angles of the posture of the present time."""
+        posture = self.controller.posture(index // self.experiment.simulation.substeps)
+        return jnp.zeros_like(told[0]), told[posture]
+
+    def signals(
+        self, lanes: Float[np.ndarray, "k n"], index: Int[np.ndarray, " steps"]
+    ) -> Float[np.ndarray, "n steps d"]:
+        """The same angles."""
+        angles = np.asarray(self.controller.decode(jnp.asarray(lanes)), float)
+        return np.moveaxis(angles, -1, 0)[:, self.numbers(index)]
+
+    def numbers(self, index: Int[np.ndarray, " steps"]) -> Int[np.ndarray, " steps"]:
+        """Which posture is held in each physics step."""
+        substeps = self.experiment.simulation.substeps
+        return np.asarray(self.controller.posture(jnp.asarray(index // substeps)))

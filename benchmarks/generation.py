@@ -1,0 +1,48 @@
+"""A whole generation of the swimmer as in training: trials of all individuals, then breeding."""
+
+import functools
+import statistics
+import time
+
+import jax
+import numpy as np
+
+from benchmarks.moving import UNIT
+from benchmarks.plan import Plan, experiment_of
+from benchmarks.rows import SECONDS, Row
+from benchmarks.timing import Contender, race
+from evo_cpg.training.devices import fast_jit, population_mesh
+from evo_cpg.training.experiment import breed, compile_trials, first_population
+
+_QUICK = ("simulation.steps=60", "evolution.population=32", "evolution.elites=4")
+
+
+def measure(plan: Plan) -> list[Row]:
+    """Seconds, and the same as individual physics steps per second."""
+    experiment = experiment_of("iwadate2010_swimmer", *(_QUICK if plan.quick else ()))
+    simulation, population = experiment.simulation, experiment.genetics.population
+    genes = np.asarray(fast_jit(lambda: first_population(experiment))())
+    scales = {"energy": np.ones(1, np.float32)}
+    trials = compile_trials(simulation, population_mesh())
+    breeding = fast_jit(functools.partial(breed, experiment))
+
+    def live() -> None:
+        outcome = trials(genes)
+        jax.device_get(breeding(genes, outcome, np.int32(0), scales))
+
+    plan.say("generation: compiling")
+    start = time.perf_counter()
+    live()
+    first = time.perf_counter() - start
+    plan.say("generation")
+    rate = statistics.median(race([Contender("generation", 1, live)], plan.repeats)["generation"])
+    compile_seconds = max(first - 1 / rate, 0.0)
+    steps = population * simulation.steps * simulation.substeps
+    how = (
+        f"{population} individuals, {simulation.steps} control steps, {plan.cores} cores, median "
+        f"of {plan.repeats}; compiling is the first call less a later one"
+    )
+    return [
+        Row("generation", "time", population, 1 / rate, SECONDS, how, compile_seconds),
+        Row("generation", "steps", population, steps * rate, UNIT, how, compile_seconds),
+    ]

@@ -1,0 +1,117 @@
+"""The gradient of the fitness with respect to all genes, beside the run without it.
+
+One second of the swimmer's whole stack, on one core, in a process of its own: compiling the
+backward pass may take long and much memory. Run as a program, this module is the worker:
+`python -m benchmarks.gradient SIZE`.
+"""
+
+import statistics
+import sys
+import time
+from typing import Any
+
+from benchmarks.moving import UNIT
+from benchmarks.plan import Plan
+from benchmarks.rows import Row
+from benchmarks.timing import Contender, race, ratio_quartiles
+from benchmarks.worker import WorkerError, serve, started
+
+SIZE = 16
+_SECONDS = 1.0
+_GRADIENT, _FORWARD = "value and gradient", "forward run"
+# Compiling backwards takes many times as long as a peer is given.
+_PATIENCE = 5
+
+
+def measure(plan: Plan) -> list[Row]:
+    """One row, whose ratio is the speed with the gradient over that without."""
+    plan.say("gradient: compiling")
+    limit = _PATIENCE * plan.limit
+    with started("gradient", str(SIZE)) as worker:
+        try:
+            ready = worker.answer(limit)
+        except WorkerError as error:
+            return [_row(0.0, "", note=str(error))]
+
+        def contender(name: str) -> Contender:
+            return Contender(name, SIZE * ready["steps"], lambda: worker.ask(name, limit))
+
+        plan.say("gradient")
+        rates = race([contender(_GRADIENT), contender(_FORWARD)], plan.repeats)
+    low, ratio, high = ratio_quartiles(rates, _GRADIENT, _FORWARD)
+    forward = ready["forward_seconds"]
+    return [
+        _row(
+            statistics.median(rates[_GRADIENT]),
+            f"; median of {plan.repeats} rounds in turn; the forward run compiles in "
+            f"{forward:.0f} s",
+            compile_seconds=ready["gradient_seconds"],
+            temporary=ready["temporary"],
+            memory=ready["peak"],
+            peer_rate=statistics.median(rates[_FORWARD]),
+            ratio=ratio,
+            ratio_spread=(low, high),
+        )
+    ]
+
+
+def _row(rate: float, how: str, **fields: Any) -> Row:
+    what = f"mean fitness of {SIZE} individuals after {_SECONDS:g} s, float32, one core{how}"
+    return Row("gradient", _GRADIENT, SIZE, rate, UNIT, what, peer=_FORWARD, **fields)
+
+
+def _prepare(size: int) -> tuple[dict[str, Any], Any]:
+    import dataclasses
+
+    import jax
+    import jax.numpy as jnp
+    import numpy as np
+
+    from benchmarks.machine import peak_memory
+    from benchmarks.plan import experiment_of
+    from evo_cpg.simulation.rollout import rollout, score
+    from evo_cpg.training.devices import fast_jit, use_cores
+
+    use_cores()
+    simulation = experiment_of("iwadate2010_swimmer").simulation
+    control_steps = round(_SECONDS * simulation.control_rate)
+    simulation = dataclasses.replace(simulation, steps=control_steps)
+    scales = {"energy": jnp.float32(1)}
+
+    def fitness(genes):
+        return score(simulation.task, rollout(simulation, genes), scales).mean()
+
+    draw = fast_jit(
+        lambda: simulation.controller.random_genes(jax.random.key(0), (size,), np.float32)
+    )
+    genes = np.asarray(draw())
+
+    def compiled(function: Any) -> tuple[Any, float]:
+        start = time.perf_counter()
+        program = fast_jit(function).lower(genes).compile()
+        return program, time.perf_counter() - start
+
+    forward, forward_seconds = compiled(fitness)
+    gradient, gradient_seconds = compiled(jax.value_and_grad(fitness))
+    programs = {_FORWARD: forward, _GRADIENT: gradient}
+
+    def work(name: str) -> dict[str, Any]:
+        jax.block_until_ready(programs[name](genes))
+        return {}
+
+    usage = gradient.memory_analysis()
+    slope = np.asarray(gradient(genes)[1])
+    if not np.isfinite(slope).all():
+        raise FloatingPointError(f"{(~np.isfinite(slope)).sum()} slopes are not finite")
+    ready = {
+        "steps": control_steps * simulation.substeps,
+        "forward_seconds": forward_seconds,
+        "gradient_seconds": gradient_seconds,
+        "temporary": int(usage.temp_size_in_bytes),
+        "peak": peak_memory(),
+    }
+    return ready, work
+
+
+if __name__ == "__main__":
+    serve(lambda: _prepare(int(sys.argv[1])))

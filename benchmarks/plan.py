@@ -1,0 +1,49 @@
+"""How thoroughly to measure, and what every case is told about the machine."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+from evo_cpg.config.build import build_experiment
+from evo_cpg.config.load import load_config
+from evo_cpg.training.experiment import Experiment
+
+ROOT = Path(__file__).parents[1]
+CONFIGS = ROOT / "configs"
+
+
+class Plan(NamedTuple):
+    """What holds for all cases of a run.
+
+    Attributes:
+        cores: that everybody uses.
+        sizes: of the populations, for the cases that can choose; None for each case's own.
+        call_seconds: how long a call lasts, about, s.
+        repeats: rounds, over which medians are taken.
+        limit: how long a peer in a process of its own may take to compile, s.
+        quick: leave out what takes more than some seconds and has no other measure of effort.
+        say: what is being done, to whoever waits.
+    """
+
+    cores: int
+    sizes: tuple[int, ...] | None = None
+    call_seconds: float = 0.5
+    repeats: int = 7
+    limit: float = 120.0
+    quick: bool = False
+    say: Callable[[str], object] = lambda text: None
+
+    def sizes_or(self, *own: int) -> tuple[int, ...]:
+        """The population sizes of a case: those chosen, or its own, of which the first if quick."""
+        return self.sizes or (own[:1] if self.quick else own)
+
+
+def experiment_of(name: str, *overrides: str) -> Experiment:
+    """What a config of this checkout describes.
+
+    Args:
+        name: of its file, without ``.yaml``.
+        overrides: ``key=value`` settings.
+    """
+    path = CONFIGS / f"{name}.yaml"
+    return build_experiment(load_config(path, list(overrides)), path)

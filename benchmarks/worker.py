@@ -1,0 +1,138 @@
+"""A process of its own for what may take too long or too much memory.
+
+The worker (`serve`) prepares itself, says that it is ready, and then does its work once for every
+line that it reads, so that it can take turns with others. It speaks JSON, a line at a time, on what
+was its standard output; whatever else it prints goes to its standard error.
+"""
+
+import contextlib
+import json
+import os
+import resource
+import select
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from typing import IO, Any
+
+from benchmarks.plan import ROOT
+
+# Address space that a worker may take, bytes. Compilers that lose themselves in a program are
+# stopped by it before the machine begins to swap.
+MEMORY_LIMIT = 12 * 2**30
+# Set by this program for itself: XLA's threads are shut off where every core is a device.
+_OWN_SETTINGS = ("NPROC",)
+
+
+class WorkerError(Exception):
+    """Why a worker gives no results; in words for the table."""
+
+
+class Worker:
+    """A started worker.
+
+    Args:
+        complaints: where its standard error goes.
+        module: of this package, which calls `serve`.
+        arguments: for it.
+    """
+
+    def __init__(self, complaints: IO[str], module: str, *arguments: str):
+        self._complaints, self._doing = complaints, "compiling"
+        environment = {key: v for key, v in os.environ.items() if key not in _OWN_SETTINGS}
+        environment["PYTHONPATH"] = os.pathsep.join(
+            filter(None, [str(ROOT), os.environ.get("PYTHONPATH")])
+        )
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", f"benchmarks.{module}", *arguments],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=self._complaints,
+            env=environment,
+            text=True,
+        )
+
+    def answer(self, limit: float) -> dict[str, Any]:
+        """The next line that it says.
+
+        Args:
+            limit: to wait for it, s.
+
+        Raises:
+            WorkerError: it took longer, or ended, or said why it cannot.
+        """
+        assert self._process.stdout is not None
+        if not select.select([self._process.stdout], [], [], limit)[0]:
+            raise WorkerError(f"did not finish {self._doing} in {limit:g} s")
+        line = self._process.stdout.readline()
+        if not line:
+            raise WorkerError(self._last_words())
+        answer = json.loads(line)
+        if "error" in answer:
+            raise WorkerError(answer["error"])
+        self._doing = "a call"
+        return answer
+
+    def ask(self, question: Any, limit: float) -> dict[str, Any]:
+        """Let it do its work once, and wait for the answer."""
+        assert self._process.stdin is not None
+        try:
+            self._process.stdin.write(json.dumps(question) + "\n")
+            self._process.stdin.flush()
+        except BrokenPipeError:
+            raise WorkerError(self._last_words()) from None
+        return self.answer(limit)
+
+    def stop(self) -> None:
+        """End it at once."""
+        self._process.kill()
+        self._process.wait()
+        for stream in (self._process.stdin, self._process.stdout):
+            if stream is not None:
+                # What was not yet read by the worker cannot be delivered any more.
+                with contextlib.suppress(BrokenPipeError):
+                    stream.close()
+
+    def _last_words(self) -> str:
+        code = self._process.wait()
+        self._complaints.seek(0)
+        lines = [line.strip() for line in self._complaints if line.strip()]
+        return f"ended with code {code}: {lines[-1] if lines else 'no word'}"
+
+
+@contextlib.contextmanager
+def started(module: str, *arguments: str) -> Iterator[Worker]:
+    """A worker that does not outlive the block."""
+    with tempfile.TemporaryFile("w+") as complaints:
+        worker = Worker(complaints, module, *arguments)
+        try:
+            yield worker
+        finally:
+            worker.stop()
+
+
+def serve(prepare: Callable[[], tuple[dict[str, Any], Callable[[Any], dict[str, Any]]]]) -> None:
+    """The worker's side.
+
+    Args:
+        prepare: gives what to say once ready, and the work: from a question to its answer.
+    """
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY_LIMIT, MEMORY_LIMIT))
+    speech = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)
+
+    def say(answer: dict[str, Any]) -> None:
+        speech.write(json.dumps(answer) + "\n")
+        speech.flush()
+
+    start = time.perf_counter()
+    try:
+        ready, work = prepare()
+        say({"prepared": time.perf_counter() - start, **ready})
+        for line in sys.stdin:
+            say(work(json.loads(line)))
+    except Exception as error:
+        first = (str(error).strip() or "no word").splitlines()[0]
+        say({"error": f"{type(error).__name__}: {first}"})

@@ -1,0 +1,75 @@
+"""Every case measures something; the picture and the tables take what it gives."""
+
+import math
+
+import matplotlib.image
+import numpy as np
+import pytest
+
+from benchmarks import breeding, jax_peers, machine, picture, suite
+from benchmarks.plan import Plan
+from benchmarks.report import table
+from benchmarks.rows import SECONDS, load, save
+
+PEAK = 1e11
+MACHINE = {"processor": "abacus", "cores": 2, "float32_peak": PEAK}
+# What compiles for long.
+SLOW = {"gradient", "startup", "salamander-land", "salamander-water", "quadruped", "scaling"}
+TIMES = {"time", "first ever", "again"}
+PLAN = Plan(2, call_seconds=0.01, repeats=2, quick=True)
+CASES = [
+    pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name for name in suite.CASES
+]
+
+
+def test_slow_cases_are_cases():
+    assert set(suite.CASES) > SLOW
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_case_measures(name, monkeypatch, tmp_path):
+    # Other packages have other warnings; they take part when the suite is run.
+    monkeypatch.setattr(jax_peers, "_MODULES", {"mjx": "no_such_mjx", "brax": "no_such_brax"})
+    monkeypatch.setattr(breeding, "_MODULE", "no_such_evosax")
+    sizes = (2,) if suite.CASES[name].sized else None
+    rows = suite.CASES[name].measure(PLAN._replace(sizes=sizes), PEAK)
+    assert rows
+    for row in rows:
+        assert row.case == name
+        assert row.rate > 0
+        if sizes:
+            assert row.size == 2
+        for error in (row.error, row.peer_error):
+            assert error is None or (math.isfinite(error) and error > 0)
+        assert (row.ratio is None) == (row.peer_rate is None)
+        assert row.peer is None or (row.peer_rate is None) == (row.note == "not installed")
+        if row.ratio is not None and row.ratio_spread is not None:
+            assert row.ratio_spread[0] <= row.ratio <= row.ratio_spread[1]
+        if row.peak_share is not None:
+            assert row.flops == pytest.approx(row.peak_share * PEAK)
+    measured = [row for row in rows if row.error is not None]
+    assert bool(measured) == (name in {"cpg", "brain", *suite.ANIMALS})
+    # Float32 costs the brain its last digits; a step costs the others more.
+    assert all(row.error < (1e-5 if name == "brain" else 1) for row in measured)
+    assert len({row.key for row in rows}) == len(rows)
+    assert all((row.unit == SECONDS) == (row.part in TIMES) for row in rows)
+    save(tmp_path / "bench.json", MACHINE, rows)
+    assert load(tmp_path / "bench.json")[1] == rows
+    assert table(rows, MACHINE).row_count == len(rows)
+    drawn = matplotlib.image.imread(picture.draw(rows, MACHINE, tmp_path / "bench.png"))
+    assert drawn.shape[1] == 900
+    blue = np.array([0x00, 0x72, 0xB2]) / 255
+    bars = (np.abs(drawn[..., :3] - blue).max(-1) < 0.02).any()
+    assert bars == (name in suite.ANIMALS)
+
+
+def test_the_peak_is_that_of_a_matrix_product():
+    """No processor that runs JAX does fewer, and none more, on as few cores."""
+    assert 1e9 < machine.matrix_product_rate() < 2e12
+
+
+def test_the_peak_memory_grows_with_what_is_held():
+    before = machine.peak_memory()
+    held = np.ones(2**26 // 8)
+    assert held.nbytes == 2**26
+    assert before < machine.peak_memory() < before + 2**28

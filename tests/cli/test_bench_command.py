@@ -1,0 +1,73 @@
+"""`evo-cpg bench`: what it takes, and what it answers to the rest."""
+
+import json
+
+import pytest
+import typer
+
+from benchmarks import suite
+from evo_cpg.cli.main import app
+
+QUICK = ("bench", "brain", "--quick", "--sizes", "3,17")
+
+
+@pytest.fixture(autouse=True)
+def two_devices(monkeypatch):
+    # JAX has its two devices already, and other tests the compilation cache.
+    monkeypatch.setattr(suite, "use_cores", lambda: 2)
+    monkeypatch.setattr(suite.jax.config, "update", lambda name, value: None)
+
+
+def test_help_names_every_case():
+    command = typer.main.get_command(app).commands["bench"]
+    text = next(parameter.help for parameter in command.params if parameter.name == "cases")
+    words = text.removesuffix("; all by default.").replace(" or ", ", ").split(", ")
+    assert words == list(suite.CASES)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["swimer"], ["there is no case 'swimer'", "did you mean 'swimmer'?", "startup"]),
+        (["brain", "--sizes", "1,x"], ["--sizes: 'x' is no number", "1,15,200"]),
+        (["brain", "--sizes", "0"], ["'0' is no number", "from 1 to 1000000"]),
+        (["brain", "--sizes", "-5"], ["'-5' is no number"]),
+        (["ga", "--sizes", "15"], ["--sizes: ga has a size of its own"]),
+        (["brain", "--compare", "nowhere.json"], ["--compare: nowhere.json cannot be read"]),
+        (["brain", "--plot", "bench.txt"], ["bench.txt", "'.txt'", ".png"]),
+        (["brain", "--json", "/proc/bench.json"], ["--json: /proc/bench.json cannot be written"]),
+    ],
+)
+def test_wrong_input_is_answered_in_a_line(cli, monkeypatch, tmp_path, arguments, words):
+    monkeypatch.chdir(tmp_path)
+    code, out, complaint = cli("bench", *arguments)
+    assert (code, out) == (2, "")
+    assert complaint.count("\n") == 1
+    assert all(word in complaint for word in words), complaint
+
+
+def test_a_file_that_is_no_benchmark_is_refused(cli, tmp_path):
+    other = tmp_path / "other.json"
+    other.write_text("{}")
+    code, _, complaint = cli(*QUICK, "--compare", other)
+    assert code == 2
+    assert f"--compare: {other} is no benchmark of this program" in complaint
+
+
+def test_a_run_is_kept_and_compared(cli, tmp_path):
+    """A tenth of the rate is slower; a tenfold one is not."""
+    kept, drawn = tmp_path / "new" / "bench.json", tmp_path / "bench.png"
+    code, out, complaint = cli(*QUICK, "--json", kept, "--plot", drawn)
+    assert code == 0, complaint
+    assert "brain, network" in " ".join(out.split())
+    assert drawn.is_file()
+    record = json.loads(kept.read_text())
+    assert [row["size"] for row in record["rows"]] == [3, 17]
+    assert record["machine"]["cores"] == 2 and record["machine"]["float32_peak"] > 0
+    for factor, expected in ((0.01, 0), (100, 1)):
+        earlier = tmp_path / "earlier.json"
+        rows = [{**row, "rate": row["rate"] * factor} for row in record["rows"]]
+        earlier.write_text(json.dumps({**record, "rows": rows}))
+        code, out, _ = cli(*QUICK, "--compare", earlier)
+        assert code == expected
+        assert ("SLOWER" in out) == bool(expected)
