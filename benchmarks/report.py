@@ -1,5 +1,6 @@
 """The rows as tables on the screen."""
 
+from collections.abc import Sequence
 from typing import Any
 
 from rich.table import Table
@@ -10,29 +11,33 @@ from benchmarks.rows import SECONDS, Row
 _SCALES = ((1e9, "G"), (1e6, "M"), (1e3, "k"))
 
 
-def table(rows: list[Row], machine: dict[str, Any]) -> Table:
-    """Everything measured, a line per row.
+def tables(rows: list[Row], machine: dict[str, Any]) -> tuple[Table, Table]:
+    """Everything measured: what is known of ours, and who stands beside it.
 
     Args:
         rows: what was measured.
         machine: from `benchmarks.machine.describe`.
     """
-    shown = Table(
-        title=f"{machine['cores']} cores of {machine['processor']}, float32 matrix product "
-        f"{amount(machine['float32_peak'])}FLOP/s",
-        caption="n: individuals; error: see docs/benchmarks.md; peak: useful operations per second "
-        "as a share of the matrix product's; ratio: median and quartiles over the rounds",
+    ours = _table(
+        f"{machine['cores']} cores of {machine['processor']}",
+        "n: individuals; error: docs/benchmarks.md says of what; peak: useful operations as a "
+        f"share of the float32 matrix product's {amount(machine['float32_peak'])}FLOP/s",
+        ("case", "n", "rate", "compile", "memory", "error", "peak"),
     )
-    columns = ("case", "n", "ours", "compile", "memory", "error", "peak", "beside", "theirs")
-    for column in (*columns, "error", "ratio"):
-        left = column in ("case", "beside", "theirs")
-        shown.add_column(column, justify="left" if left else "right")
-    last = None
+    beside = _table(
+        "beside its peers",
+        "ratio: ours over theirs, median and quartiles over the rounds",
+        ("case", "n", "peer", "theirs", "error", "ratio"),
+        ("peer",),
+    )
+    known = set()
     for row in rows:
-        known = last is not None and last[:3] == row.key[:3]
-        shown.add_row(*(("",) * 7 if known else _ours(row)), *_theirs(row))
-        last = row.key
-    return shown
+        if row.key[:3] not in known:
+            ours.add_row(_name(row), str(row.size), *_ours(row))
+            known.add(row.key[:3])
+        if row.peer:
+            beside.add_row(_name(row), str(row.size), *_theirs(row))
+    return ours, beside
 
 
 def comparison(verdict: Verdict, tolerance: float) -> Table:
@@ -42,14 +47,13 @@ def comparison(verdict: Verdict, tolerance: float) -> Table:
         verdict: from `benchmarks.compare.compare`.
         tolerance: largest share that a row may lose.
     """
-    shown = Table(
-        title=f"against the earlier run: {len(verdict.slower)} of {len(verdict.changes)} lost more "
-        f"than {tolerance:.0%}",
-        caption="rows beside a peer are compared by the ratio to it, others by their rate",
+    shown = _table(
+        f"against the earlier run: {len(verdict.slower)} of {len(verdict.changes)} lost more than "
+        f"{tolerance:.0%}",
+        "rows beside a peer are compared by the ratio to it, others by their rate",
+        ("case", "n", "compared", "then", "now", "speed"),
+        ("compared",),
     )
-    for column in ("case", "n", "compared", "then", "now", "speed"):
-        left = column in ("case", "compared")
-        shown.add_column(column, justify="left" if left else "right")
     for change in verdict.changes:
         row = change.row
         shown.add_row(
@@ -72,14 +76,21 @@ def amount(value: float) -> str:
     return f"{value:.3g} "
 
 
+def _table(title: str, caption: str, columns: Sequence[str], words: Sequence[str] = ()) -> Table:
+    """An empty table; the columns of words, and the first, are set to the left."""
+    shown = Table(title=title, caption=caption)
+    for column in columns:
+        left = column in (columns[0], *words)
+        shown.add_column(column, justify="left" if left else "right", no_wrap=column == columns[0])
+    return shown
+
+
 def _name(row: Row) -> str:
     return f"{row.case}, {row.part}"
 
 
 def _ours(row: Row) -> tuple[str, ...]:
     return (
-        _name(row),
-        str(row.size),
         _rate(row.rate, row.unit),
         f"{row.compile_seconds:.1f} s" if row.compile_seconds is not None else "",
         f"{row.memory / 2**20:.0f} MiB" if row.memory else "",

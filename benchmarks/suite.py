@@ -115,7 +115,8 @@ def main(wanted: Wanted) -> bool:
             if not wanted.cases or name in wanted.cases:
                 found += CASES[name].measure(plan, peak)
     where = machine.describe(cores, peak) | {"quick": wanted.quick}
-    console.print(report.table(found, where))
+    for table in report.tables(found, where):
+        console.print(table)
     if wanted.json is not None:
         rows.save(wanted.json, where, found)
         console.print(str(wanted.json), highlight=False)

@@ -1,8 +1,7 @@
 """The figure of accuracy falls with the step as a method of first order lets it."""
 
-import dataclasses
+import functools
 
-import jax
 import numpy as np
 import pytest
 
@@ -17,12 +16,12 @@ from benchmarks.accuracy import (
     typical_distance,
 )
 from benchmarks.exercise import Wave
+from benchmarks.moving import PHYSICS, WHOLE, Animal, measure
 from benchmarks.mujoco_peer import WET
 from benchmarks.ours import compile_motion, full_lanes
-from benchmarks.plan import experiment_of
-from creatures import box_chain, in_water
-from evo_cpg.creature.creature import Actuator
+from benchmarks.plan import Plan, experiment_of
 from evo_cpg.training.devices import population_mesh
+from tiny_run import TINY
 
 STEPS = 120
 # Of a first-order method, with a sixteenth of the step as the reference.
@@ -31,42 +30,60 @@ EXPECTED = (1 - 1 / FINER) / (1 / 4 - 1 / FINER)
 
 @pytest.fixture(scope="module")
 def chain():
-    """Two boxes, of which one is made to beat by the wave."""
-    experiment = experiment_of("iwadate2010_swimmer")
-    creature = box_chain(2, "z", Actuator(5.0))
-    simulation = dataclasses.replace(experiment.simulation, world=in_water(creature))
-    return Wave(experiment._replace(creature=creature, simulation=simulation))
+    """Two boxes, one of which the wave makes beat."""
+    return Wave(experiment_of("iwadate2010_swimmer", *TINY, "creature.bodies.1.repeat=1"))
+
+
+@pytest.fixture(scope="module")
+def places(chain):
+    """Where either side's animals are, by how finely the step is divided."""
+
+    @functools.cache
+    def found(side, finer):
+        if side == "ours":
+            return our_places(chain, population_mesh(), STEPS, finer)
+        return mujoco_places(chain, WET[0], 1, STEPS, finer)
+
+    return found
 
 
 @pytest.mark.parametrize("side", ["ours", "MuJoCo"])
-def test_the_error_falls_in_the_first_order(chain, side):
-    """To within a quarter: 1 s is long enough for the second order to show a little."""
-    mesh = population_mesh()
-
-    def places(finer):
-        if side == "ours":
-            return our_places(chain, mesh, STEPS, finer)
-        return mujoco_places(chain, WET[0], 1, STEPS, finer)
-
-    exact, coarse, fine = (places(finer) for finer in (FINER, 1, 4))
-    errors = [typical_distance(found, exact) for found in (coarse, fine)]
-    assert errors[0] / errors[1] == pytest.approx(EXPECTED, rel=0.25)
-    assert errors[0] > 1e-5
+def test_the_error_falls_in_the_first_order(places, side):
+    """To within a quarter: a step of 1/120 s is long enough for the second order to show."""
+    coarse, fine = (typical_distance(places(side, n), places(side, FINER)) for n in (1, 4))
+    assert coarse / fine == pytest.approx(EXPECTED, rel=0.25)
+    assert coarse > 1e-5
 
 
-def test_errors_are_in_body_lengths(chain):
+def test_errors_are_in_body_lengths(chain, places):
     """The float32 motion at the step itself has the error that its float64 twin has."""
     mesh = population_mesh()
-    lanes = chain.lanes(full_lanes(CROWD, mesh))
-    found = our_error(chain, compile_motion(chain, lanes, mesh), mesh)
-    coarse, exact = (our_places(chain, mesh, STEPS, finer) for finer in (1, FINER))
-    assert found == pytest.approx(typical_distance(coarse, exact) / body_length(chain), rel=0.01)
-    assert 0 < mujoco_error(chain, WET[0], 1) < 0.1
+    program = compile_motion(chain, chain.lanes(full_lanes(CROWD, mesh)), mesh)
+    twin = typical_distance(places("ours", 1), places("ours", FINER)) / body_length(chain)
+    assert our_error(chain, program, mesh) == pytest.approx(twin, rel=0.01)
+    peer = typical_distance(places("MuJoCo", 1), places("MuJoCo", FINER)) / body_length(chain)
+    assert mujoco_error(chain, WET[0], 1) == pytest.approx(peer)
 
 
-def test_the_swimmers_body_length_is_that_between_its_ends():
-    exercise = Wave(experiment_of("iwadate2010_swimmer"))
-    tree = exercise.experiment.simulation.world.tree
-    joints = np.linalg.norm(np.asarray(tree.joint_offset), axis=0).sum()
-    assert joints * 0.8 < body_length(exercise) < joints * 1.3
-    assert not jax.config.jax_enable_x64
+def test_a_chains_body_length_is_from_centre_to_centre(chain):
+    tree = chain.experiment.simulation.world.tree
+    offset = tree.joint_offset[:, 1] + tree.joint_orientation[..., 1] @ tree.com[:, 1]
+    assert body_length(chain) == pytest.approx(np.linalg.norm(offset - tree.com[:, 0]))
+
+
+def test_an_animal_is_measured_at_every_size(chain):
+    """Rows of both parts beside every kind of water, and of how the largest one compares."""
+    animal, plan = Animal("chain", chain, (200, 208), flops=1000), Plan(2, None, 0.01, 2)
+    rows = measure(animal, plan, 1e11)
+    for size in animal.sizes:
+        for part in (PHYSICS, WHOLE):
+            own = [row for row in rows if (row.size, row.part) == (size, part)]
+            assert [row.peer for row in own] == [kind.name for kind in WET]
+            assert all(row.rate > 0 and row.peer_rate and row.ratio for row in own)
+            assert all(row.note is None for row in own)
+        physics = [row for row in rows if (row.size, row.part) == (size, PHYSICS)]
+        assert all(0 < row.error < 0.1 and 0 < row.peer_error < 0.1 for row in physics)
+        assert all(row.flops == pytest.approx(1000 * row.rate) for row in physics)
+    large = [row for row in rows if row.part.endswith(", large")]
+    assert [row.size for row in large] == [208, 208]
+    assert all(row.ratio == pytest.approx(row.rate / row.peer_rate) for row in large)

@@ -44,7 +44,7 @@ def test_the_model_has_the_animals_masses_motors_and_limits(quadruped, model):
 def test_bodies_touch_the_floor_alone(model):
     """Folded up in the floor, every contact has the plane on one side."""
     data = mujoco.MjData(model)
-    data.qpos[7:] = 2.5
+    data.qpos[2], data.qpos[7:] = 0.0, 2.5
     mujoco.mj_forward(model, data)
     floor = np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE)
     assert data.ncon > 4
