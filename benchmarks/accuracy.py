@@ -1,12 +1,12 @@
 """How far a motion is from the one that smaller steps give.
 
-The error of a motion is the median over 16 individuals of the distance, after 1 s in water or 0.25 s
-on the ground, between where the root is and where it is in a *reference*: the same program with a
-sixteenth of the step and the same commands, held over the same times. It is given as a share of the body length, the largest
-distance between two bodies' centres in the neutral pose, so that animals and programs can be
-compared. Each program is held against a reference of its own: what is measured is what the step
-costs in accuracy, not whose water or ground is the right one. Our reference is in float64, so our
-error contains the rounding of float32.
+The error of a motion is the median over 16 individuals of the distance, after 1 s in water or
+0.25 s on the ground, between where the root is and where it is in a *reference*: the same program
+with a sixteenth of the step and the same commands, held over the same times. It is given as a share
+of the body length, the largest distance between two bodies' centres in the neutral pose, so that
+animals and programs can be compared. Each program is held against a reference of its own: what is
+measured is what the step costs in accuracy, not whose water or ground is the right one. Our
+reference is in float64, so our error contains the rounding of float32.
 """
 
 import jax

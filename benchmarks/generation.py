@@ -2,24 +2,21 @@
 
 import functools
 import statistics
-import time
 
 import jax
 import numpy as np
 
 from benchmarks.moving import UNIT
-from benchmarks.plan import Plan, experiment_of
+from benchmarks.plan import Plan, experiment_of, swimmer_settings
 from benchmarks.rows import SECONDS, Row
-from benchmarks.timing import Contender, race
+from benchmarks.timing import Contender, race, seconds
 from evo_cpg.training.devices import fast_jit, population_mesh
 from evo_cpg.training.experiment import breed, compile_trials, first_population
-
-_QUICK = ("simulation.steps=60", "evolution.population=32", "evolution.elites=4")
 
 
 def measure(plan: Plan) -> list[Row]:
     """Seconds, and the same as individual physics steps per second."""
-    experiment = experiment_of("iwadate2010_swimmer", *(_QUICK if plan.quick else ()))
+    experiment = experiment_of("iwadate2010_swimmer", *swimmer_settings(plan))
     simulation, population = experiment.simulation, experiment.genetics.population
     genes = np.asarray(fast_jit(lambda: first_population(experiment))())
     scales = {"energy": np.ones(1, np.float32)}
@@ -31,16 +28,15 @@ def measure(plan: Plan) -> list[Row]:
         jax.device_get(breeding(genes, outcome, np.int32(0), scales))
 
     plan.say("generation: compiling")
-    start = time.perf_counter()
-    live()
-    first = time.perf_counter() - start
+    first = seconds(live)
     plan.say("generation")
     rate = statistics.median(race([Contender("generation", 1, live)], plan.repeats)["generation"])
     compile_seconds = max(first - 1 / rate, 0.0)
     steps = population * simulation.steps * simulation.substeps
     how = (
-        f"{population} individuals, {simulation.steps} control steps, {plan.cores} cores, median "
-        f"of {plan.repeats}; compiling is the first call less a later one"
+        f"{population} individuals of {simulation.world.tree.body_count} bodies, "
+        f"{simulation.steps} control steps, {plan.cores} cores, median of {plan.repeats}; "
+        "compiling is the first call less a later one"
     )
     return [
         Row("generation", "time", population, 1 / rate, SECONDS, how, compile_seconds),

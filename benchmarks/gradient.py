@@ -2,16 +2,17 @@
 
 One second of the swimmer's whole stack, on one core, in a process of its own: compiling the
 backward pass may take long and much memory. Run as a program, this module is the worker:
-`python -m benchmarks.gradient SIZE`.
+`python -m benchmarks.gradient SIZE [KEY=VALUE ...]`.
 """
 
 import statistics
 import sys
 import time
+from collections.abc import Sequence
 from typing import Any
 
 from benchmarks.moving import UNIT
-from benchmarks.plan import Plan
+from benchmarks.plan import Plan, swimmer_settings
 from benchmarks.rows import Row
 from benchmarks.timing import Contender, race, ratio_quartiles
 from benchmarks.worker import WorkerError, serve, started
@@ -27,7 +28,7 @@ def measure(plan: Plan) -> list[Row]:
     """One row, whose ratio is the speed with the gradient over that without."""
     plan.say("gradient: compiling")
     limit = _PATIENCE * plan.limit
-    with started("gradient", str(SIZE)) as worker:
+    with started("gradient", str(SIZE), *swimmer_settings(plan)) as worker:
         try:
             ready = worker.answer(limit)
         except WorkerError as error:
@@ -43,8 +44,8 @@ def measure(plan: Plan) -> list[Row]:
     return [
         _row(
             statistics.median(rates[_GRADIENT]),
-            f"; median of {plan.repeats} rounds in turn; the forward run compiles in "
-            f"{forward:.0f} s",
+            f", {ready['bodies']} bodies; median of {plan.repeats} rounds in turn; the forward run "
+            f"compiles in {forward:.0f} s",
             compile_seconds=ready["gradient_seconds"],
             temporary=ready["temporary"],
             memory=ready["peak"],
@@ -60,7 +61,7 @@ def _row(rate: float, how: str, **fields: Any) -> Row:
     return Row("gradient", _GRADIENT, SIZE, rate, UNIT, what, peer=_FORWARD, **fields)
 
 
-def _prepare(size: int) -> tuple[dict[str, Any], Any]:
+def _prepare(size: int, settings: Sequence[str]) -> tuple[dict[str, Any], Any]:
     import dataclasses
 
     import jax
@@ -73,7 +74,7 @@ def _prepare(size: int) -> tuple[dict[str, Any], Any]:
     from evo_cpg.training.devices import fast_jit, use_cores
 
     use_cores()
-    simulation = experiment_of("iwadate2010_swimmer").simulation
+    simulation = experiment_of("iwadate2010_swimmer", *settings).simulation
     control_steps = round(_SECONDS * simulation.control_rate)
     simulation = dataclasses.replace(simulation, steps=control_steps)
     scales = {"energy": jnp.float32(1)}
@@ -104,6 +105,7 @@ def _prepare(size: int) -> tuple[dict[str, Any], Any]:
     if not np.isfinite(slope).all():
         raise FloatingPointError(f"{(~np.isfinite(slope)).sum()} slopes are not finite")
     ready = {
+        "bodies": simulation.world.tree.body_count,
         "steps": control_steps * simulation.substeps,
         "forward_seconds": forward_seconds,
         "gradient_seconds": gradient_seconds,
@@ -114,4 +116,4 @@ def _prepare(size: int) -> tuple[dict[str, Any], Any]:
 
 
 if __name__ == "__main__":
-    serve(lambda: _prepare(int(sys.argv[1])))
+    serve(lambda: _prepare(int(sys.argv[1]), sys.argv[2:]))

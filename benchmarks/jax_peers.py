@@ -112,7 +112,8 @@ def _enter(
     except WorkerError as error:
         worker.stop()
         return Entry(peer, None, None, str(error))
-    work = functools.partial(worker.ask, repeats, _PATIENCE)
+    # One call came in time; that a later one takes longer is no reason to lose all rows.
+    work = functools.partial(worker.ask, repeats, plan.limit)
     contender = Contender(peer.name, size * STEPS * repeats, work)
     lost = size - moved["finite"]
     return Entry(peer, contender, compiled, f"{lost} of {size} diverged" if lost else None)

@@ -12,6 +12,15 @@ ROOT = Path(__file__).parents[1]
 CONFIGS = ROOT / "configs"
 
 
+# The swimmer with three of its ten bodies and short trials, for a first look at what compiles long.
+SMALL_SWIMMER = (
+    "creature.bodies.1.repeat=2",
+    "simulation.steps=60",
+    "evolution.population=32",
+    "evolution.elites=4",
+)
+
+
 class Plan(NamedTuple):
     """What holds for all cases of a run.
 
@@ -36,6 +45,11 @@ class Plan(NamedTuple):
     def sizes_or(self, *own: int) -> tuple[int, ...]:
         """The population sizes of a case: those chosen, or its own, of which the first if quick."""
         return self.sizes or (own[:1] if self.quick else own)
+
+
+def swimmer_settings(plan: Plan) -> tuple[str, ...]:
+    """Overrides of the swimmer's config: none, or those that make it small."""
+    return SMALL_SWIMMER if plan.quick else ()
 
 
 def experiment_of(name: str, *overrides: str) -> Experiment:

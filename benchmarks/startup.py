@@ -10,13 +10,12 @@ import sys
 import tempfile
 from pathlib import Path
 
-from benchmarks.plan import CONFIGS, ROOT, Plan
+from benchmarks.plan import CONFIGS, ROOT, Plan, experiment_of, swimmer_settings
 from benchmarks.rows import SECONDS, Row
 from benchmarks.timing import seconds
 
-_QUICK = ("simulation.steps=60", "evolution.population=32", "evolution.elites=4")
-# Where a user may have told programs to keep what they compile; the folder here must be empty.
-_CACHES = ("JAX_COMPILATION_CACHE_DIR", "EVO_CPG_CACHE")
+# Where a user may have told JAX to keep what it compiles; the folder here must begin empty.
+_CACHE = "JAX_COMPILATION_CACHE_DIR"
 
 
 class StartError(Exception):
@@ -25,8 +24,8 @@ class StartError(Exception):
 
 def measure(plan: Plan) -> list[Row]:
     """The first start ever, and the second one."""
-    overrides = ("evolution.generations=1", *(_QUICK if plan.quick else ()))
-    population = 32 if plan.quick else 200
+    overrides = ("evolution.generations=1", *swimmer_settings(plan))
+    population = experiment_of("iwadate2010_swimmer", *overrides).genetics.population
     how = (
         "evo-cpg train configs/iwadate2010_swimmer.yaml "
         f"{' '.join(overrides)}, a process of its own, wall clock"
@@ -43,7 +42,7 @@ def measure(plan: Plan) -> list[Row]:
 def _start(folder: Path, part: str, overrides: tuple[str, ...]) -> None:
     home, out = folder / "home", folder / part.replace(" ", "-")
     home.mkdir(exist_ok=True)
-    environment = {key: value for key, value in os.environ.items() if key not in _CACHES}
+    environment = {key: value for key, value in os.environ.items() if key != _CACHE}
     environment |= {"HOME": str(home), "XDG_CACHE_HOME": str(home / "cache")}
     environment["PYTHONPATH"] = os.pathsep.join(
         filter(None, [str(ROOT), os.environ.get("PYTHONPATH")])

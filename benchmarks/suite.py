@@ -34,6 +34,8 @@ from evo_cpg.training.devices import use_cores
 
 # How long a call lasts, and how many rounds there are.
 _THOROUGH, _QUICK = (0.5, 7), (0.05, 3)
+# A first look does not wait longer for a peer to compile, s.
+_QUICK_LIMIT = 30.0
 
 
 class Case(NamedTuple):
@@ -100,17 +102,14 @@ def main(wanted: Wanted) -> bool:
     """
     # Read first: measuring takes long, and the file may be no benchmark.
     earlier = rows.load(wanted.earlier) if wanted.earlier else None
-    # What an earlier run compiled must not make compiling look quick.
-    jax.config.update("jax_enable_compilation_cache", False)
-    cores = use_cores()
+    cores = _prepare_jax()
     console = Console()
     found: list[Row] = []
     with console.status("the machine's peak") as status:
         peak = machine.matrix_product_rate()
         call_seconds, repeats = _QUICK if wanted.quick else _THOROUGH
-        plan = Plan(
-            cores, wanted.sizes, call_seconds, repeats, wanted.limit, wanted.quick, status.update
-        )
+        limit = min(wanted.limit, _QUICK_LIMIT) if wanted.quick else wanted.limit
+        plan = Plan(cores, wanted.sizes, call_seconds, repeats, limit, wanted.quick, status.update)
         for name in CASES:
             if not wanted.cases or name in wanted.cases:
                 found += CASES[name].measure(plan, peak)
@@ -130,3 +129,10 @@ def main(wanted: Wanted) -> bool:
     for line in verdict.remarks:
         console.print(line, highlight=False)
     return not verdict.slower
+
+
+def _prepare_jax() -> int:
+    """Make every core a device, and let nothing that was compiled before look quick."""
+    cores = use_cores()
+    jax.config.update("jax_enable_compilation_cache", False)
+    return cores

@@ -24,6 +24,8 @@ from benchmarks.plan import ROOT
 MEMORY_LIMIT = 12 * 2**30
 # Set by this program for itself: XLA's threads are shut off where every core is a device.
 _OWN_SETTINGS = ("NPROC",)
+# What was compiled before must not make compiling look quick.
+_NO_CACHE = {"JAX_ENABLE_COMPILATION_CACHE": "false"}
 
 
 class WorkerError(Exception):
@@ -42,6 +44,7 @@ class Worker:
     def __init__(self, complaints: IO[str], module: str, *arguments: str):
         self._complaints, self._doing = complaints, "compiling"
         environment = {key: v for key, v in os.environ.items() if key not in _OWN_SETTINGS}
+        environment |= _NO_CACHE
         environment["PYTHONPATH"] = os.pathsep.join(
             filter(None, [str(ROOT), os.environ.get("PYTHONPATH")])
         )
