@@ -55,7 +55,7 @@ def draw(rows: list[Row], machine: dict[str, Any], path: Path) -> Path:
         _panel(axes, title, bars, limits)
     panels[-1, 0].set_xlabel("individual physics steps per second", fontsize=10)
     figure.suptitle(
-        f"{machine['processor']}, {machine['cores']} cores\nratios: ours over theirs",
+        f"{machine['processor']}, {machine['cores']} cores\nratios: our physics over theirs",
         fontsize=9,
         color=_GREY,
     )
@@ -87,6 +87,7 @@ def _bars(rows: list[Row]) -> list[Bar]:
             color = _ORANGE if row.peer.startswith("MuJoCo") else _GREEN
             if row.peer_rate and row.ratio:
                 words = f"{amount(row.peer_rate).strip()}   {row.ratio:.3g}x"
+                words += f"   {row.note}" if row.note else ""
             else:
                 words = row.note or ""
             bars.append((row.peer, row.peer_rate, words, color))
