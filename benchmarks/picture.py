@@ -55,7 +55,7 @@ def draw(rows: list[Row], machine: dict[str, Any], path: Path) -> Path:
         _panel(axes, title, bars, limits)
     panels[-1, 0].set_xlabel("individual physics steps per second", fontsize=10)
     figure.suptitle(
-        f"{machine['processor']}, {machine['cores']} cores\nratios: our physics over theirs",
+        f"{machine['processor']}, cores: {machine['cores']}\nratios: our physics over theirs",
         fontsize=9,
         color=_GREY,
     )

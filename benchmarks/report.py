@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import Any
 
+from rich import box
 from rich.table import Table
 
 from benchmarks.compare import Verdict
@@ -19,15 +20,17 @@ def tables(rows: list[Row], machine: dict[str, Any]) -> tuple[Table, Table]:
         machine: from `benchmarks.machine.describe`.
     """
     ours = _table(
-        f"{machine['cores']} cores of {machine['processor']}",
-        "n: individuals; error: docs/benchmarks.md says of what; peak: useful operations as a "
-        f"share of the float32 matrix product's {amount(machine['float32_peak'])}FLOP/s",
+        f"cores of {machine['processor']}: {machine['cores']}",
+        "n: individuals; rate: in a second; memory: MiB; error: docs/benchmarks.md says of what; "
+        "peak: useful operations as a share of the float32 matrix product's "
+        f"{amount(machine['float32_peak'])}FLOP/s",
         ("case", "n", "rate", "compile", "memory", "error", "peak"),
     )
     beside = _table(
         "beside its peers",
-        "ratio: ours over theirs, median and quartiles over the rounds",
-        ("case", "n", "peer", "theirs", "error", "ratio"),
+        "ratio: ours over theirs, median over the rounds; spread: half of what lies between its "
+        "quartiles",
+        ("case", "n", "peer", "theirs", "error", "ratio", "spread"),
         ("peer",),
     )
     known = set()
@@ -38,6 +41,12 @@ def tables(rows: list[Row], machine: dict[str, Any]) -> tuple[Table, Table]:
         if row.peer:
             beside.add_row(_name(row), str(row.size), *_theirs(row))
     return ours, beside
+
+
+def notes(rows: list[Row]) -> list[str]:
+    """Why peers gave no rate, and what else is to be known of them, a line each."""
+    lines = [f"{row.case}, {row.size}, {row.peer}: {row.note}" for row in rows if row.note]
+    return list(dict.fromkeys(lines))
 
 
 def comparison(verdict: Verdict, tolerance: float) -> Table:
@@ -78,10 +87,14 @@ def amount(value: float) -> str:
 
 def _table(title: str, caption: str, columns: Sequence[str], words: Sequence[str] = ()) -> Table:
     """An empty table; the columns of words, and the first, are set to the left."""
-    shown = Table(title=title, caption=caption)
+    shown = Table(
+        title=title, caption=caption, box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True
+    )
     for column in columns:
         left = column in (columns[0], *words)
-        shown.add_column(column, justify="left" if left else "right", no_wrap=column == columns[0])
+        # Words may be broken where a terminal is narrow, numbers may not.
+        whole = column not in words
+        shown.add_column(column, justify="left" if left else "right", no_wrap=whole)
     return shown
 
 
@@ -92,27 +105,27 @@ def _name(row: Row) -> str:
 def _ours(row: Row) -> tuple[str, ...]:
     return (
         _rate(row.rate, row.unit),
-        f"{row.compile_seconds:.1f} s" if row.compile_seconds is not None else "",
-        f"{row.memory / 2**20:.0f} MiB" if row.memory else "",
+        f"{row.compile_seconds:.0f} s" if row.compile_seconds is not None else "",
+        f"{row.memory / 2**20:.0f}" if row.memory else "",
         _error(row.error),
         f"{row.peak_share:.1%}" if row.peak_share else "",
     )
 
 
 def _theirs(row: Row) -> tuple[str, ...]:
-    rate = _rate(row.peer_rate, row.unit) if row.peer_rate else ""
+    rate = _rate(row.peer_rate, row.unit) if row.peer_rate else "none"
     ratio = f"{row.ratio:.3g}x" if row.ratio else ""
-    if row.ratio_spread:
+    spread = ""
+    if row.ratio and row.ratio_spread:
         low, high = row.ratio_spread
-        ratio += f" ({low:.3g} to {high:.3g})"
-    words = "; ".join(filter(None, [rate, row.note]))
-    return row.peer or "", words, _error(row.peer_error), ratio
+        spread = f"{(high - low) / 2 / row.ratio:.0%}"
+    return row.peer or "", rate, _error(row.peer_error), ratio, spread
 
 
 def _rate(value: float, unit: str) -> str:
     if unit == SECONDS:
         return f"{value:.2f} s"
-    return f"{amount(value)}{unit.removeprefix('steps').removeprefix('control steps')}"
+    return amount(value).strip()
 
 
 def _error(value: float | None) -> str:

@@ -116,6 +116,8 @@ def main(wanted: Wanted) -> bool:
     where = machine.describe(cores, peak) | {"quick": wanted.quick}
     for table in report.tables(found, where):
         console.print(table)
+    for line in report.notes(found):
+        console.print(line, highlight=False)
     if wanted.json is not None:
         rows.save(wanted.json, where, found)
         console.print(str(wanted.json), highlight=False)

@@ -6,7 +6,7 @@ import pytest
 
 from benchmarks import rows
 from benchmarks.compare import compare
-from benchmarks.report import comparison, tables
+from benchmarks.report import comparison, notes, tables
 from benchmarks.rows import Row, RowsError
 
 MACHINE = {"processor": "abacus", "cores": 2, "float32_peak": 1e11, "quick": False}
@@ -81,6 +81,7 @@ def test_what_cannot_be_compared_is_said():
 
 def test_the_tables_hold_every_row():
     assert [table.row_count for table in tables(ROWS, MACHINE)] == [4, 2]
+    assert notes([*ROWS, ABSENT]) == ["ga, 200, evosax: not installed"]
     verdict = compare((MACHINE, ROWS), (MACHINE, ROWS), 0.1)
     assert comparison(verdict, 0.1).row_count == len(ROWS)
 
