@@ -33,7 +33,6 @@ from collections.abc import Mapping
 from typing import Literal
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float

@@ -23,9 +23,7 @@ def chain_sums(wanted: list[Node]) -> None:
     uses = collections.Counter(wanted)
     for node in order:
         uses.update(node.operands)
-    inner = {
-        node for node in order if node.name in _SUMS and uses[node] == 1 and not node.company
-    }
+    inner = {node for node in order if node.name in _SUMS and uses[node] == 1 and not node.company}
     taken = {operand for node in order if node.name in _SUMS for operand in node.operands} & inner
     ages = {node: (node.number, 0) for node in order}
     for node in order:

@@ -66,7 +66,10 @@ def kinematics(tree: Tree, state: State) -> Kinematics:
         members = range(group.bodies.start, group.bodies.stop)
         parent_rotation = side_by_side(jnp.stack([rotations[i] for i in group.parents], 2))
         parent = _Motion(
-            *(jnp.stack(parts, 1) for parts in zip(*(motions[i] for i in group.parents), strict=True))
+            *(
+                jnp.stack(parts, 1)
+                for parts in zip(*(motions[i] for i in group.parents), strict=True)
+            )
         )
         offset = matvec(parent_rotation, lift(tree.joint_offset[:, group.bodies], parent.origin))
         frame = matmul(parent_rotation, jnp.stack([local[i] for i in members], 2))

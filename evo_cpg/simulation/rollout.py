@@ -275,9 +275,7 @@ def _control_step(
     def move(carry, _):
         state, energy, airborne, _, support = carry
         # Fused as a whole, so that of the ground's many forces only what is asked for is stored.
-        state, spent, off_ground, torque, felt = fuse(
-            go_on, state, command, batch_ndim=len(batch)
-        )
+        state, spent, off_ground, torque, felt = fuse(go_on, state, command, batch_ndim=len(batch))
         support = support if felt is None else felt
         return (state, energy + spent, airborne + off_ground, torque, support), None
 
