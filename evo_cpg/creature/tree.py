@@ -1,7 +1,7 @@
 """The creature as the physics sees it: a static tree and constant arrays.
 
-Bodies stand level by level (see `topological_order`); those of one level with equally many joint
-axes form a `Group`, which the recursions treat at once. Each body's working frame sits at its
+Bodies stand level by level (see `topological_order`); those of one level from which limbs of the
+same build grow form a `Group`, which the recursions treat at once. Each body's working frame sits at its
 joint (the root's at its centre), with the axes of the body's own frame.
 
 | symbol | name |
@@ -11,6 +11,7 @@ joint (the root's at its centre), with the axes of the body's own frame.
 | I_i | ``inertia``: 6x6 spatial inertia about the working frame's origin, angular part first |
 """
 
+import itertools
 from typing import NamedTuple
 
 import equinox as eqx
@@ -27,7 +28,11 @@ LIMIT_DAMPING_RATIO = 1.0
 
 
 class Group(NamedTuple):
-    """Bodies of one level with equally many joint axes.
+    """Bodies of one level from which limbs of the same build grow, such as all four thighs.
+
+    The physics treats them side by side: of the same build are limbs with equally many joint axes
+    and, at each, as many limbs of the same build. A trunk segment beside two hands is a group of
+    its own.
 
     Attributes:
         bodies: slice of the tree's bodies.
@@ -228,27 +233,23 @@ def _groups(bodies: list, parents: list[int], dof_bodies: list[int]) -> tuple[Gr
     depth = [0]
     for parent in parents[1:]:
         depth.append(depth[parent] + 1)
+    build: dict[int, tuple] = {}
+    for i in reversed(range(1, len(bodies))):
+        limbs = sorted(build[j] for j in range(i + 1, len(bodies)) if parents[j] == i)
+        build[i] = len(bodies[i].joint.axes), *limbs
     groups: list[Group] = []
-    start = 1
-    while start < len(bodies):
-        axes = len(bodies[start].joint.axes)
-        stop = start
-        while (
-            stop < len(bodies)
-            and depth[stop] == depth[start]
-            and len(bodies[stop].joint.axes) == axes
-        ):
-            stop += 1
+    for _, run in itertools.groupby(range(1, len(bodies)), lambda i: (depth[i], build[i])):
+        members = list(run)
+        start, axes = members[0], len(bodies[members[0]].joint.axes)
         first_dof = dof_bodies.index(start)
         groups.append(
             Group(
-                bodies=slice(start, stop),
-                dofs=slice(first_dof, first_dof + axes * (stop - start)),
+                bodies=slice(start, members[-1] + 1),
+                dofs=slice(first_dof, first_dof + axes * len(members)),
                 axes=axes,
-                parents=tuple(parents[start:stop]),
+                parents=tuple(parents[i] for i in members),
             )
         )
-        start = stop
     return tuple(groups)
 
 

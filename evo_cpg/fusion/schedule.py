@@ -24,6 +24,11 @@ _CUT_STRIDE = 20
 _KERNEL_COST = 60
 
 
+# A kernel computes again, instead of reading it, what takes no more than so many operations from
+# other values that it has. To store and read a number takes as long as ten to twenty operations.
+_RECOMPUTED = 4
+
+
 def cut(wanted: list[Node]) -> list[tuple[list[Node], list[Node]]]:
     """Order the operations behind the wanted nodes and cut them into pieces.
 
@@ -47,7 +52,9 @@ def cut(wanted: list[Node]) -> list[tuple[list[Node], list[Node]]]:
         ):
             pieces.extend([nodes] if nodes[0].costly else _chunks(nodes, uses))
     owner = {node: i for i, piece in enumerate(pieces) for node in piece}
-    pieces = [_with_conditions(piece) for piece in pieces]
+    pieces = [
+        piece if piece[0].costly else _recomputing(_with_conditions(piece)) for piece in pieces
+    ]
     needed = set(wanted)
     for piece in pieces:
         inside = set(piece)
@@ -63,8 +70,6 @@ def _with_conditions(piece: list[Node]) -> list[Node]:
 
     A kernel that reads or writes truth values is not vectorised.
     """
-    if piece[0].costly:
-        return piece
     again: set[Node] = set()
     inside, waiting = set(piece), list(piece)
     while waiting:
@@ -75,6 +80,38 @@ def _with_conditions(piece: list[Node]) -> list[Node]:
                 again.add(operand)
                 waiting.append(operand)
     return [*sorted(again, key=lambda node: node.number), *piece]
+
+
+def _recomputing(piece: list[Node]) -> list[Node]:
+    """The piece with what it reads computed again where that takes few operations.
+
+    Nothing else is read for that.
+    """
+    reads = read_by(piece)
+    known = set(reads)
+    again: list[Node] = []
+    # From the latest on, so that a value may be computed from one that is itself computed again.
+    for value in sorted(reads, key=lambda node: -node.number):
+        steps = _steps_from(known - {value}, value)
+        if steps is not None:
+            again += [node for node in steps if node not in again]
+            known.update(steps)
+    return [*sorted(again, key=lambda node: node.number), *piece]
+
+
+def _steps_from(known: set[Node], value: Node) -> list[Node] | None:
+    """The operations from known values to another; None if they are too many or impossible."""
+    steps: list[Node] = []
+    waiting = [value]
+    while waiting:
+        node = waiting.pop()
+        if node in known or node.value is not None or node in steps:
+            continue
+        if not node.is_operation or node.costly or len(steps) == _RECOMPUTED:
+            return None
+        steps.append(node)
+        waiting.extend(node.operands)
+    return steps
 
 
 def _kind(node: Node) -> Any:

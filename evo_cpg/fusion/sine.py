@@ -10,7 +10,7 @@ two so short that k times each is exact),
     sin x = (-1)^k (r + r^3 P(r^2)),   cos x = (-1)^k (1 + r^2 Q(r^2)),
 
 where P and Q are the polynomials with the least greatest error (Remez). In float32 the results are
-within 1.5e-7 for \\|x\\| up to 1e4, and lose digits beyond that.
+within 1.5e-7 for ``abs(x)`` up to 1e4, and lose digits beyond that.
 """
 
 import functools

@@ -29,7 +29,7 @@ def chain_sums(wanted: list[Node]) -> None:
     for node in order:
         if node.name in _SUMS and node not in taken:
             chain = _chain(node, taken, uses)
-            ages.update({part: (node.number - 1, i) for i, part in enumerate(chain)})
+            ages.update({part: (node.number - 1, i) for i, part in enumerate(chain, 1)})
     for number, node in enumerate(sorted(order, key=ages.__getitem__)):
         node.number = number
 
