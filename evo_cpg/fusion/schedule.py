@@ -198,12 +198,23 @@ def _chunks(order: list[Node], uses: dict[Node, int]) -> list[list[Node]]:
 
     Dynamic programming over the places of possible cuts, one every `_CUT_STRIDE` operations.
     """
+    numbers = {node: i for i, node in enumerate(order)}
+    reads = [
+        [
+            numbers.setdefault(operand, len(numbers))
+            for operand in dict.fromkeys(node.operands)
+            if operand.value is None
+        ]
+        for node in order
+    ]
+    wanted = [uses[node] for node in order]
     cuts = [*range(0, len(order), _CUT_STRIDE), len(order)]
     cost = dict.fromkeys(cuts, np.inf)
     previous: dict[int, int] = {}
     cost[0] = 0
+    last_reader = [-1] * len(numbers)
     for start in cuts[:-1]:
-        for stop, arrays in _extensions(order, start, uses):
+        for stop, arrays in _extensions(reads, wanted, start, last_reader):
             if cost[start] + arrays + _KERNEL_COST < cost[stop]:
                 cost[stop] = cost[start] + arrays + _KERNEL_COST
                 previous[stop] = start
@@ -214,28 +225,36 @@ def _chunks(order: list[Node], uses: dict[Node, int]) -> list[list[Node]]:
     return chunks[::-1]
 
 
-def _extensions(order: list[Node], start: int, uses: dict[Node, int]) -> Iterator[tuple[int, int]]:
-    """Places up to which one kernel can go from a start, and how many arrays it then touches."""
-    pending: dict[Node, int] = {}
-    inputs: set[Node] = set()
-    results = 0
-    for stop in range(start + 1, min(start + KERNEL_SIZE, len(order)) + 1):
-        node = order[stop - 1]
-        for operand in set(node.operands):
-            if operand in pending:
-                pending[operand] -= 1
-                results -= not pending[operand]
-            elif operand.value is None:
-                inputs.add(operand)
-        pending[node] = uses[node]
+def _extensions(
+    reads: list[list[int]], uses: list[int], start: int, last_reader: list[int]
+) -> Iterator[tuple[int, int]]:
+    """Places up to which one kernel can go from a start, and how many arrays it then touches.
+
+    Args:
+        reads: numbers of the values that each operation reads; an operation's own number is its
+            place.
+        uses: of each operation's result.
+        start: place of the kernel's first operation.
+        last_reader: for each value, from which start it was last found to be read from outside.
+    """
+    places = range(start, min(start + KERNEL_SIZE, len(reads)))
+    pending = [uses[place] for place in places]
+    inputs = results = 0
+    for place in places:
+        for value in reads[place]:
+            if start <= value < place:
+                pending[value - start] -= 1
+                results -= not pending[value - start]
+            elif last_reader[value] != start:
+                last_reader[value] = start
+                inputs += 1
         results += 1
-        arrays = len(inputs) + max(len(inputs), results)
-        if 2 * len(inputs) > KERNEL_ARRAYS:
+        if 2 * inputs > KERNEL_ARRAYS:
             return
         # A reduction reads as many arrays as it writes.
-        fits = 2 * max(len(inputs), results) <= KERNEL_ARRAYS
-        if fits and (stop % _CUT_STRIDE == 0 or stop == len(order)):
-            yield stop, arrays
+        stop, fits = place + 1, 2 * results <= KERNEL_ARRAYS
+        if fits and (stop % _CUT_STRIDE == 0 or stop == len(reads)):
+            yield stop, inputs + max(inputs, results)
 
 
 def read_by(piece: list[Node]) -> list[Node]:
