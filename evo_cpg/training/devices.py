@@ -17,6 +17,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh
 
+from evo_cpg.training.compile_cache import keep_compiled_programs
+
 # Lets XLA:CPU compile small reductions and products itself instead of handing them to a library
 # that is several times slower at this size; and uses the widest vectors that the processor has.
 COMPILER_OPTIONS = {
@@ -33,7 +35,7 @@ LANES = 16
 
 
 def use_cores(count: int | None = None) -> int:
-    """Make every core a JAX device. Call it before JAX runs anything.
+    """Make every core a JAX device, and keep what is compiled. Call it before JAX runs anything.
 
     Args:
         count: cores to use; None for all that this process may run on.
@@ -46,6 +48,7 @@ def use_cores(count: int | None = None) -> int:
     # Read when the CPU backend starts: the size of the thread pool behind each device.
     os.environ["NPROC"] = "1"
     jax.config.update("jax_num_cpu_devices", count)
+    keep_compiled_programs()
     return count
 
 

@@ -1,0 +1,63 @@
+"""Compiled programs kept on disk, so that the second start of the same experiment is quick.
+
+What XLA compiles for one experiment is loaded again by every later command that needs the same
+program: another seed, `resume`, `render` or `verify`. JAX does the keeping and knows by a key over
+program, options and version what fits. Machine code made for one processor may not run on
+another, so each kind of processor has a folder of its own: a home folder may be shared by a cluster.
+
+`JAX_COMPILATION_CACHE_DIR` names another folder, `JAX_ENABLE_COMPILATION_CACHE=false` keeps
+nothing.
+"""
+
+import hashlib
+import os
+import platform
+from pathlib import Path
+
+import jax
+
+# The oldest programs go when all take up more than this, bytes. One is 1 to 4 MB.
+_MOST = 1 << 30
+
+# Programs that compile faster are not worth keeping, s.
+_LEAST_SECONDS = 0.5
+
+
+def keep_compiled_programs() -> Path | None:
+    """Make JAX keep what it compiles; call it before JAX runs anything.
+
+    Returns:
+        The folder; None where none can be made, or the user has chosen one.
+    """
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", _LEAST_SECONDS)
+    if jax.config.jax_compilation_cache_dir:
+        return None
+    home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    folder = Path(home) / "evo_cpg" / "compiled" / _processor()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        _prune(folder, _MOST)
+    except OSError:
+        return None
+    jax.config.update("jax_compilation_cache_dir", str(folder))
+    return folder
+
+
+def _processor() -> str:
+    """A short name for the kind of processor, the same for all that run the same machine code."""
+    kind = [platform.system(), platform.machine(), platform.processor()]
+    cpuinfo = Path("/proc/cpuinfo")
+    if cpuinfo.is_file():
+        lines = cpuinfo.read_text(encoding="utf-8", errors="replace").splitlines()
+        kind += sorted({line for line in lines if line.startswith(("flags", "Features", "model"))})
+    return hashlib.sha256("\n".join(kind).encode()).hexdigest()[:16]
+
+
+def _prune(folder: Path, most: int) -> None:
+    """Delete the files that were written first until the rest take up no more than ``most``."""
+    files = sorted(folder.iterdir(), key=lambda file: file.stat().st_mtime, reverse=True)
+    total = 0
+    for file in files:
+        total += file.stat().st_size
+        if total > most:
+            file.unlink(missing_ok=True)
