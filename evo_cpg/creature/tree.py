@@ -1,8 +1,8 @@
 """The creature as the physics sees it: a static tree and constant arrays.
 
 Bodies stand level by level (see `topological_order`); those of one level from which limbs of the
-same build grow form a `Group`, which the recursions treat at once. Each body's working frame sits at its
-joint (the root's at its centre), with the axes of the body's own frame.
+same build grow form a `Group`, which the recursions treat at once. Each body's working frame sits
+at its joint (the root's at its centre), with the axes of the body's own frame.
 
 | symbol | name |
 |---|---|

@@ -3,7 +3,7 @@
 What XLA compiles for one experiment is loaded again by every later command that needs the same
 program: another seed, `resume`, `render` or `verify`. JAX does the keeping and knows by a key over
 program, options and version what fits. Machine code made for one processor may not run on
-another, so each kind of processor has a folder of its own: a home folder may be shared by a cluster.
+another, so each kind of processor has a folder of its own: a cluster may share the home folder.
 
 `JAX_COMPILATION_CACHE_DIR` names another folder, `JAX_ENABLE_COMPILATION_CACHE=false` keeps
 nothing.

@@ -219,3 +219,20 @@ def test_there_are_few_kernels():
         return text.count(" fusion(")
 
     assert kernels(functools.partial(fuse, program, batch_ndim=1)) * 8 < kernels(program)
+
+
+def test_what_is_cheap_is_computed_again_and_not_stored():
+    """A value that takes one operation from what a later kernel reads anyway is not passed on."""
+    graph = Graph()
+    x = [graph.input(i, np.dtype(np.float32)) for i in range(KERNEL_ARRAYS)]
+    doubled = [graph.add(each, each) for each in x]
+    wanted = [
+        graph.multiply(graph.multiply(a, b), c)
+        for a, b, c in zip(doubled, doubled[1:], x, strict=False)
+    ]
+    pieces = cut(
+        [*wanted, graph.call(lambda y: (y,), [np.array(wanted[:1])], [((), x[0].dtype)])[0].item()]
+    )
+    kept = {node for _, kept in pieces for node in kept}
+    assert len([piece for piece, _ in pieces if not piece[0].costly]) > 1
+    assert not kept & set(doubled)

@@ -49,7 +49,9 @@ def arguments(legs=LEGS, batch=(6,)):
     )
 
 
-@pytest.mark.parametrize(("legs", "batch"), [(1, (6,)), (2, (2, 3)), (LEGS, ()), (LEGS, (6,))])
+@pytest.mark.parametrize(
+    ("legs", "batch"), [(1, (6,)), (2, (2, 3)), (LEGS, ()), (LEGS, (6,)), (LEGS, (16,))]
+)
 def test_results_are_those_of_the_function(legs, batch, x64):
     values = arguments(legs, batch)
     run = functools.partial(limbs, legs=legs)
