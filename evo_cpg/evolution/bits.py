@@ -19,7 +19,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from evo_cpg.evolution.generation import Genetics, keep_elites
 from evo_cpg.evolution.selection import draw_parents
@@ -112,10 +112,9 @@ class BitGenetics(Genetics):
         # Whole pairs for every place: how many elites there are is known only at run time.
         pairs = -(-self.population // 2)
         parents = draw_parents(parent_key, fitness, np.array(self.rank_probabilities), 2 * pairs)
-        siblings = one_point_crossover(
-            cross_key, genes[:, parents[:pairs]], genes[:, parents[pairs:]], 1.0
-        )
-        children = jnp.stack(siblings, axis=2).reshape(len(genes), 2 * pairs)
+        children = one_point_crossover(cross_key, genes, parents[:pairs], parents[pairs:], 1.0)
+        # Counted from the last place on, so the elites, which come first, part one pair at most.
+        children = children[:, 2 * pairs - self.population :]
         children = bit_mutation(
             mutate_key,
             children,
@@ -124,8 +123,6 @@ class BitGenetics(Genetics):
             self.mutated_genes_max,
             self.mutation,
         )
-        # Filled from the last place on, so the elites, which come first, part one pair at most.
-        children = jnp.flip(children[:, : self.population], axis=1)
         return keep_elites(genes, fitness, children, self.elite_count, self.best_copies)
 
 
@@ -170,12 +167,42 @@ def bit_mutation(
     whether_key, number_key, which_key, value_key = jax.random.split(key, 4)
     mutates = jax.random.bernoulli(whether_key, probability, (individuals,))
     number = jax.random.randint(number_key, (individuals,), fewest, most + 1)
-    # Shuffling gives every gene a place of its own; the first ``number`` places are changed.
-    order = jnp.broadcast_to(jnp.arange(count)[:, None], genes.shape)
-    place = jax.random.permutation(which_key, order, axis=0, independent=True)
-    changed = place < jnp.where(mutates, number, 0)[None]
+    places = different_places(which_key, count, jnp.where(mutates, number, 0), most)
+    changed = genes.at[places, jnp.arange(individuals)[None]]
     if mutation == "flip":
-        values = 1.0 - genes
+        values = 1.0 - changed.get(mode="fill", fill_value=0.0)
     else:
-        values = random_bits(value_key, count, individuals, genes.dtype)
-    return jnp.where(changed, values, genes)
+        values = random_bits(value_key, most, individuals, genes.dtype)
+    return changed.set(values, mode="drop")
+
+
+def different_places(
+    key: Array, count: int, number: Int[Array, " n"], most: int
+) -> Int[Array, "most n"]:
+    """For each individual a number of different places of 0 to ``count`` - 1, any set as likely.
+
+    Floyd's algorithm (Bentley and Floyd 1987, Communications of the ACM 30, 754): to a set of
+    places below ``j`` comes one of 0 to ``j``, or ``j`` itself if that one is already there; ``j``
+    rises to ``count`` - 1.
+
+    Args:
+        key: random key.
+        count: of the places.
+        number: how many places each individual gets.
+        most: at least the largest of them.
+
+    Returns:
+        The places, in no order that means anything, and behind them ``count``.
+    """
+    step = jnp.arange(most)[:, None]
+    wanted = step < number[None]
+    last = jnp.where(wanted, count - number[None] + step, 0)
+    drawn = jax.random.randint(key, last.shape, 0, last + 1)
+    none = jnp.full_like(drawn, count)
+
+    def choose(places: Array, i: Array) -> tuple[Array, None]:
+        taken = (places == drawn[i][None]).any(0)
+        place = jnp.where(taken, last[i], drawn[i])
+        return places.at[i].set(jnp.where(wanted[i], place, count)), None
+
+    return jax.lax.scan(choose, none, jnp.arange(most))[0]

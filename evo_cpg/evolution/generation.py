@@ -73,14 +73,8 @@ class RealGenetics(Genetics):
         pairs = -(-count // 2)
         probabilities = linear_rank_probabilities(count, self.parent_fraction)
         parents = draw_parents(parent_key, fitness, probabilities, 2 * pairs)
-        children = jnp.concatenate(
-            one_point_crossover(
-                cross_key,
-                genes[:, parents[:pairs]],
-                genes[:, parents[pairs:]],
-                self.crossover_probability,
-            ),
-            axis=1,
+        children = one_point_crossover(
+            cross_key, genes, parents[:pairs], parents[pairs:], self.crossover_probability
         )[:, :count]
         children = gaussian_mutation(
             mutate_key, children, self.mutation_rate, self.mutation_sigma, self.gene_bound
@@ -104,7 +98,10 @@ def keep_elites(
         elite_count: places to fill.
         best_copies: how many of them go to the best individual.
     """
-    places = np.arange(children.shape[1])
+    if elite_count == 0:
+        return children
+    places = np.arange(elite_count)
     kept = rank_order(fitness)[np.maximum(places - (best_copies - 1), 0)]
-    elite = (places < elite_count) & jnp.isfinite(fitness[kept])
-    return jnp.where(elite[None], genes[:, kept], children)
+    alive = jnp.isfinite(fitness[kept])[None]
+    elites = jnp.where(alive, genes[:, kept], children[:, :elite_count])
+    return children.at[:, :elite_count].set(elites)

@@ -11,7 +11,13 @@ from hypothesis import strategies as st
 from scipy.stats import binomtest, chisquare
 
 from creatures import quick_jit
-from evo_cpg.evolution.bits import MUTATIONS, BitGenetics, bit_mutation, random_bits
+from evo_cpg.evolution.bits import (
+    MUTATIONS,
+    BitGenetics,
+    bit_mutation,
+    different_places,
+    random_bits,
+)
 
 POPULATION, ELITES, GENES = 15, 7, 192
 RANKS = np.array([0.30, 0.20, 0.20, 0.10, 0.10, 0.05, 0.03, 0.02])
@@ -164,6 +170,19 @@ def test_half_of_the_individuals_mutate_in_2_to_30_genes_anywhere():
     assert counts[:2].sum() == 0 and counts.size == 31
     assert chisquare(counts[2:]).pvalue > 0.01
     assert chisquare(changed.sum(1)).pvalue > 0.01
+
+
+@pytest.mark.parametrize("number", [1, 2, 3, 5])
+def test_every_set_of_different_genes_is_as_likely(number):
+    draw = quick_jit(different_places, static_argnums=(1, 3))
+    places = np.asarray(draw(jax.random.key(6), 5, jnp.full(30_000, number), 5))
+    assert (places[number:] == 5).all()
+    # Each set as the number whose binary digits say which genes are in it.
+    sets = (1 << places[:number]).sum(0)
+    counts = np.bincount(sets, minlength=32)
+    possible = [i for i in range(32) if i.bit_count() == number]
+    assert counts[possible].sum() == 30_000
+    assert chisquare(counts[possible]).pvalue > 0.01 or len(possible) == 1
 
 
 def test_half_of_the_genes_drawn_anew_change():

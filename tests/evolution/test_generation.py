@@ -93,3 +93,15 @@ def test_the_key_alone_decides():
     fitness = np.arange(POPULATION)
     np.testing.assert_array_equal(bred(fitness, 1)[1], bred(fitness, 1)[1])
     assert (bred(fitness, 1)[1] != bred(fitness, 2)[1])[:, ELITES:].all()
+
+
+def test_runs_side_by_side_are_those_of_each_alone():
+    seeds = range(3)
+    step = genetics(population=23, mutation_rate=0.05).next_generation
+    keys = jnp.stack([jax.random.key(seed) for seed in seeds])
+    genes = jax.random.normal(jax.random.key(98), (3, 301, 23))
+    fitness = jax.random.normal(jax.random.key(97), (3, 23))
+    together = quick_jit(jax.vmap(step))(keys, genes, fitness)
+    for seed in seeds:
+        alone = quick_jit(step)(keys[seed], genes[seed], fitness[seed])
+        np.testing.assert_array_equal(together[seed], alone)

@@ -6,25 +6,28 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.stats import chisquare, kstest
+from scipy.stats import binom, chi2, chisquare, kstest
 
-from evo_cpg.evolution.variation import gaussian_mutation, one_point_crossover
+from creatures import quick_jit
+from evo_cpg.evolution import variation
+from evo_cpg.evolution.variation import gaussian_mutation, one_point_crossover, random_places
 
 SEEDS = st.integers(0, 2**31 - 1)
 GENES, PAIRS = 7, 50
 
 
-def parents(genes: int, pairs: int) -> tuple[jax.Array, jax.Array]:
-    """Genomes in which every gene tells where it comes from."""
-    first = jnp.arange(genes * pairs, dtype=jnp.float32).reshape(genes, pairs)
-    return first, -1.0 - first
-
-
 def switches(seed: int, genes: int, pairs: int, probability: float) -> np.ndarray:
     """Where children take the other parent's genes; checks that the two are complementary."""
-    first, second = parents(genes, pairs)
-    one, two = one_point_crossover(jax.random.key(seed), first, second, probability)
-    from_second = np.asarray(one == second)
+    # Every gene tells where it comes from.
+    population = jnp.arange(genes * 2 * pairs, dtype=jnp.float32).reshape(genes, 2 * pairs)
+    mates = np.random.default_rng(seed).permutation(2 * pairs).reshape(2, pairs)
+    children = one_point_crossover(
+        jax.random.key(seed), population, *jnp.asarray(mates), probability
+    )
+    assert children.dtype == population.dtype
+    one, two = np.asarray(children[:, ::2]), np.asarray(children[:, 1::2])
+    first, second = (np.asarray(population)[:, who] for who in mates)
+    from_second = one == second
     np.testing.assert_array_equal(one, np.where(from_second, second, first))
     np.testing.assert_array_equal(two, np.where(from_second, first, second))
     return from_second
@@ -68,7 +71,64 @@ def test_mutation_changes_the_asked_share_of_genes_by_normal_noise():
     assert kstest(changed, "norm", args=(0.0, 0.5)).pvalue > 0.01
 
 
-@given(SEEDS, st.floats(0, 1), st.floats(0, 100), st.floats(0.5, 8))
+def test_genes_mutate_independently_of_each_other_and_alike():
+    changed = np.asarray(
+        gaussian_mutation(jax.random.key(8), jnp.zeros((40, 5000)), 0.3, 0.5, 8.0) != 0
+    )
+    each = 5000 * np.array([0.7, 0.3])
+    for gene in (0, 1, 20, 39):
+        assert chisquare(np.bincount(changed[gene], minlength=2), each).pvalue > 0.01
+    # Neighbours, in the genome as well as in the population.
+    for one, other in ((changed[:-1], changed[1:]), (changed[:, :-1], changed[:, 1:])):
+        both = np.bincount(2 * one.ravel() + other.ravel(), minlength=4)
+        expected = one.size * np.array([0.49, 0.21, 0.21, 0.09])
+        assert chisquare(both, expected).pvalue > 0.01
+
+
+@pytest.mark.parametrize("rate", [1e-3, 0.05, 0.5, 0.99])
+def test_places_are_drawn_each_with_the_same_chance(rate):
+    keys = jax.random.split(jax.random.key(9), 20_000)
+    places = np.asarray(quick_jit(jax.vmap(lambda key: random_places(key, 30, rate)))(keys))
+    there = np.array([(places == place).sum(1) for place in range(30)])
+    assert there.max() == 1
+    # The rest is room, which comes last.
+    assert (np.diff(places.astype(int), axis=1)[places[:, 1:] < 30] > 0).all()
+    assert (np.diff(places.astype(int), axis=1) >= 0).all() and places.max() <= 30
+    counts, expected = there.sum(1), 20_000 * rate
+    assert chi2.sf(((counts - expected) ** 2).sum() / (expected * (1 - rate)), 30) > 0.01
+    # How many there are is binomial.
+    chances = binom.pmf(np.arange(31), 30, rate)
+    numbers = np.bincount(there.sum(0), minlength=31)
+    common = 20_000 * chances > 5
+    observed = np.append(numbers[common], numbers[~common].sum())
+    expected = 20_000 * np.append(chances[common], chances[~common].sum())
+    assert chisquare(observed, expected).pvalue > 0.01
+
+
+@pytest.mark.parametrize("rate", [1e-9, 0.001, 0.3])
+def test_there_is_room_for_all_places(rate):
+    # Without room, the last places of all would be missing.
+    count = 2_000_000
+    places = np.asarray(random_places(jax.random.key(10), count, rate))
+    assert places[-1] == count
+    tail = binom.sf((places < count).sum() - 1, count, rate)
+    assert 0.001 < tail <= 1.0
+
+
+def test_a_population_mutates_in_parts_as_it_would_whole(monkeypatch):
+    monkeypatch.setattr(variation, "_MOST_AT_ONCE", 30_000)
+    genes = jnp.zeros((101, 1000))
+    mutated = np.asarray(gaussian_mutation(jax.random.key(11), genes, 0.05, 0.5, 8.0))
+    changed = mutated != 0
+    assert (
+        chisquare([changed.sum(), (~changed).sum()], [0.05 * genes.size, 0.95 * genes.size]).pvalue
+        > 0.01
+    )
+    assert chisquare(changed.sum(1)).pvalue > 0.01
+    assert kstest(mutated[changed], "norm", args=(0.0, 0.5)).pvalue > 0.01
+
+
+@given(SEEDS, st.sampled_from([0.0, 0.05, 0.5, 1.0]), st.floats(0, 100), st.floats(0.5, 8))
 def test_mutated_genes_stay_within_bounds(seed, rate, sigma, bound):
     genes = jnp.linspace(-0.5, 0.5, 30).reshape(10, 3)
     mutated = gaussian_mutation(jax.random.key(seed), genes, rate, sigma, bound)
