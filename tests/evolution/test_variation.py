@@ -21,9 +21,8 @@ def switches(seed: int, genes: int, pairs: int, probability: float) -> np.ndarra
     # Every gene tells where it comes from.
     population = jnp.arange(genes * 2 * pairs, dtype=jnp.float32).reshape(genes, 2 * pairs)
     mates = np.random.default_rng(seed).permutation(2 * pairs).reshape(2, pairs)
-    children = one_point_crossover(
-        jax.random.key(seed), population, *jnp.asarray(mates), probability
-    )
+    one, other = jnp.asarray(mates)
+    children = one_point_crossover(jax.random.key(seed), population, one, other, probability)
     assert children.dtype == population.dtype
     one, two = np.asarray(children[:, ::2]), np.asarray(children[:, 1::2])
     first, second = (np.asarray(population)[:, who] for who in mates)
