@@ -1,5 +1,6 @@
 """Programs of ours, compiled for all cores: every timed call of ours goes through here."""
 
+import functools
 import time
 from collections.abc import Callable
 from typing import NamedTuple
@@ -7,13 +8,12 @@ from typing import NamedTuple
 import jax
 import numpy as np
 from jax import Array
-from jax.sharding import Mesh, NamedSharding, PartitionSpec
+from jax.sharding import Mesh
 
 from benchmarks.exercise import Exercise
 from evo_cpg.physics.step import step
 from evo_cpg.simulation.situation import starting_state
-from evo_cpg.training.devices import POPULATION_AXIS, fast_jit
-from evo_cpg.training.experiment import padding
+from evo_cpg.training.devices import layout, run_in_blocks, sharded
 
 
 class Program(NamedTuple):
@@ -33,35 +33,36 @@ class Program(NamedTuple):
 def compile_for_all(
     function: Callable[[Array, Array], Array], lanes: np.ndarray, mesh: Mesh
 ) -> Program:
-    """Compile a function, sharded over the individuals.
+    """Compile a function, which then runs over the individuals in chunks, as in training.
 
     Args:
         function: of the number of steps and of ``(k, n)``, one column per individual.
-        lanes: all columns; as many as fill the devices' vectors (see `full_lanes`).
+        lanes: all columns; as many as fill all chunks (see `full_lanes`).
         mesh: the devices.
     """
-    columns = PartitionSpec(None, POPULATION_AXIS)
-    sharded = fast_jit(
-        jax.shard_map(
-            function,
-            mesh=mesh,
-            in_specs=(PartitionSpec(), columns),
-            out_specs=columns,
-            check_vma=False,
-        )
-    )
-    placed = jax.device_put(lanes, NamedSharding(mesh, columns))
+    count = lanes.shape[1]
+    spread = layout(count, mesh)
+
+    def arguments(steps: int, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return np.array(steps, np.int32), lanes[:, numbers]
+
     start = time.perf_counter()
-    compiled = sharded.lower(np.int32(0), placed).compile()
+    first = arguments(0, np.arange(spread.block))
+    compiled = sharded(function, spread.mesh, (0, 2), 2).lower(*first).compile()
     seconds = time.perf_counter() - start
     usage = compiled.memory_analysis()
-    temporary = mesh.size * int(usage.temp_size_in_bytes) if usage is not None else 0
-    return Program(lambda count: np.asarray(compiled(np.int32(count), placed)), seconds, temporary)
+    temporary = spread.mesh.size * int(usage.temp_size_in_bytes) if usage is not None else 0
+
+    def run(steps: int) -> np.ndarray:
+        return run_in_blocks(compiled, spread, count, functools.partial(arguments, steps))
+
+    return Program(run, seconds, temporary)
 
 
 def full_lanes(count: int, mesh: Mesh) -> int:
-    """As many individuals, rounded up to full vectors on every device, as in training."""
-    return count + padding(count, mesh)
+    """As many individuals, rounded up to full chunks on every busy device, as in training."""
+    block = layout(count, mesh).block
+    return -(-count // block) * block
 
 
 def compile_motion(exercise: Exercise, lanes: np.ndarray, mesh: Mesh, finer: int = 1) -> Program:

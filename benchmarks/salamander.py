@@ -31,9 +31,9 @@ def put(animals: dict[str, np.ndarray], world: Path) -> dict[str, list[float]]:
     """Share of the distance that each animal leaves in each of a world's situations."""
     simulation = build_experiment(load_config(world), world).simulation
     count = len(simulation.situations)
-    crowd = np.repeat(np.stack(list(animals.values()), axis=1), count, axis=1)
+    genes = np.stack(list(animals.values()), axis=1)
     numbers = np.tile(np.arange(count), len(animals)) if count > 1 else None
-    outcome = compile_trials(simulation, population_mesh())(crowd, None, numbers)
+    outcome = compile_trials(simulation, population_mesh())(genes, None, numbers, count)
     shares = outcome.terms["distance"].reshape(-1, count)
     return {name: row.tolist() for name, row in zip(animals, shares, strict=True)}
 

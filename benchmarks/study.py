@@ -63,7 +63,7 @@ def random_search(config_file: Path, seed: int, overrides: tuple[str, ...] = ())
     for generation in range(experiment.generations):
         key = jax.random.fold_in(jax.random.key(1000 + seed), generation)
         genes = simulation.controller.random_genes(key, (size,), np.float32)
-        outcome = trials(np.repeat(np.asarray(genes), experiment.trials, axis=1), None, numbers)
+        outcome = trials(np.asarray(genes), None, numbers, experiment.trials)
         outcome = outcome._replace(
             terms={name: np.where(outcome.alive, x, np.nan) for name, x in outcome.terms.items()}
         )

@@ -1,21 +1,30 @@
-"""Cores as devices, and the compiler options that make the physics fast on them.
+"""Cores as devices, the population in chunks on them, and compiler options that make them fast.
 
 XLA's own threading slows this program down: its many small kernels are handed between threads at
 a cost above their own (0.28 M instead of 0.41 M steps/s on one core). So each core becomes a
 device of its own, the population is sharded over them, and XLA keeps to one thread per device.
 These are process-wide settings, which is why they are made by the program (the command line, a
 benchmark) and never by importing the package.
+
+A device computes a *chunk* of the population at a time, one that its cache holds, for as long as a
+trial lasts. The chunks of all devices are a *block*. The host feeds one block after the other to a
+program that knows one block only, so neither the time to compile nor the memory of the physics
+depends on how many individuals there are.
 """
 
 import functools
 import os
 import warnings
 from collections.abc import Callable
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.sharding import Mesh
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+from jaxtyping import Int
+
+Tree = TypeVar("Tree")
 
 from evo_cpg.training.compile_cache import keep_compiled_programs
 
@@ -30,8 +39,19 @@ COMPILER_OPTIONS = {
 POPULATION_AXIS = "population"
 
 # Individuals per device are rounded up to this many, so that no vector loop ends in a slow,
-# scalar remainder. 16 float32 values fill an AVX-512 register.
+# scalar remainder. 16 float32 values fill an AVX-512 register and a line of the cache.
 LANES = 16
+
+# What a step of a chunk costs, in units of what each of its first vectors of LANES adds (about 5 us
+# of the ten-body swimmer): so much however narrow the chunk is; so much more for each vector beyond
+# those that the cache holds; and so many times as much where arrays are an even number of cache
+# lines long, for then they compete for the same places in the cache (the more so at 4, 8 and 16).
+# See docs/benchmarks.md for the figures.
+_FIXED_COST = 3.0
+_HELD, _SPILL_COST = 7, 1.0
+_EVEN_COST = 1.05
+# Vectors of the widest chunk.
+_WIDEST = 9
 
 
 def use_cores(count: int | None = None) -> int:
@@ -62,9 +82,125 @@ def population_mesh(count: int | None = None) -> Mesh:
     return Mesh(np.array(devices), (POPULATION_AXIS,))
 
 
-def fast_jit(function: Callable, **options) -> Callable:
+class Layout(NamedTuple):
+    """How a population is spread over devices and time.
+
+    Attributes:
+        mesh: the devices that are busy.
+        width: individuals in the chunk of each.
+    """
+
+    mesh: Mesh
+    width: int
+
+    @property
+    def block(self) -> int:
+        """Individuals that all devices compute at a time."""
+        return self.mesh.size * self.width
+
+
+def layout(count: int, mesh: Mesh) -> Layout:
+    """The layout of a population.
+
+    Args:
+        count: individuals.
+        mesh: the devices. Of more than there are vectors the others stay idle: half a vector takes
+            as long as a full one.
+    """
+    busy = Mesh(mesh.devices[: -(-count // LANES)], mesh.axis_names)
+    return Layout(busy, chunk_width(count, mesh.size))
+
+
+def chunk_width(count: int, devices: int) -> int:
+    """How many individuals a device computes at a time.
+
+    The cheapest by a model of what chunks cost, with the places at the end that stay empty: few
+    wide chunks, none too wide for the cache, of full vectors and rather an odd number of them. On
+    other devices than CPUs, which have no such cache, a chunk is all of a device's share.
+
+    Args:
+        count: individuals, on all devices.
+        devices: that share them; those that stay idle make no difference.
+    """
+    share = -(-count // (devices * LANES))
+    if jax.default_backend() != "cpu":
+        return LANES * share
+    costs = {width: -(-share // width) * _chunk_cost(width) for width in range(1, _WIDEST + 1)}
+    return LANES * min(costs, key=costs.__getitem__)
+
+
+def sharded(
+    function: Callable[..., Tree], mesh: Mesh, ranks: tuple[int, ...], result_rank: int
+) -> jax.stages.Wrapped:
+    """A function of one block, compiled at its first call; the devices never talk to each other.
+
+    Args:
+        function: of one chunk: of arrays with the population on the last axis, of numbers, and of
+            None; gives arrays with the population on the last axis.
+        mesh: the devices.
+        ranks: number of axes of each argument.
+        result_rank: number of axes of each array that it gives.
+    """
+    return fast_jit(
+        jax.shard_map(
+            function,
+            mesh=mesh,
+            in_specs=tuple(_spec(rank) for rank in ranks),
+            out_specs=_spec(result_rank),
+            check_vma=False,
+        )
+    )
+
+
+def run_in_blocks(
+    program: Callable[..., Tree],
+    spread: Layout,
+    count: int,
+    pick: Callable[[Int[np.ndarray, " block"]], tuple],
+) -> Tree:
+    """What a program makes of a population, one block after the other.
+
+    Args:
+        program: from `sharded`.
+        spread: layout of the population.
+        count: individuals; places of the last block beyond them repeat the last individual.
+        pick: the program's arguments, on the host, for the individuals with these numbers.
+
+    Returns:
+        Host arrays of all individuals.
+    """
+
+    def share(x: np.ndarray) -> jax.Array:
+        return jax.device_put(x, NamedSharding(spread.mesh, _spec(x.ndim)))
+
+    results: list = []
+    for first in range(0, count, spread.block):
+        numbers = np.minimum(np.arange(first, first + spread.block), count - 1)
+        results.append(program(*jax.tree.map(share, pick(numbers))))
+        # While one block is computed the next one waits, and no more: each takes memory.
+        if len(results) > 1:
+            jax.block_until_ready(results[-2])
+
+    def join(*parts: jax.Array) -> np.ndarray:
+        return np.concatenate([np.asarray(part) for part in parts], axis=-1)[..., :count]
+
+    return jax.tree.map(join, *results)
+
+
+def fast_jit(function: Callable, **options) -> jax.stages.Wrapped:
     """`jax.jit` with this program's compiler options, or without them where JAX lacks them."""
     return jax.jit(function, compiler_options=_supported_options(), **options)
+
+
+def _chunk_cost(width: int) -> float:
+    """Of a step of a chunk of so many vectors, in units of what one of the first few adds."""
+    spilt = max(0, width - _HELD) * _SPILL_COST
+    return (_FIXED_COST + width + spilt) * (1 if width % 2 else _EVEN_COST)
+
+
+def _spec(rank: int) -> PartitionSpec:
+    """The last axis of an array is the population; a number is the same on all devices."""
+    return PartitionSpec(*(None,) * (rank - 1), POPULATION_AXIS) if rank else PartitionSpec()
 
 
 @functools.cache

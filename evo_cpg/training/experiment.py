@@ -13,7 +13,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.sharding import Mesh, NamedSharding, PartitionSpec
+from jax.sharding import Mesh
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int, Shaped, UInt32
 
@@ -21,7 +21,7 @@ from evo_cpg.creature.creature import Creature
 from evo_cpg.evolution.generation import Genetics
 from evo_cpg.simulation.rollout import Outcome, Simulation, record, rollout, score
 from evo_cpg.simulation.task import Task
-from evo_cpg.training.devices import LANES, POPULATION_AXIS, fast_jit
+from evo_cpg.training.devices import chunk_width, layout, run_in_blocks, sharded
 
 # Tags that keep the random streams of one seed apart.
 _FIRST_POPULATION, _GENERATIONS, _TRIALS = 0, 1, 2
@@ -127,40 +127,39 @@ def situation_numbers(experiment: Experiment) -> Int[np.ndarray, " trials"] | No
 
 
 def compile_trials(simulation: Simulation, mesh: Mesh) -> Callable[..., Outcome]:
-    """One trial of every individual of a population, sharded over the devices of the mesh.
+    """One trial of every individual of a population, in chunks on the devices of the mesh.
 
-    The devices never talk to each other: each gets its part of the population from the host and
-    gives its results back. A program in which they exchange results deadlocked when two of them
-    were in flight, and XLA ends the process when one device keeps the other waiting for 40 s.
+    The host feeds the devices block by block rather than having them loop over chunks: their memory
+    and the compiled program are then the same however large the population is, and no device ever
+    holds more of it than two chunks.
+
+    The devices never talk to each other: each gets its part of a block from the host and gives its
+    results back. A program in which they exchange results deadlocked when two of them were in
+    flight, and XLA ends the process when one device keeps the other waiting for 40 s.
 
     Returns:
-        A function of the host arrays that `rollout` takes, compiled at its first call.
+        A function of the host arrays that `rollout` takes, compiled at its first call. Its last
+        argument is the number of trials of each individual; the keys and numbers are then those of
+        trials, of which an individual's are neighbours, and so are the results.
     """
-    columns, lanes = PartitionSpec(None, POPULATION_AXIS), PartitionSpec(POPULATION_AXIS)
-    trials = fast_jit(
-        jax.shard_map(
-            functools.partial(rollout, simulation),
-            mesh=mesh,
-            in_specs=(columns, columns, lanes),
-            out_specs=lanes,
-            check_vma=False,
-        )
-    )
+
+    @functools.cache
+    def program(busy: Mesh) -> Callable[..., Outcome]:
+        return sharded(functools.partial(rollout, simulation), busy, (2, 2, 1), 1)
 
     def run(
-        genes: Float[np.ndarray, "g n"],
+        genes: Float[np.ndarray, "g individuals"],
         keys: UInt32[np.ndarray, "w n"] | None = None,
         trial: Int[np.ndarray, " n"] | None = None,
+        trials: int = 1,
     ) -> Outcome:
-        count = genes.shape[1]
+        def pick(numbers: Int[np.ndarray, " block"]) -> tuple:
+            of_trials = jax.tree.map(lambda x: x[..., numbers], (keys, trial))
+            return genes[:, numbers // trials], *of_trials
 
-        def share(x: np.ndarray) -> Array:
-            width = (*((0, 0),) * (x.ndim - 1), (0, padding(count, mesh)))
-            spec = columns if x.ndim == 2 else lanes
-            return jax.device_put(np.pad(x, width, mode="edge"), NamedSharding(mesh, spec))
-
-        outcome = trials(*jax.tree.map(share, (genes, keys, trial)))
-        return jax.tree.map(lambda x: np.asarray(x)[:count], outcome)
+        count = genes.shape[1] * trials
+        spread = layout(count, mesh)
+        return run_in_blocks(program(spread.mesh), spread, count, pick)
 
     return run
 
@@ -240,13 +239,13 @@ def judge(
 
 def replay(
     experiment: Experiment,
-    mesh: Mesh,
+    devices: int,
     genes: Float[Array, " g"],
     keys: UInt32[Array, "w trials"] | None = None,
     numbers: Int[Array, " trials"] | None = None,
     recorded: int = 0,
 ) -> tuple[Outcome, dict[str, Array]]:
-    """One individual's trials, with as many neighbours as they had in training.
+    """One individual's trials, on one device, in chunks as wide as those of training.
 
     Compiled code may round differently for different array lengths, and where an array is a
     constant of it; with equal lengths and the same arguments the numbers are those of the training
@@ -254,7 +253,7 @@ def replay(
 
     Args:
         experiment: that the individual was evolved in.
-        mesh: the devices of the training run.
+        devices: how many shared the population in training.
         genes: of the individual.
         keys: of its trials; None without noise.
         numbers: of its trials, see `situation_numbers`.
@@ -265,7 +264,7 @@ def replay(
     """
     simulation, trials = experiment.simulation, experiment.trials
     count = experiment.runs * experiment.genetics.population * trials
-    lanes = (count + padding(count, mesh)) // mesh.size
+    lanes = chunk_width(count, devices)
     crowd = jnp.broadcast_to(genes[:, None], (genes.shape[0], lanes))
 
     def beginning_with(first: int) -> tuple[Array | None, Array | None]:
@@ -273,17 +272,12 @@ def replay(
         order = (np.arange(lanes) + first) % trials
         return jax.tree.map(lambda x: x[..., order], (keys, numbers))
 
-    # One device may have held fewer trials than an individual has.
+    # A chunk may hold fewer trials than an individual has.
     starts = range(0, trials, lanes)
     parts = [rollout(simulation, crowd, *beginning_with(start)) for start in starts]
     outcome = jax.tree.map(lambda *x: jnp.concatenate(x)[:trials], *parts)
     some, situation = beginning_with(recorded)
     return outcome, record(simulation, crowd, keys=some, trial=situation)
-
-
-def padding(count: int, mesh: Mesh) -> int:
-    """How many individuals are added to a population so that every device gets full vectors."""
-    return -count % (mesh.size * LANES)
 
 
 def _seeds(experiment: Experiment) -> Int[Array, " runs"]:

@@ -67,7 +67,7 @@ def train(
         start = time.perf_counter()
         index = np.int32(checkpoint.generation)
         keys = jax.device_get(draw_keys(index))
-        outcome = run_trials(np.repeat(checkpoint.genes, experiment.trials, axis=1), keys, numbers)
+        outcome = run_trials(checkpoint.genes, keys, numbers, experiment.trials)
         yardsticks = {
             name: np.array(values, np.float32) for name, values in checkpoint.scales.items()
         }
@@ -107,11 +107,10 @@ def replay_champion(
     Returns:
         Its fitness, its terms and its motion in one trial.
     """
-    mesh = population_mesh(min(devices, len(jax.devices())))
     simulation, trials = experiment.simulation, np.arange(experiment.trials)
     run, individual = (np.full_like(trials, i) for i in (champion.run, champion.index))
     keys = trial_keys(experiment, champion.generation, run, individual, trials)
-    live = fast_jit(functools.partial(replay, experiment, mesh, recorded=recorded))
+    live = fast_jit(functools.partial(replay, experiment, devices, recorded=recorded))
     outcome, frames = live(champion.genes, keys, situation_numbers(experiment))
     scales = {name: jnp.float32(value) for name, value in champion.scales.items()}
     # Compiled as in training: a multiplication and an addition may become one operation, with one

@@ -5,13 +5,13 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from evo_cpg.simulation.noise import Noise
 from evo_cpg.simulation.reach_light import ReachLight
 from evo_cpg.simulation.rollout import Simulation, record
 from evo_cpg.simulation.situation import Situation
-from evo_cpg.training.devices import fast_jit, population_mesh
+from evo_cpg.training.devices import layout, population_mesh, run_in_blocks, sharded
 from evo_cpg.training.experiment import compile_trials
 
 
@@ -56,15 +56,21 @@ def probe(
         last_second = max(1, round(simulation.control_rate))
         task = ReachLight(_light(situations[0]), final_steps=last_second)
     simulation = dataclasses.replace(simulation, task=task, situations=situations, noise=Noise())
-    count = len(situations)
-    crowd, trial = np.repeat(genes[:, None], count, axis=1), np.arange(count)
-    outcome = compile_trials(simulation, population_mesh())(crowd, None, trial)
+    count, mesh = len(situations), population_mesh()
+    alone, trial = genes[:, None], np.arange(count)
+    outcome = compile_trials(simulation, mesh)(alone, None, trial, count)
 
-    def follow(genes, trial):
+    def follow(genes: Float[Array, "g n"], trial: Int[Array, " n"]) -> Float[Array, "t 3 n"]:
         # The root is the first body of the tree.
-        return record(simulation, genes, count, trial=trial)["position"][:, :, 0]
+        return record(simulation, genes, len(trial), trial=trial)["position"][:, :, 0]
 
-    paths = np.asarray(fast_jit(follow)(crowd, trial))
+    spread = layout(count, mesh)
+    paths = run_in_blocks(
+        sharded(follow, spread.mesh, (2, 1), 3),
+        spread,
+        count,
+        lambda numbers: (alone[:, 0 * numbers], trial[numbers]),
+    )
     starts = np.array([situation.start_position for situation in situations])
     lights = np.array([_light(situation) for situation in situations])
     terms = {name: np.where(outcome.alive, x, np.nan) for name, x in outcome.terms.items()}

@@ -37,14 +37,16 @@ def genes(small):
 
 @pytest.fixture(scope="module")
 def run_trials(small):
-    """Trials on two devices."""
+    """Trials on two devices, of which the second is needed from the 17th individual on."""
     return compile_trials(small.simulation, population_mesh(2))
 
 
 @pytest.fixture(scope="module")
-def evaluated(small, genes, run_trials):
-    """The same 11 individuals, on one device and on two."""
-    return compile_trials(small.simulation, population_mesh(1))(genes), run_trials(genes)
+def evaluated(genes, run_trials):
+    """The same 11 individuals, alone on one device, and before 9 others on two."""
+    more = np.concatenate([genes, genes[:, :9] + 0.1], axis=1)
+    crowd = jax.tree.map(lambda x: x[:11], run_trials(more))
+    return run_trials(genes), crowd
 
 
 def test_two_devices_give_the_same_bits_as_one(evaluated):
@@ -63,8 +65,7 @@ def test_padding_a_population_changes_nobody(small, genes, evaluated):
 
 
 def test_a_replay_is_the_trial_and_its_recording(small, genes, evaluated):
-    mesh = population_mesh(2)
-    outcome, frames = fast_jit(lambda g: replay(small, mesh, g))(genes[:, 4])
+    outcome, frames = fast_jit(lambda g: replay(small, 2, g))(genes[:, 4])
     for name, values in evaluated[1].terms.items():
         np.testing.assert_array_equal(outcome.terms[name], values[4:5])
     motion = as_recording(small.simulation, frames, ["tail", "head"])

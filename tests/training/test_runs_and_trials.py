@@ -12,7 +12,7 @@ from creatures import quick_jit
 from evo_cpg.evolution.bits import BitGenetics
 from evo_cpg.simulation.noise import Noise
 from evo_cpg.simulation.rollout import Outcome, score
-from evo_cpg.training.devices import fast_jit, population_mesh
+from evo_cpg.training.devices import chunk_width, fast_jit, population_mesh
 from evo_cpg.training.experiment import (
     breed,
     compile_trials,
@@ -109,7 +109,7 @@ def test_runs_are_bred_as_if_each_were_alone(genetics, trials):
 
 
 def test_runs_evolve_as_if_each_were_alone(pair, tmp_path):
-    """Up to rounding, which depends on how many animals a device has."""
+    """Up to rounding, which depends on how many animals a device computes at a time."""
     _, done = pair
     assert [(row["generation"], row["run"]) for row in done.history] == [
         (generation, run) for generation in range(GENERATIONS) for run in (0, 1)
@@ -156,13 +156,14 @@ def test_every_champion_comes_out_as_recorded_with_its_own_noise(noisy_pair):
     assert replay_champion(NOISY, other, 2)[0] != champion.fitness
 
 
-def test_more_trials_than_a_device_has_places_are_replayed_exactly():
-    """One individual with 40 trials on two devices of 32 places each."""
+def test_more_trials_than_a_chunk_has_places_are_replayed_exactly():
+    """One individual with 40 trials, which two devices share."""
     single = noisy(experiment(20, 1))._replace(trials=40)
-    mesh, genes = population_mesh(2), np.asarray(first_population(single))
+    assert chunk_width(40, 2) < 40
+    genes = np.asarray(first_population(single))
     keys = np.asarray(generation_keys(single, np.int32(3)))
-    outcome = compile_trials(single.simulation, mesh)(np.repeat(genes, 40, axis=1), keys)
-    again, _ = fast_jit(functools.partial(replay, single, mesh))(genes[:, 0], keys)
+    outcome = compile_trials(single.simulation, population_mesh(2))(genes, keys, None, 40)
+    again, _ = fast_jit(functools.partial(replay, single, 2))(genes[:, 0], keys)
     for name, values in outcome.terms.items():
         assert len(np.unique(values)) > 30
         np.testing.assert_array_equal(again.terms[name], values)

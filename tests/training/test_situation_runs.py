@@ -118,17 +118,17 @@ def test_champions_come_out_as_recorded_and_are_shown_in_any_trial(evolved):
 
 
 @pytest.mark.parametrize(("devices", "noise"), [(2, None), (1, Noise(joint_angle=0.1))])
-def test_more_situations_than_a_device_has_places_are_replayed_exactly(devices, noise):
-    """One individual with 40 trials, on two devices of 32 places each or one of 48."""
+def test_more_situations_than_a_chunk_has_places_are_replayed_exactly(devices, noise):
+    """One individual with 40 trials, in chunks of fewer on two devices."""
     lights = np.random.default_rng(2).uniform(-3, 3, (40, 3))
     made = in_situations(tuple(Situation(light=tuple(place)) for place in lights), 1, noise)
-    mesh, genes = population_mesh(devices), np.asarray(first_population(made))
+    genes = np.asarray(first_population(made))
     keys = generation_keys(made, np.int32(3))
     keys = None if keys is None else np.asarray(keys)
     numbers = situation_numbers(made)
-    live = compile_trials(made.simulation, mesh)
-    outcome = live(np.repeat(genes, 40, axis=1), keys, numbers)
-    replayed, _ = fast_jit(functools.partial(replay, made, mesh))(genes[:, 0], keys, numbers)
+    live = compile_trials(made.simulation, population_mesh(devices))
+    outcome = live(genes, keys, numbers, 40)
+    replayed, _ = fast_jit(functools.partial(replay, made, devices))(genes[:, 0], keys, numbers)
     assert len(np.unique(outcome.terms["distance"])) == 40
     for name, values in outcome.terms.items():
         np.testing.assert_array_equal(replayed.terms[name], values)

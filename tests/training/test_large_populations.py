@@ -1,0 +1,175 @@
+"""Populations in chunks: how wide they are, that nobody notices, and that memory is bounded."""
+
+import dataclasses
+
+import jax
+import numpy as np
+import pytest
+
+from evo_cpg.simulation.noise import Noise
+from evo_cpg.training import devices, loop
+from evo_cpg.training import experiment as training_experiment
+from evo_cpg.training.devices import (
+    LANES,
+    Layout,
+    chunk_width,
+    fast_jit,
+    layout,
+    population_mesh,
+    run_in_blocks,
+    sharded,
+)
+from evo_cpg.training.experiment import compile_trials, first_population, generation_keys, replay
+from evo_cpg.training.run_folder import RunFolder
+from trials import experiment
+
+COUNTS = [*range(1, 700, 17), 1024, 4096, 16_384, 20_000, 100_000]
+SIZE = 25
+
+
+@pytest.fixture(scope="module")
+def crowd():
+    """Individuals that each live twice, with noise."""
+    made = experiment(15, SIZE)._replace(trials=2)
+    noisy = dataclasses.replace(made.simulation, noise=Noise(joint_angle=0.1))
+    return made._replace(simulation=noisy)
+
+
+@pytest.fixture
+def narrow(monkeypatch):
+    """No chunk is wider than one vector."""
+    monkeypatch.setattr(devices, "_WIDEST", 1)
+
+
+def idle(count, devices):
+    """Places that a layout leaves empty."""
+    block = min(devices, -(-count // LANES)) * chunk_width(count, devices)
+    return -count % block
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 8, 64])
+def test_chunks_are_of_full_vectors_and_fit_the_cache(count):
+    widest = devices._WIDEST * LANES
+    for population in COUNTS:
+        width = chunk_width(population, count)
+        assert width % LANES == 0 and 0 < width <= widest
+        # A population that is filled up has the layout of the one that was.
+        assert chunk_width(population + idle(population, count), count) == width
+        # One vector on each device less would not hold all, unless that saves chunks elsewhere.
+        share = -(-population // count)
+        if share <= widest:
+            assert width <= -(-share // LANES) * LANES + LANES
+
+
+def test_large_populations_get_an_odd_number_of_vectors_and_waste_few():
+    for population in (count for count in COUNTS if count > 4000):
+        for count in (1, 2, 4):
+            assert chunk_width(population, count) // LANES % 2 == 1
+            assert idle(population, count) < 0.1 * population
+
+
+@pytest.mark.parametrize(
+    ("population", "count", "expected"), [(15, 2, 16), (17, 2, 16), (200, 2, 112), (96, 1, 96)]
+)
+def test_widths_of_usual_populations(population, count, expected):
+    assert chunk_width(population, count) == expected
+
+
+def test_graphics_processors_get_all_at_once(monkeypatch):
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    assert chunk_width(4000, 1) == 4000 and chunk_width(4000, 3) == 1344
+
+
+def test_devices_without_a_vector_of_their_own_stay_idle():
+    mesh = population_mesh(2)
+    assert [layout(count, mesh).mesh.size for count in (1, 16, 17, 200)] == [1, 1, 2, 2]
+    assert layout(16, mesh).block == 16 and layout(17, mesh).block == 32
+
+
+@pytest.mark.parametrize("count", [1, 31, 32, 33, 70, 96])
+def test_everyone_comes_back_in_order_once(count):
+    """Numbers that name their owner; the places beyond them repeat the last, and are cut off."""
+    mesh = population_mesh(2)
+    asked = []
+
+    def pick(numbers):
+        asked.append(numbers)
+        return (
+            np.float32([[0], [100]]) + numbers.astype(np.float32),
+            None,
+            np.array(0.5, np.float32),
+        )
+
+    def program(names, nothing, offset):
+        assert nothing is None and names.shape == (2, 16)
+        return {"sum": names.sum(0), "same": names + offset}
+
+    def flat(*arguments):
+        return program(*arguments)["sum"]
+
+    names = np.arange(count, dtype=np.float32)
+    run = sharded(flat, mesh, (2, 1, 0), 1)
+    found = run_in_blocks(run, Layout(mesh, 16), count, pick)
+    np.testing.assert_array_equal(found, 2 * names + 100)
+    places = np.concatenate(asked)
+    assert len(places) == -(-count // 32) * 32
+    np.testing.assert_array_equal(places[:count], np.arange(count))
+    np.testing.assert_array_equal(places[count:], count - 1)
+    wide = sharded(lambda *x: program(*x)["same"], mesh, (2, 1, 0), 2)
+    found = run_in_blocks(wide, Layout(mesh, 16), count, pick)
+    np.testing.assert_array_equal(found, [names + 0.5, names + 100.5])
+
+
+def test_chunks_change_nobody(crowd, narrow):
+    """50 trials in two blocks of 32, against some of them and one alone; to the last bit."""
+    genes = np.asarray(first_population(crowd))
+    keys = np.asarray(generation_keys(crowd, np.int32(1)))
+    of_each = keys.reshape(-1, SIZE, 2)
+    live = compile_trials(crowd.simulation, population_mesh(2))
+    outcome = live(genes, keys, None, 2)
+    assert len(np.unique(outcome.terms["distance"])) > 1.9 * SIZE
+    for some in (range(9), range(10, 21), range(16, SIZE)):
+        own = live(genes[:, some], of_each[:, some].reshape(len(keys), -1), None, 2)
+        for name, values in own.terms.items():
+            expected = outcome.terms[name].reshape(SIZE, 2)[some]
+            np.testing.assert_array_equal(values, expected.reshape(-1))
+    repeat = fast_jit(lambda *x: replay(crowd, 2, *x)[0])
+    for name, values in repeat(genes[:, 17], of_each[:, 17]).terms.items():
+        np.testing.assert_array_equal(values, outcome.terms[name][34:36])
+    # An individual that diverges, at the end and so in the empty places too, disturbs nobody.
+    wild = genes.copy()
+    wild[:, -1] = np.nan
+    disturbed = live(wild, keys, None, 2)
+    assert disturbed.alive.tolist() == [True] * (2 * SIZE - 2) + [False] * 2
+    for name, values in disturbed.terms.items():
+        np.testing.assert_array_equal(values[:-2], outcome.terms[name][:-2])
+
+
+def test_more_generations_and_individuals_take_no_more_memory(monkeypatch, tmp_path):
+    """No array stays behind, and there is one program for a block, so its memory is the same."""
+    programs, functions = [], []
+
+    def noted(*arguments):
+        programs.append(sharded(*arguments))
+        return programs[-1]
+
+    def kept(*arguments):
+        functions.append(compile_trials(*arguments))
+        return functions[-1]
+
+    monkeypatch.setattr(training_experiment, "sharded", noted)
+    monkeypatch.setattr(loop, "compile_trials", kept)
+    made = experiment(2, 1000)._replace(generations=6)
+    folder = RunFolder(tmp_path / "run")
+    folder.create("", {})
+    held = []
+    done = loop.train(made, folder, lambda rows: held.append(len(jax.live_arrays())))
+    assert len(held) == 6 and len(set(held[1:])) == 1
+    (live,) = functions
+    few = live(done.genes)
+    many = live(np.tile(done.genes, 20))
+    assert len(jax.live_arrays()) <= held[-1]
+    assert [program._cache_size() for program in programs] == [1]
+    for name, values in few.terms.items():
+        assert values.shape == (1000,)
+        np.testing.assert_array_equal(many.terms[name].reshape(20, 1000), [values] * 20)
