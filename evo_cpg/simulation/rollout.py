@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from evo_cpg.control.controller import Command, Controller, Observation
+from evo_cpg.creature.tree import Tree
 from evo_cpg.fusion.kernels import fuse
 from evo_cpg.physics.kinematics import Kinematics, kinematics
 from evo_cpg.physics.state import State
@@ -117,23 +118,7 @@ def rollout(
         keys: a raw random key for each trial's noise; None lets all live without noise.
         trial: number of the situation in each lane; None puts all into the first.
     """
-    batch, dtype = genes.shape[1:], genes.dtype
-    task, steps = simulation.task, simulation.steps
-    light = light_places(simulation.lights, trial, dtype)
-
-    def advance(carry, index):
-        animal, tally, alive = carry
-        animal, instant = _control_step(simulation, genes, keys, light, animal, index)
-        tally = task.watch(tally, instant.moment, steps)
-        return (animal, tally, alive & _is_sane(animal.state)), None
-
-    carry = (
-        _start(simulation, batch, dtype, keys, trial),
-        task.begin(batch, dtype, steps),
-        jnp.ones(batch, bool),
-    )
-    (_, tally, alive), _ = jax.lax.scan(advance, carry, jnp.arange(steps))
-    return Outcome(task.terms(tally, steps), alive)
+    return _live(simulation, genes, slice(0), keys, trial)[0]
 
 
 def score(task: Task, outcome: Outcome, scales: dict[str, Float[Array, ""]]) -> Float[Array, " *n"]:
@@ -153,33 +138,76 @@ def record(
 
     Args:
         simulation: the trial.
-        genes: a population, so that the champion can be replayed among as many neighbours as it
-            had in training and its numbers come out the same.
+        genes: a population.
         count: individuals to record.
         keys: see `rollout`.
         trial: see `rollout`.
     """
+    return _live(simulation, genes, slice(count), keys, trial)[1]
+
+
+def rollout_and_record(
+    simulation: Simulation,
+    genes: Float[Array, "g n"],
+    individual: int,
+    keys: UInt32[Array, "w n"] | None = None,
+    trial: Int[Array, " n"] | None = None,
+) -> tuple[Outcome, dict[str, Array]]:
+    """`rollout` of all and `record` of one individual, in one program: it compiles but once.
+
+    Args:
+        simulation: the trial.
+        genes: a population, so that the champion can be replayed among as many neighbours as it
+            had in training and its numbers come out the same.
+        individual: which is recorded.
+        keys: see `rollout`.
+        trial: see `rollout`.
+    """
+    return _live(simulation, genes, slice(individual, individual + 1), keys, trial)
+
+
+def _live(
+    simulation: Simulation,
+    genes: Array,
+    recorded: slice,
+    keys: Array | None,
+    trial: Array | None,
+) -> tuple[Outcome, dict[str, Array]]:
+    """What the trials of all amounted to, and some of them step by step."""
     batch, dtype = genes.shape[1:], genes.dtype
-    tree = simulation.world.tree
+    task, steps, tree = simulation.task, simulation.steps, simulation.world.tree
     light = light_places(simulation.lights, trial, dtype)
 
-    def advance(animal, index):
+    def advance(carry, index):
+        animal, tally, alive = carry
         animal, instant = _control_step(simulation, genes, keys, light, animal, index)
-        kin = instant.kinematics
-        centre = kin.origin + (kin.rotation * jnp.asarray(tree.com, dtype)[None, ..., None]).sum(1)
-        frame = {
-            "position": centre,
-            "rotation": kin.rotation,
-            "joint_angle": instant.moment.joint_angle,
-            "target_rate": instant.command.target_rate,
-            "cpg_output": instant.command.signal,
-            "torque": instant.torque,
-        }
-        frame = {name: values[..., :count] for name, values in frame.items()}
-        return animal, frame
+        tally = task.watch(tally, instant.moment, steps)
+        frame = None
+        if recorded.stop:
+            frame = {name: values[..., recorded] for name, values in _frame(tree, instant).items()}
+        return (animal, tally, alive & _is_sane(animal.state)), frame
 
-    start = _start(simulation, batch, dtype, keys, trial)
-    return jax.lax.scan(advance, start, jnp.arange(simulation.steps))[1]
+    carry = (
+        _start(simulation, batch, dtype, keys, trial),
+        task.begin(batch, dtype, steps),
+        jnp.ones(batch, bool),
+    )
+    (_, tally, alive), frames = jax.lax.scan(advance, carry, jnp.arange(steps))
+    return Outcome(task.terms(tally, steps), alive), frames
+
+
+def _frame(tree: Tree, instant: _Instant) -> dict[str, Array]:
+    """What is recorded of one control step."""
+    kin = instant.kinematics
+    com = jnp.asarray(tree.com, kin.origin.dtype)[None, ..., None]
+    return {
+        "position": kin.origin + (kin.rotation * com).sum(1),
+        "rotation": kin.rotation,
+        "joint_angle": instant.moment.joint_angle,
+        "target_rate": instant.command.target_rate,
+        "cpg_output": instant.command.signal,
+        "torque": instant.torque,
+    }
 
 
 def as_recording(

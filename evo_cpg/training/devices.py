@@ -24,9 +24,9 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Int
 
-Tree = TypeVar("Tree")
-
 from evo_cpg.training.compile_cache import keep_compiled_programs
+
+Tree = TypeVar("Tree")
 
 # Lets XLA:CPU compile small reductions and products itself instead of handing them to a library
 # that is several times slower at this size; and uses the widest vectors that the processor has.

@@ -19,7 +19,7 @@ from jaxtyping import Array, Bool, Float, Int, Shaped, UInt32
 
 from evo_cpg.creature.creature import Creature
 from evo_cpg.evolution.generation import Genetics
-from evo_cpg.simulation.rollout import Outcome, Simulation, record, rollout, score
+from evo_cpg.simulation.rollout import Outcome, Simulation, rollout, rollout_and_record, score
 from evo_cpg.simulation.task import Task
 from evo_cpg.training.devices import chunk_width, layout, run_in_blocks, sharded
 
@@ -273,11 +273,16 @@ def replay(
         return jax.tree.map(lambda x: x[..., order], (keys, numbers))
 
     # A chunk may hold fewer trials than an individual has.
-    starts = range(0, trials, lanes)
-    parts = [rollout(simulation, crowd, *beginning_with(start)) for start in starts]
-    outcome = jax.tree.map(lambda *x: jnp.concatenate(x)[:trials], *parts)
-    some, situation = beginning_with(recorded)
-    return outcome, record(simulation, crowd, keys=some, trial=situation)
+    parts, frames = [], {}
+    for start in range(0, trials, lanes):
+        if start <= recorded < start + lanes:
+            outcome, frames = rollout_and_record(
+                simulation, crowd, recorded - start, *beginning_with(start)
+            )
+        else:
+            outcome = rollout(simulation, crowd, *beginning_with(start))
+        parts.append(outcome)
+    return jax.tree.map(lambda *x: jnp.concatenate(x)[:trials], *parts), frames
 
 
 def _seeds(experiment: Experiment) -> Int[Array, " runs"]:
