@@ -182,7 +182,7 @@ def _live(
         animal, tally, alive = carry
         animal, instant = _control_step(simulation, genes, keys, light, animal, index)
         tally = task.watch(tally, instant.moment, steps)
-        frame = None
+        frame = {}
         if recorded.stop:
             frame = {name: values[..., recorded] for name, values in _frame(tree, instant).items()}
         return (animal, tally, alive & _is_sane(animal.state)), frame

@@ -30,7 +30,7 @@ def keep_compiled_programs() -> Path | None:
         The folder; None where none can be made, or the user has chosen one.
     """
     jax.config.update("jax_persistent_cache_min_compile_time_secs", _LEAST_SECONDS)
-    if jax.config.jax_compilation_cache_dir:
+    if jax.config.values["jax_compilation_cache_dir"]:
         return None
     home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     folder = Path(home) / "evo_cpg" / "compiled" / _processor()
