@@ -108,6 +108,29 @@ def test_order_is_by_level_then_axes_then_description():
     assert (tree.body_count, tree.dof_count) == (5, 7)
 
 
+def test_limbs_of_the_same_build_are_a_group():
+    """A hip between two hands has as many axes as they, but legs grow from it."""
+    described = creature(
+        body("chest"),
+        body("left_arm", "chest", 2),
+        body("right_arm", "chest", 2),
+        body("belly", "chest", 1),
+        body("left_hand", "left_arm", 1),
+        body("right_hand", "right_arm", 1),
+        body("hip", "belly", 1),
+        body("leg", "hip", 1),
+    )
+    tree = build_tree(described)
+    groups = [tree.names[group.bodies] for group in tree.groups]
+    assert groups == [
+        ("belly",),
+        ("left_arm", "right_arm"),
+        ("left_hand", "right_hand"),
+        ("hip",),
+        ("leg",),
+    ]
+
+
 def test_oblique_axes_are_named_by_their_components():
     oblique = body("b", "a")
     oblique = dataclasses.replace(
