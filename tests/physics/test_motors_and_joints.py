@@ -75,7 +75,7 @@ def test_torque_is_the_clipped_law_at_the_end_of_the_step(thrashing):
 def test_energy_is_that_of_the_applied_torque(thrashing):
     """E = h |tau (qd + qd+) / 2|: the trapezoidal rule with the torque that the step applied."""
     before, states, effort, _ = thrashing
-    expected = H * np.abs(effort.torque * (before + states.qd) / 2).sum(0)
+    expected = H * np.abs(effort.torque * (before + states.qd) / 2).sum(1)
     np.testing.assert_allclose(effort.energy, expected, rtol=1e-12, atol=1e-15)
 
 
