@@ -13,11 +13,14 @@ import numpy as np
 
 from evo_cpg.fusion.graph import Call, Node
 
-# Most operations in one kernel, and most arrays that it reads and writes: LLVM's alias analysis
-# gives up beyond 250 of them, and the loop is then not vectorised. With 3600 operations a step of
-# ten bodies is a tenth faster, but one kernel of a three-body swimmer then took 28 ms instead of
-# some microseconds.
-KERNEL_SIZE = 1200
+# Most instructions in one kernel: operations, numbers read and results stored. LLVM inlines a
+# function with one caller up to some 3000 instructions (a cost of 15,000, five for each); one that
+# is larger is called, once for each of its results, and nothing is vectorised: a kernel of 3779
+# took 26 ms instead of 10 microseconds. What is computed again later comes on top.
+KERNEL_SIZE = 2400
+
+# Most arrays that a kernel reads and writes: LLVM's alias analysis gives up beyond 250 of them, and
+# the loop is then not vectorised.
 KERNEL_ARRAYS = 240
 
 # Cuts are considered every so many operations, too few to touch KERNEL_ARRAYS; starting a kernel
@@ -251,10 +254,11 @@ def _extensions(
                 last_reader[value] = start
                 inputs += 1
         results += 1
-        if 2 * inputs > KERNEL_ARRAYS:
+        stop = place + 1
+        if 2 * inputs > KERNEL_ARRAYS or stop - start + inputs > KERNEL_SIZE:
             return
         # A reduction reads as many arrays as it writes.
-        stop, fits = place + 1, 2 * results <= KERNEL_ARRAYS
+        fits = 2 * results <= KERNEL_ARRAYS and stop - start + inputs + results <= KERNEL_SIZE
         if fits and (stop % _CUT_STRIDE == 0 or stop == len(reads)):
             yield stop, inputs + max(inputs, results)
 
