@@ -36,7 +36,7 @@ _FEWEST_OF_OURS = 1000
 # A trial that is shorter says little about its fitness, which some tasks refuse to tell.
 _FEWEST_CONTROL_STEPS = 60
 # The whole stack takes about this much longer than the physics, by which its calls are measured
-# out: finding out would take another compiling.
+# out: finding out would take another compiling. They are no shorter than the trial of the config.
 _WHOLE_SHARE = 0.6
 # Where MuJoCo starts to be timed, s: what it costs depends on what touches the ground by then. So
 # many individuals move until then, and the others start like them.
@@ -152,7 +152,7 @@ def _at_size(
             errors[""],
             animal.flops,
         ),
-        _whole_stack(animal.exercise, size, steps, mesh),
+        _whole_stack(animal.exercise, size, steps, mesh, plan.quick),
     ]
     theirs = [
         _mujoco(animal.exercise, kind, size, errors[kind.name], plan)
@@ -175,9 +175,10 @@ def _at_size(
     ]
 
 
-def _whole_stack(exercise: Exercise, size: int, steps: int, mesh: Mesh) -> _Ours:
+def _whole_stack(exercise: Exercise, size: int, steps: int, mesh: Mesh, quick: bool) -> _Ours:
     simulation = exercise.experiment.simulation
-    trial = max(round(_WHOLE_SHARE * steps / simulation.substeps), _FEWEST_CONTROL_STEPS)
+    fewest = _FEWEST_CONTROL_STEPS if quick else simulation.steps
+    trial = max(round(_WHOLE_SHARE * steps / simulation.substeps), fewest)
     simulation = dataclasses.replace(simulation, steps=trial)
     draw = fast_jit(
         lambda: simulation.controller.random_genes(jax.random.key(0), (size,), np.float32)
