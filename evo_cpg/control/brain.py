@@ -16,6 +16,7 @@ one unit lies together, so that one-point crossover tends to keep it whole.
 """
 
 import dataclasses
+import itertools
 
 import equinox as eqx
 import jax
@@ -99,16 +100,18 @@ def think(
         )
     if genes.shape[0] != brain.gene_count:
         raise ValueError(f"the brain has {brain.gene_count} genes, but was given {genes.shape[0]}")
-    values, start = inputs, 0
-    for count, units in zip(brain.sizes[:-1], brain.sizes[1:], strict=True):
-        stop = start + units * (count + 1)
-        weights = genes[start:stop].reshape(units, count + 1, *genes.shape[1:])
-        activation = weights[:, -1]
-        for first in range(0, count, SUM_BLOCK):
-            block = slice(first, min(first + SUM_BLOCK, count))
-            activation = activation + matvec(weights[:, block], values[block])
+    sizes = list(itertools.pairwise(brain.sizes))
+    # Splits, not slices: the slopes of their parts are put side by side, not padded and added up.
+    layers = jnp.split(genes, list(itertools.accumulate((i + 1) * o for i, o in sizes))[:-1])
+    values = inputs
+    for (count, units), layer in zip(sizes, layers, strict=True):
+        weights = layer.reshape(units, count + 1, *genes.shape[1:])
+        cuts = [*range(SUM_BLOCK, count, SUM_BLOCK), count]
+        *blocks, bias = jnp.split(weights, cuts, axis=1)
+        activation = bias[:, 0]
+        for block, part in zip(blocks, jnp.split(values, cuts[:-1]), strict=True):
+            activation = activation + matvec(block, part)
         values = jax.nn.sigmoid(activation / brain.temperature)
-        start = stop
     return values
 
 

@@ -69,6 +69,9 @@ _COSTLY = {
 # Scalars to lanes, a lane to a scalar, and the sum of the lanes: done with whole arrays, outside of
 # the kernels.
 pack_p, lane_p, lane_sum_p = (Primitive(name) for name in ("pack", "lane", "lane_sum"))
+
+# The same scalar, but what is computed from it is not taken for what is there already.
+again_p = Primitive("again")
 _MOVES = {"pack", "lane", "lane_sum"}
 
 
@@ -148,9 +151,11 @@ class Node:
         """Of the primitive, or nothing."""
         return self.primitive.name if isinstance(self.primitive, Primitive) else ""
 
-    def evaluate(self, *operands: jax.Array | np.generic) -> jax.Array:
+    def evaluate(self, *operands: jax.Array | np.generic) -> Any:
         """The operation on given operands."""
         assert isinstance(self.primitive, Primitive)
+        if self.primitive is again_p:
+            return operands[0]
         return self.primitive.bind(*operands, **self.params)
 
     @property
@@ -258,6 +263,13 @@ class Graph:
         key = ("lane", node.number, number)
         source = (node, number)
         return self._unique(key, node.dtype, primitive=lane_p, operands=(node,), source=source)
+
+    def again(self, node: Node) -> Node:
+        """The same number as a node of its own, so that its users are nodes of their own."""
+        if node.value is not None or node in self.lane_constants:
+            return node
+        key = ("again", len(self._nodes))
+        return self._unique(key, node.dtype, primitive=again_p, operands=(node,), lanes=node.lanes)
 
     def lane_sum(self, node: Node) -> Node:
         """The sum of a node's lanes."""

@@ -11,12 +11,12 @@ what it has accumulated and maps the new operands to the results: XLA compiles a
 scalar function with many results, inlines it and vectorises the loop around it. It counts no
 arithmetic in it, so it does not cut the loop up among threads either.
 
-Derivatives are those of the original program, which JAX differentiates as usual.
+A fused program is one primitive to JAX until it is compiled; its derivatives are fused as well (see
+`evo_cpg.fusion.derivatives`).
 """
 
 import contextlib
 import contextvars
-import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -24,12 +24,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import core
-from jax.extend.core import ClosedJaxpr
+from jax.interpreters import mlir
 
 from evo_cpg.fusion.graph import Call, Graph, Node, lane_p, lane_sum_p, pack_p
+from evo_cpg.fusion.primitives import Program, array_call_p, fused_p, gathered_p, side_by_side_p
 from evo_cpg.fusion.schedule import KERNEL_ARRAYS, cut, read_by
 from evo_cpg.fusion.sums import chain_sums
-from evo_cpg.fusion.trace import array_call_p, constants, side_by_side_p, trace
+from evo_cpg.fusion.trace import constants, trace
 from evo_cpg.spatial.linear import compute_once
 
 # Up to so many sines, as many kernels are faster than one and what it takes to stack and part rows:
@@ -62,55 +63,28 @@ def fuse(function: Callable, *args: Any, batch_ndim: int) -> Any:
         jax.ShapeDtypeStruct(leaf.shape[: leaf.ndim - batch_ndim], leaf.dtype) for leaf in leaves
     ]
 
-    def plain(*leaves):
-        return tuple(jax.tree.leaves(function(*structure.unflatten(leaves))))
-
     with _inlining():
-        program, result = jax.make_jaxpr(function, return_shape=True)(*structure.unflatten(singles))
-    closed_over = [value for value in program.consts if isinstance(value, core.Tracer)]
-    if closed_over:
-        plain = functools.partial(_for_each, program, len(closed_over), batch_ndim)
-
-    @jax.custom_jvp
-    def fused(*values):
-        return _evaluate(program, values[: len(closed_over)], values[len(closed_over) :], batch)
-
-    @fused.defjvp
-    def _(primals, tangents):
-        return jax.jvp(plain, primals, tangents)
-
-    return jax.tree.structure(result).unflatten(fused(*closed_over, *leaves))
+        closed, result = jax.make_jaxpr(function, return_shape=True)(*structure.unflatten(singles))
+    traced = [isinstance(value, core.Tracer) for value in closed.consts]
+    own = tuple(
+        None if is_traced else np.asarray(value)
+        for value, is_traced in zip(closed.consts, traced, strict=True)
+    )
+    shared = [value for value, is_traced in zip(closed.consts, traced, strict=True) if is_traced]
+    program = Program(closed.jaxpr, own, len(shared))
+    found = fused_p.bind(*shared, *leaves, program=program, batch=tuple(batch))
+    return jax.tree.structure(result).unflatten(found)
 
 
-def _for_each(
-    program: ClosedJaxpr, shared_count: int, batch_ndim: int, *values: jax.Array
-) -> tuple:
-    """The program for all individuals without fusing it; the first values are common to all."""
-    shared, own = iter(values[:shared_count]), values[shared_count:]
-    consts = [next(shared) if isinstance(c, core.Tracer) else c for c in program.consts]
-
-    def one(*leaves):
-        return tuple(core.eval_jaxpr(program.jaxpr, consts, *leaves))
-
-    for _ in range(batch_ndim):
-        one = jax.vmap(one, in_axes=-1, out_axes=-1)
-    return one(*own)
-
-
-def _evaluate(
-    program: ClosedJaxpr,
-    shared: tuple[jax.Array, ...],
-    leaves: tuple[jax.Array, ...],
-    batch: tuple[int, ...],
-) -> tuple:
+def _evaluate(*arrays: jax.Array, program: Program, batch: tuple[int, ...]) -> list[jax.Array]:
     """Outputs of the program for all individuals.
 
     Args:
+        arrays: what it shares, and its arguments with the batch axes behind.
         program: for one individual.
-        shared: in place of its constants that are being traced.
-        leaves: its arguments, with the batch axes behind.
         batch: lengths of the batch axes.
     """
+    shared, leaves = arrays[: program.shared], arrays[program.shared :]
     graph = Graph()
     individuals = int(np.prod(batch, dtype=int))
     values: dict[Node, jax.Array] = {}
@@ -130,10 +104,8 @@ def _evaluate(
     inputs = [as_nodes(leaf, leaf.shape[: leaf.ndim - len(batch)]) for leaf in leaves]
     given = iter(shared)
     consts = [
-        as_nodes(array := next(given), array.shape)
-        if isinstance(value, core.Tracer)
-        else constants(graph, np.asarray(value))
-        for value in program.consts
+        as_nodes(array := next(given), array.shape) if own is None else constants(graph, own)
+        for own in program.constants
     ]
     outputs = trace(graph, program.jaxpr, consts, inputs)
     for node, each in graph.lane_constants.items():
@@ -187,7 +159,11 @@ def _evaluate(
     for array in outputs:
         whole = jnp.stack([value(node) for node in array.flat]) if array.size else jnp.zeros((0,))
         results.append(whole.reshape(*array.shape, *batch))
-    return tuple(results)
+    return results
+
+
+fused_p.def_impl(_evaluate)
+mlir.register_lowering(fused_p, mlir.lower_fun(_evaluate, multiple_results=True))
 
 
 def together(tree: Any) -> Any:
@@ -198,6 +174,23 @@ def together(tree: Any) -> Any:
     spares storing what they share.
     """
     return jax.lax.optimization_barrier(tree) if _tracing.get() else tree
+
+
+def recomputed(function: Callable) -> Callable:
+    """The same function; within a fused one, its derivative computes it again.
+
+    Nothing that it computes on the way is then passed on to the backward pass, only its arguments.
+    That costs its operations once more, which is little beside storing what they give.
+    """
+    return jax.checkpoint(function) if _tracing.get() else function
+
+
+def gathered(tree: Any) -> Any:
+    """The same values; within a fused function their slopes are computed `together`."""
+    if not _tracing.get():
+        return tree
+    leaves, structure = jax.tree.flatten(tree)
+    return structure.unflatten(gathered_p.bind(*leaves))
 
 
 def side_by_side(x: jax.Array) -> jax.Array:

@@ -11,11 +11,11 @@ from collections.abc import Callable
 
 import jax
 import numpy as np
-from jax import core
 from jax.extend.core import Jaxpr, Literal, Primitive
-from jax.interpreters import ad, batching, mlir
 
 from evo_cpg.fusion.graph import Graph, Node
+from evo_cpg.fusion.moves import MOVES
+from evo_cpg.fusion.primitives import array_call_p, linear_map_p, trace_of
 from evo_cpg.fusion.sine import cosine, has_polynomial, sine
 
 # Programs within the program, by primitive, and the parameter that holds them.
@@ -27,25 +27,8 @@ _CALLS = {
     "custom_vjp_call": "call_jaxpr",
 }
 
-# A function of arrays that the trace leaves whole; see `evo_cpg.fusion.kernels.unfused`.
-array_call_p = Primitive("array_call")
-array_call_p.multiple_results = True
-
-
-@array_call_p.def_abstract_eval
-def _(*inputs, function):
-    shapes = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in inputs]
-    return [core.ShapedArray(x.shape, x.dtype) for x in jax.eval_shape(function, *shapes)]
-
-
-# The elements along the last axis are to be lanes; see `evo_cpg.fusion.kernels.side_by_side`.
-# Anywhere else it does nothing.
-side_by_side_p = Primitive("side_by_side")
-side_by_side_p.def_impl(lambda x: x)
-side_by_side_p.def_abstract_eval(lambda x: core.ShapedArray(x.shape, x.dtype))
-ad.deflinear2(side_by_side_p, lambda cotangent, _: [cotangent])
-batching.primitive_batchers[side_by_side_p] = lambda xs, axes: (xs[0], axes[0])
-mlir.register_lowering(side_by_side_p, lambda _, x: [x])
+# What `jax.checkpoint` makes of a function; see `evo_cpg.fusion.kernels.recomputed`.
+_RECOMPUTED = {"checkpoint", "remat", "remat2"}
 
 _ELEMENTWISE = {
     "abs",
@@ -129,13 +112,23 @@ def trace(
             inner = equation.params[_CALLS[name]]
             values = [constants(graph, np.asarray(value)) for value in inner.consts]
             results = trace(graph, inner.jaxpr, values, operands)
+        elif name in _RECOMPUTED:
+            if equation.params["differentiated"]:
+                operands = [_map(graph, graph.again, operand) for operand in operands]
+            results = trace(graph, equation.params["jaxpr"], [], operands)
         elif equation.primitive is array_call_p:
             shapes = [(out.aval.shape, _type(out)) for out in equation.outvars]  # pyright: ignore
             results = graph.call(equation.params["function"], operands, shapes)
+        elif equation.primitive is linear_map_p:
+            inner = trace_of(equation.params, [atom.aval for atom in equation.invars])
+            values = [constants(graph, np.asarray(value)) for value in inner.consts]
+            results = trace(graph, inner.jaxpr, values, operands)
         elif all(operand.size == 0 for operand in operands):
             results = _evaluate(graph, equation, operands)
         elif name in _ELEMENTWISE:
             results = [_elementwise(graph, equation, operands)]
+        elif name == "add_any":
+            results = [_map(graph, graph.add, *operands)]
         elif name in _ARRAY_RULES:
             results = _ARRAY_RULES[name](graph, operands, equation.params)
         elif all(node.value is not None for operand in operands for node in operand.flat):
@@ -209,73 +202,6 @@ def _elementwise(graph: Graph, equation, operands: list[np.ndarray]) -> np.ndarr
     if polynomial is not None and has_polynomial(_type(equation.invars[0])):
         return _map(graph, functools.partial(polynomial, graph), *operands)
     return _map(graph, lambda *nodes: graph.apply(primitive, params, nodes), *operands)
-
-
-def _broadcast_in_dim(graph, operands, params):
-    (x, *_), shape = operands, params["shape"]
-    placed = np.ones(len(shape), int)
-    placed[list(params["broadcast_dimensions"])] = x.shape
-    return [np.broadcast_to(x.reshape(placed), shape)]
-
-
-def _slice(graph, operands, params):
-    strides = params["strides"] or (1,) * operands[0].ndim
-    window = zip(params["start_indices"], params["limit_indices"], strides, strict=True)
-    return [operands[0][tuple(slice(*each) for each in window)]]
-
-
-def _dynamic_slice(graph, operands, params):
-    x, *starts = operands
-    begin = _clamped_starts(x.shape, starts, params["slice_sizes"])
-    sizes = params["slice_sizes"]
-    return [x[tuple(slice(b, b + size) for b, size in zip(begin, sizes, strict=True))]]
-
-
-def _dynamic_update_slice(graph, operands, params):
-    x, update, *starts = operands
-    begin = _clamped_starts(x.shape, starts, update.shape)
-    result = x.copy()
-    result[tuple(slice(b, b + size) for b, size in zip(begin, update.shape, strict=True))] = update
-    return [result]
-
-
-def _clamped_starts(shape, starts, sizes) -> list[int]:
-    begin = []
-    for start, size, whole in zip(starts, sizes, shape, strict=True):
-        if start.item().value is None:
-            raise NotImplementedError("a slice at a computed place cannot be fused")
-        begin.append(int(np.clip(start.item().value, 0, whole - size)))
-    return begin
-
-
-def _gather(graph, operands, params):
-    """Taken at constant indices; where each element comes from is asked of JAX itself."""
-    x, indices = operands
-    if any(node.value is None for node in indices.flat):
-        raise NotImplementedError("a gather at computed places cannot be fused")
-    where = np.vectorize(lambda node: node.value, otypes=[np.int32])(indices)
-    with jax.ensure_compile_time_eval():
-        places = jax.lax.gather_p.bind(
-            np.arange(x.size, dtype=np.int32).reshape(x.shape), where, **params
-        )
-    return [x.reshape(-1)[np.asarray(places)]]
-
-
-def _split(graph, operands, params):
-    cuts = np.cumsum(params["sizes"])[:-1]
-    return np.split(operands[0], cuts, params["axis"])
-
-
-def _pad(graph, operands, params):
-    x, value = operands
-    config = params["padding_config"]
-    if any(low < 0 or high < 0 or inner for low, high, inner in config):
-        raise NotImplementedError("padding that cuts or spreads cannot be fused")
-    result = np.full(
-        [n + low + high for n, (low, high, _) in zip(x.shape, config, strict=True)], value.item()
-    )
-    result[tuple(slice(low, low + n) for n, (low, _, _) in zip(x.shape, config, strict=True))] = x
-    return [result]
 
 
 def _reduction(primitive):
@@ -374,10 +300,6 @@ def _side_by_side(graph, operands, params):
     return [result]
 
 
-def _same(graph, operands, params):
-    return operands
-
-
 def _together(graph, operands, params):
     nodes = (
         node.source[0] if node.source else node for operand in operands for node in operand.flat
@@ -389,29 +311,13 @@ def _together(graph, operands, params):
 
 
 _ARRAY_RULES: dict[str, Callable[[Graph, list[np.ndarray], dict], list[np.ndarray]]] = {
-    "broadcast_in_dim": _broadcast_in_dim,
-    "concatenate": lambda graph, xs, params: [np.concatenate(xs, params["dimension"])],
-    "copy": _same,
-    "copy_p": _same,
+    **MOVES,
     "dot_general": _dot_general,
-    "dynamic_slice": _dynamic_slice,
-    "dynamic_update_slice": _dynamic_update_slice,
-    "expand_dims": lambda graph, xs, params: [np.expand_dims(xs[0], params["dimensions"])],
-    "gather": _gather,
     "optimization_barrier": _together,
-    "pad": _pad,
     "reduce_and": _reduction(jax.lax.and_p),
     "reduce_max": _reduction(jax.lax.max_p),
     "reduce_min": _reduction(jax.lax.min_p),
     "reduce_or": _reduction(jax.lax.or_p),
     "reduce_sum": _reduction(jax.lax.add_p),
-    "reshape": lambda graph, xs, params: [xs[0].reshape(params["new_sizes"])],
-    "rev": lambda graph, xs, params: [np.flip(xs[0], params["dimensions"])],
     "side_by_side": _side_by_side,
-    "slice": _slice,
-    "split": _split,
-    "stack": lambda graph, xs, params: [np.stack(xs, params["axis"])],
-    "squeeze": lambda graph, xs, params: [xs[0].squeeze(params["dimensions"])],
-    "stop_gradient": _same,
-    "transpose": lambda graph, xs, params: [xs[0].transpose(params["permutation"])],
 }

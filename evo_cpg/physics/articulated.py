@@ -27,7 +27,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.tree import Tree
-from evo_cpg.fusion.kernels import symmetric, together
+from evo_cpg.fusion.kernels import gathered, recomputed, symmetric, together
 from evo_cpg.physics.kinematics import Kinematics, take
 from evo_cpg.spatial.linear import (
     cross,
@@ -138,9 +138,15 @@ def solve(
         own = Inertia(*(jnp.stack(block[group.bodies], 2) for block in blocks))
         force = Wrench(*(jnp.stack(part[group.bodies], 1) for part in wrenches))
         eliminate = _eliminate_axes if motion.to_axes is None else _eliminate_ball
-        elimination, reduced, passed = eliminate(own, force, motion)
-        moved, carried = _to_parent(reduced, passed, kin.offset[:, group.bodies])
-        moved, carried, elimination = together((moved, carried, elimination))
+
+        def pass_on(*given, eliminate=eliminate):
+            own, force, motion, offset = gathered(given)
+            elimination, reduced, passed = eliminate(own, force, motion)
+            return together((*_to_parent(reduced, passed, offset), elimination))
+
+        moved, carried, elimination = recomputed(pass_on)(
+            own, force, motion, kin.offset[:, group.bodies]
+        )
         eliminations.append(elimination)
         for parts, sums, axis in ((moved, blocks, 2), (carried, wrenches, 1)):
             for part, totals in zip(parts, sums, strict=True):
@@ -156,11 +162,18 @@ def solve(
             jnp.stack(parts, 1)
             for parts in zip(*(accelerations[parent] for parent in group.parents), strict=True)
         )
-        a = a + cross(alpha, kin.offset[:, group.bodies])
-        x = joint.start - matvec(joint.follow_angular, alpha) - matvec(joint.follow_linear, a)
-        spin = matvec(motion.axes, x) if motion.to_axes is None else x
-        group_qdd = x if motion.to_axes is None else matvec(motion.to_axes, x)
-        alpha = alpha + spin
+
+        def onward(*given):
+            alpha, a, offset, joint, motion = gathered(given)
+            a = a + cross(alpha, offset)
+            x = joint.start - matvec(joint.follow_angular, alpha) - matvec(joint.follow_linear, a)
+            spin = matvec(motion.axes, x) if motion.to_axes is None else x
+            qdd = x if motion.to_axes is None else matvec(motion.to_axes, x)
+            return qdd, alpha + spin, a
+
+        group_qdd, alpha, a = recomputed(onward)(
+            alpha, a, kin.offset[:, group.bodies], joint, motion
+        )
         accelerations.extend((alpha[:, j], a[:, j]) for j in range(alpha.shape[1]))
         qdd.append(jnp.swapaxes(group_qdd, 0, 1).reshape(-1, *batch))
     return Accelerations(

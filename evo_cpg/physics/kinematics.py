@@ -22,7 +22,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.tree import Tree
-from evo_cpg.fusion.kernels import side_by_side, together
+from evo_cpg.fusion.kernels import gathered, recomputed, side_by_side, together
 from evo_cpg.physics.state import State
 from evo_cpg.spatial.linear import compute_once, cross, lift, matmul, matvec
 from evo_cpg.spatial.rotation import axis_rotation, quaternion_to_matrix
@@ -71,13 +71,22 @@ def kinematics(tree: Tree, state: State) -> Kinematics:
                 for parts in zip(*(motions[i] for i in group.parents), strict=True)
             )
         )
-        offset = matvec(parent_rotation, lift(tree.joint_offset[:, group.bodies], parent.origin))
-        frame = matmul(parent_rotation, jnp.stack([local[i] for i in members], 2))
-        rotation, group_axes = frame[:, :3], jnp.swapaxes(frame[:, 3:], 1, 2)
+        local_frame = jnp.stack([local[i] for i in members], 2)
         rates = state.qd[group.dofs].reshape(len(members), group.axes, *batch)
-        spin, spin_rate = _joint_motion(group_axes * rates[None])
-        motion = _across(parent, offset, spin, spin_rate)
-        rotation, offset, group_axes, motion = together((rotation, offset, group_axes, motion))
+
+        def onward(*given, group=group):
+            parent_rotation, parent, local_frame, rates = gathered(given)
+            offset = matvec(
+                parent_rotation, lift(tree.joint_offset[:, group.bodies], parent.origin)
+            )
+            frame = matmul(parent_rotation, local_frame)
+            rotation, axes = frame[:, :3], jnp.swapaxes(frame[:, 3:], 1, 2)
+            motion = _across(parent, offset, *_joint_motion(axes * rates[None]))
+            return together((rotation, offset, axes, motion))
+
+        rotation, offset, group_axes, motion = recomputed(onward)(
+            parent_rotation, parent, local_frame, rates
+        )
         rotations.extend(rotation[:, :, i] for i in range(len(members)))
         motions.extend(_Motion(*(part[:, i] for part in motion)) for i in range(len(members)))
         offsets.append(offset)

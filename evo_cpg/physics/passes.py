@@ -20,6 +20,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from evo_cpg.fusion.kernels import gathered, recomputed
 from evo_cpg.physics.articulated import Accelerations, Inertia, Wrench, solve
 from evo_cpg.physics.contact import (
     ContactLaw,
@@ -112,7 +113,7 @@ def prepare(
     with jax.named_scope("kinematics"):
         kin = kinematics(tree, state)
     with jax.named_scope("forces"):
-        inertia, bias = body_equations(world, kin, h)
+        inertia, bias = recomputed(lambda kin: body_equations(world, _body_by_body(kin), h))(kin)
         passive, derivative = passive_torque(tree, state, h)
         derivative = derivative + lift(tree.armature, derivative)
         wanted = servo_torque(tree, state, target_rate, target_angle, h)
@@ -123,6 +124,17 @@ def prepare(
             law = first_law(world.gravity, world.footing, contacts, h)
     equations = Equations(kin, inertia, bias, passive, derivative, wanted, contacts)
     return equations, Laws(wanted, slope, law)
+
+
+def _body_by_body(kin: Kinematics) -> Kinematics:
+    """The same, with the slopes of all that concerns a body computed together."""
+    of_bodies = kin._replace(rotation=jnp.swapaxes(kin.rotation, 1, 2), axes=None)
+    bodies = [
+        gathered(jax.tree.map(lambda x, i=i: x[:, i], of_bodies))
+        for i in range(kin.origin.shape[1])
+    ]
+    whole = jax.tree.map(lambda *parts: jnp.stack(parts, 1), *bodies)
+    return whole._replace(rotation=jnp.swapaxes(whole.rotation, 1, 2), axes=kin.axes)
 
 
 def solve_with(world: World, h: float, equations: Equations, laws: Laws) -> Accelerations:

@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Float, Int, UInt32
 from evo_cpg.control.controller import Command, Controller, Observation
 from evo_cpg.creature.tree import Tree
 from evo_cpg.fusion.kernels import fuse
-from evo_cpg.physics.kinematics import Kinematics, kinematics
+from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import State
 from evo_cpg.physics.step import Effort, step
 from evo_cpg.physics.world import World
@@ -101,7 +101,7 @@ class _Instant(NamedTuple):
     moment: Moment
     command: Command
     torque: Array
-    kinematics: Kinematics
+    state: State
 
 
 def rollout(
@@ -198,7 +198,7 @@ def _live(
 
 def _frame(tree: Tree, instant: _Instant) -> dict[str, Array]:
     """What is recorded of one control step."""
-    kin = instant.kinematics
+    kin = kinematics(tree, instant.state)
     com = jnp.asarray(tree.com, kin.origin.dtype)[None, ..., None]
     return {
         "position": kin.origin + (kin.rotation * com).sum(1),
@@ -277,7 +277,6 @@ def _control_step(
     world, batch = simulation.world, genes.shape[1:]
     h = simulation.step_length
     state = disturb_motion(simulation.noise, state, keys, index, 1.0 / simulation.control_rate)
-    kin = kinematics(world.tree, state)
     # What differs between individuals must be an argument of what is fused, what does not is a
     # constant there.
     own = None if isinstance(light, np.ndarray) else light
@@ -329,7 +328,7 @@ def _control_step(
         airborne,
         None if light is None else lift(light, state.position),
     )
-    return _Animal(moved, nerves, pressure), _Instant(moment, command, torque, kin)
+    return _Animal(moved, nerves, pressure), _Instant(moment, command, torque, state)
 
 
 def _is_airborne(effort: Effort) -> Float[Array, " *n"]:

@@ -172,7 +172,7 @@ def test_precisions_do_not_mix_in_a_kernel(x64):
 )
 def test_what_is_not_scalar_arithmetic_is_refused(function):
     with pytest.raises(NotImplementedError, match="fused"):
-        jax.make_jaxpr(lambda x: fuse(function, x, batch_ndim=1))(sample((3, 5)))
+        jax.jit(lambda x: fuse(function, x, batch_ndim=1)).lower(sample((3, 5)))
 
 
 def test_constants_fold_and_equal_things_are_one():

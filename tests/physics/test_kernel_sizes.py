@@ -39,7 +39,7 @@ def test_no_kernel_is_too_large_to_be_inlined(monkeypatch, creature):
     monkeypatch.setattr(kernels, "cut", cut)
     state = resting_state(world.tree, (16,))
     targets = jnp.zeros((world.tree.dof_count, 16), jnp.float32)
-    jax.eval_shape(functools.partial(step, world, h=1 / 120), state, targets)
+    jax.jit(functools.partial(step, world, h=1 / 120)).lower(state, targets)
     sizes = [
         len(piece) + len(schedule.read_by(piece)) + len(kept)
         for piece, kept in pieces

@@ -1,0 +1,111 @@
+"""Derivatives of fused programs, which are fused programs themselves.
+
+JAX differentiates the program for one individual, forwards or backwards; what comes out is scalar
+arithmetic like the program itself, and is traced and cut like it. A gradient keeps nothing but the
+arguments of each program: its backward pass computes the forward one again, in registers.
+"""
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax.interpreters import ad, batching
+
+from evo_cpg.fusion.kernels import fuse
+from evo_cpg.fusion.primitives import Program, fused_p, linear_map
+
+
+def _differentiate(
+    primals: Sequence[jax.Array],
+    tangents: Sequence[Any],
+    *,
+    program: Program,
+    batch: tuple[int, ...],
+) -> tuple[list[jax.Array], list[Any]]:
+    """Results and their changes, of those that change at all."""
+    results = fused_p.bind(*primals, program=program, batch=batch)
+    moving = [i for i, tangent in enumerate(tangents) if not isinstance(tangent, ad.Zero)]
+    smooth = [i for i, x in enumerate(results) if jnp.issubdtype(x.dtype, jnp.floating)]
+    ndim = len(batch)
+
+    def one(values: Sequence[jax.Array]) -> tuple:
+        """The smooth results for one individual as a function of what changes, and where it is."""
+
+        def run(*some: jax.Array) -> tuple:
+            every = list(values)
+            for i, value in zip(moving, some, strict=True):
+                every[i] = value
+            outputs = program(*every)
+            return tuple(outputs[i] for i in smooth)
+
+        return run, [values[i] for i in moving]
+
+    def push(values: list[jax.Array], x: list[jax.Array]) -> tuple:
+        run, some = one(values)
+        return jax.jvp(run, some, x)[1]
+
+    def pull(values: list[jax.Array], x: list[jax.Array]) -> tuple:
+        run, some = one(values)
+        return jax.vjp(run, *some)[1](tuple(x))
+
+    def forward(fixed: Sequence[jax.Array], x: Sequence[jax.Array]) -> tuple:
+        every = _for_all(fixed, range(len(fixed)), program, batch)
+        return fuse(push, every, _for_all(x, moving, program, batch), batch_ndim=ndim)
+
+    def backward(fixed: Sequence[jax.Array], x: Sequence[jax.Array]) -> list[jax.Array]:
+        every = _for_all(fixed, range(len(fixed)), program, batch)
+        found = fuse(pull, every, list(x), batch_ndim=ndim)
+        own = tuple(range(-ndim, 0))
+        return [x.sum(own) if i < program.shared else x for i, x in zip(moving, found, strict=True)]
+
+    changes = iter(
+        linear_map(
+            forward,
+            backward,
+            primals,
+            [tangents[i] for i in moving],
+            [results[i] for i in smooth],
+        )
+    )
+    return results, [
+        next(changes) if i in smooth else ad.Zero(jax.typeof(x).to_tangent_aval())
+        for i, x in enumerate(results)
+    ]
+
+
+def _for_all(
+    values: Sequence[jax.Array], numbers: Iterable[int], program: Program, batch: tuple[int, ...]
+) -> list[jax.Array]:
+    """Values with these numbers; those that all share get batch axes, too."""
+    return [
+        jnp.broadcast_to(x.reshape(*x.shape, *(1,) * len(batch)), (*x.shape, *batch))
+        if i < program.shared
+        else x
+        for i, x in zip(numbers, values, strict=True)
+    ]
+
+
+def _batch(
+    values: Sequence[jax.Array],
+    axes: Sequence[int | None],
+    *,
+    program: Program,
+    batch: tuple[int, ...],
+) -> tuple[list[jax.Array], list[int]]:
+    """A mapped axis is one more batch axis, the last."""
+    size = next(x.shape[axis] for x, axis in zip(values, axes, strict=True) if axis is not None)
+    every = []
+    for i, (x, axis) in enumerate(zip(values, axes, strict=True)):
+        x = x[..., None] if axis is None else jnp.moveaxis(x, axis, -1)
+        own = x.shape[:-1]
+        if i < program.shared:
+            x = x.reshape(*own, *(1,) * len(batch), x.shape[-1])
+            own = *own, *batch
+        every.append(jnp.broadcast_to(x, (*own, size)))
+    results = fuse(lambda *x: tuple(program(*x)), *every, batch_ndim=len(batch) + 1)
+    return list(results), [x.ndim - 1 for x in results]
+
+
+ad.primitive_jvps[fused_p] = _differentiate
+batching.primitive_batchers[fused_p] = _batch

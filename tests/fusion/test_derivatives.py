@@ -1,0 +1,114 @@
+"""Derivatives of fused functions are those of the same functions unfused, and fused themselves."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from evo_cpg.fusion.kernels import fuse, side_by_side, unfused
+
+# Every kind of operation that moves numbers about, and smooth and kinked functions of them.
+OPERATIONS = {
+    "slice": lambda x: x[1:, :2],
+    "steps": lambda x: x[::2, ::-1],
+    "pick": lambda x: x[np.array([2, 0, 2])],
+    "transpose": lambda x: jnp.swapaxes(x, 0, 1),
+    "stack": lambda x: jnp.stack([x[0], x[1] * x[2]], 1),
+    "concatenate": lambda x: jnp.concatenate([x, 2 * x], 1),
+    "repeat": lambda x: jnp.broadcast_to(x[:1], x.shape) * x,
+    "reshape": lambda x: x.reshape(9, *x.shape[2:])[4:],
+    "pad": lambda x: jnp.pad(x, ((1, 0), (0, 2)) + ((0, 0),) * (x.ndim - 2)),
+    "split": lambda x: jnp.split(x, 3)[1],
+    "set": lambda x: x.at[1].set(3 * x[0]),
+    "add at": lambda x: x.at[np.array([0, 0, 2])].add(x**2),
+    "sum": lambda x: x.sum(0) ** 3,
+    "largest": lambda x: x.max(1),
+    "product": lambda x: jnp.einsum("ij...,jk...->ik...", x, x),
+    "sines": lambda x: jnp.sin(x) * jnp.cos(x * x),
+    "roots": lambda x: jnp.sqrt(1 + x**2) / (2 + jnp.abs(x)),
+    "choice": lambda x: jnp.where(x > 0.3, jnp.tanh(x), x**3),
+    "bounds": lambda x: jnp.clip(x, -0.5, 0.5) + jnp.maximum(x, 0) * jnp.exp(x),
+    "lanes": lambda x: (side_by_side(x) ** 2 * x.sum(1, keepdims=True)).sum(1),
+    "arrays": lambda x: unfused(lambda x: (jnp.sin(x).sum(0), x * x), x[:2] * x[1:])[1] * x[:2],
+}
+
+
+def sample(shape, seed=0, dtype=np.float64):
+    return jnp.asarray(np.random.default_rng(seed).normal(size=shape), dtype)
+
+
+def weighed(run, x):
+    """One number from all results."""
+    result = run(x)
+    return (result * jnp.cos(jnp.arange(result.size)).reshape(result.shape)).sum()
+
+
+@pytest.mark.parametrize("name", OPERATIONS)
+def test_forwards_and_backwards(name, x64):
+    function, x, along = OPERATIONS[name], sample((3, 3, 5)), sample((3, 3, 5), 1)
+    # Lanes and parts left whole stand behind the last axis only in a fused function.
+    fused = functools.partial(fuse, function, batch_ndim=1)
+    wanted = jax.grad(functools.partial(weighed, function))(x)
+    assert np.abs(wanted).max() > 0.1
+    got = jax.jit(jax.grad(functools.partial(weighed, fused)))(x)
+    np.testing.assert_allclose(got, wanted, rtol=1e-11, atol=1e-13)
+    got = jax.jit(lambda x: jax.jvp(fused, (x,), (along,))[1])(x)
+    np.testing.assert_allclose(got, jax.jvp(function, (x,), (along,))[1], rtol=1e-11, atol=1e-13)
+
+
+def spiral(x, turn):
+    """Two results, of which one is whether something holds."""
+    return jnp.stack([x[0] * jnp.cos(turn) - x[1], x[1] + 0.1 * x[0] ** 2]), x[0] > 0
+
+
+def path(run, turn, x):
+    def advance(x, _):
+        x, right = run(x, turn)
+        return x, jnp.where(right, x[1], 0.0)
+
+    return jax.lax.scan(jax.checkpoint(advance), x, None, length=5)[1].sum()
+
+
+def test_through_a_scan_a_map_and_twice(x64):
+    """The Hessian of a sum over a path, whose parameter is closed over, mapped over starts."""
+    turn = jnp.asarray([0.3, 0.7])
+    starts = sample((4, 2, 2), 3)
+
+    def fused(x, turn):
+        return fuse(spiral, x, turn, batch_ndim=1)
+
+    for differentiate in (jax.grad, jax.hessian, lambda f: jax.jacrev(jax.jacrev(f))):
+        got = jax.jit(jax.vmap(differentiate(functools.partial(path, fused)), (None, 0)))
+        wanted = jax.vmap(differentiate(functools.partial(path, spiral)), (None, 0))
+        np.testing.assert_allclose(got(turn, starts), wanted(turn, starts), rtol=1e-11, atol=1e-13)
+
+
+def test_what_all_share_gathers_the_slopes_of_all(x64):
+    x = sample((3, 6))
+
+    def energy(run, weights):
+        return (run(lambda x: jnp.sin(weights.reshape(3, *(1,) * (x.ndim - 1)) * x)) ** 2).sum()
+
+    weights = jnp.arange(1.0, 4.0)
+    wanted = jax.grad(lambda w: energy(lambda f: f(x), w))(weights)
+    got = jax.jit(jax.grad(lambda w: energy(lambda f: fuse(f, x, batch_ndim=1), w)))(weights)
+    np.testing.assert_allclose(got, wanted, rtol=1e-12)
+    forward = jax.jit(jax.jacfwd(lambda w: energy(lambda f: fuse(f, x, batch_ndim=1), w)))(weights)
+    np.testing.assert_allclose(forward, wanted, rtol=1e-12)
+
+
+def test_a_gradient_is_few_kernels():
+    """What it is for: unfused, every operation of the backward pass is a kernel or two."""
+
+    def chain(x):
+        for i in range(40):
+            x = jnp.stack([x[1] * x[2] + 0.1 * i, jnp.abs(x[0]) - x[2], x[0] * x[1]])
+        return x
+
+    def kernels(run):
+        text = jax.jit(jax.grad(lambda x: run(x).sum())).lower(sample((3, 32), 1, "f4")).compile()
+        return text.as_text().count(" fusion(")
+
+    assert kernels(functools.partial(fuse, chain, batch_ndim=1)) * 4 < kernels(chain)
