@@ -8,7 +8,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from benchmarks.moving import PHYSICS, UNIT, WHOLE
-from benchmarks.report import amount
+from benchmarks.report import amount, times
 from benchmarks.rows import Row
 from evo_cpg.view.output import in_one_piece, output_path
 
@@ -86,7 +86,7 @@ def _bars(rows: list[Row]) -> list[Bar]:
         if row.part == PHYSICS and row.peer:
             color = _ORANGE if row.peer.startswith("MuJoCo") else _GREEN
             if row.peer_rate and row.ratio:
-                words = f"{amount(row.peer_rate).strip()}   {row.ratio:.3g}x"
+                words = f"{amount(row.peer_rate).strip()}   {times(row.ratio)}"
                 words += f"   {row.note}" if row.note else ""
             else:
                 words = row.note or ""

@@ -114,12 +114,17 @@ def _ours(row: Row) -> tuple[str, ...]:
 
 def _theirs(row: Row) -> tuple[str, ...]:
     rate = _rate(row.peer_rate, row.unit) if row.peer_rate else "none"
-    ratio = f"{row.ratio:.3g}x" if row.ratio else ""
+    ratio = times(row.ratio) if row.ratio else ""
     spread = ""
     if row.ratio and row.ratio_spread:
         low, high = row.ratio_spread
         spread = f"{(high - low) / 2 / row.ratio:.0%}"
     return row.peer or "", rate, _error(row.peer_error), ratio, spread
+
+
+def times(ratio: float) -> str:
+    """A ratio in three digits."""
+    return f"{ratio:,.0f}x" if ratio >= 1000 else f"{ratio:.3g}x"
 
 
 def _rate(value: float, unit: str) -> str:
