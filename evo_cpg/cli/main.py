@@ -1,4 +1,4 @@
-"""`evo-cpg`: train, resume, render, plot, probe, preview, verify, validate, export, import, bench.
+"""`evo-cpg`: one command for everything that a user does.
 
 Every command imports what it needs only when it runs: `--help` must be quick, and training must
 not load VTK.
@@ -171,6 +171,24 @@ def validate(
     from evo_cpg.cli.training import validate_configs
 
     validate_configs(configs)
+
+
+@app.command()
+def cpg(
+    config: Config,
+    overrides: Overrides = None,
+    gain: Annotated[
+        float | None,
+        typer.Option(min=0, help="Adaptation gain b; the middle of its range by default."),
+    ] = None,
+    tonic_input: Annotated[
+        float | None, typer.Option(min=0, help="Tonic input u; the largest by default.")
+    ] = None,
+) -> None:
+    """Show the rhythm of a config's oscillators: period, lags, and how stable it is."""
+    from evo_cpg.cli.rhythm import show_rhythm
+
+    show_rhythm(config, overrides or [], gain, tonic_input)
 
 
 @app.command()

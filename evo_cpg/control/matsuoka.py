@@ -41,12 +41,13 @@ import fnmatch
 import functools
 import itertools
 import math
-from typing import Literal
+from typing import Any, Literal
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.tree import Tree
@@ -151,6 +152,20 @@ class MatsuokaNetwork(eqx.Module):
         """Number of extensor/flexor pairs."""
         return self.weights.shape[1]
 
+    @property
+    def matrix(self) -> Float[np.ndarray, "o o"]:
+        """How strongly each oscillator is inhibited by each other one; see `inhibition_matrix`."""
+        count = self.oscillator_count
+        matrix = np.zeros((count, count))
+        for sign, offsets, weights in (
+            (1, self.offsets, self.weights),
+            (-1, self.own_offsets, self.own_weights),
+        ):
+            for offset, row in zip(offsets, weights, strict=True):
+                places = np.arange(max(0, -offset), count - max(0, offset))
+                matrix[places, places + offset] += sign * row[places]
+        return matrix
+
     def substeps(self, h: float) -> int:
         """Number of Runge-Kutta steps that a step of h (s) is divided into."""
         longest = SUBSTEP_SHARE * min(self.rise_time, self.adaptation_time)
@@ -233,20 +248,32 @@ def inhibition_matrix(tree: Tree, settings: CpgSettings) -> Float[np.ndarray, "o
 
 def build_network(tree: Tree, settings: CpgSettings) -> MatsuokaNetwork:
     """Grow the network on a creature's tree."""
-    matrix = inhibition_matrix(tree, settings)
-    offsets, weights = _diagonals(np.maximum(matrix, 0))
-    own_offsets, own_weights = _diagonals(np.maximum(-matrix, 0))
     rise_time, adaptation_time = TIME_CONSTANTS[settings.constants]
     return MatsuokaNetwork(
-        offsets=offsets,
-        weights=weights,
-        own_offsets=own_offsets,
-        own_weights=own_weights,
+        **_connections(inhibition_matrix(tree, settings)),
         rise_time=settings.time_scale * rise_time,
         adaptation_time=settings.time_scale * adaptation_time,
         sensory_feedback=settings.sensory_feedback,
         initial_potential=INITIAL_SHARE * settings.max_tonic_input,
     )
+
+
+def sub_network(network: MatsuokaNetwork, oscillators: tuple[int, ...]) -> MatsuokaNetwork:
+    """Some of a network's oscillators with what joins them."""
+    connections = _connections(network.matrix[np.ix_(oscillators, oscillators)])
+    return dataclasses.replace(network, **connections)
+
+
+def _connections(matrix: Float[np.ndarray, "o o"]) -> dict[str, Any]:
+    """The fields of a `MatsuokaNetwork` that state an inhibition matrix."""
+    offsets, weights = _diagonals(np.maximum(matrix, 0))
+    own_offsets, own_weights = _diagonals(np.maximum(-matrix, 0))
+    return {
+        "offsets": offsets,
+        "weights": weights,
+        "own_offsets": own_offsets,
+        "own_weights": own_weights,
+    }
 
 
 def _diagonals(
@@ -302,7 +329,7 @@ def advance(
     count = network.substeps(h)
     drive = tonic_input + network.sensory_feedback
 
-    runge_kutta = functools.partial(_runge_kutta, network, h / count)
+    runge_kutta = functools.partial(runge_kutta_step, network, h / count)
 
     def substep(state: MatsuokaState, _) -> tuple[MatsuokaState, None]:
         batch_ndim = adaptation_gain.ndim - 1
@@ -325,9 +352,9 @@ def output(state: MatsuokaState) -> Float[Array, "o *n"]:
     return extensor - flexor
 
 
-def _runge_kutta(
+def runge_kutta_step(
     network: MatsuokaNetwork,
-    h: float,
+    h: ArrayLike,
     state: MatsuokaState,
     drive: Float[Array, "2 o *n"],
     adaptation_gain: Float[Array, "o *n"],

@@ -1,0 +1,110 @@
+"""Periodic orbits of the oscillators beside plain simulation."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from creatures import box_chain
+from evo_cpg.analysis.gait import dominant_frequency, fourier_component
+from evo_cpg.analysis.limit_cycle import STEPS, NoRhythmError, limit_cycle, parts
+from evo_cpg.control.matsuoka import (
+    CpgSettings,
+    MatsuokaNetwork,
+    advance,
+    build_network,
+    initial_state,
+    output,
+)
+from evo_cpg.creature.tree import build_tree
+
+H = 1 / 240
+
+
+def chain(joints: int, axes: str = "z", **settings) -> MatsuokaNetwork:
+    return build_network(build_tree(box_chain(joints + 1, axes)), CpgSettings(**settings))
+
+
+def drive(network: MatsuokaNetwork, gain: float) -> tuple[np.ndarray, np.ndarray]:
+    count = network.oscillator_count
+    return np.ones((2, count)), np.full(count, gain)
+
+
+def simulate(network, tonic, gain, seconds, start=None, h=H):
+    """Outputs at every step and the last state, float64."""
+    state = initial_state(network, dtype=jnp.float64) if start is None else start
+    steps = round(seconds / h)
+
+    @jax.jit
+    def run(state):
+        def onward(state, _):
+            return advance(network, state, jnp.asarray(tonic), jnp.asarray(gain), h), output(state)
+
+        return jax.lax.scan(onward, state, length=steps)
+
+    state, signals = run(state)
+    return np.asarray(signals), state
+
+
+@pytest.mark.parametrize("gain", [1.5, 4.0, 10.0])
+def test_frequency_and_lag_are_those_of_the_simulation(gain, x64):
+    network = chain(9)
+    tonic, gains = drive(network, gain)
+    cycle = limit_cycle(network, tonic, gains)
+    signals, _ = simulate(network, tonic, gains, 400.0)
+    tail = signals[len(signals) // 2 :]
+    frequency = float(np.median(dominant_frequency(tail, H)))
+    assert cycle.frequency == pytest.approx(frequency, rel=1e-3)
+    component = fourier_component(tail, H, cycle.frequency)
+    lag = np.rad2deg(np.angle(component[:-1] / component[1:]))
+    np.testing.assert_allclose(cycle.lag, lag, rtol=1e-3, atol=0.02)
+    np.testing.assert_allclose(cycle.amplitude, np.ptp(tail, axis=0) / 2, rtol=2e-3)
+    assert cycle.stable
+
+
+@pytest.mark.parametrize(
+    ("joints", "gain", "weight"), [(1, 5.0, 2.0), (4, 3.0, 1.07), (9, 4.0, 1.07), (9, 9.0, 1.07)]
+)
+def test_multipliers_foretell_how_a_push_dies_away(joints, gain, weight, x64):
+    """What is left of the slowest push after one period and after two, within 5 %.
+
+    A push of finite size shifts the phase as well; that part, which never dies away, is left out.
+    """
+    network = chain(joints, pair_weight=weight)
+    tonic, gains = drive(network, gain)
+    cycle = limit_cycle(network, tonic, gains)
+    values, vectors = np.linalg.eig(cycle.monodromy)
+    slowest = int(np.abs(values - cycle.multipliers[0]).argmin())
+    assert 1e-3 < np.abs(values[slowest]) < 1
+    flat, unflatten = jax.flatten_util.ravel_pytree(
+        jax.tree.map(lambda x: jnp.asarray(x[..., 0]), cycle.states)
+    )
+    along = np.linalg.inv(vectors)[slowest]
+    push = 1e-3 * np.real(vectors[:, slowest])
+    state, left = unflatten(flat + push), [abs(along @ push)]
+    for _ in range(2 if abs(values[slowest]) > 0.1 else 1):
+        _, state = simulate(network, tonic, gains, cycle.period, state, cycle.period / STEPS)
+        left.append(abs(along @ (jax.flatten_util.ravel_pytree(state)[0] - flat)))
+    shrinks = np.array(left[1:]) / left[:-1]
+    if values[slowest].imag == 0:
+        np.testing.assert_allclose(shrinks, np.abs(cycle.multipliers[0]), rtol=0.05)
+        return
+    # Half of a real push lies along each of the two.
+    expected = abs(along @ (cycle.monodromy @ push)) / left[0]
+    np.testing.assert_allclose(shrinks[0], expected, rtol=0.05)
+
+
+def test_a_pair_that_is_damped_has_no_rhythm(x64):
+    network = chain(1)
+    with pytest.raises(NoRhythmError, match="comes to rest"):
+        limit_cycle(network, *drive(network, 5.0))
+
+
+def test_axes_that_do_not_meet_are_parts_of_their_own(x64):
+    network = chain(4, "yz")
+    assert parts(network) == [(0, 2, 4, 6), (1, 3, 5, 7)]
+    alone = limit_cycle(chain(4), *drive(chain(4), 4.0))
+    for part in parts(network):
+        cycle = limit_cycle(network, *drive(network, 4.0), oscillators=part)
+        assert cycle.period == pytest.approx(alone.period, rel=1e-6)
+    assert parts(chain(4, "yz", cross_weight=0.3)) == [tuple(range(8))]
