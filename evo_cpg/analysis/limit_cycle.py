@@ -20,6 +20,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Complex, Float
 
 from evo_cpg.control.matsuoka import (
@@ -241,11 +242,11 @@ def _describe(
     state: MatsuokaState,
     period: float,
 ) -> LimitCycle:
-    flat, unflatten = jax.flatten_util.ravel_pytree(state)
+    flat, unflatten = ravel_pytree(state)
 
     def flow(flat: Array) -> Array:
         end, _ = _path(network, drive, gain, unflatten(flat), jnp.asarray(period), STEPS)
-        return jax.flatten_util.ravel_pytree(end)[0]
+        return ravel_pytree(end)[0]
 
     monodromy = np.asarray(jax.jit(jax.jacfwd(flow))(flat))
     multipliers = np.linalg.eigvals(monodromy)
