@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from rich import box
 from rich.console import Console
 from rich.table import Table
 
@@ -13,7 +14,7 @@ from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import load_config
 from evo_cpg.control.brain_cpg import BrainCpg
 
-_COLUMNS = ("joints", "frequency", "lag", "amplitude", "multiplier", "recovery")
+_COLUMNS = ("joints", "Hz", "lag, deg", "amplitude", "multiplier", "recovery")
 
 
 def show_rhythm(
@@ -31,28 +32,32 @@ def show_rhythm(
     gains = np.full(network.oscillator_count, middle if gain is None else gain)
     tonic = cpg.max_tonic_input if tonic_input is None else tonic_input
     drive = np.full((2, network.oscillator_count), tonic)
-    table = Table(title=f"b = {gains[0]:g}, u = {tonic:g}")
+    table = Table(title=f"b = {gains[0]:g}, u = {tonic:g}", box=box.SIMPLE_HEAD, pad_edge=False)
     for column in _COLUMNS:
-        table.add_column(column, justify="left" if column == "joints" else "right")
+        left = column == "joints"
+        table.add_column(column, justify="left" if left else "right", no_wrap=left)
+    rests: dict[str, list[str]] = {}
     for part in parts(network):
-        names = f"{tree.dof_names[part[0]]}"
-        if len(part) > 1:
-            names += f" to {tree.dof_names[part[-1]]} ({len(part)})"
+        more = f" + {len(part) - 1}" if len(part) > 1 else ""
+        names = tree.dof_names[part[0]] + more
         try:
             table.add_row(names, *_words(limit_cycle(network, drive, gains, part)))
         except NoRhythmError as error:
-            table.add_row(names, f"none: {error}")
+            table.add_row(names, "none")
+            rests.setdefault(str(error), []).append(names)
     Console().print(table)
+    for reason, who in rests.items():
+        print(f"{', '.join(who)}: {reason}")
 
 
 def _words(cycle: LimitCycle) -> tuple[str, ...]:
     """A row of the table."""
-    lag = f"{cycle.lag.min():.1f} to {cycle.lag.max():.1f} deg" if len(cycle.lag) else ""
+    lag = f"{cycle.lag.min():.1f} to {cycle.lag.max():.1f}" if len(cycle.lag) else ""
     recovery = f"{cycle.recovery_time:.2f} s" if cycle.stable else "unstable"
     return (
-        f"{cycle.frequency:.4f} Hz",
+        f"{cycle.frequency:.4f}",
         lag,
-        f"{cycle.amplitude.min():.3f} to {cycle.amplitude.max():.3f}",
+        f"{cycle.amplitude.min():.2f} to {cycle.amplitude.max():.2f}",
         f"{np.abs(cycle.multipliers[0]):.3f}",
         recovery,
     )
