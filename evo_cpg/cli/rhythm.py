@@ -38,8 +38,8 @@ def show_rhythm(
         table.add_column(column, justify="left" if left else "right", no_wrap=left)
     rests: dict[str, list[str]] = {}
     for part in parts(network):
-        more = f" + {len(part) - 1}" if len(part) > 1 else ""
-        names = tree.dof_names[part[0]] + more
+        first, *others = part
+        names = tree.dof_names[first] + (f" + {len(others)}" if others else "")
         try:
             table.add_row(names, *_words(limit_cycle(network, drive, gains, part)))
         except NoRhythmError as error:
