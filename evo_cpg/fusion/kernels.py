@@ -53,7 +53,7 @@ def fuse(function: Callable, *args: Any, batch_ndim: int) -> Any:
         batch_ndim: number of batch axes.
 
     Raises:
-        NotImplementedError: the function does something else than scalar arithmetic.
+        NotImplementedError: when compiled, if the function is not scalar arithmetic.
     """
     if _tracing.get() or jax.default_backend() != "cpu":
         return function(*args)

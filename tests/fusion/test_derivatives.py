@@ -48,7 +48,6 @@ def weighed(run, x):
 @pytest.mark.parametrize("name", OPERATIONS)
 def test_forwards_and_backwards(name, x64):
     function, x, along = OPERATIONS[name], sample((3, 3, 5)), sample((3, 3, 5), 1)
-    # Lanes and parts left whole stand behind the last axis only in a fused function.
     fused = functools.partial(fuse, function, batch_ndim=1)
     wanted = jax.grad(functools.partial(weighed, function))(x)
     assert np.abs(wanted).max() > 0.1
