@@ -21,6 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 import optimistix
 from jax.flatten_util import ravel_pytree
+from jax.typing import ArrayLike
 from jaxtyping import Array, Complex, Float
 
 from evo_cpg.control.matsuoka import (
@@ -45,6 +46,9 @@ _LEAST_SWING = 1e-3
 
 # States closer than this share of the swing are taken for the same, until Newton's method tells.
 _SAME = 0.01
+
+# An orbit is closed if no number of the state misses itself by more.
+CLOSED = 1e-6
 
 # The multiplier of a push along the orbit is 1 but for the error of the steps.
 _NEUTRAL = 1e-2
@@ -143,13 +147,17 @@ def limit_cycle(
         drive = jnp.asarray(np.asarray(tonic_input, float)[:, list(chosen)])
         drive = drive + network.sensory_feedback
         gain = jnp.asarray(np.asarray(adaptation_gain, float)[list(chosen)])
-        start, period, level = _settled(part, drive, gain)
-        state, period = _shoot(part, drive, gain, level, start, period)
-        return _describe(part, drive, gain, chosen, state, period)
+        start, period, level = settle(part, drive, gain)
+        state, found, mismatch = find_orbit(part, drive, gain, level, start, jnp.asarray(period))
+        if not float(mismatch) < CLOSED or not 0.5 * period < float(found) < 2 * period:
+            raise NoRhythmError(
+                f"no orbit near a period of {period:.3g} s: the rhythm does not repeat"
+            )
+        return _describe(part, drive, gain, chosen, state, float(found))
 
 
 @functools.partial(jax.jit, static_argnames="steps")
-def _path(
+def path(
     network: MatsuokaNetwork,
     drive: Array,
     gain: Array,
@@ -157,7 +165,16 @@ def _path(
     length: Array,
     steps: int,
 ) -> tuple[MatsuokaState, MatsuokaState]:
-    """The state after some seconds, and those at the beginning of every step."""
+    """The state after some seconds, and those at the beginning of every step.
+
+    Args:
+        network: connections and time constants.
+        drive: tonic input and sensory feedback of each neuron.
+        gain: b of each oscillator.
+        state: at the start.
+        length: s.
+        steps: into how many Runge-Kutta steps the length is divided.
+    """
 
     def onward(state: MatsuokaState, _: None) -> tuple[MatsuokaState, MatsuokaState]:
         return runge_kutta_step(network, length / steps, state, drive, gain), state
@@ -165,16 +182,25 @@ def _path(
     return jax.lax.scan(onward, state, length=steps)
 
 
-def _settled(
+def settle(
     network: MatsuokaNetwork, drive: Array, gain: Array
 ) -> tuple[MatsuokaState, float, float]:
-    """A state on the orbit, about how long it takes to come back, and the first signal's level."""
+    """A state on the orbit, about how long it takes to come back, and the first signal's level.
+
+    Args:
+        network: connections and time constants.
+        drive: tonic input and sensory feedback of each neuron.
+        gain: b of each oscillator.
+
+    Raises:
+        NoRhythmError: it comes to rest, or never repeats itself.
+    """
     rest = initial_state(network, dtype=jnp.float64)
     slow = max(network.rise_time, network.adaptation_time)
     h = min(network.rise_time, network.adaptation_time) / 20
     steps = round(_SETTLING * slow / h)
-    state, _ = _path(network, drive, gain, rest, jnp.asarray(steps * h), steps)
-    state, states = _path(network, drive, gain, state, jnp.asarray(steps * h), steps)
+    state, _ = path(network, drive, gain, rest, jnp.asarray(steps * h), steps)
+    state, states = path(network, drive, gain, state, jnp.asarray(steps * h), steps)
     signal = np.asarray(output(jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), states)))[0]
     low, high = signal.min(), signal.max()
     level = (low + high) / 2
@@ -203,34 +229,59 @@ def _settled(
     return first, float(length), float(level)
 
 
-def _shoot(
+@jax.jit
+def find_orbit(
     network: MatsuokaNetwork,
     drive: Array,
     gain: Array,
-    level: float,
+    level: ArrayLike,
     start: MatsuokaState,
-    period: float,
-) -> tuple[MatsuokaState, float]:
-    """Newton's method for a state that comes back to itself."""
+    period: Array,
+) -> tuple[MatsuokaState, Array, Array]:
+    """Newton's method for a state that comes back to itself.
 
-    def gap(unknown: tuple[MatsuokaState, Array], _: None) -> tuple[MatsuokaState, Array]:
+    The result has derivatives with respect to all arguments but the guesses, by the implicit
+    function theorem.
+
+    Args:
+        network: connections and time constants.
+        drive: tonic input and sensory feedback of each neuron.
+        gain: b of each oscillator.
+        level: what the first oscillator's output is at the state that is looked for.
+        start: a guess of it.
+        period: a guess, s.
+
+    Returns:
+        The state, the period, and by how much the orbit fails to close (nan where Newton's
+        method fails): it is one if that is less than `CLOSED`.
+    """
+
+    def gap(unknown: tuple[MatsuokaState, Array], known: tuple) -> tuple[MatsuokaState, Array]:
+        network, drive, gain = known
         state, length = unknown
-        end, _ = _path(network, drive, gain, state, length, STEPS)
+        end, _ = path(network, drive, gain, state, length, STEPS)
         return jax.tree.map(jnp.subtract, end, state), output(state)[0] - level
 
+    known = (network, drive, gain)
     solver = optimistix.Newton(rtol=1e-9, atol=1e-9)
-    solution = optimistix.root_find(
-        gap,
-        solver,
-        (start, jnp.asarray(period)),
-        max_steps=50,
-        throw=False,
-    )
-    state, found = solution.value
-    worst = max(float(jnp.abs(x).max()) for x in jax.tree.leaves(gap(solution.value, None)))
-    if not worst < 1e-6 or not 0.5 * period < float(found) < 2 * period:
-        raise NoRhythmError(f"no orbit near a period of {period:.3g} s: the rhythm does not repeat")
-    return state, float(found)
+    guess = jax.lax.stop_gradient((start, period))
+    solution = optimistix.root_find(gap, solver, guess, known, max_steps=50, throw=False)
+    left = jax.tree.leaves(gap(solution.value, known))
+    return *solution.value, jnp.stack([jnp.abs(x).max() for x in left]).max()
+
+
+@jax.jit
+def _monodromy(
+    network: MatsuokaNetwork, drive: Array, gain: Array, state: MatsuokaState, period: Array
+) -> Array:
+    """Derivative of the state after a period with respect to that before."""
+    flat, unflatten = ravel_pytree(state)
+
+    def flow(flat: Array) -> Array:
+        end, _ = path(network, drive, gain, unflatten(flat), period, STEPS)
+        return ravel_pytree(end)[0]
+
+    return jax.jacfwd(flow)(flat)
 
 
 def _describe(
@@ -241,19 +292,13 @@ def _describe(
     state: MatsuokaState,
     period: float,
 ) -> LimitCycle:
-    flat, unflatten = ravel_pytree(state)
-
-    def flow(flat: Array) -> Array:
-        end, _ = _path(network, drive, gain, unflatten(flat), jnp.asarray(period), STEPS)
-        return ravel_pytree(end)[0]
-
-    monodromy = np.asarray(jax.jit(jax.jacfwd(flow))(flat))
+    monodromy = np.asarray(_monodromy(network, drive, gain, state, jnp.asarray(period)))
     multipliers = np.linalg.eigvals(monodromy)
     neutral = int(np.abs(multipliers - 1).argmin())
     if abs(multipliers[neutral] - 1) > _NEUTRAL:
         raise NoRhythmError("the orbit has no neutral direction: it is not one of the flow")
     others = np.delete(multipliers, neutral)
-    _, states = _path(network, drive, gain, state, jnp.asarray(period), STEPS)
+    _, states = path(network, drive, gain, state, jnp.asarray(period), STEPS)
     states = jax.tree.map(lambda x: np.moveaxis(np.asarray(x), 0, -1), states)
     order = np.argsort(-np.abs(others), kind="stable")
     return LimitCycle(chosen, period, states, others[order].astype(complex), monodromy)
