@@ -13,20 +13,32 @@ from evo_cpg.cli.errors import UsageError
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import load_config
 from evo_cpg.control.brain_cpg import BrainCpg
+from evo_cpg.simulation.rollout import Simulation
 
 _COLUMNS = ("joints", "Hz", "lag, deg", "amplitude", "multiplier", "recovery")
+
+
+def read_oscillators(path: Path, overrides: Sequence[str]) -> tuple[Simulation, BrainCpg]:
+    """A config's simulation and its controller.
+
+    Raises:
+        UsageError: the controller has no oscillators.
+    """
+    simulation = build_experiment(load_config(path, overrides), path).simulation
+    controller = simulation.controller
+    if not isinstance(controller, BrainCpg):
+        raise UsageError(
+            f"{path}: its controller has no oscillators; `controller.type: brain_cpg` has"
+        )
+    return simulation, controller
 
 
 def show_rhythm(
     path: Path, overrides: Sequence[str], gain: float | None, tonic_input: float | None
 ) -> None:
     """`evo-cpg cpg`."""
-    simulation = build_experiment(load_config(path, overrides), path).simulation
-    controller, tree = simulation.controller, simulation.world.tree
-    if not isinstance(controller, BrainCpg):
-        raise UsageError(
-            f"{path}: its controller has no oscillators; `controller.type: brain_cpg` has"
-        )
+    simulation, controller = read_oscillators(path, overrides)
+    tree = simulation.world.tree
     cpg, network = controller.settings.cpg, controller.network
     middle = (cpg.min_adaptation_gain + cpg.max_adaptation_gain) / 2
     gains = np.full(network.oscillator_count, middle if gain is None else gain)

@@ -276,6 +276,14 @@ def _connections(matrix: Float[np.ndarray, "o o"]) -> dict[str, Any]:
     }
 
 
+def diagonal(matrix: Float[np.ndarray, "o o"], offset: int) -> Float[np.ndarray, " o"]:
+    """A diagonal as long as the matrix: ``matrix[i, i + offset]`` for each i, 0 outside."""
+    count = len(matrix)
+    row = np.zeros(count)
+    row[max(0, -offset) : count - max(0, offset)] = np.diagonal(matrix, offset)
+    return row
+
+
 def _diagonals(
     matrix: Float[np.ndarray, "o o"],
 ) -> tuple[tuple[int, ...], Float[np.ndarray, "k o"]]:
@@ -283,8 +291,7 @@ def _diagonals(
     count = len(matrix)
     offsets, diagonals = [], []
     for offset in range(1 - count, count):
-        row = np.zeros(count)
-        row[max(0, -offset) : count - max(0, offset)] = np.diagonal(matrix, offset)
+        row = diagonal(matrix, offset)
         if row.any():
             offsets.append(offset)
             diagonals.append(row)

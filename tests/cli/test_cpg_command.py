@@ -1,9 +1,11 @@
 """`evo-cpg cpg`: the table of the rhythm, and what it refuses."""
 
 import re
+import shlex
 
 import pytest
 
+from evo_cpg.cli import wanted
 from tiny_run import REPOSITORY
 
 SWIMMER = REPOSITORY / "configs" / "iwadate2010_swimmer.yaml"
@@ -32,5 +34,65 @@ def test_constants_that_cannot_oscillate_are_said_to_rest(cli):
 
 def test_a_controller_without_oscillators_is_refused(cli):
     code, _, err = cli("cpg", REPOSITORY / "configs" / "fukui2003_model1.yaml")
+    assert code == 2
+    assert "has no oscillators" in err
+
+
+@pytest.fixture
+def nothing_kept(monkeypatch):
+    """Leave the compiled programs of the user alone."""
+    monkeypatch.setattr(wanted, "keep_compiled_programs", lambda: None)
+
+
+@pytest.mark.slow
+def test_a_wanted_rhythm_is_what_its_command_shows(cli, nothing_kept):
+    code, out, err = cli("cpg", SWIMMER, *SMALL, "--frequency", 1.25, "--lag", 27)
+    assert code == 0, err
+    assert re.search(r"lag, deg +\S+ +27\.0\d", out) and re.search(r"Hz +\S+ +1\.2500", out)
+    words = shlex.split(out.splitlines()[-1])
+    assert words[:2] == ["evo-cpg", "cpg"]
+    code, then, _ = cli(*words[1:])
+    assert code == 0
+    assert [float(x) for x in re.findall(r"\+ 2 +([\d.]+)", then)] == [1.25] * 3
+    lags = re.search(r"joint to joint +\S+ to \S+ +(\S+ to \S+)", out)
+    assert lags is not None and then.count(lags[1]) == 3
+    # The middle of the new range is b, and the YAML says the same as the overrides.
+    code, middle, _ = cli(*words[1:-2])
+    assert code == 0 and middle == then
+    lines = dict(re.findall(r"^    (\w+): (\S+)$", out, re.MULTILINE))
+    assert [f"controller.cpg.{key}={value}" for key, value in lines.items()] == words[4:-2]
+
+
+def test_a_frequency_alone_for_a_chain_by_name(cli, nothing_kept):
+    arguments = ("--frequency", 2, "--gain", 5.5, "--chain", "segment2.z")
+    code, out, _ = cli("cpg", SWIMMER, *SMALL, *arguments)
+    assert code == 0
+    assert "segment1.z + 2" in out and "parent_weight:" not in out
+    assert re.findall(r"^    (\w+): ", out, re.MULTILINE) == ["time_scale"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--frequency", -1), "--frequency -1: must be a positive number of Hz"),
+        (("--frequency", "nan"), "--frequency nan: must be a positive number of Hz"),
+        (("--frequency", 30), "less than half of the 60 steps"),
+        (("--lag", 400), "--lag 400: must lie between -180 and 180 degrees"),
+        (("--lag", "nan"), "--lag nan: must lie between"),
+        (("--lag", 20, "--gain", 0), "--gain 0: must be a positive number"),
+        (("--lag", 70), "segment1.x + 2: a lag of 70 degrees is out of reach; from head to tail"),
+        (("--chain", "segment1.x"), "--chain goes with --frequency or --lag"),
+        (("--lag", 20, "--chain", "segment9.x"), "no such oscillator; did you mean 'segment"),
+        (("--frequency", 1, "--gain", 0.1), "comes to rest"),
+    ],
+)
+def test_wanted_rhythms_that_are_refused(arguments, words, cli, nothing_kept):
+    code, out, err = cli("cpg", SWIMMER, *SMALL, *arguments)
+    assert (code, out) == (2, "")
+    assert words in err and "Traceback" not in err
+
+
+def test_a_wanted_rhythm_needs_oscillators(cli, nothing_kept):
+    code, _, err = cli("cpg", REPOSITORY / "configs" / "fukui2003_model1.yaml", "--lag", 20)
     assert code == 2
     assert "has no oscillators" in err

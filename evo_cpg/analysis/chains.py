@@ -1,0 +1,53 @@
+"""Chains of oscillators: from a first one to its child's, and on to the last."""
+
+import itertools
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from evo_cpg.analysis.limit_cycle import parts
+from evo_cpg.control.matsuoka import CpgSettings, build_network, inhibition_matrix
+from evo_cpg.creature.tree import Tree
+
+
+class Chain(NamedTuple):
+    """Oscillators of one axis, each inhibited by the one before it as by its parent.
+
+    Attributes:
+        name: of its first degree of freedom, and how many follow.
+        oscillators: from head to tail.
+        part: all oscillators that are joined to it, directly or not.
+        places: of the chain's in the part.
+        sides: of each gap, 1 where neighbours inhibit each other's other side, so that they swing
+            together but for the lag, and -1 where their own, so that they swing against each other.
+    """
+
+    name: str
+    oscillators: tuple[int, ...]
+    part: tuple[int, ...]
+    places: tuple[int, ...]
+    sides: Float[np.ndarray, " gaps"]
+
+
+def chains(tree: Tree, settings: CpgSettings) -> list[Chain]:
+    """All chains that cannot be made longer; the longest first, else in the order of the bodies."""
+    down = CpgSettings(pair_weight=1.0, child_weight=0.0, opposite=settings.opposite)
+    links = inhibition_matrix(tree, down) - np.eye(tree.dof_count)
+    joined = parts(build_network(tree, settings))
+    found = []
+    for last in np.flatnonzero(~links.any(0)):
+        way = [int(last)]
+        while links[way[0]].any():
+            way.insert(0, int(links[way[0]].nonzero()[0][0]))
+        part = next(part for part in joined if way[0] in part)
+        found.append(
+            Chain(
+                name=tree.dof_names[way[0]] + (f" + {len(way) - 1}" if way[1:] else ""),
+                oscillators=tuple(way),
+                part=part,
+                places=tuple(map(part.index, way)),
+                sides=np.array([links[b, a] for a, b in itertools.pairwise(way)]),
+            )
+        )
+    return sorted(found, key=lambda chain: (-len(chain.oscillators), chain.oscillators[0]))

@@ -1,0 +1,139 @@
+"""Which lags a chain of oscillators can have: a simulation of networks all over the bounds.
+
+All are simulated side by side. The lag is a continuous function of adaptation gain and couplings,
+so all between the smallest and the largest that is found can be had.
+"""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from evo_cpg.analysis.couplings import GAINS, SHARES, STRONGER, Problem, network_at
+from evo_cpg.analysis.gait import fourier_component
+from evo_cpg.control.matsuoka import MatsuokaState, initial_state, output, runge_kutta_step
+
+# Where the survey looks between the bounds, besides the present values.
+_NODES = (np.geomspace(*GAINS, 5), np.geomspace(*STRONGER, 3), np.geomspace(*SHARES, 4))
+
+# Of the survey: Runge-Kutta steps in the shorter time constant, and how long it lets the networks
+# settle and then looks at them, in units of the longer. Its lags are within 0.05 degrees.
+_SHARE, _SETTLING, _WATCHED, _EVERY = 8, 200, 100, 2
+
+# A rhythm is steady if the two halves of what is watched differ by less: degrees, and share of the
+# frequency. It needs so many periods in each.
+_STEADY_LAG, _STEADY_FREQUENCY, _FEWEST = 0.1, 1e-3, 3
+
+
+class UnreachableRhythmError(ValueError):
+    """No settings within the bounds give the wanted rhythm."""
+
+
+def survey(problem: Problem) -> tuple[tuple[np.ndarray, ...], Float[np.ndarray, "b s r"]]:
+    """Simulate them.
+
+    Returns:
+        Values of b, s and r, and the mean lag along the chain in degrees for each of their
+        combinations; nan where there is no steady rhythm.
+    """
+    nodes = tuple(
+        np.exp(np.unique(np.append(np.clip(np.log(values), low, high), now)))
+        for values, low, high, now in zip(_NODES, *problem.bounds, problem.present, strict=True)
+    )
+    points = np.log(np.stack(np.meshgrid(*nodes, indexing="ij"), -1))
+    signals = np.asarray(_watch(problem, jnp.asarray(points.reshape(-1, 3))))
+    template = problem.template
+    step = _EVERY * min(template.rise_time, template.adaptation_time) / _SHARE
+    lags = np.array([_steady_lag(problem, one, step) for one in signals])
+    return nodes, lags.reshape(points.shape[:-1])
+
+
+def starting_place(
+    problem: Problem, nodes: tuple[np.ndarray, ...], lags: Float[np.ndarray, "b s r"], lag: float
+) -> Float[np.ndarray, "3"]:
+    """The place nearest to the present one, on a line between neighbours, that has about the lag.
+
+    Raises:
+        UnreachableRhythmError: all lags are smaller, or larger.
+    """
+    if np.isnan(lags).all():
+        raise UnreachableRhythmError(
+            "there is no steady rhythm at any gain and couplings that were tried; pair_weight or "
+            "the constants keep it from oscillating"
+        )
+    # Rounded inwards, for the survey is not exact.
+    low, high = np.ceil(np.nanmin(lags) * 10) / 10, np.floor(np.nanmax(lags) * 10) / 10
+    if not low <= lag <= high:
+        raise UnreachableRhythmError(_refusal(problem, lag, low, high))
+    points = np.log(np.stack(np.meshgrid(*nodes, indexing="ij"), -1))
+    nearest = np.unravel_index(np.nanargmin(np.abs(lags - lag)), lags.shape)
+    places = []
+    for axis in range(3):
+        ends = [np.moveaxis(lags, axis, 0)[cut] for cut in (slice(None, -1), slice(1, None))]
+        a, b = (np.moveaxis(points, axis, 0)[cut] for cut in (slice(None, -1), slice(1, None)))
+        brackets = (ends[0] - lag) * (ends[1] - lag) <= 0
+        share = ((lag - ends[0]) / np.where(ends[1] == ends[0], 1, ends[1] - ends[0]))[..., None]
+        places.append((a + share * (b - a))[brackets])
+    # No line leads across where places without a rhythm lie between.
+    found = np.concatenate(places) if any(map(len, places)) else points[nearest][None]
+    return found[np.square(found - problem.present).sum(-1).argmin()]
+
+
+@jax.jit
+def _watch(problem: Problem, points: Array) -> Array:
+    """Outputs of the chain at every second step, after settling: ``(points, time, chain)``."""
+    template = problem.template
+    h = min(template.rise_time, template.adaptation_time) / _SHARE
+    unit = max(template.rise_time, template.adaptation_time)
+
+    def signals(x: Array) -> Array:
+        network, gain = network_at(problem, x)
+        onward = functools.partial(
+            runge_kutta_step, network, h, drive=jnp.asarray(problem.drive), adaptation_gain=gain
+        )
+
+        def several(state: MatsuokaState, _: None) -> tuple[MatsuokaState, Array]:
+            state = functools.reduce(lambda state, _: onward(state), range(_EVERY), state)
+            return state, output(state)[np.array(problem.chain)]
+
+        state = initial_state(network, dtype=jnp.float64)
+        state = jax.lax.fori_loop(
+            0, round(_SETTLING * unit / h), lambda _, state: onward(state), state
+        )
+        return jax.lax.scan(several, state, length=round(_WATCHED * unit / h / _EVERY))[1]
+
+    return jax.vmap(signals)(points)
+
+
+def _steady_lag(problem: Problem, signals: np.ndarray, step: float) -> float:
+    """Mean lag, degrees; nan if there is no steady rhythm."""
+    seen = []
+    for half in np.array_split(signals[: len(signals) // 2 * 2], 2):
+        one = half[:, 0] - half[:, 0].mean()
+        rising = np.flatnonzero((one[:-1] < 0) & (one[1:] >= 0))
+        if (
+            len(rising) <= _FEWEST
+            or np.ptp(half, axis=0).min() < 1e-3 * np.abs(problem.drive).max()
+        ):
+            return np.nan
+        times = rising + one[rising] / (one[rising] - one[rising + 1])
+        frequency = (len(times) - 1) / (times[-1] - times[0]) / step
+        component = fourier_component(half, step, float(frequency))
+        turns = problem.sides * component[:-1] / component[1:]
+        seen.append((np.rad2deg(np.angle(turns)).mean(), frequency))
+    (first, before), (last, after) = seen
+    steady = abs(first - last) < _STEADY_LAG and abs(after / before - 1) < _STEADY_FREQUENCY
+    return float(last) if steady else np.nan
+
+
+def _refusal(problem: Problem, lag: float, low: float, high: float) -> str:
+    gains = "--".join(f"{gain:g}" for gain in np.unique(np.exp(problem.bounds[:, 0]).round(9)))
+    strong, weak = ("parent_weight", "child_weight")[:: 1 if problem.head_to_tail else -1]
+    way = "from head to tail" if problem.head_to_tail else "from tail to head (negative lags)"
+    return (
+        f"a lag of {lag:g} degrees is out of reach; {way} it can be {low:.1f} to {high:.1f}: "
+        f"with b = {gains}, {strong} = {STRONGER[0]:g}--{STRONGER[1]:g} and {weak} = "
+        f"{SHARES[0]:g}--{SHARES[1]:g} times that"
+    )
