@@ -70,6 +70,23 @@ def resume(
 
 
 @app.command()
+def refine(
+    run: Run,
+    rounds: Annotated[int, typer.Option(min=1, help="Rounds of climbing and choosing.")] = 5,
+    steps: Annotated[
+        int, typer.Option(min=1, help="Steps along the slope that each lane takes in a round.")
+    ] = 20,
+    number: Number = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of what the lanes draw.")] = 0,
+    cores: Cores = None,
+) -> None:
+    """Polish the champion of a run along the slope of its fitness."""
+    from evo_cpg.cli.refine import refine_run
+
+    refine_run(run, rounds, steps, number, seed, cores)
+
+
+@app.command()
 def render(
     run: Run,
     output: Annotated[

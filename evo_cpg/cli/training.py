@@ -44,7 +44,7 @@ def start_run(path: Path, overrides: Sequence[str], out: Path | None, cores: int
 
 def resume_run(run: Path, generations: int | None, cores: int | None) -> None:
     """`evo-cpg resume`."""
-    devices = _use_cores_of(run, cores)
+    devices = use_cores_of(run, cores)
     folder, config, experiment = open_run(run)
     if generations is not None:
         evolution = config.evolution.model_copy(update={"generations": generations})
@@ -67,13 +67,13 @@ def resume_run(run: Path, generations: int | None, cores: int | None) -> None:
                 f"{found[2]}; start a new run instead"
             )
     folder.reopen(dump_config(config))
-    folder.update_meta(devices=devices, resumed=_now())
+    folder.update_meta(devices=devices, resumed=now())
     _evolve(experiment, folder)
 
 
 def verify_run(run: Path, cores: int | None) -> None:
     """`evo-cpg verify`."""
-    _use_cores_of(run, cores)
+    use_cores_of(run, cores)
     folder, _, experiment = open_run(run)
     champion, _, digests = folder.load_champion()
     differences = []
@@ -90,7 +90,7 @@ def verify_run(run: Path, cores: int | None) -> None:
             differences.append("champion.npz: the genome is not that of the newest checkpoint")
         if kept[1:] != champion[1:]:
             differences.append("champion.npz: the newest checkpoint records other fitness or terms")
-    wrong = _misfit(experiment, champion)
+    wrong = misfit(experiment, champion)
     if wrong:
         _report(run, [*differences, wrong])
     devices = folder.read_meta().get("devices", 1)
@@ -153,12 +153,12 @@ def open_champion(
         run: the run folder.
         number: whose champion, where the folder holds several runs; None for the best.
     """
-    _use_cores_of(run)
+    use_cores_of(run)
     folder, _, experiment = open_run(run)
     champion, recording, digests = folder.load_champion()
     if number is not None and number != champion.run:
-        champion, recording = _champion_of(folder, number), None
-    wrong = _misfit(experiment, champion)
+        champion, recording = champion_of(folder, number), None
+    wrong = misfit(experiment, champion)
     if wrong:
         raise RunFolderError(f"{folder.config} was changed after training: {wrong}")
     if digests["config_sha256"] != folder.config_digest():
@@ -191,7 +191,7 @@ def champion_motion(
     return experiment, champion, recording, folder
 
 
-def _use_cores_of(run: Path, cores: int | None = None) -> int:
+def use_cores_of(run: Path, cores: int | None = None) -> int:
     """As many cores as the run was trained on, unless told otherwise.
 
     Before it is built: finding a place to stand on uneven ground starts JAX.
@@ -215,7 +215,7 @@ def _evolve(experiment: Experiment, folder: RunFolder) -> None:
             )
         devices = folder.read_meta()["devices"]
         folder.save_champion(champion, replay_champion(experiment, champion, devices)[2])
-        folder.update_meta(finished=_now())
+        folder.update_meta(finished=now())
     except KeyboardInterrupt:
         print(f"interrupted; go on with `evo-cpg resume {folder.path}`", file=sys.stderr)
         raise
@@ -269,7 +269,7 @@ def _progress(
         yield lambda rows: progress.update(task, advance=1, state=line(rows))
 
 
-def _champion_of(folder: RunFolder, number: int) -> Champion:
+def champion_of(folder: RunFolder, number: int) -> Champion:
     """The champion of one of several runs, as the newest checkpoint knows it."""
     checkpoint = folder.load()
     champions = checkpoint.champions if checkpoint else ()
@@ -281,7 +281,7 @@ def _champion_of(folder: RunFolder, number: int) -> Champion:
     return champion
 
 
-def _misfit(experiment: Experiment, champion: Champion) -> str | None:
+def misfit(experiment: Experiment, champion: Champion) -> str | None:
     """What is wrong where the champion cannot even live in the experiment."""
     expected = experiment.simulation.controller.gene_count
     if champion.genes.shape == (expected,):
@@ -307,9 +307,10 @@ def _meta(config: ExperimentConfig, devices: int, path: Path) -> dict[str, Any]:
         "machine": platform.machine(),
         "system": platform.platform(),
         "devices": devices,
-        "started": _now(),
+        "started": now(),
     }
 
 
-def _now() -> str:
+def now() -> str:
+    """The time of day, with the zone."""
     return time.strftime("%Y-%m-%dT%H:%M:%S%z")

@@ -11,7 +11,7 @@ import numpy as np
 
 from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.schema.choice import CustomConfig
-from evo_cpg.config.schema.evolution import BitEvolutionConfig
+from evo_cpg.config.schema.evolution import BitEvolutionConfig, RealEvolutionConfig
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.config.schema.section import Vector
 from evo_cpg.config.schema.task import DistanceConfig, WalkConfig
@@ -37,7 +37,7 @@ from evo_cpg.simulation.rollout import Simulation
 from evo_cpg.simulation.sensors import place_sensors
 from evo_cpg.simulation.task import Task
 from evo_cpg.simulation.walk import Distance, Walk
-from evo_cpg.training.experiment import Experiment
+from evo_cpg.training.experiment import Experiment, Learning
 
 # Random surface points are drawn from a quadrature this fine.
 _DENSE_RESOLUTION = 24
@@ -78,6 +78,15 @@ def build_experiment(
                 f"at most {controller.gene_count}, the bits in a genome of this creature, can "
                 f"change, got {most}",
             )
+    learning = None
+    if isinstance(genetics, RealEvolutionConfig) and genetics.learning:
+        if not getattr(config.controller, "graded", True):
+            raise ConfigError(
+                source,
+                ("evolution", "learning"),
+                "bits have no slopes to learn from; set controller.graded: true",
+            )
+        learning = Learning(**genetics.learning.model_dump())
     situations = build_situations(config, creature, world, source)
     task = _build_task(config, creature, situations[0].light, source)
     require_light(config, task, source)
@@ -106,6 +115,7 @@ def build_experiment(
         seed=config.seed,
         runs=config.runs,
         trials=trials,
+        learning=learning,
     )
 
 

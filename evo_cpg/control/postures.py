@@ -65,6 +65,8 @@ class PostureSettings:
         angle_step: between neighbouring angles, degrees.
         bits_per_joint: bits for each joint of each posture, giving 2 to the power of it angles.
         neutral_angle: angle that a joint has in the neutral pose, degrees.
+        graded: let a gene count for what it is from 0 to 1, so that angles change smoothly and
+            have slopes, instead of rounding it to a bit; genomes of bits mean the same either way.
 
     Raises:
         ValueError: a value outside its range.
@@ -76,6 +78,7 @@ class PostureSettings:
     angle_step: float = 20.0
     bits_per_joint: int = 3
     neutral_angle: float = 180.0
+    graded: bool = False
 
     def __post_init__(self):
         for name in ("postures", "bits_per_joint"):
@@ -127,13 +130,11 @@ class PostureController(Controller):
         )
 
     def decode(self, genes: Float[Array, "g *n"]) -> Float[Array, "p d *n"]:
-        """Joint angles of every posture, rad; a gene of 0.5 or more is a 1."""
+        """Joint angles of every posture, rad; unless graded, a gene of 0.5 or more is a 1."""
         settings = self.settings
-        bits = (
-            (genes >= 0.5)
-            .astype(genes.dtype)
-            .reshape(settings.postures, self.dof_count, settings.bits_per_joint, *genes.shape[1:])
-        )
+        shares = jnp.clip(genes, 0, 1) if settings.graded else (genes >= 0.5).astype(genes.dtype)
+        shape = settings.postures, self.dof_count, settings.bits_per_joint
+        bits = shares.reshape(*shape, *genes.shape[1:])
         weights = 2.0 ** np.arange(settings.bits_per_joint)[::-1]
         number = (lift(weights[None, None], bits) * bits).sum(2)
         lowest = settings.lowest_angle - settings.neutral_angle

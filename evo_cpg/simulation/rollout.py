@@ -20,6 +20,7 @@ from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import State
 from evo_cpg.physics.step import Effort, step
 from evo_cpg.physics.world import World
+from evo_cpg.simulation.backward import Backward
 from evo_cpg.simulation.noise import Noise, disturb_motion, disturb_start
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.simulation.sensors import Sensors, fathom, feel, see
@@ -109,6 +110,7 @@ def rollout(
     genes: Float[Array, "g *n"],
     keys: UInt32[Array, "w *n"] | None = None,
     trial: Int[Array, " *n"] | None = None,
+    backward: Backward | None = None,
 ) -> Outcome:
     """Let every individual live through one trial.
 
@@ -117,8 +119,9 @@ def rollout(
         genes: one genome per individual, on the trailing axes.
         keys: a raw random key for each trial's noise; None lets all live without noise.
         trial: number of the situation in each lane; None puts all into the first.
+        backward: how to differentiate it, where it will be.
     """
-    return _live(simulation, genes, slice(0), keys, trial)[0]
+    return _live(simulation, genes, slice(0), keys, trial, backward)[0]
 
 
 def score(task: Task, outcome: Outcome, scales: dict[str, Float[Array, ""]]) -> Float[Array, " *n"]:
@@ -172,6 +175,7 @@ def _live(
     recorded: slice,
     keys: Array | None,
     trial: Array | None,
+    backward: Backward | None = None,
 ) -> tuple[Outcome, dict[str, Array]]:
     """What the trials of all amounted to, and some of them step by step."""
     batch, dtype = genes.shape[1:], genes.dtype
@@ -180,6 +184,8 @@ def _live(
 
     def advance(carry, index):
         animal, tally, alive = carry
+        if backward is not None:
+            animal = _Animal(*backward.forget(animal.state, animal.nerves), animal.pressure)
         animal, instant = _control_step(simulation, genes, keys, light, animal, index)
         tally = task.watch(tally, instant.moment, steps)
         frame = {}
@@ -192,7 +198,10 @@ def _live(
         task.begin(batch, dtype, steps),
         jnp.ones(batch, bool),
     )
-    (_, tally, alive), frames = jax.lax.scan(advance, carry, jnp.arange(steps))
+    if backward is None:
+        (_, tally, alive), frames = jax.lax.scan(advance, carry, jnp.arange(steps))
+    else:
+        (_, tally, alive), frames = backward.scan(advance, carry, steps), {}
     return Outcome(task.terms(tally, steps), alive), frames
 
 

@@ -21,10 +21,24 @@ from evo_cpg.creature.creature import Creature
 from evo_cpg.evolution.generation import Genetics
 from evo_cpg.simulation.rollout import Outcome, Simulation, rollout, rollout_and_record, score
 from evo_cpg.simulation.task import Task
-from evo_cpg.training.devices import chunk_width, layout, run_in_blocks, sharded
+from evo_cpg.training.devices import Layout, chunk_width, layout, run_in_blocks, sharded
 
 # Tags that keep the random streams of one seed apart.
 _FIRST_POPULATION, _GENERATIONS, _TRIALS = 0, 1, 2
+
+
+class Learning(NamedTuple):
+    """Steps uphill within a generation; see `evo_cpg.training.memetic`.
+
+    Attributes:
+        every: so many generations some elites learn.
+        elites: how many of each run, the best first.
+        steps: slopes that each takes.
+    """
+
+    every: int
+    elites: int
+    steps: int
 
 
 class Experiment(NamedTuple):
@@ -40,6 +54,7 @@ class Experiment(NamedTuple):
         runs: independent populations side by side.
         trials: of every individual, over which its fitness is averaged; as many as the simulation
             has situations, or any number of trials of the only one.
+        learning: of the elites; None to leave all to evolution.
     """
 
     name: str
@@ -50,6 +65,7 @@ class Experiment(NamedTuple):
     seed: int
     runs: int = 1
     trials: int = 1
+    learning: Learning | None = None
 
 
 class Generation(NamedTuple):
@@ -126,7 +142,9 @@ def situation_numbers(experiment: Experiment) -> Int[np.ndarray, " trials"] | No
     return np.arange(experiment.trials) if several else None
 
 
-def compile_trials(simulation: Simulation, mesh: Mesh) -> Callable[..., Outcome]:
+def compile_trials(
+    simulation: Simulation, mesh: Mesh, width: int | None = None
+) -> Callable[..., Outcome]:
     """One trial of every individual of a population, in chunks on the devices of the mesh.
 
     The host feeds the devices block by block rather than having them loop over chunks: their memory
@@ -136,6 +154,11 @@ def compile_trials(simulation: Simulation, mesh: Mesh) -> Callable[..., Outcome]
     The devices never talk to each other: each gets its part of a block from the host and gives its
     results back. A program in which they exchange results deadlocked when two of them were in
     flight, and XLA ends the process when one device keeps the other waiting for 40 s.
+
+    Args:
+        simulation: the trial.
+        mesh: the devices.
+        width: individuals in a chunk; None for what suits the population.
 
     Returns:
         A function of the host arrays that `rollout` takes, compiled at its first call. Its last
@@ -158,7 +181,7 @@ def compile_trials(simulation: Simulation, mesh: Mesh) -> Callable[..., Outcome]
             return genes[:, numbers // trials], *of_trials
 
         count = genes.shape[1] * trials
-        spread = layout(count, mesh)
+        spread = Layout(mesh, width) if width else layout(count, mesh)
         return run_in_blocks(program(spread.mesh), spread, count, pick)
 
     return run

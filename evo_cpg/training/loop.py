@@ -25,6 +25,7 @@ from evo_cpg.training.experiment import (
     situation_numbers,
     trial_keys,
 )
+from evo_cpg.training.memetic import compile_learning
 from evo_cpg.training.run_folder import RunFolder
 
 # Columns of metrics.csv that differ from run to run.
@@ -62,6 +63,7 @@ def train(
     everybody = experiment.runs * experiment.genetics.population
     numbers = jax.tree.map(lambda x: np.tile(x, everybody), situation_numbers(experiment))
     run_breeding = fast_jit(functools.partial(breed, experiment))
+    learn = compile_learning(experiment, mesh) if experiment.learning else None
     draw_keys = fast_jit(functools.partial(generation_keys, experiment))
     while checkpoint.generation < experiment.generations:
         start = time.perf_counter()
@@ -72,6 +74,11 @@ def train(
             name: np.array(values, np.float32) for name, values in checkpoint.scales.items()
         }
         result = jax.device_get(run_breeding(checkpoint.genes, outcome, index, yardsticks))
+        done = checkpoint.generation + 1
+        scales = {name: tuple(values.tolist()) for name, values in result.scales.items()}
+        population = np.asarray(result.next_genes)
+        if learn and experiment.learning and done % experiment.learning.every == 0:
+            population = learn(population, done, scales)
         seconds = time.perf_counter() - start
         champions = tuple(
             _better(champion, result, checkpoint.generation, run)
@@ -81,13 +88,7 @@ def train(
             _metrics(experiment, checkpoint.generation, result, run, champion, seconds)
             for run, champion in enumerate(champions)
         ]
-        checkpoint = Checkpoint(
-            checkpoint.generation + 1,
-            np.asarray(result.next_genes),
-            champions,
-            [*checkpoint.history, *rows],
-            {name: tuple(values.tolist()) for name, values in result.scales.items()},
-        )
+        checkpoint = Checkpoint(done, population, champions, [*checkpoint.history, *rows], scales)
         folder.save(checkpoint)
         on_generation(rows)
     return checkpoint

@@ -6,6 +6,7 @@
     checkpoints/     the last two generations; `resume` goes on from the newest
     champion.npz     genome, fitness and terms of the best individual ever evaluated, its motion;
                      of several runs the best, the champions of all are in the checkpoints
+    refine.csv       what `refine` gained, round by round; champion_before.npz is what it began with
     videos/, plots/  what `render` and `plot` make
     probe.csv, .png  what `probe` finds
 
@@ -185,6 +186,38 @@ class RunFolder:
                 for name, value in recording._asdict().items()
             }
         _write(self.champion, lambda file: np.savez(file, **arrays))
+
+    def keep_champion(self) -> None:
+        """Copy champion.npz to champion_before.npz."""
+        before = self.path / "champion_before.npz"
+        _write(before, lambda file: file.write(self.champion.read_bytes()))
+
+    def replace_champion(self, champion: Champion) -> None:
+        """Put a refined individual in the place of its run's champion.
+
+        It also takes the last place in its run's population, so that evolution may go on from it.
+        """
+        checkpoint = self.load()
+        if checkpoint is None:
+            self.save_champion(champion)
+            return
+        champions, genes = list(checkpoint.champions), checkpoint.genes.copy()
+        champions[champion.run] = champion
+        population = genes.shape[1] // len(champions)
+        genes[:, (champion.run + 1) * population - 1] = champion.genes
+        checkpoint = checkpoint._replace(champions=tuple(champions), genes=genes)
+        best = checkpoint.champion
+        assert best is not None
+        self.save_champion(best)
+        self.save(checkpoint)
+
+    def write_table(self, name: str, rows: list[dict[str, float]]) -> None:
+        """Write rows with equal columns as a .csv file of the folder."""
+        text = io.StringIO()
+        writer = csv.DictWriter(text, fieldnames=list(rows[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+        _write(self.path / name, lambda file: file.write(text.getvalue().encode()))
 
     def load_champion(self) -> tuple[Champion, Recording | None, dict[str, str]]:
         """The champion, its motion if that was recorded, and the digests written with it.

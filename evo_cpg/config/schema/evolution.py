@@ -10,6 +10,20 @@ from evo_cpg.evolution.bits import BitGenetics
 from evo_cpg.evolution.generation import RealGenetics
 
 
+class LearningConfig(Section):
+    """Elites climb along the slope of their fitness and pass on what they learn.
+
+    Attributes:
+        every: so many generations.
+        elites: how many, the best first.
+        steps: slopes that each takes.
+    """
+
+    every: Count = 5
+    elites: Count = 8
+    steps: Count = 5
+
+
 class RealEvolutionConfig(Section):
     """The genetic algorithm on real-valued genomes.
 
@@ -24,6 +38,7 @@ class RealEvolutionConfig(Section):
         mutation_rate: probability that a gene changes.
         mutation_sigma: standard deviation of a change.
         gene_bound: largest magnitude of a gene.
+        learning: steps uphill of some elites; none if left out.
     """
 
     type: Literal["real"] = "real"
@@ -35,6 +50,7 @@ class RealEvolutionConfig(Section):
     mutation_rate: Share = 0.05
     mutation_sigma: NotNegative = 0.5
     gene_bound: Positive = 8.0
+    learning: LearningConfig | None = None
 
     def build(self) -> RealGenetics:
         """The settings of the generation step."""
@@ -53,6 +69,10 @@ class RealEvolutionConfig(Section):
         if self.elites >= self.population:
             raise ValueError(
                 f"elites: must be fewer than the population of {self.population}, got {self.elites}"
+            )
+        if self.learning and self.learning.elites > self.elites:
+            raise ValueError(
+                f"learning.elites: of {self.elites} elites {self.learning.elites} cannot learn"
             )
         return self
 

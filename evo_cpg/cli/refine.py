@@ -1,0 +1,116 @@
+"""The command that polishes a champion along the slope of its fitness: refine."""
+
+import contextlib
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from evo_cpg.cli.training import champion_of, misfit, now, open_run, use_cores_of
+from evo_cpg.config.build import build_experiment
+from evo_cpg.config.load import dump_config
+from evo_cpg.training.run_folder import RunFolderError
+
+if TYPE_CHECKING:
+    from evo_cpg.training.refine import Round
+
+
+def refine_run(
+    run: Path, rounds: int, steps: int, number: int | None, seed: int, cores: int | None
+) -> None:
+    """`evo-cpg refine`."""
+    use_cores_of(run, cores)
+    folder, config, experiment = open_run(run)
+    champion, _, _ = folder.load_champion()
+    if number is not None and number != champion.run:
+        champion = champion_of(folder, number)
+    wrong = misfit(experiment, champion)
+    if wrong:
+        raise RunFolderError(f"{folder.config} was changed after training: {wrong}")
+    if not getattr(config.controller, "graded", True):
+        controller = config.controller.model_copy(update={"graded": True})
+        config = config.model_copy(update={"controller": controller})
+        experiment = build_experiment(config, folder.config)
+        print("the genes are graded from now on: bits have no slopes", file=sys.stderr)
+    from evo_cpg.training.loop import replay_champion
+    from evo_cpg.training.refine import Refinement, Round, refine
+
+    devices = folder.read_meta().get("devices", 1)
+    rows: list[dict[str, float]] = []
+
+    def keep(done: Round) -> None:
+        if done.gain > 0:
+            if not any(row["gain"] > 0 for row in rows):
+                folder.keep_champion()
+                folder.reopen(dump_config(config))
+            folder.replace_champion(done.champion)
+        rows.append(
+            {
+                "round": done.number,
+                "fitness": done.champion.fitness,
+                "gain": done.gain,
+                "slopes": done.slopes,
+                "seconds": done.seconds,
+                **done.champion.terms,
+            }
+        )
+        folder.write_table("refine.csv", rows)
+
+    before = champion.fitness
+    try:
+        with _progress(rounds, before) as show:
+            champion = refine(
+                experiment,
+                champion,
+                Refinement(rounds, steps, seed=seed),
+                lambda done: (keep(done), show(done))[1],
+                devices=devices,
+            )
+    except KeyboardInterrupt:
+        print(f"interrupted; what was gained is in {folder.path}", file=sys.stderr)
+        raise
+    if not any(row["gain"] > 0 for row in rows):
+        print(
+            f"no better individual found in {rounds * steps} steps; try another --seed",
+            file=sys.stderr,
+        )
+        print(folder.path)
+        return
+    best, _, _ = folder.load_champion()
+    folder.save_champion(best, replay_champion(experiment, best, devices)[2])
+    folder.update_meta(refined=now())
+    terms = ", ".join(f"{name} {value:.3g}" for name, value in champion.terms.items())
+    print(f"fitness {before:.4f} -> {champion.fitness:.4f} ({terms})", file=sys.stderr)
+    print(folder.path)
+
+
+@contextlib.contextmanager
+def _progress(rounds: int, before: float) -> Iterator[Callable[["Round"], None]]:
+    """Show every round: a bar on a terminal, a line elsewhere."""
+    console = Console(stderr=True)
+
+    def line(done: "Round") -> str:
+        fitness = done.champion.fitness
+        return f"fitness {fitness:8.4f}  gained {fitness - before:+.4f}  {done.slopes} slopes"
+
+    if not console.is_terminal:
+
+        def show(done: "Round") -> None:
+            words = f"round {done.number + 1:3d}/{rounds}  {line(done)}  {done.seconds:6.2f} s"
+            print(words, file=sys.stderr, flush=True)
+
+        yield show
+        return
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(bar_width=24),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[state]}"),
+    )
+    with Progress(*columns, console=console) as progress:
+        task = progress.add_task("refine", total=rounds, state="compiling")
+        yield lambda done: progress.update(task, advance=1, state=line(done))

@@ -1,0 +1,100 @@
+"""A trial as reverse-mode differentiation goes back through it.
+
+Two things are done that change nothing forwards. Memory: of each control step only what goes on to
+the next is kept and the rest computed again; where even that is too much, only what goes from one
+segment of the trial to the next is (Griewank's checkpoints in two levels). Horizon: a small change
+early in a trial changes what comes later the more, the later it is, and where the motion is chaotic
+the exact slope of the end says little about any finite step. A *faded* slope forgets: on its way
+back it shrinks by a factor in every control step, except for what it says of the root's position,
+which only ever adds up.
+"""
+
+import dataclasses
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple, TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
+from jaxtyping import Array, Float
+
+from evo_cpg.physics.state import State
+
+Carry = TypeVar("Carry")
+Values = TypeVar("Values")
+
+# What may be kept of all control steps together; more of it is kept in segments.
+_KEPT_AT_MOST = 256 * 2**20  # bytes
+
+
+class Backward(NamedTuple):
+    """How a trial is differentiated.
+
+    Attributes:
+        retention: share of a slope that is left of it one control step further back; None to
+            leave the slope exact, which 1 does as well.
+    """
+
+    retention: Float[Array, " *#n"] | float | None = None
+
+    def scan(self, advance: Callable, carry: Carry, steps: int) -> Carry:
+        """`jax.lax.scan` of a function of the carry and the number of the step, for its carry.
+
+        Args:
+            advance: one control step; what it gives beside the carry is dropped.
+            carry: at the start.
+            steps: how many.
+        """
+
+        def segment(length: int) -> Callable:
+            def walk(carry: Carry, first: ArrayLike) -> tuple[Carry, None]:
+                numbers = first + jnp.arange(length)
+                return jax.lax.scan(step, carry, numbers)[0], None
+
+            return walk
+
+        step = jax.checkpoint(lambda carry, i: (advance(carry, i)[0], None), prevent_cse=False)
+        size = sum(x.size * x.dtype.itemsize for x in jax.tree.leaves(carry))
+        if steps * size <= _KEPT_AT_MOST:
+            return segment(steps)(carry, 0)[0]
+        length = math.isqrt(steps)
+        count, rest = divmod(steps, length)
+        whole = jax.checkpoint(segment(length), prevent_cse=False)
+        carry, _ = jax.lax.scan(whole, carry, length * jnp.arange(count))
+        return segment(rest)(carry, count * length)[0] if rest else carry
+
+    def forget(self, state: State, nerves: Any) -> tuple[State, Any]:
+        """Body and nerves as they are; slopes that come back through here fade."""
+        if self.retention is None:
+            return state, nerves
+        faded, nerves = _fading(
+            (dataclasses.replace(state, position=state.position[:0]), nerves),
+            jnp.asarray(self.retention, state.q.dtype),
+        )
+        return dataclasses.replace(faded, position=state.position), nerves
+
+
+def retention(horizon: Float[np.ndarray, " *n"], control_rate: float) -> Float[np.ndarray, " *n"]:
+    """Of slopes that fade to 1/e within the horizon (s); infinity keeps them."""
+    return np.exp(-1.0 / (horizon * control_rate))
+
+
+def _fading(values: Values, factor: Array) -> Values:
+    """The same values; slopes with respect to them are multiplied by the factor."""
+    return jax.tree.map(
+        lambda x: _faded(x, factor) if jnp.issubdtype(x.dtype, jnp.inexact) else x, values
+    )
+
+
+@jax.custom_jvp
+def _faded(x: Array, factor: Array) -> Array:
+    del factor
+    return x
+
+
+@_faded.defjvp
+def _faded_jvp(primals: tuple[Array, Array], tangents: tuple[Array, Array]) -> tuple[Array, Array]:
+    (x, factor), (slope, _) = primals, tangents
+    return x, factor * slope

@@ -1,0 +1,205 @@
+"""Climbing along the slope of the fitness: Adam as an optimistix solver, many individuals at once.
+
+The fitness of a whole trial is rough: over a hundredth of a gene's range its slope may turn round.
+A solver that insists on getting better at every step (L-BFGS or conjugate gradients with a line
+search) soon sits on a small bump; Adam's steps go over it, and the best place that they touched is
+kept (`optimistix.BestSoFarMinimiser`). No one size of step or horizon of the slope (see
+`evo_cpg.simulation.backward`) suits all: individuals that climb side by side draw their own.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix
+from jax.sharding import Mesh
+from jaxtyping import Array, Float, Int, UInt32
+
+from evo_cpg.evolution.generation import RealGenetics
+from evo_cpg.simulation.backward import Backward, retention
+from evo_cpg.simulation.rollout import Simulation, rollout
+from evo_cpg.training.devices import LANES, Layout, run_in_blocks, sharded
+from evo_cpg.training.experiment import Experiment, judge, situation_numbers
+
+# Adam's memory of the slope and of its square; the second is short, for a climb has few steps.
+_MEAN_DECAY, _SQUARE_DECAY = 0.9, 0.99
+_TINY = 1e-12
+
+# Step sizes are drawn from this range, in units of genes, evenly on a logarithmic scale.
+_STEP_SIZES = 3e-4, 1e-2
+# The shortest horizon of a slope, s; the share of individuals that take it exact.
+SHORTEST_HORIZON = 1.0
+_EXACT = 0.25
+
+# A slope longer than so many times the mean of those before is cut to that.
+_LONGEST = 10.0
+_LENGTH_DECAY = 0.9
+
+
+class _Moments(eqx.Module):
+    """What `Adam` remembers: means of the slope, its square and its length; the steps done."""
+
+    mean: Any
+    square: Any
+    length: Array
+    count: Array
+
+
+class Adam(optimistix.AbstractDescent):
+    """Kingma and Ba's (2015) direction of descent, guarded against slopes that explode.
+
+    A slope that is not finite counts as none; one much longer than those before is cut.
+    """
+
+    def init(self, y: Any, f_info_struct: Any) -> _Moments:
+        """Nothing seen yet."""
+        del f_info_struct
+        none = jax.tree.map(jnp.zeros_like, y)
+        return _Moments(none, none, jnp.zeros(()), jnp.zeros((), jnp.int32))
+
+    def query(self, y: Any, f_info: Any, state: _Moments) -> _Moments:
+        """Take in the slope at ``y``."""
+        del y
+        length = optimistix.two_norm(f_info.grad)
+        finite = jnp.isfinite(length)
+        first = state.length == 0
+        most = jnp.where(first, length, _LONGEST * state.length)
+        share = jnp.minimum(1.0, most / jnp.maximum(length, _TINY))
+        slope = jax.tree.map(lambda x: jnp.where(finite, share * x, 0.0), f_info.grad)
+        usual = jnp.where(first, length, _mix(_LENGTH_DECAY, state.length, share * length))
+        return _Moments(
+            jax.tree.map(lambda m, g: _mix(_MEAN_DECAY, m, g), state.mean, slope),
+            jax.tree.map(lambda s, g: _mix(_SQUARE_DECAY, s, g * g), state.square, slope),
+            jnp.where(finite, usual, state.length),
+            state.count + 1,
+        )
+
+    def step(self, step_size: Array, state: _Moments) -> tuple[Any, optimistix.RESULTS]:
+        """The next move, about ``step_size`` for every parameter whose slope keeps its sign."""
+        # Both means start at 0 and are short of the truth at first.
+        mean, square = (1 - decay**state.count for decay in (_MEAN_DECAY, _SQUARE_DECAY))
+        move = jax.tree.map(
+            lambda m, s: -step_size * (m / mean) / (jnp.sqrt(s / square) + _TINY),
+            state.mean,
+            state.square,
+        )
+        return move, optimistix.RESULTS.successful
+
+
+class Climber(optimistix.AbstractGradientDescent):
+    """Steps of Adam of a given size until they are used up; it never thinks that it is there."""
+
+    search: optimistix.LearningRate
+    descent: Adam = Adam()
+    rtol: float = 0.0
+    atol: float = 0.0
+    norm: Callable = optimistix.max_norm
+
+
+class Ways(NamedTuple):
+    """How individuals climb.
+
+    Attributes:
+        sizes: of a step, in units of genes.
+        retentions: see `evo_cpg.simulation.backward.Backward`.
+    """
+
+    sizes: Float[np.ndarray, " n"]
+    retentions: Float[np.ndarray, " n"]
+
+
+def draw_ways(
+    rng: np.random.Generator,
+    simulation: Simulation,
+    count: int,
+    shortest: float = SHORTEST_HORIZON,
+) -> Ways:
+    """Step sizes and horizons, the horizons from ``shortest`` (s) to where they hardly fade."""
+    whole = simulation.steps / simulation.control_rate
+    horizons = log_uniform(rng, min(shortest, whole), 10 * whole, count)
+    horizons[rng.random(count) < _EXACT] = np.inf
+    sizes = log_uniform(rng, *_STEP_SIZES, count)
+    return Ways(sizes, retention(horizons, simulation.control_rate))
+
+
+def log_uniform(
+    rng: np.random.Generator, low: float, high: float, count: int
+) -> Float[np.ndarray, " n"]:
+    """Numbers between two bounds, evenly on a logarithmic scale."""
+    return np.exp(rng.uniform(np.log(low), np.log(high), count)).astype(np.float32)
+
+
+def compile_ascent(experiment: Experiment, mesh: Mesh, steps: int) -> Callable[..., Any]:
+    """So many steps uphill for any number of individuals, on the devices of the mesh.
+
+    Args:
+        experiment: in which they live.
+        mesh: the devices.
+        steps: slopes that are taken of each individual.
+
+    Returns:
+        A function of host arrays, compiled at its first call: of the genes, the ways, the task's
+        yardsticks and, where there is noise, the keys of every individual's trials, individuals on
+        the last axis. It gives the best genes that the steps touched, and their fitness.
+    """
+    simulation = experiment.simulation
+    numbers: Any = situation_numbers(experiment)
+
+    def fitness(
+        genes: Float[Array, " g"],
+        scales: dict[str, Float[Array, ""]],
+        kept: Float[Array, ""],
+        keys: UInt32[Array, "w trials"] | None,
+    ) -> Float[Array, ""]:
+        crowd = jnp.broadcast_to(genes[:, None], (len(genes), experiment.trials))
+        outcome = rollout(simulation, crowd, keys, numbers, Backward(kept))
+        return judge(simulation.task, outcome, scales)[0]
+
+    def climb(
+        genes: Array, way: Any, scales: dict[str, Array], keys: Array | None
+    ) -> tuple[Array, Array]:
+        def loss(genes: Array, _: None) -> tuple[Array, Array]:
+            value = fitness(genes, scales, way.retentions, keys)
+            return -value, value
+
+        solution = optimistix.minimise(
+            loss,
+            optimistix.BestSoFarMinimiser(Climber(search=optimistix.LearningRate(way.sizes))),
+            genes,
+            has_aux=True,
+            max_steps=steps,
+            throw=False,
+        )
+        return solution.value, solution.aux
+
+    def climb_all(*lanes: Any) -> tuple[Array, Array]:
+        best, value = jax.vmap(climb, in_axes=-1, out_axes=-1)(*lanes)
+        return best, value[None]
+
+    width = max(1, LANES // experiment.trials)
+    program = sharded(climb_all, mesh, (2, 1, 1, 3), 2)
+
+    def run(
+        genes: Float[np.ndarray, "g n"],
+        ways: Ways,
+        scales: dict[str, Float[np.ndarray, " n"]],
+        keys: UInt32[np.ndarray, "w trials n"] | None = None,
+    ) -> tuple[Float[np.ndarray, "g n"], Float[np.ndarray, " n"]]:
+        def pick(lanes: Int[np.ndarray, " block"]) -> tuple:
+            return jax.tree.map(lambda x: x[..., lanes], (genes, ways, scales, keys))
+
+        spread = Layout(mesh, width)
+        best, value = run_in_blocks(program, spread, genes.shape[1], pick)
+        genetics = experiment.genetics
+        if isinstance(genetics, RealGenetics):
+            best = np.clip(best, -genetics.gene_bound, genetics.gene_bound)
+        return best, value[0]
+
+    return run
+
+
+def _mix(decay: float, old: Array, new: Array) -> Array:
+    return decay * old + (1 - decay) * new

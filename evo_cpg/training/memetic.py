@@ -1,0 +1,70 @@
+"""Learning on top of evolution: every few generations the elites climb along their slopes.
+
+What they learn they pass on (Lamarck's way, as memetic algorithms have it): the genomes that they
+reach take their places in the population.
+"""
+
+from collections.abc import Callable
+
+import jax
+import numpy as np
+from jax.sharding import Mesh
+from jaxtyping import Float
+
+from evo_cpg.training.ascent import compile_ascent, draw_ways
+from evo_cpg.training.experiment import Experiment, trial_keys
+
+# Tag that keeps these draws apart from others of the same seed.
+_WAYS = 3
+
+
+def compile_learning(
+    experiment: Experiment, mesh: Mesh
+) -> Callable[..., Float[np.ndarray, "g all"]]:
+    """The elites' steps uphill, on the devices of the mesh.
+
+    Returns:
+        A function of a population whose runs begin with their elites, the number of the generation
+        that will live with it, and the task's yardsticks in each run; compiled at its first call.
+        It gives the population with the elites as they are afterwards. Each run draws from its own
+        seed.
+    """
+    learning = experiment.learning
+    assert learning is not None
+    elites, runs = learning.elites, experiment.runs
+    climb = compile_ascent(experiment, mesh, learning.steps)
+
+    def learn(
+        genes: Float[np.ndarray, "g all"], generation: int, scales: dict[str, tuple[float, ...]]
+    ) -> Float[np.ndarray, "g all"]:
+        population = genes.shape[1] // runs
+        places = (population * np.arange(runs)[:, None] + np.arange(elites)).ravel()
+        draws = [
+            draw_ways(
+                np.random.default_rng((experiment.seed + run, generation, _WAYS)),
+                experiment.simulation,
+                elites,
+            )
+            for run in range(runs)
+        ]
+        ways = jax.tree.map(lambda *x: np.concatenate(x), *draws)
+        yardsticks = {
+            name: np.repeat(np.array(values, np.float32), elites) for name, values in scales.items()
+        }
+        best, _ = climb(genes[:, places], ways, yardsticks, _keys(experiment, generation))
+        genes = genes.copy()
+        genes[:, places] = best
+        return genes
+
+    return learn
+
+
+def _keys(experiment: Experiment, generation: int) -> np.ndarray | None:
+    """Of the trials that the elites of all runs will live, ``(w, trials, n)``."""
+    assert experiment.learning is not None
+    shape = experiment.runs, experiment.learning.elites, experiment.trials
+    run, individual, trial = np.indices(shape).reshape(3, -1)
+    keys = jax.device_get(trial_keys(experiment, generation, run, individual, trial))
+    if keys is None:
+        return None
+    return np.moveaxis(keys.reshape(len(keys), -1, experiment.trials), 1, 2)

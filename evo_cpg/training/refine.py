@@ -1,0 +1,179 @@
+"""Polishing a champion along the slope of its fitness.
+
+In every round the lanes of all cores climb side by side for some steps, each in its own way (see
+`evo_cpg.training.ascent`), from one of the best individuals found so far, half of them with a kick.
+The shortest horizons double from round to round. After a round the best are tried in chunks as wide
+as those of training, so that a refined champion is evaluated, and replays, exactly like an evolved
+one.
+"""
+
+import time
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jax.sharding import Mesh
+from jaxtyping import Float
+
+from evo_cpg.training.ascent import SHORTEST_HORIZON, compile_ascent, draw_ways, log_uniform
+from evo_cpg.training.checkpoint import Champion
+from evo_cpg.training.devices import LANES, chunk_width, fast_jit, population_mesh
+from evo_cpg.training.experiment import (
+    Experiment,
+    compile_trials,
+    judge,
+    situation_numbers,
+    trial_keys,
+)
+
+# Individuals that the lanes of the next round set out from.
+_PARENTS = 4
+# Standard deviation of a kick, in units of genes, and the share of the lanes that get one.
+_KICKS = 1e-2, 1e-1
+_KICKED = 0.5
+
+
+class Refinement(NamedTuple):
+    """How long to go on.
+
+    Attributes:
+        rounds: of climbing and choosing.
+        steps: slopes that each lane takes in a round.
+        lanes: individuals that climb at once; None for a full vector of trials on each core.
+        seed: of the lanes' draws.
+    """
+
+    rounds: int = 5
+    steps: int = 20
+    lanes: int | None = None
+    seed: int = 0
+
+
+class Round(NamedTuple):
+    """What came out of one round.
+
+    Attributes:
+        number: from 0.
+        champion: the best so far.
+        gain: fitness that the round added.
+        slopes: gradients that were taken.
+        seconds: that it took.
+    """
+
+    number: int
+    champion: Champion
+    gain: float
+    slopes: int
+    seconds: float
+
+
+def refine(
+    experiment: Experiment,
+    champion: Champion,
+    settings: Refinement,
+    on_round: Callable[[Round], None] = lambda done: None,
+    mesh: Mesh | None = None,
+    devices: int | None = None,
+) -> Champion:
+    """The champion after climbing, or as it was if nothing better was found.
+
+    Args:
+        experiment: that it was evolved in.
+        champion: where to begin.
+        settings: how long to go on.
+        on_round: called after every round.
+        mesh: devices to use; None for all.
+        devices: how many shared the population in training; None for as many.
+    """
+    mesh = mesh or population_mesh()
+    lanes = settings.lanes or mesh.size * max(1, LANES // experiment.trials)
+    climb = compile_ascent(experiment, mesh, settings.steps)
+    evaluate = compile_evaluation(experiment, mesh, devices or mesh.size)
+    parents = [champion]
+    for number in range(settings.rounds):
+        start = time.perf_counter()
+        rng = np.random.default_rng((settings.seed, number))
+        best, hoped = climb(
+            _starts(parents, rng, lanes),
+            draw_ways(rng, experiment.simulation, lanes, SHORTEST_HORIZON * 2**number),
+            {name: np.full(lanes, value, np.float32) for name, value in champion.scales.items()},
+            _keys_of(experiment, champion, lanes),
+        )
+        chosen = np.argsort(-hoped)[: 2 * _PARENTS]
+        found = evaluate(best[:, chosen[np.isfinite(hoped[chosen])]], champion)
+        # Among equals the earlier one stays.
+        ranked = sorted([*parents, *found], key=lambda one: -one.fitness)
+        gain = ranked[0].fitness - parents[0].fitness
+        parents = ranked[:_PARENTS]
+        seconds = time.perf_counter() - start
+        on_round(Round(number, parents[0], gain, lanes * settings.steps, seconds))
+    return parents[0]
+
+
+def compile_evaluation(
+    experiment: Experiment, mesh: Mesh, devices: int
+) -> Callable[[Float[np.ndarray, "g n"], Champion], list[Champion]]:
+    """Trials of any genomes as the champion's were: in its place, with its noise and yardsticks.
+
+    Args:
+        experiment: in which they live.
+        mesh: the devices.
+        devices: how many shared the population in training.
+
+    Returns:
+        A function of genomes and the champion whose place they take; it gives those that live.
+    """
+    everybody = experiment.runs * experiment.genetics.population * experiment.trials
+    width = chunk_width(everybody, devices)
+    live = compile_trials(experiment.simulation, mesh, width)
+    assess = fast_jit(lambda *given: judge(experiment.simulation.task, *given))
+
+    def evaluate(genes: Float[np.ndarray, "g n"], champion: Champion) -> list[Champion]:
+        count, trials = genes.shape[1], experiment.trials
+        if not count:
+            return []
+        keys, numbers = jax.tree.map(
+            lambda x: np.tile(x, count),
+            (_keys_of_trials(experiment, champion), situation_numbers(experiment)),
+        )
+        outcome = live(genes, keys, numbers, trials)
+        outcome = jax.tree.map(lambda x: x.reshape(count, trials), outcome)
+        scales = {name: np.float32(value) for name, value in champion.scales.items()}
+        fitness, mean = jax.device_get(assess(outcome, scales))
+        return [
+            champion._replace(
+                genes=np.ascontiguousarray(genes[:, i]),
+                fitness=float(fitness[i]),
+                terms={name: float(values[i]) for name, values in mean.terms.items()},
+            )
+            for i in np.flatnonzero(np.isfinite(fitness))
+        ]
+
+    return evaluate
+
+
+def _starts(
+    parents: list[Champion], rng: np.random.Generator, count: int
+) -> Float[np.ndarray, "g n"]:
+    """Genomes that the lanes of a round set out from; the first is that of the best as it is."""
+    # The better a parent, the more often.
+    drawn = np.minimum(rng.exponential(1.0, count).astype(int), len(parents) - 1)
+    kicked = rng.random(count) < _KICKED
+    drawn[0], kicked[0] = 0, False
+    genes = np.stack([parents[i].genes for i in drawn], 1)
+    kick = kicked * log_uniform(rng, *_KICKS, count)
+    return (genes + kick * rng.standard_normal(genes.shape)).astype(np.float32)
+
+
+def _keys_of_trials(experiment: Experiment, champion: Champion) -> np.ndarray | None:
+    """The keys of the champion's trials ``(w, trials)``."""
+    trials = np.arange(experiment.trials)
+    run, individual = (np.full_like(trials, i) for i in (champion.run, champion.index))
+    return jax.device_get(trial_keys(experiment, champion.generation, run, individual, trials))
+
+
+def _keys_of(experiment: Experiment, champion: Champion, lanes: int) -> np.ndarray | None:
+    """The same for every lane, ``(w, trials, n)``."""
+    keys = _keys_of_trials(experiment, champion)
+    return None if keys is None else np.repeat(keys[..., None], lanes, -1)
