@@ -74,7 +74,7 @@ def refine(
     run: Run,
     rounds: Annotated[int, typer.Option(min=1, help="Rounds of climbing and choosing.")] = 5,
     steps: Annotated[
-        int, typer.Option(min=1, help="Steps along the slope that each lane takes in a round.")
+        int, typer.Option(min=1, help="Moves of each lane in a round.")
     ] = 20,
     number: Number = None,
     seed: Annotated[int, typer.Option(min=0, help="Of what the lanes draw.")] = 0,

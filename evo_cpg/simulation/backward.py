@@ -69,11 +69,10 @@ class Backward(NamedTuple):
         """Body and nerves as they are; slopes that come back through here fade."""
         if self.retention is None:
             return state, nerves
-        faded, nerves = _fading(
-            (dataclasses.replace(state, position=state.position[:0]), nerves),
-            jnp.asarray(self.retention, state.q.dtype),
-        )
-        return dataclasses.replace(faded, position=state.position), nerves
+        fading = "orientation", "velocity", "q", "qd"
+        moving = {name: getattr(state, name) for name in fading}
+        moving, nerves = _fading((moving, nerves), jnp.asarray(self.retention, state.q.dtype))
+        return dataclasses.replace(state, **moving), nerves
 
 
 def retention(horizon: Float[np.ndarray, " *n"], control_rate: float) -> Float[np.ndarray, " *n"]:
@@ -97,4 +96,5 @@ def _faded(x: Array, factor: Array) -> Array:
 @_faded.defjvp
 def _faded_jvp(primals: tuple[Array, Array], tangents: tuple[Array, Array]) -> tuple[Array, Array]:
     (x, factor), (slope, _) = primals, tangents
-    return x, factor * slope
+    rows = (1,) * (x.ndim - factor.ndim)
+    return x, factor.reshape(*rows, *factor.shape) * slope

@@ -138,12 +138,12 @@ def compile_ascent(experiment: Experiment, mesh: Mesh, steps: int) -> Callable[.
     Args:
         experiment: in which they live.
         mesh: the devices.
-        steps: slopes that are taken of each individual.
+        steps: moves of each individual.
 
     Returns:
         A function of host arrays, compiled at its first call: of the genes, the ways, the task's
         yardsticks and, where there is noise, the keys of every individual's trials, individuals on
-        the last axis. It gives the best genes that the steps touched, and their fitness.
+        the last axis. It gives the best genes that they came by, and their fitness.
     """
     simulation = experiment.simulation
     numbers: Any = situation_numbers(experiment)
@@ -170,7 +170,8 @@ def compile_ascent(experiment: Experiment, mesh: Mesh, steps: int) -> Callable[.
             optimistix.BestSoFarMinimiser(Climber(search=optimistix.LearningRate(way.sizes))),
             genes,
             has_aux=True,
-            max_steps=steps,
+            # The first sees where it stands, and one more where the last move led.
+            max_steps=steps + 1,
             throw=False,
         )
         return solution.value, solution.aux

@@ -33,7 +33,7 @@ class Learning(NamedTuple):
     Attributes:
         every: so many generations some elites learn.
         elites: how many of each run, the best first.
-        steps: slopes that each takes.
+        steps: moves of each.
     """
 
     every: int

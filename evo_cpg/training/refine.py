@@ -39,7 +39,7 @@ class Refinement(NamedTuple):
 
     Attributes:
         rounds: of climbing and choosing.
-        steps: slopes that each lane takes in a round.
+        steps: moves of each lane in a round.
         lanes: individuals that climb at once; None for a full vector of trials on each core.
         seed: of the lanes' draws.
     """
@@ -107,7 +107,7 @@ def refine(
         gain = ranked[0].fitness - parents[0].fitness
         parents = ranked[:_PARENTS]
         seconds = time.perf_counter() - start
-        on_round(Round(number, parents[0], gain, lanes * settings.steps, seconds))
+        on_round(Round(number, parents[0], gain, lanes * (settings.steps + 1), seconds))
     return parents[0]
 
 

@@ -16,7 +16,7 @@ class LearningConfig(Section):
     Attributes:
         every: so many generations.
         elites: how many, the best first.
-        steps: slopes that each takes.
+        steps: moves of each.
     """
 
     every: Count = 5

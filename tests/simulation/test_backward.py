@@ -1,0 +1,90 @@
+"""Slopes through a trial: the same with little memory, and forgetful where that is asked for."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from creatures import quick_jit
+from evo_cpg.physics.state import State
+from evo_cpg.simulation import backward
+from evo_cpg.simulation.backward import Backward, retention
+from evo_cpg.simulation.rollout import rollout, score
+from trials import experiment
+
+STEPS = 23  # not a whole number of segments
+
+
+def state_of(position, angle) -> State:
+    """All else at rest."""
+    rest = jnp.zeros
+    return State(position, jnp.array([1.0, 0, 0, 0]), rest(6), angle, rest(1))
+
+
+def end_position(push, decay: float, how: Backward, steps: int = STEPS):
+    """q decays while it is pushed; the position adds it up."""
+
+    def advance(carry, _):
+        state, nerves = carry
+        state, nerves = how.forget(state, nerves)
+        q = decay * state.q + push
+        return (state_of(state.position + q.sum(), q), nerves), None
+
+    carry = state_of(jnp.zeros(3), jnp.zeros(1)), jnp.zeros((), jnp.int32)
+    state, _ = how.scan(advance, carry, steps)
+    return state.position[0]
+
+
+@pytest.mark.usefixtures("x64")
+@pytest.mark.parametrize("kept", [1.0, 0.9, 0.5])
+@pytest.mark.parametrize("budget", [2**20, 0], ids=["one level", "segments"])
+def test_a_faded_slope_is_that_of_a_system_that_forgets(kept, budget, monkeypatch):
+    # What the position says is never forgotten, so the slope is a sum of the decay's powers.
+    monkeypatch.setattr(backward, "_KEPT_AT_MOST", budget)
+    decay = 0.97
+    value, slope = jax.value_and_grad(end_position)(2.0, decay, Backward(kept))
+    assert float(value) == pytest.approx(float(end_position(2.0, decay, Backward())), rel=1e-12)
+    by_hand = sum((decay * kept) ** k for t in range(STEPS) for k in range(t + 1))
+    assert float(slope) == pytest.approx(by_hand, rel=1e-12)
+
+
+def test_a_horizon_is_the_time_in_which_a_slope_falls_to_its_eth():
+    share = retention(np.array([2.0, np.inf]), 60.0)
+    np.testing.assert_allclose(share**120, [np.exp(-1), 1.0], rtol=1e-12)
+
+
+@pytest.mark.parametrize("budget", [2**30, 0], ids=["one level", "segments"])
+def test_a_trial_has_the_slopes_that_it_has_with_everything_kept(budget, monkeypatch):
+    monkeypatch.setattr(backward, "_KEPT_AT_MOST", budget)
+    made = experiment(STEPS).simulation
+    genes = jnp.array([[1.2, 0.7], [1.1, 1.9]])
+
+    def fitness(genes, how):
+        outcome = rollout(made, genes, backward=how)
+        return score(made.task, outcome, {"energy": jnp.float32(1.0)}).sum()
+
+    plain = quick_jit(jax.grad(lambda genes: fitness(genes, None)))(genes)
+    frugal = quick_jit(jax.grad(lambda genes: fitness(genes, Backward(jnp.ones(2)))))(genes)
+    assert np.abs(plain).min() > 1e-5
+    np.testing.assert_allclose(frugal, plain, rtol=1e-4)
+
+
+def test_segments_take_less_memory_in_long_trials(monkeypatch):
+    made = dataclasses.replace(experiment().simulation, steps=900)
+    genes = jnp.ones((2, 16))
+
+    def memory(budget: int) -> int:
+        monkeypatch.setattr(backward, "_KEPT_AT_MOST", budget)
+
+        def fitness(genes):
+            outcome = rollout(made, genes, backward=Backward())
+            return score(made.task, outcome, {"energy": jnp.float32(1.0)}).sum()
+
+        usage = quick_jit(jax.grad(fitness)).lower(genes).compile().memory_analysis()
+        return usage.temp_size_in_bytes
+
+    one_level, segments = memory(2**30), memory(0)
+    # Sixty of 900 states are kept (thirty segments, thirty steps of the present one).
+    assert segments < one_level / 5

@@ -1,0 +1,113 @@
+"""Climbing: Adam as its authors wrote it, and not thrown by slopes that explode."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix
+import pytest
+
+from evo_cpg.simulation.rollout import rollout, score
+from evo_cpg.training.ascent import Adam, Climber, Ways, compile_ascent, draw_ways
+from evo_cpg.training.devices import population_mesh
+from trials import experiment
+
+
+def climb(loss, start, size: float, steps: int, best: bool = False):
+    solver = Climber(search=optimistix.LearningRate(size))
+    solver = optimistix.BestSoFarMinimiser(solver) if best else solver
+    return optimistix.minimise(
+        lambda y, _: loss(y), solver, jnp.asarray(start), max_steps=steps, throw=False
+    ).value
+
+
+def valley(y):
+    """Rosenbrock's."""
+    return (1 - y[0]) ** 2 + 100 * (y[1] - y[0] ** 2) ** 2
+
+
+@pytest.mark.usefixtures("x64")
+def test_the_steps_are_those_of_the_published_algorithm():
+    # Kingma and Ba 2015, algorithm 1, written out.
+    y, size, decays = np.array([-1.2, 1.0]), 0.01, (0.9, 0.99)
+    mean, square = np.zeros(2), np.zeros(2)
+    places = [y]
+    for count in range(1, 40):
+        slope = np.asarray(jax.grad(valley)(y))
+        mean = decays[0] * mean + (1 - decays[0]) * slope
+        square = decays[1] * square + (1 - decays[1]) * slope**2
+        unbiased = mean / (1 - decays[0] ** count), square / (1 - decays[1] ** count)
+        y = y - size * unbiased[0] / np.sqrt(unbiased[1])
+        places.append(y)
+    # What a solver gives back is the place where it last took a slope.
+    for steps in (1, 2, 10, 40):
+        found = climb(valley, [-1.2, 1.0], size, steps)
+        np.testing.assert_allclose(found, places[steps - 1], rtol=1e-9)
+
+
+def test_it_comes_down_a_curved_valley():
+    assert valley(climb(valley, [-1.2, 1.0], 0.02, 1500, best=True)) < 1e-3
+
+
+@pytest.mark.parametrize("cliff", [1e8, np.nan, np.inf])
+def test_a_cliff_does_not_throw_it_off(cliff):
+    # One huge or undefined slope on the way down: without the guard Adam's second moment, which
+    # remembers it, would hold it back for hundreds of steps, or for ever.
+    def loss(y):
+        height = jnp.sum(y**2)
+        near = jnp.abs(y[0] - 0.7) < 0.006
+        return jax.lax.cond(near, lambda: height + cliff * y[0], lambda: height)
+
+    found = climb(loss, [1.0, 1.0], 0.01, 300, best=True)
+    assert float(jnp.sum(found**2)) < 1e-3
+
+
+def test_the_guard_cuts_only_what_is_out_of_proportion():
+    def after(*lengths):
+        state = Adam().init(jnp.zeros(1), None)
+        for length in lengths:
+            info = optimistix.FunctionInfo.EvalGrad(jnp.zeros(()), jnp.array([length]))
+            state = Adam().query(jnp.zeros(1), info, state)
+        return float(state.mean[0])
+
+    assert after(1.0, 9.0) == pytest.approx(0.9 * 0.1 + 0.1 * 9.0, rel=1e-6)
+    assert after(1.0, 500.0) == pytest.approx(0.9 * 0.1 + 0.1 * 10.0, rel=1e-6)
+    assert after(1.0, np.nan) == pytest.approx(0.9 * 0.1, rel=1e-6)
+
+
+def test_every_individual_climbs_its_own_way_from_where_it_is():
+    made = experiment(40)
+    run = compile_ascent(made, population_mesh(), 6)
+    genes = np.array([[1.0, 1.0, 1.4, 0.3], [1.0, 1.0, 0.8, 1.5]], np.float32)
+    ways = Ways(np.array([1e-2, 3e-2, 3e-2, 3e-2], np.float32), np.ones(4, np.float32))
+    scales = {"energy": np.ones(4, np.float32)}
+    best, fitness = run(genes, ways, scales)
+
+    def judged(genes):
+        return np.asarray(
+            score(
+                made.simulation.task,
+                rollout(made.simulation, jnp.asarray(genes)),
+                {"energy": jnp.float32(1.0)},
+            )
+        )
+
+    np.testing.assert_allclose(fitness, judged(best), rtol=1e-4)
+    assert (fitness > judged(genes) + 1e-5).all()
+    # The wider steps of the second lane got it further from the same place.
+    moved = np.abs(best - genes).max(0)
+    assert 0 < moved[0] < moved[1]
+    # Each lane for itself.
+    alone, _ = run(
+        genes[:, 2:3], Ways(ways.sizes[2:3], ways.retentions[2:3]), {"energy": scales["energy"][:1]}
+    )
+    np.testing.assert_allclose(alone[:, 0], best[:, 2], rtol=1e-3)
+
+
+def test_ways_are_spread_over_their_ranges():
+    simulation = experiment(600).simulation
+    ways = draw_ways(np.random.default_rng(0), simulation, 4000)
+    assert 2.9e-4 < ways.sizes.min() < 4e-4 < 8e-3 < ways.sizes.max() < 1.01e-2
+    exact = ways.retentions == 1
+    assert 0.2 < exact.mean() < 0.3
+    horizons = -1 / (60 * np.log(ways.retentions[~exact]))
+    assert 0.99 < horizons.min() < 1.1 and 80 < horizons.max() < 102

@@ -1,0 +1,51 @@
+"""Elites that learn: better in the generation that follows, and each run for itself."""
+
+import numpy as np
+import pytest
+
+from evo_cpg.training.experiment import Learning
+from evo_cpg.training.loop import TIMING_COLUMNS, train
+from evo_cpg.training.run_folder import RunFolder
+from trials import experiment
+
+SEED = 3
+MADE = experiment(60, 6, seed=SEED)._replace(generations=3, learning=Learning(2, 2, 4))
+
+
+def evolve(made, path):
+    folder = RunFolder(path)
+    folder.create("", {})
+    return train(made, folder)
+
+
+def untimed(history):
+    return [{k: v for k, v in row.items() if k not in (*TIMING_COLUMNS, "run")} for row in history]
+
+
+@pytest.fixture(scope="module")
+def learned(tmp_path_factory):
+    return evolve(MADE, tmp_path_factory.mktemp("learned") / "run")
+
+
+def test_what_elites_learn_shows_in_the_next_generation(learned, tmp_path):
+    plain = evolve(MADE._replace(learning=None), tmp_path / "run")
+    with_it, without = untimed(learned.history), untimed(plain.history)
+    # Nothing is different before the elites first learn, which is after two generations.
+    assert with_it[:2] == without[:2]
+    # All others of the generation that follows are the same two ways.
+    assert with_it[2]["mean"] > without[2]["mean"] + 1e-5
+
+
+def test_a_run_learns_the_same_beside_another(learned, tmp_path):
+    pair = evolve(MADE._replace(seed=SEED - 1, runs=2), tmp_path / "run")
+    beside = [row for row in pair.history if row["run"] == 1]
+    assert untimed(beside) == untimed(learned.history)
+
+
+def test_a_resumed_run_learns_the_same(learned, tmp_path):
+    folder = RunFolder(tmp_path / "run")
+    folder.create("", {})
+    train(MADE._replace(generations=1), folder)
+    resumed = train(MADE, folder)
+    assert untimed(resumed.history) == untimed(learned.history)
+    np.testing.assert_array_equal(resumed.genes, learned.genes)

@@ -1,0 +1,82 @@
+"""A refined champion is better, is measured as in training, and comes out again."""
+
+import numpy as np
+import pytest
+
+from evo_cpg.training.devices import population_mesh
+from evo_cpg.training.loop import replay_champion, train
+from evo_cpg.training.refine import Refinement, compile_evaluation, refine
+from evo_cpg.training.run_folder import RunFolder
+from trials import experiment
+
+MADE = experiment(60, 6)._replace(generations=2, runs=2)
+SETTINGS = Refinement(rounds=2, steps=5)
+
+
+@pytest.fixture(scope="module")
+def evolved(tmp_path_factory):
+    folder = RunFolder(tmp_path_factory.mktemp("evolved") / "run")
+    folder.create("", {})
+    return folder, train(MADE, folder)
+
+
+@pytest.fixture(scope="module")
+def refined(evolved):
+    rounds = []
+    champion = evolved[1].champions[1]
+    return champion, refine(MADE, champion, SETTINGS, rounds.append), rounds
+
+
+def test_evaluation_repeats_what_training_measured(evolved):
+    _, checkpoint = evolved
+    evaluate = compile_evaluation(MADE, population_mesh(), 2)
+    for champion in checkpoint.champions:
+        others = np.linspace(0.5, 2, 10).reshape(2, 5).astype(np.float32)
+        again = evaluate(np.concatenate([others, champion.genes[:, None]], 1), champion)[-1]
+        assert again[1:] == champion[1:]
+
+
+def test_rounds_only_gain_and_add_up(refined):
+    before, after, rounds = refined
+    assert [done.number for done in rounds] == [0, 1]
+    assert after == rounds[-1].champion
+    fitness = [before.fitness] + [done.champion.fitness for done in rounds]
+    assert all(done.gain >= 0 for done in rounds)
+    np.testing.assert_allclose(np.diff(fitness), [done.gain for done in rounds], atol=1e-9)
+    assert after.fitness > before.fitness + 1e-3
+    assert (after.run, after.index, after.generation) == before[5:7] + (before.generation,)
+
+
+def test_a_refined_champion_comes_out_again(refined):
+    _, after, _ = refined
+    fitness, terms, _ = replay_champion(MADE, after, 2)
+    assert (fitness, terms) == (after.fitness, after.terms)
+
+
+def test_refining_draws_from_its_seed_alone(refined):
+    before, _, rounds = refined
+    same = refine(MADE, before, SETTINGS._replace(rounds=1))
+    np.testing.assert_array_equal(same.genes, rounds[0].champion.genes)
+
+
+def test_the_folder_takes_it_in(evolved, refined, tmp_path):
+    _, checkpoint = evolved
+    _, after, _ = refined
+    folder = RunFolder(tmp_path / "run")
+    folder.create("", {})
+    folder.save(checkpoint)
+    first = folder.load_champion()[0]
+    folder.keep_champion()
+    folder.replace_champion(after)
+    kept = folder.load()
+    assert kept is not None
+    assert kept.champions[1].fitness == after.fitness
+    assert kept.champions[0].fitness == checkpoint.champions[0].fitness
+    changed = (kept.genes != checkpoint.genes).any(0)
+    assert changed.nonzero()[0].tolist() == [11]
+    np.testing.assert_array_equal(kept.genes[:, 11], after.genes)
+    best = max(kept.champions, key=lambda one: one.fitness)
+    assert folder.load_champion()[0].fitness == best.fitness >= first.fitness
+    # Evolution goes on from it.
+    final = train(MADE._replace(generations=3), folder)
+    assert final.champions[1].fitness >= after.fitness
