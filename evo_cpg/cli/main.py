@@ -73,9 +73,7 @@ def resume(
 def refine(
     run: Run,
     rounds: Annotated[int, typer.Option(min=1, help="Rounds of climbing and choosing.")] = 5,
-    steps: Annotated[
-        int, typer.Option(min=1, help="Moves of each lane in a round.")
-    ] = 20,
+    steps: Annotated[int, typer.Option(min=1, help="Moves of each lane in a round.")] = 20,
     number: Number = None,
     seed: Annotated[int, typer.Option(min=0, help="Of what the lanes draw.")] = 0,
     cores: Cores = None,

@@ -36,7 +36,7 @@ def refine_run(
         experiment = build_experiment(config, folder.config)
         print("the genes are graded from now on: bits have no slopes", file=sys.stderr)
     from evo_cpg.training.loop import replay_champion
-    from evo_cpg.training.refine import Refinement, Round, refine
+    from evo_cpg.training.refine import Refinement, Round, compile_refinement
 
     devices = folder.read_meta().get("devices", 1)
     rows: list[dict[str, float]] = []
@@ -62,13 +62,10 @@ def refine_run(
     before = champion.fitness
     try:
         with _progress(rounds, before) as show:
-            champion = refine(
-                experiment,
-                champion,
-                Refinement(rounds, steps, seed=seed),
-                lambda done: (keep(done), show(done))[1],
-                devices=devices,
+            refine = compile_refinement(
+                experiment, Refinement(rounds, steps, seed=seed), devices=devices
             )
+            champion = refine(champion, lambda done: (keep(done), show(done))[1])
     except KeyboardInterrupt:
         print(f"interrupted; what was gained is in {folder.path}", file=sys.stderr)
         raise

@@ -68,47 +68,53 @@ class Round(NamedTuple):
     seconds: float
 
 
-def refine(
+def compile_refinement(
     experiment: Experiment,
-    champion: Champion,
     settings: Refinement,
-    on_round: Callable[[Round], None] = lambda done: None,
     mesh: Mesh | None = None,
     devices: int | None = None,
-) -> Champion:
-    """The champion after climbing, or as it was if nothing better was found.
+) -> Callable[..., Champion]:
+    """Refining of any champion of an experiment.
 
     Args:
         experiment: that it was evolved in.
-        champion: where to begin.
         settings: how long to go on.
-        on_round: called after every round.
         mesh: devices to use; None for all.
         devices: how many shared the population in training; None for as many.
+
+    Returns:
+        A function of a champion and of what is called with the `Round` after every round; compiled
+        at its first call. It gives the champion after climbing, or as it was if nothing better was
+        found.
     """
     mesh = mesh or population_mesh()
     lanes = settings.lanes or mesh.size * max(1, LANES // experiment.trials)
     climb = compile_ascent(experiment, mesh, settings.steps)
     evaluate = compile_evaluation(experiment, mesh, devices or mesh.size)
-    parents = [champion]
-    for number in range(settings.rounds):
-        start = time.perf_counter()
-        rng = np.random.default_rng((settings.seed, number))
-        best, hoped = climb(
-            _starts(parents, rng, lanes),
-            draw_ways(rng, experiment.simulation, lanes, SHORTEST_HORIZON * 2**number),
-            {name: np.full(lanes, value, np.float32) for name, value in champion.scales.items()},
-            _keys_of(experiment, champion, lanes),
-        )
-        chosen = np.argsort(-hoped)[: 2 * _PARENTS]
-        found = evaluate(best[:, chosen[np.isfinite(hoped[chosen])]], champion)
-        # Among equals the earlier one stays.
-        ranked = sorted([*parents, *found], key=lambda one: -one.fitness)
-        gain = ranked[0].fitness - parents[0].fitness
-        parents = ranked[:_PARENTS]
-        seconds = time.perf_counter() - start
-        on_round(Round(number, parents[0], gain, lanes * (settings.steps + 1), seconds))
-    return parents[0]
+
+    def refine(
+        champion: Champion, on_round: Callable[[Round], None] = lambda done: None
+    ) -> Champion:
+        keys = _keys_of(experiment, champion, lanes)
+        scales = {name: np.full(lanes, x, np.float32) for name, x in champion.scales.items()}
+        parents = [champion]
+        for number in range(settings.rounds):
+            start = time.perf_counter()
+            rng = np.random.default_rng((settings.seed, number))
+            genes = _starts(parents, rng, lanes)
+            ways = draw_ways(rng, experiment.simulation, lanes, SHORTEST_HORIZON * 2**number)
+            best, hoped = climb(genes, ways, scales, keys)
+            chosen = np.argsort(-hoped)[: 2 * _PARENTS]
+            found = evaluate(best[:, chosen[np.isfinite(hoped[chosen])]], champion)
+            # Among equals the earlier one stays.
+            ranked = sorted([*parents, *found], key=lambda one: -one.fitness)
+            gain = ranked[0].fitness - parents[0].fitness
+            parents = ranked[:_PARENTS]
+            seconds = time.perf_counter() - start
+            on_round(Round(number, parents[0], gain, lanes * (settings.steps + 1), seconds))
+        return parents[0]
+
+    return refine
 
 
 def compile_evaluation(

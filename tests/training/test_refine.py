@@ -5,7 +5,7 @@ import pytest
 
 from evo_cpg.training.devices import population_mesh
 from evo_cpg.training.loop import replay_champion, train
-from evo_cpg.training.refine import Refinement, compile_evaluation, refine
+from evo_cpg.training.refine import Refinement, compile_evaluation, compile_refinement
 from evo_cpg.training.run_folder import RunFolder
 from trials import experiment
 
@@ -24,7 +24,7 @@ def evolved(tmp_path_factory):
 def refined(evolved):
     rounds = []
     champion = evolved[1].champions[1]
-    return champion, refine(MADE, champion, SETTINGS, rounds.append), rounds
+    return champion, compile_refinement(MADE, SETTINGS)(champion, rounds.append), rounds
 
 
 def test_evaluation_repeats_what_training_measured(evolved):
@@ -44,7 +44,7 @@ def test_rounds_only_gain_and_add_up(refined):
     assert all(done.gain >= 0 for done in rounds)
     np.testing.assert_allclose(np.diff(fitness), [done.gain for done in rounds], atol=1e-9)
     assert after.fitness > before.fitness + 1e-3
-    assert (after.run, after.index, after.generation) == before[5:7] + (before.generation,)
+    assert (after.run, after.index, after.generation) == (*before[5:7], before.generation)
 
 
 def test_a_refined_champion_comes_out_again(refined):
@@ -55,7 +55,7 @@ def test_a_refined_champion_comes_out_again(refined):
 
 def test_refining_draws_from_its_seed_alone(refined):
     before, _, rounds = refined
-    same = refine(MADE, before, SETTINGS._replace(rounds=1))
+    same = compile_refinement(MADE, SETTINGS._replace(rounds=1))(before)
     np.testing.assert_array_equal(same.genes, rounds[0].champion.genes)
 
 

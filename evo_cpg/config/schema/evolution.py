@@ -20,7 +20,7 @@ class LearningConfig(Section):
     """
 
     every: Count = 5
-    elites: Count = 8
+    elites: Count = 16
     steps: Count = 5
 
 

@@ -1,0 +1,116 @@
+"""Slopes beside generations: `python -m benchmarks.refining OUT [CONFIG] [KEY=VALUE ...]`.
+
+Several runs are evolved side by side. From there each champion is refined, evolution goes on for as
+long as that took, and so does evolution whose elites learn; compiling is left out of all three
+times. Fitness gained in each way, run by run and in the middle, goes into docs/models/gradients.md;
+OUT/refining.json and the run folders under OUT hold the rest.
+"""
+
+import contextlib
+import json
+import shutil
+import statistics
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from evo_cpg.config.build import build_experiment
+from evo_cpg.config.load import dump_config, load_config
+from evo_cpg.training.devices import use_cores
+from evo_cpg.training.experiment import Experiment, Learning
+from evo_cpg.training.loop import train
+from evo_cpg.training.refine import Refinement, Round, compile_refinement
+from evo_cpg.training.run_folder import Checkpoint, RunFolder
+
+SWIMMER = Path(__file__).parents[1] / "configs" / "iwadate2010_swimmer.yaml"
+RUNS = 5
+ROUNDS = 3
+# Six of each run fill the lanes of two cores.
+LEARNING = Learning(every=5, elites=6, steps=5)
+
+
+def main(out: Path, config_file: Path, overrides: list[str]) -> None:
+    """Evolve, then go on in three ways for the same time."""
+    devices = use_cores()
+    config = load_config(config_file, [f"runs={RUNS}", *overrides])
+    experiment = build_experiment(config, config_file)
+    start = RunFolder(out / "start")
+    if not start.config.exists():
+        start.create(dump_config(config), {"devices": devices})
+    begun = train(experiment, start, _tell)
+    before = [champion.fitness for champion in begun.champions if champion]
+    refined, seconds = _refine(experiment, begun)
+    ways = {
+        "refined": refined,
+        "evolved": _evolve(experiment, start, out / "evolved", seconds),
+        "learned": _evolve(experiment._replace(learning=LEARNING), start, out / "learned", seconds),
+    }
+    study = {"before": before, "seconds": seconds, **ways}
+    (out / "refining.json").write_text(json.dumps(study, indent=2))
+    print(f"\n{config.name}, {experiment.generations} generations, then {seconds:.0f} s each way\n")
+    print("| run | before | " + " | ".join(ways) + " |\n|---|---|" + "---|" * len(ways))
+    gains = {name: np.subtract(after, before) for name, after in ways.items()}
+    for run, fitness in enumerate(before):
+        print(f"| {run} | {fitness:.4f} | " + _row(gain[run] for gain in gains.values()))
+    for name, share in (("median", 50), ("lower quartile", 25), ("upper quartile", 75)):
+        middle = np.percentile(before, share)
+        print(f"| {name} | {middle:.4f} | " + _row(np.percentile(g, share) for g in gains.values()))
+
+
+def _refine(experiment: Experiment, begun: Checkpoint) -> tuple[list[float], float]:
+    """Fitness of every champion afterwards, and the seconds that one took."""
+    refine = compile_refinement(experiment, Refinement(ROUNDS))
+    rounds: list[Round] = []
+
+    def keep(done: Round) -> None:
+        rounds.append(done)
+        print(f"round {done.number}: {done.champion.fitness:.4f}, {done.seconds:.1f} s", flush=True)
+
+    after = [refine(champion, keep).fitness for champion in begun.champions if champion]
+    # The first of all compiles.
+    return after, ROUNDS * statistics.median(done.seconds for done in rounds[1:])
+
+
+def _evolve(experiment: Experiment, start: RunFolder, path: Path, seconds: float) -> list[float]:
+    """Fitness of every champion after going on for so many seconds for each run."""
+    shutil.rmtree(path, ignore_errors=True)
+    folder = RunFolder(shutil.copytree(start.path, path))
+    spent: list[float] = []
+
+    class Enough(Exception):
+        pass
+
+    def watch(rows: list[dict[str, float]]) -> None:
+        spent.append(rows[0]["seconds"])
+        _tell(rows)
+        # What compiles counts like the others of its kind.
+        every = experiment.learning.every if experiment.learning else 1
+        kinds = [spent[i::every] for i in range(every)]
+        plain = [statistics.median(kind[1:] or kind) * len(kind) for kind in kinds]
+        if len(spent) > every and sum(plain) > seconds * experiment.runs:
+            raise Enough
+
+    with contextlib.suppress(Enough):
+        train(experiment._replace(generations=10**6), folder, watch)
+    done = folder.load()
+    assert done is not None
+    print(f"{path.name}: {len(spent)} generations", flush=True)
+    return [champion.fitness for champion in done.champions if champion]
+
+
+def _tell(rows: list[dict[str, float]]) -> None:
+    best = " ".join(f"{row['champion']:.4f}" for row in rows)
+    print(f"generation {rows[0]['generation']}: {best}, {rows[0]['seconds']:.1f} s", flush=True)
+
+
+def _row(values) -> str:
+    return " | ".join(f"{value:+.4f}" for value in values) + " |"
+
+
+if __name__ == "__main__":
+    main(
+        Path(sys.argv[1]),
+        Path(sys.argv[2]) if len(sys.argv) > 2 else SWIMMER,
+        sys.argv[3:],
+    )
