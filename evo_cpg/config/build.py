@@ -44,7 +44,10 @@ _DENSE_RESOLUTION = 24
 
 
 def build_experiment(
-    config: ExperimentConfig, source: Path | str, folders: Iterable[Path] = ()
+    config: ExperimentConfig,
+    source: Path | str,
+    folders: Iterable[Path] = (),
+    apart: bool = False,
 ) -> Experiment:
     """Build what a configuration describes.
 
@@ -52,6 +55,7 @@ def build_experiment(
         config: the configuration.
         source: file it came from, for messages; a user's own classes are looked for beside it.
         folders: where else to look for them, before the working folder.
+        apart: leave surfaces ungrouped that are alike, so that they may come to differ.
 
     Raises:
         ConfigError: parts that do not fit together.
@@ -61,7 +65,7 @@ def build_experiment(
             sys.path.append(str(folder.resolve()))
     creature = build_creature(config, source)
     tree = build_tree(creature)
-    world = _build_world(config, creature, tree)
+    world = _build_world(config, creature, tree, apart)
     genetics = config.evolution
     controller = _build_controller(config, creature, tree, source)
     noise = Noise(
@@ -134,14 +138,14 @@ def build_creature(config: ExperimentConfig, source: Path | str) -> Creature:
         raise ConfigError(source, ("creature", *where), str(error)) from None
 
 
-def _build_world(config: ExperimentConfig, creature: Creature, tree: Tree) -> World:
+def _build_world(config: ExperimentConfig, creature: Creature, tree: Tree, apart: bool) -> World:
     water = config.world.water
     ground = config.world.ground and build_ground(config.world.ground)
     return World(
         tree=tree,
         gravity=config.world.gravity,
         water=_build_water(water) if water else None,
-        patches=_surface_points(water, creature, tree) if water else (),
+        patches=_surface_points(water, creature, tree, apart) if water else (),
         footing=ground and make_footing(creature, tree, ground),
         cells=make_cells(creature, tree) if water and water.surface is not None else (),
         added_inertia=added_inertia(creature, tree, water.density)
@@ -163,7 +167,9 @@ def _build_water(water: WaterConfig) -> Water:
     )
 
 
-def _surface_points(water: WaterConfig, creature: Creature, tree: Tree) -> tuple[Patch, ...]:
+def _surface_points(
+    water: WaterConfig, creature: Creature, tree: Tree, apart: bool
+) -> tuple[Patch, ...]:
     def by_name(surfaces: tuple[Surface, ...]) -> dict[str, Surface]:
         return {body.name: s for body, s in zip(creature.bodies, surfaces, strict=True)}
 
@@ -172,10 +178,10 @@ def _surface_points(water: WaterConfig, creature: Creature, tree: Tree) -> tuple
         rng = np.random.default_rng(water.points_seed)
         dense = outer_surfaces(creature, _DENSE_RESOLUTION, water.sheltered)
         points = by_name(random_surfaces(dense, water.random_points, rng))
-        return make_patches(tree, points, points, water.law, surfacing)
+        return make_patches(tree, points, points, water.law, surfacing, apart)
     form = by_name(outer_surfaces(creature, water.form_resolution, water.sheltered))
     skin = by_name(outer_surfaces(creature, water.skin_resolution, water.sheltered))
-    return make_patches(tree, form, skin, water.law, surfacing)
+    return make_patches(tree, form, skin, water.law, surfacing, apart)
 
 
 def _build_controller(

@@ -13,14 +13,15 @@ from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.config.schema.section import Vector
 from evo_cpg.config.schema.task import DEFAULT_LIGHT, ReachLightConfig
 from evo_cpg.config.schema.trial import SituationConfig
-from evo_cpg.creature.creature import Creature, lowest_height, neutral_pose
+from evo_cpg.creature.creature import Creature, lowest_along, lowest_height, neutral_pose
 from evo_cpg.physics.footing import clearance
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import resting_state
-from evo_cpg.physics.terrain import nearest
+from evo_cpg.physics.terrain import Plane, nearest
 from evo_cpg.physics.world import World
 from evo_cpg.simulation.situation import Situation
 from evo_cpg.simulation.task import Task
+from evo_cpg.spatial.rotation import euler_to_matrix
 
 # Tries to find the height at which an animal stands, and how exact it is to be, m.
 _START_STEPS, _START_ACCURACY = 200, 1e-5
@@ -125,6 +126,12 @@ def _start_height(
     height = start_clearance - lowest_height(creature)
     if footing.ground.level is not None:
         return footing.ground.level + height
+    floor = footing.ground.floor
+    if isinstance(floor, Plane) and not footing.ground.obstacles:
+        normal = np.array(floor.normal) / np.linalg.norm(floor.normal)
+        seen = euler_to_matrix(0.0, 0.0, heading).T @ normal
+        rise = start_clearance - lowest_along(creature, seen) + float(floor.height)
+        return float((rise - normal[:2] @ (x, y)) / normal[2])
     level = Situation((x, y, 0.0), heading)
 
     @jax.jit

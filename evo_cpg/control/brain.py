@@ -64,7 +64,7 @@ class Brain(eqx.Module):
     """
 
     sizes: tuple[int, ...] = eqx.field(static=True)
-    temperature: float = eqx.field(static=True)
+    temperature: float
 
     @property
     def gene_count(self) -> int:

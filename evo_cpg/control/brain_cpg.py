@@ -39,7 +39,7 @@ from jaxtyping import Array, Float
 
 from evo_cpg.control import matsuoka
 from evo_cpg.control.brain import Brain, BrainSettings, build_brain, random_weights, think
-from evo_cpg.control.controller import Command, Controller, Observation
+from evo_cpg.control.controller import Command, Controller, Observation, Origin
 from evo_cpg.control.matsuoka import CpgSettings, MatsuokaNetwork, MatsuokaState, build_network
 from evo_cpg.creature.tree import Tree
 from evo_cpg.fusion.kernels import fuse
@@ -119,7 +119,14 @@ class BrainCpg(Controller):
         brain: inputs to outputs. The outputs are the tonic inputs, then the steerings, then the
             adaptation gains, each in the order of the axis names, joints or degrees of freedom.
         network: the oscillators, one per degree of freedom.
-        settings: ranges and gains.
+        origin: its settings.
+        joint_rates: whether the brain senses the joint rates.
+        substeps: Runge-Kutta steps in a control step.
+        max_tonic_input: u_max.
+        min_adaptation_gain: b_min.
+        max_adaptation_gain: b_max.
+        max_rate: rad/s.
+        max_amplitude: A_max, see `max_amplitude`.
         source: which tonic input (and steering) each oscillator takes.
         gain_source: which adaptation gain it takes.
         steering_range: d_max of each degree of freedom.
@@ -131,13 +138,25 @@ class BrainCpg(Controller):
     gene_count: int = eqx.field(static=True)
     brain: Brain
     network: MatsuokaNetwork
-    settings: BrainCpgSettings = eqx.field(static=True)
+    origin: Origin = eqx.field(static=True)
+    joint_rates: bool = eqx.field(static=True)
+    substeps: int = eqx.field(static=True)
+    max_tonic_input: float
+    min_adaptation_gain: float
+    max_adaptation_gain: float
+    max_rate: float
+    max_amplitude: float
     source: tuple[int, ...] = eqx.field(static=True)
     gain_source: tuple[int, ...] = eqx.field(static=True)
     steering_range: Float[np.ndarray, " d"]
     rate_gain: Float[np.ndarray, " d"]
     centring: Float[np.ndarray, " d"]
     control_step: float = eqx.field(static=True)
+
+    @property
+    def settings(self) -> BrainCpgSettings:
+        """What it was built from."""
+        return self.origin.settings
 
     def random_genes(
         self, key: Array, batch: tuple[int, ...], dtype: jnp.dtype | type
@@ -161,7 +180,7 @@ class BrainCpg(Controller):
         inputs = fuse(self.brain_inputs, state, observation, batch_ndim=batch_ndim)
         outputs = think(self.brain, genes, inputs)
         arguments = outputs, state, observation.joint_angle
-        if self.network.substeps(self.control_step) > matsuoka.UNROLLED:
+        if self.substeps > matsuoka.UNROLLED:
             return self._follow(*arguments)
         return fuse(self._follow, *arguments, batch_ndim=batch_ndim)
 
@@ -171,11 +190,11 @@ class BrainCpg(Controller):
         """What the spinal cord and the motors make of the brain's outputs in one control step."""
         tonic_input, adaptation_gain = self.cpg_inputs(outputs)
         state = matsuoka.advance(
-            self.network, state, tonic_input, adaptation_gain, self.control_step
+            self.network, state, tonic_input, adaptation_gain, self.control_step, self.substeps
         )
         signal = matsuoka.output(state)
         rate = lift(self.rate_gain, signal) * signal - lift(self.centring, signal) * joint_angle
-        limit = self.settings.max_rate
+        limit = self.max_rate
         return state, Command(target_rate=jnp.clip(rate, -limit, limit), signal=signal)
 
     def brain_inputs(self, state: MatsuokaState, observation: Observation) -> Float[Array, "i *n"]:
@@ -194,24 +213,23 @@ class BrainCpg(Controller):
             observation.vertical_sine,
             jnp.cos(angle),
             jnp.sin(angle),
-            jnp.abs(matsuoka.output(state)) / max_amplitude(self.settings),
+            jnp.abs(matsuoka.output(state)) / self.max_amplitude,
         ]
-        if self.settings.joint_rates:
-            values.append(jnp.clip(observation.joint_rate / self.settings.max_rate, -1.0, 1.0))
+        if self.joint_rates:
+            values.append(jnp.clip(observation.joint_rate / self.max_rate, -1.0, 1.0))
         return jnp.concatenate([*values, observation.depth])
 
     def cpg_inputs(
         self, outputs: Float[Array, "s *n"]
     ) -> tuple[Float[Array, "2 d *n"], Float[Array, "d *n"]]:
         """Tonic input of each neuron (extensors first) and adaptation gain of each oscillator."""
-        cpg = self.settings.cpg
         count, source = max(self.source) + 1, np.array(self.source)
-        tonic = cpg.max_tonic_input * outputs[:count][source]
+        tonic = self.max_tonic_input * outputs[:count][source]
         turn = (2 * outputs[count : 2 * count] - 1)[source]
         steering = lift(self.steering_range, turn) * turn
         sides = jnp.stack([tonic * (1 + steering), tonic * (1 - steering)])
-        span = cpg.max_adaptation_gain - cpg.min_adaptation_gain
-        adaptation_gain = cpg.min_adaptation_gain + span * outputs[2 * count :]
+        span = self.max_adaptation_gain - self.min_adaptation_gain
+        adaptation_gain = self.min_adaptation_gain + span * outputs[2 * count :]
         return sides, adaptation_gain[np.array(self.gain_source)]
 
 
@@ -258,11 +276,19 @@ def build_brain_cpg(
     output_count = 2 * (max(source) + 1) + max(gain_source) + 1
     own = [settings.axes.get(axis, AxisSettings()) for axis in axes]
     brain = build_brain(input_count, output_count, settings.brain)
+    network, cpg = build_network(tree, settings.cpg), settings.cpg
     return BrainCpg(
         gene_count=brain.gene_count,
         brain=brain,
-        network=build_network(tree, settings.cpg),
-        settings=settings,
+        network=network,
+        origin=Origin(settings),
+        joint_rates=settings.joint_rates,
+        substeps=network.substeps(control_step),
+        max_tonic_input=cpg.max_tonic_input,
+        min_adaptation_gain=cpg.min_adaptation_gain,
+        max_adaptation_gain=cpg.max_adaptation_gain,
+        max_rate=settings.max_rate,
+        max_amplitude=max_amplitude(settings),
         source=source,
         gain_source=gain_source,
         steering_range=np.array(

@@ -1,7 +1,7 @@
 """What every controller takes and gives: senses in, motor commands out, once per control step."""
 
 import abc
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -47,6 +47,22 @@ class Command(NamedTuple):
     target_rate: Float[Array, "d *n"]
     signal: Float[Array, "d *n"]
     target_angle: Float[Array, "d *n"] | None = None
+
+
+class Origin:
+    """What something was built from, to be looked up: it takes no part in comparisons.
+
+    The numbers that count are fields of what was built, where derivatives can be taken by them.
+    """
+
+    def __init__(self, settings: Any):
+        self.settings = settings
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Origin)
+
+    def __hash__(self) -> int:
+        return hash(Origin)
 
 
 class Controller(eqx.Module):

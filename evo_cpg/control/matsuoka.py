@@ -142,10 +142,10 @@ class MatsuokaNetwork(eqx.Module):
     weights: Float[np.ndarray, "k o"]
     own_offsets: tuple[int, ...] = eqx.field(static=True)
     own_weights: Float[np.ndarray, "m o"]
-    rise_time: float = eqx.field(static=True)
-    adaptation_time: float = eqx.field(static=True)
-    sensory_feedback: float = eqx.field(static=True)
-    initial_potential: float = eqx.field(static=True)
+    rise_time: float
+    adaptation_time: float
+    sensory_feedback: float
+    initial_potential: float
 
     @property
     def oscillator_count(self) -> int:
@@ -320,6 +320,7 @@ def advance(
     tonic_input: Float[Array, "2 o *n"],
     adaptation_gain: Float[Array, "o *n"],
     h: float,
+    substeps: int | None = None,
 ) -> MatsuokaState:
     """Integrate eqs. 4-6 over h (s) by classical Runge-Kutta steps with the inputs held.
 
@@ -332,8 +333,9 @@ def advance(
         tonic_input: u of each neuron, extensors first.
         adaptation_gain: b of each oscillator.
         h: s; divided into substeps where it is long against T_r or T_a.
+        substeps: how many; None for as many as `MatsuokaNetwork.substeps` says.
     """
-    count = network.substeps(h)
+    count = network.substeps(h) if substeps is None else substeps
     drive = tonic_input + network.sensory_feedback
 
     runge_kutta = functools.partial(runge_kutta_step, network, h / count)

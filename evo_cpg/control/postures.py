@@ -35,7 +35,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from evo_cpg.control.controller import Command, Controller, Observation
+from evo_cpg.control.controller import Command, Controller, Observation, Origin
 from evo_cpg.creature.tree import Tree
 from evo_cpg.spatial.linear import lift
 
@@ -98,14 +98,29 @@ class PostureController(Controller):
     Attributes:
         gene_count: number of bits.
         dof_count: degrees of freedom, each of which has an angle in every posture.
-        settings: the postures and their angles.
+        origin: its settings.
+        postures: how many there are.
+        bits_per_joint: B.
+        graded: whether genes between 0 and 1 count for what they are.
+        lowest_angle: theta_0 - theta_n, degrees.
+        angle_step: degrees.
         steps_per_posture: r, such that the k-th switch is at control step ceil(k r).
     """
 
     gene_count: int = eqx.field(static=True)
     dof_count: int = eqx.field(static=True)
-    settings: PostureSettings = eqx.field(static=True)
+    origin: Origin = eqx.field(static=True)
+    postures: int = eqx.field(static=True)
+    bits_per_joint: int = eqx.field(static=True)
+    graded: bool = eqx.field(static=True)
+    lowest_angle: float
+    angle_step: float
     steps_per_posture: Fraction = eqx.field(static=True)
+
+    @property
+    def settings(self) -> PostureSettings:
+        """What it was built from."""
+        return self.origin.settings
 
     def random_genes(
         self, key: Array, batch: tuple[int, ...], dtype: jnp.dtype | type
@@ -122,7 +137,7 @@ class PostureController(Controller):
     ) -> tuple[Int[Array, "*n"], Command]:
         """Pull to the posture of the present time."""
         angles = self.decode(genes)
-        numbers = lift(np.arange(self.settings.postures), state, 1 + state.ndim)
+        numbers = lift(np.arange(self.postures), state, 1 + state.ndim)
         present = (numbers == self.posture(state)[None])[:, None]
         angle = jnp.where(present, angles, 0.0).sum(0)
         return state + 1, Command(
@@ -131,21 +146,19 @@ class PostureController(Controller):
 
     def decode(self, genes: Float[Array, "g *n"]) -> Float[Array, "p d *n"]:
         """Joint angles of every posture, rad; unless graded, a gene of 0.5 or more is a 1."""
-        settings = self.settings
-        shares = jnp.clip(genes, 0, 1) if settings.graded else (genes >= 0.5).astype(genes.dtype)
-        shape = settings.postures, self.dof_count, settings.bits_per_joint
+        shares = jnp.clip(genes, 0, 1) if self.graded else (genes >= 0.5).astype(genes.dtype)
+        shape = self.postures, self.dof_count, self.bits_per_joint
         bits = shares.reshape(*shape, *genes.shape[1:])
-        weights = 2.0 ** np.arange(settings.bits_per_joint)[::-1]
+        weights = 2.0 ** np.arange(self.bits_per_joint)[::-1]
         number = (lift(weights[None, None], bits) * bits).sum(2)
-        lowest = settings.lowest_angle - settings.neutral_angle
-        return jnp.deg2rad(lowest + settings.angle_step * number)
+        return jnp.deg2rad(self.lowest_angle + self.angle_step * number)
 
     def posture(self, step: Int[Array, "*n"]) -> Int[Array, "*n"]:
         """Number of the posture at a control step, both counted from 0: floor(step / r)."""
         steps, periods = self.steps_per_posture.as_integer_ratio()
         # Whole rounds of so many steps first, because step times periods would overflow.
         switches = step // steps * periods + step % steps * periods // steps
-        return switches % self.settings.postures
+        return switches % self.postures
 
 
 def build_posture_controller(
@@ -174,7 +187,12 @@ def build_posture_controller(
     return PostureController(
         gene_count=settings.postures * tree.dof_count * settings.bits_per_joint,
         dof_count=tree.dof_count,
-        settings=settings,
+        origin=Origin(settings),
+        postures=settings.postures,
+        bits_per_joint=settings.bits_per_joint,
+        graded=settings.graded,
+        lowest_angle=settings.lowest_angle - settings.neutral_angle,
+        angle_step=settings.angle_step,
         steps_per_posture=_steps_per_posture(settings.period / control_step),
     )
 

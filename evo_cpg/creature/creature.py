@@ -203,10 +203,19 @@ def lowest_height(creature: Creature) -> float:
 
     It is never positive.
     """
+    return lowest_along(creature, np.array([0.0, 0.0, 1.0]))
+
+
+def lowest_along(creature: Creature, up: np.ndarray) -> float:
+    """The same along any direction.
+
+    Args:
+        creature: the animal.
+        up: unit vector ``(3,)`` in the root's axes.
+    """
     centres, rotations = neutral_pose(creature)
-    down = np.array([0.0, 0.0, -1.0])
     return min(
-        float(centre[2] + rotation[2] @ body.shape.support(rotation.T @ down))
+        float(up @ centre + (up @ rotation) @ body.shape.support(-rotation.T @ up))
         for body, centre, rotation in zip(creature.bodies, centres, rotations, strict=True)
     )
 

@@ -29,6 +29,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from evo_cpg.fusion.kernels import symmetric, together
@@ -124,7 +125,7 @@ def find_contacts(footing: Footing, kin: Kinematics, h: float) -> Contacts:
     return Contacts(arm, coasting, wanted, push, frame)
 
 
-def first_law(gravity: float, footing: Footing, contacts: Contacts, h: float) -> ContactLaw:
+def first_law(gravity: ArrayLike, footing: Footing, contacts: Contacts, h: float) -> ContactLaw:
     """A guess: what lies on the ground stays and sticks there, what slides has no friction yet."""
     v = contacts.coasting
     stiffness = lift(footing.stiffness / h, v[2])

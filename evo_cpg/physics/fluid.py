@@ -21,9 +21,11 @@ patch that is under water.
 """
 
 import functools
+from collections.abc import Callable
 from typing import Literal, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -32,6 +34,7 @@ from evo_cpg.creature.shapes import Surface
 from evo_cpg.creature.tree import Tree
 from evo_cpg.fusion.kernels import unfused
 from evo_cpg.physics.current import Gradient, Vortex
+from evo_cpg.spatial.partly import PartlyTraced, is_known
 
 # -df/dv of |v| v is 2 |v|; the smaller tangential part takes its secant, |v|, which keeps the
 # end-of-step force opposed to the motion.
@@ -126,6 +129,7 @@ def make_patches(
     skin: dict[str, Surface],
     law: DragLaw = "normal",
     surfacing: bool = False,
+    apart: bool = False,
 ) -> tuple[Patch, ...]:
     """Group bodies with the same surface and prepare their constant matrices.
 
@@ -135,6 +139,7 @@ def make_patches(
         skin: points for skin friction; the isotropic law takes the form points for both.
         law: see `Water`.
         surfacing: the water has a surface.
+        apart: leave bodies and points ungrouped, though they be alike.
     """
     if law == "isotropic":
         skin = form
@@ -146,9 +151,10 @@ def make_patches(
             for surface in (form[name], skin[name])
         )
         key = b"|".join(np.round(column, 9).tobytes() for column in (*form_points, *skin_points))
+        key = str(i).encode() if apart else key
         patches.setdefault(key, ([], form_points, skin_points))[0].append(i)
     return tuple(
-        _patch(tuple(bodies), form_points, skin_points, law == "normal", surfacing)
+        _patch(tuple(bodies), form_points, skin_points, law == "normal" and not apart, surfacing)
         for bodies, form_points, skin_points in patches.values()
         if len(form_points.areas)
     )
@@ -176,13 +182,10 @@ def drag(
     batch = velocity.shape[2:]
     pieces = []
     for patch in patches:
-        dense = np.count_nonzero(patch.normal_outer) + np.count_nonzero(patch.tangential_outer)
-        evaluate = functools.partial(_patch_drag, water, patch)
+        evaluate = _evaluation(water, patch)
         for run in _runs(patch.bodies):
             part = [x[:, run] for x in (velocity, pose) if x is not None]
-            pieces.append(
-                (run.start, *(unfused(evaluate, *part) if dense > _DENSE else evaluate(*part)))
-            )
+            pieces.append((run.start, *evaluate(*part)))
     wet = {body for patch in patches for body in patch.bodies}
     none = (
         jnp.zeros((6, 1, *batch), velocity.dtype),
@@ -191,6 +194,34 @@ def drag(
     pieces += [(body, *none) for body in range(velocity.shape[1]) if body not in wet]
     _, wrenches, derivatives = zip(*sorted(pieces, key=lambda piece: piece[0]), strict=True)
     return jnp.concatenate(wrenches, 1), jnp.concatenate(derivatives, 3)
+
+
+def _evaluation(water: Water, patch: Patch) -> Callable[..., tuple[Array, Array]]:
+    """`_patch_drag` of one patch, by whole matrices where it has many points.
+
+    What is traced cannot be part of a constant matrix. Drag is linear in its two coefficients: each
+    then has a matrix of its own. Traced points have none at all.
+    """
+    evaluate = functools.partial(_patch_drag, water, patch)
+    if not all(map(is_known, jax.tree.leaves(patch))):
+        return evaluate
+    dense = np.count_nonzero(patch.normal_outer) + np.count_nonzero(patch.tangential_outer)
+    if dense <= _DENSE:
+        return evaluate
+    if all(map(is_known, (water.density, water.form_drag, water.skin_drag))):
+        return functools.partial(unfused, evaluate)
+    strengths = [0.5 * water.density * drag for drag in (water.form_drag, water.skin_drag)]
+    units = [
+        functools.partial(_patch_drag, Water(2.0, form, 1.0 - form, law=water.law), patch)
+        for form in (1.0, 0.0)
+    ]
+
+    def add(*part: Array) -> tuple[Array, Array]:
+        (form, form_slope), (skin, skin_slope) = (unfused(unit, *part) for unit in units)
+        a, b = strengths
+        return a * form + b * skin, a * form_slope + b * skin_slope
+
+    return add
 
 
 def _patch_drag(
@@ -202,7 +233,7 @@ def _patch_drag(
     """Constant factors go into the constant matrices, so a point costs few operations."""
     flat = velocity.reshape(6, -1)
 
-    def product(constant: np.ndarray | Array, x: Array) -> Array:
+    def product(constant: np.ndarray | Array | PartlyTraced, x: Array) -> Array:
         return jnp.asarray(constant, flat.dtype) @ x
 
     pressure = 0.5 * water.density

@@ -22,6 +22,7 @@ from evo_cpg.fusion.kernels import unfused
 from evo_cpg.physics.kinematics import Kinematics, take
 from evo_cpg.physics.terrain import Part, Plane, nearest
 from evo_cpg.spatial.linear import cross, dot, lift, matvec, matvec_t
+from evo_cpg.spatial.partly import PartlyTraced
 
 # How two materials' values become one. The factors 0.6 x 0.9 and 0.3 x 0.9 of Fukui 2003 suggest
 # products for restitution; PhysX averages unless told otherwise, Havok is believed to take the
@@ -253,7 +254,10 @@ def _surface(parts: tuple[Part, ...], point: Float[Array, "3 p *n"]) -> tuple[Ar
 
 
 def _lowest_corners(
-    up: Array, half_edges: np.ndarray, rotation: Float[Array, "3 3 b *n"], centre: Array
+    up: Array,
+    half_edges: np.ndarray | Array | PartlyTraced,
+    rotation: Float[Array, "3 3 b *n"],
+    centre: Array,
 ) -> Float[Array, "3 c *n"]:
     """Corners, box by box, of the face on the end of the half edge that reaches down most."""
     edges = rotation * lift(half_edges[None], rotation)

@@ -14,7 +14,7 @@ joint; going from parent to child is then a pure translation by ``offset``. Arra
 accelerations are zero |
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -128,13 +128,13 @@ def _local_frames(tree: Tree, q: Float[Array, "d *n"]) -> dict[int, Float[Array,
     Joints with the same axes are treated at once.
     """
     sine, cosine = compute_once(jnp.stack([jnp.sin(q), jnp.cos(q)]))
-    alike: dict[tuple[bytes, bytes], list[int]] = {}
+    alike: dict[tuple[bytes | int, bytes | int], list[int]] = {}
     first_dof = {body: i for i, body in reversed(list(enumerate(tree.dof_bodies)))}
     axis_count = np.bincount(tree.dof_bodies, minlength=tree.body_count)
     for body, dof in sorted(first_dof.items()):
         axes = tree.joint_axes[:, dof : dof + axis_count[body]]
         orientation = tree.joint_orientation[:, :, body]
-        alike.setdefault((axes.tobytes(), orientation.tobytes()), []).append(body)
+        alike.setdefault((_key(axes, body), _key(orientation, body)), []).append(body)
     frames = {}
     for bodies in alike.values():
         dof, count = first_dof[bodies[0]], axis_count[bodies[0]]
@@ -153,15 +153,20 @@ def _local_frames(tree: Tree, q: Float[Array, "d *n"]) -> dict[int, Float[Array,
     return frames
 
 
+def _key(values: Any, body: int) -> bytes | int:
+    """By which equal values are found; traced ones are like no others."""
+    return values.tobytes() if isinstance(values, np.ndarray) else body
+
+
 def _turn(
-    columns: list[Array], axis: np.ndarray, sine: Array, cosine: Array
+    columns: list[Array], axis: np.ndarray | Array, sine: Array, cosine: Array
 ) -> tuple[list[Array], Array]:
     """Turn a frame, given by its columns, about one of its own axes; also returns that axis."""
-    along = int(np.abs(axis).argmax())
-    if np.count_nonzero(axis) > 1:
+    if not isinstance(axis, np.ndarray) or np.count_nonzero(axis) > 1:
         frame = jnp.stack(jnp.broadcast_arrays(*columns), 1)
         turned = matmul(frame, axis_rotation(axis, sine, cosine))
         return [turned[:, j] for j in range(3)], matvec(frame, lift(axis, frame[0]))
+    along = int(np.abs(axis).argmax())
     i, j = (along + 1) % 3, (along + 2) % 3
     # A Python float takes the arrays' precision; a NumPy one would make float32 float64.
     direction = float(axis[along])

@@ -3,9 +3,11 @@
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.tree import Tree
+from evo_cpg.spatial.linear import array_of
 
 
 class State(eqx.Module):
@@ -30,8 +32,8 @@ def resting_state(
     tree: Tree,
     batch: tuple[int, ...] = (),
     dtype: jnp.dtype | type = jnp.float32,
-    position: tuple[float, float, float] = (0.0, 0.0, 0.0),
-    orientation: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0),
+    position: tuple[ArrayLike, ...] = (0.0, 0.0, 0.0),
+    orientation: tuple[ArrayLike, ...] = (1.0, 0.0, 0.0, 0.0),
 ) -> State:
     """The neutral pose at rest.
 
@@ -44,7 +46,7 @@ def resting_state(
     """
 
     def fill(values) -> Array:
-        column = np.asarray(values, float).reshape(-1, *(1,) * len(batch))
+        column = array_of(values).reshape(-1, *(1,) * len(batch))
         return jnp.broadcast_to(jnp.asarray(column, dtype), (column.shape[0], *batch))
 
     still = np.zeros(tree.dof_count)

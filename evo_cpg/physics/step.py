@@ -98,8 +98,14 @@ def _finish(h: float, state: State, imposed: Imposed) -> tuple[State, Effort]:
 
 
 def _can_overload(tree: Tree) -> bool:
-    """Whether any motor has a limit."""
-    driven = (tree.servo_gain > 0) | (tree.servo_stiffness > 0)
+    """Whether any motor has a limit; one that is traced has one, and so have traced motors."""
+    gains = tree.servo_gain, tree.servo_stiffness
+    if not isinstance(tree.torque_limit, np.ndarray):
+        return True
+    if not all(isinstance(gain, np.ndarray) for gain in gains):
+        # A joint without a motor has the limit 0.
+        return bool((np.isfinite(tree.torque_limit) & (tree.torque_limit > 0)).any())
+    driven = (gains[0] > 0) | (gains[1] > 0)
     return bool(np.isfinite(tree.torque_limit[driven]).any())
 
 

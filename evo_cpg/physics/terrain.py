@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.fusion.kernels import unfused
-from evo_cpg.spatial.linear import dot, lift
+from evo_cpg.spatial.linear import array_of, cosine_sine, dot, lift
 
 # Squared length (m^2) added under roots so that they have gradients on the spot.
 _FLOOR = 1e-12
@@ -44,13 +44,15 @@ class Plane(Part):
         height: of the plane above the world's origin along its normal, m.
     """
 
-    normal: tuple[float, float, float] = eqx.field(static=True, default=(0.0, 0.0, 1.0))
+    normal: tuple[float, float, float] = (0.0, 0.0, 1.0)
     height: float = 0.0
 
     def distance(self, point: Array) -> tuple[Array, Array]:
         """As in `Part`."""
-        normal = np.array(self.normal, float)
-        normal = lift(normal / np.linalg.norm(normal), point)
+        normal = array_of(self.normal)
+        if isinstance(normal, np.ndarray):
+            normal = normal / np.linalg.norm(normal)
+        normal = lift(normal, point)
         return dot(normal, point) - self.height, normal
 
 
@@ -132,12 +134,12 @@ class Boulder(Part):
         radius: m.
     """
 
-    centre: tuple[float, float, float] = eqx.field(static=True)
+    centre: tuple[float, float, float]
     radius: float
 
     def distance(self, point: Array) -> tuple[Array, Array]:
         """As in `Part`."""
-        away = point - lift(np.array(self.centre), point)
+        away = point - lift(array_of(self.centre), point)
         length = jnp.sqrt(dot(away, away) + _FLOOR)
         return length - self.radius, away / length[None]
 
@@ -151,16 +153,16 @@ class Block(Part):
         heading: by which it is turned about z, rad.
     """
 
-    centre: tuple[float, float, float] = eqx.field(static=True)
-    half_extents: tuple[float, float, float] = eqx.field(static=True)
-    heading: float = eqx.field(static=True, default=0.0)
+    centre: tuple[float, float, float]
+    half_extents: tuple[float, float, float]
+    heading: float = 0.0
 
     def distance(self, point: Array) -> tuple[Array, Array]:
         """As in `Part`."""
-        away = point - lift(np.array(self.centre), point)
-        c, s = float(np.cos(self.heading)), float(np.sin(self.heading))
+        away = point - lift(array_of(self.centre), point)
+        c, s = cosine_sine(self.heading)
         own = jnp.stack([c * away[0] + s * away[1], c * away[1] - s * away[0], away[2]])
-        beyond = jnp.abs(own) - lift(np.array(self.half_extents), own)
+        beyond = jnp.abs(own) - lift(array_of(self.half_extents), own)
         deepest = beyond.max(0)
         outside = jnp.maximum(beyond, 0.0)
         length = jnp.sqrt(dot(outside, outside) + _FLOOR)

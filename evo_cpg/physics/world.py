@@ -14,7 +14,7 @@ from evo_cpg.physics.current import stream
 from evo_cpg.physics.fluid import Patch, Water, drag
 from evo_cpg.physics.footing import Footing, Ground
 from evo_cpg.physics.kinematics import Kinematics
-from evo_cpg.spatial.linear import cross, lift, matmul, matmul_t, matvec, matvec_t
+from evo_cpg.spatial.linear import array_of, cross, lift, matmul, matmul_t, matvec, matvec_t
 
 
 class World(eqx.Module):
@@ -111,7 +111,7 @@ def weight(
 def _stream(water: Water, tree: Tree, kin: Kinematics) -> Float[Array, "3 b *#n"]:
     """Velocity of the water at the bodies' centres of mass, in world axes."""
     if water.gradient is None and not water.vortices:
-        return lift(jnp.asarray(water.current, kin.linear.dtype), kin.linear)
+        return lift(array_of(water.current), kin.linear)
     centres = kin.origin + matvec(kin.rotation, lift(tree.com, kin.origin))
     return stream(water.current, water.gradient, water.vortices, centres)
 

@@ -12,11 +12,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Shaped, UInt32
 
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.state import State
 from evo_cpg.spatial.linear import lift
+from evo_cpg.spatial.partly import is_known
 from evo_cpg.spatial.rotation import integrate_quaternion
 
 # Tags that keep the random streams of one trial apart.
@@ -54,7 +56,7 @@ def disturb_start(
         state: the pose without noise.
         keys: raw random keys of the trials; None without noise.
     """
-    if keys is None or not (noise.joint_angle or noise.tilt):
+    if keys is None or (_is_none(noise.joint_angle) and _is_none(noise.tilt)):
         return state
     turn, bend = jnp.split(_normals(keys, _START, 2 + tree.dof_count), [2])
     # The rotation vector as a rate that is held for a second.
@@ -62,7 +64,9 @@ def disturb_start(
     lower, upper = (lift(limit, state.q) for limit in (tree.lower, tree.upper))
     return State(
         state.position,
-        integrate_quaternion(state.orientation, tilt, 1.0) if noise.tilt else state.orientation,
+        state.orientation
+        if _is_none(noise.tilt)
+        else integrate_quaternion(state.orientation, tilt, 1.0),
         state.velocity,
         jnp.clip(state.q + noise.joint_angle * bend, lower, upper),
         state.qd,
@@ -85,11 +89,16 @@ def disturb_motion(
         index: number of the control step.
         duration: of a control step, s.
     """
-    if keys is None or not noise.push:
+    if keys is None or _is_none(noise.push):
         return state
     push = noise.push * float(np.sqrt(duration)) * _normals(keys, _PUSH, 3, index)
     velocity = state.velocity + jnp.concatenate([jnp.zeros_like(push), push])
     return eqx.tree_at(lambda s: s.velocity, state, velocity)
+
+
+def _is_none(size: ArrayLike) -> bool:
+    """Whether there is no such noise; a traced size is one."""
+    return is_known(size) and not size
 
 
 def _normals(

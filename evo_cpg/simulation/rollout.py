@@ -5,6 +5,7 @@ Iwadate 2010); in each the controller senses and commands once, and the physics 
 ``substeps`` steps with the command held.
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -169,6 +170,33 @@ def rollout_and_record(
     return _live(simulation, genes, slice(individual, individual + 1), keys, trial)
 
 
+def motion(
+    simulation: Simulation,
+    genes: Float[Array, "g *n"],
+    begin: Callable[[State], State] = lambda state: state,
+) -> State:
+    """The states of a trial without noise: at its start and after every control step, stacked.
+
+    Args:
+        simulation: the trial; the first of its situations.
+        genes: one genome per individual, on the trailing axes.
+        begin: makes another state of the one that the trial starts with.
+    """
+    batch, dtype = genes.shape[1:], genes.dtype
+    light = light_places(simulation.lights, None, dtype)
+    animal = _start(simulation, batch, dtype, None, None)
+    animal = animal._replace(state=begin(animal.state))
+
+    def advance(animal: _Animal, index: Array) -> tuple[_Animal, State]:
+        animal, _ = _control_step(simulation, genes, None, light, animal, index)
+        return animal, animal.state
+
+    _, states = jax.lax.scan(advance, animal, jnp.arange(simulation.steps))
+    return jax.tree.map(
+        lambda first, rest: jnp.concatenate([first[None], rest]), animal.state, states
+    )
+
+
 def _live(
     simulation: Simulation,
     genes: Array,
@@ -288,7 +316,8 @@ def _control_step(
     state = disturb_motion(simulation.noise, state, keys, index, 1.0 / simulation.control_rate)
     # What differs between individuals must be an argument of what is fused, what does not is a
     # constant there.
-    own = None if isinstance(light, np.ndarray) else light
+    same = light is None or isinstance(light, np.ndarray) or light.ndim <= len(batch)
+    own = None if same else light
 
     def look(state: State, own: Array | None) -> tuple[Array, Array, Array, Array]:
         place = light if own is None else own

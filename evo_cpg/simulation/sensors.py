@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.creature import Creature, DepthSensor, LightSensor
@@ -11,6 +12,7 @@ from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.kinematics import Kinematics, take
 from evo_cpg.physics.world import World
 from evo_cpg.spatial.linear import dot, lift, matvec
+from evo_cpg.spatial.partly import PartlyTraced
 
 # Added under the root so that the direction to a light at the sensor's own place has a gradient.
 _DISTANCE_FLOOR = 1e-12
@@ -83,14 +85,14 @@ def feel(
         kin: its present pose.
         support: force of the ground on every place of the footing, N; None without ground.
     """
-    bodies = list(sensors.pressure_bodies)
-    if support is None or world.footing is None or not bodies:
+    bodies = np.array(sensors.pressure_bodies, int)
+    if support is None or world.footing is None or not len(bodies):
         return jnp.zeros((len(bodies), *kin.origin.shape[2:]), kin.origin.dtype)
     places = np.array(world.footing.bodies)
     force = jnp.stack([take(support[2], np.flatnonzero(places == i), 0).sum(0) for i in bodies])
     pressing = jnp.zeros_like(force)
     if world.water is not None and world.water.surface is not None:
-        depth = _depth(world.water.surface, kin, np.array(bodies), world.tree.com[:, bodies])
+        depth = _depth(world.water.surface, kin, bodies, world.tree.com[:, bodies])
         area = lift(world.tree.volume[bodies] ** (2 / 3), depth)
         pressing = world.water.density * world.gravity * jnp.maximum(depth, 0.0) * area
     return (force > pressing).astype(force.dtype)
@@ -110,12 +112,15 @@ def fathom(sensors: Sensors, world: World, kin: Kinematics) -> Float[Array, "k *
 
 
 def _depth(
-    surface: float, kin: Kinematics, bodies: np.ndarray, places: Float[np.ndarray, "3 k"]
+    surface: ArrayLike,
+    kin: Kinematics,
+    bodies: np.ndarray,
+    places: np.ndarray | Array | PartlyTraced,
 ) -> Float[Array, "k *n"]:
     """How far places of bodies are under the water's surface, m; negative above it."""
     own = take(kin.origin[2], bodies, 0)
     lever = take(kin.rotation[2], bodies) * lift(places, own, own.ndim + 1)
-    return surface - own - lever.sum(0)
+    return jnp.asarray(surface - own - lever.sum(0))
 
 
 def light_strength(

@@ -13,6 +13,7 @@ from jaxtyping import Array, Float, Int
 
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.state import State, resting_state
+from evo_cpg.spatial.linear import array_of, cosine_sine
 
 Vector = tuple[float, float, float]
 
@@ -34,7 +35,8 @@ class Situation(NamedTuple):
     def orientation(self) -> tuple[float, float, float, float]:
         """Of the root at the start, quaternion (w, x, y, z): a turn about z alone."""
         half = self.start_heading / 2
-        return float(np.cos(half)), 0.0, 0.0, float(np.sin(half))
+        cosine, sine = cosine_sine(half)
+        return cosine, 0.0, 0.0, sine
 
 
 def starting_state(
@@ -57,8 +59,8 @@ def starting_state(
     state = resting_state(tree, batch, dtype, first.start_position, first.orientation)
     if trial is None or len(situations) == 1:
         return state
-    positions = np.array([situation.start_position for situation in situations], float)
-    turns = np.array([situation.orientation for situation in situations])
+    positions = array_of([situation.start_position for situation in situations])
+    turns = array_of([situation.orientation for situation in situations])
     return State(
         _chosen(positions, trial, dtype),
         _chosen(turns, trial, dtype),
@@ -70,7 +72,7 @@ def starting_state(
 
 def light_places(
     lights: tuple[Vector | None, ...], trial: Int[Array, " *n"] | None, dtype: jnp.dtype
-) -> Float[np.ndarray, "3"] | Float[Array, "3 *n"] | None:
+) -> Float[np.ndarray, "3"] | Float[Array, "3 *#n"] | None:
     """Where the light is in each lane, m: a constant where that is the same in all.
 
     Args:
@@ -81,12 +83,14 @@ def light_places(
     if lights[0] is None:
         return None
     if trial is None or len(lights) == 1:
-        return np.array(lights[0])
-    return _chosen(np.array(lights, float), trial, dtype)
+        return array_of(lights[0])
+    return _chosen(array_of(lights), trial, dtype)
 
 
 def _chosen(
-    rows: Float[np.ndarray, "situations k"], trial: Int[Array, " *n"], dtype: jnp.dtype
+    rows: Float[np.ndarray, "situations k"] | Float[Array, "situations k"],
+    trial: Int[Array, " *n"],
+    dtype: jnp.dtype,
 ) -> Float[Array, "k *n"]:
     """The row that belongs to the trial of each lane, as columns."""
     return jnp.asarray(rows.T, dtype)[:, trial]

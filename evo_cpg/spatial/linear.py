@@ -6,16 +6,23 @@ as broadcast-and-sum over the leading axes: measured on a 3x3 product with 96 in
 takes 0.17 us a kernel, whereas ``jnp.einsum`` would move the population away from the last axis.
 """
 
+from typing import Any
+
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+
+from evo_cpg.spatial.partly import PartlyTraced, is_known
 
 # Indices that turn a 3-vector into its cyclic successors, for cross products and cofactors.
 _NEXT = np.array([1, 2, 0])
 _AFTER_NEXT = np.array([2, 0, 1])
 
 
-def lift(constant: np.ndarray | Array, like: Array, rank: int | None = None) -> Array:
+def lift(
+    constant: np.ndarray | Array | PartlyTraced, like: Array, rank: int | None = None
+) -> Array:
     """Append unit axes to a constant so that it broadcasts against an array.
 
     Args:
@@ -26,6 +33,28 @@ def lift(constant: np.ndarray | Array, like: Array, rank: int | None = None) -> 
     constant = jnp.asarray(constant, like.dtype)
     missing = (like.ndim if rank is None else rank) - constant.ndim
     return constant.reshape(constant.shape + (1,) * missing)
+
+
+def array_of(values: Any, dtype: Any = float) -> np.ndarray | Array:
+    """Numbers as an array: where they are known of NumPy, a constant of compiled programs.
+
+    Args:
+        values: numbers, nested or not; some may be traced, and the array then is.
+        dtype: of a NumPy array; a traced one has that of its numbers.
+    """
+    if all(map(is_known, jax.tree.leaves(values))):
+        return np.asarray(values, dtype)
+    if not isinstance(values, (tuple, list)):
+        return values
+    parts = [jnp.asarray(array_of(value, dtype)) for value in values]
+    return jnp.stack(jnp.broadcast_arrays(*parts))
+
+
+def cosine_sine(angle: Any) -> tuple[Any, Any]:
+    """Cosine and sine: Python floats of a known angle (rad), traced of a traced one."""
+    if not is_known(angle):
+        return jnp.cos(angle), jnp.sin(angle)
+    return float(np.cos(angle)), float(np.sin(angle))
 
 
 def compute_once(x: Float[Array, "k *#rest"]) -> Float[Array, "k *#rest"]:

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from evo_cpg.spatial.linear import lift
+from evo_cpg.spatial.linear import array_of, lift
 
 # Below this squared angle (rad^2) sin(x)/x is taken from its series: the next term of the
 # series is then under float32's resolution, and the gradient at rest is finite.
@@ -64,9 +64,9 @@ def integrate_quaternion(
 
 
 def axis_rotation(
-    axis: np.ndarray, sine: Float[Array, " *rest"], cosine: Float[Array, " *rest"]
+    axis: np.ndarray | Array, sine: Float[Array, " *rest"], cosine: Float[Array, " *rest"]
 ) -> Float[Array, "3 3 *rest"]:
-    """Rotation about a constant unit axis ``(3,)``: Rodrigues' formula.
+    """Rotation about a unit axis ``(3,)``, the same for all: Rodrigues' formula.
 
     Args:
         axis: unit vector.
@@ -74,8 +74,8 @@ def axis_rotation(
         cosine: of the angle.
     """
     x, y, z = axis
-    cross_matrix = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    along = np.outer(axis, axis)
+    cross_matrix = array_of(((0 * z, -z, y), (z, 0 * z, -x), (-y, x, 0 * z)))
+    along = axis[:, None] * axis[None]
     rank = sine.ndim + 2
     return (
         lift(along, sine, rank)

@@ -1,0 +1,89 @@
+"""The real numbers of a configuration by their keys, such as ``world.water.form_drag``."""
+
+import copy
+import difflib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from evo_cpg.config.errors import ConfigError
+from evo_cpg.config.load import check_config
+from evo_cpg.config.schema.experiment import ExperimentConfig
+
+# Sections that a trial does not depend on, and lists too long to be parameters one by one.
+_OUTSIDE = ("evolution", "noise")
+_LONG = ("vertices", "faces", "heights")
+
+
+def number_keys(config: ExperimentConfig) -> tuple[str, ...]:
+    """The keys of all real numbers that a trial may depend on."""
+    data = config.model_dump(mode="json", exclude=set(_OUTSIDE))
+    return tuple(".".join(key) for key, _ in _numbers(data, ()))
+
+
+def number_at(config: ExperimentConfig, key: str, source: Path | str = "") -> float:
+    """The real number of a configuration that has this key.
+
+    Raises:
+        ConfigError: there is none.
+    """
+    place: Any = config.model_dump(mode="json")
+    for part in key.split("."):
+        if isinstance(place, dict) and part in place:
+            place = place[part]
+        elif isinstance(place, list) and part.isdigit() and int(part) < len(place):
+            place = place[int(part)]
+        else:
+            raise ConfigError(source, key.split("."), f"does not exist; {_hint(config, key)}")
+    if isinstance(place, float):
+        return place
+    if isinstance(place, int) and not isinstance(place, bool):
+        problem = f"is a whole number ({place}), by which there is no derivative"
+    elif isinstance(place, (dict, list)):
+        problem = f"is a part of the configuration, not a number; {_hint(config, key)}"
+    else:
+        problem = f"is {place!r}, not a number"
+    raise ConfigError(source, key.split("."), problem)
+
+
+def with_numbers(
+    config: ExperimentConfig, numbers: dict[str, float], source: Path | str
+) -> ExperimentConfig:
+    """A configuration with other numbers.
+
+    Args:
+        config: the configuration.
+        numbers: by key.
+        source: file it came from.
+
+    Raises:
+        ConfigError: numbers that are not allowed.
+    """
+    data = copy.deepcopy(config.model_dump(mode="json"))
+    for key, number in numbers.items():
+        *parents, last = key.split(".")
+        place: Any = data
+        for part in parents:
+            place = place[int(part)] if isinstance(place, list) else place[part]
+        place[int(last) if isinstance(place, list) else last] = number
+    return check_config(data, source)
+
+
+def _numbers(place: Any, key: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], float]]:
+    if isinstance(place, float):
+        yield key, place
+    elif isinstance(place, (dict, list)):
+        parts = place.items() if isinstance(place, dict) else enumerate(place)
+        for name, inner in parts:
+            if name not in _LONG:
+                yield from _numbers(inner, (*key, str(name)))
+
+
+def _hint(config: ExperimentConfig, key: str) -> str:
+    """The numbers whose keys are most like this one: below it, or by their letters."""
+    keys = number_keys(config)
+    near = [other for other in keys if other.startswith(f"{key}.")]
+    last = key.rsplit(".", 1)[-1]
+    near += difflib.get_close_matches(key, keys, n=3, cutoff=0.6)
+    near += [other for other in keys if other.rsplit(".", 1)[-1] == last]
+    return f"did you mean {', '.join(dict.fromkeys(near[:4]))}?" if near else "see docs/config.md"

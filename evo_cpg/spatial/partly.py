@@ -1,0 +1,79 @@
+"""Arrays of which some elements are traced and all others are known.
+
+By a parameter of a simulation few elements of its arrays change. The others stay constants of the
+compiled program, so that what is zero costs nothing there: the matrices of a surface are mostly 0.
+"""
+
+from collections.abc import Iterator
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+
+class PartlyTraced:
+    """An array that JAX takes as one where it is used, with its known elements as constants.
+
+    Attributes:
+        known: the array, with anything in the places of the traced elements.
+        traced: the other elements.
+        index: for each element its number in ``known`` followed by ``traced``.
+    """
+
+    # NumPy leaves arithmetic with it to the methods below.
+    __array_ufunc__ = None
+
+    def __init__(self, known: np.ndarray, places: np.ndarray, traced: jax.Array):
+        self.known, self.traced = known, traced
+        self.index = np.arange(known.size)
+        self.index[places] = known.size + np.arange(len(places))
+        self.index = self.index.reshape(known.shape)
+
+    def __jax_array__(self) -> jax.Array:
+        """The whole array."""
+        known = jnp.asarray(self.known.reshape(-1), self.traced.dtype)
+        return jnp.concatenate([known, self.traced])[self.index]
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return getattr(self.__jax_array__(), name)
+
+    def __getitem__(self, key: Any) -> jax.Array:
+        return self.__jax_array__()[key]
+
+    def __iter__(self) -> Iterator[jax.Array]:
+        return iter(self.__jax_array__())
+
+    def __len__(self) -> int:
+        return len(self.known)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Of the array."""
+        return self.known.shape
+
+    @property
+    def dtype(self) -> Any:
+        """Of the traced elements, which all take."""
+        return self.traced.dtype
+
+
+def _operator(name: str) -> Any:
+    def apply(self: PartlyTraced, *others: Any) -> Any:
+        return getattr(self.__jax_array__(), name)(*(jnp.asarray(other) for other in others))
+
+    return apply
+
+
+for _name in ("add", "sub", "mul", "truediv", "pow"):
+    for _side in ("", "r"):
+        setattr(PartlyTraced, f"__{_side}{_name}__", _operator(f"__{_side}{_name}__"))
+for _name in ("neg", "lt", "le", "gt", "ge"):
+    setattr(PartlyTraced, f"__{_name}__", _operator(f"__{_name}__"))
+
+
+def is_known(x: Any) -> bool:
+    """Whether a number or an array is a constant of any program that it is part of."""
+    return not isinstance(x, (jax.Array, PartlyTraced))
