@@ -154,6 +154,71 @@ def probe_(
 
 
 @app.command()
+def sensitivity(
+    run: Run,
+    keys: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[KEY]...",
+            help="Numbers of its configuration, such as world.water.form_drag, or genes; "
+            "all by default but shapes in water.",
+        ),
+    ] = None,
+    seconds: Annotated[
+        float | None, typer.Option(min=0, help="Of the trial, from its start; all by default.")
+    ] = None,
+    shapes: Annotated[
+        bool, typer.Option("--shapes", help="Also those that change surfaces in water: slow.")
+    ] = False,
+    number: Number = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Folder for the files; RUN by default.")
+    ] = None,
+) -> None:
+    """Tell what the champion's speed and fitness depend on, parameter by parameter."""
+    from evo_cpg.cli.sensitivity import show_sensitivities
+
+    show_sensitivities(run, keys or [], out, seconds, number, shapes)
+
+
+@app.command()
+def fit(
+    config: Config,
+    data: Annotated[Path, typer.Argument(metavar="DATA.csv", help="A recorded motion.")],
+    keys: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="KEY[=START]...",
+            help="Numbers to estimate, such as world.water.form_drag or initial.velocity.x.",
+        ),
+    ],
+    settings: Annotated[
+        list[str] | None, typer.Option("--set", help="KEY=VALUE to change but not to estimate.")
+    ] = None,
+    run: Annotated[
+        Path | None, typer.Option("--run", help="A run folder, whose champion moves the joints.")
+    ] = None,
+    noise: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="position=, attitude= or angle=: its standard deviation; else estimated."
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="A .yaml file for the fitted configuration.")
+    ] = None,
+    plot: Annotated[
+        Path | None, typer.Option("--plot", help="Draw data and fit: a .png, .svg or .pdf file.")
+    ] = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Estimate numbers of a config from a recorded motion, with their uncertainty."""
+    from evo_cpg.cli.fit import fit_data
+
+    fit_data(config, data, keys, settings or [], run, noise or [], out, plot, overwrite)
+
+
+@app.command()
 def preview(
     config: Config,
     overrides: Overrides = None,

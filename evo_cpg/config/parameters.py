@@ -36,6 +36,9 @@ from evo_cpg.training.experiment import Experiment
 _STEP = 1e-4
 
 
+# Where the surfaces are that meet the water.
+_PATCHES = tuple(jax.tree_util.GetAttrKey(name) for name in ("world", "patches"))
+
 # What does not change may differ by this share: rounding.
 _LAYOUT = 1e-9
 
@@ -209,22 +212,37 @@ def parametrise(
 
 
 def all_parameters(
-    config: ExperimentConfig, source: Path | str, folders: Iterable[Path] = ()
+    config: ExperimentConfig,
+    source: Path | str,
+    folders: Iterable[Path] = (),
+    surfaces: bool = True,
 ) -> tuple[str, ...]:
-    """The keys of all numbers for which `parametrise` works, in the order of the file."""
+    """The keys of all numbers for which `parametrise` works, in the order of the file.
+
+    Args:
+        config: the configuration.
+        source: file it came from.
+        folders: see `evo_cpg.config.build.build_experiment`.
+        surfaces: with those that change the surfaces which meet the water; they make programs
+            large, and slow to compile.
+    """
     found = []
     folders = tuple(folders)
-    for apart in (False, True):
+    for apart in (False, True) if surfaces else (False,):
         build = _builder(source, folders, apart)
-        leaves = jax.tree.leaves(build(config).simulation)
+        base = build(config).simulation
+        leaves = jax.tree.leaves(base)
+        paths = jax.tree_util.tree_flatten_with_path(base)[0]
+        wet = {i for i, (path, _) in enumerate(paths) if path[:2] == _PATCHES}
         for key in number_keys(config):
             if key in found:
                 continue
             try:
-                _slopes(build, config, key, leaves, source)
+                changes = _slopes(build, config, key, leaves, source)
             except ConfigError:
                 continue
-            found.append(key)
+            if surfaces or not wet & set(changes):
+                found.append(key)
     return tuple(key for key in number_keys(config) if key in found)
 
 

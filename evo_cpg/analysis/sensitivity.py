@@ -1,0 +1,197 @@
+"""How much what an animal does depends on each number behind it.
+
+With a measure m (a speed, a fitness) and a parameter p the elasticity is
+
+    e = (p / m) dm/dp,
+
+per cent of m per per cent of p. The derivative is that of the whole trial, by automatic
+differentiation. It says what a *small* change does: where feet hit the ground, or for a long trial,
+a change of a per cent may be large. So each parameter is also changed by that much to both sides,
+the simulation built anew and run, and the two answers compared.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PyTree
+
+from evo_cpg.simulation.rollout import Simulation, rollout, score
+from evo_cpg.simulation.task import Moment, Task
+
+# Relative change by which a derivative is checked; of a parameter that is 0, the change itself.
+CHANGE = 0.01
+
+# A derivative is confirmed if what it says of such a change is within this share of what happens.
+_AGREEMENT = 0.2
+
+# Changes of a measure up to this share of it are no disagreement.
+_NEGLIGIBLE = 1e-5
+
+MEASURES = ("speed", "fitness")
+
+
+class Sensitivity(NamedTuple):
+    """What a measure has to do with one parameter.
+
+    Attributes:
+        key: of the parameter.
+        value: of the parameter.
+        slope: dm/dp.
+        change: m after p has grown by ``CHANGE`` of it, less m after it has shrunk by that.
+        step: by which p was changed to each side.
+        measure: m itself.
+    """
+
+    key: str
+    value: float
+    slope: float
+    change: float
+    step: float
+    measure: float
+
+    @property
+    def elasticity(self) -> float:
+        """Per cent of the measure per per cent of the parameter; per unit where that is 0."""
+        return self.slope * (self.value or 1.0) / abs(self.measure)
+
+    @property
+    def finite(self) -> float:
+        """The same from the finite change."""
+        return self.change / (2 * self.step) * (self.value or 1.0) / abs(self.measure)
+
+    @property
+    def confirmed(self) -> bool:
+        """Whether the derivative says what a change of ``CHANGE`` does."""
+        predicted = 2 * self.step * self.slope
+        larger = max(abs(predicted), abs(self.change))
+        bound = _AGREEMENT * larger + _NEGLIGIBLE * abs(self.measure)
+        return bool(np.isfinite(larger) and abs(predicted - self.change) <= bound)
+
+
+class _Journey(NamedTuple):
+    """Where the root was first and last, beside the tally of a task."""
+
+    own: PyTree
+    start: Float[Array, "3 *n"]
+    end: Float[Array, "3 *n"]
+
+
+class _Followed(Task):
+    """A task that also tells how fast the animal got on.
+
+    Attributes:
+        task: the animal's own.
+        light: that of the task.
+        duration: of the trial, s.
+        ahead: whether only the way along x counts.
+    """
+
+    light: tuple[float, float, float] | None
+    task: Task
+    duration: float
+    ahead: bool = eqx.field(static=True)
+
+    def begin(self, batch: tuple[int, ...], dtype: jnp.dtype, steps: int) -> _Journey:
+        """See `Task.begin`."""
+        nowhere = jnp.zeros((3, *batch), dtype)
+        return _Journey(self.task.begin(batch, dtype, steps), nowhere, nowhere)
+
+    def watch(self, tally: _Journey, moment: Moment, steps: int) -> _Journey:
+        """See `Task.watch`."""
+        place = moment.position
+        if moment.light_position is not None:
+            away = place - moment.light_position
+            place = jnp.stack([-jnp.sqrt((away * away).sum(0)), 0 * place[1], 0 * place[2]])
+        start = jnp.where(moment.step == 0, place, tally.start)
+        return _Journey(self.task.watch(tally.own, moment, steps), start, place)
+
+    def terms(self, tally: _Journey, steps: int) -> dict[str, Float[Array, " *n"]]:
+        """Those of the task, and ``speed`` (m/s)."""
+        way = tally.end - tally.start
+        along = way[0] if self.ahead else jnp.sqrt(way[0] ** 2 + way[1] ** 2)
+        return self.task.terms(tally.own, steps) | {"speed": along / self.duration}
+
+    def fitness(self, terms, scales) -> Float[Array, " *n"]:
+        """That of the task."""
+        return self.task.fitness(terms, scales)
+
+
+def followed(simulation: Simulation) -> Simulation:
+    """The same trial, with ``speed`` among its terms: its task's way over the time, m/s.
+
+    That is how fast the distance to the light shrinks; without a light it is the way ahead where
+    the task wants that, else the straight way in any direction.
+    """
+    task = simulation.task
+    ahead = simulation.lights[0] is not None or getattr(task, "heading", "any") == "forward"
+    duration = simulation.steps / simulation.control_rate
+    followed = _Followed(light=task.light, task=task, duration=duration, ahead=ahead)
+    return eqx.tree_at(lambda s: s.task, simulation, followed)
+
+
+def measured(
+    simulation: Simulation,
+    genes: Float[Array, "g *n"],
+    scales: dict[str, float],
+    keys: Array | None = None,
+) -> Float[Array, "2 *n"]:
+    """Speed and fitness, see `MEASURES`.
+
+    Args:
+        simulation: the trial, without `followed`.
+        genes: of the animal.
+        scales: the task's yardsticks.
+        keys: of the trial's noise, see `rollout`.
+    """
+    outcome = rollout(followed(simulation), genes, keys)
+    yardsticks = {name: jnp.asarray(value, genes.dtype) for name, value in scales.items()}
+    return jnp.stack([outcome.terms["speed"], score(simulation.task, outcome, yardsticks)])
+
+
+def sensitivities(
+    keys: tuple[str, ...],
+    values: Float[np.ndarray, " k"],
+    measures: Float[np.ndarray, " m"],
+    slopes: Float[np.ndarray, "m k"],
+    after: Float[np.ndarray, "m 2 k"],
+    steps: Float[np.ndarray, " k"],
+) -> tuple[tuple[Sensitivity, ...], ...]:
+    """For each measure, every parameter; the one that matters most stands first.
+
+    Args:
+        keys: of the parameters.
+        values: of the parameters.
+        measures: of the animal as it is.
+        slopes: derivatives.
+        after: measures after each parameter was made smaller, and larger.
+        steps: by how much.
+    """
+
+    def weight(one: Sensitivity) -> tuple[bool, float]:
+        size = one.elasticity if one.confirmed else one.finite
+        return one.value != 0, abs(size) if np.isfinite(size) else 0.0
+
+    found = []
+    for measure, slope, (less, more) in zip(measures, slopes, after, strict=True):
+        numbers = zip(values, slope, more - less, steps, strict=True)
+        rows = [
+            Sensitivity(key, float(p), float(dm), float(change), float(step), float(measure))
+            for key, (p, dm, change, step) in zip(keys, numbers, strict=True)
+        ]
+        found.append(tuple(sorted(rows, key=weight, reverse=True)))
+    return tuple(found)
+
+
+def differentiate(
+    function: Callable[[Array], Array], values: Float[Array, " k"]
+) -> tuple[Float[Array, " m"], Float[Array, "m k"]]:
+    """Value and derivatives, forwards: all parameters are lanes of one program.
+
+    Backwards would take one pass, but longer to compile.
+    """
+    slopes, result = jax.jacfwd(lambda p: (function(p),) * 2, has_aux=True)(values)
+    return result, slopes

@@ -1,0 +1,329 @@
+"""The command that estimates parameters from a recorded motion: fit."""
+
+import csv
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from evo_cpg.cli.errors import UsageError
+from evo_cpg.cli.training import open_champion
+from evo_cpg.config.errors import ConfigError, nearest
+from evo_cpg.config.load import dump_config, load_config
+from evo_cpg.config.numbers import number_at, with_numbers
+from evo_cpg.config.parameters import Parameters, parametrise
+from evo_cpg.control.commanded import Commanded
+
+if TYPE_CHECKING:
+    from evo_cpg.analysis.fit import Fit
+    from evo_cpg.simulation.rollout import Simulation
+
+_INITIAL, _TARGET = "initial.", "target."
+KINDS = ("position", "attitude", "angle")
+
+# The search is repeated about its result until that moves by less than this share of its error.
+_STILL, _MOST_SEARCHES = 0.05, 6
+
+
+class Recording(NamedTuple):
+    """What was measured.
+
+    Attributes:
+        time: s.
+        columns: names of what was measured.
+        data: a column of each; NaN where nothing was.
+        targets: commanded rates of joint axes by name, rad/s.
+    """
+
+    time: np.ndarray
+    columns: tuple[str, ...]
+    data: np.ndarray
+    targets: dict[str, np.ndarray]
+
+
+def fit_data(
+    path: Path,
+    data: Path,
+    keys: Sequence[str],
+    settings: Sequence[str],
+    run: Path | None,
+    noise: Sequence[str],
+    out: Path | None,
+    plot: Path | None,
+    overwrite: bool,
+) -> None:
+    """`evo-cpg fit`."""
+    for file in (out, plot):
+        if file is not None and file.exists() and not overwrite:
+            raise UsageError(f"{file} exists already; --overwrite replaces it")
+    recording = read_recording(data)
+    own = [text for text in settings if not text.startswith(_INITIAL)]
+    config = load_config(path, own)
+    rate = config.simulation.control_rate_hz
+    steps = max(1, math.ceil(float(recording.time.max()) * rate - 1e-9))
+    trial = config.simulation.model_copy(update={"steps": steps, "trials": 1})
+    config = config.model_copy(update={"simulation": trial})
+    names = [key.partition("=")[0] for key in keys]
+    start = {key.partition("=")[0]: _number(key) for key in keys if "=" in key}
+    begun = {text.partition("=")[0]: _number(text) for text in settings if text not in own}
+    inner = tuple(name for name in names if not name.startswith(_INITIAL))
+    config = with_numbers(config, {k: v for k, v in start.items() if k in inner}, path)
+    for name in inner:
+        number_at(config, name, path)
+    parameters = parametrise(config, path, inner)
+    simulation = parameters.experiment.simulation
+    _check_names(recording, simulation, [*begun, *set(names) - set(inner)], data)
+    genes = np.zeros(0)
+    if run is not None:
+        if recording.targets:
+            raise UsageError("--run: the champion moves the joints; leave out the target columns")
+        genes = np.asarray(open_champion(run)[1].genes, float)
+        if len(genes) != simulation.controller.gene_count:
+            raise UsageError(
+                f"--run: the champion of {run} has {len(genes)} genes, {path} asks for "
+                f"{simulation.controller.gene_count}"
+            )
+    ordered = (*inner, *(name for name in names if name not in inner))
+    values = [number_at(config, name) for name in inner]
+    values += [start.get(name, begun.get(name, 0.0)) for name in ordered[len(inner) :]]
+    positive = np.array([_is_positive(parameters, name) for name in ordered])
+    numbers = np.isfinite(recording.data).sum()
+    if numbers <= len(ordered):
+        raise UsageError(f"{data}: {numbers} numbers cannot determine {len(ordered)} parameters")
+    result, shown = _search(
+        parameters, recording, ordered, np.array(values), positive, begun, genes, run, noise
+    )
+    _report(ordered, np.array(values), positive, result, recording)
+    if out is not None:
+        found = dict(zip(ordered, map(float, result.values), strict=True))
+        fitted = with_numbers(config, {k: v for k, v in found.items() if k in inner}, path)
+        try:
+            out.write_text(dump_config(fitted), encoding="utf-8")
+        except OSError as error:
+            raise UsageError(f"{out} cannot be written ({error.strerror})") from None
+        print(out)
+    if plot is not None:
+        from evo_cpg.view.fit_plot import plot_fit
+
+        print(plot_fit(recording.time, recording.columns, recording.data, shown, plot))
+
+
+def read_recording(path: Path) -> Recording:
+    """A recorded motion from a CSV file.
+
+    Raises:
+        UsageError: it cannot be read, or is not one.
+    """
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            rows = [row for row in csv.reader(file) if any(cell.strip() for cell in row)]
+    except (OSError, UnicodeDecodeError) as error:
+        raise UsageError(f"{path}: cannot be read ({error})") from None
+    if len(rows) < 2:
+        raise UsageError(f"{path}: has no numbers; give a line of names and lines of numbers")
+    names = [name.strip() for name in rows[0]]
+    twice = [name for i, name in enumerate(names) if name in names[:i]]
+    if twice:
+        raise UsageError(f"{path}: the column {twice[0]!r} is there twice")
+    if "time" not in names:
+        raise UsageError(f"{path}: has no column time (s); it has {', '.join(names)}")
+    table = np.full((len(rows) - 1, len(names)), np.nan)
+    for i, row in enumerate(rows[1:]):
+        if len(row) != len(names):
+            raise UsageError(f"{path}: row {i + 2} has {len(row)} cells, not {len(names)}")
+        for j, cell in enumerate(row):
+            try:
+                table[i, j] = float(cell) if cell.strip() else np.nan
+            except ValueError:
+                raise UsageError(
+                    f"{path}: row {i + 2}, {names[j]}: {cell!r} is not a number"
+                ) from None
+    columns = dict(zip(names, table.T, strict=True))
+    time = columns.pop("time")
+    if not np.isfinite(time).all() or time.min() < 0 or (np.diff(time) <= 0).any():
+        raise UsageError(f"{path}: time must grow from row to row, from 0 or later")
+    targets = {name: columns.pop(name) for name in names if name.startswith(_TARGET)}
+    for name, column in targets.items():
+        if not np.isfinite(column).all():
+            raise UsageError(f"{path}: {name} must be a number in every row")
+    if not columns:
+        raise UsageError(f"{path}: nothing was measured: there is only time")
+    targets = {name.removeprefix(_TARGET): column for name, column in targets.items()}
+    return Recording(time, tuple(columns), np.stack(list(columns.values()), 1), targets)
+
+
+def commands(recording: Recording, simulation: "Simulation") -> Commanded:
+    """The recorded commands as a controller: each is held from its row to the next."""
+    tree = simulation.world.tree
+    step = np.arange(simulation.steps) / float(simulation.control_rate)
+    row = np.searchsorted(recording.time, step + 1e-9, side="right") - 1
+    rates = np.zeros((simulation.steps, tree.dof_count))
+    for name, column in recording.targets.items():
+        rates[:, tree.dof_names.index(name)] = np.where(row >= 0, column[np.maximum(row, 0)], 0.0)
+    return Commanded(tree=tree, rates=rates)
+
+
+def _number(text: str) -> float:
+    key, _, value = text.partition("=")
+    try:
+        number = float(value)
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        raise UsageError(f"{key}: {value!r} is not a number")
+    return number
+
+
+def _check_names(
+    recording: Recording, simulation: "Simulation", beginnings: Sequence[str], path: Path
+) -> None:
+    from evo_cpg.simulation.track import beginning_names, column_names
+
+    dofs = simulation.world.tree.dof_names
+    for valid, given, prefix in (
+        (column_names(simulation), recording.columns, ""),
+        (dofs, recording.targets, _TARGET),
+    ):
+        for name in given:
+            if name not in valid:
+                hint = nearest(name, valid) if valid else "the creature has no joints"
+                raise UsageError(f"{path}: there is nothing called {prefix}{name}; {hint}")
+    for name in beginnings:
+        short, valid = name.removeprefix(_INITIAL), beginning_names(simulation)
+        if short not in valid:
+            raise UsageError(f"{name}: does not exist; {nearest(short, valid)}")
+
+
+def _is_positive(parameters: Parameters, name: str) -> bool:
+    """Whether a number of the configuration is positive and must be."""
+    if name not in parameters.keys:
+        return False
+    value = number_at(parameters.config, name)
+    try:
+        with_numbers(parameters.config, {name: -abs(value)}, parameters.source)
+    except ConfigError:
+        return value > 0
+    return False
+
+
+def _noise(given: Sequence[str], present: Sequence[str]) -> np.ndarray | None:
+    if not given:
+        return None
+    known = {text.partition("=")[0]: _number(text) for text in given}
+    for kind, size in known.items():
+        if kind not in KINDS or not size > 0:
+            raise UsageError(f"--noise: {kind}={size:g}; give {'=.., '.join(KINDS)}=.. above 0")
+    missing = [kind for kind in present if kind not in known]
+    if missing:
+        raise UsageError(f"--noise: also give that of {', '.join(missing)}, or none at all")
+    return np.array([known[kind] for kind in present])
+
+
+def _search(
+    parameters: Parameters,
+    recording: Recording,
+    names: tuple[str, ...],
+    values: np.ndarray,
+    positive: np.ndarray,
+    begun: dict[str, float],
+    genes: np.ndarray,
+    run: Path | None,
+    given: Sequence[str],
+) -> tuple["Fit", np.ndarray]:
+    """The estimate, and the motion that it gives."""
+    import equinox as eqx
+    import jax
+    import jax.numpy as jnp
+
+    from evo_cpg.analysis.fit import fit
+    from evo_cpg.simulation.track import ATTITUDE, track
+    from evo_cpg.training.devices import fast_jit
+
+    kinds = [_kind(name) for name in recording.columns]
+    present = [kind for kind in KINDS if kind in kinds]
+    kind_numbers = np.array([present.index(kind) for kind in kinds])
+    wrapped = np.array([name in ATTITUDE for name in recording.columns])
+    noise = _noise(given, present)
+    inner = len(parameters.keys)
+    fixed = {name.removeprefix(_INITIAL): value for name, value in begun.items()}
+
+    def observe(theta: Any, model: Any) -> Any:
+        simulation = parameters.simulation(theta[:inner], model)
+        if run is None:
+            driver = commands(recording, parameters.experiment.simulation)
+            driver = eqx.tree_at(lambda d: d.tree, driver, simulation.world.tree)
+            simulation = eqx.tree_at(lambda s: s.controller, simulation, driver)
+        initial: dict[str, Any] = {k: jnp.asarray(v, theta.dtype) for k, v in fixed.items()}
+        for name, value in zip(names[inner:], theta[inner:], strict=True):
+            initial[name.removeprefix(_INITIAL)] = value
+        own = jnp.asarray(genes, theta.dtype)
+        return track(simulation, own, recording.time, recording.columns, initial)
+
+    def search(start: Any, model: Any, data: Any) -> Any:
+        return fit(
+            lambda theta: observe(theta, model),
+            data,
+            start,
+            positive,
+            kind_numbers,
+            wrapped,
+            noise,
+        )
+
+    with jax.enable_x64(True):
+        program = fast_jit(search)
+        model = parameters.model
+        for _ in range(_MOST_SEARCHES):
+            result = jax.device_get(
+                program(jnp.asarray(values), model, jnp.asarray(recording.data))
+            )
+            if not np.isfinite(result.values).all():
+                raise UsageError("the simulation diverges near these values; try others, KEY=VALUE")
+            size = np.where(positive, np.abs(result.values), 1.0) * result.errors
+            still = np.abs(result.values - values) <= _STILL * size
+            values = np.asarray(result.values)
+            model = parameters.at(values[:inner])
+            if still.all():
+                break
+        shown = jax.device_get(fast_jit(observe)(jnp.asarray(values), model))
+    return result, shown
+
+
+def _kind(name: str) -> str:
+    from evo_cpg.simulation.track import ATTITUDE, POSITION
+
+    return "position" if name in POSITION else "attitude" if name in ATTITUDE else "angle"
+
+
+def _report(
+    names: tuple[str, ...],
+    start: np.ndarray,
+    positive: np.ndarray,
+    result: "Fit",
+    recording: Recording,
+) -> None:
+    from evo_cpg.analysis.fit import doubts
+
+    table = Table("parameter", "start", "estimate", "95 % interval", box=box.SIMPLE_HEAD)
+    for column in table.columns[1:]:
+        column.justify = "right"
+        column.no_wrap = True
+    for name, first, value, low, high in zip(
+        names, start, result.values, result.lower, result.upper, strict=True
+    ):
+        table.add_row(name, f"{first:.4g}", f"{value:.5g}", f"{low:.5g} to {high:.5g}")
+    Console().print(table)
+    units = {"position": "m", "attitude": "rad", "angle": "rad"}
+    kinds = [_kind(name) for name in recording.columns]
+    present = [kind for kind in KINDS if kind in kinds]
+    noise = [
+        f"{kind} {size:.3g} {units[kind]}" for kind, size in zip(present, result.noise, strict=True)
+    ]
+    print(f"noise: {', '.join(noise)}; {int(result.freedom)} degrees of freedom")
+    for words in doubts(names, positive, result):
+        print(f"beware: {words}")

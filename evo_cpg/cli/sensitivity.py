@@ -1,0 +1,167 @@
+"""The command that tells what a champion's success depends on: sensitivity."""
+
+import csv
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from evo_cpg.cli.errors import UsageError
+from evo_cpg.cli.training import open_champion, open_run
+from evo_cpg.config.errors import ConfigError
+from evo_cpg.config.parameters import Parameters, all_parameters, parametrise
+from evo_cpg.training.checkpoint import Champion
+
+if TYPE_CHECKING:
+    from evo_cpg.analysis.sensitivity import Sensitivity
+
+# Rows for the terminal and bars of the picture; the table file has all.
+_SHOWN = 25
+
+# Not a key of the configuration: what all genes are multiplied by.
+GENES = "genes"
+
+
+def show_sensitivities(
+    run: Path,
+    keys: Sequence[str],
+    out: Path | None,
+    seconds: float | None,
+    number: int | None,
+    shapes: bool,
+) -> None:
+    """`evo-cpg sensitivity`."""
+    experiment, champion, _, folder = open_champion(run, number)
+    if experiment.simulation.situations[1:]:
+        print(f"{run}: of its {experiment.trials} trials the first is taken")
+    config, origin = open_run(run)[1], folder.read_meta().get("config")
+    beside = [Path(origin).parent] if isinstance(origin, str) else []
+    steps = experiment.simulation.steps
+    if seconds is not None:
+        wanted = round(seconds * experiment.simulation.control_rate)
+        if not 1 <= wanted <= steps:
+            longest = steps / experiment.simulation.control_rate
+            raise UsageError(f"--seconds: {seconds:g}; a trial of {run} has {longest:g} s")
+        steps = wanted
+    trial = config.simulation.model_copy(update={"steps": steps})
+    if isinstance(trial.trials, list):
+        trial = trial.model_copy(update={"trials": trial.trials[:1]})
+    config = config.model_copy(update={"simulation": trial})
+    chosen = tuple(key for key in keys if key != GENES)
+    if not keys:
+        chosen = all_parameters(config, folder.config, beside, shapes)
+    parameters = parametrise(config, folder.config, chosen, beside)
+    place = out or folder.path
+    try:
+        place.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UsageError(f"--out: {place} cannot be made ({error.strerror})") from None
+    scaled = not keys or GENES in keys
+    speed, fitness = _measure(parameters, champion, scaled)
+    rows = [_row(one, other) for one in speed for other in fitness if one.key == other.key]
+    name = "sensitivity" if number is None else f"sensitivity_run{number}"
+    table = place / f"{name}.csv"
+    try:
+        with table.open("w", encoding="utf-8", newline="") as file:
+            writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
+            writer.writeheader()
+            writer.writerows(rows)
+    except OSError as error:
+        raise UsageError(f"{table} cannot be written ({error.strerror})") from None
+    from evo_cpg.view.sensitivity_plot import plot_sensitivities
+
+    time = steps / experiment.simulation.control_rate
+    title = f"{experiment.name}: speed {speed[0].measure:.3g} m/s over {time:.3g} s"
+    picture = plot_sensitivities(speed, "speed", title, table.with_suffix(".png"), _SHOWN)
+    Console().print(_table(rows[:_SHOWN]))
+    doubtful = sum(not one.confirmed for one in speed)
+    print(f"speed {speed[0].measure:.4g} m/s, fitness {fitness[0].measure:.4g} over {time:.3g} s")
+    if doubtful:
+        print(
+            f"{doubtful} of {len(rows)} marked ?: runs with 1 % more and less do not do what the "
+            "derivative says; their own change is shown. Try a shorter trial: --seconds"
+        )
+    print(table)
+    print(picture)
+
+
+def _measure(parameters: Parameters, champion: Champion, scaled: bool) -> tuple:
+    """Sensitivities of speed and fitness, in float64."""
+    import jax
+    import jax.numpy as jnp
+
+    from evo_cpg.analysis.sensitivity import CHANGE, differentiate, measured, sensitivities
+    from evo_cpg.training.devices import fast_jit
+    from evo_cpg.training.experiment import trial_keys
+
+    keys = (*parameters.keys, GENES) if scaled else parameters.keys
+    values = np.append(parameters.values, 1.0) if scaled else parameters.values
+    steps = CHANGE * np.where(values, np.abs(values), 1.0)
+    first = [np.zeros(1, int) + part for part in (champion.run, champion.index, 0)]
+    noise = trial_keys(parameters.experiment, champion.generation, *first)
+    with jax.enable_x64(True):
+        genes = jnp.asarray(champion.genes, jnp.float64)
+        own = None if noise is None else noise[:, 0]
+
+        def outcome(values: Any, model: Any) -> Any:
+            strength = values[-1] if scaled else 1.0
+            simulation = parameters.simulation(values[: len(parameters.keys)], model)
+            return measured(simulation, strength * genes, champion.scales, own)
+
+        program = fast_jit(lambda p, model: differentiate(lambda q: outcome(q, model), p))
+        measures, slopes = jax.device_get(program(jnp.asarray(values), parameters.model))
+        places, models = [], []
+        for sign in (-1.0, 1.0):
+            for i in range(len(values)):
+                place = values.copy()
+                place[i] += sign * steps[i]
+                try:
+                    model = parameters.at(place[: len(parameters.keys)], curved=False)
+                except ConfigError:
+                    # Not allowed, as a share of more than 1.
+                    place, model = values * np.nan, parameters.model
+                places.append(place)
+                models.append(model)
+        stacked = jax.tree.map(lambda *x: np.stack(x), *models)
+        run_all = fast_jit(jax.vmap(outcome, out_axes=1))
+        after = jax.device_get(run_all(jnp.asarray(np.array(places)), stacked))
+    return sensitivities(keys, values, measures, slopes, after.reshape(len(measures), 2, -1), steps)
+
+
+def _row(speed: "Sensitivity", fitness: "Sensitivity") -> dict[str, str | float | int]:
+    """A line of the table file."""
+    row: dict[str, str | float | int] = {
+        "key": speed.key,
+        "value": speed.value,
+        "relative": int(speed.value != 0),
+    }
+    for name, one in (("speed", speed), ("fitness", fitness)):
+        row |= {
+            f"{name}_slope": one.slope,
+            f"{name}_elasticity": one.elasticity,
+            f"{name}_found": one.finite,
+            f"{name}_confirmed": int(one.confirmed),
+        }
+    return row
+
+
+def _table(rows: list[dict[str, Any]]) -> Table:
+    """For the terminal: the strongest first."""
+    table = Table("parameter", "value", "speed", "fitness", box=box.SIMPLE_HEAD, pad_edge=False)
+    for column in table.columns[1:]:
+        column.justify = "right"
+        column.no_wrap = True
+    for row in rows:
+        words = []
+        for name in ("speed", "fitness"):
+            sure = row[f"{name}_confirmed"]
+            size = row[f"{name}_elasticity" if sure else f"{name}_found"]
+            unit = " %/%" if row["relative"] else " %/unit"
+            share = size if row["relative"] else 100 * size
+            words.append(f"{'' if sure else '? '}{share:+.3g}{unit}")
+        table.add_row(row["key"], f"{row['value']:.4g}", *words)
+    return table

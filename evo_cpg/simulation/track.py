@@ -1,0 +1,107 @@
+"""What a camera or a motion tracker sees of a trial, at times of its own choice."""
+
+from collections.abc import Sequence
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from evo_cpg.physics.state import State
+from evo_cpg.simulation.rollout import Simulation, motion
+from evo_cpg.spatial.rotation import quaternion_to_matrix
+
+# Columns: place of the root's centre (m), and its attitude (rad) as yaw, then pitch, then roll
+# about its own axes; all others are the angles of joints (rad), by the names of their axes.
+POSITION, ATTITUDE = ("x", "y", "z"), ("roll", "pitch", "yaw")
+
+# What a trial may begin with beside the configuration, by the first part of its name.
+BEGINNINGS = ("velocity", "spin", "angle", "rate")
+
+
+def column_names(simulation: Simulation) -> tuple[str, ...]:
+    """All columns that there are."""
+    return (*POSITION, *ATTITUDE, *simulation.world.tree.dof_names)
+
+
+def beginning_names(simulation: Simulation) -> tuple[str, ...]:
+    """Names of what a trial may begin with.
+
+    ``velocity.x`` (m/s), ``spin.x`` (rad/s, world axes), ``angle.DOF`` (rad) and ``rate.DOF``
+    (rad/s), on top of the configuration's.
+    """
+    dofs = simulation.world.tree.dof_names
+    axes = {"velocity": POSITION, "spin": POSITION, "angle": dofs, "rate": dofs}
+    return tuple(f"{kind}.{axis}" for kind in BEGINNINGS for axis in axes[kind])
+
+
+def track(
+    simulation: Simulation,
+    genes: Float[Array, "g"],
+    times: Float[np.ndarray, " t"],
+    columns: Sequence[str],
+    beginning: dict[str, Float[Array, ""]] | None = None,
+) -> Float[Array, "t c"]:
+    """Columns of a trial at given times.
+
+    Between control steps positions and joint angles are cubic (Hermite), so that they are as exact
+    as the steps themselves, and orientations are interpolated linearly.
+
+    Args:
+        simulation: the trial; its situation is the first.
+        genes: of the animal.
+        times: s from its start, none after its end.
+        columns: see `column_names`.
+        beginning: by `beginning_names`.
+    """
+    dofs = simulation.world.tree.dof_names
+    given = beginning or {}
+
+    def begin(state: State) -> State:
+        velocity, q, qd = state.velocity, state.q, state.qd
+        for name, value in given.items():
+            kind, _, axis = name.partition(".")
+            if kind in ("angle", "rate"):
+                i = dofs.index(axis)
+                q = q.at[i].add(value) if kind == "angle" else q
+                qd = qd.at[i].add(value) if kind == "rate" else qd
+            else:
+                i = POSITION.index(axis) + (3 if kind == "velocity" else 0)
+                velocity = velocity.at[i].add(value)
+        return State(state.position, state.orientation, velocity, q, qd)
+
+    states = motion(simulation, genes, begin)
+    length = 1.0 / float(simulation.control_rate)
+    place = np.clip(times / length, 0.0, simulation.steps)
+    first = np.minimum(place.astype(int), simulation.steps - 1)
+    share = (place - first)[:, None]
+
+    def curve(value: Array, rate: Array) -> Array:
+        a, b = value[first], value[first + 1]
+        da, db = length * rate[first], length * rate[first + 1]
+        u = share
+        return (
+            a * (1 - u) ** 2 * (1 + 2 * u)
+            + da * u * (1 - u) ** 2
+            + b * u**2 * (3 - 2 * u)
+            - db * u**2 * (1 - u)
+        )
+
+    parts = [curve(states.position, states.velocity[:, 3:])]
+    a, b = jnp.asarray(states.orientation)[first], states.orientation[first + 1]
+    # The nearer of the two quaternions of an orientation.
+    b = b * jnp.where((a * b).sum(1, keepdims=True) < 0, -1.0, 1.0)
+    turn = (1 - share) * a + share * b
+    turn = turn / jnp.sqrt((turn * turn).sum(1, keepdims=True))
+    rotation = quaternion_to_matrix(jnp.asarray(turn).T)
+    attitude = [
+        jnp.arctan2(rotation[2, 1], rotation[2, 2]),
+        -jnp.arcsin(jnp.clip(rotation[2, 0], -1.0, 1.0)),
+        jnp.arctan2(rotation[1, 0], rotation[0, 0]),
+    ]
+    if any(name in ATTITUDE for name in columns):
+        parts.append(jnp.stack(attitude, 1))
+    else:
+        parts.append(jnp.zeros((len(times), 3), states.position.dtype))
+    parts.append(curve(states.q, states.qd))
+    numbers = [column_names(simulation).index(name) for name in columns]
+    return jnp.concatenate(parts, 1)[:, np.array(numbers, int)]

@@ -1,0 +1,162 @@
+"""Fits of recorded motion: known answers, and how often the stated intervals hold the truth."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+
+from creatures import quick_jit
+from evo_cpg.analysis.fit import doubts, fit, student_quantile
+from evo_cpg.config.load import check_config, load_config
+from evo_cpg.config.parameters import parametrise
+from evo_cpg.control.commanded import Commanded
+from evo_cpg.simulation.track import track
+from tiny_run import CONFIG, TINY
+
+TRIALS = 100
+# Of 100 intervals that hold the truth with probability 0.95, 90 to 99 do so in 98 of 100 cases.
+FEWEST, MOST = 90, 99
+
+pytestmark = pytest.mark.usefixtures("x64")
+
+
+def one_kind(model, data, start, positive, noise=None):
+    columns = data.shape[1]
+    kinds, wrapped = np.zeros(columns, int), np.zeros(columns, bool)
+    return fit(model, data, start, np.array(positive), kinds, wrapped, noise)
+
+
+def test_quantiles_are_those_of_students_t():
+    freedom = np.array([1.0, 2.0, 5.0, 30.0, 1e4])
+    np.testing.assert_allclose(
+        student_quantile(0.975, jnp.asarray(freedom)), stats.t.ppf(0.975, freedom), rtol=1e-9
+    )
+
+
+def test_a_line_is_that_of_linear_regression():
+    """With gaps in the data; slope, intercept, errors and noise are those of SciPy."""
+    rng = np.random.default_rng(4)
+    x = np.linspace(0, 3, 40)
+    y = 0.7 * x - 0.2 + 0.1 * rng.normal(size=40)
+    gap = rng.random(40) < 0.2
+    data = jnp.asarray(np.where(gap, np.nan, y)[:, None])
+    found = quick_jit(
+        lambda data: one_kind(lambda p: (p[0] * x + p[1])[:, None], data, jnp.zeros(2), [False] * 2)
+    )(data)
+    line = stats.linregress(x[~gap], y[~gap])
+    np.testing.assert_allclose(found.values, [line.slope, line.intercept], rtol=1e-6)
+    np.testing.assert_allclose(found.errors, [line.stderr, line.intercept_stderr], rtol=1e-6)
+    reach = stats.t.ppf(0.975, (~gap).sum() - 2) * line.stderr
+    np.testing.assert_allclose(found.upper[0] - found.values[0], reach, rtol=1e-6)
+    assert bool(found.found)
+
+
+def test_what_the_data_do_not_tell_is_said():
+    """Only the product of two factors matters."""
+    x = np.linspace(0, 3, 40)
+    data = jnp.asarray(2.0 * x + 0.1 * np.random.default_rng(4).normal(size=40))[:, None]
+    found = quick_jit(
+        lambda data: one_kind(
+            lambda p: (p[0] * p[1] * x)[:, None], data, jnp.array([1.0, 1.5]), [True] * 2
+        )
+    )(data)
+    words = " ".join(doubts(("mass", "gain"), np.array([True, True]), found))
+    assert "hardly tell mass and gain apart" in words and "hardly determine mass" in words
+
+
+def coverage(model, truth, start, sigma, seed):
+    """Of 100 experiments with noise of their own, how many intervals hold each parameter."""
+    exact = np.asarray(quick_jit(model)(jnp.asarray(truth)))
+    noise = np.random.default_rng(seed).normal(size=(TRIALS, *exact.shape))
+
+    def one(data):
+        return one_kind(model, data, jnp.asarray(start), [True] * len(truth))
+
+    found = jax.device_get(quick_jit(jax.vmap(one))(jnp.asarray(exact + sigma * noise)))
+    assert found.found.all()
+    np.testing.assert_allclose(found.noise.mean(), sigma, rtol=0.05)
+    return ((found.lower < truth) & (truth < found.upper)).sum(0), found
+
+
+@pytest.mark.slow
+def test_the_friction_of_a_sliding_block():
+    """On an incline, from 40 places with 1 mm of noise; the estimate starts a third away."""
+    block = {"name": "block", "shape": {"type": "box", "size": [0.2, 0.2, 0.1]}, "material": "a"}
+    config = check_config(
+        {
+            "name": "slider",
+            "creature": {
+                "name": "slider",
+                "materials": {"a": {"density": 500.0, "restitution": 0.0}},
+                "bodies": [block],
+            },
+            "world": {
+                "water": None,
+                "ground": {
+                    "friction_rule": "min",
+                    "static_friction": 0.3,
+                    "dynamic_friction": 0.15,
+                    "floor": {"slope_deg": 20.0},
+                },
+            },
+            "simulation": {"steps": 40},
+            "controller": {"type": "evo_cpg.control.commanded:Commanded"},
+            "task": {"type": "distance"},
+        },
+        "slider.yaml",
+    )
+    parameters = parametrise(config, "slider.yaml", ["world.ground.dynamic_friction"])
+    times = np.arange(1, 41) / 60
+
+    def model(values):
+        return track(parameters.simulation(values), jnp.zeros(0), times, ("x", "z"))
+
+    # Friction slows it down by g (sin a - mu cos a); the first steps set it down.
+    slope = np.deg2rad(20)
+    way = np.asarray(quick_jit(model)(jnp.asarray(parameters.values)))[-1, 0] / np.cos(slope)
+    ideal = 0.5 * 9.81 * (np.sin(slope) - 0.15 * np.cos(slope)) * times[-1] ** 2
+    np.testing.assert_allclose(way, ideal, rtol=0.02)
+    held, _ = coverage(model, parameters.values, [0.1], 1e-3, 0)
+    assert FEWEST <= held[0] <= MOST
+
+
+@pytest.mark.slow
+def test_the_drag_of_a_swimmer_that_is_driven():
+    """Form and skin drag from the path of the head while the joints follow a known wave."""
+    keys = ["world.water.form_drag", "world.water.skin_drag"]
+    overrides = ["simulation.steps=90", "simulation.substeps=1", "world.water.skin_drag=0.1"]
+    parameters = parametrise(load_config(CONFIG, [*TINY, *overrides]), CONFIG, keys)
+    simulation = parameters.experiment.simulation
+    dofs = simulation.world.tree.dof_count
+    phase = 2 * np.pi * np.arange(90)[:, None] / 60 - np.arange(dofs)
+    driver = Commanded(tree=simulation.world.tree, rates=2.0 * np.sin(phase))
+    times = np.linspace(0.05, 1.5, 60)
+
+    def model(values):
+        driven = eqx.tree_at(lambda s: s.controller, parameters.simulation(values), driver)
+        columns = ("x", "y", "z")
+        return track(driven, jnp.zeros(0), times, columns, {"velocity.x": jnp.asarray(0.5)})
+
+    held, found = coverage(model, parameters.values, [0.7, 0.15], 2e-3, 1)
+    assert (held >= FEWEST).all() and (held <= MOST).all(), held
+    assert (found.errors < 0.5).all()
+
+
+@pytest.mark.slow
+def test_the_constants_of_oscillators():
+    """The tempo of the rhythm and the gain of the motors from angles of the joints."""
+    keys = ["controller.cpg.time_scale", "controller.rate_gain"]
+    config = load_config(CONFIG, [*TINY, "simulation.steps=90", "simulation.substeps=1"])
+    parameters = parametrise(config, CONFIG, keys)
+    simulation = parameters.experiment.simulation
+    genes = simulation.controller.random_genes(jax.random.key(1), (), np.float64)
+    times = np.linspace(0.05, 1.5, 40)
+    columns = simulation.world.tree.dof_names
+
+    def model(values):
+        return track(parameters.simulation(values), genes, times, columns)
+
+    held, _ = coverage(model, parameters.values, [1.1, 4.5], 0.02, 2)
+    assert (held >= FEWEST).all() and (held <= MOST).all(), held

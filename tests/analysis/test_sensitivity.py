@@ -1,0 +1,45 @@
+"""How a measure depends on parameters: elasticities of known functions, and which are confirmed."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from evo_cpg.analysis.sensitivity import CHANGE, differentiate, sensitivities
+
+KEYS = ("squared", "inverse", "step", "zero", "idle")
+VALUES = np.array([3.0, 2.0, 1.0, 0.0, 5.0])
+
+
+def measure(values):
+    """A power law; one parameter below a step, one that is 0, one that does nothing."""
+    squared, inverse, step, zero, _ = values
+    return jnp.stack([squared**2 / inverse * (1 + 0.5 * zero) + jnp.where(step > 1.005, 1.0, 0.0)])
+
+
+@pytest.fixture
+def found(x64):
+    steps = CHANGE * np.where(VALUES, VALUES, 1.0)
+    value, slopes = differentiate(measure, jnp.asarray(VALUES))
+    after = np.array(
+        [[measure(VALUES + s * step) for step in np.diag(steps)] for s in (-1, 1)]
+    ).transpose(2, 0, 1)
+    (rows,) = sensitivities(KEYS, VALUES, np.asarray(value), np.asarray(slopes), after, steps)
+    return rows
+
+
+def test_elasticities_are_the_exponents_of_a_power_law(found):
+    by_key = {row.key: row for row in found}
+    assert by_key["squared"].elasticity == pytest.approx(2.0, rel=1e-12)
+    assert by_key["inverse"].elasticity == pytest.approx(-1.0, rel=1e-12)
+    assert by_key["idle"].elasticity == 0.0
+    # Of what is 0, per unit.
+    assert by_key["zero"].elasticity == pytest.approx(0.5, rel=1e-12)
+    assert by_key["squared"].finite == pytest.approx(2.0, rel=1e-3)
+
+
+def test_a_step_beside_the_value_is_not_confirmed_and_ranks_by_the_change_found(found):
+    assert {row.key for row in found if not row.confirmed} == {"step"}
+    # 1 / 4.5 of the measure, for 2 % of the parameter.
+    step = next(row for row in found if row.key == "step")
+    assert step.elasticity == 0.0 and step.finite == pytest.approx(1 / 4.5 / 0.02)
+    assert [row.key for row in found] == ["step", "squared", "inverse", "idle", "zero"]

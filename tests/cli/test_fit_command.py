@@ -1,0 +1,134 @@
+"""`evo-cpg fit`: a recorded motion in, estimates out; and what is refused."""
+
+import csv
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import yaml
+
+from creatures import quick_jit
+from evo_cpg.cli.fit import commands, read_recording
+from evo_cpg.config.load import check_config
+from evo_cpg.config.parameters import parametrise
+from evo_cpg.simulation.track import track
+
+FALL = {
+    "name": "dropped",
+    "creature": {
+        "name": "pair",
+        "materials": {"a": {"density": 1200.0}},
+        "bodies": [
+            {"name": "head", "shape": {"type": "sphere", "radius": 0.1}, "material": "a"},
+            {
+                "name": "tail",
+                "shape": {"type": "box", "size": [0.2, 0.1, 0.02]},
+                "material": "a",
+                "joint": {
+                    "parent": "head",
+                    "at": [-0.1, 0.0, 0.0],
+                    "child_at": [0.11, 0.0, 0.0],
+                    "axes": ["y"],
+                    "actuator": {"gain": 1.0},
+                },
+            },
+        ],
+    },
+    "world": {"water": {"form_drag": 0.8}},
+    "simulation": {"steps": 20, "substeps": 1},
+    "controller": {"type": "evo_cpg.control.commanded:Commanded"},
+    "task": {"type": "distance"},
+}
+
+
+def write(path, columns, rows):
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(columns)
+        writer.writerows(rows)
+
+
+@pytest.fixture
+def config(tmp_path):
+    path = tmp_path / "dropped.yaml"
+    path.write_text(yaml.safe_dump(FALL))
+    return path
+
+
+@pytest.mark.slow
+def test_drag_and_speed_come_out_of_a_recorded_coast(cli, config, tmp_path):
+    """The tail beats as commanded; noise of 0.1 mm; the estimates hold the truth."""
+    with jax.enable_x64(True):
+        parameters = parametrise(check_config(FALL, config), config, ["world.water.form_drag"])
+        simulation = parameters.experiment.simulation
+        times = np.linspace(0.0, 20 / 60, 21)
+        rates = 3.0 * np.sin(12.0 * times)
+        columns = ("x", "z", "pitch", "tail.y")
+        table = tmp_path / "driven.csv"
+        header = ["time", *columns, "target.tail.y"]
+        write(table, header, [[t, 0, 0, 0, 0, r] for t, r in zip(times, rates, strict=True)])
+        driver = commands(read_recording(table), simulation)
+        driven = eqx.tree_at(lambda s: s.controller, simulation, driver)
+        start = {"velocity.x": jnp.asarray(1.3)}
+        exact = quick_jit(lambda: track(driven, jnp.zeros(0), times, columns, start))()
+    data = np.asarray(exact) + 1e-4 * np.random.default_rng(1).normal(size=exact.shape)
+    cells = [[f"{value:.9f}" for value in row] for row in data]
+    cells[4][1] = ""
+    cells[5][0] = "nan"
+    rows = [[t, *row, r] for t, row, r in zip(times, cells, rates, strict=True)]
+    write(table, header, rows)
+    fitted, picture = tmp_path / "fitted.yaml", tmp_path / "fitted.png"
+    keys = ("world.water.form_drag=0.5", "initial.velocity.x=1.0")
+    code, said, complaint = cli("fit", config, table, *keys, "-o", fitted, "--plot", picture)
+    assert code == 0, complaint
+    assert "beware" not in said
+    drag = yaml.safe_load(fitted.read_text())["world"]["water"]["form_drag"]
+    assert drag == pytest.approx(0.8, rel=0.02)
+    assert picture.stat().st_size > 10_000
+    line = next(line for line in said.splitlines() if "initial.velocity.x" in line)
+    low, high = (float(line.split()[i]) for i in (-3, -1))
+    assert low < 1.3 < high and high - low < 0.02
+    code, _, complaint = cli("fit", config, table, *keys, "-o", fitted)
+    assert code == 2 and "exists already; --overwrite" in complaint
+
+
+@pytest.mark.parametrize(
+    ("header", "rows", "words"),
+    [
+        (["x"], [[1]], "has no column time"),
+        (["time", "x"], [], "has no numbers"),
+        (["time"], [[0.1]], "nothing was measured"),
+        (["time", "x", "x"], [[0, 1, 2]], "the column 'x' is there twice"),
+        (["time", "x"], [[0, "long"]], "row 2, x: 'long' is not a number"),
+        (["time", "x"], [[0, 1], [0, 2]], "time must grow"),
+        (["time", "x"], [[0, 1, 2]], "row 2 has 3 cells, not 2"),
+        (["time", "x", "target.tail.y"], [[0.1, 1, ""]], "target.tail.y must be a number"),
+        (["time", "w"], [[0.1, 1]], "nothing called w; "),
+        (["time", "x", "target.tail.z"], [[0.1, 1, 1]], "nothing called target.tail.z; did you"),
+        (["time", "x"], [[0.1, 1]], "1 numbers cannot determine 1 parameters"),
+    ],
+)
+def test_what_is_no_recording_is_refused(cli, config, tmp_path, header, rows, words):
+    table = tmp_path / "data.csv"
+    write(table, header, rows)
+    code, _, complaint = cli("fit", config, table, "world.water.form_drag")
+    assert code == 2 and words in complaint
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["world.water.form_darg"], "did you mean world.water.form_drag"),
+        (["world.water.form_drag=much"], "'much' is not a number"),
+        (["initial.velocity.w"], "initial.velocity.w: does not exist; did you mean 'velocity."),
+        (["world.water.form_drag", "--noise", "place=1"], "--noise: place=1; give position="),
+        (["world.water.form_drag", "--noise", "angle=1"], "also give that of position"),
+    ],
+)
+def test_wrong_keys_and_options_are_refused(cli, config, tmp_path, arguments, words):
+    table = tmp_path / "data.csv"
+    write(table, ["time", "x"], [[0.1, 1], [0.2, 1], [0.3, 1]])
+    code, _, complaint = cli("fit", config, table, *arguments)
+    assert code == 2 and words in complaint

@@ -1,0 +1,41 @@
+"""`evo-cpg sensitivity` on a tiny run: its table and picture, and what it refuses."""
+
+import csv
+
+import pytest
+
+KEYS = ("world.water.form_drag", "world.water.current.0", "genes")
+
+
+@pytest.mark.slow
+def test_it_ranks_what_it_was_asked_for(finished_run, finish, tmp_path):
+    folder = tmp_path / "made"
+    arguments = ("--seconds", 1, "--out", folder)
+    code, out, err = finish("sensitivity", finished_run, *KEYS, *arguments)
+    assert code == 0, err
+    *_, table, picture = out.splitlines()
+    assert (table, picture) == (str(folder / "sensitivity.csv"), str(folder / "sensitivity.png"))
+    assert (folder / "sensitivity.png").stat().st_size > 10_000
+    with (folder / "sensitivity.csv").open() as file:
+        rows = {row["key"]: row for row in csv.DictReader(file)}
+    assert set(rows) == set(KEYS)
+    # What is 0 has no relative change, and stands last.
+    assert list(rows)[-1] == "world.water.current.0"
+    assert rows["world.water.current.0"]["relative"] == "0"
+    drag = rows["world.water.form_drag"]
+    assert drag["speed_confirmed"] == "1"
+    # Curvature leaves 1 % of the difference.
+    assert float(drag["speed_elasticity"]) == pytest.approx(float(drag["speed_found"]), rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["world.water.form_darg"], "did you mean world.water.form_drag"),
+        (["simulation.steps"], "is a whole number"),
+        (["--seconds", 99], "--seconds: 99; a trial"),
+    ],
+)
+def test_wrong_keys_and_times_are_refused(finished_run, cli, arguments, words):
+    code, _, complaint = cli("sensitivity", finished_run, *arguments)
+    assert code == 2 and words in complaint
