@@ -72,6 +72,14 @@ def resume(
 @app.command()
 def refine(
     run: Run,
+    keys: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[KEY]...",
+            help="Numbers of the configuration to refine with the genes, such as "
+            "controller.cpg.time_scale.",
+        ),
+    ] = None,
     rounds: Annotated[int, typer.Option(min=1, help="Rounds of climbing and choosing.")] = 5,
     steps: Annotated[int, typer.Option(min=1, help="Moves of each lane in a round.")] = 20,
     number: Number = None,
@@ -81,7 +89,7 @@ def refine(
     """Polish the champion of a run along the slope of its fitness."""
     from evo_cpg.cli.refine import refine_run
 
-    refine_run(run, rounds, steps, number, seed, cores)
+    refine_run(run, keys or [], rounds, steps, number, seed, cores)
 
 
 @app.command()

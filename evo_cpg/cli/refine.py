@@ -2,16 +2,18 @@
 
 import contextlib
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.training import champion_of, misfit, now, open_run, use_cores_of
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import dump_config
+from evo_cpg.config.parameters import parametrise
 from evo_cpg.training.run_folder import RunFolderError
 
 if TYPE_CHECKING:
@@ -19,7 +21,13 @@ if TYPE_CHECKING:
 
 
 def refine_run(
-    run: Path, rounds: int, steps: int, number: int | None, seed: int, cores: int | None
+    run: Path,
+    keys: Sequence[str],
+    rounds: int,
+    steps: int,
+    number: int | None,
+    seed: int,
+    cores: int | None,
 ) -> None:
     """`evo-cpg refine`."""
     use_cores_of(run, cores)
@@ -35,9 +43,21 @@ def refine_run(
         config = config.model_copy(update={"controller": controller})
         experiment = build_experiment(config, folder.config)
         print("the genes are graded from now on: bits have no slopes", file=sys.stderr)
+    parameters = parametrise(config, folder.config, keys) if keys else None
+    if keys and experiment.runs > 1:
+        raise UsageError(
+            f"{keys[0]}: {run} holds {experiment.runs} runs, whose champions share one "
+            "configuration; free numbers take a run of its own"
+        )
+    from evo_cpg.training.ascent import Free
     from evo_cpg.training.loop import replay_champion
     from evo_cpg.training.refine import Refinement, Round, compile_refinement
 
+    free = parameters and Free(
+        parameters.values,
+        parameters.simulation,
+        lambda values: build_experiment(parameters.config_at(values), folder.config),
+    )
     devices = folder.read_meta().get("devices", 1)
     rows: list[dict[str, float]] = []
 
@@ -45,7 +65,8 @@ def refine_run(
         if done.gain > 0:
             if not any(row["gain"] > 0 for row in rows):
                 folder.keep_champion()
-                folder.reopen(dump_config(config))
+            found = parameters.config_at(done.values) if parameters else config
+            folder.reopen(dump_config(found))
             folder.replace_champion(done.champion)
         rows.append(
             {
@@ -55,6 +76,7 @@ def refine_run(
                 "slopes": done.slopes,
                 "seconds": done.seconds,
                 **done.champion.terms,
+                **dict(zip(keys, done.values.tolist(), strict=True)),
             }
         )
         folder.write_table("refine.csv", rows)
@@ -63,7 +85,7 @@ def refine_run(
     try:
         with _progress(rounds, before) as show:
             refine = compile_refinement(
-                experiment, Refinement(rounds, steps, seed=seed), devices=devices
+                experiment, Refinement(rounds, steps, seed=seed), devices=devices, free=free
             )
             champion = refine(champion, lambda done: (keep(done), show(done))[1])
     except KeyboardInterrupt:
@@ -77,9 +99,12 @@ def refine_run(
         print(folder.path)
         return
     best, _, _ = folder.load_champion()
+    _, _, experiment = open_run(run)
     folder.save_champion(best, replay_champion(experiment, best, devices)[2])
     folder.update_meta(refined=now())
     terms = ", ".join(f"{name} {value:.3g}" for name, value in champion.terms.items())
+    for key, value in zip(keys, (rows[-1][key] for key in keys), strict=True):
+        print(f"{key}: {value:.6g}", file=sys.stderr)
     print(f"fitness {before:.4f} -> {champion.fitness:.4f} ({terms})", file=sys.stderr)
     print(folder.path)
 

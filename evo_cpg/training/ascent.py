@@ -132,20 +132,47 @@ def log_uniform(
     return np.exp(rng.uniform(np.log(low), np.log(high), count)).astype(np.float32)
 
 
-def compile_ascent(experiment: Experiment, mesh: Mesh, steps: int) -> Callable[..., Any]:
+class Free(NamedTuple):
+    """Numbers of an experiment that are refined together with the genes.
+
+    Attributes:
+        values: where they begin.
+        simulation: at other values, which may be traced.
+        experiment: built at other values.
+    """
+
+    values: Float[np.ndarray, " k"]
+    simulation: Callable[[Float[Array, " k"]], Simulation]
+    experiment: Callable[[Float[np.ndarray, " k"]], Experiment]
+
+    def at(self, shifts: Any) -> Any:
+        """The values after shifts, which are shares of them as long as they are small.
+
+        Positive values stay so; those that are not are shifted by shares of their size or of 1.
+        """
+        size = np.where(self.values, np.abs(self.values), 1.0)
+        positive = self.values > 0
+        factor = jnp.exp(jnp.where(positive, shifts, 0.0))
+        return jnp.where(positive, self.values * factor, self.values + size * shifts)
+
+
+def compile_ascent(
+    experiment: Experiment, mesh: Mesh, steps: int, free: Free | None = None
+) -> Callable[..., Any]:
     """So many steps uphill for any number of individuals, on the devices of the mesh.
 
     Args:
         experiment: in which they live.
         mesh: the devices.
         steps: moves of each individual.
+        free: numbers of the experiment whose shifts (see `Free.at`) stand behind the genes.
 
     Returns:
         A function of host arrays, compiled at its first call: of the genes, the ways, the task's
         yardsticks and, where there is noise, the keys of every individual's trials, individuals on
         the last axis. It gives the best genes that they came by, and their fitness.
     """
-    simulation = experiment.simulation
+    simulation, gene_count = experiment.simulation, experiment.simulation.controller.gene_count
     numbers: Any = situation_numbers(experiment)
 
     def fitness(
@@ -154,8 +181,10 @@ def compile_ascent(experiment: Experiment, mesh: Mesh, steps: int) -> Callable[.
         kept: Float[Array, ""],
         keys: UInt32[Array, "w trials"] | None,
     ) -> Float[Array, ""]:
-        crowd = jnp.broadcast_to(genes[:, None], (len(genes), experiment.trials))
-        outcome = rollout(simulation, crowd, keys, numbers, Backward(kept))
+        own, shifts = genes[:gene_count], genes[gene_count:]
+        crowd = jnp.broadcast_to(own[:, None], (gene_count, experiment.trials))
+        trial = free.simulation(free.at(shifts).astype(genes.dtype)) if free else simulation
+        outcome = rollout(trial, crowd, keys, numbers, Backward(kept))
         return judge(simulation.task, outcome, scales)[0]
 
     def climb(
@@ -196,7 +225,8 @@ def compile_ascent(experiment: Experiment, mesh: Mesh, steps: int) -> Callable[.
         best, value = run_in_blocks(program, spread, genes.shape[1], pick)
         genetics = experiment.genetics
         if isinstance(genetics, RealGenetics):
-            best = np.clip(best, -genetics.gene_bound, genetics.gene_bound)
+            bounded = np.clip(best[:gene_count], -genetics.gene_bound, genetics.gene_bound)
+            best = np.concatenate([bounded, best[gene_count:]])
         return best, value[0]
 
     return run

@@ -16,7 +16,7 @@ import numpy as np
 from jax.sharding import Mesh
 from jaxtyping import Float
 
-from evo_cpg.training.ascent import SHORTEST_HORIZON, compile_ascent, draw_ways, log_uniform
+from evo_cpg.training.ascent import SHORTEST_HORIZON, Free, compile_ascent, draw_ways, log_uniform
 from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.devices import LANES, chunk_width, fast_jit, population_mesh
 from evo_cpg.training.experiment import (
@@ -56,6 +56,7 @@ class Round(NamedTuple):
     Attributes:
         number: from 0.
         champion: the best so far.
+        values: of the free numbers that it lives with.
         gain: fitness that the round added.
         slopes: gradients that were taken.
         seconds: that it took.
@@ -63,9 +64,17 @@ class Round(NamedTuple):
 
     number: int
     champion: Champion
+    values: Float[np.ndarray, " k"]
     gain: float
     slopes: int
     seconds: float
+
+
+class _Parent(NamedTuple):
+    """An individual that lanes may set out from, and the shifts of the free numbers."""
+
+    champion: Champion
+    shifts: Float[np.ndarray, " k"]
 
 
 def compile_refinement(
@@ -73,6 +82,7 @@ def compile_refinement(
     settings: Refinement,
     mesh: Mesh | None = None,
     devices: int | None = None,
+    free: Free | None = None,
 ) -> Callable[..., Champion]:
     """Refining of any champion of an experiment.
 
@@ -81,6 +91,8 @@ def compile_refinement(
         settings: how long to go on.
         mesh: devices to use; None for all.
         devices: how many shared the population in training; None for as many.
+        free: numbers of the experiment that are refined as well. Along the way they are taken to
+            first order; what is chosen lives in an experiment that was built with them.
 
     Returns:
         A function of a champion and of what is called with the `Round` after every round; compiled
@@ -89,30 +101,44 @@ def compile_refinement(
     """
     mesh = mesh or population_mesh()
     lanes = settings.lanes or mesh.size * max(1, LANES // experiment.trials)
-    climb = compile_ascent(experiment, mesh, settings.steps)
-    evaluate = compile_evaluation(experiment, mesh, devices or mesh.size)
+    climb = compile_ascent(experiment, mesh, settings.steps, free)
+    devices = devices or mesh.size
+    evaluate = compile_evaluation(experiment, mesh, devices)
+    count = 0 if free is None else len(free.values)
+
+    def try_out(found: Float[np.ndarray, "p n"], champion: Champion) -> list[_Parent]:
+        if free is None:
+            return [_Parent(one, np.zeros(0, np.float32)) for one in evaluate(found, champion)]
+        # Each has a world of its own, which takes time to compile: the most promising alone.
+        genes, shifts = found[:-count, :1], found[-count:, 0]
+        rebuilt = free.experiment(np.asarray(free.at(shifts), float))
+        tried = compile_evaluation(rebuilt, mesh, devices)(genes, champion)
+        return [_Parent(one, shifts) for one in tried]
 
     def refine(
         champion: Champion, on_round: Callable[[Round], None] = lambda done: None
     ) -> Champion:
         keys = _keys_of(experiment, champion, lanes)
         scales = {name: np.full(lanes, x, np.float32) for name, x in champion.scales.items()}
-        parents = [champion]
+        parents = [_Parent(champion, np.zeros(count, np.float32))]
         for number in range(settings.rounds):
             start = time.perf_counter()
             rng = np.random.default_rng((settings.seed, number))
-            genes = _starts(parents, rng, lanes)
+            starts = _starts(parents, rng, lanes)
             ways = draw_ways(rng, experiment.simulation, lanes, SHORTEST_HORIZON * 2**number)
-            best, hoped = climb(genes, ways, scales, keys)
+            best, hoped = climb(starts, ways, scales, keys)
             chosen = np.argsort(-hoped)[: 2 * _PARENTS]
-            found = evaluate(best[:, chosen[np.isfinite(hoped[chosen])]], champion)
+            chosen = chosen[np.isfinite(hoped[chosen])]
+            found = try_out(best[:, chosen], champion) if len(chosen) else []
             # Among equals the earlier one stays.
-            ranked = sorted([*parents, *found], key=lambda one: -one.fitness)
-            gain = ranked[0].fitness - parents[0].fitness
+            ranked = sorted([*parents, *found], key=lambda one: -one.champion.fitness)
+            gain = ranked[0].champion.fitness - parents[0].champion.fitness
             parents = ranked[:_PARENTS]
+            values = np.asarray(free.at(parents[0].shifts), float) if free else np.zeros(0)
             seconds = time.perf_counter() - start
-            on_round(Round(number, parents[0], gain, lanes * (settings.steps + 1), seconds))
-        return parents[0]
+            slopes = lanes * (settings.steps + 1)
+            on_round(Round(number, parents[0].champion, values, gain, slopes, seconds))
+        return parents[0].champion
 
     return refine
 
@@ -137,8 +163,6 @@ def compile_evaluation(
 
     def evaluate(genes: Float[np.ndarray, "g n"], champion: Champion) -> list[Champion]:
         count, trials = genes.shape[1], experiment.trials
-        if not count:
-            return []
         keys, numbers = jax.tree.map(
             lambda x: np.tile(x, count),
             (_keys_of_trials(experiment, champion), situation_numbers(experiment)),
@@ -160,14 +184,16 @@ def compile_evaluation(
 
 
 def _starts(
-    parents: list[Champion], rng: np.random.Generator, count: int
-) -> Float[np.ndarray, "g n"]:
-    """Genomes that the lanes of a round set out from; the first is that of the best as it is."""
+    parents: list[_Parent], rng: np.random.Generator, count: int
+) -> Float[np.ndarray, "p n"]:
+    """Genes and shifts that the lanes of a round set out from; the first are the best's own."""
     # The better a parent, the more often.
     drawn = np.minimum(rng.exponential(1.0, count).astype(int), len(parents) - 1)
     kicked = rng.random(count) < _KICKED
     drawn[0], kicked[0] = 0, False
-    genes = np.stack([parents[i].genes for i in drawn], 1)
+    genes = np.stack(
+        [np.concatenate([parents[i].champion.genes, parents[i].shifts]) for i in drawn], 1
+    )
     kick = kicked * log_uniform(rng, *_KICKS, count)
     return (genes + kick * rng.standard_normal(genes.shape)).astype(np.float32)
 

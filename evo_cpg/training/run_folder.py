@@ -6,7 +6,8 @@
     checkpoints/     the last two generations; `resume` goes on from the newest
     champion.npz     genome, fitness and terms of the best individual ever evaluated, its motion;
                      of several runs the best, the champions of all are in the checkpoints
-    refine.csv       what `refine` gained, round by round; champion_before.npz is what it began with
+    refine.csv       what `refine` gained, round by round; champion_before.npz and
+                     config_before.yaml are what it began with
     videos/, plots/  what `render` and `plot` make
     probe.csv, .png  what `probe` finds
 
@@ -188,9 +189,10 @@ class RunFolder:
         _write(self.champion, lambda file: np.savez(file, **arrays))
 
     def keep_champion(self) -> None:
-        """Copy champion.npz to champion_before.npz."""
-        before = self.path / "champion_before.npz"
-        _write(before, lambda file: file.write(self.champion.read_bytes()))
+        """Copy champion.npz to champion_before.npz, and config.yaml to config_before.yaml."""
+        for own in (self.champion, self.config):
+            before = own.with_stem(f"{own.stem}_before")
+            _write(before, lambda file, own=own: file.write(own.read_bytes()))
 
     def replace_champion(self, champion: Champion) -> None:
         """Put a refined individual in the place of its run's champion.

@@ -5,6 +5,7 @@ import shutil
 
 import numpy as np
 import pytest
+import yaml
 
 from evo_cpg.training.run_folder import RunFolder
 from tiny_run import REPOSITORY
@@ -53,6 +54,34 @@ def test_evolution_goes_on_from_it(refined, finish, tmp_path):
     assert code == 0, err
     last = folder.history()["best"][-1]
     np.testing.assert_allclose(last, done.champion.fitness, rtol=1e-4)
+
+
+def test_numbers_of_the_configuration_are_refined_with_the_genes(finished_run, finish, tmp_path):
+    folder = RunFolder(shutil.copytree(finished_run, tmp_path / "run"))
+    keys = "controller.cpg.time_scale", "creature.bodies.1.shape.size.0"
+    before, first = yaml.safe_load(folder.config.read_text()), folder.load_champion()[0]
+    code, _, err = finish("refine", folder.path, *keys, *QUICK, "--cores", 2)
+    assert code == 0, err
+    after = yaml.safe_load(folder.config.read_text())
+    scales = [made["controller"]["cpg"].pop("time_scale") for made in (before, after)]
+    sizes = [made["creature"]["bodies"][1]["shape"]["size"] for made in (before, after)]
+    assert scales[0] != scales[1] and sizes[0][0] != sizes[1][0]
+    for key, value in zip(keys, (scales[1], sizes[1][0]), strict=True):
+        assert f"{key}: {value:.6g}" in err
+    # Nothing else of the configuration changed.
+    sizes[1][0] = sizes[0][0]
+    assert before == after
+    assert yaml.safe_load((folder.path / "config_before.yaml").read_text())["controller"]
+    assert folder.load_champion()[0].fitness > first.fitness
+    code, out, err = finish("verify", folder.path)
+    assert (code, err) == (0, "")
+    assert out.endswith("(exactly)\n")
+
+
+def test_an_unknown_number_is_named(finished_run, cli):
+    code, out, err = cli("refine", finished_run, "controller.cpg.time_scal")
+    assert (code, out) == (2, "")
+    assert "time_scal" in err and "time_scale" in err and "Traceback" not in err
 
 
 def test_what_is_no_run_is_refused(cli, tmp_path):
