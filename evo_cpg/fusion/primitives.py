@@ -37,8 +37,8 @@ class Program:
     constants: tuple[np.ndarray | None, ...]
     shared: int
 
-    def __call__(self, *arrays: jax.Array) -> list[jax.Array]:
-        """The results for one individual."""
+    def __call__(self, *arrays: jax.Array) -> list[Any]:
+        """The results for one individual; of NumPy where they are constants."""
         given = iter(arrays[: self.shared])
         consts = [next(given) if own is None else own for own in self.constants]
         return core.eval_jaxpr(self.jaxpr, consts, *arrays[self.shared :])
