@@ -42,6 +42,9 @@ from evo_cpg.training.experiment import Experiment, Learning
 # Random surface points are drawn from a quadrature this fine.
 _DENSE_RESOLUTION = 24
 
+# Elites that learn unless the configuration says how many: a full vector on one core.
+_LEARNERS = 16
+
 
 def build_experiment(
     config: ExperimentConfig,
@@ -84,13 +87,9 @@ def build_experiment(
             )
     learning = None
     if isinstance(genetics, RealEvolutionConfig) and genetics.learning:
-        if not getattr(config.controller, "graded", True):
-            raise ConfigError(
-                source,
-                ("evolution", "learning"),
-                "bits have no slopes to learn from; set controller.graded: true",
-            )
-        learning = Learning(**genetics.learning.model_dump())
+        given = genetics.learning
+        elites = given.elites or min(_LEARNERS, genetics.elites)
+        learning = Learning(given.every, elites, given.steps)
     situations = build_situations(config, creature, world, source)
     task = _build_task(config, creature, situations[0].light, source)
     require_light(config, task, source)

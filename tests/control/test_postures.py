@@ -53,6 +53,11 @@ def act_for(controller, genes, steps):
     return commands
 
 
+def degrees_of(controller, genes):
+    """Decoded angles in degrees, from whatever they are counted."""
+    return jnp.rad2deg(controller.decode(genes))
+
+
 def degrees(controller, genes):
     """Decoded angles as the thesis counts them."""
     return np.rad2deg(controller.decode(genes)) + controller.settings.neutral_angle
@@ -127,6 +132,25 @@ def test_half_counts_as_one(pendulum):
     for genes, angle in [([below, 0.5, 7.0], 170), ([-3.0, 0.3, 0.9], 130)]:
         found = degrees(controller, jnp.array(genes))
         np.testing.assert_allclose(found, [[angle]], rtol=0, atol=1e-12)
+
+
+def test_graded_genes_count_for_what_they_are(pendulum):
+    controller = pendulum(1 / 60, postures=1, graded=True)
+    # 110 degrees and 80, 40 and 20 more for each whole gene; nothing beyond 0 and 1.
+    for genes, angle in [([0.25, 0.5, 0.1], 152), ([2.0, -1.0, 1.0], 210), ([0.0, 0.0, 0.0], 110)]:
+        found = degrees(controller, jnp.array(genes))
+        np.testing.assert_allclose(found, [[angle]], rtol=0, atol=1e-5)
+    slope = jax.jacfwd(lambda genes: degrees_of(controller, genes))(jnp.array([0.3, 0.6, 0.2]))
+    np.testing.assert_allclose(slope.ravel(), [80, 40, 20], rtol=1e-5)
+
+
+def test_graded_or_not_bits_mean_the_same(grow):
+    build = [
+        build_posture_controller(grow(plan(LEGS)), PostureSettings(graded=graded), 1 / 60)
+        for graded in (False, True)
+    ]
+    genes = build[0].random_genes(jax.random.key(0), (20,), jnp.float32)
+    np.testing.assert_array_equal(*(np.asarray(one.decode(genes)) for one in build))
 
 
 @pytest.mark.parametrize(("postures", "bits"), [(1, 1), (3, 2), (5, 4)])

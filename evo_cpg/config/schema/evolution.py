@@ -15,12 +15,12 @@ class LearningConfig(Section):
 
     Attributes:
         every: so many generations.
-        elites: how many, the best first.
+        elites: how many, the best first; 16 if left out, or all where there are fewer.
         steps: moves of each.
     """
 
     every: Count = 5
-    elites: Count = 16
+    elites: Count | None = None
     steps: Count = 5
 
 
@@ -70,9 +70,10 @@ class RealEvolutionConfig(Section):
             raise ValueError(
                 f"elites: must be fewer than the population of {self.population}, got {self.elites}"
             )
-        if self.learning and self.learning.elites > self.elites:
+        if self.learning and not 1 <= (self.learning.elites or 1) <= self.elites:
             raise ValueError(
-                f"learning.elites: of {self.elites} elites {self.learning.elites} cannot learn"
+                f"learning.elites: at least one and at most all {self.elites} elites can learn, "
+                f"got {self.learning.elites or 1}"
             )
         return self
 

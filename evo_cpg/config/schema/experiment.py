@@ -49,10 +49,14 @@ class ExperimentConfig(Section):
                 f"{self.seed + self.runs - 1}"
             )
         wanted = {"postures": "bits", "brain_cpg": "real"}.get(self.controller.type)
+        if getattr(self.controller, "graded", False):
+            # Bits are numbers, too.
+            wanted = None
         if wanted not in (None, self.evolution.type):
             raise ValueError(
                 f"a controller of type {self.controller.type!r} has a genome of "
                 f"{'bits' if wanted == 'bits' else 'real numbers'}: set evolution.type to "
                 f"{wanted!r}, not {self.evolution.type!r}"
+                f"{', or controller.graded to true' if wanted == 'bits' else ''}"
             )
         return self

@@ -1,0 +1,45 @@
+"""Elites that learn, as a configuration asks for them."""
+
+from pathlib import Path
+
+import pytest
+
+from evo_cpg.config.build import build_experiment
+from evo_cpg.config.errors import ConfigError
+from evo_cpg.config.load import load_config
+from evo_cpg.training.experiment import Learning
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+SWIMMER, WALKER = CONFIGS / "iwadate2010_swimmer.yaml", CONFIGS / "fukui2003_model1.yaml"
+REAL = ("evolution={type: real, generations: 2, population: 6, elites: 2, learning: {every: 3}}",)
+
+
+def learning(path, *overrides):
+    return build_experiment(load_config(path, overrides), path).learning
+
+
+def test_nobody_learns_unless_asked_to():
+    assert learning(SWIMMER) is None
+    assert learning(SWIMMER, "evolution.learning.every=3") == Learning(3, 16, 5)
+    few = ("evolution.elites=4", "evolution.learning.steps=2")
+    assert learning(SWIMMER, *few) == Learning(5, 4, 2)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "words"),
+    [
+        (["evolution.learning.elites=21"], "at most all 20 elites can learn, got 21"),
+        (["evolution.learning.every=2", "evolution.elites=0"], "at least one"),
+        (["evolution.learning.stepps=2"], "steps"),
+        (["evolution.learning.every=0"], "every"),
+    ],
+)
+def test_what_cannot_be_is_refused(overrides, words):
+    with pytest.raises(ConfigError, match=words):
+        learning(SWIMMER, *overrides)
+
+
+def test_postures_learn_where_their_genes_are_graded():
+    with pytest.raises(ConfigError, match=r"or controller.graded to true"):
+        learning(WALKER, *REAL)
+    assert learning(WALKER, *REAL, "controller.graded=true") == Learning(3, 2, 5)
