@@ -125,6 +125,14 @@ def find_contacts(footing: Footing, kin: Kinematics, h: float) -> Contacts:
     return Contacts(arm, coasting, wanted, push, frame)
 
 
+def resting_stiffness(footing: Footing, h: float) -> Float[np.ndarray, " p"]:
+    """Normal force on a place that rests per depth, N/m: there ``v* = v_n + f_n / c`` lifts it.
+
+    It holds up to the depth from which the way out is no faster, ``5/2 h`` m/s.
+    """
+    return footing.stiffness * _PUSH_SHARE / h**2
+
+
 def first_law(gravity: ArrayLike, footing: Footing, contacts: Contacts, h: float) -> ContactLaw:
     """A guess: what lies on the ground stays and sticks there, what slides has no friction yet."""
     v = contacts.coasting

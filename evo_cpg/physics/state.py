@@ -34,8 +34,9 @@ def resting_state(
     dtype: jnp.dtype | type = jnp.float32,
     position: tuple[ArrayLike, ...] = (0.0, 0.0, 0.0),
     orientation: tuple[ArrayLike, ...] = (1.0, 0.0, 0.0, 0.0),
+    angles: tuple[ArrayLike, ...] | None = None,
 ) -> State:
-    """The neutral pose at rest.
+    """A pose at rest, the neutral one unless told otherwise.
 
     Args:
         tree: the creature.
@@ -43,6 +44,7 @@ def resting_state(
         dtype: floating-point type of every array.
         position: of the root, m.
         orientation: of the root, unit quaternion (w, x, y, z).
+        angles: of the joints, rad; None for the neutral pose.
     """
 
     def fill(values) -> Array:
@@ -50,4 +52,5 @@ def resting_state(
         return jnp.broadcast_to(jnp.asarray(column, dtype), (column.shape[0], *batch))
 
     still = np.zeros(tree.dof_count)
-    return State(fill(position), fill(orientation), fill(np.zeros(6)), fill(still), fill(still))
+    bent = still if angles is None else angles
+    return State(fill(position), fill(orientation), fill(np.zeros(6)), fill(bent), fill(still))

@@ -25,15 +25,21 @@ class Situation(NamedTuple):
         start_position: of the root's centre at the start, m.
         start_heading: by which it is turned about z at the start, rad.
         light: place of the light, m; None for where the task has it.
+        start_orientation: of the root at the start, unit quaternion (w, x, y, z); None for upright.
+        start_angles: of the joints at the start, rad; None for the neutral pose.
     """
 
     start_position: Vector = (0.0, 0.0, 0.0)
     start_heading: float = 0.0
     light: Vector | None = None
+    start_orientation: tuple[float, float, float, float] | None = None
+    start_angles: tuple[float, ...] | None = None
 
     @property
     def orientation(self) -> tuple[float, float, float, float]:
-        """Of the root at the start, quaternion (w, x, y, z): a turn about z alone."""
+        """Of the root at the start, quaternion (w, x, y, z): unless given, a turn about z alone."""
+        if self.start_orientation is not None:
+            return self.start_orientation
         half = self.start_heading / 2
         cosine, sine = cosine_sine(half)
         return cosine, 0.0, 0.0, sine
@@ -46,7 +52,7 @@ def starting_state(
     batch: tuple[int, ...],
     dtype: jnp.dtype,
 ) -> State:
-    """The neutral pose at rest, where each trial has it.
+    """The pose of each trial's start, at rest.
 
     Args:
         situations: of the trials.
@@ -56,16 +62,23 @@ def starting_state(
         dtype: floating-point type of every array.
     """
     first = situations[0]
-    state = resting_state(tree, batch, dtype, first.start_position, first.orientation)
+    state = resting_state(
+        tree, batch, dtype, first.start_position, first.orientation, first.start_angles
+    )
     if trial is None or len(situations) == 1:
         return state
+    angles = state.q
+    if any(situation.start_angles is not None for situation in situations):
+        neutral = (0.0,) * tree.dof_count
+        poses = [neutral if s.start_angles is None else s.start_angles for s in situations]
+        angles = _chosen(np.array(poses), trial, dtype)
     positions = array_of([situation.start_position for situation in situations])
     turns = array_of([situation.orientation for situation in situations])
     return State(
         _chosen(positions, trial, dtype),
         _chosen(turns, trial, dtype),
         state.velocity,
-        state.q,
+        angles,
         state.qd,
     )
 

@@ -1,0 +1,207 @@
+"""The forces on a creature that holds still, and how they change with its pose.
+
+A pose near another one is told by small coordinates x = (d, r, a): the way d of the root's centre
+(m), its turn by the rotation vector r (rad), both in world axes, and the change a of the joint
+angles (rad). The generalised forces belong to them by virtual work,
+
+    Q = (F, M, axis . M_outward + torque),
+
+the sums of forces F and of moments M about the root's centre, and for every joint axis that of the
+moments on all bodies beyond it: of weight, buoyancy, springs, motors that hold
+their joints at the neutral angle, and the ground. They vanish at an equilibrium, and -dQ/dx is
+its stiffness.
+
+The ground pushes as it does on what rests in a step of the simulation (`resting_stiffness`), so a
+pose found here is one in which that step finds no motion. Friction is that of Coulomb: a place
+that sticks is held by a spring of the same stiffness at the point where it touched down, up to the
+cone, beyond which it slides under a constant force.
+
+Differs from the simulation, whose friction is a velocity law: a place that carries the tangential
+force f creeps there at ``f / c`` (see `evo_cpg.physics.contact`), here it stays.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from evo_cpg.creature.tree import Tree
+from evo_cpg.physics.buoyancy import displacement
+from evo_cpg.physics.contact import resting_stiffness
+from evo_cpg.physics.footing import Footing, lowest_points
+from evo_cpg.physics.joints import clamp_torque, passive_torque, servo_torque
+from evo_cpg.physics.kinematics import Kinematics, kinematics, take
+from evo_cpg.physics.state import State
+from evo_cpg.physics.world import World, weight
+from evo_cpg.spatial.linear import cross, dot, lift, matvec, matvec_t
+from evo_cpg.spatial.rotation import integrate_quaternion
+
+
+# A place that slides less far than this keeps the direction of its friction, m.
+_LEAST_WAY = 1e-12
+
+
+class Grip(NamedTuple):
+    """What friction remembers of every place.
+
+    Attributes:
+        point: of the body, in its own axes, that is lowest at the base, m.
+        place: where that is then, in the world, m.
+        slip: by which it has left the point where it touched down, m; counts where it sticks.
+        held: 1 where it sticks, 0 where it slides.
+        drag: force of friction where it slides, N.
+    """
+
+    point: Float[Array, "3 p"]
+    place: Float[Array, "3 p"]
+    slip: Float[Array, "3 p"]
+    held: Float[Array, " p"]
+    drag: Float[Array, "3 p"]
+
+
+class Touch(NamedTuple):
+    """What goes on at every place in a pose.
+
+    Attributes:
+        point: of the body that is lowest there, as `Grip.point`.
+        place: where that is, m.
+        support: normal force, N.
+        slip: as `Grip.slip`, there.
+        way: tangential way from the base, m.
+    """
+
+    point: Float[Array, "3 p"]
+    place: Float[Array, "3 p"]
+    support: Float[Array, " p"]
+    slip: Float[Array, "3 p"]
+    way: Float[Array, "3 p"]
+
+
+def moved(base: State, x: Float[Array, " k"]) -> State:
+    """The pose with the coordinates x about another one."""
+    return State(
+        base.position + x[:3],
+        integrate_quaternion(base.orientation, x[3:6], 1.0),
+        base.velocity,
+        base.q + x[6:],
+        base.qd,
+    )
+
+
+def static_forces(
+    world: World, h: float, base: State, grip: Grip, x: Float[Array, " k"]
+) -> tuple[Float[Array, " k"], Touch]:
+    """Generalised forces on a creature that holds still.
+
+    Args:
+        world: the creature and its surroundings; flowing water does not count.
+        h: step of the simulation, which sets how far it sinks into the ground, s.
+        base: the pose that x is counted from.
+        grip: what friction remembers at the base.
+        x: coordinates of the pose, m and rad.
+
+    Returns:
+        Forces (N) and torques (N m), and what the ground does.
+    """
+    tree, state = world.tree, moved(base, x)
+    kin = kinematics(tree, state)
+    wrench = _weight(world, kin)
+    moment, force = matvec(kin.rotation, wrench[:3]), matvec(kin.rotation, wrench[3:])
+    touch = Touch(*grip[:2], grip.held, grip.slip, grip.slip)
+    if world.footing is not None:
+        force_on, touch = _ground(world.footing, h, kin, grip)
+        owner = np.array(world.footing.bodies)[:, None] == np.arange(tree.body_count)
+        owner = owner.astype(float)
+        arm = touch.place - take(kin.origin, np.array(world.footing.bodies))
+        moment, force = moment + cross(arm, force_on) @ owner, force + force_on @ owner
+    # Moments about the world's origin add up over the bodies that a joint carries.
+    about = moment + cross(kin.origin, force)
+    carried = _carried(tree)
+    joint = take(kin.origin, np.array(tree.dof_bodies, int))
+    on_joints = dot(kin.axes, about @ carried - cross(joint, force @ carried))
+    total, whole = force.sum(1), about.sum(1)
+    root = whole - cross(state.position, total)
+    return jnp.concatenate([total, root, on_joints + joint_torque(tree, state.q)]), touch
+
+
+def _carried(tree: Tree) -> Float[np.ndarray, "b d"]:
+    """1 where a body hangs on a degree of freedom."""
+    chains = np.eye(tree.body_count)
+    for i in range(1, tree.body_count):
+        chains[i] += chains[tree.parents[i]]
+    return chains[:, list(tree.dof_bodies)]
+
+
+def next_grip(footing: Footing, h: float, grip: Grip, touch: Touch) -> Grip:
+    """What friction remembers after a way: Coulomb's law with static friction alone.
+
+    A place that friction cannot hold slides, and one that turns back sticks again.
+
+    Args:
+        footing: the places.
+        h: step of the simulation, s.
+        grip: before.
+        touch: what the ground does at the end of the way.
+    """
+    stiffness = lift(resting_stiffness(footing, h), grip.held)
+    limit = lift(footing.static_friction, grip.held) * touch.support
+    pull = -stiffness[None] * touch.slip
+    size = jnp.sqrt(dot(pull, pull))
+    sticks = grip.held > 0
+    over = sticks & (size > limit)
+    back = ~sticks & (dot(touch.way, grip.drag) >= 0)
+    # Against the way, if there is any to speak of.
+    length = jnp.sqrt(dot(touch.way, touch.way))
+    onward = ~sticks & ~back & (length > _LEAST_WAY)
+    along = jnp.where(onward[None], -touch.way, jnp.where(sticks[None], pull, grip.drag))
+    norm = jnp.sqrt(dot(along, along))
+    drag = (limit / jnp.where(norm > 0, norm, 1.0))[None] * along
+    held = ((sticks & ~over) | back) & (touch.support > 0) | (touch.support <= 0)
+    slip = jnp.where((sticks & ~over)[None], touch.slip, -drag / stiffness[None])
+    slip = jnp.where(touch.support[None] > 0, slip, 0.0)
+    drag = jnp.where(held[None], 0.0, drag)
+    return Grip(touch.point, touch.place, slip, held.astype(slip.dtype), drag)
+
+
+def joint_torque(tree: Tree, q: Float[Array, " d"]) -> Float[Array, " d"]:
+    """Of springs, soft limits and motors that hold the neutral angle, at rest, N m."""
+    zero = jnp.zeros_like(q)
+    state = State(jnp.zeros(3), jnp.array([1.0, 0.0, 0.0, 0.0]), jnp.zeros(6), q, zero)
+    return passive_torque(tree, state, 0.0)[0] + clamp_torque(
+        tree, servo_torque(tree, state, zero, None, 0.0)
+    )
+
+
+def _weight(world: World, kin: Kinematics) -> Float[Array, "6 b"]:
+    """With buoyancy, in body axes."""
+    water = world.water
+    if water is None or water.surface is None:
+        return weight(world, kin)
+    pose = jnp.concatenate([kin.rotation[2], (kin.origin[2] - water.surface)[None]])
+    return weight(world, kin, displacement(world.cells, pose))
+
+
+def _ground(
+    footing: Footing, h: float, kin: Kinematics, grip: Grip
+) -> tuple[Float[Array, "3 p"], Touch]:
+    """Force on every place, N, and what the ground does."""
+    bodies = np.array(footing.bodies)
+    stiffness = lift(resting_stiffness(footing, h), grip.held)
+    arm, _, gap, normal = lowest_points(footing, kin)
+    point, place = _on_body(footing, kin, arm)
+    support = stiffness * jnp.maximum(-gap, 0.0)
+    way = take(kin.origin, bodies) + matvec(take(kin.rotation, bodies, 2), grip.point) - grip.place
+    way = way - dot(way, normal)[None] * normal
+    slip = grip.slip + way
+    friction = jnp.where(grip.held[None] > 0, -stiffness[None] * slip, grip.drag)
+    push = support[None] * normal + jnp.where(support[None] > 0, friction, 0.0)
+    return push, Touch(point, place, support, slip, way)
+
+
+def _on_body(
+    footing: Footing, kin: Kinematics, arm: Float[Array, "3 p"]
+) -> tuple[Float[Array, "3 p"], Float[Array, "3 p"]]:
+    """Points at the end of arms: in their body's axes, and in the world."""
+    bodies = np.array(footing.bodies)
+    return matvec_t(take(kin.rotation, bodies, 2), arm), take(kin.origin, bodies) + arm

@@ -1,0 +1,350 @@
+"""The pose in which a creature rests: all forces on it vanish, and small pushes die away.
+
+From the pose that it is given the creature goes downhill in its potential energy, as one would that
+moves so slowly that its inertia does not matter, and whose feet do not slip while friction can hold
+them. Each step is Newton's with the absolute values of the eigenvalues of the stiffness, so that it
+goes down where the energy is curved downwards, too, and is halved until the energy has not begun to
+rise again. `optimistix.fixed_point`, with the stiffness found
+last, makes the last digits exact (the chord method). Where the stiffness has a negative
+eigenvalue what was found is a saddle, such as a log of square section that floats on a flat
+side: it is tipped a little that way, and goes on.
+
+Motors hold the neutral angle. Those with a spring, and passive joints, give way under the load;
+a motor without a spring would hold any angle, so its joint is kept where it is.
+
+All is done in float64, and nothing of that is left behind.
+"""
+
+import dataclasses
+import functools
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix
+from jaxtyping import Array, Float
+
+from evo_cpg.creature.tree import Tree
+from evo_cpg.physics.state import State, resting_state
+from evo_cpg.physics.statics import Grip, Touch, moved, next_grip, static_forces
+from evo_cpg.physics.world import World
+from evo_cpg.simulation.situation import Situation
+from evo_cpg.spatial.rotation import integrate_quaternion, quaternion_to_matrix
+
+# Steps downhill, and saddles that are left, before it is given up.
+_STEPS, _SADDLES = 1000, 8
+
+# Tries to find how far a step goes, and steps that make the last digits exact.
+_HALVINGS, _CHORDS = 60, 100
+
+# Times that the root is looked for anew because a foot has begun or ceased to slide.
+_ROUNDS = 20
+
+# Farthest step: of the root over ground and without, in radii of gyration; of angles, rad.
+_FARTHEST_ON_GROUND, _FARTHEST, _LARGEST_TURN = 0.1, 10.0, 0.2
+
+# Forces in units of the weight at which the search hands over, and which the root may leave.
+_NEARLY, _EXACT = 1e-6, 1e-9
+
+# Stiffnesses in units of weight over radius of gyration: a smaller one counts as none in a step,
+# and a direction that is softer than minus the second one is unstable (it would double in a
+# minute, for an animal of a metre).
+_SOFTEST, _UNSTABLE = 1e-6, 1e-4
+
+# By which it is tipped at a saddle, rad.
+_KICK = 0.02
+
+# Of the root at most, rad: beyond it, an animal has fallen over and not settled.
+_LARGEST_TILT = np.deg2rad(60.0)
+
+
+# What is compiled runs for a fraction of a second, so compiling is what takes the time.
+_quick_jit = functools.partial(
+    jax.jit,
+    compiler_options={
+        "xla_backend_optimization_level": 0,
+        "xla_cpu_experimental_ynn_fusion_type": "",
+        "xla_cpu_use_fusion_emitters": False,
+    },
+)
+
+
+class NoRestError(ValueError):
+    """The creature does not come to rest."""
+
+
+class Rest(NamedTuple):
+    """A pose at rest.
+
+    Attributes:
+        state: the pose, in float64.
+        support: normal force of the ground on every place of the footing, N.
+        stiffness: eigenvalues of the stiffness in units of weight over radius of gyration, the
+            smallest first; angles count by the radius of gyration.
+    """
+
+    state: State
+    support: Float[np.ndarray, " p"]
+    stiffness: Float[np.ndarray, " k"]
+
+
+class _Here(NamedTuple):
+    """What holds in a pose.
+
+    Attributes:
+        force: on the coordinates that are searched, in units of the weight.
+        total: on all, N and N m.
+        touch: what the ground does.
+        stiffness: the slope of ``force``, symmetric.
+    """
+
+    force: np.ndarray
+    total: np.ndarray
+    touch: Touch
+    stiffness: np.ndarray
+
+
+class Settling:
+    """Finds the rest of one creature in one world; what it compiles serves all its starts.
+
+    Args:
+        world: the creature and its surroundings.
+        h: step of the simulation, s.
+
+    Raises:
+        NoRestError: nothing can carry the creature, wherever it starts.
+    """
+
+    def __init__(self, world: World, h: float):
+        _require_support(world)
+        tree = world.tree
+        self.world, self.h = world, h
+        # Coordinates are scaled to lengths, forces to the creature's weight.
+        self.free = np.flatnonzero(np.concatenate([np.ones(6, bool), _gives_way(tree)]))
+        self.size = _radius_of_gyration(tree)
+        # Without gravity nothing acts but springs that are at rest already.
+        self.weight = float(tree.mass.sum() * abs(world.gravity)) or 1.0
+        self.scale = np.where(self.free < 3, self.size, 1.0)
+        self.farthest = _FARTHEST if world.footing is None else _FARTHEST_ON_GROUND
+        length, moment, free, count = self.scale, self.weight * self.size, self.free, tree.dof_count
+
+        def pose(y: Array) -> Array:
+            return jnp.zeros(6 + count).at[free].set(length * y)
+
+        @jax.jit
+        def force(y: Array, base: State, grip: Grip) -> tuple[Array, tuple[Array, Touch]]:
+            total, touch = static_forces(world, h, base, grip, pose(y))
+            scaled = total[free] * length / moment
+            return scaled, (scaled, total, touch)
+
+        def go(y: Array, base: State, grip: Grip, touch: Touch) -> tuple[State, Grip]:
+            if world.footing is not None:
+                grip = next_grip(world.footing, h, grip, touch)
+            return moved(base, pose(y)), grip
+
+        def chord(base: State, grip: Grip, give: Array) -> Array:
+            return optimistix.fixed_point(
+                lambda y, _: y + give @ force(y, base, grip)[0],
+                optimistix.FixedPointIteration(rtol=1e-13, atol=1e-13),
+                jnp.zeros(len(free)),
+                max_steps=_CHORDS,
+                throw=False,
+            ).value
+
+        self._look = _quick_jit(jax.jacfwd(force, has_aux=True))
+        self._go = _quick_jit(go)
+        self._chord = _quick_jit(chord)
+
+    def settle(self, situation: Situation) -> Situation:
+        """The same situation with the pose in which the creature rests.
+
+        Place and heading are kept, but for what an animal on uneven ground gives way.
+
+        Args:
+            situation: where it starts.
+
+        Raises:
+            NoRestError: it does not come to rest, or not as it stands.
+        """
+        with jax.enable_x64(True):
+            start = resting_state(
+                self.world.tree, (), jnp.float64, situation.start_position, situation.orientation
+            )
+            found = self.rest(start).state
+            x, y, z = (float(value) for value in found.position)
+            w, *others = (float(value) for value in found.orientation)
+            return situation._replace(
+                start_position=(x, y, z),
+                start_orientation=(w, *others),
+                start_angles=tuple(float(angle) for angle in found.q),
+            )
+
+    def rest(self, start: State) -> Rest:
+        """Where the creature comes to rest when it is let down slowly; under float64.
+
+        Args:
+            start: the pose that it begins with.
+
+        Raises:
+            NoRestError: it does not come to rest, or not as it stands.
+        """
+        state, grip = start, self._first_grip(start)
+        for _ in range(_SADDLES):
+            state, grip = self._root(state, grip)
+            here = self._at(np.zeros(len(self.free)), state, grip)
+            values, ways = np.linalg.eigh(here.stiffness)
+            if values[0] > -_UNSTABLE:
+                break
+            way = ways[:, 0] * np.sign(ways[np.abs(ways[:, 0]).argmax(), 0])
+            state, grip = self._move(_KICK * way, state, grip)
+        else:
+            raise NoRestError(f"it is balanced {_SADDLES} times, but never in a stable pose")
+        self._require_hold(here.total)
+        state = _put_back(self.world, start, state)
+        tilt = _tilt(start, state)
+        if tilt > _LARGEST_TILT:
+            raise NoRestError(
+                f"it falls over: it would come to rest turned by {np.rad2deg(tilt):.0f} degrees"
+            )
+        return Rest(state, np.asarray(here.touch.support), values)
+
+    def _at(self, y: np.ndarray, state: State, grip: Grip) -> _Here:
+        """All about the pose with the coordinates y."""
+        slope, (force, total, touch) = self._look(jnp.asarray(y), state, grip)
+        slope = np.asarray(slope)
+        return _Here(np.asarray(force), np.asarray(total), touch, -(slope + slope.T) / 2)
+
+    def _first_grip(self, start: State) -> Grip:
+        """Of an animal none of whose places has touched anything yet."""
+        places = 0 if self.world.footing is None else len(self.world.footing.bodies)
+        none, nothing = jnp.zeros((3, places)), jnp.zeros(places)
+        touch = self._at(
+            np.zeros(len(self.free)), start, Grip(none, none, none, nothing, none)
+        ).touch
+        return Grip(touch.point, touch.place, none, jnp.ones(places), none)
+
+    def _move(self, y: np.ndarray, state: State, grip: Grip) -> tuple[State, Grip]:
+        """The pose with the coordinates y, and what friction remembers there."""
+        return self._go(jnp.asarray(y), state, grip, self._at(y, state, grip).touch)
+
+    def _root(self, state: State, grip: Grip) -> tuple[State, Grip]:
+        """A pose without forces, downhill."""
+        for _ in range(_ROUNDS):
+            state, grip = self._polish(*self._descend(state, grip))
+            here = self._at(np.zeros(len(self.free)), state, grip)
+            if np.abs(here.force).max() < _EXACT:
+                return state, grip
+        raise NoRestError("its feet keep sliding: the forces do not come to balance")
+
+    def _descend(self, state: State, grip: Grip) -> tuple[State, Grip]:
+        """Downhill until hardly any force is left."""
+        for _ in range(_STEPS):
+            here = self._at(np.zeros(len(self.free)), state, grip)
+            if not np.isfinite(here.force).all():
+                break
+            if np.abs(here.force).max() < _NEARLY:
+                return state, grip
+            values, ways = np.linalg.eigh(here.stiffness)
+            y = ways @ ((ways.T @ here.force) / np.maximum(np.abs(values), _SOFTEST))
+            far = np.abs(y) / np.where(self.free < 3, self.farthest, _LARGEST_TURN)
+            y = y / max(1.0, far.max())
+            y = y * self._share(y, here, state, grip)
+            state, grip = self._move(y, state, grip)
+        raise NoRestError(f"it slides, rolls or drifts away: no rest within {_STEPS} steps")
+
+    def _share(self, y: np.ndarray, here: _Here, state: State, grip: Grip) -> float:
+        """Of a step, at which the energy changes at most half as steeply as at first."""
+        low, high, share, steepest = 0.0, 1.0, 1.0, 0.5 * float(here.force @ y)
+        for _ in range(_HALVINGS):
+            ahead = float(self._at(share * y, state, grip).force @ y)
+            if ahead < -steepest:
+                high = share
+            elif ahead > steepest and share < 1.0:
+                low = share
+            else:
+                break
+            share = (low + high) / 2
+        return share
+
+    def _polish(self, state: State, grip: Grip) -> tuple[State, Grip]:
+        """The root near by, as exactly as the numbers allow."""
+        stiffness = self._at(np.zeros(len(self.free)), state, grip).stiffness
+        values, ways = np.linalg.eigh(stiffness)
+        values = np.where(values < 0, -1.0, 1.0) * np.maximum(np.abs(values), _SOFTEST)
+        y = self._chord(state, grip, jnp.asarray((ways / values) @ ways.T))
+        return self._move(np.asarray(y), state, grip)
+
+    def _require_hold(self, total: np.ndarray) -> None:
+        """Check that motors without a spring can hold their joints."""
+        tree = self.world.tree
+        torque = np.abs(total[6:])
+        for i in np.flatnonzero(~_gives_way(tree) & (torque > tree.torque_limit)):
+            raise NoRestError(
+                f"the motor of {tree.dof_names[i]} would have to hold {torque[i]:.3g} N m, and its "
+                f"torque_limit is {tree.torque_limit[i]:.3g} N m"
+            )
+
+
+def _gives_way(tree: Tree) -> np.ndarray:
+    """Degrees of freedom that have an angle of rest under a load."""
+    return (tree.stiffness > 0) | (tree.servo_stiffness > 0) | (tree.servo_gain == 0)
+
+
+def _require_support(world: World) -> None:
+    """Check that something can carry the creature.
+
+    Raises:
+        NoRestError: nothing can.
+    """
+    tree, water = world.tree, world.water
+    if not world.gravity:
+        return
+    if water is None:
+        if world.footing is None:
+            raise NoRestError("it falls: there is neither ground nor water to carry it")
+        return
+    own, displaced = float(tree.mass.sum()), water.density * float(tree.volume.sum())
+    weights = f"its mass is {own:.5g} kg, and it displaces {displaced:.5g} kg of water at most"
+    if own > displaced and world.footing is None:
+        raise NoRestError(f"it sinks: {weights}, with no ground below")
+    if own < displaced and water.surface is None:
+        raise NoRestError(f"it rises for ever: {weights}, which has no surface")
+
+
+def _radius_of_gyration(tree: Tree) -> float:
+    """About the root's centre in the neutral pose, m."""
+    origins, turns, squares = [np.zeros(3)], [np.eye(3)], []
+    for i, parent in enumerate(tree.parents):
+        if parent >= 0:
+            origins.append(origins[parent] + turns[parent] @ tree.joint_offset[:, i])
+            turns.append(turns[parent] @ tree.joint_orientation[:, :, i])
+        centre = origins[i] + turns[i] @ tree.com[:, i]
+        own = np.trace(tree.inertia[:3, :3, i]) / 2 - tree.mass[i] * tree.com[:, i] @ tree.com[:, i]
+        squares.append(own + tree.mass[i] * centre @ centre)
+    return float(np.sqrt(np.sum(squares) / tree.mass.sum()))
+
+
+def _put_back(world: World, start: State, state: State) -> State:
+    """To the place and heading of the start, where the ground is the same everywhere."""
+    if world.ground is not None and world.ground.level is None:
+        return state
+    turn = _heading(start) - _heading(state)
+    about_z = jnp.array([0.0, 0.0, turn])
+    return dataclasses.replace(
+        state,
+        position=state.position.at[:2].set(start.position[:2]),
+        orientation=integrate_quaternion(state.orientation, about_z, 1.0),
+    )
+
+
+def _heading(state: State) -> float:
+    """Of the root's x axis, rad."""
+    ahead = np.asarray(quaternion_to_matrix(state.orientation))[:, 0]
+    return float(np.arctan2(ahead[1], ahead[0]))
+
+
+def _tilt(start: State, state: State) -> float:
+    """By which what was up at the start has turned away from it, rad."""
+    before, after = (np.asarray(quaternion_to_matrix(s.orientation)) for s in (start, state))
+    return float(np.arccos(np.clip((after @ before.T)[2, 2], -1.0, 1.0)))
