@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+from collections.abc import Callable
 from pathlib import Path
 
 import jax
@@ -19,6 +20,7 @@ from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import resting_state
 from evo_cpg.physics.terrain import Plane, nearest
 from evo_cpg.physics.world import World
+from evo_cpg.simulation.settle import NoRestError, Settling
 from evo_cpg.simulation.situation import Situation
 from evo_cpg.simulation.task import Task
 from evo_cpg.spatial.rotation import euler_to_matrix
@@ -36,12 +38,15 @@ def build_situations(
     """The situations of the trials, or the one that all trials have.
 
     Raises:
-        ConfigError: there is no place to stand, or a light that cannot be reached.
+        ConfigError: there is no place to stand or no rest, or a light that cannot be reached.
     """
     settings = config.simulation
     task = config.task
     common = task.light if isinstance(task, ReachLightConfig) else None
     place = functools.cache(functools.partial(_start_height, creature, world))
+    settling = functools.cache(
+        lambda: Settling(world, 1.0 / (settings.control_rate_hz * settings.substeps))
+    )
     situations = []
     entries = settings.trials if isinstance(settings.trials, list) else [SituationConfig()]
     for i, entry in enumerate(entries):
@@ -56,7 +61,10 @@ def build_situations(
                 ("simulation", "start") if entry.start is None else (*key, "start"),
                 f"no place to stand at ({x:g}, {y:g}); is it in an obstacle?",
             )
-        start, light = (x, y, height), common
+        begin = Situation((x, y, height), heading)
+        if settings.start_pose == "settled":
+            begin = _settled(settling, begin, source)
+        start, light = begin.start_position, common
         if entry.light is not None:
             light = entry.light.over(common or DEFAULT_LIGHT)
         goal = light and light.position(start, heading)
@@ -64,8 +72,30 @@ def build_situations(
         if problem:
             own = entry.light is not None
             raise ConfigError(source, (*key, "light") if own else ("task", "light"), problem)
-        situations.append(Situation(start, heading, goal))
+        situations.append(begin._replace(light=goal))
     return tuple(situations)
+
+
+def _settled(
+    settling: Callable[[], Settling],
+    situation: Situation,
+    source: Path | str,
+) -> Situation:
+    """The situation with the creature at rest.
+
+    Raises:
+        ConfigError: it does not come to rest.
+    """
+    try:
+        return settling().settle(situation)
+    except NoRestError as error:
+        x, y, _ = situation.start_position
+        raise ConfigError(
+            source,
+            ("simulation", "start_pose"),
+            f"'settled': no rest from the start at ({x:g}, {y:g}), {error}; "
+            "'neutral' starts in the neutral pose",
+        ) from None
 
 
 def require_light(config: ExperimentConfig, task: Task, source: Path | str) -> None:

@@ -37,7 +37,6 @@ from evo_cpg.physics.world import World, weight
 from evo_cpg.spatial.linear import cross, dot, lift, matvec, matvec_t
 from evo_cpg.spatial.rotation import integrate_quaternion
 
-
 # A place that slides less far than this keeps the direction of its friction, m.
 _LEAST_WAY = 1e-12
 

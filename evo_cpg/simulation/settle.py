@@ -133,7 +133,7 @@ class Settling:
             return jnp.zeros(6 + count).at[free].set(length * y)
 
         @jax.jit
-        def force(y: Array, base: State, grip: Grip) -> tuple[Array, tuple[Array, Touch]]:
+        def force(y: Array, base: State, grip: Grip) -> tuple[Array, tuple[Array, Array, Touch]]:
             total, touch = static_forces(world, h, base, grip, pose(y))
             scaled = total[free] * length / moment
             return scaled, (scaled, total, touch)
@@ -246,7 +246,9 @@ class Settling:
             if np.abs(here.force).max() < _NEARLY:
                 return state, grip
             values, ways = np.linalg.eigh(here.stiffness)
-            y = ways @ ((ways.T @ here.force) / np.maximum(np.abs(values), _SOFTEST))
+            # What is soft follows the force, no farther than the size of the creature.
+            stiff = np.maximum(np.abs(values), np.abs(here.force).max())
+            y = ways @ ((ways.T @ here.force) / stiff)
             far = np.abs(y) / np.where(self.free < 3, self.farthest, _LARGEST_TURN)
             y = y / max(1.0, far.max())
             y = y * self._share(y, here, state, grip)
@@ -305,7 +307,9 @@ def _require_support(world: World) -> None:
             raise NoRestError("it falls: there is neither ground nor water to carry it")
         return
     own, displaced = float(tree.mass.sum()), water.density * float(tree.volume.sum())
-    weights = f"its mass is {own:.5g} kg, and it displaces {displaced:.5g} kg of water at most"
+    if abs(own - displaced) < _EXACT * own:
+        return
+    weights = f"its mass is {own:.6g} kg, and it displaces {displaced:.6g} kg of water at most"
     if own > displaced and world.footing is None:
         raise NoRestError(f"it sinks: {weights}, with no ground below")
     if own < displaced and water.surface is None:

@@ -121,12 +121,39 @@ def test_a_task_of_ones_own_keeps_its_light_unless_an_entry_moves_it(tmp_path, m
     assert simulation.lights == ((1.0, 2.0, 3.0), (8.0, 0.0, 0.0))
 
 
+SURFACE = ("world.water.surface=1", "world.water.density=1250")
+
+
+def test_a_settled_start_floats_at_the_surface_with_place_heading_and_light():
+    """Every situation by itself; Archimedes: two level boxes as deep as their density's share."""
+    trials = "[{}, {start: [2, 1], start_heading_deg: 90}]"
+    neutral = situations(trials, *SURFACE)
+    assert {situation.start_orientation for situation in neutral} == {None}
+    afloat = situations(trials, "simulation.start_pose=settled", *SURFACE)
+    for found, given in zip(afloat, neutral, strict=True):
+        assert found.start_position[:2] == pytest.approx(given.start_position[:2], abs=1e-9)
+        assert found.start_position[2] > 0.9
+        w, _, _, z = found.orientation
+        assert 2 * np.arctan2(z, w) == pytest.approx(given.start_heading, abs=1e-6)
+        assert found.light is not None and given.light is not None
+        rise = found.start_position[2] - given.start_position[2]
+        assert found.light[2] - given.light[2] == pytest.approx(rise)
+
+
 STONE = "world.ground.obstacles=[{type: block, centre: [4, 0, 0], size: [2, 2, 2000]}]"
 
 
 @pytest.mark.parametrize(
     ("overrides", "words"),
     [
+        (
+            ["simulation.start_pose=setled"],
+            "simulation.start_pose: 'setled': input should be 'neutral' or 'settled'",
+        ),
+        (
+            ["simulation.start_pose=settled", "world.water.surface=0", "world.water.density=900"],
+            "simulation.start_pose: 'settled': no rest from the start at (0, 0), it sinks: its mass",
+        ),
         (["simulation.trials=[]"], "simulation.trials: []: list should have at least 1 item"),
         (["simulation.trials={}"], "simulation.trials: must be a number, or a list of situations"),
         (["simulation.trials=[3]"], "simulation.trials.0: 3: input should be a valid dictionary"),

@@ -1,6 +1,6 @@
 """How long a trial takes, in which steps, and what is left to chance in it."""
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag, field_validator
 
@@ -52,6 +52,7 @@ class SimulationConfig(Section):
         start: x and y of the root's centre at the start, m.
         start_heading_deg: by which it is turned to the left at the start, degrees.
         start_clearance: of the creature above the ground at the start, m.
+        start_pose: ``neutral``, or ``settled``: as it comes to rest when let down from there.
         trials: of every individual, over which its fitness is averaged: how many, which without
             noise is one, or a list of situations.
     """
@@ -62,6 +63,7 @@ class SimulationConfig(Section):
     start: tuple[Finite, Finite] = (0.0, 0.0)
     start_heading_deg: Finite = 0.0
     start_clearance: NotNegative = 0.0
+    start_pose: Literal["neutral", "settled"] = "neutral"
     trials: TrialsConfig = 1
 
     @field_validator("trials", mode="before")

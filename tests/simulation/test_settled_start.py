@@ -1,0 +1,221 @@
+"""A creature that is let down rests where Archimedes, Coulomb and Newton have it."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.optimize import brentq
+
+from creatures import AXES, coast, in_water
+from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, Material
+from evo_cpg.creature.shapes import Box, Capsule, Sphere
+from evo_cpg.creature.tree import build_tree
+from evo_cpg.physics.footing import Ground, make_footing
+from evo_cpg.physics.state import resting_state
+from evo_cpg.physics.terrain import Plane
+from evo_cpg.physics.world import World
+from evo_cpg.simulation.settle import NoRestError, Settling
+from evo_cpg.simulation.situation import Situation
+from evo_cpg.spatial.rotation import quaternion_to_matrix
+
+H = 1 / 240
+
+
+@pytest.fixture(autouse=True)
+def double_precision():
+    with jax.enable_x64(True):
+        yield
+
+
+def alone(shape, density: float) -> Creature:
+    material = Material(density, static_friction=0.5, dynamic_friction=0.5)
+    return Creature("alone", (Body("body", shape, material),))
+
+
+def on_ground(creature: Creature, floor=None) -> World:
+    tree = build_tree(creature)
+    ground = Ground(static_friction=0.5, dynamic_friction=0.5, floor=floor or Plane())
+    return World(tree, 9.81, footing=make_footing(creature, tree, ground))
+
+
+def turn(situation: Situation) -> np.ndarray:
+    return np.asarray(quaternion_to_matrix(jnp.array(situation.orientation)))
+
+
+def settled(world: World, *start, **more) -> Situation:
+    return Settling(world, H).settle(Situation(*start, **more))
+
+
+def draught(area, reach: float, share: float) -> float:
+    """Height of the centre of a body above the surface, from its level slices."""
+    whole = quad(area, -reach, reach)[0]
+    return -brentq(lambda z: quad(area, -reach, z)[0] - share * whole, -reach, reach)
+
+
+def capsule_slice(z: float) -> float:
+    width = np.sqrt(max(0.1**2 - z**2, 0.0))
+    return np.pi * width**2 + 2 * width * 0.3
+
+
+@pytest.mark.parametrize(
+    ("shape", "area", "reach"),
+    [
+        (Box((0.8, 0.6, 0.1)), lambda z: 1.0, 0.05),
+        (Sphere(0.2), lambda z: 0.2**2 - z**2, 0.2),
+    ],
+)
+@pytest.mark.parametrize("share", [0.5, 0.8])
+def test_bodies_float_at_their_draught(shape, area, reach, share):
+    """From above the surface, tilted by nothing, and with place and heading kept."""
+    world = in_water(alone(shape, 1000 * share), surface=0.2)
+    found = settled(world, (1.0, 2.0, 0.5), 0.7)
+    expected = 0.2 + draught(area, reach, share)
+    assert found.start_position == pytest.approx((1.0, 2.0, expected), abs=1e-7)
+    np.testing.assert_allclose(turn(found)[:2, 0], [np.cos(0.7), np.sin(0.7)], atol=1e-7)
+
+
+def test_a_capsule_floats_at_its_draught_but_for_its_discs():
+    """Buoyancy takes a disc's level slices to 0.004 of its area (`buoyancy`)."""
+    world = in_water(alone(Capsule(0.1, 0.3), 700.0), surface=0.0)
+    found = settled(world, (0.0, 0.0, -0.5))
+    expected = draught(capsule_slice, 0.1, 0.7)
+    assert found.start_position[2] == pytest.approx(expected, abs=0.004 * np.pi / 2 * 0.1)
+
+
+@pytest.mark.parametrize(("width", "angle"), [(0.2, 45.0), (0.4, 0.0)])
+def test_a_log_of_square_section_floats_on_its_edge_and_a_board_flat(width, angle):
+    """Half immersed, GM = w^2 / (6 t) - t / 4: negative for the log (w = t), positive for the board.
+
+    Laid flat on the water exactly, where no moment acts on either.
+    """
+    world = in_water(alone(Box((1.0, width, 0.2)), 500.0), surface=0.0)
+    metacentric = width**2 / (6 * 0.2) - 0.2 / 4
+    assert (metacentric < 0) == (angle > 0)
+    found = settled(world)
+    roll = np.rad2deg(np.arccos(np.clip(turn(found)[2, 2], -1, 1)))
+    assert roll == pytest.approx(angle, abs=1e-3)
+    assert found.start_position == pytest.approx((0, 0, 0), abs=1e-7)
+
+
+def test_righting_stiffness_is_that_of_the_metacentre():
+    """K = rho g V GM about the centre of gravity, which floats at the draught of a half."""
+    world = in_water(alone(Box((1.0, 0.4, 0.2)), 500.0), surface=0.0)
+    rest = Settling(world, H).rest(resting_state(world.tree, (), jnp.float64))
+    radius = np.sqrt((1.0 + 0.4**2 + 0.2**2) / 12)
+    # Level boxes right themselves up to 2 % more strongly: every extent counts as 5 % of the reach.
+    roll = (0.4**2 / (6 * 0.2) - 0.2 / 4) / radius
+    pitch = (1.0**2 / (6 * 0.2) - 0.2 / 4) / radius
+    heave = radius / 0.1
+    found = np.sort(rest.stiffness)
+    np.testing.assert_allclose(found[:3], 0, atol=1e-9)
+    np.testing.assert_allclose(found[3:], np.sort([roll, pitch, heave]), rtol=0.02)
+
+
+@pytest.mark.parametrize("slope", [0.0, 20.0])
+def test_a_box_lies_on_ground_and_on_a_slope_that_friction_can_hold(slope):
+    """Normal forces sum to m g cos a, and the step of the simulation finds (almost) no motion."""
+    a = np.deg2rad(slope)
+    normal = (-float(np.sin(a)), 0.0, float(np.cos(a)))
+    creature = alone(Box((0.4, 0.3, 0.1)), 300.0)
+    world = on_ground(creature, Plane(normal=normal))
+    start = resting_state(world.tree, (), jnp.float64, position=(0.0, 0.0, 0.2))
+    rest = Settling(world, H).rest(start)
+    load = creature.mass * 9.81 * np.cos(a)
+    assert rest.support.sum() == pytest.approx(load, rel=1e-3)
+    away = np.array(rest.state.position) @ normal
+    assert away == pytest.approx(0.05, abs=1e-4)
+    up = np.asarray(quaternion_to_matrix(rest.state.orientation))[:, 2]
+    np.testing.assert_allclose(up, normal, atol=1e-4)
+    motion = coast(world, rest.state, 0.25, H)
+    # Friction creeps by f / c: m g sin a / 4 over c = 60 m / h.
+    creep = 9.81 * np.sin(a) / 4 / 60 * H
+    way = np.linalg.norm(motion.position - np.asarray(rest.state.position), axis=1)[-1]
+    assert way == pytest.approx(0.25 * creep, rel=0.05, abs=1e-8)
+
+
+def legged(stiffness: float, legs, length: float = 0.2) -> Creature:
+    """A slab on straight legs whose hips are springs."""
+    flesh = Material(500.0, static_friction=0.8, dynamic_friction=0.8)
+    bodies = [Body("torso", Box((0.5, 0.3, 0.1)), flesh)]
+    for i, (x, y) in enumerate(legs):
+        hip = Joint(
+            "torso",
+            (x, y, -0.05),
+            (0.0, 0.0, length / 2),
+            (AXES["y"],),
+            (-1.0,),
+            (1.0,),
+            actuator=Actuator(3.0, stiffness=stiffness),
+        )
+        bodies.append(Body(f"leg{i}", Box((0.05, 0.05, length)), flesh, hip))
+    return Creature("legged", tuple(bodies))
+
+
+FOUR = [(x, y) for x in (-0.2, 0.2) for y in (-0.12, 0.12)]
+
+
+@pytest.mark.slow
+def test_four_legs_stand_and_carry_the_weight():
+    creature = legged(100.0, FOUR)
+    world = on_ground(creature)
+    start = resting_state(world.tree, (), jnp.float64, position=(0.3, -0.2, 0.4))
+    rest = Settling(world, H).rest(start)
+    assert rest.support.sum() == pytest.approx(creature.mass * 9.81, rel=1e-3)
+    np.testing.assert_allclose(rest.state.position[:2], (0.3, -0.2), atol=1e-12)
+    both = jax.tree.map(lambda *parts: jnp.stack(parts, -1), rest.state, start)
+    motion = coast(world, both, 0.5, H)
+    height = motion.position[:, 2]
+    assert np.ptp(height[:, 0]) < 1e-5
+    assert np.abs(motion.velocity[..., 0]).max() < 1e-4
+    # The start, 15 cm above the stand, drops.
+    assert np.ptp(height[:, 1]) > 0.1
+
+
+def test_what_cannot_rest_is_refused():
+    stone = alone(Box((0.2, 0.2, 0.2)), 2000.0)
+    cork = alone(Box((0.2, 0.2, 0.2)), 500.0)
+    cases = [
+        (in_water(stone, surface=0.0), "it sinks: its mass is 16 kg, and it displaces 8 kg"),
+        (in_water(cork), "it rises for ever: its mass is 4 kg"),
+        (World(build_tree(cork), 9.81), "it falls: there is neither ground nor water"),
+    ]
+    for world, words in cases:
+        with pytest.raises(NoRestError, match=words):
+            Settling(world, H)
+
+
+def test_a_slab_on_one_leg_falls_over():
+    world = on_ground(legged(2000.0, [(0.1, 0.0)], length=1.0))
+    with pytest.raises(NoRestError, match="it falls over: it would come to rest turned by"):
+        settled(world, (0.0, 0.0, 1.05))
+
+
+def test_a_box_on_too_steep_a_slope_slides_away():
+    """Beyond the angle of friction, 26.6 degrees."""
+    a = np.deg2rad(40.0)
+    slope = Plane(normal=(-float(np.sin(a)), 0.0, float(np.cos(a))))
+    world = on_ground(alone(Box((0.4, 0.3, 0.1)), 300.0), slope)
+    with pytest.raises(NoRestError, match="no rest within"):
+        settled(world, (0.0, 0.0, 0.2))
+
+
+def test_a_motor_without_a_spring_must_be_able_to_hold():
+    """A board on a motor hangs out over the water's edge: weight times lever is what it takes."""
+    flesh = Material(500.0)
+    arm = Joint(
+        "raft",
+        (0.5, 0, 0.3),
+        (-0.2, 0, 0),
+        (AXES["y"],),
+        (-1.0,),
+        (1.0,),
+        actuator=Actuator(5.0, 1.0),
+    )
+    parts = (
+        Body("raft", Box((1.0, 1.0, 0.2)), flesh),
+        Body("arm", Box((0.4, 0.1, 0.1)), flesh, arm),
+    )
+    world = in_water(Creature("crane", parts), surface=0.0)
+    with pytest.raises(NoRestError, match=r"arm.y would have to hold 3.\d* N m, and its"):
+        settled(world)
