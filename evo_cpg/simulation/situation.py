@@ -71,7 +71,7 @@ def starting_state(
     if any(situation.start_angles is not None for situation in situations):
         neutral = (0.0,) * tree.dof_count
         poses = [neutral if s.start_angles is None else s.start_angles for s in situations]
-        angles = _chosen(np.array(poses), trial, dtype)
+        angles = _chosen(array_of(poses), trial, dtype)
     positions = array_of([situation.start_position for situation in situations])
     turns = array_of([situation.orientation for situation in situations])
     return State(
