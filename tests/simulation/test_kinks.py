@@ -1,0 +1,226 @@
+"""Where the fitness has no slope, and what gradients say on either side of such places.
+
+Each case is a part of a trial as a function of one number. On either side of a place that is known
+in closed form the gradient equals central differences that stay on that side, and the two sides
+differ: by a kink, or by a jump, which no gradient tells of.
+"""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from creatures import box_chain, in_water, quick_jit
+from evo_cpg.control import matsuoka
+from evo_cpg.control.brain_cpg import BrainCpgSettings, build_brain_cpg
+from evo_cpg.control.controller import Observation
+from evo_cpg.control.matsuoka import MatsuokaState
+from evo_cpg.creature.creature import Actuator
+from evo_cpg.creature.shapes import Sphere
+from evo_cpg.creature.tree import build_tree
+from evo_cpg.physics.state import resting_state
+from evo_cpg.physics.step import step
+from evo_cpg.physics.world import World
+from evo_cpg.simulation.sensors import light_strength
+from on_ground import GRAVITY, H, alone, released
+
+pytestmark = pytest.mark.usefixtures("x64")
+
+RADIUS = 0.1
+# What gravity adds to a speed in a step, m/s.
+FALL = GRAVITY * H
+# The ground's stiffness on a lone body is so many times its mass over h, and a push at the rim of
+# a ball that may roll changes the speed there 3.5 times as much as that of its centre.
+STIFF = 60.0
+RIM = 3.5
+
+
+def both_sides(outcome, places, scales) -> tuple[np.ndarray, np.ndarray]:
+    """Values and slopes just below (first) and just above places ``(k,)``.
+
+    The slopes are gradients, which have to equal central differences that do not reach the place.
+
+    Args:
+        outcome: of numbers ``(6 k,)``, one by one; places alternate.
+        places: between the sides.
+        scales: over which the outcome changes; the sides lie a ten-thousandth of it away.
+    """
+    places, scales = np.atleast_1d(places), np.atleast_1d(scales)
+    away = 1e-4 * scales
+    points = places + away * np.array([[-1.0], [1.0]])
+    reach = away / 2
+
+    def total(x):
+        values = outcome(x)
+        return values.sum(), values
+
+    arguments = jnp.asarray(np.stack([points, points + reach, points - reach]).ravel())
+    (_, values), slopes = quick_jit(jax.value_and_grad(total, has_aux=True))(arguments)
+    here, up, down = np.asarray(values).reshape(3, *points.shape)
+    slopes = np.asarray(slopes).reshape(3, *points.shape)[0]
+    np.testing.assert_allclose(slopes, (up - down) / (2 * reach), rtol=1e-6, atol=1e-7)
+    return here.squeeze(), slopes.squeeze()
+
+
+def after_a_step(world: World, axis: int, position, velocity, vary: str):
+    """What a lone body's ``vary`` along an axis is after a step, by what it is before."""
+
+    def outcome(x):
+        places, speeds = (
+            jnp.broadcast_to(jnp.asarray(values, x.dtype)[:, None], (len(values), len(x)))
+            for values in (position, velocity)
+        )
+        if vary == "position":
+            places = places.at[axis].set(x)
+        else:
+            speeds = speeds.at[axis].set(x)
+        start = released(world, places, speeds)
+        return getattr(step(world, start, jnp.zeros((0, len(x))), H)[0], vary)[axis]
+
+    return outcome
+
+
+def test_the_first_touch_is_a_kink():
+    """Above, the height before counts in full; below, the ground takes all but one part in 61."""
+    outcome = after_a_step(alone(Sphere(RADIUS)), 2, [0, 0, 0], [0, 0, 0, 0, 0, -1.0], "position")
+    # What would else be below the ground at the end of the step is held.
+    values, slopes = both_sides(outcome, RADIUS + H * (1.0 + FALL), H)
+    np.testing.assert_allclose(slopes, [1 / (1 + STIFF), 1.0], rtol=1e-9)
+    assert np.ptp(values) < 2e-4 * H
+
+
+def test_a_bounce_begins_with_a_jump():
+    """A ball bounces in the step in which it would hit at its present speed, and not before."""
+    speed, restitution = 1.0, 0.5
+    world = alone(Sphere(RADIUS), restitution)
+    outcome = after_a_step(world, 2, [0, 0, 0], [0, 0, 0, 0, 0, -speed], "position")
+    values, slopes = both_sides(outcome, RADIUS + H * speed, H)
+    jump = (1 + restitution) * speed * STIFF / (1 + STIFF) * H
+    assert values[0] - values[1] == pytest.approx(jump, rel=1e-3)
+    # Where it bounces, the height before counts; where not yet, it is led down to the ground.
+    np.testing.assert_allclose(slopes, [1.0, 1 / (1 + STIFF)], rtol=1e-9)
+
+
+def test_slipping_begins_with_a_kink():
+    """A ball that lies on the ground is pushed: it sticks, but for one part in 211, or slides."""
+    friction = 0.5
+    world = alone(Sphere(RADIUS), static=friction, dynamic=friction)
+    outcome = after_a_step(world, 3, [0, 0, RADIUS], [0.0] * 6, "velocity")
+    support = FALL * STIFF / (1 + STIFF)
+    held = 1 + RIM * STIFF
+    place = friction * support * held / STIFF
+    values, slopes = both_sides(outcome, place, place)
+    # The rim keeps 1 / held of its speed, the centre loses what the friction takes.
+    assert slopes[0] == pytest.approx(1 - STIFF / held, rel=1e-9)
+    assert slopes[1] > slopes[0] + 0.01
+    assert np.ptp(values) < 2e-4 * place
+
+
+def test_a_joint_stop_is_a_jump():
+    """Its damper acts at once on a joint that arrives moving; where one rests, it is a kink."""
+    world = in_water(box_chain(2, "z", Actuator(1.0), limit=0.5), gravity=0.0)
+    speeds = np.array([1.0, 0.0])
+
+    def outcome(angle):
+        rate = jnp.tile(speeds, len(angle) // 2)
+        start = resting_state(world.tree, (len(angle),), jnp.float64)
+        start = dataclasses.replace(start, q=angle[None], qd=rate[None])
+        return step(world, start, jnp.zeros((1, len(angle))), H)[0].qd[0]
+
+    # The stop acts where the joint is beyond it a step ahead.
+    values, slopes = both_sides(outcome, 0.5 - H * speeds, [0.1, 0.1])
+    assert values[0, 0] - values[1, 0] > 0.01
+    assert abs(values[0, 1] - values[1, 1]) < 1e-3
+    assert slopes[0, 1] == pytest.approx(0, abs=1e-9)
+    assert (slopes[1] < slopes[0] - 1).all()
+
+
+def test_a_face_that_turns_back_in_the_water_is_a_kink():
+    """The implicit step takes the drag's slope, 2 c |v|, from the speed before.
+
+    With m v' = m v + h (F - c |v| v - 2 c |v| (v' - v)): at v = 0 the slopes are
+    1 -+ 2 h^2 c F / m^2.
+    """
+    density, area = 500.0, 0.2 * 0.1
+    world = in_water(box_chain(1, ""), density=density, skin_drag=0.0)
+
+    def outcome(speed):
+        start = resting_state(world.tree, (len(speed),), jnp.float64)
+        start = dataclasses.replace(start, velocity=start.velocity.at[5].set(speed))
+        return step(world, start, jnp.zeros((0, len(speed))), H)[0].velocity[5]
+
+    values, slopes = both_sides(outcome, 0.0, 1e-2)
+    volume = area * 0.1
+    mass, force = 1000 * volume, (density - 1000) * volume * GRAVITY
+    # Two faces, each with half of rho C_d A.
+    bend = 2 * H**2 * density * area * force / mass**2
+    np.testing.assert_allclose(slopes - 1, [bend, -bend], rtol=1e-2)
+    assert np.ptp(values) < 1e-5
+
+
+def test_the_waterline_is_no_kink():
+    """Where a box's lower or upper side passes the surface, the slopes meet.
+
+    A hundred times closer to it they differ a hundred times less, as by a curvature.
+    """
+    world = in_water(box_chain(1, ""), surface=0.0)
+
+    def outcome(height):
+        start = resting_state(world.tree, (len(height),), jnp.float64)
+        start = dataclasses.replace(
+            start,
+            position=start.position.at[2].set(height),
+            velocity=start.velocity.at[3].set(1.0).at[5].set(-1.0),
+        )
+        return step(world, start, jnp.zeros((0, len(height))), H)[0].velocity[5]
+
+    edges, scales = [0.05, -0.05, 0.05, -0.05], [0.1, 0.1, 0.001, 0.001]
+    _, slopes = both_sides(outcome, edges, scales)
+    far, near = np.abs(slopes[0] - slopes[1]).reshape(2, 2)
+    assert (far > 1e-6).all()
+    assert (near < 0.03 * far).all()
+
+
+def test_the_largest_rate_is_a_kink():
+    """A joint that stands off centre asks for a rate in proportion, but for no more than that."""
+    settings = BrainCpgSettings(centring=30.0)
+    tree = build_tree(box_chain(2, "z", Actuator(5.0)))
+    controller = build_brain_cpg(tree, 0, 0, settings)
+    # The brain's outputs are then halves, whatever it senses.
+    genes = np.zeros((controller.gene_count, 1))
+
+    def outcome(angle):
+        none = jnp.zeros((0, len(angle)))
+        seen = Observation(none, none, none, none, angle[None], jnp.zeros_like(angle)[None], none)
+        state = controller.initial_state((len(angle),), jnp.float64)
+        every = jnp.broadcast_to(genes, (len(genes), len(angle)))
+        return controller.act(every, state, seen)[1].target_rate[0]
+
+    centred = float(quick_jit(outcome)(jnp.zeros(6))[0])
+    assert 0 < centred < settings.max_rate
+    place = -(settings.max_rate - centred) / settings.centring
+    values, slopes = both_sides(outcome, place, 0.1)
+    np.testing.assert_allclose(slopes, [0.0, -settings.centring], rtol=1e-9)
+    np.testing.assert_allclose(values, settings.max_rate, rtol=1e-3)
+
+
+def test_a_neuron_that_begins_to_fire_is_a_kink():
+    def outcome(potential):
+        rest = jnp.zeros((2, 1, len(potential)))
+        return matsuoka.output(MatsuokaState(rest.at[0, 0].set(potential), rest))[0]
+
+    _, slopes = both_sides(outcome, 0.0, 1.0)
+    np.testing.assert_allclose(slopes, [0.0, 1.0], atol=1e-12)
+
+
+def test_the_edge_of_a_field_of_view_is_a_kink():
+    """Of cos(pi theta / R) by cos(theta), where it ends at theta = R / 2."""
+    field = 2.0
+
+    def outcome(cosine):
+        return light_strength(cosine[None], jnp.full((1, 1), field))[0]
+
+    _, slopes = both_sides(outcome, np.cos(field / 2), 1e-2)
+    np.testing.assert_allclose(slopes, [0.0, np.pi / field / np.sin(field / 2)], atol=1e-5)
