@@ -17,6 +17,7 @@ A fused program is one primitive to JAX until it is compiled; its derivatives ar
 
 import contextlib
 import contextvars
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -37,8 +38,8 @@ from evo_cpg.spatial.linear import compute_once
 # 36 instead of 74 us for the 8 joints of 64 quadrupeds.
 _FEW = 16
 
-# Bytes.
-_CACHE_LINE = 64
+# Bytes, of a line of the cache and of a number of float32.
+_CACHE_LINE, _SINGLE = 64, 4
 
 _tracing = contextvars.ContextVar("tracing", default=False)
 
@@ -87,6 +88,8 @@ def _evaluate(*arrays: jax.Array, program: Program, batch: tuple[int, ...]) -> l
     shared, leaves = arrays[: program.shared], arrays[program.shared :]
     graph = Graph()
     individuals = int(np.prod(batch, dtype=int))
+    floats = [x.dtype.itemsize for x in arrays if jnp.issubdtype(x.dtype, jnp.floating)]
+    pad = functools.partial(_padded, max(floats, default=_SINGLE))
     values: dict[Node, jax.Array] = {}
     homes: dict[Node, tuple[jax.Array, int]] = {}  # Array of an input, and its row in it.
 
@@ -109,7 +112,7 @@ def _evaluate(*arrays: jax.Array, program: Program, batch: tuple[int, ...]) -> l
     ]
     outputs = trace(graph, program.jaxpr, consts, inputs)
     for node, each in graph.lane_constants.items():
-        values[node] = jnp.asarray(_padded(np.repeat(each, individuals), np))
+        values[node] = jnp.asarray(pad(np.repeat(each, individuals)))
 
     def value(node: Node) -> jax.Array:
         if node.value is not None:
@@ -129,7 +132,7 @@ def _evaluate(*arrays: jax.Array, program: Program, batch: tuple[int, ...]) -> l
     for piece, _ in pieces:
         for node in piece:
             if node.primitive is pack_p and (rows := _run_of_rows(node, homes)) is not None:
-                values[node] = _padded(rows.reshape(-1))
+                values[node] = pad(rows.reshape(-1))
     read = dict.fromkeys(wanted)
     read.update(
         (o, None) for piece, _ in pieces for n in piece if n not in values for o in n.operands
@@ -144,7 +147,7 @@ def _evaluate(*arrays: jax.Array, program: Program, batch: tuple[int, ...]) -> l
         if isinstance(piece[0].primitive, Call):
             values.update(_evaluate_call(piece[0].primitive, value, batch))
         elif piece[0].primitive is pack_p:
-            values.update({node: _pack(node, value) for node in piece if node not in values})
+            values.update({node: pad(_pack(node, value)) for node in piece if node not in values})
         elif piece[0].primitive is lane_p:
             values.update({node: value(node) for node in piece})
         elif piece[0].primitive is lane_sum_p:
@@ -320,18 +323,25 @@ def _pack(node: Node, value: Callable[[Node], jax.Array]) -> jax.Array:
     """The lanes of a node one behind the other."""
     first = value(node.operands[0])
     if node.uniform:
-        return _padded(jnp.broadcast_to(first, (node.lanes, *first.shape)).reshape(-1))
-    return _padded(jnp.concatenate([value(operand) for operand in node.operands]))
+        return jnp.broadcast_to(first, (node.lanes, *first.shape)).reshape(-1)
+    return jnp.concatenate([value(operand) for operand in node.operands])
 
 
-def _padded(x: Any, numpy: Any = jnp) -> Any:
+def _padded(itemsize: int, x: Any) -> Any:
     """An array ``(k,)``, longer by one line of the cache where it has an even number of them.
 
     Arrays that lie one behind the other would else compete for the same few places in the cache.
+
+    Args:
+        itemsize: of the program's floating-point numbers, bytes. Truth values become as long as
+            these: a kernel reads arrays of one length.
+        x: of NumPy or JAX.
     """
-    lines = x.shape[0] * x.dtype.itemsize / _CACHE_LINE
-    extra = _CACHE_LINE // x.dtype.itemsize if lines and lines % 2 == 0 else 0
-    return numpy.concatenate([x, x[:extra]]) if extra else x
+    line = _CACHE_LINE // itemsize
+    if not len(x) or len(x) % (2 * line):
+        return x
+    join = np.concatenate if isinstance(x, np.ndarray) else jnp.concatenate
+    return join([x, x[:line]])
 
 
 def _lanes(x: jax.Array, count: int, individuals: int) -> jax.Array:

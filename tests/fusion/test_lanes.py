@@ -117,6 +117,22 @@ def test_lanes_of_which_only_some_are_used_or_that_change_places(x64):
         np.testing.assert_allclose(got, wanted, rtol=1e-12, atol=1e-14)
 
 
+@pytest.mark.parametrize("dtype", ["f4", "f8"])
+@pytest.mark.parametrize("individuals", [3, 8, 16, 48, 64])
+def test_conditions_that_differ_from_lane_to_lane(x64, individuals, dtype):
+    """Their arrays are as long as those of the numbers, with what is added to these."""
+    first = np.array([True, False, False, True])[:LEGS]
+
+    def chosen(x, among):
+        return jnp.where(among, x, x * x)
+
+    x = np.random.default_rng(0).normal(size=(2, LEGS, individuals)).astype(dtype)
+    got = jax.jit(lambda x: fuse(lambda x: chosen(side_by_side(x), first[None]), x, batch_ndim=1))(
+        x
+    )
+    np.testing.assert_array_equal(got, chosen(x, first[:, None]))
+
+
 def test_packing_undoes_taking_apart():
     graph = Graph()
     f32 = np.dtype("f4")
