@@ -52,6 +52,10 @@ _NEARLY, _EXACT = 1e-6, 1e-9
 # minute, for an animal of a metre).
 _SOFTEST, _UNSTABLE = 1e-6, 1e-4
 
+# Added to the stiffness of a step for the place in the plane and the heading, times the largest
+# force: of all ways down it takes one that leads straight down.
+_STAY = 10.0
+
 # By which it is tipped at a saddle, rad.
 _KICK = 0.02
 
@@ -126,6 +130,7 @@ class Settling:
         # Without gravity nothing acts but springs that are at rest already.
         self.weight = float(tree.mass.sum() * abs(world.gravity)) or 1.0
         self.scale = np.where(self.free < 3, self.size, 1.0)
+        self.stay = np.where(np.isin(self.free, (0, 1, 5)), _STAY, 0.0)
         self.farthest = _FARTHEST if world.footing is None else _FARTHEST_ON_GROUND
         length, moment, free, count = self.scale, self.weight * self.size, self.free, tree.dof_count
 
@@ -247,8 +252,10 @@ class Settling:
                 return state, grip
             values, ways = np.linalg.eigh(here.stiffness)
             # What is soft follows the force, no farther than the size of the creature.
-            stiff = np.maximum(np.abs(values), np.abs(here.force).max())
-            y = ways @ ((ways.T @ here.force) / stiff)
+            largest = np.abs(here.force).max()
+            stiff = np.maximum(np.abs(values), largest)
+            stay = np.diag(largest * self.stay)
+            y = np.linalg.solve((ways * stiff) @ ways.T + stay, here.force)
             far = np.abs(y) / np.where(self.free < 3, self.farthest, _LARGEST_TURN)
             y = y / max(1.0, far.max())
             y = y * self._share(y, here, state, grip)

@@ -85,7 +85,7 @@ def test_a_capsule_floats_at_its_draught_but_for_its_discs():
 
 @pytest.mark.parametrize(("width", "angle"), [(0.2, 45.0), (0.4, 0.0)])
 def test_a_log_of_square_section_floats_on_its_edge_and_a_board_flat(width, angle):
-    """Half immersed, GM = w^2 / (6 t) - t / 4: negative for the log (w = t), positive for the board.
+    """Half immersed, GM = w^2 / (6 t) - t / 4: negative for the log (w = t).
 
     Laid flat on the water exactly, where no moment acts on either.
     """
@@ -112,6 +112,7 @@ def test_righting_stiffness_is_that_of_the_metacentre():
     np.testing.assert_allclose(found[3:], np.sort([roll, pitch, heave]), rtol=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("slope", [0.0, 20.0])
 def test_a_box_lies_on_ground_and_on_a_slope_that_friction_can_hold(slope):
     """Normal forces sum to m g cos a, and the step of the simulation finds (almost) no motion."""
