@@ -25,7 +25,7 @@ from evo_cpg.training.run_folder import Checkpoint, RunFolder
 
 SWIMMER = Path(__file__).parents[1] / "configs" / "iwadate2010_swimmer.yaml"
 RUNS = 5
-ROUNDS = 3
+ROUNDS = 2
 # Six of each run fill the lanes of two cores.
 LEARNING = Learning(every=5, elites=6, steps=5)
 

@@ -9,8 +9,9 @@ from rich.progress import Progress
 
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.training import champion_motion
-from evo_cpg.config.build import build_creature
+from evo_cpg.config.build import build_creature, build_experiment
 from evo_cpg.config.load import load_config
+from evo_cpg.simulation.situation import starting_pose
 
 
 def render_run(
@@ -70,10 +71,19 @@ def preview_config(path: Path, overrides: Sequence[str], output: Path | None, si
     pixels = _pixels(size)
     config = load_config(path, overrides)
     creature = build_creature(config, path)
+    pose = None
+    if config.simulation.start_pose == "settled":
+        simulation = build_experiment(config, path).simulation
+        pose = starting_pose(
+            simulation.situations[0],
+            simulation.world.tree,
+            [body.name for body in creature.bodies],
+        )
     from evo_cpg.view.preview import preview
 
     stands = config.world.ground is not None
-    print(preview(creature, output or Path(f"{creature.name}.png"), pixels, ground=stands))
+    place = output or Path(f"{creature.name}.png")
+    print(preview(creature, place, pixels, ground=stands, pose=pose))
 
 
 def _of_trial(trial: int) -> str:

@@ -198,22 +198,29 @@ def neutral_pose(creature: Creature) -> tuple[np.ndarray, np.ndarray]:
     return np.array(centres), np.array(rotations)
 
 
-def lowest_height(creature: Creature) -> float:
-    """Height of the creature's lowest point above the root's centre in the neutral pose, m.
+def lowest_height(creature: Creature, pose: tuple[np.ndarray, np.ndarray] | None = None) -> float:
+    """Height of the creature's lowest point, m.
 
-    It is never positive.
+    In the neutral pose it is that above the root's centre, and never positive.
+
+    Args:
+        creature: the animal.
+        pose: its bodies' centres and rotations, as `neutral_pose` has them; None for that pose.
     """
-    return lowest_along(creature, np.array([0.0, 0.0, 1.0]))
+    return lowest_along(creature, np.array([0.0, 0.0, 1.0]), pose)
 
 
-def lowest_along(creature: Creature, up: np.ndarray) -> float:
+def lowest_along(
+    creature: Creature, up: np.ndarray, pose: tuple[np.ndarray, np.ndarray] | None = None
+) -> float:
     """The same along any direction.
 
     Args:
         creature: the animal.
         up: unit vector ``(3,)`` in the root's axes.
+        pose: as above.
     """
-    centres, rotations = neutral_pose(creature)
+    centres, rotations = neutral_pose(creature) if pose is None else pose
     return min(
         float(up @ centre + (up @ rotation) @ body.shape.support(-rotation.T @ up))
         for body, centre, rotation in zip(creature.bodies, centres, rotations, strict=True)

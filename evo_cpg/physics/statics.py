@@ -172,6 +172,19 @@ def joint_torque(tree: Tree, q: Float[Array, " d"]) -> Float[Array, " d"]:
     )
 
 
+def radius_of_gyration(tree: Tree) -> float:
+    """About the root's centre in the neutral pose, m."""
+    origins, turns, squares = [np.zeros(3)], [np.eye(3)], []
+    for i, parent in enumerate(tree.parents):
+        if parent >= 0:
+            origins.append(origins[parent] + turns[parent] @ tree.joint_offset[:, i])
+            turns.append(turns[parent] @ tree.joint_orientation[:, :, i])
+        centre = origins[i] + turns[i] @ tree.com[:, i]
+        own = np.trace(tree.inertia[:3, :3, i]) / 2 - tree.mass[i] * tree.com[:, i] @ tree.com[:, i]
+        squares.append(own + tree.mass[i] * centre @ centre)
+    return float(np.sqrt(np.sum(squares) / tree.mass.sum()))
+
+
 def _weight(world: World, kin: Kinematics) -> Float[Array, "6 b"]:
     """With buoyancy, in body axes."""
     water = world.water

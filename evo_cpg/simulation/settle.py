@@ -27,7 +27,7 @@ from jaxtyping import Array, Float
 
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.state import State, resting_state
-from evo_cpg.physics.statics import Grip, Touch, moved, next_grip, static_forces
+from evo_cpg.physics.statics import Grip, Touch, moved, next_grip, radius_of_gyration, static_forces
 from evo_cpg.physics.world import World
 from evo_cpg.simulation.situation import Situation
 from evo_cpg.spatial.rotation import integrate_quaternion, quaternion_to_matrix
@@ -126,7 +126,7 @@ class Settling:
         self.world, self.h = world, h
         # Coordinates are scaled to lengths, forces to the creature's weight.
         self.free = np.flatnonzero(np.concatenate([np.ones(6, bool), _gives_way(tree)]))
-        self.size = _radius_of_gyration(tree)
+        self.size = radius_of_gyration(tree)
         # Without gravity nothing acts but springs that are at rest already.
         self.weight = float(tree.mass.sum() * abs(world.gravity)) or 1.0
         self.scale = np.where(self.free < 3, self.size, 1.0)
@@ -321,19 +321,6 @@ def _require_support(world: World) -> None:
         raise NoRestError(f"it sinks: {weights}, with no ground below")
     if own < displaced and water.surface is None:
         raise NoRestError(f"it rises for ever: {weights}, which has no surface")
-
-
-def _radius_of_gyration(tree: Tree) -> float:
-    """About the root's centre in the neutral pose, m."""
-    origins, turns, squares = [np.zeros(3)], [np.eye(3)], []
-    for i, parent in enumerate(tree.parents):
-        if parent >= 0:
-            origins.append(origins[parent] + turns[parent] @ tree.joint_offset[:, i])
-            turns.append(turns[parent] @ tree.joint_orientation[:, :, i])
-        centre = origins[i] + turns[i] @ tree.com[:, i]
-        own = np.trace(tree.inertia[:3, :3, i]) / 2 - tree.mass[i] * tree.com[:, i] @ tree.com[:, i]
-        squares.append(own + tree.mass[i] * centre @ centre)
-    return float(np.sqrt(np.sum(squares) / tree.mass.sum()))
 
 
 def _put_back(world: World, start: State, state: State) -> State:

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from evo_cpg.creature.tree import Tree
+from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import State, resting_state
 from evo_cpg.spatial.linear import array_of, cosine_sine
 
@@ -81,6 +82,23 @@ def starting_state(
         angles,
         state.qd,
     )
+
+
+def starting_pose(
+    situation: Situation, tree: Tree, names: list[str]
+) -> tuple[Float[np.ndarray, "b 3"], Float[np.ndarray, "b 3 3"]]:
+    """Centres (m) and rotations of the bodies at the start.
+
+    Args:
+        situation: of the trial.
+        tree: the creature.
+        names: of the bodies, in the order wanted.
+    """
+    order = [tree.names.index(name) for name in names]
+    kin = kinematics(tree, starting_state((situation,), None, tree, (), jnp.dtype(jnp.float32)))
+    rotation = np.moveaxis(np.asarray(kin.rotation, float), -1, 0)
+    centre = np.asarray(kin.origin, float).T + np.einsum("bij,jb->bi", rotation, tree.com)
+    return centre[order], rotation[order]
 
 
 def light_places(

@@ -46,14 +46,17 @@ def preview(
     size: tuple[int, int] = (1280, 720),
     *,
     ground: bool = False,
+    pose: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> Path:
-    """Draw a creature in its neutral pose.
+    """Draw a creature in its neutral pose, or another.
 
     Args:
         creature: what to draw.
         path: ``.png``.
         size: width and height, pixels.
         ground: whether it stands on ground, which then lies under its lowest point.
+        pose: centres ``(bodies, 3)`` in m and rotations ``(bodies, 3, 3)``; None for the neutral
+            pose.
 
     Returns:
         The path.
@@ -66,7 +69,7 @@ def preview(
     path = output_path(path, (".png",))
     if min(size) < 16:
         raise ValueError(f"size is {size[0]} x {size[1]} pixels; the smallest is 16 x 16")
-    centres, rotations = neutral_pose(creature)
+    centres, rotations = neutral_pose(creature) if pose is None else pose
     half_extents = np.array([body.shape.half_extents for body in creature.bodies])
     hull = np.concatenate(
         [
@@ -124,7 +127,7 @@ def _add_ground(
     hull: np.ndarray,
 ) -> None:
     """Ground under the lowest point, and shadows where the creature stands on it."""
-    height = lowest_height(creature)
+    height = lowest_height(creature, (centres, rotations))
     middle = (hull.min(0) + hull.max(0)) / 2
     radius = float(np.linalg.norm(hull - middle, axis=1).max())
     add_floor(plotter, _GROUND, height, radius, grid_spacing(radius))(middle)
