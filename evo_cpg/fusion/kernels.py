@@ -159,8 +159,9 @@ def _evaluate(*arrays: jax.Array, program: Program, batch: tuple[int, ...]) -> l
             results = _run(piece, operands, kept, [values[node] for node in operands])
             values.update(zip(kept, results, strict=True))
     results = []
-    for array in outputs:
-        whole = jnp.stack([value(node) for node in array.flat]) if array.size else jnp.zeros((0,))
+    for array, variable in zip(outputs, program.jaxpr.outvars, strict=True):
+        rows = [value(node) for node in array.flat]
+        whole = jnp.stack(rows) if rows else jnp.zeros((0,), variable.aval.dtype)
         results.append(whole.reshape(*array.shape, *batch))
     return results
 

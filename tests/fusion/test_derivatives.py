@@ -111,3 +111,16 @@ def test_a_gradient_is_few_kernels():
         return text.as_text().count(" fusion(")
 
     assert kernels(functools.partial(fuse, chain, batch_ndim=1)) * 4 < kernels(chain)
+
+
+def test_empty_results_keep_their_type(x64):
+    """Where float64 is on, a program of float32 stays one, and so do its derivatives."""
+
+    def parts(x):
+        return x[:0], x * x
+
+    x = sample((3, 4), 1, "f4")
+    empty, _ = jax.jit(lambda x: fuse(parts, x, batch_ndim=1))(x)
+    assert empty.dtype == np.float32 and empty.shape == (0, 4)
+    slope = jax.jit(jax.grad(lambda x: sum(y.sum() for y in fuse(parts, x, batch_ndim=1))))(x)
+    np.testing.assert_allclose(slope, 2 * x, rtol=1e-6)
