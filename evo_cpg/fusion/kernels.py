@@ -161,7 +161,7 @@ def _evaluate(*arrays: jax.Array, program: Program, batch: tuple[int, ...]) -> l
     results = []
     for array, variable in zip(outputs, program.jaxpr.outvars, strict=True):
         rows = [value(node) for node in array.flat]
-        whole = jnp.stack(rows) if rows else jnp.zeros((0,), variable.aval.dtype)
+        whole = jnp.stack(rows) if rows else jnp.zeros((0,), variable.aval.dtype)  # pyright: ignore
         results.append(whole.reshape(*array.shape, *batch))
     return results
 
