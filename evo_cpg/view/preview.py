@@ -89,10 +89,10 @@ def preview(
             _add_ground(plotter, creature, centres, rotations, hull)
         bodies = add_bodies(plotter, creature, _AMBIENT)
         for actors, centre, turn in zip(bodies, centres, rotations, strict=True):
-            pose = np.eye(4)
-            pose[:3, :3], pose[:3, 3] = turn, centre
+            placed = np.eye(4)
+            placed[:3, :3], placed[:3, 3] = turn, centre
             for actor in actors:
-                actor.user_matrix = pose
+                actor.user_matrix = placed
             # The joints lie inside: let them show.
             actors[0].prop.SetOpacity(_OPACITY)
             actors[0].prop.SetBackfaceCulling(True)
