@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy import stats
+from scipy import optimize, stats
 
 from creatures import quick_jit
 from evo_cpg.analysis.fit import doubts, fit, student_quantile
@@ -48,6 +48,30 @@ def test_a_line_is_that_of_linear_regression():
     reach = stats.t.ppf(0.975, (~gap).sum() - 2) * line.stderr
     np.testing.assert_allclose(found.upper[0] - found.values[0], reach, rtol=1e-6)
     assert bool(found.found)
+
+
+def test_a_decay_is_that_of_scipy(monkeypatch):
+    """A curve in its parameters, from a poor start; and a search that is stopped early says so."""
+    x = np.linspace(0, 3, 40)
+    data = 2.0 * np.exp(-1.5 * x) + 0.02 * np.random.default_rng(5).normal(size=40)
+
+    def decay(p):
+        return (p[0] * jnp.exp(-p[1] * x))[:, None]
+
+    def search():
+        arguments = jnp.asarray(data)[:, None], jnp.array([0.5, 4.0]), [True] * 2
+        return quick_jit(lambda: one_kind(decay, *arguments))()
+
+    found = search()
+    theta, covariance = optimize.curve_fit(
+        lambda x, a, b: np.exp(a) * np.exp(-np.exp(b) * x), x, data, [0.0, 0.0], ftol=1e-14
+    )
+    np.testing.assert_allclose(found.values, np.exp(theta), rtol=1e-5)
+    np.testing.assert_allclose(found.errors, np.sqrt(np.diag(covariance)), rtol=1e-3)
+    assert bool(found.found)
+    monkeypatch.setattr("evo_cpg.analysis.fit._MOST_STEPS", 3)
+    words = doubts(("height", "rate"), np.array([True, True]), search())
+    assert any("did not settle" in each for each in words)
 
 
 def test_what_the_data_do_not_tell_is_said():
@@ -117,3 +141,85 @@ def test_the_friction_of_a_sliding_block():
     np.testing.assert_allclose(way, ideal, rtol=0.02)
     held, _ = coverage(model, parameters.values, [0.1], 1e-3, 0)
     assert FEWEST <= held[0] <= MOST
+
+
+def test_the_drag_of_a_coasting_plate():
+    """Form drag brakes it broadside, skin drag along; from 60 places in a second, 1 mm of noise."""
+    plate = {"name": "plate", "shape": {"type": "box", "size": [0.3, 0.2, 0.05]}, "material": "a"}
+    config = check_config(
+        {
+            "name": "coast",
+            "creature": {
+                "name": "plate",
+                "materials": {"a": {"density": 1000.0}},
+                "bodies": [plate],
+            },
+            "world": {"water": {"form_drag": 1.0, "skin_drag": 0.05}},
+            "simulation": {"steps": 60, "substeps": 1},
+            "controller": {"type": "evo_cpg.control.commanded:Commanded"},
+            "task": {"type": "distance"},
+        },
+        "coast.yaml",
+    )
+    keys = ["world.water.form_drag", "world.water.skin_drag"]
+    parameters = parametrise(config, "coast.yaml", keys)
+    times = np.arange(1, 61) / 60
+    push = {"velocity.x": jnp.asarray(1.0), "velocity.z": jnp.asarray(0.5)}
+
+    def model(values):
+        return track(parameters.simulation(values), jnp.zeros(0), times, ("x", "z"), push)
+
+    held, found = coverage(model, parameters.values, [0.6, 0.1], 1e-3, 1)
+    assert (held >= FEWEST).all() and (held <= MOST).all(), held
+    assert (found.errors < 0.1).all()
+
+
+@pytest.mark.slow
+def test_the_constants_of_an_oscillator():
+    """The tempo of a rhythm and the bond of its two halves, from angles with 0.02 rad of noise."""
+    bodies = [
+        {"name": "head", "shape": {"type": "box", "size": [0.2, 0.1, 0.1]}, "material": "a"},
+        {
+            "name": "tail",
+            "shape": {"type": "box", "size": [0.2, 0.1, 0.1]},
+            "material": "a",
+            "joint": {
+                "parent": "head",
+                "at": [-0.1, 0.0, 0.0],
+                "child_at": [0.1, 0.0, 0.0],
+                "axes": ["z"],
+                "actuator": {"gain": 1.0},
+            },
+        },
+    ]
+    config = check_config(
+        {
+            "name": "wag",
+            "creature": {
+                "name": "pair",
+                "materials": {"a": {"density": 1000.0}},
+                "bodies": bodies,
+            },
+            "world": {"water": None, "gravity": 0.0},
+            "simulation": {"steps": 120, "substeps": 1},
+            "controller": {
+                "type": "brain_cpg",
+                "brain": {"hidden": [2]},
+                "cpg": {"constants": "swapped", "time_scale": 0.3},
+            },
+            "task": {"type": "distance"},
+        },
+        "wag.yaml",
+    )
+    keys = ["controller.cpg.time_scale", "controller.cpg.pair_weight"]
+    parameters = parametrise(config, "wag.yaml", keys)
+    simulation = parameters.experiment.simulation
+    genes = simulation.controller.random_genes(jax.random.key(1), (), np.float64)
+    times = np.arange(1, 61) / 30
+
+    def model(values):
+        return track(parameters.simulation(values), genes, times, ("tail.z",))
+
+    held, found = coverage(model, parameters.values, [0.33, 1.0], 0.02, 2)
+    assert (held >= FEWEST).all() and (held <= MOST).all(), held
+    assert (found.errors < 0.1).all()
