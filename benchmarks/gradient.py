@@ -1,8 +1,9 @@
 """The gradient of the fitness with respect to all genes, beside the run without it.
 
-One second of the swimmer's whole stack, on one core, in a process of its own: compiling the
+One second of the swimmer's whole stack with everything kept, and the whole trial with what
+`evo_cpg.simulation.backward` keeps, on one core, each in a process of its own: compiling the
 backward pass may take long and much memory. Run as a program, this module is the worker:
-`python -m benchmarks.gradient SIZE [KEY=VALUE ...]`.
+`python -m benchmarks.gradient SIZE SECONDS [KEY=VALUE ...]`, where 0 s is the whole trial.
 """
 
 import statistics
@@ -18,53 +19,60 @@ from benchmarks.timing import Contender, race, ratio_quartiles
 from benchmarks.worker import WorkerError, serve, started
 
 SIZE = 16
-_SECONDS = 1.0
+# s of a trial; 0 for all of it.
+_SHORT, _WHOLE = 1.0, 0.0
 _GRADIENT, _FORWARD = "value and gradient", "forward run"
 # Calls that are timed at once: one of either takes some milliseconds.
-_CALLS = {_GRADIENT: 5, _FORWARD: 30}
+_CALLS = {_SHORT: {_GRADIENT: 5, _FORWARD: 30}, _WHOLE: {_GRADIENT: 1, _FORWARD: 2}}
 # Compiling backwards takes many times as long as a peer is given.
 _PATIENCE = 5
 
 
 def measure(plan: Plan) -> list[Row]:
-    """One row, whose ratio is the speed with the gradient over that without."""
+    """Two rows, whose ratio is the speed with the gradient over that without."""
+    lengths = (_SHORT,) if plan.quick else (_SHORT, _WHOLE)
+    return [_measure(plan, seconds) for seconds in lengths]
+
+
+def _measure(plan: Plan, seconds: float) -> Row:
     plan.say("gradient: compiling")
     limit = _PATIENCE * plan.limit
-    with started("gradient", str(SIZE), *swimmer_settings(plan)) as worker:
+    with started("gradient", str(SIZE), str(seconds), *swimmer_settings(plan)) as worker:
         try:
             ready = worker.answer(limit)
         except WorkerError as error:
-            return [_row(0.0, "", note=str(error))]
+            return _row(seconds, 0.0, "", note=str(error))
 
         def contender(name: str) -> Contender:
-            work = SIZE * ready["steps"] * _CALLS[name]
+            work = SIZE * ready["steps"] * _CALLS[seconds][name]
             return Contender(name, work, lambda: worker.ask(name, limit))
 
         plan.say("gradient")
         rates = race([contender(_GRADIENT), contender(_FORWARD)], plan.repeats)
     low, ratio, high = ratio_quartiles(rates, _GRADIENT, _FORWARD)
     forward = ready["forward_seconds"]
-    return [
-        _row(
-            statistics.median(rates[_GRADIENT]),
-            f", {ready['bodies']} bodies; median of {plan.repeats} rounds in turn; the forward run "
-            f"compiles in {forward:.0f} s",
-            compile_seconds=ready["gradient_seconds"],
-            temporary=ready["temporary"],
-            memory=ready["peak"],
-            peer_rate=statistics.median(rates[_FORWARD]),
-            ratio=ratio,
-            ratio_spread=(low, high),
-        )
-    ]
+    return _row(
+        seconds,
+        statistics.median(rates[_GRADIENT]),
+        f", {ready['bodies']} bodies; median of {plan.repeats} rounds in turn; the forward run "
+        f"compiles in {forward:.0f} s",
+        compile_seconds=ready["gradient_seconds"],
+        temporary=ready["temporary"],
+        memory=ready["peak"],
+        peer_rate=statistics.median(rates[_FORWARD]),
+        ratio=ratio,
+        ratio_spread=(low, high),
+    )
 
 
-def _row(rate: float, how: str, **fields: Any) -> Row:
-    what = f"mean fitness of {SIZE} individuals after {_SECONDS:g} s, float32, one core{how}"
-    return Row("gradient", _GRADIENT, SIZE, rate, UNIT, what, peer=_FORWARD, **fields)
+def _row(seconds: float, rate: float, how: str, **fields: Any) -> Row:
+    length = f"{seconds:g} s" if seconds else "the whole trial, checkpointed"
+    what = f"mean fitness of {SIZE} individuals after {length}, float32, one core{how}"
+    name = _GRADIENT if seconds else f"{_GRADIENT}, whole trial"
+    return Row("gradient", name, SIZE, rate, UNIT, what, peer=_FORWARD, **fields)
 
 
-def _prepare(size: int, settings: Sequence[str]) -> tuple[dict[str, Any], Any]:
+def _prepare(size: int, seconds: float, settings: Sequence[str]) -> tuple[dict[str, Any], Any]:
     import dataclasses
 
     import jax
@@ -73,17 +81,21 @@ def _prepare(size: int, settings: Sequence[str]) -> tuple[dict[str, Any], Any]:
 
     from benchmarks.machine import peak_memory
     from benchmarks.plan import experiment_of
+    from evo_cpg.simulation.backward import Backward
     from evo_cpg.simulation.rollout import rollout, score
     from evo_cpg.training.devices import fast_jit, use_cores
 
     use_cores()
     simulation = experiment_of("iwadate2010_swimmer", *settings).simulation
-    control_steps = round(_SECONDS * simulation.control_rate)
-    simulation = dataclasses.replace(simulation, steps=control_steps)
+    if seconds:
+        control_steps = round(seconds * simulation.control_rate)
+        simulation = dataclasses.replace(simulation, steps=control_steps)
+    backward = None if seconds else Backward()
     scales = {"energy": jnp.float32(1)}
 
     def fitness(genes):
-        return score(simulation.task, rollout(simulation, genes), scales).mean()
+        outcome = rollout(simulation, genes, backward=backward)
+        return score(simulation.task, outcome, scales).mean()
 
     draw = fast_jit(
         lambda: simulation.controller.random_genes(jax.random.key(0), (size,), np.float32)
@@ -100,7 +112,7 @@ def _prepare(size: int, settings: Sequence[str]) -> tuple[dict[str, Any], Any]:
     programs = {_FORWARD: forward, _GRADIENT: gradient}
 
     def work(name: str) -> dict[str, Any]:
-        for _ in range(_CALLS[name]):
+        for _ in range(_CALLS[seconds][name]):
             jax.block_until_ready(programs[name](genes))
         return {}
 
@@ -110,7 +122,7 @@ def _prepare(size: int, settings: Sequence[str]) -> tuple[dict[str, Any], Any]:
         raise FloatingPointError(f"{(~np.isfinite(slope)).sum()} slopes are not finite")
     ready = {
         "bodies": simulation.world.tree.body_count,
-        "steps": control_steps * simulation.substeps,
+        "steps": simulation.steps * simulation.substeps,
         "forward_seconds": forward_seconds,
         "gradient_seconds": gradient_seconds,
         "temporary": int(usage.temp_size_in_bytes),
@@ -120,4 +132,4 @@ def _prepare(size: int, settings: Sequence[str]) -> tuple[dict[str, Any], Any]:
 
 
 if __name__ == "__main__":
-    serve(lambda: _prepare(int(sys.argv[1]), sys.argv[2:]))
+    serve(lambda: _prepare(int(sys.argv[1]), float(sys.argv[2]), sys.argv[3:]))
