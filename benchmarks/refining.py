@@ -86,7 +86,7 @@ def _evolve(experiment: Experiment, start: RunFolder, path: Path, seconds: float
         _tell(rows)
         # What compiles counts like the others of its kind.
         every = experiment.learning.every if experiment.learning else 1
-        kinds = [spent[i::every] for i in range(every)]
+        kinds = [spent[i::every] for i in range(min(every, len(spent)))]
         plain = [statistics.median(kind[1:] or kind) * len(kind) for kind in kinds]
         if len(spent) > every and sum(plain) > seconds * experiment.runs:
             raise Enough
