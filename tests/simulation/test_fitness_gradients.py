@@ -1,7 +1,7 @@
 """The fitness by the genes: reverse mode against central differences, and float32 against float64.
 
 All that happens in a trial lies between the two: senses, brain, cord, motors, water or ground,
-fitness. The places where there is no slope are shown in `tests/physics/test_kinks.py`.
+fitness. The places where there is no slope are shown in `tests/simulation/test_kinks.py`.
 """
 
 import dataclasses
@@ -89,7 +89,7 @@ class Angles(PostureController):
         return jax.random.uniform(key, (self.gene_count, *batch), dtype, -0.4, 0.4)
 
     def decode(self, genes):
-        return genes.reshape(self.settings.postures, self.dof_count, *genes.shape[1:])
+        return genes.reshape(self.postures, self.dof_count, *genes.shape[1:])
 
 
 def configured(name: str, *overrides: str) -> Simulation:
@@ -100,12 +100,9 @@ def configured(name: str, *overrides: str) -> Simulation:
 def quadruped() -> Simulation:
     simulation = configured("fukui2003_model1")
     given = build_posture_controller(simulation.world.tree, PostureSettings(), 1 / 60)
-    controller = Angles(
-        gene_count=given.settings.postures * given.dof_count,
-        dof_count=given.dof_count,
-        settings=given.settings,
-        steps_per_posture=given.steps_per_posture,
-    )
+    fields = {field.name: getattr(given, field.name) for field in dataclasses.fields(given)}
+    angles = given.postures * given.dof_count
+    controller = Angles(**fields | {"gene_count": angles})
     return dataclasses.replace(simulation, controller=controller)
 
 
