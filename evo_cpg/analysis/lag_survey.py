@@ -43,10 +43,10 @@ def survey(problem: Problem) -> tuple[tuple[np.ndarray, ...], Float[np.ndarray, 
         for values, low, high, now in zip(_NODES, *problem.bounds, problem.present, strict=True)
     )
     points = np.log(np.stack(np.meshgrid(*nodes, indexing="ij"), -1))
-    signals = np.asarray(_watch(problem, jnp.asarray(points.reshape(-1, 3))))
-    template = problem.template
-    step = _EVERY * min(template.rise_time, template.adaptation_time) / _SHARE
-    lags = np.array([_steady_lag(problem, one, step) for one in signals])
+    times = problem.template.rise_time, problem.template.adaptation_time
+    h = min(times) / _SHARE
+    signals = np.asarray(_watch(problem, jnp.asarray(points.reshape(-1, 3)), h, max(times)))
+    lags = np.array([_steady_lag(problem, one, _EVERY * h) for one in signals])
     return nodes, lags.reshape(points.shape[:-1])
 
 
@@ -81,12 +81,16 @@ def starting_place(
     return found[np.square(found - problem.present).sum(-1).argmin()]
 
 
-@jax.jit
-def _watch(problem: Problem, points: Array) -> Array:
-    """Outputs of the chain at every second step, after settling: ``(points, time, chain)``."""
-    template = problem.template
-    h = min(template.rise_time, template.adaptation_time) / _SHARE
-    unit = max(template.rise_time, template.adaptation_time)
+@functools.partial(jax.jit, static_argnames=("h", "unit"))
+def _watch(problem: Problem, points: Array, h: float, unit: float) -> Array:
+    """Outputs of the chain at every second step, after settling: ``(points, time, chain)``.
+
+    Args:
+        problem: whose networks are tried.
+        points: places of the unknowns.
+        h: length of a step, s.
+        unit: the longer of the time constants, s.
+    """
 
     def signals(x: Array) -> Array:
         network, gain = network_at(problem, x)
