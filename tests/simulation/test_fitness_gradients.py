@@ -175,10 +175,13 @@ def closest(differences: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The best of central differences ``(k, widths)`` and what it may be off by.
 
     Wide ones bend with the function, narrow ones are rounded: where two neighbours differ least
-    both are small. That is decided without looking at the gradient.
+    both are small. They may agree by chance, but are never better than the fitness, a number of
+    about 1, is rounded. That is decided without looking at the gradient.
     """
     pairs = np.stack([differences[:, :-1], differences[:, 1:]])
-    change = np.abs(pairs[1] - pairs[0]) / np.abs(pairs).mean(0)
+    size = np.abs(pairs).mean(0)
+    rounding = 4 * np.finfo(float).eps / (WIDTHS[1:] * np.maximum(size, 1e-300))
+    change = np.maximum(np.abs(pairs[1] - pairs[0]) / size, rounding)
     best = change.argmin(1)
     rows = np.arange(len(best))
     return pairs.mean(0)[rows, best], change[rows, best]
