@@ -1,23 +1,16 @@
 """The command that polishes a champion along the slope of its fitness: refine."""
 
-import contextlib
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
-
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from evo_cpg.cli.errors import UsageError
+from evo_cpg.cli.progress import progress
 from evo_cpg.cli.training import champion_of, misfit, now, open_run, use_cores_of
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import dump_config
 from evo_cpg.config.parameters import parametrise
 from evo_cpg.training.run_folder import RunFolderError
-
-if TYPE_CHECKING:
-    from evo_cpg.training.refine import Round
 
 
 def refine_run(
@@ -83,11 +76,18 @@ def refine_run(
 
     before = champion.fitness
     try:
-        with _progress(rounds, before) as show:
+        with progress("refine", "round", rounds) as show:
+
+            def tell(done: Round) -> None:
+                keep(done)
+                gained = f"gained {done.champion.fitness - before:+.4f}"
+                state = f"fitness {done.champion.fitness:8.4f}  {gained}  {done.slopes} slopes"
+                show(done.number, state, done.seconds)
+
             refine = compile_refinement(
                 experiment, Refinement(rounds, steps, seed=seed), devices=devices, free=free
             )
-            champion = refine(champion, lambda done: (keep(done), show(done))[1])
+            champion = refine(champion, tell)
     except KeyboardInterrupt:
         print(f"interrupted; what was gained is in {folder.path}", file=sys.stderr)
         raise
@@ -107,32 +107,3 @@ def refine_run(
         print(f"{key}: {value:.6g}", file=sys.stderr)
     print(f"fitness {before:.4f} -> {champion.fitness:.4f} ({terms})", file=sys.stderr)
     print(folder.path)
-
-
-@contextlib.contextmanager
-def _progress(rounds: int, before: float) -> Iterator[Callable[["Round"], None]]:
-    """Show every round: a bar on a terminal, a line elsewhere."""
-    console = Console(stderr=True)
-
-    def line(done: "Round") -> str:
-        fitness = done.champion.fitness
-        return f"fitness {fitness:8.4f}  gained {fitness - before:+.4f}  {done.slopes} slopes"
-
-    if not console.is_terminal:
-
-        def show(done: "Round") -> None:
-            words = f"round {done.number + 1:3d}/{rounds}  {line(done)}  {done.seconds:6.2f} s"
-            print(words, file=sys.stderr, flush=True)
-
-        yield show
-        return
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(bar_width=24),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        TextColumn("{task.fields[state]}"),
-    )
-    with Progress(*columns, console=console) as progress:
-        task = progress.add_task("refine", total=rounds, state="compiling")
-        yield lambda done: progress.update(task, advance=1, state=line(done))

@@ -1,20 +1,18 @@
 """The commands that evolve and check: train, resume, verify, validate."""
 
-import contextlib
 import math
 import platform
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from evo_cpg.cli.errors import UsageError
+from evo_cpg.cli.progress import progress
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.load import dump_config, load_config
@@ -203,10 +201,15 @@ def _evolve(experiment: Experiment, folder: RunFolder) -> None:
     # Importing the loop starts nothing, but it takes JAX a second.
     from evo_cpg.training.loop import replay_champion, train
 
-    console = Console(stderr=True)
+    done = folder.load()
+    start = done.generation if done else 0
     try:
-        with _progress(console, experiment, folder) as show:
-            checkpoint = train(experiment, folder, show)
+        with progress(experiment.name, "generation", experiment.generations, start) as show:
+
+            def tell(rows: list[dict[str, float]]) -> None:
+                show(int(rows[0]["generation"]), _standing(rows), rows[0]["seconds"])
+
+            checkpoint = train(experiment, folder, tell)
         champion = checkpoint.champion
         if champion is None:
             raise RunFolderError(
@@ -227,46 +230,17 @@ def _evolve(experiment: Experiment, folder: RunFolder) -> None:
     print(folder.path)
 
 
-@contextlib.contextmanager
-def _progress(
-    console: Console, experiment: Experiment, folder: RunFolder
-) -> Iterator[Callable[[list[dict[str, float]]], None]]:
-    """Show every generation: a bar on a terminal, a line elsewhere."""
-    done = folder.load()
-    start = done.generation if done else 0
-
-    def line(rows: list[dict[str, float]]) -> str:
-        # A run of which nobody lives has no best.
-        best = [row["best"] for row in rows if math.isfinite(row["best"])] or [math.nan]
-        if len(rows) > 1:
-            fitness = f"best of {len(rows)} runs {max(best):8.4f}  median {np.median(best):8.4f}"
-        else:
-            fitness = f"best {best[0]:8.4f}  mean {rows[0]['mean']:8.4f}"
-        diverged = sum(row["diverged"] for row in rows)
-        speed = rows[0]["steps_per_second"] / 1e3
-        return f"{fitness}  diverged {diverged:3d}  {speed:6.0f} k steps/s"
-
-    if not console.is_terminal:
-
-        def show(rows: list[dict[str, float]]) -> None:
-            number = f"generation {rows[0]['generation'] + 1:4d}/{experiment.generations}"
-            seconds = f"{rows[0]['seconds']:6.2f} s"
-            print(f"{number}  {line(rows)}  {seconds}", file=sys.stderr, flush=True)
-
-        yield show
-        return
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(bar_width=24),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        TextColumn("{task.fields[state]}"),
-    )
-    with Progress(*columns, console=console) as progress:
-        task = progress.add_task(
-            experiment.name, total=experiment.generations, completed=start, state="compiling"
-        )
-        yield lambda rows: progress.update(task, advance=1, state=line(rows))
+def _standing(rows: list[dict[str, float]]) -> str:
+    """How the runs stand after a generation, in a line."""
+    # A run of which nobody lives has no best.
+    best = [row["best"] for row in rows if math.isfinite(row["best"])] or [math.nan]
+    if len(rows) > 1:
+        fitness = f"best of {len(rows)} runs {max(best):8.4f}  median {np.median(best):8.4f}"
+    else:
+        fitness = f"best {best[0]:8.4f}  mean {rows[0]['mean']:8.4f}"
+    diverged = sum(row["diverged"] for row in rows)
+    speed = rows[0]["steps_per_second"] / 1e3
+    return f"{fitness}  diverged {diverged:3d}  {speed:6.0f} k steps/s"
 
 
 def champion_of(folder: RunFolder, number: int) -> Champion:
