@@ -1,8 +1,8 @@
 """Climbing along the slope of the fitness: Adam as an optimistix solver, many individuals at once.
 
 The fitness of a whole trial is rough: over a hundredth of a gene's range its slope may turn round.
-A solver that insists on getting better at every step (L-BFGS or conjugate gradients with a line
-search) soon sits on a small bump; Adam's steps go over it, and the best place that they touched is
+A solver that insists on getting better at every step (tried was L-BFGS with a line search) soon
+sits on a small bump; Adam's steps go over it, and the best place that they touched is
 kept (`optimistix.BestSoFarMinimiser`). No one size of step or horizon of the slope (see
 `evo_cpg.simulation.backward`) suits all: individuals that climb side by side draw their own.
 """
