@@ -20,7 +20,7 @@ from benchmarks.plan import Plan, experiment_of
 from benchmarks.rows import Row, finite
 from benchmarks.timing import Contender, count_lasting, race
 from evo_cpg.control import matsuoka
-from evo_cpg.control.brain import think
+from evo_cpg.control.brain import decode_weights, think
 from evo_cpg.control.brain_cpg import BrainCpg
 from evo_cpg.training.devices import population_mesh
 
@@ -114,10 +114,11 @@ def _compile_thought(controller: BrainCpg, genes: np.ndarray, mesh: Mesh) -> Pro
         senses = jnp.cos(jnp.arange(brain.sizes[0], dtype=genes.dtype))[:, None]
         senses = jnp.broadcast_to(senses, (brain.sizes[0], genes.shape[1]))
         nothing = jnp.zeros((brain.sizes[-1], genes.shape[1]), genes.dtype)
+        weights = decode_weights(brain, genes)
 
         def again(index, mind):
             senses, _ = mind
-            outputs = think(brain, genes, senses)
+            outputs = think(brain, weights, senses)
             # The next thought waits for this one.
             return senses.at[0].set(outputs[0]), outputs
 

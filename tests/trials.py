@@ -28,8 +28,8 @@ class SineController(Controller):
     def initial_state(self, batch, dtype):
         return jnp.zeros(batch, dtype)
 
-    def act(self, genes, state, observation):
-        amplitude, frequency = genes
+    def act(self, decoded, state, observation):
+        amplitude, frequency = decoded
         wave = jnp.sin(2 * jnp.pi * frequency * state)
         signal = wave[None] * jnp.ones_like(observation.joint_angle)
         return state + 1 / 60, Command(amplitude[None] * signal, signal)

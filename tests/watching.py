@@ -7,8 +7,8 @@ from trials import SineController
 class Watcher(SineController):
     """The sine wave with an offset of what the first eye sees more than the second."""
 
-    def act(self, genes, state, observation):
-        state, command = super().act(genes, state, observation)
+    def act(self, decoded, state, observation):
+        state, command = super().act(decoded, state, observation)
         turn = 3.0 * (
             observation.light[0] - observation.light[1] + 0.2 * observation.vertical_sine[0]
         )

@@ -29,6 +29,9 @@ from evo_cpg.spatial.linear import matvec
 # between; summing in blocks of this many keeps each in one pass (20 % of a control step).
 SUM_BLOCK = 32
 
+# Of each layer the weights ``(out, in, *n)`` in blocks of inputs, and the biases ``(out, *n)``.
+Weights = tuple[tuple[Array, ...], ...]
+
 
 @dataclasses.dataclass(frozen=True)
 class BrainSettings:
@@ -80,39 +83,56 @@ def build_brain(input_count: int, output_count: int, settings: BrainSettings) ->
     return Brain((input_count, *settings.hidden, output_count), settings.temperature)
 
 
-def think(
-    brain: Brain, genes: Float[Array, "g *n"], inputs: Float[Array, "i *n"]
-) -> Float[Array, "o *n"]:
-    """Outputs of the brain, each between 0 and 1.
+def decode_weights(brain: Brain, genes: Float[Array, "g *n"]) -> Weights:
+    """What `think` works with.
 
     Args:
         brain: structure.
         genes: weights of each individual, layer by layer.
+
+    Raises:
+        ValueError: the number of genes is not the brain's.
+    """
+    if genes.shape[0] != brain.gene_count:
+        raise ValueError(f"the brain has {brain.gene_count} genes, but was given {genes.shape[0]}")
+    sizes = list(itertools.pairwise(brain.sizes))
+    # Splits, not slices: the slopes of their parts are put side by side, not padded and added up.
+    layers = jnp.split(genes, list(itertools.accumulate((i + 1) * o for i, o in sizes))[:-1])
+    weights = []
+    for (count, units), layer in zip(sizes, layers, strict=True):
+        whole = layer.reshape(units, count + 1, *genes.shape[1:])
+        *blocks, bias = jnp.split(whole, [*_cuts(count), count], axis=1)
+        weights.append((*blocks, bias[:, 0]))
+    return tuple(weights)
+
+
+def think(brain: Brain, weights: Weights, inputs: Float[Array, "i *n"]) -> Float[Array, "o *n"]:
+    """Outputs of the brain, each between 0 and 1.
+
+    Args:
+        brain: structure.
+        weights: from `decode_weights`.
         inputs: of each individual.
 
     Raises:
-        ValueError: the number of inputs or genes is not the brain's.
+        ValueError: the number of inputs is not the brain's.
     """
     if inputs.shape[0] != brain.sizes[0]:
         raise ValueError(
             f"the brain has {brain.sizes[0]} inputs, but was given {inputs.shape[0]} values; "
             "build it for as many sensors and joints as the creature has"
         )
-    if genes.shape[0] != brain.gene_count:
-        raise ValueError(f"the brain has {brain.gene_count} genes, but was given {genes.shape[0]}")
-    sizes = list(itertools.pairwise(brain.sizes))
-    # Splits, not slices: the slopes of their parts are put side by side, not padded and added up.
-    layers = jnp.split(genes, list(itertools.accumulate((i + 1) * o for i, o in sizes))[:-1])
     values = inputs
-    for (count, units), layer in zip(sizes, layers, strict=True):
-        weights = layer.reshape(units, count + 1, *genes.shape[1:])
-        cuts = [*range(SUM_BLOCK, count, SUM_BLOCK), count]
-        *blocks, bias = jnp.split(weights, cuts, axis=1)
-        activation = bias[:, 0]
-        for block, part in zip(blocks, jnp.split(values, cuts[:-1]), strict=True):
+    for *blocks, activation in weights:
+        parts = jnp.split(values, _cuts(values.shape[0]))
+        for block, part in zip(blocks, parts, strict=True):
             activation = activation + matvec(block, part)
         values = jax.nn.sigmoid(activation / brain.temperature)
     return values
+
+
+def _cuts(count: int) -> list[int]:
+    return list(range(SUM_BLOCK, count, SUM_BLOCK))
 
 
 def random_weights(

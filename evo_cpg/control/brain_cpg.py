@@ -38,7 +38,15 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.control import matsuoka
-from evo_cpg.control.brain import Brain, BrainSettings, build_brain, random_weights, think
+from evo_cpg.control.brain import (
+    Brain,
+    BrainSettings,
+    Weights,
+    build_brain,
+    decode_weights,
+    random_weights,
+    think,
+)
 from evo_cpg.control.controller import Command, Controller, Observation, Origin
 from evo_cpg.control.matsuoka import CpgSettings, MatsuokaNetwork, MatsuokaState, build_network
 from evo_cpg.creature.tree import Tree
@@ -168,17 +176,21 @@ class BrainCpg(Controller):
         """Neurons at rest but for the extensors, which are slightly active."""
         return matsuoka.initial_state(self.network, batch, dtype)
 
+    def decode(self, genes: Float[Array, "g *n"]) -> Weights:
+        """The brain's weights."""
+        return decode_weights(self.brain, genes)
+
     def act(
-        self, genes: Float[Array, "g *n"], state: MatsuokaState, observation: Observation
+        self, decoded: Weights, state: MatsuokaState, observation: Observation
     ) -> tuple[MatsuokaState, Command]:
         """Sense, think, advance the rhythm by one control step, command the motors.
 
         Raises:
             ValueError: the senses are not those that the brain was built for.
         """
-        batch_ndim = genes.ndim - 1
+        batch_ndim = observation.joint_angle.ndim - 1
         inputs = fuse(self.brain_inputs, state, observation, batch_ndim=batch_ndim)
-        outputs = think(self.brain, genes, inputs)
+        outputs = think(self.brain, decoded, inputs)
         arguments = outputs, state, observation.joint_angle
         if self.substeps > matsuoka.UNROLLED:
             return self._follow(*arguments)

@@ -39,10 +39,10 @@ class Commanded(Controller):
         return jnp.zeros(batch, jnp.int32)
 
     def act(
-        self, genes: Float[Array, "g *n"], state: Int[Array, "*n"], observation: Observation
+        self, decoded: Float[Array, "g *n"], state: Int[Array, "*n"], observation: Observation
     ) -> tuple[Int[Array, "*n"], Command]:
         """The rates of the present control step."""
-        del genes
+        del decoded
         still = jnp.zeros_like(observation.joint_angle)
         if self.rates is None:
             return state + 1, Command(still, still)

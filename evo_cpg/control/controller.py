@@ -95,8 +95,8 @@ class Controller(eqx.Module):
         ...     def initial_state(self, batch, dtype):
         ...         return jnp.zeros(batch, dtype)
         ...
-        ...     def act(self, genes, state, observation):
-        ...         amplitude, frequency = genes
+        ...     def act(self, decoded, state, observation):
+        ...         amplitude, frequency = decoded
         ...         time = state + self.control_step
         ...         wave = jnp.sin(2 * jnp.pi * frequency * time)
         ...         signal = wave[None] * jnp.ones_like(observation.joint_angle)
@@ -129,14 +129,25 @@ class Controller(eqx.Module):
             dtype: floating-point type.
         """
 
+    def decode(self, genes: Float[Array, "g *n"]) -> PyTree[Array]:
+        """What `act` gets of the genes, which is the genes themselves unless a subclass says so.
+
+        Called once per trial. What stays the same throughout belongs here: it is then computed
+        once, and a gradient adds up its slopes array by array.
+
+        Args:
+            genes: of each individual.
+        """
+        return genes
+
     @abc.abstractmethod
     def act(
-        self, genes: Float[Array, "g *n"], state: PyTree[Array], observation: Observation
+        self, decoded: PyTree[Array], state: PyTree[Array], observation: Observation
     ) -> tuple[PyTree[Array], Command]:
         """One control step.
 
         Args:
-            genes: of each individual.
+            decoded: the genes of each individual, as `decode` gives them.
             state: as `initial_state` or the last step left it.
             observation: senses at the start of the step.
 

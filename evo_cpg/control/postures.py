@@ -133,13 +133,12 @@ class PostureController(Controller):
         return jnp.zeros(batch, jnp.int32)
 
     def act(
-        self, genes: Float[Array, "g *n"], state: Int[Array, "*n"], observation: Observation
+        self, decoded: Float[Array, "p d *n"], state: Int[Array, "*n"], observation: Observation
     ) -> tuple[Int[Array, "*n"], Command]:
         """Pull to the posture of the present time."""
-        angles = self.decode(genes)
         numbers = lift(np.arange(self.postures), state, 1 + state.ndim)
         present = (numbers == self.posture(state)[None])[:, None]
-        angle = jnp.where(present, angles, 0.0).sum(0)
+        angle = jnp.where(present, decoded, 0.0).sum(0)
         return state + 1, Command(
             target_rate=jnp.zeros_like(angle), signal=angle, target_angle=angle
         )

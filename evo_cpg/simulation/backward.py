@@ -1,8 +1,9 @@
 """A trial as reverse-mode differentiation goes back through it.
 
-Two things are done that change nothing forwards. Memory: of each control step only what goes on to
-the next is kept and the rest computed again; where even that is too much, only what goes from one
-segment of the trial to the next is (Griewank's checkpoints in two levels). Horizon: a small change
+Two things are done that change nothing forwards. Memory: of each control step the way back needs
+what its programs started from (see `evo_cpg.fusion.derivatives`), which is kept; where that is too
+much for the whole trial, only what goes from one segment to the next is, and the rest computed
+again (Griewank's checkpoints in two levels). Horizon: a small change
 early in a trial changes what comes later the more, the later it is, and where the motion is chaotic
 the exact slope of the end says little about any finite step. A *faded* slope forgets: on its way
 back it shrinks by a factor in every control step, except for what it says of the root's position,
@@ -11,12 +12,13 @@ which only ever adds up.
 
 import dataclasses
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.extend.core import Literal
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
@@ -25,8 +27,8 @@ from evo_cpg.physics.state import State
 Carry = TypeVar("Carry")
 Values = TypeVar("Values")
 
-# What may be kept of all control steps together; more of it is kept in segments.
-_KEPT_AT_MOST = 256 * 2**20  # bytes
+# What may be kept of all control steps together, bytes; else segments are computed again.
+_KEPT_AT_MOST = 256 * 2**20
 
 
 class Backward(NamedTuple):
@@ -35,9 +37,11 @@ class Backward(NamedTuple):
     Attributes:
         retention: share of a slope that is left of it one control step further back; None to
             leave the slope exact, which 1 does as well.
+        copies: of the trial that are computed at once by `jax.vmap` and share the memory.
     """
 
     retention: Float[Array, " *#n"] | float | None = None
+    copies: int = 1
 
     def scan(self, advance: Callable, carry: Carry, steps: int) -> Carry:
         """`jax.lax.scan` of a function of the carry and the number of the step, for its carry.
@@ -55,11 +59,14 @@ class Backward(NamedTuple):
 
             return walk
 
-        step = jax.checkpoint(lambda carry, i: (advance(carry, i)[0], None), prevent_cse=False)
-        size = sum(x.size * x.dtype.itemsize for x in jax.tree.leaves(carry))
-        if steps * size <= _KEPT_AT_MOST:
+        def step(carry: Carry, number: ArrayLike) -> tuple[Carry, None]:
+            return advance(carry, number)[0], None
+
+        kept = _kept_bytes(step, carry)
+        if self.copies * steps * kept <= _KEPT_AT_MOST:
             return segment(steps)(carry, 0)[0]
-        length = math.isqrt(steps)
+        # The least memory for the states between segments and for one segment together.
+        length = max(1, math.isqrt(steps * _bytes(jax.tree.leaves(carry)) // kept))
         count, rest = divmod(steps, length)
         whole = jax.checkpoint(segment(length), prevent_cse=False)
         carry, _ = jax.lax.scan(whole, carry, length * jnp.arange(count))
@@ -78,6 +85,26 @@ class Backward(NamedTuple):
 def retention(horizon: Float[np.ndarray, " *n"], control_rate: float) -> Float[np.ndarray, " *n"]:
     """Of slopes that fade to 1/e within the horizon (s); infinity keeps them."""
     return np.exp(-1.0 / (horizon * control_rate))
+
+
+def _kept_bytes(step: Callable, carry: Any) -> int:
+    """What one control step leaves for the way back, bytes; not what is the same for all steps."""
+    pure, shared = jax.closure_convert(lambda carry: step(carry, jnp.zeros((), int))[0], carry)
+
+    def leave(carry: Any, *shared: Array) -> list[Array]:
+        return jax.tree.leaves(jax.vjp(pure, carry, *shared)[1])
+
+    jaxpr = jax.make_jaxpr(leave)(carry, *shared).jaxpr
+    moving = set(jaxpr.invars[: len(jax.tree.leaves(carry))])
+    for equation in jaxpr.eqns:
+        if any(x in moving for x in equation.invars if not isinstance(x, Literal)):
+            moving.update(equation.outvars)
+    left = {x for x in jaxpr.outvars if not isinstance(x, Literal) and x in moving}
+    return _bytes(x.aval for x in left)
+
+
+def _bytes(arrays: Iterable[Any]) -> int:
+    return sum(x.size * x.dtype.itemsize for x in arrays)
 
 
 def _fading(values: Values, factor: Array) -> Values:

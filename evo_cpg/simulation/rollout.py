@@ -12,7 +12,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, UInt32
+from jaxtyping import Array, Bool, Float, Int, PyTree, UInt32
 
 from evo_cpg.control.controller import Command, Controller, Observation
 from evo_cpg.creature.tree import Tree
@@ -184,11 +184,12 @@ def motion(
     """
     batch, dtype = genes.shape[1:], genes.dtype
     light = light_places(simulation.lights, None, dtype)
+    decoded = simulation.controller.decode(genes)
     animal = _start(simulation, batch, dtype, None, None)
     animal = animal._replace(state=begin(animal.state))
 
     def advance(animal: _Animal, index: Array) -> tuple[_Animal, State]:
-        animal, _ = _control_step(simulation, genes, None, light, animal, index)
+        animal, _ = _control_step(simulation, decoded, None, light, animal, index)
         return animal, animal.state
 
     _, states = jax.lax.scan(advance, animal, jnp.arange(simulation.steps))
@@ -209,12 +210,13 @@ def _live(
     batch, dtype = genes.shape[1:], genes.dtype
     task, steps, tree = simulation.task, simulation.steps, simulation.world.tree
     light = light_places(simulation.lights, trial, dtype)
+    decoded = simulation.controller.decode(genes)
 
     def advance(carry, index):
         animal, tally, alive = carry
         if backward is not None:
             animal = _Animal(*backward.forget(animal.state, animal.nerves), animal.pressure)
-        animal, instant = _control_step(simulation, genes, keys, light, animal, index)
+        animal, instant = _control_step(simulation, decoded, keys, light, animal, index)
         tally = task.watch(tally, instant.moment, steps)
         frame = {}
         if recorded.stop:
@@ -303,7 +305,7 @@ def _start(
 
 def _control_step(
     simulation: Simulation,
-    genes: Array,
+    decoded: PyTree[Array],
     keys: Array | None,
     light: np.ndarray | Array | None,
     animal: _Animal,
@@ -311,7 +313,7 @@ def _control_step(
 ) -> tuple[_Animal, _Instant]:
     """Sense, command, and move for one control step."""
     state, nerves, pressure = animal
-    world, batch = simulation.world, genes.shape[1:]
+    world, batch = simulation.world, state.position.shape[1:]
     h = simulation.step_length
     state = disturb_motion(simulation.noise, state, keys, index, 1.0 / simulation.control_rate)
     # What differs between individuals must be an argument of what is fused, what does not is a
@@ -327,7 +329,7 @@ def _control_step(
 
     strength, cosine, sine, depth = fuse(look, state, own, batch_ndim=len(batch))
     observation = Observation(strength, pressure, cosine, sine, state.q, state.qd, depth)
-    nerves, command = simulation.controller.act(genes, nerves, observation)
+    nerves, command = simulation.controller.act(decoded, nerves, observation)
 
     def touch(state: State, support: Array) -> Array:
         return feel(simulation.sensors, world, kinematics(world.tree, state), support)
@@ -344,7 +346,7 @@ def _control_step(
         support = support if felt is None else felt
         return (state, energy + spent, airborne + off_ground, torque, support), None
 
-    none = jnp.zeros(batch, genes.dtype)
+    none = jnp.zeros(batch, state.q.dtype)
     feels = world.footing is not None and bool(simulation.sensors.pressure_bodies)
     places = len(world.footing.bodies) if world.footing is not None and feels else 0
     untouched = jnp.zeros((3, places, *batch), state.q.dtype)

@@ -174,6 +174,7 @@ def compile_ascent(
     """
     simulation, gene_count = experiment.simulation, experiment.simulation.controller.gene_count
     numbers: Any = situation_numbers(experiment)
+    width = max(1, LANES // experiment.trials)
 
     def fitness(
         genes: Float[Array, " g"],
@@ -184,7 +185,7 @@ def compile_ascent(
         own, shifts = genes[:gene_count], genes[gene_count:]
         crowd = jnp.broadcast_to(own[:, None], (gene_count, experiment.trials))
         trial = free.simulation(free.at(shifts).astype(genes.dtype)) if free else simulation
-        outcome = rollout(trial, crowd, keys, numbers, Backward(kept))
+        outcome = rollout(trial, crowd, keys, numbers, Backward(kept, width))
         return judge(simulation.task, outcome, scales)[0]
 
     def climb(
@@ -209,7 +210,6 @@ def compile_ascent(
         best, value = jax.vmap(climb, in_axes=-1, out_axes=-1)(*lanes)
         return best, value[None]
 
-    width = max(1, LANES // experiment.trials)
     program = sharded(climb_all, mesh, (2, 1, 1, 3), 2)
 
     def run(

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from evo_cpg.control.brain import BrainSettings, build_brain, random_weights, think
+from evo_cpg.control.brain import BrainSettings, build_brain, decode_weights, random_weights, think
 
 
 def written_out(sizes, temperature, genes, inputs):
@@ -30,7 +30,9 @@ def test_brain_equals_its_equations_written_out(hidden, temperature):
     genes = rng.uniform(-0.5, 0.5, brain.gene_count)
     inputs = rng.uniform(-1, 1, 70)
     expected = written_out((70, *hidden, 6), temperature, genes, inputs)
-    found = jax.jit(lambda g, v: think(brain, g, v))(jnp.asarray(genes), jnp.asarray(inputs))
+    found = jax.jit(lambda g, v: think(brain, decode_weights(brain, g), v))(
+        jnp.asarray(genes), jnp.asarray(inputs)
+    )
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-13)
 
 
@@ -40,7 +42,9 @@ def test_temperature_divides_what_a_unit_receives():
     for temperature in (0.1, 1.0, 10.0):
         brain = build_brain(2, 1, BrainSettings(hidden=(), temperature=temperature))
         expected = 1 / (1 + np.exp(-received / temperature))
-        assert think(brain, genes, inputs)[0] == pytest.approx(expected, rel=1e-14)
+        assert think(brain, decode_weights(brain, genes), inputs)[0] == pytest.approx(
+            expected, rel=1e-14
+        )
 
 
 def test_batch_equals_single_and_vmap():
@@ -50,7 +54,7 @@ def test_batch_equals_single_and_vmap():
 
     @jax.jit
     def outputs(genes, inputs):
-        return think(brain, genes, inputs)
+        return think(brain, decode_weights(brain, genes), inputs)
 
     batched = outputs(genes, inputs)
     mapped = jax.vmap(outputs, in_axes=-1, out_axes=-1)(genes, inputs)
@@ -81,7 +85,7 @@ def test_first_weights_fill_their_range_evenly():
 def test_wrong_number_of_inputs_or_genes_is_refused(genes, inputs, words):
     brain = build_brain(94, 7, BrainSettings())
     with pytest.raises(ValueError, match=words):
-        think(brain, jnp.zeros(genes), jnp.zeros(inputs))
+        think(brain, decode_weights(brain, jnp.zeros(genes)), jnp.zeros(inputs))
 
 
 @pytest.mark.parametrize(

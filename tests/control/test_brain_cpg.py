@@ -108,11 +108,11 @@ def test_motor_command_follows_the_rhythm_and_centres_the_joint(chain):
     grown = build_brain_cpg(tree, 1, 10, settings)
     rng = np.random.default_rng(3)
     sense = observe(rng, 6)
-    genes = grown.random_genes(jax.random.key(0), (), float)
+    decoded = grown.decode(grown.random_genes(jax.random.key(0), (), float))
     state = grown.initial_state((), float)
     act = eqx.filter_jit(grown.act)
     for _ in range(100):
-        state, command = act(genes, state, sense)
+        state, command = act(decoded, state, sense)
     signal = np.maximum(state.potential[0], 0) - np.maximum(state.potential[1], 0)
     np.testing.assert_allclose(command.signal, signal, rtol=0, atol=1e-15)
     weights = 4.0 * np.array([0.0, 2.0] * 3)
@@ -124,7 +124,9 @@ def test_command_is_cut_off_at_the_largest_rate(chain):
     grown = build_brain_cpg(chain(3, "z"), 1, 3, BrainCpgSettings(rate_gain=1e4, max_rate=2.0))
     sense = observe(np.random.default_rng(0), 2, pressures=3)
     genes = jnp.zeros(grown.gene_count)
-    _, command = eqx.filter_jit(grown.act)(genes, grown.initial_state((), float), sense)
+    _, command = eqx.filter_jit(grown.act)(
+        grown.decode(genes), grown.initial_state((), float), sense
+    )
     np.testing.assert_array_equal(jnp.abs(command.target_rate), 2.0)
 
 
@@ -135,7 +137,8 @@ def test_batch_equals_single_and_vmap(chain, drive):
     genes = grown.random_genes(jax.random.key(1), (3,), float)
 
     def trial(genes, state, sense):
-        return jax.lax.scan(lambda state, _: grown.act(genes, state, sense), state, length=20)[
+        decoded = grown.decode(genes)
+        return jax.lax.scan(lambda state, _: grown.act(decoded, state, sense), state, length=20)[
             1
         ].target_rate
 
@@ -154,13 +157,13 @@ def test_closed_loop_keeps_the_senses_in_range_and_the_rhythm_alive(chain):
     grown = build_brain_cpg(chain(10, "z"), 1, 10, BrainCpgSettings())
     population = 40
     sense = observe(np.random.default_rng(5), 9, (population,))
-    genes = grown.random_genes(jax.random.key(2), (population,), float)
+    decoded = grown.decode(grown.random_genes(jax.random.key(2), (population,), float))
 
     def step(carry, _):
         state, angle = carry
         seen = sense._replace(joint_angle=angle)
         largest = jnp.abs(grown.brain_inputs(state, seen)).max()
-        state, command = grown.act(genes, state, seen)
+        state, command = grown.act(decoded, state, seen)
         angle = jnp.clip(angle + command.target_rate / 60, -1.05, 1.05)
         return (state, angle), (command.signal, largest)
 
@@ -181,8 +184,10 @@ def test_gradient_flows_through_brain_and_cord(chain):
 
     @jax.jit
     def late_signal(t):
+        decoded = grown.decode(genes + t * direction)
+
         def step(state, _):
-            state, command = grown.act(genes + t * direction, state, sense)
+            state, command = grown.act(decoded, state, sense)
             return state, command.signal[1]
 
         return jax.lax.scan(step, grown.initial_state((), float), length=60)[1][-1]
@@ -196,8 +201,8 @@ def test_controller_passes_through_jit_as_an_argument(chain):
     sense = observe(np.random.default_rng(7), 4)
     genes = grown.random_genes(jax.random.key(0), (), float)
     state = grown.initial_state((), float)
-    expected = eqx.filter_jit(grown.act)(genes, state, sense)[1].target_rate
-    found = eqx.filter_jit(lambda c: c.act(genes, state, sense)[1].target_rate)(grown)
+    expected = eqx.filter_jit(grown.act)(grown.decode(genes), state, sense)[1].target_rate
+    found = eqx.filter_jit(lambda c: c.act(c.decode(genes), state, sense)[1].target_rate)(grown)
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-14)
 
 
@@ -213,7 +218,7 @@ def test_senses_of_another_creature_are_refused(chain):
     genes = grown.random_genes(jax.random.key(0), (), float)
     sense = observe(np.random.default_rng(8), 4, lights=2)
     with pytest.raises(ValueError, match="the brain has 25 inputs, but was given 28 values"):
-        grown.act(genes, grown.initial_state((), float), sense)
+        grown.act(grown.decode(genes), grown.initial_state((), float), sense)
 
 
 def test_creature_without_joints_is_refused(grow):

@@ -45,9 +45,10 @@ def act_for(controller, genes, steps):
     batch = genes.shape[1:]
     sense = observe(controller.dof_count, batch, genes.dtype)
     start = controller.initial_state(batch, genes.dtype)
+    decoded = controller.decode(genes)
 
     def advance(state, _):
-        return controller.act(genes, state, sense)
+        return controller.act(decoded, state, sense)
 
     _, commands = jax.lax.scan(advance, start, length=steps)
     return commands
@@ -241,7 +242,8 @@ def test_single_precision_stays(quadruped, wide):
     with jax.enable_x64(wide):
         genes = quadruped.random_genes(jax.random.key(3), (2,), jnp.float32)
         start = quadruped.initial_state((2,), jnp.float32)
-        state, command = eqx.filter_jit(quadruped.act)(genes, start, observe(8, (2,), jnp.float32))
+        sense = observe(8, (2,), jnp.float32)
+        state, command = eqx.filter_jit(quadruped.act)(quadruped.decode(genes), start, sense)
         assert (genes.dtype, state.dtype, start.dtype) == (jnp.float32, jnp.int32, jnp.int32)
         assert {values.dtype for values in command} == {jnp.dtype(jnp.float32)}
         number = np.asarray(genes).reshape(8, 8, 3, 2)[0]

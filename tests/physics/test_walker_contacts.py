@@ -77,11 +77,12 @@ def walk():
             place = simulation.situations[0].start_position
             state = resting_state(world.tree, (WALKERS,), position=place)
             nerves = controller.initial_state((WALKERS,), jnp.float32)
+            decoded = controller.decode(genes)
             observed = Observation(nothing, nothing, nothing, nothing, still, still, nothing)
 
             def control(carry, _):
                 state, nerves = carry
-                nerves, command = controller.act(genes, nerves, observed)
+                nerves, command = controller.act(decoded, nerves, observed)
 
                 def move(s, _):
                     angle = command.target_angle * stands

@@ -75,16 +75,17 @@ def test_segments_take_less_memory_in_long_trials(monkeypatch):
     made = dataclasses.replace(experiment().simulation, steps=900)
     genes = jnp.ones((2, 16))
 
-    def memory(budget: int) -> int:
+    def memory(budget: int, copies: int = 1) -> int:
         monkeypatch.setattr(backward, "_KEPT_AT_MOST", budget)
 
         def fitness(genes):
-            outcome = rollout(made, genes, backward=Backward())
+            outcome = rollout(made, genes, backward=Backward(copies=copies))
             return score(made.task, outcome, {"energy": jnp.float32(1.0)}).sum()
 
         usage = quick_jit(jax.grad(fitness)).lower(genes).compile().memory_analysis()
         return usage.temp_size_in_bytes
 
     one_level, segments = memory(2**30), memory(0)
-    # Sixty of 900 states are kept (thirty segments, thirty steps of the present one).
+    assert memory(2**30, copies=2**16) == segments
+    # Kept are some thirty states, and what some thirty steps of the present segment leave.
     assert segments < one_level / 5

@@ -196,7 +196,7 @@ def test_the_largest_rate_is_a_kink():
         seen = Observation(none, none, none, none, angle[None], jnp.zeros_like(angle)[None], none)
         state = controller.initial_state((len(angle),), jnp.float64)
         every = jnp.broadcast_to(genes, (len(genes), len(angle)))
-        return controller.act(every, state, seen)[1].target_rate[0]
+        return controller.act(controller.decode(every), state, seen)[1].target_rate[0]
 
     centred = float(quick_jit(outcome)(jnp.zeros(6))[0])
     assert 0 < centred < settings.max_rate
