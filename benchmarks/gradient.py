@@ -1,9 +1,9 @@
 """The gradient of the fitness with respect to all genes, beside the run without it.
 
-One second of the swimmer's whole stack with everything kept, and the whole trial with what
-`evo_cpg.simulation.backward` keeps, on one core, each in a process of its own: compiling the
-backward pass may take long and much memory. Run as a program, this module is the worker:
-`python -m benchmarks.gradient SIZE SECONDS [KEY=VALUE ...]`, where 0 s is the whole trial.
+The whole trial of the swimmer's whole stack, as `evo-cpg refine` differentiates it, for as many
+individuals as fill a vector and for a wide chunk, on one core, each in a process of its own:
+compiling the backward pass may take long and much memory. Run as a program, this module is the
+worker: `python -m benchmarks.gradient SIZE SECONDS [KEY=VALUE ...]`, where 0 s is the whole trial.
 """
 
 import statistics
@@ -18,7 +18,7 @@ from benchmarks.rows import Row
 from benchmarks.timing import Contender, race, ratio_quartiles
 from benchmarks.worker import WorkerError, serve, started
 
-SIZE = 16
+SIZES = (16, 112)
 # s of a trial; 0 for all of it.
 _SHORT, _WHOLE = 1.0, 0.0
 _GRADIENT, _FORWARD = "value and gradient", "forward run"
@@ -29,22 +29,23 @@ _PATIENCE = 5
 
 
 def measure(plan: Plan) -> list[Row]:
-    """Two rows, whose ratio is the speed with the gradient over that without."""
-    lengths = (_SHORT,) if plan.quick else (_SHORT, _WHOLE)
-    return [_measure(plan, seconds) for seconds in lengths]
+    """A row for each size, whose ratio is the speed with the gradient over that without."""
+    if plan.quick:
+        return [_measure(plan, SIZES[0], _SHORT)]
+    return [_measure(plan, size, _WHOLE) for size in SIZES]
 
 
-def _measure(plan: Plan, seconds: float) -> Row:
+def _measure(plan: Plan, size: int, seconds: float) -> Row:
     plan.say("gradient: compiling")
     limit = _PATIENCE * plan.limit
-    with started("gradient", str(SIZE), str(seconds), *swimmer_settings(plan)) as worker:
+    with started("gradient", str(size), str(seconds), *swimmer_settings(plan)) as worker:
         try:
             ready = worker.answer(limit)
         except WorkerError as error:
-            return _row(seconds, 0.0, "", note=str(error))
+            return _row(size, seconds, 0.0, "", note=str(error))
 
         def contender(name: str) -> Contender:
-            work = SIZE * ready["steps"] * _CALLS[seconds][name]
+            work = size * ready["steps"] * _CALLS[seconds][name]
             return Contender(name, work, lambda: worker.ask(name, limit))
 
         plan.say("gradient")
@@ -52,6 +53,7 @@ def _measure(plan: Plan, seconds: float) -> Row:
     low, ratio, high = ratio_quartiles(rates, _GRADIENT, _FORWARD)
     forward = ready["forward_seconds"]
     return _row(
+        size,
         seconds,
         statistics.median(rates[_GRADIENT]),
         f", {ready['bodies']} bodies; median of {plan.repeats} rounds in turn; the forward run "
@@ -65,11 +67,10 @@ def _measure(plan: Plan, seconds: float) -> Row:
     )
 
 
-def _row(seconds: float, rate: float, how: str, **fields: Any) -> Row:
-    length = f"{seconds:g} s" if seconds else "the whole trial, checkpointed"
-    what = f"mean fitness of {SIZE} individuals after {length}, float32, one core{how}"
-    name = _GRADIENT if seconds else f"{_GRADIENT}, whole trial"
-    return Row("gradient", name, SIZE, rate, UNIT, what, peer=_FORWARD, **fields)
+def _row(size: int, seconds: float, rate: float, how: str, **fields: Any) -> Row:
+    length = f"{seconds:g} s" if seconds else "the whole trial"
+    what = f"mean fitness of {size} individuals after {length}, float32, one core{how}"
+    return Row("gradient", _GRADIENT, size, rate, UNIT, what, peer=_FORWARD, **fields)
 
 
 def _prepare(size: int, seconds: float, settings: Sequence[str]) -> tuple[dict[str, Any], Any]:
@@ -90,11 +91,10 @@ def _prepare(size: int, seconds: float, settings: Sequence[str]) -> tuple[dict[s
     if seconds:
         control_steps = round(seconds * simulation.control_rate)
         simulation = dataclasses.replace(simulation, steps=control_steps)
-    backward = None if seconds else Backward()
     scales = {"energy": jnp.float32(1)}
 
     def fitness(genes):
-        outcome = rollout(simulation, genes, backward=backward)
+        outcome = rollout(simulation, genes, backward=Backward())
         return score(simulation.task, outcome, scales).mean()
 
     draw = fast_jit(
