@@ -6,11 +6,11 @@ times. Fitness gained in each way, run by run and in the middle, goes into docs/
 OUT/refining.json and the run folders under OUT hold the rest.
 """
 
+import argparse
 import contextlib
 import json
 import shutil
 import statistics
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -25,13 +25,20 @@ from evo_cpg.training.run_folder import Checkpoint, RunFolder
 
 SWIMMER = Path(__file__).parents[1] / "configs" / "iwadate2010_swimmer.yaml"
 RUNS = 5
-ROUNDS = 2
 # Six of each run fill the lanes of two cores.
 LEARNING = Learning(every=5, elites=6, steps=5)
 
 
-def main(out: Path, config_file: Path, overrides: list[str]) -> None:
+def main() -> None:
     """Evolve, then go on in three ways for the same time."""
+    parser = argparse.ArgumentParser(prog="benchmarks.refining", description=__doc__)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("config", type=Path, nargs="?", default=SWIMMER)
+    parser.add_argument("overrides", nargs="*", metavar="KEY=VALUE")
+    parser.add_argument("--rounds", type=int, default=2)
+    parser.add_argument("--skip-learning", action="store_true", help="compiling it takes minutes")
+    chosen = parser.parse_args()
+    out, config_file, overrides = chosen.out, chosen.config, chosen.overrides
     devices = use_cores()
     config = load_config(config_file, [f"runs={RUNS}", *overrides])
     experiment = build_experiment(config, config_file)
@@ -40,12 +47,14 @@ def main(out: Path, config_file: Path, overrides: list[str]) -> None:
         start.create(dump_config(config), {"devices": devices})
     begun = train(experiment, start, _tell)
     before = [champion.fitness for champion in begun.champions if champion]
-    refined, seconds = _refine(experiment, begun)
+    refined, seconds = _refine(experiment, begun, chosen.rounds)
     ways = {
         "refined": refined,
         "evolved": _evolve(experiment, start, out / "evolved", seconds),
-        "learned": _evolve(experiment._replace(learning=LEARNING), start, out / "learned", seconds),
     }
+    if not chosen.skip_learning:
+        learner = experiment._replace(learning=LEARNING)
+        ways["learned"] = _evolve(learner, start, out / "learned", seconds)
     study = {"before": before, "seconds": seconds, **ways}
     (out / "refining.json").write_text(json.dumps(study, indent=2))
     print(f"\n{config.name}, {experiment.generations} generations, then {seconds:.0f} s each way\n")
@@ -58,9 +67,9 @@ def main(out: Path, config_file: Path, overrides: list[str]) -> None:
         print(f"| {name} | {middle:.4f} | " + _row(np.percentile(g, share) for g in gains.values()))
 
 
-def _refine(experiment: Experiment, begun: Checkpoint) -> tuple[list[float], float]:
+def _refine(experiment: Experiment, begun: Checkpoint, count: int) -> tuple[list[float], float]:
     """Fitness of every champion afterwards, and the seconds that one took."""
-    refine = compile_refinement(experiment, Refinement(ROUNDS))
+    refine = compile_refinement(experiment, Refinement(count))
     rounds: list[Round] = []
 
     def keep(done: Round) -> None:
@@ -69,7 +78,7 @@ def _refine(experiment: Experiment, begun: Checkpoint) -> tuple[list[float], flo
 
     after = [refine(champion, keep).fitness for champion in begun.champions if champion]
     # The first of all compiles.
-    return after, ROUNDS * statistics.median(done.seconds for done in rounds[1:])
+    return after, count * statistics.median(done.seconds for done in rounds[1:])
 
 
 def _evolve(experiment: Experiment, start: RunFolder, path: Path, seconds: float) -> list[float]:
@@ -109,8 +118,4 @@ def _row(values) -> str:
 
 
 if __name__ == "__main__":
-    main(
-        Path(sys.argv[1]),
-        Path(sys.argv[2]) if len(sys.argv) > 2 else SWIMMER,
-        sys.argv[3:],
-    )
+    main()

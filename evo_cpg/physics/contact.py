@@ -62,6 +62,10 @@ _CEILING = 1e-2
 # Squared speed (m^2/s^2) and force (N^2) added under roots so that they have gradients at rest.
 _FLOOR = 1e-20
 
+# Work of all contact forces (W) that counts as none. Gradients divide by its square, which must not
+# vanish in float32.
+_NO_WORK = 1e-15
+
 
 class Contacts(NamedTuple):
     """Where the places touch, or would, and what holds throughout one step.
@@ -207,7 +211,7 @@ def work_share(
     """
     lost = 2.0 * (force[2] * contacts.push - (force * without).sum(0)).sum(0)
     growth = (force * (velocity - without)).sum((0, 1))
-    return jnp.clip(lost / jnp.maximum(growth, _FLOOR), 0.0, 1.0)
+    return jnp.clip(lost / jnp.maximum(growth, _NO_WORK), 0.0, 1.0)
 
 
 def contact_equations(

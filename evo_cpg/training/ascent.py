@@ -30,8 +30,9 @@ _TINY = 1e-12
 
 # Step sizes are drawn from this range, in units of genes, evenly on a logarithmic scale.
 _STEP_SIZES = 3e-4, 1e-2
-# The shortest horizon of a slope, s; the share of individuals that take it exact.
-SHORTEST_HORIZON = 1.0
+# The shortest horizon of a slope, s, in water and on the ground, where slopes grow a hundredfold in
+# half a second; the share of individuals that take it exact.
+_SHORTEST_HORIZON, _SHORTEST_ON_GROUND = 1.0, 0.1
 _EXACT = 0.25
 
 # A slope longer than so many times the mean of those before is cut to that.
@@ -115,10 +116,19 @@ def draw_ways(
     rng: np.random.Generator,
     simulation: Simulation,
     count: int,
-    shortest: float = SHORTEST_HORIZON,
+    stretched: float = 1.0,
 ) -> Ways:
-    """Step sizes and horizons, the horizons from ``shortest`` (s) to where they hardly fade."""
+    """Step sizes and horizons, the horizons from the shortest to where they hardly fade.
+
+    Args:
+        rng: of all draws.
+        simulation: in which they climb.
+        count: individuals.
+        stretched: factor on the shortest horizon.
+    """
     whole = simulation.steps / simulation.control_rate
+    on_ground = simulation.world.footing is not None
+    shortest = stretched * (_SHORTEST_ON_GROUND if on_ground else _SHORTEST_HORIZON)
     horizons = log_uniform(rng, min(shortest, whole), 10 * whole, count)
     horizons[rng.random(count) < _EXACT] = np.inf
     sizes = log_uniform(rng, *_STEP_SIZES, count)

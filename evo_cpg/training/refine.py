@@ -16,7 +16,7 @@ import numpy as np
 from jax.sharding import Mesh
 from jaxtyping import Float
 
-from evo_cpg.training.ascent import SHORTEST_HORIZON, Free, compile_ascent, draw_ways, log_uniform
+from evo_cpg.training.ascent import Free, compile_ascent, draw_ways, log_uniform
 from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.devices import LANES, chunk_width, fast_jit, population_mesh
 from evo_cpg.training.experiment import (
@@ -125,7 +125,7 @@ def compile_refinement(
             start = time.perf_counter()
             rng = np.random.default_rng((settings.seed, number))
             starts = _starts(parents, rng, lanes)
-            ways = draw_ways(rng, experiment.simulation, lanes, SHORTEST_HORIZON * 2**number)
+            ways = draw_ways(rng, experiment.simulation, lanes, 2.0**number)
             best, hoped = climb(starts, ways, scales, keys)
             chosen = np.argsort(-hoped)[: 2 * _PARENTS]
             chosen = chosen[np.isfinite(hoped[chosen])]
