@@ -3,6 +3,7 @@
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.progress import progress
@@ -11,6 +12,9 @@ from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import dump_config
 from evo_cpg.config.parameters import parametrise
 from evo_cpg.training.run_folder import RunFolderError
+
+if TYPE_CHECKING:
+    from evo_cpg.training.refine import Round
 
 
 def refine_run(
@@ -67,6 +71,7 @@ def refine_run(
                 "fitness": done.champion.fitness,
                 "gain": done.gain,
                 "slopes": done.slopes,
+                "finite_slopes": done.finite,
                 "seconds": done.seconds,
                 **done.champion.terms,
                 **dict(zip(keys, done.values.tolist(), strict=True)),
@@ -81,7 +86,7 @@ def refine_run(
             def tell(done: Round) -> None:
                 keep(done)
                 gained = f"gained {done.champion.fitness - before:+.4f}"
-                state = f"fitness {done.champion.fitness:8.4f}  {gained}  {done.slopes} slopes"
+                state = f"fitness {done.champion.fitness:8.4f}  {gained}  {_slopes(done)}"
                 show(done.number, state, done.seconds)
 
             refine = compile_refinement(
@@ -92,10 +97,7 @@ def refine_run(
         print(f"interrupted; what was gained is in {folder.path}", file=sys.stderr)
         raise
     if not any(row["gain"] > 0 for row in rows):
-        print(
-            f"no better individual found in {rounds * steps} steps; try another --seed",
-            file=sys.stderr,
-        )
+        print(_nothing_found(rows, rounds * steps), file=sys.stderr)
         print(folder.path)
         return
     best, _, _ = folder.load_champion()
@@ -107,3 +109,17 @@ def refine_run(
         print(f"{key}: {value:.6g}", file=sys.stderr)
     print(f"fitness {before:.4f} -> {champion.fitness:.4f} ({terms})", file=sys.stderr)
     print(folder.path)
+
+
+def _slopes(done: "Round") -> str:
+    lost = done.slopes - done.finite
+    return f"{done.slopes} slopes" + (f", {lost} not finite" if lost else "")
+
+
+def _nothing_found(rows: list[dict[str, float]], steps: int) -> str:
+    if any(row["finite_slopes"] for row in rows):
+        return f"no better individual found in {steps} steps; try another --seed"
+    return (
+        "no better individual found: no slope was finite, so nothing climbed; "
+        "slopes of shorter trials (simulation.steps) are smaller"
+    )

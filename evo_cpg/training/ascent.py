@@ -41,12 +41,16 @@ _LENGTH_DECAY = 0.9
 
 
 class _Moments(eqx.Module):
-    """What `Adam` remembers: means of the slope, its square and its length; the steps done."""
+    """What `Adam` remembers: means of the slope, its square and its length; the steps done.
+
+    ``finite`` counts those whose slope was a number.
+    """
 
     mean: Any
     square: Any
     length: Array
     count: Array
+    finite: Array
 
 
 class Adam(optimistix.AbstractDescent):
@@ -59,7 +63,8 @@ class Adam(optimistix.AbstractDescent):
         """Nothing seen yet."""
         del f_info_struct
         none = jax.tree.map(jnp.zeros_like, y)
-        return _Moments(none, none, jnp.zeros(()), jnp.zeros((), jnp.int32))
+        zero = jnp.zeros((), jnp.int32)
+        return _Moments(none, none, jnp.zeros(()), zero, zero)
 
     def query(self, y: Any, f_info: Any, state: _Moments) -> _Moments:
         """Take in the slope at ``y``."""
@@ -76,6 +81,7 @@ class Adam(optimistix.AbstractDescent):
             jax.tree.map(lambda s, g: _mix(_SQUARE_DECAY, s, g * g), state.square, slope),
             jnp.where(finite, usual, state.length),
             state.count + 1,
+            state.finite + finite,
         )
 
     def step(self, step_size: Array, state: _Moments) -> tuple[Any, optimistix.RESULTS]:
@@ -142,6 +148,20 @@ def log_uniform(
     return np.exp(rng.uniform(np.log(low), np.log(high), count)).astype(np.float32)
 
 
+class Climbed(NamedTuple):
+    """Where individuals came to.
+
+    Attributes:
+        genes: the best that each came by.
+        fitness: theirs.
+        finite: slopes of each that were numbers; the others count as none.
+    """
+
+    genes: Float[np.ndarray, "g n"]
+    fitness: Float[np.ndarray, " n"]
+    finite: Int[np.ndarray, " n"]
+
+
 class Free(NamedTuple):
     """Numbers of an experiment that are refined together with the genes.
 
@@ -168,7 +188,7 @@ class Free(NamedTuple):
 
 def compile_ascent(
     experiment: Experiment, mesh: Mesh, steps: int, free: Free | None = None
-) -> Callable[..., Any]:
+) -> Callable[..., Climbed]:
     """So many steps uphill for any number of individuals, on the devices of the mesh.
 
     Args:
@@ -180,7 +200,7 @@ def compile_ascent(
     Returns:
         A function of host arrays, compiled at its first call: of the genes, the ways, the task's
         yardsticks and, where there is noise, the keys of every individual's trials, individuals on
-        the last axis. It gives the best genes that they came by, and their fitness.
+        the last axis.
     """
     simulation, gene_count = experiment.simulation, experiment.simulation.controller.gene_count
     numbers: Any = situation_numbers(experiment)
@@ -200,7 +220,7 @@ def compile_ascent(
 
     def climb(
         genes: Array, way: Any, scales: dict[str, Array], keys: Array | None
-    ) -> tuple[Array, Array]:
+    ) -> tuple[Array, Array, Array]:
         def loss(genes: Array, _: None) -> tuple[Array, Array]:
             value = fitness(genes, scales, way.retentions, keys)
             return -value, value
@@ -214,11 +234,11 @@ def compile_ascent(
             max_steps=steps + 1,
             throw=False,
         )
-        return solution.value, solution.aux
+        return solution.value, solution.aux, solution.state.state.descent_state.finite
 
-    def climb_all(*lanes: Any) -> tuple[Array, Array]:
-        best, value = jax.vmap(climb, in_axes=-1, out_axes=-1)(*lanes)
-        return best, value[None]
+    def climb_all(*lanes: Any) -> tuple[Array, Array, Array]:
+        best, value, finite = jax.vmap(climb, in_axes=-1, out_axes=-1)(*lanes)
+        return best, value[None], finite[None]
 
     program = sharded(climb_all, mesh, (2, 1, 1, 3), 2)
 
@@ -227,17 +247,17 @@ def compile_ascent(
         ways: Ways,
         scales: dict[str, Float[np.ndarray, " n"]],
         keys: UInt32[np.ndarray, "w trials n"] | None = None,
-    ) -> tuple[Float[np.ndarray, "g n"], Float[np.ndarray, " n"]]:
+    ) -> Climbed:
         def pick(lanes: Int[np.ndarray, " block"]) -> tuple:
             return jax.tree.map(lambda x: x[..., lanes], (genes, ways, scales, keys))
 
         spread = Layout(mesh, width)
-        best, value = run_in_blocks(program, spread, genes.shape[1], pick)
+        best, value, finite = run_in_blocks(program, spread, genes.shape[1], pick)
         genetics = experiment.genetics
         if isinstance(genetics, RealGenetics):
             bounded = np.clip(best[:gene_count], -genetics.gene_bound, genetics.gene_bound)
             best = np.concatenate([bounded, best[gene_count:]])
-        return best, value[0]
+        return Climbed(best, value[0], finite[0])
 
     return run
 

@@ -51,9 +51,9 @@ def compile_learning(
         yardsticks = {
             name: np.repeat(np.array(values, np.float32), elites) for name, values in scales.items()
         }
-        best, _ = climb(genes[:, places], ways, yardsticks, _keys(experiment, generation))
+        climbed = climb(genes[:, places], ways, yardsticks, _keys(experiment, generation))
         genes = genes.copy()
-        genes[:, places] = best
+        genes[:, places] = climbed.genes
         return genes
 
     return learn

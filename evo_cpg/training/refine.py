@@ -59,6 +59,7 @@ class Round(NamedTuple):
         values: of the free numbers that it lives with.
         gain: fitness that the round added.
         slopes: gradients that were taken.
+        finite: of them, those that were numbers; the others count as none.
         seconds: that it took.
     """
 
@@ -67,6 +68,7 @@ class Round(NamedTuple):
     values: Float[np.ndarray, " k"]
     gain: float
     slopes: int
+    finite: int
     seconds: float
 
 
@@ -126,18 +128,18 @@ def compile_refinement(
             rng = np.random.default_rng((settings.seed, number))
             starts = _starts(parents, rng, lanes)
             ways = draw_ways(rng, experiment.simulation, lanes, 2.0**number)
-            best, hoped = climb(starts, ways, scales, keys)
-            chosen = np.argsort(-hoped)[: 2 * _PARENTS]
-            chosen = chosen[np.isfinite(hoped[chosen])]
-            found = try_out(best[:, chosen], champion) if len(chosen) else []
+            climbed = climb(starts, ways, scales, keys)
+            chosen = np.argsort(-climbed.fitness)[: 2 * _PARENTS]
+            chosen = chosen[np.isfinite(climbed.fitness[chosen])]
+            found = try_out(climbed.genes[:, chosen], champion) if len(chosen) else []
             # Among equals the earlier one stays.
             ranked = sorted([*parents, *found], key=lambda one: -one.champion.fitness)
             gain = ranked[0].champion.fitness - parents[0].champion.fitness
             parents = ranked[:_PARENTS]
             values = np.asarray(free.at(parents[0].shifts), float) if free else np.zeros(0)
             seconds = time.perf_counter() - start
-            slopes = lanes * (settings.steps + 1)
-            on_round(Round(number, parents[0].champion, values, gain, slopes, seconds))
+            slopes, finite = lanes * (settings.steps + 1), int(climbed.finite.sum())
+            on_round(Round(number, parents[0].champion, values, gain, slopes, finite, seconds))
         return parents[0].champion
 
     return refine

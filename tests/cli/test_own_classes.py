@@ -1,5 +1,8 @@
 """A user's own task and controller, in a module beside the config, train without a fork."""
 
+from pathlib import Path
+from typing import Any
+
 import yaml
 
 from evo_cpg.training.run_folder import RunFolder
@@ -23,8 +26,8 @@ class SineController(Controller):
     def initial_state(self, batch, dtype):
         return jnp.zeros(batch, dtype)
 
-    def act(self, genes, state, observation):
-        amplitude, frequency = genes
+    def act(self, decoded, state, observation):
+        amplitude, frequency = decoded
         time = state + self.control_step
         wave = jnp.sin(2 * jnp.pi * frequency * time)
         signal = wave[None] * jnp.ones_like(observation.joint_angle)
@@ -45,35 +48,45 @@ class GoForward(Task):
 
     def fitness(self, terms, scales):
         return terms["distance"] + self.bonus
+
+class Slopeless(GoForward):
+    def fitness(self, terms, scales):
+        distance = super().fitness(terms, scales)
+        # The slope of a root at 0 is infinite, and 0 times that is no number.
+        return distance + jnp.sqrt(0 * distance)
 """
 
+SETTINGS = (
+    "creature.bodies.1.repeat=1",
+    "creature.light_sensors=[]",
+    "creature.bodies.1.joint.axes=[z]",
+    "simulation.steps=20",
+    "evolution.population=8",
+    "evolution.elites=2",
+    "evolution.generations=2",
+)
 
-def test_a_task_and_a_controller_of_ones_own_train_and_verify(finish, tmp_path):
+
+def race(folder: Path, task: dict[str, Any]) -> Path:
+    """A configuration with the module beside it."""
     config = yaml.safe_load(CONFIG.read_text())
     config["creature"] = str(REPOSITORY / "configs" / config["creature"])
     config["controller"] = {"type": "my_animal:SineController"}
-    config["task"] = {"type": "my_animal:GoForward", "options": {"bonus": 5.0}}
-    mine = tmp_path / "mine"
+    config["task"] = task
+    mine = folder / "mine"
     mine.mkdir()
     (mine / "my_animal.py").write_text(MODULE)
-    (mine / "race.yaml").write_text(yaml.safe_dump(config))
+    written = mine / "race.yaml"
+    written.write_text(yaml.safe_dump(config))
+    return written
+
+
+def test_a_task_and_a_controller_of_ones_own_train_and_verify(finish, tmp_path):
+    race(tmp_path, {"type": "my_animal:GoForward", "options": {"bonus": 5.0}})
     run, elsewhere = tmp_path / "run", tmp_path / "elsewhere"
     elsewhere.mkdir()
     code, _, err = finish(
-        "train",
-        "mine/race.yaml",
-        "creature.bodies.1.repeat=1",
-        "creature.light_sensors=[]",
-        "creature.bodies.1.joint.axes=[z]",
-        "simulation.steps=20",
-        "evolution.population=8",
-        "evolution.elites=2",
-        "evolution.generations=2",
-        "--out",
-        run,
-        "--cores",
-        1,
-        folder=tmp_path,
+        "train", "mine/race.yaml", *SETTINGS, "--out", run, "--cores", 1, folder=tmp_path
     )
     assert code == 0, err
     champion, _, _ = RunFolder(run).load_champion()
@@ -83,3 +96,16 @@ def test_a_task_and_a_controller_of_ones_own_train_and_verify(finish, tmp_path):
     code, out, err = finish("verify", run, folder=elsewhere)
     assert code == 0, err
     assert out.endswith("comes out as recorded (exactly)\n")
+
+
+def test_a_fitness_without_slopes_is_not_refined_in_silence(finish, tmp_path):
+    config = race(tmp_path, {"type": "my_animal:Slopeless"})
+    run = tmp_path / "run"
+    code, _, err = finish("train", config, *SETTINGS, "--out", run, "--cores", 1)
+    assert code == 0, err
+    before = (run / "champion.npz").read_bytes()
+    code, out, err = finish("refine", run, "--rounds", 1, "--steps", 2, "--cores", 1)
+    assert (code, out) == (0, f"{run}\n")
+    assert "48 slopes, 48 not finite" in err
+    assert "no slope was finite" in err
+    assert (run / "champion.npz").read_bytes() == before

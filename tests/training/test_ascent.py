@@ -67,6 +67,7 @@ def test_the_guard_cuts_only_what_is_out_of_proportion():
         for length in lengths:
             info = optimistix.FunctionInfo.EvalGrad(jnp.zeros(()), jnp.array([length]))
             state = Adam().query(jnp.zeros(1), info, state)
+        assert int(state.finite) == np.isfinite(lengths).sum()
         return float(state.mean[0])
 
     assert after(1.0, 9.0) == pytest.approx(0.9 * 0.1 + 0.1 * 9.0, rel=1e-6)
@@ -80,7 +81,8 @@ def test_every_individual_climbs_its_own_way_from_where_it_is():
     genes = np.array([[1.0, 1.0, 1.4, 0.3], [1.0, 1.0, 0.8, 1.5]], np.float32)
     ways = Ways(np.array([1e-2, 3e-2, 3e-2, 3e-2], np.float32), np.ones(4, np.float32))
     scales = {"energy": np.ones(4, np.float32)}
-    best, fitness = run(genes, ways, scales)
+    best, fitness, finite = run(genes, ways, scales)
+    assert finite.tolist() == [7] * 4
 
     def judged(genes):
         return np.asarray(
@@ -97,10 +99,10 @@ def test_every_individual_climbs_its_own_way_from_where_it_is():
     moved = np.abs(best - genes).max(0)
     assert 0 < moved[0] < moved[1]
     # Each lane for itself.
-    alone, _ = run(
+    alone = run(
         genes[:, 2:3], Ways(ways.sizes[2:3], ways.retentions[2:3]), {"energy": scales["energy"][:1]}
     )
-    np.testing.assert_allclose(alone[:, 0], best[:, 2], rtol=1e-3)
+    np.testing.assert_allclose(alone.genes[:, 0], best[:, 2], rtol=1e-3)
 
 
 def test_ways_are_spread_over_their_ranges():

@@ -42,6 +42,7 @@ def test_rounds_only_gain_and_add_up(refined):
     assert after == rounds[-1].champion
     fitness = [before.fitness] + [done.champion.fitness for done in rounds]
     assert all(done.gain >= 0 for done in rounds)
+    assert all(done.finite == done.slopes for done in rounds)
     np.testing.assert_allclose(np.diff(fitness), [done.gain for done in rounds], atol=1e-9)
     assert after.fitness > before.fitness + 1e-3
     assert (after.run, after.index, after.generation) == (*before[5:7], before.generation)
