@@ -30,9 +30,8 @@ _PATIENCE = 5
 
 def measure(plan: Plan) -> list[Row]:
     """A row for each size, whose ratio is the speed with the gradient over that without."""
-    if plan.quick:
-        return [_measure(plan, SIZES[0], _SHORT)]
-    return [_measure(plan, size, _WHOLE) for size in SIZES]
+    seconds = _SHORT if plan.quick else _WHOLE
+    return [_measure(plan, size, seconds) for size in plan.sizes_or(*SIZES)]
 
 
 def _measure(plan: Plan, size: int, seconds: float) -> Row:

@@ -96,8 +96,13 @@ def refine_run(
     except KeyboardInterrupt:
         print(f"interrupted; what was gained is in {folder.path}", file=sys.stderr)
         raise
+    if not any(row["finite_slopes"] for row in rows):
+        print("no slope was finite: the fitness has none here to climb along", file=sys.stderr)
     if not any(row["gain"] > 0 for row in rows):
-        print(_nothing_found(rows, rounds * steps), file=sys.stderr)
+        print(
+            f"no better individual found in {rounds * steps} steps; try another --seed",
+            file=sys.stderr,
+        )
         print(folder.path)
         return
     best, _, _ = folder.load_champion()
@@ -114,12 +119,3 @@ def refine_run(
 def _slopes(done: "Round") -> str:
     lost = done.slopes - done.finite
     return f"{done.slopes} slopes" + (f", {lost} not finite" if lost else "")
-
-
-def _nothing_found(rows: list[dict[str, float]], steps: int) -> str:
-    if any(row["finite_slopes"] for row in rows):
-        return f"no better individual found in {steps} steps; try another --seed"
-    return (
-        "no better individual found: no slope was finite, so nothing climbed; "
-        "slopes of shorter trials (simulation.steps) are smaller"
-    )

@@ -7,7 +7,8 @@ again (Griewank's checkpoints in two levels). Horizon: a small change
 early in a trial changes what comes later the more, the later it is, and where the motion is chaotic
 the exact slope of the end says little about any finite step. A *faded* slope forgets: on its way
 back it shrinks by a factor in every control step, except for what it says of the root's position,
-which only ever adds up.
+which only ever adds up. On the ground some moments are so chaotic that no fading holds: there a
+slope is cut as well, to what a state can sensibly say about the way that is still to come.
 """
 
 import dataclasses
@@ -30,6 +31,11 @@ Values = TypeVar("Values")
 # What may be kept of all control steps together, bytes; else segments are computed again.
 _KEPT_AT_MOST = 256 * 2**20
 
+# What of a slope fades, beside nerves. On rough ways the height is one of them, and together they
+# are at most so many times as large (in SI units) as what the slope says of the place.
+_FADING = "orientation", "velocity", "q", "qd"
+_STEEPEST = 10.0
+
 
 class Backward(NamedTuple):
     """How a trial is differentiated.
@@ -38,10 +44,13 @@ class Backward(NamedTuple):
         retention: share of a slope that is left of it one control step further back; None to
             leave the slope exact, which 1 does as well.
         copies: of the trial that are computed at once by `jax.vmap` and share the memory.
+        rough: the way leads over ground, on which slopes may grow a millionfold in a tenth of a
+            second. They are cut, and what they say of the height fades.
     """
 
     retention: Float[Array, " *#n"] | float | None = None
     copies: int = 1
+    rough: bool = False
 
     def scan(self, advance: Callable, carry: Carry, steps: int) -> Carry:
         """`jax.lax.scan` of a function of the carry and the number of the step, for its carry.
@@ -73,13 +82,16 @@ class Backward(NamedTuple):
         return segment(rest)(carry, count * length)[0] if rest else carry
 
     def forget(self, state: State, nerves: Any) -> tuple[State, Any]:
-        """Body and nerves as they are; slopes that come back through here fade."""
-        if self.retention is None:
-            return state, nerves
-        fading = "orientation", "velocity", "q", "qd"
-        moving = {name: getattr(state, name) for name in fading}
-        moving, nerves = _fading((moving, nerves), jnp.asarray(self.retention, state.q.dtype))
-        return dataclasses.replace(state, **moving), nerves
+        """Body and nerves as they are; slopes that come back through here fade and are cut."""
+        if self.retention is not None:
+            kept = jnp.asarray(self.retention, state.q.dtype)
+            moving = {name: getattr(state, name) for name in _FADING}
+            moving, nerves = _fading((moving, nerves), kept)
+            if self.rough:
+                height = _fading(state.position[2:], kept)
+                moving["position"] = jnp.concatenate([state.position[:2], height])
+            state = dataclasses.replace(state, **moving)
+        return _cut(state) if self.rough else state, nerves
 
 
 def retention(horizon: Float[np.ndarray, " *n"], control_rate: float) -> Float[np.ndarray, " *n"]:
@@ -125,3 +137,36 @@ def _faded_jvp(primals: tuple[Array, Array], tangents: tuple[Array, Array]) -> t
     (x, factor), (slope, _) = primals, tangents
     rows = (1,) * (x.ndim - factor.ndim)
     return x, factor.reshape(*rows, *factor.shape) * slope
+
+
+@jax.custom_vjp
+def _cut(state: State) -> State:
+    """The same state; slopes with respect to it are no steeper than `_STEEPEST` allows.
+
+    Where a slope says nothing of the place it is left as it is.
+    """
+    return state
+
+
+def _cut_forward(state: State) -> tuple[State, None]:
+    return state, None
+
+
+def _cut_backward(_: None, slope: State) -> tuple[State]:
+    place, height = slope.position[:2], slope.position[2:]
+    moving = {name: getattr(slope, name) for name in _FADING}
+    size = jnp.sqrt(sum((x * x).sum(0) for x in (height, *moving.values())))
+    said = jnp.sqrt((place * place).sum(0))
+    most = jnp.where(said > 0, _STEEPEST * said, jnp.inf)
+    share = jnp.minimum(1.0, most / jnp.maximum(size, jnp.finfo(size.dtype).tiny))
+    share = jnp.where(jnp.isfinite(size), share, 0.0)
+
+    def shrink(x: Array) -> Array:
+        return jnp.where(share > 0, share * x, 0.0)
+
+    place = jnp.where(jnp.isfinite(place), place, 0.0)
+    cut = {name: shrink(x) for name, x in moving.items()}
+    return (State(position=jnp.concatenate([place, shrink(height)]), **cut),)
+
+
+_cut.defvjp(_cut_forward, _cut_backward)

@@ -16,7 +16,7 @@ import numpy as np
 from jax.sharding import Mesh
 from jaxtyping import Float
 
-from evo_cpg.training.ascent import Free, compile_ascent, draw_ways, log_uniform
+from evo_cpg.training.ascent import Free, compile_ascent, draw_ways, log_uniform, reach
 from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.devices import LANES, chunk_width, fast_jit, population_mesh
 from evo_cpg.training.experiment import (
@@ -29,7 +29,7 @@ from evo_cpg.training.experiment import (
 
 # Individuals that the lanes of the next round set out from.
 _PARENTS = 4
-# Standard deviation of a kick, in units of genes, and the share of the lanes that get one.
+# Standard deviation of a kick in water, in units of genes, and the share of lanes that get one.
 _KICKS = 1e-2, 1e-1
 _KICKED = 0.5
 
@@ -126,7 +126,7 @@ def compile_refinement(
         for number in range(settings.rounds):
             start = time.perf_counter()
             rng = np.random.default_rng((settings.seed, number))
-            starts = _starts(parents, rng, lanes)
+            starts = _starts(parents, rng, lanes, reach(experiment.simulation))
             ways = draw_ways(rng, experiment.simulation, lanes, 2.0**number)
             climbed = climb(starts, ways, scales, keys)
             chosen = np.argsort(-climbed.fitness)[: 2 * _PARENTS]
@@ -186,7 +186,7 @@ def compile_evaluation(
 
 
 def _starts(
-    parents: list[_Parent], rng: np.random.Generator, count: int
+    parents: list[_Parent], rng: np.random.Generator, count: int, scale: float
 ) -> Float[np.ndarray, "p n"]:
     """Genes and shifts that the lanes of a round set out from; the first are the best's own."""
     # The better a parent, the more often.
@@ -196,7 +196,7 @@ def _starts(
     genes = np.stack(
         [np.concatenate([parents[i].champion.genes, parents[i].shifts]) for i in drawn], 1
     )
-    kick = kicked * log_uniform(rng, *_KICKS, count)
+    kick = scale * kicked * log_uniform(rng, *_KICKS, count)
     return (genes + kick * rng.standard_normal(genes.shape)).astype(np.float32)
 
 

@@ -10,6 +10,7 @@ import pytest
 import typer
 
 from evo_cpg.cli.main import app
+from tiny_run import TINY
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *(p for p in (ROOT / "docs").rglob("*.md") if "_build" not in p.parts)]
@@ -17,12 +18,7 @@ PAGES = [ROOT / "README.md", *(p for p in (ROOT / "docs").rglob("*.md") if "_bui
 PROMPTS = (r"^\$ (.+)$", r"^# {3}((?:evo-cpg|make) .+)$")
 
 # What a run of the README's session is cut down to.
-SMALL = (
-    "simulation.steps=60",
-    "evolution.population=16",
-    "evolution.elites=2",
-    "evolution.generations=2",
-)
+SMALL = (*TINY, "evolution.generations=2")
 
 
 def commands() -> list[tuple[str, list[str]]]:

@@ -50,6 +50,42 @@ def test_a_faded_slope_is_that_of_a_system_that_forgets(kept, budget, monkeypatc
     assert float(slope) == pytest.approx(by_hand, rel=1e-12)
 
 
+@pytest.mark.usefixtures("x64")
+@pytest.mark.parametrize("kept", [None, 0.5])
+def test_on_rough_ways_no_slope_is_steeper_than_ten_times_what_it_says_of_the_place(kept):
+    decay, sensible, by_hand = 3.0, 10.0, 0.0
+    below = 0.0
+    for _ in range(STEPS):
+        by_hand += below + 1
+        below = (kept or 1) * min(decay * (below + 1), sensible)
+    rough = Backward(kept, rough=True)
+    slope = jax.grad(end_position)(2.0, decay, rough)
+    assert float(slope) == pytest.approx(by_hand, rel=1e-12)
+    # Where all is gentle it is the exact one.
+    gentle, exact = (jax.grad(end_position)(2.0, 0.8, how) for how in (rough, Backward(kept)))
+    assert float(gentle) == pytest.approx(float(exact), rel=1e-12)
+
+
+@pytest.mark.parametrize("trouble", [1e15, np.inf, np.nan])
+def test_on_rough_ways_a_moment_without_a_slope_is_left_out(trouble):
+    def end(push):
+        state = state_of(push * jnp.ones(3), push * jnp.ones(1))
+        state, _ = Backward(rough=True).forget(state, None)
+        return state.position[0] + state.q[0] * trouble
+
+    assert float(jax.grad(end)(0.0)) == pytest.approx(11.0 if trouble == 1e15 else 1.0)
+
+
+def test_on_rough_ways_slopes_of_the_height_fade():
+    def end(push, how):
+        state, _ = how.forget(state_of(push, jnp.zeros(1)), None)
+        return state.position @ jnp.array([1.0, 2.0, 3.0])
+
+    for rough, height in ((False, 3.0), (True, 1.5)):
+        slope = jax.grad(end)(jnp.zeros(3), Backward(0.5, rough=rough))
+        np.testing.assert_allclose(slope, [1.0, 2.0, height])
+
+
 def test_a_horizon_is_the_time_in_which_a_slope_falls_to_its_eth():
     share = retention(np.array([2.0, np.inf]), 60.0)
     np.testing.assert_allclose(share**120, [np.exp(-1), 1.0], rtol=1e-12)
