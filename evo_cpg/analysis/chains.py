@@ -1,5 +1,6 @@
 """Chains of oscillators: from a first one to its child's, and on to the last."""
 
+import dataclasses
 import itertools
 from typing import NamedTuple
 
@@ -17,7 +18,7 @@ class Chain(NamedTuple):
     Attributes:
         name: of its first degree of freedom, and how many follow.
         oscillators: from head to tail.
-        part: all oscillators that are joined to it, directly or not.
+        part: all oscillators that are joined to it, directly or not, where neighbours are coupled.
         places: of the chain's in the part.
         sides: of each gap, 1 where neighbours inhibit each other's other side, so that they swing
             together but for the lag, and -1 where their own, so that they swing against each other.
@@ -34,7 +35,9 @@ def chains(tree: Tree, settings: CpgSettings) -> list[Chain]:
     """All chains that cannot be made longer; the longest first, else in the order of the bodies."""
     down = CpgSettings(pair_weight=1.0, child_weight=0.0, opposite=settings.opposite)
     links = inhibition_matrix(tree, down) - np.eye(tree.dof_count)
-    joined = parts(build_network(tree, settings))
+    # Whether neighbours are coupled at present or not.
+    coupled = dataclasses.replace(settings, pair_weight=1.0, parent_weight=1.0, child_weight=1.0)
+    joined = parts(build_network(tree, coupled))
     found = []
     for last in np.flatnonzero(~links.any(0)):
         way = [int(last)]

@@ -218,9 +218,10 @@ def doubts(keys: tuple[str, ...], positive: np.ndarray, result: Fit) -> list[str
     words = []
     correlation = np.asarray(result.correlation)
     for i, key in enumerate(keys):
-        scale = 1.0 if positive[i] else max(abs(float(result.values[i])), 1e-12)
-        if not float(result.errors[i]) / scale < VAGUE:
+        if positive[i] and not float(result.errors[i]) < VAGUE:
             words.append(f"the data hardly determine {key}: its interval is wider than itself")
+        elif not positive[i] and not float(result.lower[i] * result.upper[i]) > 0:
+            words.append(f"the data cannot tell {key} from 0")
         words += [
             f"the data hardly tell {keys[j]} and {key} apart: their errors have a correlation of "
             f"{correlation[i, j]:+.3f}"

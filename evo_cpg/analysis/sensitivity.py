@@ -10,6 +10,7 @@ a change of a per cent may be large. So each parameter is also changed by that m
 the simulation built anew and run, and the two answers compared.
 """
 
+import math
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -55,13 +56,20 @@ class Sensitivity(NamedTuple):
 
     @property
     def elasticity(self) -> float:
-        """Per cent of the measure per per cent of the parameter; per unit where that is 0."""
-        return self.slope * (self.value or 1.0) / abs(self.measure)
+        """Per cent of the measure per per cent of the parameter; per unit where that is 0.
+
+        NaN where the measure is 0, which has no per cent.
+        """
+        return self._share(self.slope)
 
     @property
     def finite(self) -> float:
         """The same from the finite change."""
-        return self.change / (2 * self.step) * (self.value or 1.0) / abs(self.measure)
+        return self._share(self.change / (2 * self.step))
+
+    def _share(self, slope: float) -> float:
+        size = abs(self.measure)
+        return slope * (self.value or 1.0) / size if size else math.nan
 
     @property
     def confirmed(self) -> bool:
@@ -86,7 +94,7 @@ class _Followed(Task):
     Attributes:
         task: the animal's own.
         light: that of the task.
-        duration: of the trial, s.
+        duration: from the first moment to the last, s.
         ahead: whether only the way along x counts.
     """
 
@@ -128,7 +136,7 @@ def followed(simulation: Simulation) -> Simulation:
     """
     task = simulation.task
     ahead = simulation.lights[0] is not None or getattr(task, "heading", "any") == "forward"
-    duration = simulation.steps / simulation.control_rate
+    duration = (simulation.steps - 1) / simulation.control_rate
     followed = _Followed(light=task.light, task=task, duration=duration, ahead=ahead)
     return eqx.tree_at(lambda s: s.task, simulation, followed)
 

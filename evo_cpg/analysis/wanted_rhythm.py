@@ -125,7 +125,8 @@ def wanted_rhythm(
         tonic_input: u; the largest if None. Only the amplitude depends on it.
 
     Raises:
-        NoRhythmError: no lag is asked for and the present settings give no rhythm.
+        NoRhythmError: the settings give no rhythm: the present ones, or those that were found for
+            the lag at this tonic input.
         UnreachableRhythmError: the lag is out of reach; the message says what is within.
         ValueError: a frequency, lag or b that is none.
     """

@@ -17,7 +17,9 @@ from evo_cpg.config.errors import ConfigError, nearest
 from evo_cpg.config.load import dump_config, load_config
 from evo_cpg.config.numbers import number_at, with_numbers
 from evo_cpg.config.parameters import Parameters, parametrise
+from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.control.commanded import Commanded
+from evo_cpg.view.output import PLOT_SUFFIXES, output_path
 
 if TYPE_CHECKING:
     from evo_cpg.analysis.fit import Fit
@@ -58,36 +60,34 @@ def fit_data(
     overwrite: bool,
 ) -> None:
     """`evo-cpg fit`."""
-    for file in (out, plot):
-        if file is not None and file.exists() and not overwrite:
+    for file, suffixes in ((out, (".yaml", ".yml")), (plot, PLOT_SUFFIXES)):
+        if file is not None and output_path(file, suffixes).exists() and not overwrite:
             raise UsageError(f"{file} exists already; --overwrite replaces it")
     recording = read_recording(data)
     own = [text for text in settings if not text.startswith(_INITIAL)]
-    config = load_config(path, own)
-    rate = config.simulation.control_rate_hz
-    steps = max(1, math.ceil(float(recording.time.max()) * rate - 1e-9))
-    trial = config.simulation.model_copy(update={"steps": steps, "trials": 1})
-    config = config.model_copy(update={"simulation": trial})
+    whole = load_config(path, own)
     names = [key.partition("=")[0] for key in keys]
     start = {key.partition("=")[0]: _number(key) for key in keys if "=" in key}
     begun = {text.partition("=")[0]: _number(text) for text in settings if text not in own}
     inner = tuple(name for name in names if not name.startswith(_INITIAL))
-    config = with_numbers(config, {k: v for k, v in start.items() if k in inner}, path)
     for name in inner:
-        number_at(config, name, path)
-    parameters = parametrise(config, path, inner)
-    simulation = parameters.experiment.simulation
-    _check_names(recording, simulation, [*begun, *set(names) - set(inner)], data)
-    genes = np.zeros(0)
+        number_at(whole, name, path)
+    _check_keys(names, run)
+    genes = None
     if run is not None:
         if recording.targets:
             raise UsageError("--run: the champion moves the joints; leave out the target columns")
+        # Before anything starts JAX.
         genes = np.asarray(open_champion(run)[1].genes, float)
-        if len(genes) != simulation.controller.gene_count:
-            raise UsageError(
-                f"--run: the champion of {run} has {len(genes)} genes, {path} asks for "
-                f"{simulation.controller.gene_count}"
-            )
+    config = with_numbers(whole, {k: v for k, v in start.items() if k in inner}, path)
+    parameters = parametrise(_trial_of(recording, config), path, inner)
+    simulation = parameters.experiment.simulation
+    _check_names(recording, simulation, [*begun, *set(names) - set(inner)], data)
+    if genes is not None and len(genes) != simulation.controller.gene_count:
+        raise UsageError(
+            f"--run: the champion of {run} has {len(genes)} genes, {path} asks for "
+            f"{simulation.controller.gene_count}"
+        )
     ordered = (*inner, *(name for name in names if name not in inner))
     values = [number_at(config, name) for name in inner]
     values += [start.get(name, begun.get(name, 0.0)) for name in ordered[len(inner) :]]
@@ -96,12 +96,12 @@ def fit_data(
     if numbers <= len(ordered):
         raise UsageError(f"{data}: {numbers} numbers cannot determine {len(ordered)} parameters")
     result, shown = _search(
-        parameters, recording, ordered, np.array(values), positive, begun, genes, run, noise
+        parameters, recording, ordered, np.array(values), positive, begun, genes, noise
     )
     _report(ordered, np.array(values), positive, result, recording)
     if out is not None:
         found = dict(zip(ordered, map(float, result.values), strict=True))
-        fitted = with_numbers(config, {k: v for k, v in found.items() if k in inner}, path)
+        fitted = with_numbers(whole, {k: v for k, v in found.items() if k in inner}, path)
         try:
             out.write_text(dump_config(fitted), encoding="utf-8")
         except OSError as error:
@@ -121,28 +121,24 @@ def read_recording(path: Path) -> Recording:
     """
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
-            rows = [row for row in csv.reader(file) if any(cell.strip() for cell in row)]
-    except (OSError, UnicodeDecodeError) as error:
+            reader = csv.reader(file)
+            lines = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise UsageError(f"{path}: cannot be read ({error})") from None
-    if len(rows) < 2:
+    if len(lines) < 2:
         raise UsageError(f"{path}: has no numbers; give a line of names and lines of numbers")
-    names = [name.strip() for name in rows[0]]
+    names = [name.strip() for name in lines[0][1]]
     twice = [name for i, name in enumerate(names) if name in names[:i]]
     if twice:
         raise UsageError(f"{path}: the column {twice[0]!r} is there twice")
     if "time" not in names:
         raise UsageError(f"{path}: has no column time (s); it has {', '.join(names)}")
-    table = np.full((len(rows) - 1, len(names)), np.nan)
-    for i, row in enumerate(rows[1:]):
+    table = np.full((len(lines) - 1, len(names)), np.nan)
+    for i, (line, row) in enumerate(lines[1:]):
         if len(row) != len(names):
-            raise UsageError(f"{path}: row {i + 2} has {len(row)} cells, not {len(names)}")
+            raise UsageError(f"{path}: line {line} has {len(row)} cells, not {len(names)}")
         for j, cell in enumerate(row):
-            try:
-                table[i, j] = float(cell) if cell.strip() else np.nan
-            except ValueError:
-                raise UsageError(
-                    f"{path}: row {i + 2}, {names[j]}: {cell!r} is not a number"
-                ) from None
+            table[i, j] = _measured(cell, f"{path}: line {line}, {names[j]}")
     columns = dict(zip(names, table.T, strict=True))
     time = columns.pop("time")
     if not np.isfinite(time).all() or time.min() < 0 or (np.diff(time) <= 0).any():
@@ -168,6 +164,25 @@ def commands(recording: Recording, simulation: "Simulation") -> Commanded:
     return Commanded(tree=tree, rates=rates)
 
 
+def _trial_of(recording: Recording, config: ExperimentConfig) -> ExperimentConfig:
+    """The configuration with a single trial, as long as the recording."""
+    rate = config.simulation.control_rate_hz
+    steps = max(1, math.ceil(float(recording.time.max()) * rate - 1e-9))
+    trial = config.simulation.model_copy(update={"steps": steps, "trials": 1})
+    return config.model_copy(update={"simulation": trial})
+
+
+def _measured(cell: str, where: str) -> float:
+    """The number in a cell; NaN where there is none."""
+    try:
+        value = float(cell) if cell.strip() else math.nan
+    except ValueError:
+        value = math.inf
+    if math.isinf(value):
+        raise UsageError(f"{where}: {cell!r} is not a number")
+    return value
+
+
 def _number(text: str) -> float:
     key, _, value = text.partition("=")
     try:
@@ -177,6 +192,17 @@ def _number(text: str) -> float:
     if not math.isfinite(number):
         raise UsageError(f"{key}: {value!r} is not a number")
     return number
+
+
+def _check_keys(names: Sequence[str], run: Path | None) -> None:
+    for i, name in enumerate(names):
+        if name in names[:i]:
+            raise UsageError(f"{name}: is given twice")
+        if run is None and name.startswith("controller."):
+            raise UsageError(
+                f"{name}: the recorded commands move the joints, not the controller; "
+                "--run RUN takes a champion's"
+            )
 
 
 def _check_names(
@@ -231,11 +257,14 @@ def _search(
     values: np.ndarray,
     positive: np.ndarray,
     begun: dict[str, float],
-    genes: np.ndarray,
-    run: Path | None,
+    genes: np.ndarray | None,
     given: Sequence[str],
 ) -> tuple["Fit", np.ndarray]:
-    """The estimate, and the motion that it gives."""
+    """The estimate, and the motion that it gives; ``genes`` of a champion, if one moves the joints.
+
+    Raises:
+        UsageError: there is no estimate, or it is not allowed.
+    """
     import equinox as eqx
     import jax
     import jax.numpy as jnp
@@ -254,14 +283,14 @@ def _search(
 
     def observe(theta: Any, model: Any) -> Any:
         simulation = parameters.simulation(theta[:inner], model)
-        if run is None:
+        if genes is None:
             driver = commands(recording, parameters.experiment.simulation)
             driver = eqx.tree_at(lambda d: d.tree, driver, simulation.world.tree)
             simulation = eqx.tree_at(lambda s: s.controller, simulation, driver)
         initial: dict[str, Any] = {k: jnp.asarray(v, theta.dtype) for k, v in fixed.items()}
         for name, value in zip(names[inner:], theta[inner:], strict=True):
             initial[name.removeprefix(_INITIAL)] = value
-        own = jnp.asarray(genes, theta.dtype)
+        own = jnp.asarray(np.zeros(0) if genes is None else genes, theta.dtype)
         return track(simulation, own, recording.time, recording.columns, initial)
 
     def search(start: Any, model: Any, data: Any) -> Any:
@@ -287,11 +316,27 @@ def _search(
             size = np.where(positive, np.abs(result.values), 1.0) * result.errors
             still = np.abs(result.values - values) <= _STILL * size
             values = np.asarray(result.values)
-            model = parameters.at(values[:inner])
+            try:
+                model = parameters.at(values[:inner])
+            except ConfigError as error:
+                raise UsageError(_forbidden(names, values, size, error)) from None
             if still.all():
                 break
         shown = jax.device_get(fast_jit(observe)(jnp.asarray(values), model))
     return result, shown
+
+
+def _forbidden(
+    names: Sequence[str], values: np.ndarray, sizes: np.ndarray, error: ConfigError
+) -> str:
+    found = ", ".join(
+        f"{name}={value:.4g} (standard error {size:.2g})"
+        for name, value, size in zip(names, values, sizes, strict=True)
+    )
+    return (
+        f"the data ask for {found}, which is not allowed ({error}); leave out what the data set at "
+        "its bound, or start elsewhere, KEY=VALUE"
+    )
 
 
 def _kind(name: str) -> str:

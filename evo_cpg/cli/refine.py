@@ -1,19 +1,33 @@
 """The command that polishes a champion along the slope of its fitness: refine."""
 
+import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.progress import progress
-from evo_cpg.cli.training import champion_of, misfit, now, open_run, use_cores_of
+from evo_cpg.cli.training import (
+    REPLAY_TOLERANCE,
+    champion_of,
+    class_folders,
+    misfit,
+    now,
+    open_run,
+    use_cores_of,
+)
 from evo_cpg.config.build import build_experiment
+from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.load import dump_config
-from evo_cpg.config.parameters import parametrise
+from evo_cpg.config.parameters import Parameters, parametrise
 from evo_cpg.training.run_folder import RunFolderError
 
 if TYPE_CHECKING:
+    from evo_cpg.training.ascent import Free
+    from evo_cpg.training.experiment import Experiment
     from evo_cpg.training.refine import Round
 
 
@@ -29,76 +43,72 @@ def refine_run(
     """`evo-cpg refine`."""
     use_cores_of(run, cores)
     folder, config, experiment = open_run(run)
-    champion, _, _ = folder.load_champion()
+    champion, motion, _ = folder.load_champion()
     if number is not None and number != champion.run:
-        champion = champion_of(folder, number)
+        champion, motion = champion_of(folder, number), None
     wrong = misfit(experiment, champion)
     if wrong:
         raise RunFolderError(f"{folder.config} was changed after training: {wrong}")
+    beside = class_folders(folder)
     if not getattr(config.controller, "graded", True):
         controller = config.controller.model_copy(update={"graded": True})
         config = config.model_copy(update={"controller": controller})
-        experiment = build_experiment(config, folder.config)
-        print("the genes are graded from now on: bits have no slopes", file=sys.stderr)
-    parameters = parametrise(config, folder.config, keys) if keys else None
+        experiment = build_experiment(config, folder.config, beside)
+        print(
+            "bits have no slopes: the genes count as graded, as they do in the run once it gains",
+            file=sys.stderr,
+        )
     if keys and experiment.runs > 1:
         raise UsageError(
             f"{keys[0]}: {run} holds {experiment.runs} runs, whose champions share one "
             "configuration; free numbers take a run of its own"
         )
-    from evo_cpg.training.ascent import Free
+    parameters = parametrise(config, folder.config, keys, beside) if keys else None
     from evo_cpg.training.loop import replay_champion
     from evo_cpg.training.refine import Refinement, Round, compile_refinement
 
-    free = parameters and Free(
-        parameters.values,
-        parameters.simulation,
-        lambda values: build_experiment(parameters.config_at(values), folder.config),
-    )
     devices = folder.read_meta().get("devices", 1)
-    rows: list[dict[str, float]] = []
+    history: list[Round] = []
 
     def keep(done: Round) -> None:
         if done.gain > 0:
-            if not any(row["gain"] > 0 for row in rows):
-                folder.keep_champion()
+            if not any(before.gain > 0 for before in history):
+                folder.keep_before(champion, motion)
             found = parameters.config_at(done.values) if parameters else config
-            folder.reopen(dump_config(found))
-            folder.replace_champion(done.champion)
-        rows.append(
-            {
-                "round": done.number,
-                "fitness": done.champion.fitness,
-                "gain": done.gain,
-                "slopes": done.slopes,
-                "finite_slopes": done.finite,
-                "seconds": done.seconds,
-                **done.champion.terms,
-                **dict(zip(keys, done.values.tolist(), strict=True)),
-            }
-        )
-        folder.write_table("refine.csv", rows)
+            folder.replace_champion(done.champion, dump_config(found))
+        history.append(done)
+        folder.write_table("refine.csv", [_row(one, keys) for one in history])
 
-    before = champion.fitness
+    recorded = champion.fitness
     try:
         with progress("refine", "round", rounds) as show:
 
             def tell(done: Round) -> None:
                 keep(done)
-                gained = f"gained {done.champion.fitness - before:+.4f}"
+                gained = f"gained {done.champion.fitness - done.began:+.4f}"
                 state = f"fitness {done.champion.fitness:8.4f}  {gained}  {_slopes(done)}"
                 show(done.number, state, done.seconds)
 
             refine = compile_refinement(
-                experiment, Refinement(rounds, steps, seed=seed), devices=devices, free=free
+                experiment,
+                Refinement(rounds, steps, seed=seed),
+                devices=devices,
+                free=parameters and _free(parameters),
             )
-            champion = refine(champion, tell)
+            refine(champion, tell)
     except KeyboardInterrupt:
         print(f"interrupted; what was gained is in {folder.path}", file=sys.stderr)
         raise
-    if not any(row["finite_slopes"] for row in rows):
+    last = history[-1]
+    if not math.isclose(last.began, recorded, rel_tol=REPLAY_TOLERANCE, abs_tol=REPLAY_TOLERANCE):
+        print(
+            f"the champion's fitness is {last.began:.4f} here, not {recorded:.4f} as recorded: "
+            f"{folder.config} or the program is another one than it evolved with",
+            file=sys.stderr,
+        )
+    if not any(done.finite for done in history):
         print("no slope was finite: the fitness has none here to climb along", file=sys.stderr)
-    if not any(row["gain"] > 0 for row in rows):
+    if not any(done.gain > 0 for done in history):
         print(
             f"no better individual found in {rounds * steps} steps; try another --seed",
             file=sys.stderr,
@@ -109,11 +119,40 @@ def refine_run(
     _, _, experiment = open_run(run)
     folder.save_champion(best, replay_champion(experiment, best, devices)[2])
     folder.update_meta(refined=now())
-    terms = ", ".join(f"{name} {value:.3g}" for name, value in champion.terms.items())
-    for key, value in zip(keys, (rows[-1][key] for key in keys), strict=True):
+    terms = ", ".join(f"{name} {value:.3g}" for name, value in last.champion.terms.items())
+    for key, value in zip(keys, last.values, strict=True):
         print(f"{key}: {value:.6g}", file=sys.stderr)
-    print(f"fitness {before:.4f} -> {champion.fitness:.4f} ({terms})", file=sys.stderr)
+    print(f"fitness {last.began:.4f} -> {last.champion.fitness:.4f} ({terms})", file=sys.stderr)
     print(folder.path)
+
+
+def _free(parameters: Parameters) -> "Free":
+    from evo_cpg.training.ascent import Free
+
+    def rebuild(values: np.ndarray) -> "tuple[Experiment, Any] | None":
+        try:
+            config = parameters.config_at(values)
+            experiment = build_experiment(config, parameters.source, parameters.folders)
+            return experiment, parameters.at(values)
+        except ConfigError:
+            # Beyond what is allowed, or where the simulation is laid out differently.
+            return None
+
+    return Free(parameters.values, parameters.model, parameters.simulation, rebuild)
+
+
+def _row(done: "Round", keys: Sequence[str]) -> dict[str, float]:
+    """A line of the table file."""
+    own = {
+        "round": done.number,
+        "fitness": done.champion.fitness,
+        "gain": done.gain,
+        "slopes": done.slopes,
+        "finite_slopes": done.finite,
+        "seconds": done.seconds,
+    }
+    # A task of one's own may have a term of such a name.
+    return own | done.champion.terms | dict(zip(keys, done.values.tolist(), strict=True)) | own
 
 
 def _slopes(done: "Round") -> str:

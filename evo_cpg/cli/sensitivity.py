@@ -11,8 +11,9 @@ from rich.console import Console
 from rich.table import Table
 
 from evo_cpg.cli.errors import UsageError
-from evo_cpg.cli.training import open_champion, open_run
+from evo_cpg.cli.training import class_folders, open_champion
 from evo_cpg.config.errors import ConfigError
+from evo_cpg.config.load import load_config
 from evo_cpg.config.parameters import Parameters, all_parameters, parametrise
 from evo_cpg.training.checkpoint import Champion
 
@@ -38,15 +39,17 @@ def show_sensitivities(
     experiment, champion, _, folder = open_champion(run, number)
     if experiment.simulation.situations[1:]:
         print(f"{run}: of its {experiment.trials} trials the first is taken")
-    config, origin = open_run(run)[1], folder.read_meta().get("config")
-    beside = [Path(origin).parent] if isinstance(origin, str) else []
-    steps = experiment.simulation.steps
+    config, beside = load_config(folder.config), class_folders(folder)
+    rate, steps = experiment.simulation.control_rate, experiment.simulation.steps
     if seconds is not None:
-        wanted = round(seconds * experiment.simulation.control_rate)
-        if not 1 <= wanted <= steps:
-            longest = steps / experiment.simulation.control_rate
-            raise UsageError(f"--seconds: {seconds:g}; a trial of {run} has {longest:g} s")
-        steps = wanted
+        wanted = seconds * rate
+        # Two steps, for a way; neither infinity nor nan can be rounded.
+        if not 1.5 < wanted < steps + 0.5:
+            raise UsageError(
+                f"--seconds: {seconds:g}; a trial of {run} has {steps / rate:g} s, of which "
+                f"{2 / rate:.3g} s at least are needed"
+            )
+        steps = round(wanted)
     trial = config.simulation.model_copy(update={"steps": steps})
     if isinstance(trial.trials, list):
         trial = trial.model_copy(update={"trials": trial.trials[:1]})
@@ -74,7 +77,7 @@ def show_sensitivities(
         raise UsageError(f"{table} cannot be written ({error.strerror})") from None
     from evo_cpg.view.sensitivity_plot import plot_sensitivities
 
-    time = steps / experiment.simulation.control_rate
+    time = steps / rate
     title = f"{experiment.name}: speed {speed[0].measure:.3g} m/s over {time:.3g} s"
     picture = plot_sensitivities(speed, "speed", title, table.with_suffix(".png"), _SHOWN)
     Console().print(_table(rows[:_SHOWN]))
@@ -96,13 +99,12 @@ def _measure(parameters: Parameters, champion: Champion, scaled: bool) -> tuple:
 
     from evo_cpg.analysis.sensitivity import CHANGE, differentiate, measured, sensitivities
     from evo_cpg.training.devices import fast_jit
-    from evo_cpg.training.experiment import trial_keys
+    from evo_cpg.training.experiment import champion_keys
 
     keys = (*parameters.keys, GENES) if scaled else parameters.keys
     values = np.append(parameters.values, 1.0) if scaled else parameters.values
     steps = CHANGE * np.where(values, np.abs(values), 1.0)
-    first = [np.zeros(1, int) + part for part in (champion.run, champion.index, 0)]
-    noise = trial_keys(parameters.experiment, champion.generation, *first)
+    noise = champion_keys(parameters.experiment, champion)
     with jax.enable_x64(True):
         genes = jnp.asarray(champion.genes, jnp.float64)
         own = None if noise is None else noise[:, 0]

@@ -24,7 +24,7 @@ from evo_cpg.training.run_folder import RunFolder, RunFolderError
 
 # The replayed fitness and terms must agree with those recorded to this relative accuracy. On the
 # machine of the training run they are equal; another processor rounds differently.
-_REPLAY_TOLERANCE = 1e-3
+REPLAY_TOLERANCE = 1e-3
 
 _PACKAGES = ("evo-cpg", "jax", "jaxlib", "equinox", "numpy")
 
@@ -99,10 +99,10 @@ def verify_run(run: Path, cores: int | None) -> None:
     replayed = {"fitness": fitness, **terms}
     for name, value in recorded.items():
         now = replayed.get(name, math.nan)
-        if not math.isclose(now, value, rel_tol=_REPLAY_TOLERANCE, abs_tol=_REPLAY_TOLERANCE):
+        if not math.isclose(now, value, rel_tol=REPLAY_TOLERANCE, abs_tol=REPLAY_TOLERANCE):
             differences.append(f"{name}: recorded {value:.6g}, replayed {now:.6g}")
     _report(run, differences)
-    exact = "exactly" if replayed == recorded else f"to {_REPLAY_TOLERANCE:g}"
+    exact = "exactly" if replayed == recorded else f"to {REPLAY_TOLERANCE:g}"
     print(f"{run}: the champion's fitness {champion.fitness:.6f} comes out as recorded ({exact})")
 
 
@@ -136,10 +136,13 @@ def open_run(run: Path) -> tuple[RunFolder, ExperimentConfig, Experiment]:
     folder = RunFolder(run)
     folder.require()
     config = load_config(folder.config)
-    # A user's own classes lie beside the config that the run was started with.
+    return folder, config, build_experiment(config, folder.config, class_folders(folder))
+
+
+def class_folders(folder: RunFolder) -> list[Path]:
+    """Where a user's own classes lie: beside the config that the run was started with."""
     origin = folder.read_meta().get("config")
-    beside = [Path(origin).parent] if isinstance(origin, str) else []
-    return folder, config, build_experiment(config, folder.config, beside)
+    return [Path(origin).parent] if isinstance(origin, str) else []
 
 
 def open_champion(

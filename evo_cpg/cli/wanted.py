@@ -34,7 +34,7 @@ def find_rhythm(
     joint: str | None,
 ) -> None:
     """`evo-cpg cpg` with `--frequency` or `--lag`."""
-    _check(frequency, lag, gain)
+    _check(frequency, lag, gain, tonic_input)
     keep_compiled_programs()
     simulation, controller = read_oscillators(path, overrides)
     tree, settings = simulation.world.tree, controller.settings.cpg
@@ -57,7 +57,8 @@ def find_rhythm(
     except UnreachableRhythmError as error:
         raise UsageError(f"{path}: {chain.name}: {error}") from None
     except NoRhythmError as error:
-        raise UsageError(f"{path}: {chain.name}: {error}; --lag looks for one that does") from None
+        hint = "; --lag looks for one that does" if lag is None else ""
+        raise UsageError(f"{path}: {chain.name}: {error}{hint}") from None
     Console().print(_table(chain, settings, b, before, found))
     changes = _changes(settings, found)
     if not changes:
@@ -67,8 +68,9 @@ def find_rhythm(
     for key, value in changes.items():
         print(f"    {key}: {value:.8g}")
     words = [f"controller.cpg.{key}={value:.8g}" for key, value in changes.items()]
-    held = f"{found.adaptation_gain:g}"
+    held = f"{found.adaptation_gain:.8g}"
     shown = ["evo-cpg", "cpg", str(path), *overrides, *words, "--gain", held]
+    shown += [] if tonic_input is None else ["--tonic-input", f"{tonic_input:.8g}"]
     if "min_adaptation_gain" in changes:
         print(
             f"\nThe brain sets b within this range, whose middle is {held}. With {held} for both "
@@ -77,7 +79,9 @@ def find_rhythm(
     print(f"\nThe rhythm, with b held there:\n{shlex.join(shown)}")
 
 
-def _check(frequency: float | None, lag: float | None, gain: float | None) -> None:
+def _check(
+    frequency: float | None, lag: float | None, gain: float | None, tonic_input: float | None
+) -> None:
     if frequency is None and lag is None:
         raise UsageError("--chain goes with --frequency or --lag")
     if frequency is not None and not 0 < frequency < np.inf:
@@ -86,6 +90,10 @@ def _check(frequency: float | None, lag: float | None, gain: float | None) -> No
         raise UsageError(f"--lag {lag:g}: must lie between -180 and 180 degrees")
     if gain is not None and not 0 < gain < np.inf:
         raise UsageError(f"--gain {gain:g}: must be a positive number")
+    if tonic_input is not None and not 0 < tonic_input < np.inf:
+        raise UsageError(
+            f"--tonic-input {tonic_input:g}: must be a positive number; without input all rests"
+        )
 
 
 def _chain(tree: Tree, settings: CpgSettings, joint: str | None) -> Chain:

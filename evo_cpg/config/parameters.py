@@ -139,7 +139,8 @@ class Parameters:
             )
         slopes: list[dict[int, Change]] = [{} for _ in self.keys]
         if curved:
-            slopes = [_slopes(build, config, key, leaves, self.source) for key in self.keys]
+            here = jax.tree.unflatten(jax.tree.structure(self.experiment.simulation), leaves)
+            slopes = [_slopes(build, config, key, here, self.source) for key in self.keys]
         return _linearisation(np.asarray(values, float), self.places, leaves, slopes)
 
     def _covers(self, leaves: list[Any]) -> bool:
@@ -192,7 +193,7 @@ def parametrise(
         experiment = build(config)
         leaves = jax.tree.leaves(experiment.simulation)
         try:
-            slopes = [_slopes(build, config, key, leaves, source) for key in keys]
+            slopes = [_slopes(build, config, key, experiment.simulation, source) for key in keys]
         except ConfigError:
             # Grouped surfaces may part, and their points change places.
             if apart:
@@ -231,14 +232,13 @@ def all_parameters(
     for apart in (False, True) if surfaces else (False,):
         build = _builder(source, folders, apart)
         base = build(config).simulation
-        leaves = jax.tree.leaves(base)
         paths = jax.tree_util.tree_flatten_with_path(base)[0]
         wet = {i for i, (path, _) in enumerate(paths) if path[:2] == _PATCHES}
         for key in number_keys(config):
             if key in found:
                 continue
             try:
-                changes = _slopes(build, config, key, leaves, source)
+                changes = _slopes(build, config, key, base, source)
             except ConfigError:
                 continue
             if surfaces or not wet & set(changes):
@@ -285,10 +285,10 @@ def _slopes(
     build: _Build,
     config: ExperimentConfig,
     key: str,
-    leaves: list[Any],
+    base: Simulation,
     source: Path | str,
 ) -> dict[int, Change]:
-    """Derivatives of the leaves by one number, of those that change.
+    """Derivatives of the leaves by one number, of those that change; ``base`` is what is built.
 
     Raises:
         _LayoutError: more than leaves change.
@@ -296,7 +296,6 @@ def _slopes(
     """
     value, where = number_at(config, key, source), key.split(".")
     step = _STEP * (abs(value) or 1.0)
-    base = build(config).simulation
 
     def built(shares: Iterable[float]) -> list[list[Any]]:
         found = []
@@ -335,7 +334,7 @@ def _slopes(
             ) from None
     paths = jax.tree_util.tree_flatten_with_path(base)[0]
     changes = {}
-    for place, leaf in enumerate(leaves):
+    for place, (_, leaf) in enumerate(paths):
         if not _is_number(leaf):
             continue
         slope = derivative(stencil, step, leaf, [other[place] for other in found])

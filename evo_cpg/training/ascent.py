@@ -2,9 +2,9 @@
 
 The fitness of a whole trial is rough: over a hundredth of a gene's range its slope may turn round.
 A solver that insists on getting better at every step (tried was L-BFGS with a line search) soon
-sits on a small bump; Adam's steps go over it, and the best place that they touched is
-kept (`optimistix.BestSoFarMinimiser`). No one size of step or horizon of the slope (see
-`evo_cpg.simulation.backward`) suits all: individuals that climb side by side draw their own.
+sits on a small bump; Adam's steps go over it, and the best place that they touched is kept. No one
+size of step or horizon of the slope (see `evo_cpg.simulation.backward`) suits all: individuals that
+climb side by side draw their own.
 """
 
 from collections.abc import Callable
@@ -43,11 +43,13 @@ _LENGTH_DECAY = 0.9
 
 
 class _Moments(eqx.Module):
-    """What `Adam` remembers: means of the slope, its square and its length; the steps done.
+    """What `Adam` remembers: the best place, means of the slope, its square and its length; steps.
 
     ``finite`` counts those whose slope was a number.
     """
 
+    best: Any
+    least: Array
     mean: Any
     square: Any
     length: Array
@@ -62,15 +64,15 @@ class Adam(optimistix.AbstractDescent):
     """
 
     def init(self, y: Any, f_info_struct: Any) -> _Moments:
-        """Nothing seen yet."""
+        """Nothing seen yet, so there is no loss that is not less."""
         del f_info_struct
         none = jax.tree.map(jnp.zeros_like, y)
         zero = jnp.zeros((), jnp.int32)
-        return _Moments(none, none, jnp.zeros(()), zero, zero)
+        return _Moments(y, jnp.full((), jnp.inf), none, none, jnp.zeros(()), zero, zero)
 
     def query(self, y: Any, f_info: Any, state: _Moments) -> _Moments:
-        """Take in the slope at ``y``."""
-        del y
+        """Take in the value and the slope at ``y``."""
+        better = f_info.f < state.least
         length = optimistix.two_norm(f_info.grad)
         finite = jnp.isfinite(length)
         first = state.length == 0
@@ -79,6 +81,8 @@ class Adam(optimistix.AbstractDescent):
         slope = jax.tree.map(lambda x: jnp.where(finite, share * x, 0.0), f_info.grad)
         usual = jnp.where(first, length, _mix(_LENGTH_DECAY, state.length, share * length))
         return _Moments(
+            jax.tree.map(lambda new, old: jnp.where(better, new, old), y, state.best),
+            jnp.where(better, f_info.f, state.least),
             jax.tree.map(lambda m, g: _mix(_MEAN_DECAY, m, g), state.mean, slope),
             jax.tree.map(lambda s, g: _mix(_SQUARE_DECAY, s, g * g), state.square, slope),
             jnp.where(finite, usual, state.length),
@@ -99,13 +103,22 @@ class Adam(optimistix.AbstractDescent):
 
 
 class Climber(optimistix.AbstractGradientDescent):
-    """Steps of Adam of a given size until they are used up; it never thinks that it is there."""
+    """Steps of Adam of a given size until they are used up; it never thinks that it is there.
+
+    What it gives back is the best place at which it took a slope. (`optimistix.BestSoFarMinimiser`
+    compares the places one step late and would leave out the last.)
+    """
 
     search: optimistix.LearningRate
     descent: Adam = Adam()
     rtol: float = 0.0
     atol: float = 0.0
     norm: Callable = optimistix.max_norm
+
+    def postprocess(self, *given: Any) -> tuple[Any, Any, dict[str, Any]]:
+        """The best place instead of the last."""
+        _, _, aux, _, _, state, _, _ = given
+        return state.descent_state.best, aux, {}
 
 
 class Ways(NamedTuple):
@@ -159,7 +172,7 @@ class Climbed(NamedTuple):
 
     Attributes:
         genes: the best that each came by.
-        fitness: theirs.
+        fitness: theirs, -inf where it was never a number.
         finite: slopes of each that were numbers; the others count as none.
     """
 
@@ -173,13 +186,16 @@ class Free(NamedTuple):
 
     Attributes:
         values: where they begin.
-        simulation: at other values, which may be traced.
-        experiment: built at other values.
+        model: arrays from which ``simulation`` knows what changes near some values: near those.
+        simulation: at other values, which may be traced, by such a model.
+        rebuild: the experiment, built at other values, and the model there; None where that cannot
+            be.
     """
 
     values: Float[np.ndarray, " k"]
-    simulation: Callable[[Float[Array, " k"]], Simulation]
-    experiment: Callable[[Float[np.ndarray, " k"]], Experiment]
+    model: Any
+    simulation: Callable[[Float[Array, " k"], Any], Simulation]
+    rebuild: Callable[[Float[np.ndarray, " k"]], tuple[Experiment, Any] | None]
 
     def at(self, shifts: Any) -> Any:
         """The values after shifts, which are shares of them as long as they are small.
@@ -205,8 +221,9 @@ def compile_ascent(
 
     Returns:
         A function of host arrays, compiled at its first call: of the genes, the ways, the task's
-        yardsticks and, where there is noise, the keys of every individual's trials, individuals on
-        the last axis.
+        yardsticks and, where there is noise, the keys of every individual's trials, and where
+        numbers are free, of the models that they climb by (see `Free`); individuals on the last
+        axis.
     """
     simulation, gene_count = experiment.simulation, experiment.simulation.controller.gene_count
     numbers: Any = situation_numbers(experiment)
@@ -218,45 +235,46 @@ def compile_ascent(
         scales: dict[str, Float[Array, ""]],
         kept: Float[Array, ""],
         keys: UInt32[Array, "w trials"] | None,
+        model: Any,
     ) -> Float[Array, ""]:
         own, shifts = genes[:gene_count], genes[gene_count:]
         crowd = jnp.broadcast_to(own[:, None], (gene_count, experiment.trials))
-        trial = free.simulation(free.at(shifts).astype(genes.dtype)) if free else simulation
+        trial = simulation
+        if free:
+            trial = free.simulation(free.at(shifts).astype(genes.dtype), model)
         outcome = rollout(trial, crowd, keys, numbers, Backward(kept, width, rough))
         return judge(simulation.task, outcome, scales)[0]
 
     def climb(
-        genes: Array, way: Any, scales: dict[str, Array], keys: Array | None
+        genes: Array, way: Any, scales: dict[str, Array], keys: Array | None, model: Any
     ) -> tuple[Array, Array, Array]:
-        def loss(genes: Array, _: None) -> tuple[Array, Array]:
-            value = fitness(genes, scales, way.retentions, keys)
-            return -value, value
-
         solution = optimistix.minimise(
-            loss,
-            optimistix.BestSoFarMinimiser(Climber(search=optimistix.LearningRate(way.sizes))),
+            lambda genes, _: -fitness(genes, scales, way.retentions, keys, model),
+            Climber(search=optimistix.LearningRate(way.sizes)),
             genes,
-            has_aux=True,
             # The first sees where it stands, and one more where the last move led.
             max_steps=steps + 1,
             throw=False,
         )
-        return solution.value, solution.aux, solution.state.state.descent_state.finite
+        memory = solution.state.descent_state
+        return memory.best, -memory.least, memory.finite
 
     def climb_all(*lanes: Any) -> tuple[Array, Array, Array]:
         best, value, finite = jax.vmap(climb, in_axes=-1, out_axes=-1)(*lanes)
         return best, value[None], finite[None]
 
-    program = sharded(climb_all, mesh, (2, 1, 1, 3), 2)
+    models = jax.tree.map(lambda x: np.ndim(x) + 1, free.model) if free else 1
+    program = sharded(climb_all, mesh, (2, 1, 1, 3, models), 2)
 
     def run(
         genes: Float[np.ndarray, "g n"],
         ways: Ways,
         scales: dict[str, Float[np.ndarray, " n"]],
         keys: UInt32[np.ndarray, "w trials n"] | None = None,
+        model: Any = None,
     ) -> Climbed:
         def pick(lanes: Int[np.ndarray, " block"]) -> tuple:
-            return jax.tree.map(lambda x: x[..., lanes], (genes, ways, scales, keys))
+            return jax.tree.map(lambda x: x[..., lanes], (genes, ways, scales, keys, model))
 
         spread = Layout(mesh, width)
         best, value, finite = run_in_blocks(program, spread, genes.shape[1], pick)

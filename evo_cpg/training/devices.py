@@ -16,7 +16,7 @@ import functools
 import os
 import warnings
 from collections.abc import Callable
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -130,7 +130,7 @@ def chunk_width(count: int, devices: int) -> int:
 
 
 def sharded(
-    function: Callable[..., Tree], mesh: Mesh, ranks: tuple[int, ...], result_rank: int
+    function: Callable[..., Tree], mesh: Mesh, ranks: tuple[Any, ...], result_rank: int
 ) -> jax.stages.Wrapped:
     """A function of one block, compiled at its first call; the devices never talk to each other.
 
@@ -138,14 +138,14 @@ def sharded(
         function: of one chunk: of arrays with the population on the last axis, of numbers, and of
             None; gives arrays with the population on the last axis.
         mesh: the devices.
-        ranks: number of axes of each argument.
+        ranks: number of axes of each argument; where its arrays differ in that, of each of them.
         result_rank: number of axes of each array that it gives.
     """
     return fast_jit(
         jax.shard_map(
             function,
             mesh=mesh,
-            in_specs=tuple(_spec(rank) for rank in ranks),
+            in_specs=jax.tree.map(_spec, ranks),
             out_specs=_spec(result_rank),
             check_vma=False,
         )

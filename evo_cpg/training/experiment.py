@@ -21,6 +21,7 @@ from evo_cpg.creature.creature import Creature
 from evo_cpg.evolution.generation import Genetics
 from evo_cpg.simulation.rollout import Outcome, Simulation, rollout, rollout_and_record, score
 from evo_cpg.simulation.task import Task
+from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.devices import Layout, chunk_width, layout, run_in_blocks, sharded
 
 # Tags that keep the random streams of one seed apart.
@@ -127,6 +128,13 @@ def trial_keys(
         return jax.random.key_data(key)
 
     return jax.vmap(of_trial, out_axes=1)(_seeds(experiment)[run], individual, trial)
+
+
+def champion_keys(experiment: Experiment, champion: Champion) -> UInt32[Array, "w trials"] | None:
+    """The keys that an individual's trials had, see `trial_keys`."""
+    trials = np.arange(experiment.trials)
+    run, individual = (np.full_like(trials, i) for i in (champion.run, champion.index))
+    return trial_keys(experiment, champion.generation, run, individual, trials)
 
 
 def generation_keys(experiment: Experiment, generation: ArrayLike) -> UInt32[Array, "w n"] | None:

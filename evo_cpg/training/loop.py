@@ -17,13 +17,13 @@ from evo_cpg.training.experiment import (
     Experiment,
     Generation,
     breed,
+    champion_keys,
     compile_trials,
     first_population,
     generation_keys,
     judge,
     replay,
     situation_numbers,
-    trial_keys,
 )
 from evo_cpg.training.memetic import compile_learning
 from evo_cpg.training.run_folder import RunFolder
@@ -108,9 +108,7 @@ def replay_champion(
     Returns:
         Its fitness, its terms and its motion in one trial.
     """
-    simulation, trials = experiment.simulation, np.arange(experiment.trials)
-    run, individual = (np.full_like(trials, i) for i in (champion.run, champion.index))
-    keys = trial_keys(experiment, champion.generation, run, individual, trials)
+    simulation, keys = experiment.simulation, champion_keys(experiment, champion)
     live = fast_jit(functools.partial(replay, experiment, devices, recorded=recorded))
     outcome, frames = live(champion.genes, keys, situation_numbers(experiment))
     scales = {name: jnp.float32(value) for name, value in champion.scales.items()}

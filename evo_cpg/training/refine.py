@@ -9,7 +9,7 @@ one.
 
 import time
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -21,10 +21,10 @@ from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.devices import LANES, chunk_width, fast_jit, population_mesh
 from evo_cpg.training.experiment import (
     Experiment,
+    champion_keys,
     compile_trials,
     judge,
     situation_numbers,
-    trial_keys,
 )
 
 # Individuals that the lanes of the next round set out from.
@@ -55,6 +55,7 @@ class Round(NamedTuple):
 
     Attributes:
         number: from 0.
+        began: fitness before the first round.
         champion: the best so far.
         values: of the free numbers that it lives with.
         gain: fitness that the round added.
@@ -64,6 +65,7 @@ class Round(NamedTuple):
     """
 
     number: int
+    began: float
     champion: Champion
     values: Float[np.ndarray, " k"]
     gain: float
@@ -73,10 +75,17 @@ class Round(NamedTuple):
 
 
 class _Parent(NamedTuple):
-    """An individual that lanes may set out from, and the shifts of the free numbers."""
+    """An individual that lanes may set out from, and the free numbers that it lives with.
+
+    Attributes:
+        champion: the individual.
+        shifts: of the free numbers.
+        model: about them (see `Free`).
+    """
 
     champion: Champion
     shifts: Float[np.ndarray, " k"]
+    model: Any
 
 
 def compile_refinement(
@@ -93,13 +102,15 @@ def compile_refinement(
         settings: how long to go on.
         mesh: devices to use; None for all.
         devices: how many shared the population in training; None for as many.
-        free: numbers of the experiment that are refined as well. Along the way they are taken to
-            first order; what is chosen lives in an experiment that was built with them.
+        free: numbers of the experiment that are refined as well. Within a round they are taken to
+            first order about those of the individual that a lane sets out from; what is chosen
+            lives in an experiment that was built with them.
 
     Returns:
         A function of a champion and of what is called with the `Round` after every round; compiled
-        at its first call. It gives the champion after climbing, or as it was if nothing better was
-        found.
+        at its first call. It gives the champion after climbing or, if nothing better was found, as
+        it was. What counts is not the fitness that is recorded but the one that the champion has
+        in this experiment.
     """
     mesh = mesh or population_mesh()
     lanes = settings.lanes or mesh.size * max(1, LANES // experiment.trials)
@@ -110,25 +121,32 @@ def compile_refinement(
 
     def try_out(found: Float[np.ndarray, "p n"], champion: Champion) -> list[_Parent]:
         if free is None:
-            return [_Parent(one, np.zeros(0, np.float32)) for one in evaluate(found, champion)]
+            nothing = np.zeros(0, np.float32)
+            return [_Parent(one, nothing, None) for one in evaluate(found, champion)]
         # Each has a world of its own, which takes time to compile: the most promising alone.
-        genes, shifts = found[:-count, :1], found[-count:, 0]
-        rebuilt = free.experiment(np.asarray(free.at(shifts), float))
-        tried = compile_evaluation(rebuilt, mesh, devices)(genes, champion)
-        return [_Parent(one, shifts) for one in tried]
+        for genes, shifts in zip(found[:-count].T, found[-count:].T, strict=True):
+            rebuilt = free.rebuild(np.asarray(free.at(shifts), float))
+            if rebuilt is not None:
+                world, model = rebuilt
+                tried = compile_evaluation(world, mesh, devices)(genes[:, None], champion)
+                return [_Parent(one, shifts, model) for one in tried]
+        return []
 
     def refine(
         champion: Champion, on_round: Callable[[Round], None] = lambda done: None
     ) -> Champion:
         keys = _keys_of(experiment, champion, lanes)
         scales = {name: np.full(lanes, x, np.float32) for name, x in champion.scales.items()}
-        parents = [_Parent(champion, np.zeros(count, np.float32))]
+        alive = evaluate(champion.genes[:, None], champion)
+        champion = alive[0] if alive else champion._replace(fitness=-np.inf)
+        began = champion.fitness
+        parents = [_Parent(champion, np.zeros(count, np.float32), free and free.model)]
         for number in range(settings.rounds):
             start = time.perf_counter()
             rng = np.random.default_rng((settings.seed, number))
-            starts = _starts(parents, rng, lanes, reach(experiment.simulation))
+            starts, models = _starts(parents, rng, lanes, reach(experiment.simulation))
             ways = draw_ways(rng, experiment.simulation, lanes, 2.0**number)
-            climbed = climb(starts, ways, scales, keys)
+            climbed = climb(starts, ways, scales, keys, models)
             chosen = np.argsort(-climbed.fitness)[: 2 * _PARENTS]
             chosen = chosen[np.isfinite(climbed.fitness[chosen])]
             found = try_out(climbed.genes[:, chosen], champion) if len(chosen) else []
@@ -139,7 +157,8 @@ def compile_refinement(
             values = np.asarray(free.at(parents[0].shifts), float) if free else np.zeros(0)
             seconds = time.perf_counter() - start
             slopes, finite = lanes * (settings.steps + 1), int(climbed.finite.sum())
-            on_round(Round(number, parents[0].champion, values, gain, slopes, finite, seconds))
+            best = parents[0].champion
+            on_round(Round(number, began, best, values, gain, slopes, finite, seconds))
         return parents[0].champion
 
     return refine
@@ -167,7 +186,7 @@ def compile_evaluation(
         count, trials = genes.shape[1], experiment.trials
         keys, numbers = jax.tree.map(
             lambda x: np.tile(x, count),
-            (_keys_of_trials(experiment, champion), situation_numbers(experiment)),
+            (jax.device_get(champion_keys(experiment, champion)), situation_numbers(experiment)),
         )
         outcome = live(genes, keys, numbers, trials)
         outcome = jax.tree.map(lambda x: x.reshape(count, trials), outcome)
@@ -187,8 +206,11 @@ def compile_evaluation(
 
 def _starts(
     parents: list[_Parent], rng: np.random.Generator, count: int, scale: float
-) -> Float[np.ndarray, "p n"]:
-    """Genes and shifts that the lanes of a round set out from; the first are the best's own."""
+) -> tuple[Float[np.ndarray, "p n"], Any]:
+    """Genes and shifts that the lanes of a round set out from, and the models that they climb by.
+
+    The first lane is the best as it is.
+    """
     # The better a parent, the more often.
     drawn = np.minimum(rng.exponential(1.0, count).astype(int), len(parents) - 1)
     kicked = rng.random(count) < _KICKED
@@ -197,17 +219,12 @@ def _starts(
         [np.concatenate([parents[i].champion.genes, parents[i].shifts]) for i in drawn], 1
     )
     kick = scale * kicked * log_uniform(rng, *_KICKS, count)
-    return (genes + kick * rng.standard_normal(genes.shape)).astype(np.float32)
-
-
-def _keys_of_trials(experiment: Experiment, champion: Champion) -> np.ndarray | None:
-    """The keys of the champion's trials ``(w, trials)``."""
-    trials = np.arange(experiment.trials)
-    run, individual = (np.full_like(trials, i) for i in (champion.run, champion.index))
-    return jax.device_get(trial_keys(experiment, champion.generation, run, individual, trials))
+    starts = (genes + kick * rng.standard_normal(genes.shape)).astype(np.float32)
+    models = [parents[i].model for i in drawn]
+    return starts, jax.tree.map(lambda *x: np.stack(x, -1).astype(np.float32), *models)
 
 
 def _keys_of(experiment: Experiment, champion: Champion, lanes: int) -> np.ndarray | None:
-    """The same for every lane, ``(w, trials, n)``."""
-    keys = _keys_of_trials(experiment, champion)
+    """The keys of the champion's trials for every lane, ``(w, trials, n)``."""
+    keys = jax.device_get(champion_keys(experiment, champion))
     return None if keys is None else np.repeat(keys[..., None], lanes, -1)

@@ -9,9 +9,11 @@
     refine.csv       what `refine` gained, round by round; champion_before.npz and
                      config_before.yaml are what it began with
     videos/, plots/  what `render` and `plot` make
-    probe.csv, .png  what `probe` finds
+    probe.csv, sensitivity.csv, and their pictures, what these commands find
 
-Files are written beside their place and then moved into it, which is atomic. Checkpoints are
+Files are written beside their place and then moved into it, which is atomic. Those that belong
+together gather in a folder of their own first; once that has its name, whoever opens the run next
+moves what is left in it. Checkpoints are
 plain ``.npz`` files rather than orbax checkpoints: a dozen arrays are written in 5 ms, and they
 open in NumPy without JAX.
 """
@@ -22,6 +24,7 @@ import io
 import json
 import os
 import re
+import shutil
 import struct
 import tempfile
 import zipfile
@@ -43,6 +46,8 @@ from evo_cpg.training.checkpoint import (
 )
 
 _KEPT_CHECKPOINTS = 2
+# Where files that belong together gather, and where they wait to be moved to their places.
+_GATHERED, _DECIDED = ".gathered", ".decided"
 _RECORDING_PREFIX = "recording."
 _DIGESTS = ("config_sha256", "genes_sha256", "outcome_sha256")
 
@@ -57,6 +62,10 @@ _DAMAGED = (
     struct.error,
     zipfile.BadZipFile,
 )
+
+
+# Writes the contents of an open file.
+_Writer = Callable[[Any], object]
 
 
 class RunFolderError(Exception):
@@ -120,11 +129,12 @@ class RunFolder:
         self.update_meta(**meta)
 
     def require(self) -> None:
-        """Check that there is a run here.
+        """Check that there is a run here, and finish what was interrupted as it was written.
 
         Raises:
             RunFolderError: there is none.
         """
+        self._move_decided()
         if not self.config.is_file():
             raise RunFolderError(f"{self.path} is not a run folder (it has no config.yaml)")
 
@@ -162,8 +172,7 @@ class RunFolder:
         ):
             self.save_champion(champion)
         arrays = checkpoint_arrays(checkpoint)
-        name = f"generation_{checkpoint.generation:06d}.npz"
-        _write(self.path / "checkpoints" / name, lambda file: np.savez(file, **arrays))
+        _write(self._checkpoint(checkpoint.generation), lambda file: np.savez(file, **arrays))
         self.write_metrics(checkpoint.history)
         for old in self._checkpoints()[:-_KEPT_CHECKPOINTS]:
             old.unlink(missing_ok=True)
@@ -179,39 +188,40 @@ class RunFolder:
 
     def save_champion(self, champion: Champion, recording: Recording | None = None) -> None:
         """Write champion.npz, with its motion where there is one."""
-        arrays: dict[str, Any] = champion_arrays(champion)
-        arrays |= {"config_sha256": self.config_digest()}
-        if recording is not None:
-            arrays |= {
-                _RECORDING_PREFIX + name: np.asarray(value)
-                for name, value in recording._asdict().items()
-            }
-        _write(self.champion, lambda file: np.savez(file, **arrays))
+        _write(self.champion, _champion_writer(champion, self.config_digest(), recording))
 
-    def keep_champion(self) -> None:
-        """Copy champion.npz to champion_before.npz, and config.yaml to config_before.yaml."""
-        for own in (self.champion, self.config):
-            before = own.with_stem(f"{own.stem}_before")
-            _write(before, lambda file, own=own: file.write(own.read_bytes()))
+    def keep_before(self, champion: Champion, recording: Recording | None = None) -> None:
+        """Write champion_before.npz, and copy config.yaml to config_before.yaml."""
+        before = self.champion.with_stem(f"{self.champion.stem}_before")
+        _write(before, _champion_writer(champion, self.config_digest(), recording))
+        config = self.config.read_bytes()
+        before = self.config.with_stem(f"{self.config.stem}_before")
+        _write(before, lambda file: file.write(config))
 
-    def replace_champion(self, champion: Champion) -> None:
-        """Put a refined individual in the place of its run's champion.
+    def replace_champion(self, champion: Champion, config_text: str) -> None:
+        """Put a refined individual in the place of its run's champion, and what it lives by.
 
         It also takes the last place in its run's population, so that evolution may go on from it.
+
+        Args:
+            champion: the individual.
+            config_text: the configuration that it lives by.
         """
-        checkpoint = self.load()
-        if checkpoint is None:
-            self.save_champion(champion)
-            return
-        champions, genes = list(checkpoint.champions), checkpoint.genes.copy()
-        champions[champion.run] = champion
-        population = genes.shape[1] // len(champions)
-        genes[:, (champion.run + 1) * population - 1] = champion.genes
-        checkpoint = checkpoint._replace(champions=tuple(champions), genes=genes)
-        best = checkpoint.champion
-        assert best is not None
-        self.save_champion(best)
-        self.save(checkpoint)
+        config = config_text.encode()
+        writes: dict[Path, _Writer] = {self.config: lambda file: file.write(config)}
+        checkpoint, best = self.load(), champion
+        if checkpoint is not None:
+            champions, genes = list(checkpoint.champions), checkpoint.genes.copy()
+            champions[champion.run] = champion
+            population = genes.shape[1] // len(champions)
+            genes[:, (champion.run + 1) * population - 1] = champion.genes
+            checkpoint = checkpoint._replace(champions=tuple(champions), genes=genes)
+            best = checkpoint.champion or champion
+            arrays = checkpoint_arrays(checkpoint)
+            place = self._checkpoint(checkpoint.generation)
+            writes[place] = lambda file: np.savez(file, **arrays)
+        writes[self.champion] = _champion_writer(best, hashlib.sha256(config).hexdigest())
+        self._write_together(writes)
 
     def write_table(self, name: str, rows: list[dict[str, float]]) -> None:
         """Write rows with equal columns as a .csv file of the folder."""
@@ -260,6 +270,34 @@ class RunFolder:
         """SHA-256 of config.yaml."""
         return hashlib.sha256(self.config.read_bytes()).hexdigest()
 
+    def _checkpoint(self, generation: int) -> Path:
+        return self.path / "checkpoints" / f"generation_{generation:06d}.npz"
+
+    def _write_together(self, writes: Mapping[Path, _Writer]) -> None:
+        """Write several files of the run, all of them or none, whenever this is stopped."""
+        gathered = self.path / _GATHERED
+        try:
+            shutil.rmtree(gathered, ignore_errors=True)
+            for path, write in writes.items():
+                place = gathered / path.relative_to(self.path)
+                place.parent.mkdir(parents=True, exist_ok=True)
+                _write(place, write)
+            os.replace(gathered, self.path / _DECIDED)
+        except OSError as error:
+            raise _cannot_write(self.path, error) from None
+        self._move_decided()
+
+    def _move_decided(self) -> None:
+        decided = self.path / _DECIDED
+        try:
+            for place in sorted(decided.rglob("*")):
+                if place.is_file():
+                    os.replace(place, self.path / place.relative_to(decided))
+            if decided.is_dir():
+                shutil.rmtree(decided)
+        except OSError as error:
+            raise _cannot_write(self.path, error) from None
+
     def _checkpoints(self) -> list[Path]:
         pattern = re.compile(r"generation_\d{6,}\.npz")
         found = (self.path / "checkpoints").glob("generation_*.npz")
@@ -279,7 +317,20 @@ class RunFolder:
         _write(self.metrics, lambda file: file.write(self._table[1].encode()))
 
 
-def _write(path: Path, write: Callable[[Any], object]) -> None:
+def _champion_writer(
+    champion: Champion, config_digest: str, recording: Recording | None = None
+) -> _Writer:
+    arrays: dict[str, Any] = champion_arrays(champion)
+    arrays |= {"config_sha256": config_digest}
+    if recording is not None:
+        arrays |= {
+            _RECORDING_PREFIX + name: np.asarray(value)
+            for name, value in recording._asdict().items()
+        }
+    return lambda file: np.savez(file, **arrays)
+
+
+def _write(path: Path, write: _Writer) -> None:
     """Write a file beside its place, flush it to the disk, and move it there."""
     try:
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")

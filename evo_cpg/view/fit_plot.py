@@ -8,9 +8,8 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from evo_cpg.view.output import in_one_piece, output_path
+from evo_cpg.view.output import PLOT_SUFFIXES, in_one_piece, output_path
 
-_SUFFIXES = (".png", ".svg", ".pdf")
 _INK, _DATA, _MODEL = "#1f2937", "#9ca3af", "#D55E00"
 _WIDTH, _ROW, _REST = 7.4, 1.5, 0.9
 _ANGLE, _PLACES = "rad", {"x": "m", "y": "m", "z": "m"}
@@ -35,7 +34,7 @@ def plot_fit(
     Raises:
         OutputError: nothing can be written there, or not this kind of file.
     """
-    path = output_path(path, _SUFFIXES)
+    path = output_path(path, PLOT_SUFFIXES)
     figure = Figure(figsize=(_WIDTH, _REST + _ROW * len(columns)), layout="constrained")
     FigureCanvasAgg(figure)
     rows = figure.subplots(len(columns), 1, sharex=True, squeeze=False)[:, 0]

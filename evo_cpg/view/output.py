@@ -32,6 +32,7 @@ _ENCODERS = {
     ".png": ["-c:v", "png", "-pix_fmt", "rgb24", "-update", "1"],
 }
 FILM_SUFFIXES = tuple(_ENCODERS)
+PLOT_SUFFIXES = (".png", ".svg", ".pdf")
 
 
 class OutputError(OSError):

@@ -16,11 +16,10 @@ from matplotlib.ticker import MaxNLocator
 
 from evo_cpg.analysis.gait import bending_axis
 from evo_cpg.simulation.recording import Recording
-from evo_cpg.view.output import in_one_piece, output_path
+from evo_cpg.view.output import PLOT_SUFFIXES, in_one_piece, output_path
 
 # Okabe and Ito's palette.
 _BLUE, _ORANGE, _RED, _GREEN, _GREY = "#0072B2", "#E69F00", "#D55E00", "#009E73", "#6b7280"
-_SUFFIXES = (".png", ".svg", ".pdf")
 # Recorded time that `plot_joint_signals` shows by default: about five beats of 1 Hz.
 _WINDOW = 5.0
 _SNAPSHOTS = 7
@@ -46,7 +45,7 @@ def plot_fitness(history: Mapping[str, np.ndarray], path: str | os.PathLike[str]
         OutputError: nothing can be written there, or not this kind of file.
         ValueError: a column is missing or there are no rows.
     """
-    path = output_path(path, _SUFFIXES)
+    path = output_path(path, PLOT_SUFFIXES)
     missing = [key for key in ("generation", "best", "mean", "diverged") if key not in history]
     if missing:
         raise ValueError(f"the history has no column {missing[0]!r}; it has {', '.join(history)}")
@@ -121,7 +120,7 @@ def plot_joint_signals(
         OutputError: nothing can be written there, or not this kind of file.
         ValueError: no joint has this axis, or the window holds fewer than two instants.
     """
-    path = output_path(path, _SUFFIXES)
+    path = output_path(path, PLOT_SUFFIXES)
     names = [name.rpartition(".") for name in recording.dof_names]
     available = list(dict.fromkeys(letter for _, _, letter in names))
     if not available:
@@ -205,7 +204,7 @@ def plot_path(recording: Recording, path: str | os.PathLike[str]) -> Path:
     Raises:
         OutputError: nothing can be written there, or not this kind of file.
     """
-    path = output_path(path, _SUFFIXES)
+    path = output_path(path, PLOT_SUFFIXES)
     figure = _figure(10.5, 4.4)
     above, later = figure.subplots(1, 2, width_ratios=(1.45, 1))
     centre = recording.position.mean(1)

@@ -14,9 +14,8 @@ from matplotlib.patches import Circle
 from matplotlib.transforms import Affine2D
 
 from evo_cpg.training.probe import Probe, seen_from_start
-from evo_cpg.view.output import in_one_piece, output_path
+from evo_cpg.view.output import PLOT_SUFFIXES, in_one_piece, output_path
 
-_SUFFIXES = (".png", ".svg", ".pdf")
 _INK, _GREY = "#1f2937", "#6b7280"
 # From lights on the right to those on the left: Okabe and Ito's palette and a violet, all of which
 # stand out on white.
@@ -47,7 +46,7 @@ def plot_probe(probe: Probe, share: float, title: str, path: str | os.PathLike[s
     Raises:
         OutputError: nothing can be written there, or not this kind of file.
     """
-    path = output_path(path, _SUFFIXES)
+    path = output_path(path, PLOT_SUFFIXES)
     bearings = np.array([seen_from_start(situation)[1] for situation in probe.situations])
     widest = max(float(np.abs(bearings).max()), 1e-9)
     colours = _COLOURS(0.5 + 0.5 * bearings / widest)

@@ -11,9 +11,8 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from evo_cpg.analysis.sensitivity import CHANGE, Sensitivity
-from evo_cpg.view.output import in_one_piece, output_path
+from evo_cpg.view.output import PLOT_SUFFIXES, in_one_piece, output_path
 
-_SUFFIXES = (".png", ".svg", ".pdf")
 _INK, _GREY = "#1f2937", "#6b7280"
 _MORE, _LESS, _DOUBTFUL = "#0072B2", "#D55E00", "#d1d5db"
 
@@ -45,7 +44,7 @@ def plot_sensitivities(
     Raises:
         OutputError: nothing can be written there, or not this kind of file.
     """
-    path = output_path(path, _SUFFIXES)
+    path = output_path(path, PLOT_SUFFIXES)
     shown = [row for row in rows if row.value][:most]
     figure = Figure(figsize=(_WIDTH, _REST + _BAR * len(shown)), layout="constrained")
     FigureCanvasAgg(figure)

@@ -37,6 +37,12 @@ def test_elasticities_are_the_exponents_of_a_power_law(found):
     assert by_key["squared"].finite == pytest.approx(2.0, rel=1e-3)
 
 
+def test_of_nothing_there_is_no_per_cent(x64):
+    one = np.ones(1)
+    ((row,),) = sensitivities(("p",), one, 0 * one, one[None], np.zeros((1, 2, 1)), one)
+    assert np.isnan([row.elasticity, row.finite]).all() and not row.confirmed
+
+
 def test_a_step_beside_the_value_is_not_confirmed_and_ranks_by_the_change_found(found):
     assert {row.key for row in found if not row.confirmed} == {"step"}
     # 1 / 4.5 of the measure, for 2 % of the parameter.

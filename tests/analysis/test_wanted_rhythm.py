@@ -166,6 +166,8 @@ def test_chains_follow_the_axes_and_the_longest_comes_first():
     assert [chain.oscillators for chain in found] == [(0, 2, 4, 6), (1, 3, 5, 7)]
     assert found[1].part == (1, 3, 5, 7) and found[1].places == (0, 1, 2, 3)
     assert found[0].name == f"{tree.dof_names[0]} + 3"
+    uncoupled = CpgSettings(pair_weight=0.0, parent_weight=0.0, child_weight=0.0)
+    assert [chain.part for chain in chains(tree, uncoupled)] == [chain.part for chain in found]
     joined = chains(tree, CpgSettings(cross_weight=0.3))
     assert joined[1].part == tuple(range(8)) and joined[1].places == (1, 3, 5, 7)
     turned = chains(tree, CpgSettings(opposite=(tree.names[2],)))

@@ -80,6 +80,8 @@ def test_a_frequency_alone_for_a_chain_by_name(cli, nothing_kept):
         (("--lag", 400), "--lag 400: must lie between -180 and 180 degrees"),
         (("--lag", "nan"), "--lag nan: must lie between"),
         (("--lag", 20, "--gain", 0), "--gain 0: must be a positive number"),
+        (("--lag", 20, "--tonic-input", 0), "--tonic-input 0: must be a positive number"),
+        (("controller.cpg.pair_weight=0", "--lag", 20), "there is no steady rhythm at any gain"),
         (("--lag", 70), "segment1.x + 2: a lag of 70 degrees is out of reach; from head to tail"),
         (("--chain", "segment1.x"), "--chain goes with --frequency or --lag"),
         (("--lag", 20, "--chain", "segment9.x"), "no such oscillator; did you mean 'segment"),

@@ -11,9 +11,12 @@ import yaml
 
 from creatures import quick_jit
 from evo_cpg.cli.fit import commands, read_recording
-from evo_cpg.config.load import check_config
+from evo_cpg.config.load import check_config, load_config
+from evo_cpg.config.numbers import number_at
 from evo_cpg.config.parameters import parametrise
 from evo_cpg.simulation.track import track
+from evo_cpg.training.run_folder import RunFolder
+from tiny_run import CONFIG, REPOSITORY
 
 FALL = {
     "name": "dropped",
@@ -84,14 +87,52 @@ def test_drag_and_speed_come_out_of_a_recorded_coast(cli, config, tmp_path):
     code, said, complaint = cli("fit", config, table, *keys, "-o", fitted, "--plot", picture)
     assert code == 0, complaint
     assert "beware" not in said
-    drag = yaml.safe_load(fitted.read_text())["world"]["water"]["form_drag"]
-    assert drag == pytest.approx(0.8, rel=0.02)
+    after, whole = (load_config(path).model_dump() for path in (fitted, config))
+    assert after["world"]["water"].pop("form_drag") == pytest.approx(0.8, rel=0.02)
+    # Nothing else of the configuration changed.
+    del whole["world"]["water"]["form_drag"]
+    assert after == whole
     assert picture.stat().st_size > 10_000
     line = next(line for line in said.splitlines() if "initial.velocity.x" in line)
     low, high = (float(line.split()[i]) for i in (-3, -1))
     assert low < 1.3 < high and high - low < 0.02
     code, _, complaint = cli("fit", config, table, *keys, "-o", fitted)
     assert code == 2 and "exists already; --overwrite" in complaint
+
+
+@pytest.mark.slow
+def test_a_constant_of_the_cord_comes_out_of_a_champions_motion(finished_run, finish, tmp_path):
+    key, truth = "controller.cpg.time_scale", 0.8
+    folder = RunFolder(finished_run)
+    config = load_config(folder.config)
+    value = number_at(config, key)
+    with jax.enable_x64(True):
+        simulation = parametrise(config, folder.config, [key]).simulation
+        times, columns = np.linspace(0.1, 2.0, 40), ("x", "y", "z")
+        genes = jnp.asarray(folder.load_champion()[0].genes, float)
+        exact = quick_jit(
+            lambda: track(simulation(jnp.array([truth * value])), genes, times, columns, {})
+        )()
+    data = np.asarray(exact) + 1e-4 * np.random.default_rng(1).normal(size=exact.shape)
+    table = tmp_path / "data.csv"
+    write(table, ("time", *columns), np.column_stack([times, data]))
+    code, said, complaint = finish("fit", folder.config, table, key, "--run", folder.path)
+    assert code == 0, complaint
+    line = next(line for line in said.splitlines() if key in line)
+    low, high = (float(line.split()[i]) for i in (-3, -1))
+    assert low < truth * value < high and high - low < 0.02 * value
+
+
+@pytest.mark.slow
+def test_an_estimate_that_is_not_allowed_is_told(cli, config, tmp_path):
+    """A joint without damping that speeds up as it swings asks for less than none."""
+    times = np.linspace(0.0, 0.3, 19)
+    table = tmp_path / "data.csv"
+    write(table, ["time", "tail.y"], np.column_stack([times, 0.5 * np.expm1(4.0 * times)]))
+    key = "creature.bodies.1.joint.damping"
+    settings = ("--set", "initial.rate.tail.y=2", "--set", "creature.bodies.1.joint.actuator=null")
+    code, _, complaint = cli("fit", config, table, key, *settings)
+    assert code == 2 and f"the data ask for {key}=-" in complaint and "not allowed" in complaint
 
 
 @pytest.mark.parametrize(
@@ -101,9 +142,11 @@ def test_drag_and_speed_come_out_of_a_recorded_coast(cli, config, tmp_path):
         (["time", "x"], [], "has no numbers"),
         (["time"], [[0.1]], "nothing was measured"),
         (["time", "x", "x"], [[0, 1, 2]], "the column 'x' is there twice"),
-        (["time", "x"], [[0, "long"]], "row 2, x: 'long' is not a number"),
+        (["time", "x"], [[0, "long"]], "line 2, x: 'long' is not a number"),
+        (["time", "x"], [[0, 1], [], [1, "inf"]], "line 4, x: 'inf' is not a number"),
+        (["time", "x"], [[0, "x" * 200_000]], "cannot be read"),
         (["time", "x"], [[0, 1], [0, 2]], "time must grow"),
-        (["time", "x"], [[0, 1, 2]], "row 2 has 3 cells, not 2"),
+        (["time", "x"], [[0, 1, 2]], "line 2 has 3 cells, not 2"),
         (["time", "x", "target.tail.y"], [[0.1, 1, ""]], "target.tail.y must be a number"),
         (["time", "w"], [[0.1, 1]], "nothing called w; "),
         (["time", "x", "target.tail.z"], [[0.1, 1, 1]], "nothing called target.tail.z; did you"),
@@ -122,6 +165,13 @@ def test_what_is_no_recording_is_refused(cli, config, tmp_path, header, rows, wo
     [
         (["world.water.form_darg"], "did you mean world.water.form_drag"),
         (["world.water.form_drag=much"], "'much' is not a number"),
+        (["world.watr.form_drag=1"], "world.watr.form_drag: does not exist"),
+        (["world.ground.restitution=0.5"], "world.ground.restitution: does not exist"),
+        (["creature.bodies.9.shape.radius=1"], "bodies.9.shape.radius: does not exist"),
+        (["initial.velocity.x", "initial.velocity.x=1"], "initial.velocity.x: is given twice"),
+        (["controller.cpg.time_scale"], "controller.cpg.time_scale: does not exist"),
+        (["world.water.form_drag", "--out", "nowhere/fit.yaml"], "there is no folder nowhere"),
+        (["world.water.form_drag", "--plot", "fit.txt"], "the name ends in '.txt'"),
         (["initial.velocity.w"], "initial.velocity.w: does not exist; did you mean 'velocity."),
         (["world.water.form_drag", "--noise", "place=1"], "--noise: place=1; give position="),
         (["world.water.form_drag", "--noise", "angle=1"], "also give that of position"),
@@ -132,3 +182,21 @@ def test_wrong_keys_and_options_are_refused(cli, config, tmp_path, arguments, wo
     write(table, ["time", "x"], [[0.1, 1], [0.2, 1], [0.3, 1]])
     code, _, complaint = cli("fit", config, table, *arguments)
     assert code == 2 and words in complaint
+
+
+def test_the_controllers_numbers_take_a_champion(cli, tmp_path):
+    table = tmp_path / "data.csv"
+    write(table, ["time", "x"], [[0.1, 1], [0.2, 1], [0.3, 1]])
+    code, _, complaint = cli("fit", CONFIG, table, "controller.cpg.time_scale")
+    assert code == 2 and "--run RUN takes a champion's" in complaint
+
+
+def test_the_champion_of_another_animal_is_refused(finish, finished_run, tmp_path):
+    """In a process of its own: building an animal over ground starts JAX."""
+    table = tmp_path / "data.csv"
+    write(table, ["time", "x"], [[0.1, 1], [0.2, 1], [0.3, 1]])
+    land = REPOSITORY / "configs" / "iwadate2010_salamander_land.yaml"
+    key = "controller.cpg.time_scale"
+    code, _, complaint = finish("fit", land, table, key, "--run", finished_run)
+    assert code == 2 and "Traceback" not in complaint
+    assert f"--run: the champion of {finished_run} has" in complaint

@@ -34,6 +34,9 @@ def test_it_ranks_what_it_was_asked_for(finished_run, finish, tmp_path):
         (["world.water.form_darg"], "did you mean world.water.form_drag"),
         (["simulation.steps"], "is a whole number"),
         (["--seconds", 99], "--seconds: 99; a trial"),
+        (["--seconds", 0.02], "0.0333 s at least are needed"),
+        (["--seconds", "nan"], "--seconds: nan; a trial"),
+        (["--seconds", "inf"], "--seconds: inf; a trial"),
     ],
 )
 def test_wrong_keys_and_times_are_refused(finished_run, cli, arguments, words):

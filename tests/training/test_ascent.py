@@ -12,11 +12,10 @@ from evo_cpg.training.devices import population_mesh
 from trials import experiment
 
 
-def climb(loss, start, size: float, steps: int, best: bool = False):
+def climb(loss, start, size: float, slopes: int):
     solver = Climber(search=optimistix.LearningRate(size))
-    solver = optimistix.BestSoFarMinimiser(solver) if best else solver
     return optimistix.minimise(
-        lambda y, _: loss(y), solver, jnp.asarray(start), max_steps=steps, throw=False
+        lambda y, _: loss(y), solver, jnp.asarray(start), max_steps=slopes, throw=False
     ).value
 
 
@@ -38,14 +37,16 @@ def test_the_steps_are_those_of_the_published_algorithm():
         unbiased = mean / (1 - decays[0] ** count), square / (1 - decays[1] ** count)
         y = y - size * unbiased[0] / np.sqrt(unbiased[1])
         places.append(y)
-    # What a solver gives back is the place where it last took a slope.
-    for steps in (1, 2, 10, 40):
-        found = climb(valley, [-1.2, 1.0], size, steps)
-        np.testing.assert_allclose(found, places[steps - 1], rtol=1e-9)
+    # Some places on the way are higher than those before.
+    for slopes, last_is_best in ((1, True), (2, True), (10, True), (30, False), (40, True)):
+        best = int(np.argmin([valley(y) for y in places[:slopes]]))
+        assert (best == slopes - 1) == last_is_best
+        found = climb(valley, [-1.2, 1.0], size, slopes)
+        np.testing.assert_allclose(found, places[best], rtol=1e-9)
 
 
 def test_it_comes_down_a_curved_valley():
-    assert valley(climb(valley, [-1.2, 1.0], 0.02, 1500, best=True)) < 1e-3
+    assert valley(climb(valley, [-1.2, 1.0], 0.02, 1500)) < 1e-3
 
 
 @pytest.mark.parametrize("cliff", [1e8, np.nan, np.inf])
@@ -57,7 +58,7 @@ def test_a_cliff_does_not_throw_it_off(cliff):
         near = jnp.abs(y[0] - 0.7) < 0.006
         return jax.lax.cond(near, lambda: height + cliff * y[0], lambda: height)
 
-    found = climb(loss, [1.0, 1.0], 0.01, 300, best=True)
+    found = climb(loss, [1.0, 1.0], 0.01, 300)
     assert float(jnp.sum(found**2)) < 1e-3
 
 
@@ -75,6 +76,15 @@ def test_the_guard_cuts_only_what_is_out_of_proportion():
     assert after(1.0, np.nan) == pytest.approx(0.9 * 0.1, rel=1e-6)
 
 
+def test_one_that_never_lives_is_worth_nothing_and_stays_where_it_was():
+    solver = Climber(search=optimistix.LearningRate(0.1))
+    found = optimistix.minimise(
+        lambda y, _: jnp.inf + jnp.sum(y), solver, jnp.ones(2), max_steps=3, throw=False
+    )
+    assert found.value.tolist() == [1.0, 1.0]
+    assert found.state.descent_state.least == np.inf
+
+
 def test_every_individual_climbs_its_own_way_from_where_it_is():
     made = experiment(40)
     run = compile_ascent(made, population_mesh(), 6)
@@ -83,6 +93,7 @@ def test_every_individual_climbs_its_own_way_from_where_it_is():
     scales = {"energy": np.ones(4, np.float32)}
     best, fitness, finite = run(genes, ways, scales)
     assert finite.tolist() == [7] * 4
+    assert np.isneginf(run(np.nan * genes, ways, scales).fitness).all()
 
     def judged(genes):
         return np.asarray(

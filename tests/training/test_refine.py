@@ -1,8 +1,10 @@
 """A refined champion is better, is measured as in training, and comes out again."""
 
+import equinox as eqx
 import numpy as np
 import pytest
 
+from evo_cpg.training.ascent import Free
 from evo_cpg.training.devices import population_mesh
 from evo_cpg.training.loop import replay_champion, train
 from evo_cpg.training.refine import Refinement, compile_evaluation, compile_refinement
@@ -60,6 +62,37 @@ def test_refining_draws_from_its_seed_alone(refined):
     np.testing.assert_array_equal(same.genes, rounds[0].champion.genes)
 
 
+def test_what_counts_is_the_fitness_in_this_experiment(refined):
+    before, after, _ = refined
+    rounds = []
+    found = compile_refinement(MADE, SETTINGS)(before._replace(fitness=99.0), rounds.append)
+    assert {done.began for done in rounds} == {before.fitness}
+    assert found.fitness == after.fitness
+
+
+def test_numbers_that_are_not_allowed_are_passed_over(evolved):
+    """The pair's drag is free; worlds with the two most promising cannot be built."""
+    champion, asked, rounds = evolved[1].champions[0], [], []
+
+    def with_drag(value):
+        return eqx.tree_at(lambda s: s.world.water.form_drag, MADE.simulation, value)
+
+    def rebuild(values):
+        asked.append(values[0])
+        if len(asked) < 3:
+            return None
+        return MADE._replace(simulation=with_drag(float(values[0]))), values
+
+    drag = np.array([float(MADE.simulation.world.water.form_drag)])
+    free = Free(drag, drag, lambda values, model: with_drag(values[0]), rebuild)
+    found = compile_refinement(MADE, SETTINGS._replace(rounds=1), free=free)(
+        champion, rounds.append
+    )
+    assert len(set(asked)) == 3
+    assert found.fitness > champion.fitness
+    assert rounds[0].values == pytest.approx(asked[2])
+
+
 def test_the_folder_takes_it_in(evolved, refined, tmp_path):
     _, checkpoint = evolved
     _, after, _ = refined
@@ -67,8 +100,12 @@ def test_the_folder_takes_it_in(evolved, refined, tmp_path):
     folder.create("", {})
     folder.save(checkpoint)
     first = folder.load_champion()[0]
-    folder.keep_champion()
-    folder.replace_champion(after)
+    folder.keep_before(checkpoint.champions[1])
+    folder.replace_champion(after, "name: graded\n")
+    assert folder.config.read_text() == "name: graded\n"
+    assert (folder.path / "config_before.yaml").read_text() == ""
+    with np.load(folder.path / "champion_before.npz") as before:
+        np.testing.assert_array_equal(before["genes"], checkpoint.champions[1].genes)
     kept = folder.load()
     assert kept is not None
     assert kept.champions[1].fitness == after.fitness

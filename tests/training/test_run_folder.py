@@ -262,6 +262,30 @@ def test_a_kill_while_saving_leaves_the_old_state_or_the_new(folder, monkeypatch
     assert not [name for name in files(folder) if "/." in f"/{name}"]
 
 
+@pytest.mark.parametrize("writes", range(7))
+def test_a_kill_while_a_refined_champion_comes_in_leaves_all_of_it_or_nothing(
+    folder, monkeypatch, writes
+):
+    folder.save(checkpoint(1, CHAMPION))
+    better = CHAMPION._replace(fitness=CHAMPION.fitness + 0.5)
+    with monkeypatch.context() as patch:
+        killing_at(writes, patch)
+        with pytest.raises(Killed):
+            folder.replace_champion(better, "name: b\n")
+    # As the next command finds it. Three files gather, then they are decided on, then moved.
+    folder = RunFolder(folder.path)
+    folder.require()
+    expected, config = (CHAMPION, "name: a\n") if writes < 4 else (better, "name: b\n")
+    champion, _, digests = folder.load_champion()
+    assert champion.fitness == folder.load().champion.fitness == expected.fitness
+    assert folder.config.read_text() == config
+    assert digests["config_sha256"] == folder.config_digest()
+    # Whatever gathered in vain is in nobody's way.
+    folder.replace_champion(better, "name: b\n")
+    assert folder.load_champion()[0].fitness == better.fitness
+    assert not [name for name in files(folder) if "/." in f"/{name}"]
+
+
 def test_used_and_unusable_places_are_refused(folder, tmp_path):
     before = files(folder)
     with pytest.raises(RunFolderError, match=r"already holds a run; go on with `evo-cpg resume "):
