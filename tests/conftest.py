@@ -1,6 +1,7 @@
 """What every test runs under: two host devices, shapes checked, broadcasting strict."""
 
 import os
+import tempfile
 from pathlib import Path
 
 # JAX reads these when it starts, so they are set before anything imports it. One thread a
@@ -20,6 +21,12 @@ _PACKAGE = Path(__file__).parents[1] / "evo_cpg"
 _CHECKED = [f"evo_cpg.{path.parent.name}" for path in _PACKAGE.glob("*/__init__.py")]
 _CHECKED.remove("evo_cpg.fusion")
 jaxtyping.install_import_hook(_CHECKED, "runtime_checks.typechecker")
+
+# Two functions that come to the same program are compiled once: an experiment that several tests
+# build, a run that is started and resumed. Each process has a folder of its own, for the duration.
+_COMPILED = tempfile.TemporaryDirectory(prefix="evo_cpg_compiled_")
+jax.config.update("jax_compilation_cache_dir", _COMPILED.name)
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
 
 # (3,) against (3, n) must not broadcast by accident: `lift` says which axis is meant.
 jax.config.update("jax_numpy_rank_promotion", "raise")
