@@ -24,8 +24,8 @@ swim: $(CORE) ## evolve the swimmer of Iwadate 2010 and film the best (RUN=folde
 test: $(DEV) ## run the tests
 	$(BIN)/pytest
 
-test-slow: $(DEV) ## run the slow tests too
-	$(BIN)/pytest -m "slow or not slow"
+test-slow: $(DEV) ## run the slow tests too, all compiled as for users
+	EVO_CPG_TESTS_OPTIMISED=3 $(BIN)/pytest -m "slow or not slow"
 
 check: $(DEV) docs ## format, lint, types, layers and docs, as CI does
 	$(BIN)/ruff format --check .
