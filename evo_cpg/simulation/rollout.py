@@ -25,7 +25,7 @@ from evo_cpg.simulation.backward import Backward
 from evo_cpg.simulation.noise import Noise, disturb_motion, disturb_start
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.simulation.sensors import Sensors, fathom, feel, see
-from evo_cpg.simulation.situation import Situation, light_places, starting_state
+from evo_cpg.simulation.situation import Place, Situation, light_places, starting_state
 from evo_cpg.simulation.task import Moment, Task
 from evo_cpg.spatial.linear import lift
 
@@ -66,7 +66,7 @@ class Simulation(eqx.Module):
         return 1.0 / (self.control_rate * self.substeps)
 
     @property
-    def lights(self) -> tuple[tuple[float, float, float] | None, ...]:
+    def lights(self) -> tuple[Place | None, ...]:
         """Where the light is in each situation, m; None for tasks in the dark."""
         return tuple(situation.light or self.task.light for situation in self.situations)
 

@@ -5,7 +5,7 @@ the population axis lives in is told by the number of its trial. Where all trial
 situation its numbers are constants of the compiled program.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -17,6 +17,8 @@ from evo_cpg.physics.state import State, resting_state
 from evo_cpg.spatial.linear import array_of, cosine_sine
 
 Vector = tuple[float, float, float]
+# As they are read: any number of a configuration may be traced (see `evo_cpg.config.parameters`).
+Place = tuple[Any, Any, Any]
 
 
 class Situation(NamedTuple):
@@ -37,7 +39,7 @@ class Situation(NamedTuple):
     start_angles: tuple[float, ...] | None = None
 
     @property
-    def orientation(self) -> tuple[float, float, float, float]:
+    def orientation(self) -> tuple[Any, Any, Any, Any]:
         """Of the root at the start, quaternion (w, x, y, z): unless given, a turn about z alone."""
         if self.start_orientation is not None:
             return self.start_orientation
@@ -102,7 +104,7 @@ def starting_pose(
 
 
 def light_places(
-    lights: tuple[Vector | None, ...], trial: Int[Array, " *n"] | None, dtype: jnp.dtype
+    lights: tuple[Place | None, ...], trial: Int[Array, " *n"] | None, dtype: jnp.dtype
 ) -> Float[np.ndarray, "3"] | Float[Array, "3 *#n"] | None:
     """Where the light is in each lane, m: a constant where that is the same in all.
 
