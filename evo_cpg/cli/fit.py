@@ -1,10 +1,9 @@
 """The command that estimates parameters from a recorded motion: fit."""
 
-import csv
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rich import box
@@ -12,40 +11,24 @@ from rich.console import Console
 from rich.table import Table
 
 from evo_cpg.cli.errors import UsageError
+from evo_cpg.cli.measured_motion import TARGET, MeasuredMotion, commands, read_motion
 from evo_cpg.cli.training import open_champion
 from evo_cpg.config.errors import ConfigError, nearest
 from evo_cpg.config.load import dump_config, load_config
 from evo_cpg.config.numbers import number_at, with_numbers
 from evo_cpg.config.parameters import Parameters, parametrise
 from evo_cpg.config.schema.experiment import ExperimentConfig
-from evo_cpg.control.commanded import Commanded
 from evo_cpg.view.output import PLOT_SUFFIXES, output_path
 
 if TYPE_CHECKING:
     from evo_cpg.analysis.fit import Fit
     from evo_cpg.simulation.rollout import Simulation
 
-_INITIAL, _TARGET = "initial.", "target."
+_INITIAL = "initial."
 KINDS = ("position", "attitude", "angle")
 
 # The search is repeated about its result until that moves by less than this share of its error.
 _STILL, _MOST_SEARCHES = 0.05, 6
-
-
-class Recording(NamedTuple):
-    """What was measured.
-
-    Attributes:
-        time: s.
-        columns: names of what was measured.
-        data: a column of each; NaN where nothing was.
-        targets: commanded rates of joint axes by name, rad/s.
-    """
-
-    time: np.ndarray
-    columns: tuple[str, ...]
-    data: np.ndarray
-    targets: dict[str, np.ndarray]
 
 
 def fit_data(
@@ -63,7 +46,7 @@ def fit_data(
     for file, suffixes in ((out, (".yaml", ".yml")), (plot, PLOT_SUFFIXES)):
         if file is not None and output_path(file, suffixes).exists() and not overwrite:
             raise UsageError(f"{file} exists already; --overwrite replaces it")
-    recording = read_recording(data)
+    recording = read_motion(data)
     own = [text for text in settings if not text.startswith(_INITIAL)]
     whole = load_config(path, own)
     names = [key.partition("=")[0] for key in keys]
@@ -113,74 +96,12 @@ def fit_data(
         print(plot_fit(recording.time, recording.columns, recording.data, shown, plot))
 
 
-def read_recording(path: Path) -> Recording:
-    """A recorded motion from a CSV file.
-
-    Raises:
-        UsageError: it cannot be read, or is not one.
-    """
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            reader = csv.reader(file)
-            lines = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise UsageError(f"{path}: cannot be read ({error})") from None
-    if len(lines) < 2:
-        raise UsageError(f"{path}: has no numbers; give a line of names and lines of numbers")
-    names = [name.strip() for name in lines[0][1]]
-    twice = [name for i, name in enumerate(names) if name in names[:i]]
-    if twice:
-        raise UsageError(f"{path}: the column {twice[0]!r} is there twice")
-    if "time" not in names:
-        raise UsageError(f"{path}: has no column time (s); it has {', '.join(names)}")
-    table = np.full((len(lines) - 1, len(names)), np.nan)
-    for i, (line, row) in enumerate(lines[1:]):
-        if len(row) != len(names):
-            raise UsageError(f"{path}: line {line} has {len(row)} cells, not {len(names)}")
-        for j, cell in enumerate(row):
-            table[i, j] = _measured(cell, f"{path}: line {line}, {names[j]}")
-    columns = dict(zip(names, table.T, strict=True))
-    time = columns.pop("time")
-    if not np.isfinite(time).all() or time.min() < 0 or (np.diff(time) <= 0).any():
-        raise UsageError(f"{path}: time must grow from row to row, from 0 or later")
-    targets = {name: columns.pop(name) for name in names if name.startswith(_TARGET)}
-    for name, column in targets.items():
-        if not np.isfinite(column).all():
-            raise UsageError(f"{path}: {name} must be a number in every row")
-    if not columns:
-        raise UsageError(f"{path}: nothing was measured: there is only time")
-    targets = {name.removeprefix(_TARGET): column for name, column in targets.items()}
-    return Recording(time, tuple(columns), np.stack(list(columns.values()), 1), targets)
-
-
-def commands(recording: Recording, simulation: "Simulation") -> Commanded:
-    """The recorded commands as a controller: each is held from its row to the next."""
-    tree = simulation.world.tree
-    step = np.arange(simulation.steps) / float(simulation.control_rate)
-    row = np.searchsorted(recording.time, step + 1e-9, side="right") - 1
-    rates = np.zeros((simulation.steps, tree.dof_count))
-    for name, column in recording.targets.items():
-        rates[:, tree.dof_names.index(name)] = np.where(row >= 0, column[np.maximum(row, 0)], 0.0)
-    return Commanded(tree=tree, rates=rates)
-
-
-def _trial_of(recording: Recording, config: ExperimentConfig) -> ExperimentConfig:
+def _trial_of(recording: MeasuredMotion, config: ExperimentConfig) -> ExperimentConfig:
     """The configuration with a single trial, as long as the recording."""
     rate = config.simulation.control_rate_hz
     steps = max(1, math.ceil(float(recording.time.max()) * rate - 1e-9))
     trial = config.simulation.model_copy(update={"steps": steps, "trials": 1})
     return config.model_copy(update={"simulation": trial})
-
-
-def _measured(cell: str, where: str) -> float:
-    """The number in a cell; NaN where there is none."""
-    try:
-        value = float(cell) if cell.strip() else math.nan
-    except ValueError:
-        value = math.inf
-    if math.isinf(value):
-        raise UsageError(f"{where}: {cell!r} is not a number")
-    return value
 
 
 def _number(text: str) -> float:
@@ -206,14 +127,14 @@ def _check_keys(names: Sequence[str], run: Path | None) -> None:
 
 
 def _check_names(
-    recording: Recording, simulation: "Simulation", beginnings: Sequence[str], path: Path
+    recording: MeasuredMotion, simulation: "Simulation", beginnings: Sequence[str], path: Path
 ) -> None:
     from evo_cpg.simulation.track import beginning_names, column_names
 
     dofs = simulation.world.tree.dof_names
     for valid, given, prefix in (
         (column_names(simulation), recording.columns, ""),
-        (dofs, recording.targets, _TARGET),
+        (dofs, recording.targets, TARGET),
     ):
         for name in given:
             if name not in valid:
@@ -252,7 +173,7 @@ def _noise(given: Sequence[str], present: Sequence[str]) -> np.ndarray | None:
 
 def _search(
     parameters: Parameters,
-    recording: Recording,
+    recording: MeasuredMotion,
     names: tuple[str, ...],
     values: np.ndarray,
     positive: np.ndarray,
@@ -350,7 +271,7 @@ def _report(
     start: np.ndarray,
     positive: np.ndarray,
     result: "Fit",
-    recording: Recording,
+    recording: MeasuredMotion,
 ) -> None:
     from evo_cpg.analysis.fit import doubts
 

@@ -77,6 +77,18 @@ def test_a_decay_is_that_of_scipy(monkeypatch):
     assert any("did not settle" in each for each in words)
 
 
+def test_a_number_near_zero_is_told_from_it_or_not():
+    """A slope of 0.5 with a standard error of 0.01, and one that is not there."""
+    x = np.linspace(-1, 1, 41)
+    noise = 0.04 * np.random.default_rng(2).normal(size=41)
+    for slope, words in ((0.5, []), (0.0, ["the data cannot tell slope from 0"])):
+        data = jnp.asarray(slope * x + noise)[:, None]
+        found = quick_jit(
+            lambda data: one_kind(lambda p: (p[0] * x)[:, None], data, jnp.array([0.2]), [False])
+        )(data)
+        assert doubts(("slope",), np.array([False]), found) == words
+
+
 def test_what_the_data_do_not_tell_is_said():
     """Only the product of two factors matters."""
     x = np.linspace(0, 3, 40)

@@ -64,11 +64,12 @@ def test_a_wanted_rhythm_is_what_its_command_shows(cli, nothing_kept):
 
 
 def test_a_frequency_alone_for_a_chain_by_name(cli, nothing_kept):
-    arguments = ("--frequency", 2, "--gain", 5.5, "--chain", "segment2.z")
+    arguments = ("--frequency", 2, "--gain", 5.5, "--tonic-input", 0.8, "--chain", "segment2.z")
     code, out, _ = cli("cpg", SWIMMER, *SMALL, *arguments)
     assert code == 0
     assert "segment1.z + 2" in out and "parent_weight:" not in out
     assert re.findall(r"^    (\w+): ", out, re.MULTILINE) == ["time_scale"]
+    assert out.splitlines()[-1].endswith(" --gain 5.5 --tonic-input 0.8")
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from creatures import quick_jit
-from evo_cpg.cli.fit import commands, read_recording
+from evo_cpg.cli.measured_motion import commands, read_motion
 from evo_cpg.config.load import check_config, load_config
 from evo_cpg.config.numbers import number_at
 from evo_cpg.config.parameters import parametrise
@@ -72,7 +72,7 @@ def test_drag_and_speed_come_out_of_a_recorded_coast(cli, config, tmp_path):
         table = tmp_path / "driven.csv"
         header = ["time", *columns, "target.tail.y"]
         write(table, header, [[t, 0, 0, 0, 0, r] for t, r in zip(times, rates, strict=True)])
-        driver = commands(read_recording(table), simulation)
+        driver = commands(read_motion(table), simulation)
         driven = eqx.tree_at(lambda s: s.controller, simulation, driver)
         start = {"velocity.x": jnp.asarray(1.3)}
         exact = quick_jit(lambda: track(driven, jnp.zeros(0), times, columns, start))()

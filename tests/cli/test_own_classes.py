@@ -99,11 +99,17 @@ def test_a_task_and_a_controller_of_ones_own_train_and_verify(finish, tmp_path):
 
 
 def test_a_fitness_without_slopes_is_not_refined_in_silence(finish, tmp_path):
-    config = race(tmp_path, {"type": "my_animal:Slopeless"})
+    config = race(tmp_path, {"type": "my_animal:Slopeless", "options": {"bonus": 0.0}})
     run = tmp_path / "run"
     code, _, err = finish("train", config, *SETTINGS, "--out", run, "--cores", 1)
     assert code == 0, err
+    folder = RunFolder(run)
+    changed = folder.config.read_text().replace("bonus: 0.0", "bonus: 1.0")
+    folder.config.write_text(changed)
+    recorded = folder.load_champion()[0].fitness
     code, out, err = finish("refine", run, "--rounds", 1, "--steps", 2, "--cores", 1)
     assert (code, out) == (0, f"{run}\n")
     assert "48 slopes, 48 not finite" in err
     assert "no slope was finite" in err
+    # It tells as well that somebody made the world an easier one since.
+    assert f"fitness is {recorded + 1:.4f} here, not {recorded:.4f} as recorded" in err

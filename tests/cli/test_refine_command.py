@@ -7,8 +7,11 @@ import numpy as np
 import pytest
 import yaml
 
+from evo_cpg.cli.refine import _free
+from evo_cpg.config.load import load_config
+from evo_cpg.config.parameters import parametrise
 from evo_cpg.training.run_folder import RunFolder
-from tiny_run import REPOSITORY
+from tiny_run import CONFIG, REPOSITORY, TINY
 
 QUICK = "--rounds", 1, "--steps", 3
 
@@ -80,6 +83,18 @@ def test_numbers_of_the_configuration_are_refined_with_the_genes(finished_run, f
     code, out, err = finish("verify", folder.path)
     assert (code, err) == (0, "")
     assert out.endswith("(exactly)\n")
+
+
+def test_a_world_that_is_not_allowed_is_none():
+    key = "world.water.form_drag"
+    config = load_config(CONFIG, TINY)
+    free = _free(parametrise(config, CONFIG, [key]))
+    assert free.rebuild(np.array([-0.1])) is None
+    rebuilt = free.rebuild(np.array([0.7]))
+    assert rebuilt is not None
+    world, model = rebuilt
+    assert world.simulation.world.water.form_drag == 0.7
+    assert model.centre.tolist() == [0.7]
 
 
 def test_an_unknown_number_is_named(finished_run, cli):

@@ -7,7 +7,13 @@ import pytest
 from evo_cpg.training.ascent import Free
 from evo_cpg.training.devices import population_mesh
 from evo_cpg.training.loop import replay_champion, train
-from evo_cpg.training.refine import Refinement, compile_evaluation, compile_refinement
+from evo_cpg.training.refine import (
+    Refinement,
+    _Parent,
+    _starts,
+    compile_evaluation,
+    compile_refinement,
+)
 from evo_cpg.training.run_folder import RunFolder
 from trials import experiment
 
@@ -85,6 +91,18 @@ def test_numbers_that_are_not_allowed_are_passed_over(evolved):
     assert len(set(asked)) == 3
     assert found.fitness > champion.fitness
     assert rounds[0].values == pytest.approx(asked[2])
+
+
+def test_lanes_climb_by_the_model_of_the_one_they_set_out_from(evolved):
+    champion = evolved[1].champions[0]
+    parents = [
+        _Parent(champion._replace(genes=np.full(2, place)), np.zeros(1), (np.array([place]),))
+        for place in (1.0, 2.0)
+    ]
+    starts, models = _starts(parents, np.random.default_rng(0), 64, 1e-3)
+    assert starts.shape == (3, 64) and models[0].shape == (1, 64)
+    assert set(models[0][0]) == {1.0, 2.0}
+    np.testing.assert_allclose(starts[0], models[0][0], atol=1e-2)
 
 
 def test_the_folder_takes_it_in(evolved, refined, tmp_path):

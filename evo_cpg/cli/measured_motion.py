@@ -1,0 +1,95 @@
+"""A motion that was measured: reading it from a CSV file, and the commands that drove it."""
+
+import csv
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from evo_cpg.cli.errors import UsageError
+from evo_cpg.control.commanded import Commanded
+
+if TYPE_CHECKING:
+    from evo_cpg.simulation.rollout import Simulation
+
+# Columns of commands begin with this.
+TARGET = "target."
+
+
+class MeasuredMotion(NamedTuple):
+    """What was measured.
+
+    Attributes:
+        time: s.
+        columns: names of what was measured.
+        data: a column of each; NaN where nothing was.
+        targets: commanded rates of joint axes by name, rad/s.
+    """
+
+    time: np.ndarray
+    columns: tuple[str, ...]
+    data: np.ndarray
+    targets: dict[str, np.ndarray]
+
+
+def read_motion(path: Path) -> MeasuredMotion:
+    """A recorded motion from a CSV file.
+
+    Raises:
+        UsageError: it cannot be read, or is not one.
+    """
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            reader = csv.reader(file)
+            lines = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise UsageError(f"{path}: cannot be read ({error})") from None
+    if len(lines) < 2:
+        raise UsageError(f"{path}: has no numbers; give a line of names and lines of numbers")
+    names = [name.strip() for name in lines[0][1]]
+    twice = [name for i, name in enumerate(names) if name in names[:i]]
+    if twice:
+        raise UsageError(f"{path}: the column {twice[0]!r} is there twice")
+    if "time" not in names:
+        raise UsageError(f"{path}: has no column time (s); it has {', '.join(names)}")
+    table = np.full((len(lines) - 1, len(names)), np.nan)
+    for i, (line, row) in enumerate(lines[1:]):
+        if len(row) != len(names):
+            raise UsageError(f"{path}: line {line} has {len(row)} cells, not {len(names)}")
+        for j, cell in enumerate(row):
+            table[i, j] = _measured(cell, f"{path}: line {line}, {names[j]}")
+    columns = dict(zip(names, table.T, strict=True))
+    time = columns.pop("time")
+    if not np.isfinite(time).all() or time.min() < 0 or (np.diff(time) <= 0).any():
+        raise UsageError(f"{path}: time must grow from row to row, from 0 or later")
+    targets = {name: columns.pop(name) for name in names if name.startswith(TARGET)}
+    for name, column in targets.items():
+        if not np.isfinite(column).all():
+            raise UsageError(f"{path}: {name} must be a number in every row")
+    if not columns:
+        raise UsageError(f"{path}: nothing was measured: there is only time")
+    targets = {name.removeprefix(TARGET): column for name, column in targets.items()}
+    return MeasuredMotion(time, tuple(columns), np.stack(list(columns.values()), 1), targets)
+
+
+def commands(recording: MeasuredMotion, simulation: "Simulation") -> Commanded:
+    """The recorded commands as a controller: each is held from its row to the next."""
+    tree = simulation.world.tree
+    step = np.arange(simulation.steps) / float(simulation.control_rate)
+    row = np.searchsorted(recording.time, step + 1e-9, side="right") - 1
+    rates = np.zeros((simulation.steps, tree.dof_count))
+    for name, column in recording.targets.items():
+        rates[:, tree.dof_names.index(name)] = np.where(row >= 0, column[np.maximum(row, 0)], 0.0)
+    return Commanded(tree=tree, rates=rates)
+
+
+def _measured(cell: str, where: str) -> float:
+    """The number in a cell; NaN where there is none."""
+    try:
+        value = float(cell) if cell.strip() else math.nan
+    except ValueError:
+        value = math.inf
+    if math.isinf(value):
+        raise UsageError(f"{where}: {cell!r} is not a number")
+    return value
