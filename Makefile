@@ -11,11 +11,11 @@ DEV := $(VENV)/.installed-dev
 RUN := runs/swim-$(shell date +%Y%m%d-%H%M%S)
 
 .DEFAULT_GOAL := help
-.PHONY: help swim test test-slow check bench docs format clean
+.PHONY: help swim test test-slow test-matrix check bench docs format clean
 .DELETE_ON_ERROR:
 
 help: ## list the targets
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-10s %s\n", $$1, $$2 }' Makefile
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-11s %s\n", $$1, $$2 }' Makefile
 
 swim: $(CORE) ## evolve the swimmer of Iwadate 2010 and film the best (RUN=folder)
 	$(BIN)/evo-cpg train configs/iwadate2010_swimmer.yaml --out $(RUN)
@@ -26,6 +26,9 @@ test: $(DEV) ## run the tests
 
 test-slow: $(DEV) ## run the slow tests too, all compiled as for users
 	EVO_CPG_TESTS_OPTIMISED=3 $(BIN)/pytest -m "slow or not slow"
+
+test-matrix: ## run the tests on all interpreters, oldest and newest dependencies (PYTHONS=..., PYTEST=...)
+	$(PYTHON) benchmarks/matrix.py --pytest='$(PYTEST)' build/matrix $(PYTHONS)
 
 check: $(DEV) docs ## format, lint, types, layers and docs, as CI does
 	$(BIN)/ruff format --check .

@@ -23,7 +23,6 @@ from benchmarks.rows import Row
 from benchmarks.timing import Contender, count_lasting, race, ratio_quartiles
 from evo_cpg.evolution.bits import BitGenetics
 from evo_cpg.evolution.generation import Genetics
-from evo_cpg.training.devices import fast_jit
 
 SIZE, GENES = 200, 3000
 _QUICK_GENES = 300
@@ -60,7 +59,7 @@ def _ours(genetics: Genetics, gene_count: int) -> tuple[Breeder, float]:
         key, now = jax.random.split(key)
         return key, genetics.next_generation(now, genes, fitness)
 
-    return _compiled(fast_jit(generation), jax.random.key(1), first)
+    return _compiled(jax.jit(generation), jax.random.key(1), first)
 
 
 def _evosax(gene_count: int) -> tuple[Breeder, float]:

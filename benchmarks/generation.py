@@ -10,7 +10,7 @@ from benchmarks.moving import UNIT
 from benchmarks.plan import Plan, experiment_of, swimmer_settings
 from benchmarks.rows import SECONDS, Row
 from benchmarks.timing import Contender, race, seconds
-from evo_cpg.training.devices import fast_jit, population_mesh
+from evo_cpg.training.devices import population_mesh
 from evo_cpg.training.experiment import breed, compile_trials, first_population
 
 
@@ -18,10 +18,10 @@ def measure(plan: Plan) -> list[Row]:
     """Seconds, and the same as individual physics steps per second."""
     experiment = experiment_of("iwadate2010_swimmer", *swimmer_settings(plan))
     simulation, population = experiment.simulation, experiment.genetics.population
-    genes = np.asarray(fast_jit(lambda: first_population(experiment))())
+    genes = np.asarray(jax.jit(lambda: first_population(experiment))())
     scales = {"energy": np.ones(1, np.float32)}
     trials = compile_trials(simulation, population_mesh())
-    breeding = fast_jit(functools.partial(breed, experiment))
+    breeding = jax.jit(functools.partial(breed, experiment))
 
     def live() -> None:
         outcome = trials(genes)

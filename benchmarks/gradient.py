@@ -83,7 +83,7 @@ def _prepare(size: int, seconds: float, settings: Sequence[str]) -> tuple[dict[s
     from benchmarks.plan import experiment_of
     from evo_cpg.simulation.backward import Backward
     from evo_cpg.simulation.rollout import rollout, score
-    from evo_cpg.training.devices import fast_jit, use_cores
+    from evo_cpg.training.devices import use_cores
 
     use_cores()
     simulation = experiment_of("iwadate2010_swimmer", *settings).simulation
@@ -96,14 +96,14 @@ def _prepare(size: int, seconds: float, settings: Sequence[str]) -> tuple[dict[s
         outcome = rollout(simulation, genes, backward=Backward())
         return score(simulation.task, outcome, scales).mean()
 
-    draw = fast_jit(
+    draw = jax.jit(
         lambda: simulation.controller.random_genes(jax.random.key(0), (size,), np.float32)
     )
     genes = np.asarray(draw())
 
     def compiled(function: Any) -> tuple[Any, float]:
         start = time.perf_counter()
-        program = fast_jit(function).lower(genes).compile()
+        program = jax.jit(function).lower(genes).compile()
         return program, time.perf_counter() - start
 
     forward, forward_seconds = compiled(fitness)

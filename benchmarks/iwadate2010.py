@@ -9,6 +9,7 @@ import json
 import sys
 from pathlib import Path
 
+import jax
 import numpy as np
 
 from benchmarks.study import evolve, random_search
@@ -16,7 +17,7 @@ from evo_cpg.analysis.gait import gait
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import load_config
 from evo_cpg.simulation.rollout import as_recording, record
-from evo_cpg.training.devices import fast_jit, use_cores
+from evo_cpg.training.devices import use_cores
 from evo_cpg.training.experiment import first_population
 
 CONFIG = Path(__file__).parents[1] / "configs" / "iwadate2010_swimmer.yaml"
@@ -45,7 +46,7 @@ def untrained(count: int = 96) -> dict:
     experiment = build_experiment(config, CONFIG)
     simulation = experiment.simulation
     genes = first_population(experiment)[:, :count]
-    frames = fast_jit(lambda genes: record(simulation, genes, count))(genes)
+    frames = jax.jit(lambda genes: record(simulation, genes, count))(genes)
     names = [body.name for body in experiment.creature.bodies]
     waves = 0
     for i in range(count):

@@ -24,7 +24,7 @@ from benchmarks.plan import Plan
 from benchmarks.rows import Row, finite
 from benchmarks.timing import Contender, count_lasting, race, ratio_quartiles, seconds
 from evo_cpg.simulation.rollout import Outcome
-from evo_cpg.training.devices import fast_jit, population_mesh
+from evo_cpg.training.devices import population_mesh
 from evo_cpg.training.experiment import compile_trials
 
 UNIT = "steps/s"
@@ -180,7 +180,7 @@ def _whole_stack(exercise: Exercise, size: int, steps: int, mesh: Mesh, quick: b
     fewest = _FEWEST_CONTROL_STEPS if quick else simulation.steps
     trial = max(round(_WHOLE_SHARE * steps / simulation.substeps), fewest)
     simulation = dataclasses.replace(simulation, steps=trial)
-    draw = fast_jit(
+    draw = jax.jit(
         lambda: simulation.controller.random_genes(jax.random.key(0), (size,), np.float32)
     )
     genes = np.asarray(draw())

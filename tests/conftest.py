@@ -28,11 +28,14 @@ _CHECKED = [f"evo_cpg.{path.parent.name}" for path in _PACKAGE.glob("*/__init__.
 _CHECKED.remove("evo_cpg.fusion")
 jaxtyping.install_import_hook(_CHECKED, "runtime_checks.typechecker")
 
+from evo_cpg.fusion.machine import keep_code_in  # noqa: E402
+
 # Two functions that come to the same program are compiled once: an experiment that several tests
 # build, a run that is started and resumed. Each process has a folder of its own, for the duration.
 _COMPILED = tempfile.TemporaryDirectory(prefix="evo_cpg_compiled_")
 jax.config.update("jax_compilation_cache_dir", _COMPILED.name)
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
+keep_code_in(Path(_COMPILED.name))
 
 # (3,) against (3, n) must not broadcast by accident: `lift` says which axis is meant.
 jax.config.update("jax_numpy_rank_promotion", "raise")

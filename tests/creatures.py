@@ -1,7 +1,5 @@
 """Creatures, states and worlds that several tests of the physics share."""
 
-import functools
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,6 +8,7 @@ from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, Material
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
 from evo_cpg.creature.surface import outer_surfaces
 from evo_cpg.creature.tree import Tree, build_tree
+from evo_cpg.fusion.jax_internals import quick_jit
 from evo_cpg.physics.added_mass import added_inertia
 from evo_cpg.physics.buoyancy import make_cells
 from evo_cpg.physics.fluid import DragLaw, Water, make_patches
@@ -19,16 +18,6 @@ from evo_cpg.physics.world import World
 from evo_cpg.spatial.rotation import euler_to_matrix
 
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
-
-# A test runs what it compiles for a fraction of a second, so compiling is what takes the time.
-quick_jit = functools.partial(
-    jax.jit,
-    compiler_options={
-        "xla_backend_optimization_level": 0,
-        "xla_cpu_experimental_ynn_fusion_type": "",
-        "xla_cpu_use_fusion_emitters": False,
-    },
-)
 
 # Parent and number of joint axes of every body but the root: chains, stars and mixtures.
 STRUCTURES = (

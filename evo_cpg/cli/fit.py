@@ -192,7 +192,6 @@ def _search(
 
     from evo_cpg.analysis.fit import fit
     from evo_cpg.simulation.track import ATTITUDE, track
-    from evo_cpg.training.devices import fast_jit
 
     kinds = [_kind(name) for name in recording.columns]
     present = [kind for kind in KINDS if kind in kinds]
@@ -226,7 +225,7 @@ def _search(
         )
 
     with jax.enable_x64(True):
-        program = fast_jit(search)
+        program = jax.jit(search)
         model = parameters.model
         for _ in range(_MOST_SEARCHES):
             result = jax.device_get(
@@ -243,7 +242,7 @@ def _search(
                 raise UsageError(_forbidden(names, values, size, error)) from None
             if still.all():
                 break
-        shown = jax.device_get(fast_jit(observe)(jnp.asarray(values), model))
+        shown = jax.device_get(jax.jit(observe)(jnp.asarray(values), model))
     return result, shown
 
 

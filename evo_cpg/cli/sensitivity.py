@@ -98,7 +98,6 @@ def _measure(parameters: Parameters, champion: Champion, scaled: bool) -> tuple:
     import jax.numpy as jnp
 
     from evo_cpg.analysis.sensitivity import CHANGE, differentiate, measured, sensitivities
-    from evo_cpg.training.devices import fast_jit
     from evo_cpg.training.experiment import champion_keys
 
     keys = (*parameters.keys, GENES) if scaled else parameters.keys
@@ -114,7 +113,7 @@ def _measure(parameters: Parameters, champion: Champion, scaled: bool) -> tuple:
             simulation = parameters.simulation(values[: len(parameters.keys)], model)
             return measured(simulation, strength * genes, champion.scales, own)
 
-        program = fast_jit(lambda p, model: differentiate(lambda q: outcome(q, model), p))
+        program = jax.jit(lambda p, model: differentiate(lambda q: outcome(q, model), p))
         measures, slopes = jax.device_get(program(jnp.asarray(values), parameters.model))
         places, models = [], []
         for sign in (-1.0, 1.0):
@@ -129,7 +128,7 @@ def _measure(parameters: Parameters, champion: Champion, scaled: bool) -> tuple:
                 places.append(place)
                 models.append(model)
         stacked = jax.tree.map(lambda *x: np.stack(x), *models)
-        run_all = fast_jit(jax.vmap(outcome, out_axes=1))
+        run_all = jax.jit(jax.vmap(outcome, out_axes=1))
         after = jax.device_get(run_all(jnp.asarray(np.array(places)), stacked))
     return sensitivities(keys, values, measures, slopes, after.reshape(len(measures), 2, -1), steps)
 

@@ -17,6 +17,7 @@ from evo_cpg.config.build import build_experiment
 from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.load import dump_config, load_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
+from evo_cpg.fusion.engine import described
 from evo_cpg.training.checkpoint import Champion, genes_digest, outcome_digest
 from evo_cpg.training.devices import use_cores
 from evo_cpg.training.experiment import Experiment
@@ -36,7 +37,8 @@ def start_run(path: Path, overrides: Sequence[str], out: Path | None, cores: int
     devices = use_cores(cores)
     experiment = build_experiment(config, path)
     folder = RunFolder(out or Path("runs") / config.name)
-    folder.create(dump_config(config), _meta(config, devices, path))
+    meta = _meta(config, devices, path) | described(experiment.simulation.engine)
+    folder.create(dump_config(config), meta)
     _evolve(experiment, folder)
 
 
@@ -65,7 +67,8 @@ def resume_run(run: Path, generations: int | None, cores: int | None) -> None:
                 f"{found[2]}; start a new run instead"
             )
     folder.reopen(dump_config(config))
-    folder.update_meta(devices=devices, resumed=now())
+    engine = described(experiment.simulation.engine)
+    folder.update_meta(devices=devices, resumed=now(), **engine)
     _evolve(experiment, folder)
 
 

@@ -25,6 +25,8 @@ from evo_cpg.creature.creature import Creature, CreatureError
 from evo_cpg.creature.shapes import Surface
 from evo_cpg.creature.surface import outer_surfaces, random_surfaces
 from evo_cpg.creature.tree import Tree, build_tree
+from evo_cpg.fusion.engine import Engine, target, using
+from evo_cpg.fusion.unsupported import Unsupported
 from evo_cpg.physics.added_mass import added_inertia
 from evo_cpg.physics.buoyancy import make_cells
 from evo_cpg.physics.current import Vortex
@@ -66,6 +68,7 @@ def build_experiment(
     for folder in (Path(source).parent, *folders, Path.cwd()):
         if str(folder.resolve()) not in sys.path:
             sys.path.append(str(folder.resolve()))
+    engine = _choose_engine(config, source)
     creature = build_creature(config, source)
     tree = build_tree(creature)
     world = _build_world(config, creature, tree, apart)
@@ -90,7 +93,8 @@ def build_experiment(
         given = genetics.learning
         elites = given.elites or min(_LEARNERS, genetics.elites)
         learning = Learning(given.every, elites, given.steps)
-    situations = build_situations(config, creature, world, source)
+    with using(engine):
+        situations = build_situations(config, creature, world, source)
     task = _build_task(config, creature, situations[0].light, source)
     require_light(config, task, source)
     trials = config.simulation.trials
@@ -112,6 +116,7 @@ def build_experiment(
             steps=config.simulation.steps,
             noise=noise,
             situations=situations,
+            engine=engine,
         ),
         genetics=genetics.build(),
         generations=genetics.generations,
@@ -120,6 +125,23 @@ def build_experiment(
         trials=trials,
         learning=learning,
     )
+
+
+def _choose_engine(config: ExperimentConfig, source: Path | str) -> Engine:
+    """What computes the trials.
+
+    Raises:
+        ConfigError: the configuration insists on what this machine does not have.
+    """
+    engine = Engine(config.engine, config.instruction_set)
+    if engine.name == "native":
+        try:
+            with using(engine):
+                target()
+        except Unsupported as error:
+            key = ("engine",) if config.instruction_set == "host" else ("instruction_set",)
+            raise ConfigError(source, key, f"there is no such native code here: {error}") from None
+    return engine
 
 
 def build_creature(config: ExperimentConfig, source: Path | str) -> Creature:

@@ -50,7 +50,6 @@ from evo_cpg.control.brain import (
 from evo_cpg.control.controller import Command, Controller, Observation, Origin
 from evo_cpg.control.matsuoka import CpgSettings, MatsuokaNetwork, MatsuokaState, build_network
 from evo_cpg.creature.tree import Tree
-from evo_cpg.fusion.kernels import fuse
 from evo_cpg.spatial.linear import lift
 
 CONTROL_STEP = 1 / 60  # s: Iwadate 2010, 2000 steps in 33.3 s.
@@ -188,13 +187,8 @@ class BrainCpg(Controller):
         Raises:
             ValueError: the senses are not those that the brain was built for.
         """
-        batch_ndim = observation.joint_angle.ndim - 1
-        inputs = fuse(self.brain_inputs, state, observation, batch_ndim=batch_ndim)
-        outputs = think(self.brain, decoded, inputs)
-        arguments = outputs, state, observation.joint_angle
-        if self.substeps > matsuoka.UNROLLED:
-            return self._follow(*arguments)
-        return fuse(self._follow, *arguments, batch_ndim=batch_ndim)
+        outputs = think(self.brain, decoded, self.brain_inputs(state, observation))
+        return self._follow(outputs, state, observation.joint_angle)
 
     def _follow(
         self, outputs: Array, state: MatsuokaState, joint_angle: Array

@@ -38,7 +38,6 @@ individuals takes 10 us on one core in float32.
 
 import dataclasses
 import fnmatch
-import functools
 import itertools
 import math
 from typing import Any, Literal
@@ -51,7 +50,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.tree import Tree
-from evo_cpg.fusion.kernels import fuse
+from evo_cpg.fusion.fuse import fuse
 from evo_cpg.spatial.linear import lift
 
 # (T_r, T_a) in s: Iwadate 2010, Table 3, exchanged and as it stands there.
@@ -61,8 +60,8 @@ TIME_CONSTANTS = {"swapped": (0.153337, 1.181958), "as_printed": (1.181958, 0.15
 # the signals then stay within 1e-3 (rms) of the exact ones for 33 s, phase included.
 SUBSTEP_SHARE = 0.25
 
-# Up to so many substeps are written out, so that they can be part of a fused function.
-UNROLLED = 3
+# Up to so many substeps are written out.
+_UNROLLED = 3
 
 # Extensors start at this share of the largest tonic input, flexors at 0. A symmetric start
 # would never oscillate.
@@ -338,17 +337,18 @@ def advance(
     count = network.substeps(h) if substeps is None else substeps
     drive = tonic_input + network.sensory_feedback
 
-    runge_kutta = functools.partial(runge_kutta_step, network, h / count)
+    def whole(state: MatsuokaState, drive: Array, adaptation_gain: Array) -> MatsuokaState:
+        def substep(state: MatsuokaState, _) -> tuple[MatsuokaState, None]:
+            return runge_kutta_step(network, h / count, state, drive, adaptation_gain), None
 
-    def substep(state: MatsuokaState, _) -> tuple[MatsuokaState, None]:
-        batch_ndim = adaptation_gain.ndim - 1
-        return fuse(runge_kutta, state, drive, adaptation_gain, batch_ndim=batch_ndim), None
+        if count <= _UNROLLED:
+            for _ in range(count):
+                state, _ = substep(state, None)
+            return state
+        return jax.lax.scan(substep, state, length=count)[0]
 
-    if count <= UNROLLED:
-        for _ in range(count):
-            state, _ = substep(state, None)
-        return state
-    return jax.lax.scan(substep, state, length=count)[0]
+    batch_ndim = adaptation_gain.ndim - 1
+    return fuse(whole, state, drive, adaptation_gain, batch_ndim=batch_ndim, name="oscillators")
 
 
 def output(state: MatsuokaState) -> Float[Array, "o *n"]:

@@ -1,4 +1,5 @@
-"""Few large kernels instead of many small ones: array programs as scalars per individual."""
+"""Programs for one individual as native code for all: from JAX to machine code."""
 
-# Teaches JAX how to differentiate and map what is fused.
-import evo_cpg.fusion.derivatives  # noqa: F401
+# Teaches JAX how to run, differentiate and map what is fused.
+import evo_cpg.fusion.derivatives
+import evo_cpg.fusion.native  # noqa: F401

@@ -5,15 +5,15 @@ arithmetic like the program itself, and is traced and cut like it. A gradient ke
 arguments of each program: its backward pass computes the forward one again, in registers.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jax.interpreters import ad, batching
 
-from evo_cpg.fusion.kernels import fuse
-from evo_cpg.fusion.primitives import Program, fused_p, linear_map
+from evo_cpg.fusion import jax_internals as internals
+from evo_cpg.fusion.fuse import fuse
+from evo_cpg.fusion.primitives import RULES, Program, fused_p, linear_map, plain
 
 
 def _differentiate(
@@ -24,10 +24,15 @@ def _differentiate(
     batch: tuple[int, ...],
 ) -> tuple[list[jax.Array], list[Any]]:
     """Results and their changes, of those that change at all."""
+    if program.loops:
+        # JAX's own derivative of the loop, of which the parts are fused.
+        changes = [internals.instantiate_zeros(tangent) for tangent in tangents]
+        results, changes = jax.jvp(plain(program, batch), list(primals), changes)
+        return results, changes
     results = fused_p.bind(*primals, program=program, batch=batch)
-    moving = [i for i, tangent in enumerate(tangents) if not isinstance(tangent, ad.Zero)]
+    moving = [i for i, tangent in enumerate(tangents) if not isinstance(tangent, internals.Zero)]
     smooth = [i for i, x in enumerate(results) if jnp.issubdtype(x.dtype, jnp.floating)]
-    ndim = len(batch)
+    ndim, name = len(batch), f"the derivative of {program.name}"
 
     def one(values: Sequence[jax.Array]) -> tuple:
         """The smooth results for one individual as a function of what changes, and where it is."""
@@ -41,21 +46,35 @@ def _differentiate(
 
         return run, [values[i] for i in moving]
 
+    def each(function: Callable) -> Callable:
+        """For any number of trailing batch axes."""
+
+        def run(values: list[jax.Array], x: list[jax.Array]) -> tuple:
+            mapped = function
+            for _ in range(values[0].ndim - len(program.inputs[0].shape)):
+                mapped = jax.vmap(mapped, in_axes=-1, out_axes=-1)
+            return mapped(values, x)
+
+        return run
+
+    @each
     def push(values: list[jax.Array], x: list[jax.Array]) -> tuple:
         run, some = one(values)
         return jax.jvp(run, some, x)[1]
 
+    @each
     def pull(values: list[jax.Array], x: list[jax.Array]) -> tuple:
         run, some = one(values)
         return jax.vjp(run, *some)[1](tuple(x))
 
     def forward(fixed: Sequence[jax.Array], x: Sequence[jax.Array]) -> tuple:
         every = _for_all(fixed, range(len(fixed)), program, batch)
-        return fuse(push, every, _for_all(x, moving, program, batch), batch_ndim=ndim)
+        changes = _for_all(x, moving, program, batch)
+        return fuse(push, every, changes, batch_ndim=ndim, name=name)
 
     def backward(fixed: Sequence[jax.Array], x: Sequence[jax.Array]) -> list[jax.Array]:
         every = _for_all(fixed, range(len(fixed)), program, batch)
-        found = fuse(pull, every, list(x), batch_ndim=ndim)
+        found = fuse(pull, every, list(x), batch_ndim=ndim, name=name)
         own = tuple(range(-ndim, 0))
         return [x.sum(own) if i < program.shared else x for i, x in zip(moving, found, strict=True)]
 
@@ -69,8 +88,7 @@ def _differentiate(
         )
     )
     return results, [
-        next(changes) if i in smooth else ad.Zero(jax.typeof(x).to_tangent_aval())
-        for i, x in enumerate(results)
+        next(changes) if i in smooth else internals.no_tangent(x) for i, x in enumerate(results)
     ]
 
 
@@ -103,9 +121,11 @@ def _batch(
             x = x.reshape(*own, *(1,) * len(batch), x.shape[-1])
             own = *own, *batch
         every.append(jnp.broadcast_to(x, (*own, size)))
-    results = fuse(lambda *x: tuple(program(*x)), *every, batch_ndim=len(batch) + 1)
+    results = fuse(
+        lambda *x: tuple(program(*x)), *every, batch_ndim=len(batch) + 1, name=program.name
+    )
     return list(results), [x.ndim - 1 for x in results]
 
 
-ad.primitive_jvps[fused_p] = _differentiate
-batching.primitive_batchers[fused_p] = _batch
+RULES["differentiate"] = _differentiate
+RULES["batch"] = _batch

@@ -1,377 +1,475 @@
 """A program on scalars as a graph in which equal things are one thing.
 
-Each node is one scalar operation. Building it folds constants, drops what multiplies by zero or
-one, and reuses nodes that are already there, so a creature's zeros (a centre of mass on the joint,
-a principal axis) cost nothing in the end. These simplifications are exact, with two exceptions: the
-sign of a zero, and that 0 x stays 0 where x is not finite.
+Each node is one operation on one scalar. Making it folds constants, drops what multiplies by zero
+or one, and hands out the node that is there already, so a creature's zeros (a centre of mass on the
+joint, a principal axis) cost nothing in the end. These simplifications are exact, with two
+exceptions: the sign of a zero, and that 0 x stays 0 where x is not finite.
 
-Scalars with the same history (the same quantity of each of four legs) can be the *lanes* of one
-node: one operation then does for all of them, over arrays that are four times as long. `Graph.pack`
-makes lanes of scalars and `Graph.lane` takes one out again; each undoes the other, so values that
-stay in lanes are never moved.
+A node lies in the *block* of the innermost loop that any of its operands lies in, so what does not
+change in a loop is computed before it. A node is *uniform* if it is the same for all individuals:
+a number that they share, the counter of a loop, and what is computed from these.
 """
 
-import functools
-from collections.abc import Callable, Mapping
-from typing import Any
+import contextlib
+import math
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax.extend.core import Primitive
 
-# Evaluated in NumPy when all operands are constants; anything else is left to XLA.
-_FOLDABLE: dict[str, Callable] = {
-    "add": np.add,
-    "sub": np.subtract,
-    "mul": np.multiply,
-    "div": np.divide,
-    "neg": np.negative,
+# Evaluated by NumPy where all operands are constants.
+_FOLDED: dict[str, Callable] = {
     "abs": np.abs,
+    "add": np.add,
+    "and": np.bitwise_and,
+    "ceil": np.ceil,
+    "div": lambda a, b: np.divide(a, b) if a.dtype.kind == "f" else _whole_quotient(a, b),
+    "eq": np.equal,
+    "floor": np.floor,
+    "ge": np.greater_equal,
+    "gt": np.greater,
+    "is_finite": np.isfinite,
+    "le": np.less_equal,
+    "lt": np.less,
     "max": np.maximum,
     "min": np.minimum,
-    "floor": np.floor,
-    "sqrt": np.sqrt,
-    "sign": np.sign,
-    "eq": np.equal,
+    "mul": np.multiply,
     "ne": np.not_equal,
-    "lt": np.less,
-    "le": np.less_equal,
-    "gt": np.greater,
-    "ge": np.greater_equal,
-    "and": np.bitwise_and,
-    "or": np.bitwise_or,
+    "neg": np.negative,
     "not": np.invert,
+    "or": np.bitwise_or,
+    "round": np.rint,
+    "shift_left": np.left_shift,
+    "sign": np.sign,
+    "sqrt": np.sqrt,
+    "sub": np.subtract,
+    "xor": np.bitwise_xor,
 }
-
-_COMMUTATIVE = {"add", "mul", "max", "min", "and", "or", "eq", "ne"}
-
-# Functions that XLA:CPU computes several times faster in kernels of their own, over whole arrays.
-_COSTLY = {
-    "acos",
-    "asin",
-    "atan",
-    "atan2",
-    "cos",
-    "erf",
-    "exp",
-    "expm1",
-    "log",
-    "log1p",
-    "logistic",
-    "pow",
-    "sin",
-    "tan",
-    "tanh",
-}
+_COMMUTATIVE = {"add", "mul", "max", "min", "and", "or", "xor", "eq", "ne"}
+_PREDICATES = {"eq", "ne", "lt", "le", "gt", "ge", "is_finite"}
 
 
-# Scalars to lanes, a lane to a scalar, and the sum of the lanes: done with whole arrays, outside of
-# the kernels.
-pack_p, lane_p, lane_sum_p = (Primitive(name) for name in ("pack", "lane", "lane_sum"))
-
-# The same scalar, but what is computed from it is not taken for what is there already.
-again_p = Primitive("again")
-_MOVES = {"pack", "lane", "lane_sum"}
-
-
-class Call:
-    """A function of whole arrays that is evaluated for all individuals as it stands.
+class Block:
+    """A stretch of code: the whole program, or what a loop repeats.
 
     Attributes:
-        function: of arrays with trailing batch axes; returns a tuple of arrays.
-        inputs: arrays of nodes.
-        outputs: arrays of nodes, each of which has this call and all inputs as operands.
+        parent: the block around it; None for the program.
+        depth: number of blocks around it.
     """
 
-    def __init__(self, function: Callable[..., tuple], inputs: list[np.ndarray]):
-        self.function = function
-        self.inputs = inputs
-        self.outputs: list[np.ndarray] = []
+    def __init__(self, parent: "Block | None" = None):
+        self.parent = parent
+        self.depth: int = parent.depth + 1 if parent else 0
 
 
 class Node:
-    """One scalar: a constant, an input, an operation, or an element of a call's results.
+    """One scalar, or something in memory that other nodes read.
 
     Attributes:
-        primitive: None for constants and inputs; a `Call` for its elements.
-        params: of the primitive.
+        op: name of the operation; "constant", "input", "carried", "counter", or a JAX primitive's.
         operands: nodes.
         dtype: of the value.
         value: of a constant, else None.
+        detail: what else the operation needs (a `Loop`, the key of an input, an index).
+        block: where it is computed.
+        uniform: whether it is the same for all individuals.
         number: nodes are numbered as they are made; operands come before their users.
-        precision: the floating-point type that it, or else what it comes from, has, if any.
-        level: how many costly functions precede it on the longest path.
-        company: the nodes that are wanted at the same time, itself among them; see `together`.
-        lanes: how many scalars it stands for.
-        source: of one lane of another node, that node and the lane's number.
     """
 
-    __slots__ = (
-        "company",
-        "dtype",
-        "lanes",
-        "level",
-        "number",
-        "operands",
-        "params",
-        "precision",
-        "primitive",
-        "source",
-        "value",
-    )
+    __slots__ = ("block", "detail", "dtype", "number", "op", "operands", "uniform", "value")
 
     def __init__(
         self,
-        number: int,
+        op: str,
+        operands: "tuple[Node, ...]",
         dtype: np.dtype,
-        primitive: "Primitive | Call | None" = None,
-        params: Mapping[str, Any] | None = None,
-        operands: "tuple[Node, ...]" = (),
+        block: Block,
+        uniform: bool,
+        number: float,
         value: Any = None,
-        lanes: int = 1,
-        source: "tuple[Node, int] | None" = None,
+        detail: Any = None,
     ):
-        self.number = number
-        self.dtype = dtype
-        self.primitive = primitive
-        self.params = params or {}
+        self.op = op
         self.operands = operands
+        self.dtype = dtype
         self.value = value
-        types = [dtype] if jnp.issubdtype(dtype, jnp.floating) else []
-        types += [node.precision for node in operands if node.precision is not None]
-        self.precision = types[0] if types else None
-        self.company: tuple[Node, ...] = ()
-        self.lanes = lanes
-        self.source = source
-        self.level = max((node.level + node.costly for node in operands), default=0)
+        self.detail = detail
+        self.block = block
+        self.uniform = uniform
+        self.number = number
 
-    @property
-    def name(self) -> str:
-        """Of the primitive, or nothing."""
-        return self.primitive.name if isinstance(self.primitive, Primitive) else ""
+    def __repr__(self) -> str:
+        inside = self.value if self.value is not None else [o.number for o in self.operands]
+        return f"{self.number}: {self.op} {inside}"
 
-    def evaluate(self, *operands: jax.Array | np.generic) -> Any:
-        """The operation on given operands."""
-        assert isinstance(self.primitive, Primitive)
-        if self.primitive is again_p:
-            return operands[0]
-        return self.primitive.bind(*operands, **self.params)
 
-    @property
-    def costly(self) -> bool:
-        """Whether it gets a kernel of its own."""
-        special = _COSTLY | _MOVES
-        return isinstance(self.primitive, Call) or self.name in special or self._changes_precision
+class Loop(NamedTuple):
+    """A loop over a block.
 
-    @property
-    def uniform(self) -> bool:
-        """Whether it is made of lanes that are all one scalar."""
-        return self.primitive is pack_p and self.operands == (self.operands[0],) * self.lanes
+    Attributes:
+        count: how often it runs; None while its condition holds for any individual. Those for
+            which it does not hold stay as they are.
+        test: the block in which the condition is computed and what is carried is known.
+        body: the block that is repeated, within ``test``.
+        counter: the number of the round, from 0.
+        start: what is carried at first.
+        carried: what is carried into a round.
+        following: what is carried out of it.
+        condition: None for a counted loop.
+        place: where a round's values go in the lists.
+        written: what each round adds to lists.
+    """
 
-    @property
-    def _changes_precision(self) -> bool:
-        """Whether it converts one floating-point type to another, which no kernel may mix."""
-        return (
-            self.name == "convert_element_type"
-            and jnp.issubdtype(self.dtype, jnp.floating)
-            and jnp.issubdtype(self.operands[0].dtype, jnp.floating)
-        )
+    count: int | None
+    test: Block
+    body: Block
+    counter: Node
+    start: list[Node]
+    carried: list[Node]
+    following: list[Node]
+    condition: Node | None
+    place: Node
+    written: list[Node]
 
-    @property
-    def is_operation(self) -> bool:
-        """Neither a constant nor an input."""
-        return self.primitive is not None
+
+class _Bytes:
+    """Values of a table, equal where they are the same to the last bit."""
+
+    def __init__(self, values: np.ndarray):
+        self.values = values
+        self._key = values.tobytes()
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Bytes) and self._key == other._key
+
+    def __hash__(self) -> int:
+        return hash(self._key)
 
 
 class Graph:
     """Makes nodes, and hands out the one that is there already.
 
     Attributes:
-        lane_constants: values ``(lanes,)`` of the inputs that are constants, one for each lane.
+        top: the block of the whole program.
+        block: in which loops are made at present.
     """
 
     def __init__(self):
+        self.top = self.block = Block()
         self._nodes: dict[Any, Node] = {}
-        self.lane_constants: dict[Node, np.ndarray] = {}
+        self._constants: dict[Any, Node] = {}
+        self._count = 0
 
-    def input(self, key: Any, dtype: np.dtype) -> Node:
-        """The input with this key."""
-        return self._unique(("input", key), dtype)
+    def input(self, key: Any, dtype: Any, uniform: bool = False) -> Node:
+        """An input; the key says which."""
+        return self._new("input", (), np.dtype(dtype), self.top, uniform, detail=key)
 
-    def constant(self, value: Any, dtype: np.dtype) -> Node:
+    def constant(self, value: Any, dtype: Any) -> Node:
         """A constant of the given type."""
         value = np.asarray(value, dtype)[()]
-        return self._unique(("constant", dtype, value.tobytes()), dtype, value=value)
+        key = (value.dtype.char, value.tobytes())
+        node = self._constants.get(key)
+        if node is None:
+            node = self._new("constant", (), value.dtype, self.top, True, value=value)
+            self._constants[key] = node
+        return node
 
-    def apply(self, primitive: Primitive, params: dict, operands: tuple[Node, ...]) -> Node:
-        """The result of an elementwise primitive on scalars."""
-        lanes = max(node.lanes for node in operands)
-        if lanes > 1 and all(n.value is not None or n in self.lane_constants for n in operands):
-            each = (tuple(self.lane(n, i) for n in operands) for i in range(lanes))
-            return self.pack(tuple(self.apply(primitive, params, one) for one in each))
-        name = primitive.name
-        dtype = operands[-1].dtype
-        if name in {"square", "integer_pow"}:
-            return self._power(operands[0], params.get("y", 2))
-        if name in {"eq", "ne", "lt", "le", "gt", "ge", "is_finite"}:
-            dtype = np.dtype(bool)
-        elif name == "convert_element_type":
-            dtype = np.dtype(params["new_dtype"])
-            if dtype == operands[0].dtype:
-                return operands[0]
-            if operands[0].value is not None:
-                return self.constant(operands[0].value, dtype)
-        if name in _FOLDABLE and all(node.value is not None for node in operands):
-            with np.errstate(all="ignore"):
-                return self.constant(_FOLDABLE[name](*(n.value for n in operands)), dtype)
-        simpler = self._simplify(name, operands)
-        if simpler is not None:
-            return simpler
-        if name in _COMMUTATIVE:
-            operands = tuple(sorted(operands, key=lambda node: node.number))
-        key = (name, repr(sorted(params.items())), *(node.number for node in operands))
-        return self._unique(
-            key, dtype, primitive=primitive, params=params, operands=operands, lanes=lanes
-        )
+    def placeholder(self, op: str, dtype: Any, block: Block, uniform: bool = False) -> Node:
+        """What a loop gives to its rounds: something carried, or the counter."""
+        return self._new(op, (), np.dtype(dtype), block, uniform)
 
-    def pack(self, scalars: tuple[Node, ...]) -> Node:
-        """A node whose lanes are the given scalars; a constant stays one if all are the same."""
-        first, lanes = scalars[0], len(scalars)
-        if lanes == 1 or (first.value is not None and scalars == (first,) * lanes):
-            return first
-        if first.source is not None:
-            whole = first.source[0]
-            if whole.lanes == lanes and all(
-                node.source == (whole, i) for i, node in enumerate(scalars)
-            ):
-                return whole
-        if all(node.value is not None for node in scalars):
-            values = np.array([node.value for node in scalars], first.dtype)
-            node = self._unique(("lanes", first.dtype, values.tobytes()), first.dtype, lanes=lanes)
-            self.lane_constants[node] = values
-            return node
-        key = ("pack", *(node.number for node in scalars))
-        return self._unique(key, first.dtype, primitive=pack_p, operands=scalars, lanes=lanes)
-
-    def lane(self, node: Node, number: int) -> Node:
-        """One of a node's lanes; a scalar has the same in all."""
-        if node.lanes == 1:
-            return node
-        if node in self.lane_constants:
-            return self.constant(self.lane_constants[node][number], node.dtype)
-        key = ("lane", node.number, number)
-        source = (node, number)
-        return self._unique(key, node.dtype, primitive=lane_p, operands=(node,), source=source)
-
-    def again(self, node: Node) -> Node:
-        """The same number as a node of its own, so that its users are nodes of their own."""
-        if node.value is not None or node in self.lane_constants:
-            return node
-        key = ("again", len(self._nodes))
-        return self._unique(key, node.dtype, primitive=again_p, operands=(node,), lanes=node.lanes)
-
-    def lane_sum(self, node: Node) -> Node:
-        """The sum of a node's lanes."""
-        if node in self.lane_constants:
-            return functools.reduce(self.add, (self.lane(node, i) for i in range(node.lanes)))
-        key = ("lane_sum", node.number)
-        return self._unique(key, node.dtype, primitive=lane_sum_p, operands=(node,))
-
-    def call(
-        self,
-        function: Callable[..., tuple],
-        inputs: list[np.ndarray],
-        shapes: list[tuple[tuple[int, ...], np.dtype]],
-    ) -> list[np.ndarray]:
-        """Arrays of nodes for the results of a function of whole arrays.
+    def opaque(self, node: Node, block: Block | None = None, given: Node | None = None) -> Node:
+        """The same number as a node of which nothing is known but its type.
 
         Args:
-            function: see `Call`.
-            inputs: arrays of nodes.
-            shapes: shape and type of each result, for one individual.
+            node: which.
+            block: where it is seen; None for its own.
+            given: what the program was given (`given`) whose result it is.
         """
-        call = Call(function, inputs)
-        operands = tuple(node for array in inputs for node in array.flat)
-        for k, (shape, dtype) in enumerate(shapes):
-            array = np.empty(shape, object)
-            for index in np.ndindex(shape):
-                key = (id(call), k, index)
-                array[index] = self._unique(key, dtype, primitive=call, operands=operands)
-            call.outputs.append(array)
-        return call.outputs
+        if node.value is not None:
+            return node
+        block = block or node.block
+        return self._new("opaque", (node,), node.dtype, block, node.uniform, detail=given)
+
+    def given(self, arrays: Sequence[np.ndarray]) -> Node:
+        """What a program within the program is given, for those who must know what it uses."""
+        nodes = tuple(node for array in arrays for node in array.flat)
+        return self._new("given", nodes, np.dtype(bool), self.top, False)
+
+    def make(
+        self, op: str, operands: Sequence[Node], dtype: Any, detail: Any = None, unique: bool = True
+    ) -> Node:
+        """A node as it stands, without simplification.
+
+        Args:
+            op: its name.
+            operands: nodes.
+            dtype: of the value.
+            detail: hashable, if ``unique``.
+            unique: hand out the node that is there already.
+        """
+        operands = tuple(operands)
+        dtype = np.dtype(dtype)
+        key = (op, dtype.char, detail, *[node.number for node in operands]) if unique else None
+        node = self._nodes.get(key) if unique else None
+        if node is None:
+            block, uniform = self.top, True
+            for operand in operands:
+                if operand.block.depth > block.depth:
+                    block = operand.block
+                uniform = uniform and operand.uniform
+            node = self._new(op, operands, dtype, block, uniform, detail=detail)
+            if unique:
+                self._nodes[key] = node
+        return node
+
+    def table(self, column: Sequence[Node]) -> Node:
+        """Numbers in a row, from which one can be taken at a computed place."""
+        dtype = column[0].dtype
+        if all([node.value is not None for node in column]):
+            values = np.array([node.value for node in column], dtype)
+            return self.make("constants", (), dtype, _Bytes(values))
+        return self.make("rows", column, dtype)
+
+    def lookup(self, table: Node, place: Node) -> Node:
+        """The number at a place (int32) within a table or list."""
+        if place.value is not None and table.op == "rows":
+            return table.operands[int(place.value)]
+        if place.value is not None and table.op == "constants":
+            return self.constant(table.detail.values[int(place.value)], table.dtype)
+        return self.make("lookup", (table, place), table.dtype)
+
+    def loop(self, loop: Loop) -> tuple[list[Node], list[Node]]:
+        """Put a loop into the current block.
+
+        Returns:
+            What it carries out in the end, and its lists.
+        """
+        block, flag = self.block, np.dtype(bool)
+        node = self._new("loop", tuple(loop.start), flag, block, False, detail=loop)
+        results = [
+            self._new("result", (node,), one.dtype, block, False, detail=k)
+            for k, one in enumerate(loop.carried)
+        ]
+        lists = [
+            self._new("list", (node,), one.dtype, block, False, detail=k)
+            for k, one in enumerate(loop.written)
+        ]
+        return results, lists
+
+    @contextlib.contextmanager
+    def within(self, block: Block) -> Iterator[None]:
+        """Loops that are made now stand in the given block."""
+        outer, self.block = self.block, block
+        try:
+            yield
+        finally:
+            self.block = outer
+
+    def apply(self, op: str, *operands: Node, dtype: Any = None) -> Node:
+        """The result of an operation on scalars, in its simplest form.
+
+        Args:
+            op: name of JAX's primitive.
+            operands: its arguments.
+            dtype: of the result of a conversion.
+        """
+        if op in ("convert", "bitcast"):
+            return self._convert(op, operands[0], np.dtype(dtype))
+        kind = operands[-1].dtype
+        if op in _PREDICATES:
+            kind = np.dtype(bool)
+        if op in _FOLDED and all([node.value is not None for node in operands]):
+            with np.errstate(all="ignore"):
+                return self.constant(_FOLDED[op](*[node.value for node in operands]), kind)
+        simplify = _SIMPLER.get(op)
+        if simplify is not None:
+            simpler = simplify(self, *operands)
+            if simpler is not None:
+                return simpler
+        if op in _COMMUTATIVE and _comes_later(*operands):
+            operands = operands[::-1]
+        return self.make(op, operands, kind)
+
+    def forget(self) -> None:
+        """Make anew what is asked for again; constants stay."""
+        self._nodes.clear()
 
     def add(self, a: Node, b: Node) -> Node:
         """The sum a + b."""
-        return self.apply(jax.lax.add_p, {}, (a, b))
+        return self.apply("add", a, b)
 
     def subtract(self, a: Node, b: Node) -> Node:
         """The difference a - b."""
-        return self.apply(jax.lax.sub_p, {}, (a, b))
+        return self.apply("sub", a, b)
 
     def multiply(self, a: Node, b: Node) -> Node:
         """The product a b."""
-        return self.apply(jax.lax.mul_p, {}, (a, b))
+        return self.apply("mul", a, b)
 
     def negate(self, a: Node) -> Node:
         """The negative of a."""
-        return self.apply(jax.lax.neg_p, {}, (a,))
+        return self.apply("neg", a)
 
-    def _power(self, base: Node, exponent: int) -> Node:
+    def select(self, condition: Node, yes: Node, no: Node) -> Node:
+        """One or the other."""
+        return self.apply("select", condition, yes, no)
+
+    def convert(self, a: Node, dtype: Any) -> Node:
+        """The number in another type."""
+        return self.apply("convert", a, dtype=dtype)
+
+    def power(self, base: Node, exponent: int) -> Node:
+        """A whole power by repeated squaring."""
         if exponent < 0:
-            one = self.constant(1, base.dtype)
-            return self.apply(jax.lax.div_p, {}, (one, self._power(base, -exponent)))
+            return self.apply("div", self.constant(1, base.dtype), self.power(base, -exponent))
         if exponent == 0:
             return self.constant(1, base.dtype)
-        half = self._power(base, exponent // 2)
+        half = self.power(base, exponent // 2)
         square = self.multiply(half, half) if exponent > 1 else half
         return self.multiply(square, base) if exponent % 2 else square
 
-    def _simplify(self, name: str, operands: tuple[Node, ...]) -> Node | None:
-        """An equal node that costs less, if there is one."""
-        if name == "select_n" and operands[0].value is not None:
-            return operands[1 + int(operands[0].value)]
-        if not jnp.issubdtype(operands[0].dtype, jnp.floating):
-            return None
-        if name == "neg" and operands[0].name == "neg":
-            return operands[0].operands[0]
-        if name == "mul":
-            return self._simplify_product(*operands) or self._simplify_product(*operands[::-1])
-        if name == "add":
-            return self._simplify_sum(*operands) or self._simplify_sum(*operands[::-1])
-        if name == "sub":
-            a, b = operands
-            if b.value == 0:
-                return a
-            if a.value == 0:
-                return self.negate(b)
-            if b.name == "neg":
-                return self.add(a, b.operands[0])
-        if name == "div":
-            a, b = operands
-            if a.value == 0 or b.value == 1:
-                return a
-        return None
+    def _convert(self, op: str, operand: Node, dtype: np.dtype) -> Node:
+        if dtype == operand.dtype:
+            return operand
+        if operand.value is not None and op == "bitcast":
+            return self.constant(operand.value.view(dtype), dtype)
+        if operand.value is not None and not _saturates(operand, dtype):
+            with np.errstate(all="ignore"):
+                return self.constant(operand.value.astype(dtype), dtype)
+        return self.make(op, (operand,), dtype)
 
-    def _simplify_product(self, factor: Node, other: Node) -> Node | None:
-        if factor.value is None:
-            return None
-        if factor.value == 0:
-            return factor
-        if factor.value == 1:
-            return other
+    def _new(
+        self,
+        op: str,
+        operands: tuple[Node, ...],
+        dtype: np.dtype,
+        block: Block,
+        uniform: bool,
+        value: Any = None,
+        detail: Any = None,
+    ) -> Node:
+        self._count += 1
+        return Node(op, operands, dtype, block, uniform, self._count, value, detail)
+
+
+def _whole_quotient(a: np.integer, b: np.integer) -> Any:
+    """Towards zero; -1 (all bits) where the divisor is zero, as in XLA."""
+    size = abs(int(a)) // abs(int(b)) if b else -1
+    bits = (-size if b and (a < 0) != (b < 0) else size) % (1 << 8 * a.dtype.itemsize)
+    return np.asarray(bits, f"u{a.dtype.itemsize}").view(a.dtype)[()]
+
+
+def _saturates(operand: Node, dtype: np.dtype) -> bool:
+    """Whether a constant has no counterpart among whole numbers: the processor knows what to do."""
+    if not _is_float(operand) or dtype.kind not in "iu":
+        return False
+    ends = np.iinfo(dtype)
+    return not ends.min <= float(operand.value) <= ends.max
+
+
+def _comes_later(a: Node, b: Node) -> bool:
+    """Whether b is to be named before a: constants come last, whenever they were made."""
+    if a.value is not None or b.value is not None:
+        return a.value is not None
+    return a.number > b.number
+
+
+def _is_float(node: Node) -> bool:
+    return node.dtype.kind == "f"
+
+
+def _simpler_select(graph: Graph, condition: Node, yes: Node, no: Node) -> Node | None:
+    if condition.value is not None:
+        return yes if condition.value else no
+    if yes is no:
+        return yes
+    if yes.dtype.kind == "b" and yes.value is not None and no.value is not None:
+        return condition if yes.value else graph.apply("not", condition)
+    return None
+
+
+def _simpler_negative(graph: Graph, a: Node) -> Node | None:
+    return a.operands[0] if a.op == "neg" else None
+
+
+def _simpler_not(graph: Graph, a: Node) -> Node | None:
+    return a.operands[0] if a.op == "not" else None
+
+
+def _simpler_product(graph: Graph, a: Node, b: Node) -> Node | None:
+    factor, other = (a, b) if a.value is not None else (b, a)
+    if factor.value is None:
+        return None
+    if factor.value == 0:
+        return factor
+    if factor.value == 1:
+        return other
+    if factor.value < 0 and _is_float(factor):
         # Minus signs move outward, where sums absorb them and equal products meet.
-        if factor.value < 0:
-            return self.negate(self.multiply(self.constant(-factor.value, factor.dtype), other))
-        return None
+        return graph.negate(graph.multiply(graph.constant(-factor.value, factor.dtype), other))
+    return None
 
-    def _simplify_sum(self, term: Node, other: Node) -> Node | None:
+
+def _simpler_sum(graph: Graph, a: Node, b: Node) -> Node | None:
+    for term, other in ((a, b), (b, a)):
         if term.value is not None and term.value == 0:
             return other
-        return self.subtract(other, term.operands[0]) if term.name == "neg" else None
+        if term.op == "neg" and _is_float(term):
+            return graph.subtract(other, term.operands[0])
+    return None
 
-    def _unique(self, key: Any, dtype: np.dtype, **parts) -> Node:
-        node = self._nodes.get(key)
-        if node is None:
-            node = self._nodes[key] = Node(len(self._nodes), dtype, **parts)
-        return node
+
+def _simpler_difference(graph: Graph, a: Node, b: Node) -> Node | None:
+    if b.value is not None and b.value == 0:
+        return a
+    if not _is_float(a):
+        return None
+    if a.value is not None and a.value == 0:
+        return graph.negate(b)
+    if b.op == "neg":
+        return graph.add(a, b.operands[0])
+    return None
+
+
+def _simpler_quotient(graph: Graph, a: Node, b: Node) -> Node | None:
+    if b.value is not None and _is_float(b):
+        if b.value == 1:
+            return a
+        # Exact where the reciprocal of a power of two is not subnormal.
+        mantissa, exponent = math.frexp(float(b.value))
+        if abs(mantissa) == 0.5 and abs(exponent) < 100:
+            return graph.multiply(a, graph.constant(1.0 / float(b.value), b.dtype))
+    return None
+
+
+def _simpler_and(graph: Graph, a: Node, b: Node) -> Node | None:
+    if a.dtype != bool:
+        return None
+    for one, other in ((a, b), (b, a)):
+        if one.value is not None:
+            return other if one.value else one
+    return a if a is b else None
+
+
+def _simpler_or(graph: Graph, a: Node, b: Node) -> Node | None:
+    if a.dtype != bool:
+        return None
+    for one, other in ((a, b), (b, a)):
+        if one.value is not None:
+            return one if one.value else other
+    return a if a is b else None
+
+
+# An equal node that costs less, if there is one, by operation.
+_SIMPLER: dict[str, Callable[..., Node | None]] = {
+    "add": _simpler_sum,
+    "and": _simpler_and,
+    "div": _simpler_quotient,
+    "mul": _simpler_product,
+    "neg": _simpler_negative,
+    "not": _simpler_not,
+    "or": _simpler_or,
+    "select": _simpler_select,
+    "sub": _simpler_difference,
+}

@@ -1,11 +1,14 @@
 """Operations that only move numbers about: NumPy does them on arrays of nodes while tracing."""
 
+import functools
+import itertools
 from collections.abc import Callable
 
 import jax
 import numpy as np
 
 from evo_cpg.fusion.graph import Graph
+from evo_cpg.fusion.unsupported import Unsupported
 
 
 def _broadcast_in_dim(graph, operands, params):
@@ -23,39 +26,145 @@ def _slice(graph, operands, params):
 
 def _dynamic_slice(graph, operands, params):
     x, *starts = operands
-    begin = _clamped_starts(x.shape, starts, params["slice_sizes"])
     sizes = params["slice_sizes"]
-    return [x[tuple(slice(b, b + size) for b, size in zip(begin, sizes, strict=True))]]
+    first = [
+        _clamped(graph, start.item(), whole - size)
+        for start, whole, size in zip(starts, x.shape, sizes, strict=True)
+    ]
+    return [_taken(graph, x, first, np.indices(sizes))]
 
 
 def _dynamic_update_slice(graph, operands, params):
+    """Each element is the new one where the window lies over it."""
     x, update, *starts = operands
-    begin = _clamped_starts(x.shape, starts, update.shape)
+    first = [
+        _clamped(graph, start.item(), whole - size)
+        for start, whole, size in zip(starts, x.shape, update.shape, strict=True)
+    ]
     result = x.copy()
-    result[tuple(slice(b, b + size) for b, size in zip(begin, update.shape, strict=True))] = update
+    reach = [
+        range(whole - size + 1) if node.value is None else [int(node.value)]
+        for node, whole, size in zip(first, x.shape, update.shape, strict=True)
+    ]
+    for begin in itertools.product(*reach):
+        here = [
+            graph.apply("eq", node, graph.constant(b, node.dtype))
+            for node, b in zip(first, begin, strict=True)
+        ]
+        condition = functools.reduce(functools.partial(graph.apply, "and"), here) if here else None
+        for index in np.ndindex(update.shape):
+            place = tuple(b + i for b, i in zip(begin, index, strict=True))
+            new = update[index]
+            result[place] = (
+                new if condition is None else graph.select(condition, new, result[place])
+            )
     return [result]
 
 
-def _clamped_starts(shape, starts, sizes) -> list[int]:
-    begin = []
-    for start, size, whole in zip(starts, sizes, shape, strict=True):
-        if start.item().value is None:
-            raise NotImplementedError("a slice at a computed place cannot be fused")
-        begin.append(int(np.clip(start.item().value, 0, whole - size)))
-    return begin
-
-
 def _gather(graph, operands, params):
-    """Taken at constant indices; where each element comes from is asked of JAX itself."""
+    """Taken at constant indices, where JAX itself says where each element comes from, or others."""
     x, indices = operands
-    if any(node.value is None for node in indices.flat):
-        raise NotImplementedError("a gather at computed places cannot be fused")
-    where = np.vectorize(lambda node: node.value, otypes=[np.int32])(indices)
-    with jax.ensure_compile_time_eval():
-        places = jax.lax.gather_p.bind(
-            np.arange(x.size, dtype=np.int32).reshape(x.shape), where, **params
-        )
-    return [x.reshape(-1)[np.asarray(places)]]
+    if all(node.value is not None for node in indices.flat):
+        where = np.vectorize(lambda node: node.value, otypes=[np.int32])(indices)
+        outside = -1
+        with jax.ensure_compile_time_eval():
+            places = jax.lax.gather_p.bind(
+                np.arange(x.size, dtype=np.int32).reshape(x.shape),
+                where,
+                **{**params, "fill_value": outside},
+            )
+        places = np.asarray(places)
+        fill = params["fill_value"]
+        if (places == outside).any():
+            fill = _filler(x.flat[0].dtype) if fill is None else fill
+            x = np.append(x.reshape(-1), graph.constant(fill, x.flat[0].dtype))
+        return [x.reshape(-1)[places]]
+    return [_gather_at_computed_places(graph, x, indices, params)]
+
+
+def _gather_at_computed_places(graph, x, indices, params):
+    """One window for each row of indices; its elements lie at a fixed distance from its first."""
+    numbers, sizes = params["dimension_numbers"], params["slice_sizes"]
+    if numbers.operand_batching_dims:
+        raise Unsupported("it has no gather with batch dimensions at computed places")
+    rows = indices.reshape(-1, indices.shape[-1]) if indices.ndim else indices.reshape(1, 1)
+    filled = "FILL" in str(params["mode"])
+    fill = params["fill_value"]
+    kept = [i for i in range(x.ndim) if i not in numbers.collapsed_slice_dims]
+    window = np.indices(sizes)[
+        (slice(None), *(slice(None) if i in kept else 0 for i in range(x.ndim)))
+    ]
+    results = []
+    for row in rows:
+        first = [graph.constant(0, np.int32)] * x.ndim
+        valid = graph.constant(True, bool)
+        for axis, node in zip(numbers.start_index_map, row, strict=True):
+            most = x.shape[axis] - sizes[axis]
+            first[axis] = _clamped(graph, node, most)
+            if filled:
+                inside = graph.apply("eq", graph.convert(first[axis], node.dtype), node)
+                valid = graph.apply("and", valid, inside)
+        taken = _taken(graph, x, first, window)
+        if valid.value is None or not valid.value:
+            dtype = x.flat[0].dtype
+            other = graph.constant(_filler(dtype) if fill is None else fill, dtype)
+            taken = np.asarray(
+                np.frompyfunc(lambda t, v=valid, o=other: graph.select(v, t, o), 1, 1)(taken),
+                object,
+            )
+        results.append(taken)
+    batch = indices.shape[:-1]
+    stacked = np.array([t.reshape(-1) for t in results], object)
+    stacked = stacked.reshape((*batch, *results[0].shape))
+    # Axes of the windows stand where the numbers say, those of the indices in between.
+    order = iter(range(len(batch)))
+    inner = {axis: len(batch) + k for k, axis in enumerate(numbers.offset_dims)}
+    axes = [inner[i] if i in inner else next(order) for i in range(stacked.ndim)]
+    return stacked.transpose(axes)
+
+
+def _taken(graph, x, first, window):
+    """Elements of an array, at places in a window whose first element is at a computed place.
+
+    Args:
+        graph: where nodes are made.
+        x: the array.
+        first: index of the window's first element along each axis, within the array.
+        window: ``(axes, ...)``, indices within the window.
+    """
+    if all(node.value is not None for node in first):
+        begin = [int(node.value) for node in first]
+        return np.asarray(x[tuple(b + w for b, w in zip(begin, window, strict=True))], object)
+    strides = [int(np.prod(x.shape[i + 1 :], dtype=int)) for i in range(x.ndim)]
+    start = graph.constant(0, np.int32)
+    for node, stride in zip(first, strides, strict=True):
+        step = graph.multiply(graph.convert(node, np.int32), graph.constant(stride, np.int32))
+        start = graph.add(start, step)
+    offsets = sum(w * stride for w, stride in zip(window, strides, strict=True))
+    table = graph.table(list(x.flat))
+
+    def take(offset: int):
+        return graph.lookup(table, graph.add(start, graph.constant(offset, np.int32)))
+
+    return np.asarray(np.frompyfunc(take, 1, 1)(offsets), object)
+
+
+def _clamped(graph, place, most):
+    """An index from 0 to the largest that there is, int32."""
+    if place.dtype.kind == "u":
+        place = graph.apply("min", place, graph.constant(most, place.dtype))
+        return graph.convert(place, np.int32)
+    low, high = (graph.constant(value, place.dtype) for value in (0, most))
+    return graph.convert(graph.apply("min", graph.apply("max", place, low), high), np.int32)
+
+
+def _filler(dtype):
+    """What JAX puts in the place of what lies outside."""
+    if dtype.kind == "f":
+        return np.nan
+    if dtype.kind == "b":
+        return True
+    return np.iinfo(dtype).min if dtype.kind == "i" else np.iinfo(dtype).max
 
 
 def _split(graph, operands, params):
@@ -86,7 +195,7 @@ def _scatter(graph, operands, params, combine=lambda old, new: new):
     """Put at constant places; where each element goes is asked of JAX itself, as a gather."""
     x, indices, updates = operands
     if any(node.value is None for node in indices.flat):
-        raise NotImplementedError("a scatter to computed places cannot be fused")
+        raise Unsupported("it has no scatter to computed places")
     where = np.vectorize(lambda node: node.value, otypes=[np.int32])(indices)
     numbers = params["dimension_numbers"]
     alone = {*numbers.inserted_window_dims, *numbers.operand_batching_dims}
@@ -132,8 +241,9 @@ MOVES: dict[str, Callable[[Graph, list[np.ndarray], dict], list[np.ndarray]]] = 
     "dynamic_update_slice": _dynamic_update_slice,
     "expand_dims": lambda graph, xs, params: [np.expand_dims(xs[0], params["dimensions"])],
     "gather": _gather,
-    "gathered": _same,
+    "optimization_barrier": _same,
     "pad": _pad,
+    "reshard": _same,
     "reshape": lambda graph, xs, params: [xs[0].reshape(params["new_sizes"])],
     "rev": lambda graph, xs, params: [np.flip(xs[0], params["dimensions"])],
     "scatter": _scatter,

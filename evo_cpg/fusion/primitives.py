@@ -1,26 +1,31 @@
-"""What fused programs are to JAX, and what they may hold besides its own operations.
+"""What programs for one individual are to JAX.
 
 | primitive | what it stands for |
 |---|---|
-| ``fused`` | a program that is computed in few large kernels |
-| ``array_call`` | a function of whole arrays that the trace leaves as it is |
-| ``side_by_side`` | an array whose last axis is to become lanes |
+| ``fused`` | a program that runs as native code for all individuals |
 | ``linear_map`` | a function that is linear in some arguments, and its transpose |
 
-See `evo_cpg.fusion.kernels` for the functions that bind them.
+See `evo_cpg.fusion.fuse` for the function that binds them.
 """
 
 import dataclasses
+import functools
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import core
-from jax.extend.core import Jaxpr, Primitive
-from jax.interpreters import ad, batching, mlir
+from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
+
+from evo_cpg.fusion import jax_internals as internals
+
+Arrays = Sequence[jax.Array]
+
+# Rules that are given with a function, so that its loops need none.
+_OWN_RULES = {"custom_jvp_call", "custom_vjp_call"}
+_LOOPS = {"scan", "while"}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -28,104 +33,98 @@ class Program:
     """What a fused function does for one individual.
 
     Attributes:
-        jaxpr: of the function.
-        constants: of the jaxpr; None for those that are arguments, because they are traced.
+        name: of the function, for messages.
+        jaxpr: of the function; its constants are its first arguments.
+        constants: their values; None for those that are arguments, because they are traced.
         shared: how many arguments come first that all individuals share, in place of these.
     """
 
+    name: str
     jaxpr: Jaxpr
     constants: tuple[np.ndarray | None, ...]
     shared: int
+
+    @property
+    def inputs(self) -> list[Any]:
+        """Shapes and types of the arguments, what is shared first."""
+        count = len(self.constants)
+        constants = zip(self.jaxpr.invars[:count], self.constants, strict=True)
+        shared = [variable.aval for variable, own in constants if own is None]
+        return [*shared, *(variable.aval for variable in self.jaxpr.invars[count:])]
+
+    @property
+    def outputs(self) -> list[Any]:
+        """Shapes and types of the results for one individual."""
+        return [atom.aval for atom in self.jaxpr.outvars]
 
     def __call__(self, *arrays: jax.Array) -> list[Any]:
         """The results for one individual; of NumPy where they are constants."""
         given = iter(arrays[: self.shared])
         consts = [next(given) if own is None else own for own in self.constants]
-        return core.eval_jaxpr(self.jaxpr, consts, *arrays[self.shared :])
+        return internals.run(ClosedJaxpr(self.jaxpr, []), [*consts, *arrays[self.shared :]])
+
+    @functools.cached_property
+    def primitives(self) -> frozenset[str]:
+        """Names of the primitives that do something in it and in programs within it."""
+        names: set[str] = set()
+        for equation in _equations(self.jaxpr, ()):
+            if equation.primitive is fused_p:
+                names |= equation.params["program"].primitives
+            elif not all(isinstance(atom, Literal) for atom in equation.invars):
+                names.add(equation.primitive.name)
+        return frozenset(names)
+
+    @functools.cached_property
+    def loops(self) -> bool:
+        """Whether there are loops in it that bring no derivative of their own."""
+        return any(
+            equation.params["program"].loops
+            if equation.primitive is fused_p
+            else equation.primitive.name in _LOOPS
+            for equation in _equations(self.jaxpr, _OWN_RULES)
+        )
 
 
-fused_p = Primitive("fused")
-fused_p.multiple_results = True
+def _equations(jaxpr: Jaxpr, closed: Iterable[str]) -> Iterator[Any]:
+    """All equations of a program, and those within them unless they are of a closed kind."""
+    for equation in jaxpr.eqns:
+        yield equation
+        if equation.primitive.name in closed:
+            continue
+        for value in equation.params.values():
+            for inner in value if isinstance(value, (tuple, list)) else (value,):
+                inner = inner.jaxpr if isinstance(inner, ClosedJaxpr) else inner
+                if isinstance(inner, Jaxpr):
+                    yield from _equations(inner, closed)
 
 
-@fused_p.def_abstract_eval
-def _(*_, program, batch):
-    outputs = [atom.aval for atom in program.jaxpr.outvars]
-    return [core.ShapedArray((*aval.shape, *batch), aval.dtype) for aval in outputs]
+def plain(program: Program, batch: tuple[int, ...]) -> Callable[..., list[jax.Array]]:
+    """The program for all individuals, as JAX itself computes it.
+
+    Args:
+        program: for one.
+        batch: lengths of the trailing batch axes of its own arguments and of its results.
+    """
+
+    def one(*arrays: jax.Array) -> tuple[jax.Array, ...]:
+        return tuple(map(jnp.asarray, program(*arrays)))
+
+    def run(*arrays: jax.Array) -> list[jax.Array]:
+        if not batch:
+            return list(one(*arrays))
+        shared, count = program.shared, int(np.prod(batch, dtype=int))
+        axes = [None] * shared + [-1] * (len(arrays) - shared)
+        own = [x.reshape(*x.shape[: x.ndim - len(batch)], count) for x in arrays[shared:]]
+        every = jax.vmap(one, in_axes=axes, out_axes=-1, axis_size=count)
+        results = every(*arrays[:shared], *own)
+        return [x.reshape(*x.shape[:-1], *batch) for x in results]
+
+    return run
 
 
-array_call_p = Primitive("array_call")
-array_call_p.multiple_results = True
-
-
-@array_call_p.def_abstract_eval
-def _(*inputs, function):
-    shapes = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in inputs]
-    return [core.ShapedArray(x.shape, x.dtype) for x in jax.eval_shape(function, *shapes)]
-
-
-def _differentiate_call(primals, tangents, *, function):
-    """Forwards and backwards it is again a function of whole arrays."""
-    moving = [i for i, tangent in enumerate(tangents) if not isinstance(tangent, ad.Zero)]
-
-    def of_moving(values):
-        def call(*some):
-            every = list(values)
-            for i, value in zip(moving, some, strict=True):
-                every[i] = value
-            return function(*every)
-
-        return call, [values[i] for i in moving]
-
-    def forward(*values):
-        call, some = of_moving(values[: len(primals)])
-        return tuple(jax.jvp(call, some, list(values[len(primals) :]))[1])
-
-    def backward(*values):
-        call, some = of_moving(values[: len(primals)])
-        return tuple(jax.vjp(call, *some)[1](tuple(values[len(primals) :])))
-
-    results = array_call_p.bind(*primals, function=function)
-    changes = linear_map(
-        lambda fixed, x: array_call_p.bind(*fixed, *x, function=forward),
-        lambda fixed, x: array_call_p.bind(*fixed, *x, function=backward),
-        primals,
-        [tangents[i] for i in moving],
-        results,
-    )
-    return results, changes
-
-
-ad.primitive_jvps[array_call_p] = _differentiate_call
-
-side_by_side_p = Primitive("side_by_side")
-side_by_side_p.def_impl(lambda x: x)
-side_by_side_p.def_abstract_eval(lambda x: core.ShapedArray(x.shape, x.dtype))
-ad.deflinear2(side_by_side_p, lambda cotangent, _: [side_by_side_p.bind(cotangent)])
-batching.primitive_batchers[side_by_side_p] = lambda xs, axes: (xs[0], axes[0])
-mlir.register_lowering(side_by_side_p, lambda _, x: [x])
-
-# Arrays whose slopes are to be computed together; see `evo_cpg.fusion.kernels.gathered`.
-gathered_p = Primitive("gathered")
-gathered_p.multiple_results = True
-gathered_p.def_impl(lambda *x: list(x))
-gathered_p.def_abstract_eval(lambda *x: [core.ShapedArray(each.shape, each.dtype) for each in x])
-
-
-def _differentiate_gathered(primals, tangents):
-    changes = [ad.instantiate_zeros(tangent) for tangent in tangents]
-    return gathered_p.bind(*primals), gathered_p.bind(*changes)
-
-
-ad.primitive_jvps[gathered_p] = _differentiate_gathered
-ad.primitive_transposes[gathered_p] = lambda cotangents, *_: jax.lax.optimization_barrier(
-    [ad.instantiate_zeros(cotangent) for cotangent in cotangents]
-)
-
-linear_map_p = Primitive("linear_map")
-linear_map_p.multiple_results = True
-
-Arrays = Sequence[jax.Array]
+def shapes_of(*_: Any, program: Program, batch: tuple[int, ...]) -> list[jax.ShapeDtypeStruct]:
+    """Of the results of a program for all individuals."""
+    return [jax.ShapeDtypeStruct((*x.shape, *batch), x.dtype) for x in program.outputs]
 
 
 def linear_map(
@@ -153,39 +152,28 @@ def linear_map(
     )
 
 
-@linear_map_p.def_abstract_eval
-def _(*_, forward, backward, shapes, count):
-    return [core.ShapedArray(shape, dtype) for shape, dtype in shapes]
-
-
-@linear_map_p.def_impl
-def _apply(*values, forward, backward, shapes, count):
+def _apply_map(*values, forward, backward, shapes, count):
+    del backward, shapes
     return list(forward(values[:count], values[count:]))
 
 
 def _differentiate_map(primals, tangents, **params):
     results = linear_map_p.bind(*primals, **params)
     count = params["count"]
-    if all(isinstance(tangent, ad.Zero) for tangent in tangents[:count]):
-        x = [ad.instantiate_zeros(tangent) for tangent in tangents[count:]]
+    if all(isinstance(tangent, internals.Zero) for tangent in tangents[:count]):
+        x = [internals.instantiate_zeros(tangent) for tangent in tangents[count:]]
         return results, linear_map_p.bind(*primals[:count], *x, **params)
     # What the map depends on changes as well: a second derivative.
-    tangents = [ad.instantiate_zeros(tangent) for tangent in tangents]
-    return jax.jvp(lambda *values: _apply(*values, **params), list(primals), tangents)
-
-
-ad.primitive_jvps[linear_map_p] = _differentiate_map
+    tangents = [internals.instantiate_zeros(tangent) for tangent in tangents]
+    return jax.jvp(lambda *values: _apply_map(*values, **params), list(primals), tangents)
 
 
 def _transpose_map(cotangents, *values, forward, backward, shapes, count):
     del shapes
-    cotangents = [ad.instantiate_zeros(cotangent) for cotangent in cotangents]
+    cotangents = [internals.instantiate_zeros(cotangent) for cotangent in cotangents]
     like = [value.aval for value in values[count:]]
     found = linear_map(backward, forward, values[:count], cotangents, like)
     return [None] * count + found
-
-
-ad.primitive_transposes[linear_map_p] = _transpose_map
 
 
 def _batch_map(values, axes, *, forward, backward, shapes, count):
@@ -208,10 +196,31 @@ def _batch_map(values, axes, *, forward, backward, shapes, count):
     return results, itertools.repeat(0, len(results))
 
 
-batching.primitive_batchers[linear_map_p] = _batch_map
-mlir.register_lowering(linear_map_p, mlir.lower_fun(_apply, multiple_results=True))
+linear_map_p = internals.primitive(
+    "linear_map",
+    lambda *_, forward, backward, shapes, count: [
+        jax.ShapeDtypeStruct(shape, dtype) for shape, dtype in shapes
+    ],
+    _apply_map,
+    _differentiate_map,
+    _batch_map,
+    _transpose_map,
+)
 
 
-def trace_of(params: dict[str, Any], inputs: Sequence[core.AbstractValue]) -> Any:
+def trace_of(params: dict[str, Any], inputs: Sequence[Any]) -> ClosedJaxpr:
     """The program of a ``linear_map`` with the given parameters."""
-    return jax.make_jaxpr(lambda *values: _apply(*values, **params))(*inputs)
+    return jax.make_jaxpr(lambda *values: _apply_map(*values, **params))(*inputs)
+
+
+# How fused programs run, are differentiated and mapped; `evo_cpg.fusion.native` and
+# `evo_cpg.fusion.derivatives`, which themselves bind the primitive, fill it in.
+RULES: dict[str, Callable] = {}
+
+fused_p = internals.primitive(
+    "fused",
+    shapes_of,
+    lambda *arrays, **params: RULES["evaluate"](*arrays, **params),
+    lambda *arrays, **params: RULES["differentiate"](*arrays, **params),
+    lambda *arrays, **params: RULES["batch"](*arrays, **params),
+)

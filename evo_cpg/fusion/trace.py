@@ -5,84 +5,79 @@ transposes) is then done by NumPy while tracing and leaves nothing behind; sums 
 products become additions and multiplications; elementwise operations one node per element.
 """
 
-import collections
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import jax
 import numpy as np
-from jax.extend.core import Jaxpr, Literal, Primitive
+from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
 
+from evo_cpg.fusion import jax_internals as internals
+from evo_cpg.fusion.elementary import FLOAT32
 from evo_cpg.fusion.graph import Graph, Node
+from evo_cpg.fusion.loops import LOOPS
 from evo_cpg.fusion.moves import MOVES
-from evo_cpg.fusion.primitives import array_call_p, linear_map_p, trace_of
-from evo_cpg.fusion.sine import cosine, has_polynomial, sine
+from evo_cpg.fusion.primitives import Program, fused_p, linear_map_p, trace_of
+from evo_cpg.fusion.sums import chain_sums
+from evo_cpg.fusion.unsupported import Unsupported
 
 # Programs within the program, by primitive, and the parameter that holds them.
 _CALLS = {
-    "jit": "jaxpr",
-    "pjit": "jaxpr",
+    "checkpoint": "jaxpr",
     "closed_call": "call_jaxpr",
+    "core_call": "call_jaxpr",
     "custom_jvp_call": "call_jaxpr",
     "custom_vjp_call": "call_jaxpr",
+    "jit": "jaxpr",
+    "pjit": "jaxpr",
+    "remat2": "jaxpr",
 }
 
-# What `jax.checkpoint` makes of a function; see `evo_cpg.fusion.kernels.recomputed`.
-_RECOMPUTED = {"checkpoint", "remat", "remat2"}
+# Operations on scalars that the graph knows by the name of JAX's primitive.
+_SCALAR = {
+    "abs", "add", "and", "ceil", "div", "eq", "floor", "ge", "gt", "is_finite", "le", "lt", "max",
+    "min", "mul", "ne", "neg", "not", "or", "rem", "shift_left", "shift_right_arithmetic",
+    "shift_right_logical", "sign", "sqrt", "sub", "xor",
+}  # fmt: skip
 
-_ELEMENTWISE = {
-    "abs",
-    "acos",
-    "add",
-    "and",
-    "asin",
-    "atan",
-    "atan2",
-    "ceil",
-    "convert_element_type",
-    "cos",
-    "div",
-    "eq",
-    "erf",
-    "exp",
-    "expm1",
-    "floor",
-    "ge",
-    "gt",
-    "integer_pow",
-    "is_finite",
-    "le",
-    "log",
-    "log1p",
-    "logistic",
-    "lt",
-    "max",
-    "min",
-    "mul",
-    "ne",
-    "neg",
-    "not",
-    "or",
-    "pow",
-    "rem",
-    "round",
-    "rsqrt",
-    "select_n",
-    "sign",
-    "sin",
-    "sqrt",
-    "square",
-    "sub",
-    "tan",
-    "tanh",
-    "xor",
-}
+# Functions that the C library has for float64, by the name of JAX's primitive.
+LIBRARY = {
+    "acos": "acos", "acosh": "acosh", "asin": "asin", "asinh": "asinh", "atan": "atan",
+    "atan2": "atan2", "atanh": "atanh", "cbrt": "cbrt", "cos": "cos", "cosh": "cosh", "erf": "erf",
+    "erfc": "erfc", "exp": "exp", "exp2": "exp2", "expm1": "expm1", "lgamma": "lgamma",
+    "log": "log", "log1p": "log1p", "pow": "pow", "sin": "sin", "sinh": "sinh", "tan": "tan",
+    "tanh": "tanh",
+}  # fmt: skip
 
-_POLYNOMIALS = {"cos": cosine, "sin": sine}
+Rule = Callable[[Graph, list[np.ndarray], dict], list[np.ndarray]]
+
+
+def trace_program(graph: Graph, program: Program, inputs: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """The results of a program for one individual, arrays of nodes.
+
+    What a program computes depends on nothing around it, not even in its last digit: nothing is
+    known of its inputs, and its sums are put in order before anything else uses its results. So a
+    control step has the same results alone and as a part of a trial.
+
+    Args:
+        graph: where the nodes are made.
+        program: what to trace.
+        inputs: what it shares, and its arguments.
+
+    Raises:
+        Unsupported: the program holds something that cannot be written as scalars.
+    """
+    inside = [_map(graph.opaque, x) for x in inputs]
+    given = iter(inside[: program.shared])
+    consts = [next(given) if own is None else constants(graph, own) for own in program.constants]
+    results = trace(graph, program.jaxpr, [], [*consts, *inside[program.shared :]])
+    chain_sums(graph, [node for array in results for node in array.flat])
+    hide = functools.partial(graph.opaque, given=graph.given(inputs))
+    return [_map(hide, x) for x in results]
 
 
 def trace(
-    graph: Graph, jaxpr: Jaxpr, consts: list[np.ndarray], inputs: list[np.ndarray]
+    graph: Graph, jaxpr: Jaxpr, consts: Sequence[np.ndarray], inputs: Sequence[np.ndarray]
 ) -> list[np.ndarray]:
     """The program's outputs as arrays of nodes.
 
@@ -93,8 +88,7 @@ def trace(
         inputs: values of its arguments, arrays of nodes.
 
     Raises:
-        NotImplementedError: the program holds something that is not scalar arithmetic (a loop, a
-            branch, a random number).
+        Unsupported: the program holds something that cannot be written as scalars.
     """
     known: dict = {}
 
@@ -107,81 +101,87 @@ def trace(
     known.update(zip(jaxpr.invars, inputs, strict=True))
     for equation in jaxpr.eqns:
         operands = [read(atom) for atom in equation.invars]
-        name = equation.primitive.name
-        if name in _CALLS:
-            inner = equation.params[_CALLS[name]]
-            values = [constants(graph, np.asarray(value)) for value in inner.consts]
-            results = trace(graph, inner.jaxpr, values, operands)
-        elif name in _RECOMPUTED:
-            if equation.params["differentiated"]:
-                operands = [_map(graph, graph.again, operand) for operand in operands]
-            results = trace(graph, equation.params["jaxpr"], [], operands)
-        elif equation.primitive is array_call_p:
-            shapes = [(out.aval.shape, _type(out)) for out in equation.outvars]  # pyright: ignore
-            results = graph.call(equation.params["function"], operands, shapes)
-        elif equation.primitive is linear_map_p:
-            inner = trace_of(equation.params, [atom.aval for atom in equation.invars])
-            values = [constants(graph, np.asarray(value)) for value in inner.consts]
-            results = trace(graph, inner.jaxpr, values, operands)
-        elif all(operand.size == 0 for operand in operands):
-            results = _evaluate(graph, equation, operands)
-        elif name in _ELEMENTWISE:
-            results = [_elementwise(graph, equation, operands)]
-        elif name == "add_any":
-            results = [_map(graph, graph.add, *operands)]
-        elif name in _ARRAY_RULES:
-            results = _ARRAY_RULES[name](graph, operands, equation.params)
-        elif all(node.value is not None for operand in operands for node in operand.flat):
-            results = _evaluate(graph, equation, operands)
-        else:
-            raise NotImplementedError(f"{name} is not scalar arithmetic and cannot be fused")
+        results = _equation(graph, equation, operands)
         known.update(zip(equation.outvars, results, strict=True))
     return [read(atom) for atom in jaxpr.outvars]
+
+
+def trace_closed(
+    graph: Graph, closed: ClosedJaxpr, inputs: Sequence[np.ndarray]
+) -> list[np.ndarray]:
+    """`trace` of a program that brings its constants along."""
+    values = [constants(graph, np.asarray(value)) for value in closed.consts]
+    return trace(graph, closed.jaxpr, values, inputs)
+
+
+def constants(graph: Graph, values: np.ndarray) -> np.ndarray:
+    """An array of constant nodes."""
+    result = np.empty(values.size, object)
+    result[:] = [graph.constant(value, values.dtype) for value in values.flat]
+    return result.reshape(values.shape)
+
+
+def is_supported(name: str) -> bool:
+    """Whether there is a rule for a primitive, whatever it is applied to."""
+    known = (_CALLS, _SCALAR, LOOPS, _RULES, FLOAT32, LIBRARY, {linear_map_p.name})
+    return internals.is_random(name) or any(name in names for names in known)
+
+
+def _for_each(
+    graph: Graph, program: Program, batch: tuple[int, ...], inputs: Sequence[np.ndarray]
+) -> list[np.ndarray]:
+    """`trace_program`, of which each individual may hold several."""
+    if not batch:
+        return trace_program(graph, program, inputs)
+    shared, own = inputs[: program.shared], inputs[program.shared :]
+    results = [
+        np.empty((*atom.aval.shape, *batch), object)  # pyright: ignore
+        for atom in program.jaxpr.outvars
+    ]
+    for place in np.ndindex(batch):
+        one = [np.asarray(x[(..., *place)], object) for x in own]
+        for result, found in zip(
+            results, trace_program(graph, program, [*shared, *one]), strict=True
+        ):
+            result[(..., *place)] = found
+    return results
+
+
+def _equation(graph: Graph, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
+    name, params = equation.primitive.name, equation.params
+    if name in _CALLS:
+        inner = params[_CALLS[name]]
+        closed = isinstance(inner, ClosedJaxpr)
+        return trace_closed(graph, inner, operands) if closed else trace(graph, inner, [], operands)
+    if equation.primitive is fused_p:
+        return _for_each(graph, params["program"], params["batch"], operands)
+    if equation.primitive is linear_map_p:
+        inner = trace_of(params, [atom.aval for atom in equation.invars])
+        return trace_closed(graph, inner, operands)
+    if operands and all(operand.size == 0 for operand in operands):
+        return _evaluate(graph, equation, operands)
+    if name in _SCALAR:
+        return [_map(functools.partial(graph.apply, name), *operands)]
+    if name in LOOPS:
+        return LOOPS[name](graph, operands, params, trace_closed)
+    if name in _RULES:
+        return _RULES[name](graph, operands, params)
+    if name in FLOAT32 or name in LIBRARY:
+        return [_elementary(graph, name, operands, params)]
+    if internals.is_random(name):
+        return trace_closed(graph, internals.random_program(equation), operands)
+    if all(node.value is not None for operand in operands for node in operand.flat):
+        return _evaluate(graph, equation, operands)
+    raise Unsupported(f"it has no rule for {name}")
 
 
 def _type(atom) -> np.dtype:
     return np.dtype(atom.aval.dtype)
 
 
-def constants(graph: Graph, values: np.ndarray) -> np.ndarray:
-    """An array of constant nodes."""
-    nodes = [graph.constant(value, values.dtype) for value in values.flat]
-    result = np.empty(len(nodes), object)
-    result[:] = nodes
-    return result.reshape(values.shape)
-
-
-def _map(graph: Graph, make: Callable[..., Node], *arrays: np.ndarray) -> np.ndarray:
-    """Apply a function of nodes element by element, with broadcasting.
-
-    Where the elements of some operand are all lanes of one node, that is done once for them all.
-    """
-    arrays = tuple(np.broadcast_arrays(*arrays, subok=False))
-    shape = arrays[0].shape
-    rows = list(zip(*(array.flat for array in arrays), strict=True))
-    result = np.empty(len(rows), object)
-    single = []
-    sets: dict[tuple, dict[int, list[int]]] = {}
-    for place, row in enumerate(rows):
-        sources = tuple(node.source and node.source[0] for node in row)
-        first = next((node.source for node in row if node.source is not None), None)
-        if first is None:
-            single.append(place)
-        else:
-            sets.setdefault(sources, {}).setdefault(first[1], []).append(place)
-    for sources, lanes in sets.items():
-        count = next(source.lanes for source in sources if source is not None)
-        if len({len(lanes.get(i, ())) for i in range(count)}) > 1:
-            single += [place for places in lanes.values() for place in places]
-            continue
-        for places in zip(*(lanes[i] for i in range(count)), strict=True):
-            packs = zip(*(rows[place] for place in places), strict=True)
-            whole = make(*(graph.pack(pack) for pack in packs))
-            for i, place in enumerate(places):
-                result[place] = graph.lane(whole, i)
-    for place in single:
-        result[place] = make(*rows[place])
-    return result.reshape(shape)
+def _map(make: Callable[..., Node], *arrays: np.ndarray) -> np.ndarray:
+    """Apply a function of nodes element by element, with broadcasting."""
+    return np.asarray(np.frompyfunc(make, len(arrays), 1)(*arrays), object)
 
 
 def _evaluate(graph: Graph, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
@@ -196,55 +196,85 @@ def _evaluate(graph: Graph, equation, operands: list[np.ndarray]) -> list[np.nda
     return [constants(graph, np.asarray(result)) for result in results]
 
 
-def _elementwise(graph: Graph, equation, operands: list[np.ndarray]) -> np.ndarray:
-    primitive, params = equation.primitive, equation.params
-    polynomial = _POLYNOMIALS.get(primitive.name)
-    if polynomial is not None and has_polynomial(_type(equation.invars[0])):
-        return _map(graph, functools.partial(polynomial, graph), *operands)
-    return _map(graph, lambda *nodes: graph.apply(primitive, params, nodes), *operands)
+@functools.cache
+def _in_float32(name: str, count: int) -> ClosedJaxpr:
+    scalar = jax.ShapeDtypeStruct((), np.float32)
+    return jax.make_jaxpr(FLOAT32[name])(*[scalar] * count)
 
 
-def _reduction(primitive):
-    def reduce(graph, operands, params):
+def _elementary(graph: Graph, name: str, operands: list[np.ndarray], params: dict) -> np.ndarray:
+    """A function of the C library: written out for float32, called for float64."""
+    del params
+    dtype = next((node.dtype for node in operands[0].flat), np.dtype(np.float32))
+    if dtype == np.float32 and name in FLOAT32:
+        # Written for scalars; what is elementwise takes arrays as well.
+        inside = [_map(graph.opaque, x) for x in np.broadcast_arrays(*operands)]
+        (result,) = trace_closed(graph, _in_float32(name, len(operands)), inside)
+        # Their sums are ordered so that errors cancel.
+        chain_sums(graph, list(result.flat), reorder=False)
+        return _map(functools.partial(graph.opaque, given=graph.given(operands)), result)
+    if dtype == np.float64 and name == "logistic":
+        one = constants(graph, np.ones((), dtype))
+        power = _elementary(graph, "exp", [_map(graph.negate, operands[0])], {})
+        return _map(lambda one, e: graph.apply("div", one, graph.add(one, e)), one, power)
+    if dtype != np.float64 or name not in LIBRARY:
+        raise Unsupported(f"it has no {name} of {dtype}")
+    return _map(lambda *x: graph.make(LIBRARY[name], x, dtype), *operands)
+
+
+def _reduction(op: str) -> Rule:
+    def reduce(graph: Graph, operands: list[np.ndarray], params: dict) -> list[np.ndarray]:
         (x,), axes = operands, params["axes"]
         kept = [i for i in range(x.ndim) if i not in axes]
         rows = x.transpose(*kept, *axes).reshape(*(x.shape[i] for i in kept), -1)
-        if any(_all_lanes(row) for row in rows.reshape(-1, rows.shape[-1])):
-            return [np.apply_along_axis(functools.partial(_combine, graph, primitive), -1, rows)]
+        combine = functools.partial(graph.apply, op)
         total = rows[..., 0]
         for k in range(1, rows.shape[-1]):
-            total = _map(graph, lambda *two: graph.apply(primitive, {}, two), total, rows[..., k])
+            total = _map(combine, total, rows[..., k])
         return [np.asarray(total, object)]
 
     return reduce
 
 
-def _all_lanes(row: np.ndarray) -> list[Node]:
-    """The nodes all of whose lanes are among some scalars."""
-    found = collections.Counter(node.source[0] for node in row if node.source is not None)
-    return [node for node, count in found.items() if count == node.lanes]
+def _cumulative(op: str) -> Rule:
+    def accumulate(graph: Graph, operands: list[np.ndarray], params: dict) -> list[np.ndarray]:
+        x = np.moveaxis(operands[0], params["axis"], 0)
+        x = x[::-1] if params["reverse"] else x
+        rows = list(x[:1])
+        for row in x[1:]:
+            rows.append(_map(functools.partial(graph.apply, op), rows[-1], row))
+        result = np.array(rows, object).reshape(x.shape)
+        result = result[::-1] if params["reverse"] else result
+        return [np.moveaxis(result, 0, params["axis"])]
+
+    return accumulate
 
 
-def _combine(graph: Graph, primitive: Primitive, row: np.ndarray) -> Node:
-    """The sum (product, maximum, ...) of scalars; the lanes of a node are combined as such."""
+def _extreme_place(op: str) -> Rule:
+    """Index of the first largest or smallest; of the first NaN, if there is one."""
 
-    def both(a: Node, b: Node) -> Node:
-        return graph.apply(primitive, {}, (a, b))
+    def find(graph: Graph, operands: list[np.ndarray], params: dict) -> list[np.ndarray]:
+        (x,), (axis,), dtype = operands, params["axes"], np.dtype(params["index_dtype"])
+        x = np.moveaxis(x, axis, 0)
 
-    whole = _all_lanes(row)
-    totals: dict[int, Node] = {}
-    for node in whole:
-        totals[node.lanes] = both(totals[node.lanes], node) if node.lanes in totals else node
-    terms = [node for node in row if node.source is None or node.source[0] not in whole]
-    for node in totals.values():
-        if primitive is jax.lax.add_p:
-            terms.append(graph.lane_sum(node))
-        else:
-            terms += [graph.lane(node, i) for i in range(node.lanes)]
-    return functools.reduce(both, terms)
+        def better(old: Node, new: Node) -> Node:
+            beyond = graph.apply(op, new, old)
+            nan = graph.apply("ne", new, new)
+            good = graph.apply("eq", old, old)
+            return graph.apply("or", beyond, graph.apply("and", nan, good))
+
+        best, place = x[0], np.full(x.shape[1:], graph.constant(0, dtype))
+        for k in range(1, len(x)):
+            number = graph.constant(k, dtype)
+            chosen = _map(better, best, x[k])
+            place = _map(lambda c, old, k=number: graph.select(c, k, old), chosen, place)
+            best = _map(graph.select, chosen, x[k], best)
+        return [np.asarray(place, object)]
+
+    return find
 
 
-def _dot_general(graph, operands, params):
+def _dot_general(graph: Graph, operands: list[np.ndarray], params: dict) -> list[np.ndarray]:
     a, b = operands
     (contract_a, contract_b), (batch_a, batch_b) = params["dimension_numbers"]
     free_a = [i for i in range(a.ndim) if i not in (*contract_a, *batch_a)]
@@ -258,7 +288,7 @@ def _dot_general(graph, operands, params):
     result = np.empty((a.shape[0], a.shape[1], b.shape[1]), object)
     for n, i, j in np.ndindex(result.shape):
         result[n, i, j] = _scalar_product(graph, a[n, i], b[n, j])
-    return [result.reshape(*batch, *outer_a, *outer_b)]
+    return [result.reshape((*batch, *outer_a, *outer_b))]
 
 
 def _scalar_product(graph: Graph, a: np.ndarray, b: np.ndarray) -> Node:
@@ -291,33 +321,95 @@ def _scalar_product(graph: Graph, a: np.ndarray, b: np.ndarray) -> Node:
     return total
 
 
-def _side_by_side(graph, operands, params):
-    (x,) = operands
-    result = np.empty(x.shape, object)
-    for index in np.ndindex(x.shape[:-1]):
-        whole = graph.pack(tuple(x[index]))
-        result[index] = [graph.lane(whole, i) for i in range(x.shape[-1])]
+def _select_n(graph: Graph, operands: list[np.ndarray], params: dict) -> list[np.ndarray]:
+    which, *cases = operands
+    if all(node.dtype.kind == "b" for node in which.flat):
+        return [_map(lambda w, no, yes: graph.select(w, yes, no), which, *cases)]
+    result = cases[-1]
+    for k in range(len(cases) - 2, -1, -1):
+        number = k
+
+        def choose(w: Node, here: Node, later: Node, number: int = number) -> Node:
+            is_it = graph.apply("le", w, graph.constant(number, w.dtype))
+            return graph.select(is_it, here, later)
+
+        result = _map(choose, which, cases[k], result)
     return [result]
 
 
-def _together(graph, operands, params):
-    nodes = (
-        node.source[0] if node.source else node for operand in operands for node in operand.flat
-    )
-    company = tuple(dict.fromkeys(node for node in nodes if node.is_operation))
-    for node in company:
-        node.company = company
-    return operands
+def _rounded(graph: Graph, operands: list[np.ndarray], params: dict) -> list[np.ndarray]:
+    if params["rounding_method"] == jax.lax.RoundingMethod.TO_NEAREST_EVEN:
+        return [_map(functools.partial(graph.apply, "round"), *operands)]
+
+    def away_from_zero(x: Node) -> Node:
+        size = graph.apply("abs", x)
+        whole = graph.apply("floor", size)
+        half = graph.apply("ge", graph.subtract(size, whole), graph.constant(0.5, x.dtype))
+        up = graph.add(whole, graph.select(half, *(graph.constant(v, x.dtype) for v in (1, 0))))
+        return graph.multiply(up, graph.apply("sign", x))
+
+    return [_map(away_from_zero, *operands)]
 
 
-_ARRAY_RULES: dict[str, Callable[[Graph, list[np.ndarray], dict], list[np.ndarray]]] = {
+def _power(graph: Graph, operands: list[np.ndarray], params: dict) -> list[np.ndarray]:
+    return [_map(lambda x: graph.power(x, params.get("y", 2)), *operands)]
+
+
+def _one_minus_square(graph: Graph, operands: list[np.ndarray], params: dict) -> list[np.ndarray]:
+    """As a product, which keeps all digits near one; JAX has it since 0.12, for ``tanh``."""
+
+    def product(x: Node) -> Node:
+        one = graph.constant(1, x.dtype)
+        return graph.multiply(graph.subtract(one, x), graph.add(one, x))
+
+    return [_map(product, *operands)]
+
+
+def _inverse_root(graph: Graph, operands: list[np.ndarray], params: dict) -> list[np.ndarray]:
+    def inverse(x: Node) -> Node:
+        return graph.apply("div", graph.constant(1, x.dtype), graph.apply("sqrt", x))
+
+    return [_map(inverse, *operands)]
+
+
+def _clamp(graph: Graph, operands: list[np.ndarray], params: dict) -> list[np.ndarray]:
+    def clamp(low: Node, x: Node, high: Node) -> Node:
+        return graph.apply("min", graph.apply("max", low, x), high)
+
+    return [_map(clamp, *operands)]
+
+
+def _conversion(op: str) -> Rule:
+    def convert(graph: Graph, operands: list[np.ndarray], params: dict) -> list[np.ndarray]:
+        dtype = np.dtype(params["new_dtype"])
+        return [_map(functools.partial(graph.apply, op, dtype=dtype), *operands)]
+
+    return convert
+
+
+_RULES: dict[str, Rule] = {
     **MOVES,
+    "add_any": lambda graph, operands, params: [_map(graph.add, *operands)],
+    "argmax": _extreme_place("gt"),
+    "argmin": _extreme_place("lt"),
+    "bitcast_convert_type": _conversion("bitcast"),
+    "clamp": _clamp,
+    "convert_element_type": _conversion("convert"),
+    "cummax": _cumulative("max"),
+    "cummin": _cumulative("min"),
+    "cumprod": _cumulative("mul"),
+    "cumsum": _cumulative("add"),
     "dot_general": _dot_general,
-    "optimization_barrier": _together,
-    "reduce_and": _reduction(jax.lax.and_p),
-    "reduce_max": _reduction(jax.lax.max_p),
-    "reduce_min": _reduction(jax.lax.min_p),
-    "reduce_or": _reduction(jax.lax.or_p),
-    "reduce_sum": _reduction(jax.lax.add_p),
-    "side_by_side": _side_by_side,
+    "integer_pow": _power,
+    "one_minus_square": _one_minus_square,
+    "reduce_and": _reduction("and"),
+    "reduce_max": _reduction("max"),
+    "reduce_min": _reduction("min"),
+    "reduce_or": _reduction("or"),
+    "reduce_prod": _reduction("mul"),
+    "reduce_sum": _reduction("add"),
+    "round": _rounded,
+    "rsqrt": _inverse_root,
+    "select_n": _select_n,
+    "square": _power,
 }

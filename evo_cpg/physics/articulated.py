@@ -27,7 +27,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.tree import Tree
-from evo_cpg.fusion.kernels import gathered, recomputed, symmetric, together
+from evo_cpg.fusion.fuse import symmetric
 from evo_cpg.physics.kinematics import Kinematics, take
 from evo_cpg.spatial.linear import (
     cross,
@@ -138,15 +138,8 @@ def solve(
         own = Inertia(*(jnp.stack(block[group.bodies], 2) for block in blocks))
         force = Wrench(*(jnp.stack(part[group.bodies], 1) for part in wrenches))
         eliminate = _eliminate_axes if motion.to_axes is None else _eliminate_ball
-
-        def pass_on(*given, eliminate=eliminate):
-            own, force, motion, offset = gathered(given)
-            elimination, reduced, passed = eliminate(own, force, motion)
-            return together((*_to_parent(reduced, passed, offset), elimination))
-
-        moved, carried, elimination = recomputed(pass_on)(
-            own, force, motion, kin.offset[:, group.bodies]
-        )
+        elimination, reduced, passed = eliminate(own, force, motion)
+        moved, carried = _to_parent(reduced, passed, kin.offset[:, group.bodies])
         eliminations.append(elimination)
         for parts, sums, axis in ((moved, blocks, 2), (carried, wrenches, 1)):
             for part, totals in zip(parts, sums, strict=True):
@@ -162,19 +155,11 @@ def solve(
             jnp.stack(parts, 1)
             for parts in zip(*(accelerations[parent] for parent in group.parents), strict=True)
         )
-
-        def onward(*given):
-            alpha, a, offset, joint, motion = gathered(given)
-            a = a + cross(alpha, offset)
-            x = joint.start - matvec(joint.follow_angular, alpha) - matvec(joint.follow_linear, a)
-            spin = matvec(motion.axes, x) if motion.to_axes is None else x
-            qdd = x if motion.to_axes is None else matvec(motion.to_axes, x)
-            return qdd, alpha + spin, a
-
-        group_qdd, alpha, a = recomputed(onward)(
-            alpha, a, kin.offset[:, group.bodies], joint, motion
-        )
-        accelerations.extend((alpha[:, j], a[:, j]) for j in range(alpha.shape[1]))
+        a = a + cross(alpha, kin.offset[:, group.bodies])
+        x = joint.start - matvec(joint.follow_angular, alpha) - matvec(joint.follow_linear, a)
+        group_qdd = x if motion.to_axes is None else matvec(motion.to_axes, x)
+        alpha = alpha + (matvec(motion.axes, x) if motion.to_axes is None else x)
+        accelerations.extend(zip(jnp.unstack(alpha, axis=1), jnp.unstack(a, axis=1), strict=True))
         qdd.append(jnp.swapaxes(group_qdd, 0, 1).reshape(-1, *batch))
     return Accelerations(
         jnp.concatenate([angular, linear]),
@@ -184,7 +169,7 @@ def solve(
 
 
 def _bodies(x: Array, axis: int) -> list[Array]:
-    return [jnp.take(x, i, axis) for i in range(x.shape[axis])]
+    return list(jnp.unstack(x, axis=axis))
 
 
 def add_to_bodies(totals: list[Array], bodies: tuple[int, ...], parts: Array, axis: int) -> None:
@@ -206,8 +191,9 @@ def add_to_bodies(totals: list[Array], bodies: tuple[int, ...], parts: Array, ax
             j for k, j in enumerate(waiting) if bodies[j] not in {bodies[i] for i in waiting[:k]}
         ]
         sums = jnp.stack([totals[bodies[j]] for j in now], axis) + take(parts, np.array(now), axis)
+        sums = jnp.unstack(sums, axis=axis)
         for k, j in enumerate(now):
-            totals[bodies[j]] = jnp.take(sums, k, axis)
+            totals[bodies[j]] = sums[k]
         waiting = [j for j in waiting if j not in now]
 
 

@@ -34,7 +34,6 @@ energy by it. E depends on how height is distributed over the cell (`Cell.profil
 | H; w | ``reach`` |
 """
 
-import functools
 import itertools
 import typing
 from typing import NamedTuple
@@ -47,7 +46,6 @@ from jaxtyping import Array, Float
 from evo_cpg.creature.creature import Creature
 from evo_cpg.creature.shapes import Cell, Profile
 from evo_cpg.creature.tree import Tree
-from evo_cpg.fusion.kernels import unfused
 from evo_cpg.physics.kinematics import take
 from evo_cpg.spatial.linear import cross, dot, lift, matmul_t
 
@@ -148,7 +146,7 @@ def displacement(cells: tuple[Cells, ...], pose: Float[Array, "4 b *n"]) -> Disp
         if group.profile == "box":
             share, moment = _box(half_axes, up, depth)
         elif group.profile == "polyhedron":
-            share, moment = unfused(functools.partial(_polyhedron, group), up, depth)
+            share, moment = _polyhedron(group, up, depth)
         else:
             share, moment = _round(_DENSITIES[group.profile], half_axes, up, depth)
         parts = jnp.concatenate([share[None], share[None] * centre + moment])

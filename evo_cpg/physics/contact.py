@@ -32,7 +32,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from evo_cpg.fusion.kernels import symmetric, together
+from evo_cpg.fusion.fuse import symmetric
 from evo_cpg.physics.articulated import Accelerations, Inertia, Wrench, add_to_bodies
 from evo_cpg.physics.footing import Footing, lowest_points
 from evo_cpg.physics.kinematics import Kinematics, take
@@ -225,11 +225,10 @@ def contact_equations(
     mixed = matmul(shift, slope)
     blocks = symmetric(matmul_t(mixed, shift)), mixed, slope
     loaded = pressed(footing, contacts, line_force(contacts, law, contacts.coasting), bias)
-    totals = [[jnp.take(whole, i, 2) for i in range(whole.shape[2])] for whole in inertia]
+    totals = [list(jnp.unstack(whole, axis=2)) for whole in inertia]
     for total, block in zip(totals, blocks, strict=True):
         add_to_bodies(total, footing.bodies, block, 2)
-    stiffened, loaded = together((Inertia(*(jnp.stack(total, 2) for total in totals)), loaded))
-    return stiffened, loaded
+    return Inertia(*(jnp.stack(total, 2) for total in totals)), loaded
 
 
 def pressed(
@@ -240,7 +239,7 @@ def pressed(
     parts = cross(contacts.arm, force), force
     wrench = []
     for whole, part in zip(bias, parts, strict=True):
-        totals = [whole[:, i] for i in range(whole.shape[1])]
+        totals = list(jnp.unstack(whole, axis=1))
         add_to_bodies(totals, footing.bodies, -part, 1)
         wrench.append(jnp.stack(totals, 1))
     return Wrench(*wrench)

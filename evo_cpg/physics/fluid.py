@@ -21,20 +21,17 @@ patch that is under water.
 """
 
 import functools
-from collections.abc import Callable
 from typing import Literal, NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.shapes import Surface
 from evo_cpg.creature.tree import Tree
-from evo_cpg.fusion.kernels import unfused
 from evo_cpg.physics.current import Gradient, Vortex
-from evo_cpg.spatial.partly import PartlyTraced, is_known
+from evo_cpg.spatial.partly import PartlyTraced
 
 # -df/dv of |v| v is 2 |v|; the smaller tangential part takes its secant, |v|, which keeps the
 # end-of-step force opposed to the motion.
@@ -43,10 +40,6 @@ _TANGENTIAL_DERIVATIVE = 1.0
 
 # Squared speed (m^2/s^2) added under the root so that its gradient exists at rest.
 _SPEED_FLOOR = 1e-12
-
-# Surfaces whose outer products have more non-zero elements than this are left to XLA's matrix
-# products. With the swimmer's resolutions a box has about 110, a sphere 460, an ellipsoid 1080.
-_DENSE = 1000
 
 # Height over which a level patch gets wet, as a share of its size: water does not jump.
 _LEAST_SLOPE = 0.1
@@ -182,7 +175,7 @@ def drag(
     batch = velocity.shape[2:]
     pieces = []
     for patch in patches:
-        evaluate = _evaluation(water, patch)
+        evaluate = functools.partial(_patch_drag, water, patch)
         for run in _runs(patch.bodies):
             part = [x[:, run] for x in (velocity, pose) if x is not None]
             pieces.append((run.start, *evaluate(*part)))
@@ -194,34 +187,6 @@ def drag(
     pieces += [(body, *none) for body in range(velocity.shape[1]) if body not in wet]
     _, wrenches, derivatives = zip(*sorted(pieces, key=lambda piece: piece[0]), strict=True)
     return jnp.concatenate(wrenches, 1), jnp.concatenate(derivatives, 3)
-
-
-def _evaluation(water: Water, patch: Patch) -> Callable[..., tuple[Array, Array]]:
-    """`_patch_drag` of one patch, by whole matrices where it has many points.
-
-    What is traced cannot be part of a constant matrix. Drag is linear in its two coefficients: each
-    then has a matrix of its own. Traced points have none at all.
-    """
-    evaluate = functools.partial(_patch_drag, water, patch)
-    if not all(map(is_known, jax.tree.leaves(patch))):
-        return evaluate
-    dense = np.count_nonzero(patch.normal_outer) + np.count_nonzero(patch.tangential_outer)
-    if dense <= _DENSE:
-        return evaluate
-    if all(map(is_known, (water.density, water.form_drag, water.skin_drag))):
-        return functools.partial(unfused, evaluate)
-    strengths = [0.5 * water.density * drag for drag in (water.form_drag, water.skin_drag)]
-    units = [
-        functools.partial(_patch_drag, Water(2.0, form, 1.0 - form, law=water.law), patch)
-        for form in (1.0, 0.0)
-    ]
-
-    def add(*part: Array) -> tuple[Array, Array]:
-        (form, form_slope), (skin, skin_slope) = (unfused(unit, *part) for unit in units)
-        a, b = strengths
-        return a * form + b * skin, a * form_slope + b * skin_slope
-
-    return add
 
 
 def _patch_drag(

@@ -5,7 +5,6 @@ capsule, the lowest point of a ball or an ellipsoid. What holds there is in
 `evo_cpg.physics.contact`.
 """
 
-import functools
 from typing import Literal, NamedTuple
 
 import equinox as eqx
@@ -18,7 +17,6 @@ from evo_cpg.creature.creature import Creature
 from evo_cpg.creature.mesh import ConvexMesh
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Sphere
 from evo_cpg.creature.tree import Tree
-from evo_cpg.fusion.kernels import unfused
 from evo_cpg.physics.kinematics import Kinematics, take
 from evo_cpg.physics.terrain import Part, Plane, nearest
 from evo_cpg.spatial.linear import cross, dot, lift, matvec, matvec_t
@@ -220,7 +218,7 @@ def lowest_points(
             own = slice(boxes, angular)
             turned = rotation[:, :, own]
             inward = matvec_t(turned, up[:, own])
-            lowest = unfused(functools.partial(_lowest_of_meshes, footing.meshes), inward)
+            lowest = _lowest_of_meshes(footing.meshes, inward)
             arm = jnp.repeat(centre[:, own], _CORNERS, 1) + matvec(
                 jnp.repeat(turned, _CORNERS, 2), lowest
             )

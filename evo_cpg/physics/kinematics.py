@@ -22,9 +22,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.tree import Tree
-from evo_cpg.fusion.kernels import gathered, recomputed, side_by_side, together
 from evo_cpg.physics.state import State
-from evo_cpg.spatial.linear import compute_once, cross, lift, matmul, matvec
+from evo_cpg.spatial.linear import cross, lift, matmul, matvec
 from evo_cpg.spatial.rotation import axis_rotation, quaternion_to_matrix
 
 
@@ -52,11 +51,7 @@ class _Motion(NamedTuple):
 
 
 def kinematics(tree: Tree, state: State) -> Kinematics:
-    """Forward kinematics, Featherstone 2008, section 5.3 (first pass).
-
-    Fused, all that concerns a body is computed together, so that what it needs of its parent
-    rarely leaves the registers.
-    """
+    """Forward kinematics, Featherstone 2008, section 5.3 (first pass)."""
     rest, batch = jnp.zeros_like(state.position), state.q.shape[1:]
     local = _local_frames(tree, state.q)
     rotations = [quaternion_to_matrix(state.orientation)]
@@ -64,7 +59,7 @@ def kinematics(tree: Tree, state: State) -> Kinematics:
     offsets, axes = [rest[:, None]], [jnp.zeros((3, 0, *batch), rest.dtype)]
     for group in tree.groups:
         members = range(group.bodies.start, group.bodies.stop)
-        parent_rotation = side_by_side(jnp.stack([rotations[i] for i in group.parents], 2))
+        parent_rotation = jnp.stack([rotations[i] for i in group.parents], 2)
         parent = _Motion(
             *(
                 jnp.stack(parts, 1)
@@ -73,22 +68,13 @@ def kinematics(tree: Tree, state: State) -> Kinematics:
         )
         local_frame = jnp.stack([local[i] for i in members], 2)
         rates = state.qd[group.dofs].reshape(len(members), group.axes, *batch)
-
-        def onward(*given, group=group):
-            parent_rotation, parent, local_frame, rates = gathered(given)
-            offset = matvec(
-                parent_rotation, lift(tree.joint_offset[:, group.bodies], parent.origin)
-            )
-            frame = matmul(parent_rotation, local_frame)
-            rotation, axes = frame[:, :3], jnp.swapaxes(frame[:, 3:], 1, 2)
-            motion = _across(parent, offset, *_joint_motion(axes * rates[None]))
-            return together((rotation, offset, axes, motion))
-
-        rotation, offset, group_axes, motion = recomputed(onward)(
-            parent_rotation, parent, local_frame, rates
-        )
-        rotations.extend(rotation[:, :, i] for i in range(len(members)))
-        motions.extend(_Motion(*(part[:, i] for part in motion)) for i in range(len(members)))
+        offset = matvec(parent_rotation, lift(tree.joint_offset[:, group.bodies], parent.origin))
+        frame = matmul(parent_rotation, local_frame)
+        rotation, group_axes = frame[:, :3], jnp.swapaxes(frame[:, 3:], 1, 2)
+        motion = _across(parent, offset, *_joint_motion(group_axes * rates[None]))
+        rotations.extend(jnp.unstack(rotation, axis=2))
+        parts = (jnp.unstack(part, axis=1) for part in motion)
+        motions.extend(_Motion(*own) for own in zip(*parts, strict=True))
         offsets.append(offset)
         axes.append(group_axes.reshape(3, -1, *batch))
     whole = _Motion(*(jnp.stack(parts, 1) for parts in zip(*motions, strict=True)))
@@ -127,7 +113,7 @@ def _local_frames(tree: Tree, q: Float[Array, "d *n"]) -> dict[int, Float[Array,
 
     Joints with the same axes are treated at once.
     """
-    sine, cosine = compute_once(jnp.stack([jnp.sin(q), jnp.cos(q)]))
+    sine, cosine = jnp.sin(q), jnp.cos(q)
     alike: dict[tuple[bytes | int, bytes | int], list[int]] = {}
     first_dof = {body: i for i, body in reversed(list(enumerate(tree.dof_bodies)))}
     axis_count = np.bincount(tree.dof_bodies, minlength=tree.body_count)
@@ -149,7 +135,7 @@ def _local_frames(tree: Tree, q: Float[Array, "d *n"]) -> dict[int, Float[Array,
             directions.append(direction)
         shape = (3, len(bodies), *q.shape[1:])
         packed = jnp.stack([jnp.broadcast_to(c, shape) for c in columns + directions], 1)
-        frames.update({body: packed[:, :, i] for i, body in enumerate(bodies)})
+        frames.update(zip(bodies, jnp.unstack(packed, axis=2), strict=True))
     return frames
 
 

@@ -20,7 +20,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from evo_cpg.fusion.kernels import gathered, recomputed
+from evo_cpg.fusion.converge import converge
 from evo_cpg.physics.articulated import Accelerations, Inertia, Wrench, solve
 from evo_cpg.physics.contact import (
     ContactLaw,
@@ -113,7 +113,7 @@ def prepare(
     with jax.named_scope("kinematics"):
         kin = kinematics(tree, state)
     with jax.named_scope("forces"):
-        inertia, bias = recomputed(lambda kin: body_equations(world, _body_by_body(kin), h))(kin)
+        inertia, bias = body_equations(world, kin, h)
         passive, derivative = passive_torque(tree, state, h)
         derivative = derivative + lift(tree.armature, derivative)
         wanted = servo_torque(tree, state, target_rate, target_angle, h)
@@ -124,17 +124,6 @@ def prepare(
             law = first_law(world.gravity, world.footing, contacts, h)
     equations = Equations(kin, inertia, bias, passive, derivative, wanted, contacts)
     return equations, Laws(wanted, slope, law)
-
-
-def _body_by_body(kin: Kinematics) -> Kinematics:
-    """The same, with the slopes of all that concerns a body computed together."""
-    of_bodies = kin._replace(rotation=jnp.swapaxes(kin.rotation, 1, 2), axes=None)
-    bodies = [
-        gathered(jax.tree.map(lambda x, i=i: x[:, i], of_bodies))
-        for i in range(kin.origin.shape[1])
-    ]
-    whole = jax.tree.map(lambda *parts: jnp.stack(parts, 1), *bodies)
-    return whole._replace(rotation=jnp.swapaxes(whole.rotation, 1, 2), axes=kin.axes)
 
 
 def solve_with(world: World, h: float, equations: Equations, laws: Laws) -> Accelerations:
@@ -154,14 +143,24 @@ def search(
 ) -> Imposed:
     """The motion under motors and ground, neither of which gives more than it can."""
     equations, laws = prepare(world, h, state, target_rate, target_angle)
-    for _ in range((_MOTOR_PASSES if world.footing is None else _GROUND_PASSES) - 1):
-        laws = _refine(world, h, equations, laws)
-    return _impose(world, h, equations, *_cut_back(world, h, equations, laws))
 
+    def again(laws: Laws) -> Laws:
+        return _refined(world, h, equations, laws, solve_with(world, h, equations, laws))
 
-def _refine(world: World, h: float, equations: Equations, laws: Laws) -> Laws:
-    """Lines that meet the laws at the motion found with the last ones."""
+    if world.footing is None:
+        laws = converge(again, laws, _MOTOR_PASSES - 1)
+    else:
+        # Written out: what a round of a loop reads and writes would be more than the cache holds.
+        for _ in range(_GROUND_PASSES - 1):
+            laws = again(laws)
     found = solve_with(world, h, equations, laws)
+    return _impose(world, h, equations, *_cut_back(world, h, equations, laws, found))
+
+
+def _refined(
+    world: World, h: float, equations: Equations, laws: Laws, found: Accelerations
+) -> Laws:
+    """Lines that meet the laws at the motion found with the last ones."""
     wanted = equations.wanted
     gain = servo_slope(world.tree, wanted, h)
     asked = wanted - h * gain * found.qdd
@@ -178,10 +177,9 @@ def _refine(world: World, h: float, equations: Equations, laws: Laws) -> Laws:
 
 
 def _cut_back(
-    world: World, h: float, equations: Equations, laws: Laws
+    world: World, h: float, equations: Equations, laws: Laws, found: Accelerations
 ) -> tuple[Float[Array, "d *n"], Float[Array, "3 p *n"] | None]:
     """The motor torques and contact forces found, as far as motors and ground can give them."""
-    found = solve_with(world, h, equations, laws)
     gain = servo_slope(world.tree, equations.wanted, h)
     torque = clamp_torque(world.tree, equations.wanted - h * gain * found.qdd)
     footing, contacts, law = world.footing, equations.contacts, laws.contact

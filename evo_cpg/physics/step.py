@@ -4,7 +4,6 @@ Semi-implicit Euler: the velocities at the end of the step move the positions. W
 and ground one solve gives them; with either, `evo_cpg.physics.passes` does.
 """
 
-import dataclasses
 import functools
 from typing import NamedTuple
 
@@ -14,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.tree import Tree
-from evo_cpg.fusion.kernels import fuse, side_by_side
+from evo_cpg.fusion.fuse import fuse
 from evo_cpg.physics.articulated import Accelerations
 from evo_cpg.physics.passes import Imposed, prepare, search, solve_with
 from evo_cpg.physics.state import State
@@ -61,32 +60,12 @@ def step(
 def _whole_step(
     world: World, h: float, state: State, target_rate: Array, target_angle: Array | None
 ) -> tuple[State, Effort]:
-    state, target_rate, target_angle = _limbs_side_by_side(
-        world.tree, state, target_rate, target_angle
-    )
     if world.footing is not None or _can_overload(world.tree):
         return _finish(h, state, search(world, h, state, target_rate, target_angle))
     equations, laws = prepare(world, h, state, target_rate, target_angle)
     with jax.named_scope("solve"):
         found = solve_with(world, h, equations, laws)
     return _finish(h, state, Imposed(found, laws.torque - h * laws.slope * found.qdd, None))
-
-
-def _limbs_side_by_side(
-    tree: Tree, state: State, target_rate: Array, target_angle: Array | None
-) -> tuple[State, Array, Array | None]:
-    """The same, with the joints of every group of bodies as lanes in a fused function."""
-
-    def lanes(x: Array) -> Array:
-        parts = [x[:0]]
-        for group in tree.groups:
-            part = x[group.dofs].reshape(-1, group.axes, *x.shape[1:])
-            part = jnp.swapaxes(side_by_side(jnp.swapaxes(part, 0, 1)), 0, 1)
-            parts.append(part.reshape(-1, *x.shape[1:]))
-        return jnp.concatenate(parts)
-
-    state = dataclasses.replace(state, q=lanes(state.q), qd=lanes(state.qd))
-    return state, lanes(target_rate), None if target_angle is None else lanes(target_angle)
 
 
 def _finish(h: float, state: State, imposed: Imposed) -> tuple[State, Effort]:

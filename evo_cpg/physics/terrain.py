@@ -17,7 +17,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from evo_cpg.fusion.kernels import unfused
 from evo_cpg.spatial.linear import array_of, cosine_sine, dot, lift
 
 # Squared length (m^2) added under roots so that they have gradients on the spot.
@@ -100,8 +99,7 @@ class Relief(Part):
 
     def distance(self, point: Array) -> tuple[Array, Array]:
         """As in `Part`."""
-        # Looked up at computed places, which scalar code cannot do.
-        height, along_x, along_y = unfused(self._look_up, point[0], point[1])
+        height, along_x, along_y = self._look_up(point[0], point[1])
         return _above(point, height, along_x, along_y)
 
     def _look_up(self, x: Array, y: Array) -> tuple[Array, Array, Array]:

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.tree import Tree
-from evo_cpg.fusion.kernels import symmetric
+from evo_cpg.fusion.fuse import symmetric
 from evo_cpg.physics.added_mass import carried_water
 from evo_cpg.physics.articulated import Inertia, Wrench
 from evo_cpg.physics.buoyancy import Cells, Displacement, buoyancy, displacement

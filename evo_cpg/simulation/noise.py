@@ -41,8 +41,8 @@ class Noise(eqx.Module):
 
     @property
     def silent(self) -> bool:
-        """Whether every trial of an individual is the same."""
-        return not (self.joint_angle or self.tilt or self.push)
+        """Whether every trial of an individual is the same; never where a size is traced."""
+        return all(_is_none(size) for size in (self.joint_angle, self.tilt, self.push))
 
 
 def disturb_start(
@@ -111,5 +111,7 @@ def _normals(
         return jax.random.normal(key, (count,), jnp.float32)
 
     batch = keys.shape[1:]
+    if not batch:
+        return of_trial(jax.random.wrap_key_data(keys))
     flat = jax.random.wrap_key_data(keys.reshape(len(keys), -1).T)
     return jax.vmap(of_trial, out_axes=1)(flat).reshape(count, *batch)

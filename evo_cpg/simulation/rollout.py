@@ -5,6 +5,7 @@ Iwadate 2010); in each the controller senses and commands once, and the physics 
 ``substeps`` steps with the command held.
 """
 
+import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -16,7 +17,8 @@ from jaxtyping import Array, Bool, Float, Int, PyTree, UInt32
 
 from evo_cpg.control.controller import Command, Controller, Observation
 from evo_cpg.creature.tree import Tree
-from evo_cpg.fusion.kernels import fuse
+from evo_cpg.fusion.engine import Engine, using
+from evo_cpg.fusion.fuse import fuse
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import State
 from evo_cpg.physics.step import Effort, step
@@ -48,6 +50,7 @@ class Simulation(eqx.Module):
         steps: control steps in a trial.
         noise: how much is left to chance.
         situations: what each trial of an individual begins with, or one for all of its trials.
+        engine: what computes it.
     """
 
     world: World
@@ -59,6 +62,7 @@ class Simulation(eqx.Module):
     steps: int = eqx.field(static=True)
     noise: Noise = Noise()
     situations: tuple[Situation, ...] = (Situation(),)
+    engine: Engine = eqx.field(static=True, default=Engine())
 
     @property
     def step_length(self) -> float:
@@ -98,9 +102,16 @@ class _Animal(NamedTuple):
 
 
 class _Instant(NamedTuple):
-    """One control step, for recording."""
+    """One control step, for the task and for recording.
 
-    moment: Moment
+    Attributes:
+        seen: fields of the `Moment` that every individual has of its own.
+        command: of the controller.
+        torque: of the motors in the last physics step, N m.
+        state: at its beginning.
+    """
+
+    seen: dict[str, Array]
     command: Command
     torque: Array
     state: State
@@ -182,19 +193,17 @@ def motion(
         genes: one genome per individual, on the trailing axes.
         begin: makes another state of the one that the trial starts with.
     """
-    batch, dtype = genes.shape[1:], genes.dtype
-    light = light_places(simulation.lights, None, dtype)
-    decoded = simulation.controller.decode(genes)
-    animal = _start(simulation, batch, dtype, None, None)
-    animal = animal._replace(state=begin(animal.state))
+    with using(simulation.engine):
+        life, first = _begin(simulation, genes, None, None)
+        first = first._replace(state=begin(first.state))
 
-    def advance(animal: _Animal, index: Array) -> tuple[_Animal, State]:
-        animal, _ = _control_step(simulation, decoded, None, light, animal, index)
-        return animal, animal.state
+        def advance(animal: _Animal, index: Array) -> tuple[_Animal, State]:
+            animal, _ = _control_step(simulation, life, animal, index)
+            return animal, animal.state
 
-    _, states = jax.lax.scan(advance, animal, jnp.arange(simulation.steps))
+        _, states = jax.lax.scan(advance, first, jnp.arange(simulation.steps))
     return jax.tree.map(
-        lambda first, rest: jnp.concatenate([first[None], rest]), animal.state, states
+        lambda first, rest: jnp.concatenate([first[None], rest]), first.state, states
     )
 
 
@@ -207,42 +216,73 @@ def _live(
     backward: Backward | None = None,
 ) -> tuple[Outcome, dict[str, Array]]:
     """What the trials of all amounted to, and some of them step by step."""
-    batch, dtype = genes.shape[1:], genes.dtype
-    task, steps, tree = simulation.task, simulation.steps, simulation.world.tree
-    light = light_places(simulation.lights, trial, dtype)
-    decoded = simulation.controller.decode(genes)
+    ndim = genes.ndim - 1
+    # What makes no difference is no argument of the program.
+    keys = None if simulation.noise.silent else keys
+    trial = None if len(simulation.situations) == 1 else trial
+
+    def whole(genes: Array, keys: Array | None, trial: Array | None) -> Outcome:
+        return _trial(simulation, genes, slice(0), keys, trial, None)[0]
+
+    with using(simulation.engine):
+        if recorded.stop or backward is not None:
+            return _trial(simulation, genes, recorded, keys, trial, backward)
+        return fuse(whole, genes, keys, trial, batch_ndim=ndim, name="a trial"), {}
+
+
+def _trial(
+    simulation: Simulation,
+    genes: Array,
+    recorded: slice,
+    keys: Array | None,
+    trial: Array | None,
+    backward: Backward | None,
+) -> tuple[Outcome, dict[str, Array]]:
+    """One trial: its control steps are programs of their own, or parts of one."""
+    batch, task, steps = genes.shape[1:], simulation.task, simulation.steps
+    ndim, tree = len(batch), simulation.world.tree
+    life, animal = _begin(simulation, genes, keys, trial)
 
     def advance(carry, index):
         animal, tally, alive = carry
         if backward is not None:
             animal = _Animal(*backward.forget(animal.state, animal.nerves), animal.pressure)
-        animal, instant = _control_step(simulation, decoded, keys, light, animal, index)
-        tally = task.watch(tally, instant.moment, steps)
+        animal, instant = _control_step(simulation, life, animal, index)
+
+        def watch(tally: Any, seen: dict[str, Array], light: Array | None) -> Any:
+            light = _light_of(life, light, seen["position"])
+            return task.watch(tally, Moment(step=index, light_position=light, **seen), steps)
+
+        name = f"{_name(task)}.watch"
+        tally = fuse(watch, tally, instant.seen, life.light, batch_ndim=ndim, name=name)
+        sane = fuse(_is_sane, animal.state, batch_ndim=ndim)
         frame = {}
         if recorded.stop:
-            frame = {name: values[..., recorded] for name, values in _frame(tree, instant).items()}
-        return (animal, tally, alive & _is_sane(animal.state)), frame
+            frame = fuse(functools.partial(_frame, tree), instant, batch_ndim=ndim)
+            frame = {name: values[..., recorded] for name, values in frame.items()}
+        return (animal, tally, alive & sane), frame
 
-    carry = (
-        _start(simulation, batch, dtype, keys, trial),
-        task.begin(batch, dtype, steps),
-        jnp.ones(batch, bool),
-    )
+    carry = animal, task.begin(batch, genes.dtype, steps), jnp.ones(batch, bool)
     if backward is None:
         (_, tally, alive), frames = jax.lax.scan(advance, carry, jnp.arange(steps))
     else:
         (_, tally, alive), frames = backward.scan(advance, carry, steps), {}
-    return Outcome(task.terms(tally, steps), alive), frames
+
+    def finish(tally: Any) -> dict[str, Array]:
+        return task.terms(tally, steps)
+
+    terms = fuse(finish, tally, batch_ndim=ndim, name=f"{_name(task)}.terms")
+    return Outcome(terms, alive), frames
 
 
 def _frame(tree: Tree, instant: _Instant) -> dict[str, Array]:
     """What is recorded of one control step."""
     kin = kinematics(tree, instant.state)
-    com = jnp.asarray(tree.com, kin.origin.dtype)[None, ..., None]
+    com = lift(tree.com, kin.origin)
     return {
-        "position": kin.origin + (kin.rotation * com).sum(1),
+        "position": kin.origin + (kin.rotation * com[None]).sum(1),
         "rotation": kin.rotation,
-        "joint_angle": instant.moment.joint_angle,
+        "joint_angle": instant.seen["joint_angle"],
         "target_rate": instant.command.target_rate,
         "cpg_output": instant.command.signal,
         "torque": instant.torque,
@@ -286,89 +326,138 @@ def as_recording(
     )
 
 
-def _start(
-    simulation: Simulation,
-    batch: tuple[int, ...],
-    dtype: jnp.dtype,
-    keys: Array | None,
-    trial: Array | None,
-) -> _Animal:
-    """The animals as the trials begin."""
-    tree = simulation.world.tree
-    rest = starting_state(simulation.situations, trial, tree, batch, dtype)
-    return _Animal(
-        disturb_start(simulation.noise, tree, rest, keys),
-        simulation.controller.initial_state(batch, dtype),
-        jnp.zeros((len(simulation.sensors.pressure_bodies), *batch), dtype),
-    )
+class _Life(NamedTuple):
+    """What stays the same throughout a trial.
+
+    Attributes:
+        decoded: the genes, as the controller made them its own.
+        keys: of the trial's noise.
+        light: where it is for each individual; None where it is the same for all.
+        common_light: where it is for all; None where each has its own, or there is none.
+    """
+
+    decoded: PyTree[Array]
+    keys: Array | None
+    light: Array | None
+    common_light: np.ndarray | Array | None
+
+
+def _begin(
+    simulation: Simulation, genes: Array, keys: Array | None, trial: Array | None
+) -> tuple[_Life, _Animal]:
+    """The trials as they begin."""
+    tree, dtype, ndim = simulation.world.tree, genes.dtype, genes.ndim - 1
+    own = trial is not None
+
+    def begin(genes: Array, keys: Array | None, trial: Array | None) -> tuple:
+        batch = genes.shape[1:]
+        rest = starting_state(simulation.situations, trial, tree, batch, dtype)
+        animal = _Animal(
+            disturb_start(simulation.noise, tree, rest, keys),
+            simulation.controller.initial_state(batch, dtype),
+            jnp.zeros((len(simulation.sensors.pressure_bodies), *batch), dtype),
+        )
+        light = light_places(simulation.lights, trial, dtype) if own else None
+        return simulation.controller.decode(genes), light, animal
+
+    name = f"{_name(simulation.controller)}.decode"
+    decoded, light, animal = fuse(begin, genes, keys, trial, batch_ndim=ndim, name=name)
+    common = None if own else light_places(simulation.lights, None, dtype)
+    return _Life(decoded, keys, light, common), animal
 
 
 def _control_step(
-    simulation: Simulation,
-    decoded: PyTree[Array],
-    keys: Array | None,
-    light: np.ndarray | Array | None,
-    animal: _Animal,
-    index: Array,
+    simulation: Simulation, life: _Life, animal: _Animal, index: Array
 ) -> tuple[_Animal, _Instant]:
     """Sense, command, and move for one control step."""
-    state, nerves, pressure = animal
-    world, batch = simulation.world, state.position.shape[1:]
-    h = simulation.step_length
-    state = disturb_motion(simulation.noise, state, keys, index, 1.0 / simulation.control_rate)
-    # What differs between individuals must be an argument of what is fused, what does not is a
-    # constant there.
-    same = light is None or isinstance(light, np.ndarray) or light.ndim <= len(batch)
-    own = None if same else light
 
-    def look(state: State, own: Array | None) -> tuple[Array, Array, Array, Array]:
-        place = light if own is None else own
-        place = None if place is None else lift(place, state.position)
+    def whole(decoded: PyTree[Array], keys: Array | None, light: Array | None, animal: _Animal):
+        own = _Life(decoded, keys, light, life.common_light)
+        return _sense_command_move(simulation, own, animal, index)
+
+    ndim = animal.state.position.ndim - 1
+    given = life.decoded, life.keys, life.light, animal
+    return fuse(whole, *given, batch_ndim=ndim, name="a control step")
+
+
+def _sense_command_move(
+    simulation: Simulation, life: _Life, animal: _Animal, index: Array
+) -> tuple[_Animal, _Instant]:
+    """The parts of a control step."""
+    state, nerves, pressure = animal
+    world, controller = simulation.world, simulation.controller
+    ndim = state.position.ndim - 1
+
+    def push(state: State, keys: Array | None) -> State:
+        duration = 1.0 / simulation.control_rate
+        return disturb_motion(simulation.noise, state, keys, index, duration)
+
+    def look(state: State, light: Array | None) -> tuple[Array, Array, Array, Array]:
         kin = kinematics(world.tree, state)
+        place = _light_of(life, light, state.position)
         return *see(simulation.sensors, kin, place), fathom(simulation.sensors, world, kin)
 
-    strength, cosine, sine, depth = fuse(look, state, own, batch_ndim=len(batch))
+    state = fuse(push, state, life.keys, batch_ndim=ndim, name="noise")
+    strength, cosine, sine, depth = fuse(look, state, life.light, batch_ndim=ndim, name="sensors")
     observation = Observation(strength, pressure, cosine, sine, state.q, state.qd, depth)
-    nerves, command = simulation.controller.act(decoded, nerves, observation)
+    name = f"{_name(controller)}.act"
+    act = life.decoded, nerves, observation
+    nerves, command = fuse(controller.act, *act, batch_ndim=ndim, name=name)
+    moved, pressure, energy, airborne, torque = _move(simulation, state, command, pressure)
+    seen = {
+        "position": state.position,
+        "orientation": state.orientation,
+        "light": strength,
+        "joint_angle": state.q,
+        "energy": energy,
+        "airborne": airborne,
+    }
+    return _Animal(moved, nerves, pressure), _Instant(seen, command, torque, state)
+
+
+def _move(
+    simulation: Simulation, state: State, command: Command, pressure: Array
+) -> tuple[State, Array, Array, Array, Array]:
+    """The physics steps of a control step.
+
+    Returns:
+        The state, what the skin feels, the energy spent (J), the share of the time off the ground
+        and the torques of the last step (N m).
+    """
+    world, h, batch = simulation.world, simulation.step_length, state.position.shape[1:]
+    feels = world.footing is not None and bool(simulation.sensors.pressure_bodies)
+
+    def advance(carry, _):
+        state, energy, airborne, _, support = carry
+        state, effort = step(world, state, command.target_rate, h, command.target_angle)
+        support = effort.support if feels else support
+        airborne = airborne + _is_airborne(effort) / simulation.substeps
+        return (state, energy + effort.energy, airborne, effort.torque, support), None
+
+    none = jnp.zeros(batch, state.q.dtype)
+    places = len(world.footing.bodies) if world.footing is not None and feels else 0
+    untouched = jnp.zeros((3, places, *batch), state.q.dtype)
+    start = state, none, none, jnp.zeros_like(state.q), untouched
+    (moved, energy, airborne, torque, support), _ = jax.lax.scan(
+        advance, start, None, length=simulation.substeps
+    )
 
     def touch(state: State, support: Array) -> Array:
         return feel(simulation.sensors, world, kinematics(world.tree, state), support)
 
-    def go_on(state: State, command: Command) -> tuple[State, Array, Array, Array, Array | None]:
-        state, effort = step(world, state, command.target_rate, h, command.target_angle)
-        airborne = _is_airborne(effort) / simulation.substeps
-        return state, effort.energy, airborne, effort.torque, effort.support if feels else None
-
-    def move(carry, _):
-        state, energy, airborne, _, support = carry
-        # Fused as a whole, so that of the ground's many forces only what is asked for is stored.
-        state, spent, off_ground, torque, felt = fuse(go_on, state, command, batch_ndim=len(batch))
-        support = support if felt is None else felt
-        return (state, energy + spent, airborne + off_ground, torque, support), None
-
-    none = jnp.zeros(batch, state.q.dtype)
-    feels = world.footing is not None and bool(simulation.sensors.pressure_bodies)
-    places = len(world.footing.bodies) if world.footing is not None and feels else 0
-    untouched = jnp.zeros((3, places, *batch), state.q.dtype)
-    (moved, energy, airborne, torque, support), _ = jax.lax.scan(
-        move,
-        (state, none, none, jnp.zeros_like(state.q), untouched),
-        None,
-        length=simulation.substeps,
-    )
     if feels:
-        pressure = fuse(touch, moved, support, batch_ndim=len(batch))
-    moment = Moment(
-        index,
-        state.position,
-        state.orientation,
-        strength,
-        state.q,
-        energy,
-        airborne,
-        None if light is None else lift(light, state.position),
-    )
-    return _Animal(moved, nerves, pressure), _Instant(moment, command, torque, state)
+        pressure = fuse(touch, moved, support, batch_ndim=len(batch), name="sensors")
+    return moved, pressure, energy, airborne, torque
+
+
+def _light_of(life: _Life, own: Array | None, position: Array) -> Array | None:
+    """Where the light is, with axes of individuals."""
+    place = life.common_light if own is None else own
+    return None if place is None else lift(place, position)
+
+
+def _name(part: Any) -> str:
+    return type(part).__name__
 
 
 def _is_airborne(effort: Effort) -> Float[Array, " *n"]:

@@ -16,7 +16,6 @@ All is done in float64, and nothing of that is left behind.
 """
 
 import dataclasses
-import functools
 from typing import NamedTuple
 
 import jax
@@ -26,6 +25,7 @@ import optimistix
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.tree import Tree
+from evo_cpg.fusion.jax_internals import quick_jit
 from evo_cpg.physics.state import State, resting_state
 from evo_cpg.physics.statics import Grip, Touch, moved, next_grip, radius_of_gyration, static_forces
 from evo_cpg.physics.world import World
@@ -61,17 +61,6 @@ _KICK = 0.02
 
 # Of the root at most, rad: beyond it, an animal has fallen over and not settled.
 _LARGEST_TILT = np.deg2rad(60.0)
-
-
-# What is compiled runs for a fraction of a second, so compiling is what takes the time.
-_quick_jit = functools.partial(
-    jax.jit,
-    compiler_options={
-        "xla_backend_optimization_level": 0,
-        "xla_cpu_experimental_ynn_fusion_type": "",
-        "xla_cpu_use_fusion_emitters": False,
-    },
-)
 
 
 class NoRestError(ValueError):
@@ -157,9 +146,9 @@ class Settling:
                 throw=False,
             ).value
 
-        self._look = _quick_jit(jax.jacfwd(force, has_aux=True))
-        self._go = _quick_jit(go)
-        self._chord = _quick_jit(chord)
+        self._look = quick_jit(jax.jacfwd(force, has_aux=True))
+        self._go = quick_jit(go)
+        self._chord = quick_jit(chord)
 
     def settle(self, situation: Situation) -> Situation:
         """The same situation with the pose in which the creature rests.

@@ -57,17 +57,6 @@ def cosine_sine(angle: Any) -> tuple[Any, Any]:
     return float(np.cos(angle)), float(np.sin(angle))
 
 
-def compute_once(x: Float[Array, "k *#rest"]) -> Float[Array, "k *#rest"]:
-    """The array itself, behind a product with the identity.
-
-    XLA:CPU would fuse costly producers (sines) into every element that uses them: 69 us instead
-    of 12 us for the joint frames of 96 swimmers, where `jax.lax.optimization_barrier` did not help.
-    It never fuses into a matrix product.
-    """
-    size = x.shape[0]
-    return (jnp.eye(size, dtype=x.dtype) @ x.reshape(size, -1)).reshape(x.shape)
-
-
 def dot(a: Float[Array, "n *#rest"], b: Float[Array, "n *#rest"]) -> Float[Array, "*#rest"]:
     """Scalar product over the leading axis."""
     return (a * b).sum(0)
@@ -113,25 +102,16 @@ def transpose(m: Float[Array, "i j *#rest"]) -> Float[Array, "j i *#rest"]:
 
 def cross(a: Float[Array, "3 *#rest"], b: Float[Array, "3 *#rest"]) -> Float[Array, "3 *#rest"]:
     """Vector product ``a x b``."""
-    return jnp.stack(
-        [
-            a[1] * b[2] - a[2] * b[1],
-            a[2] * b[0] - a[0] * b[2],
-            a[0] * b[1] - a[1] * b[0],
-        ]
-    )
+    a0, a1, a2 = jnp.unstack(a)
+    b0, b1, b2 = jnp.unstack(b)
+    return jnp.stack([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0])
 
 
 def skew(v: Float[Array, "3 *#rest"]) -> Float[Array, "3 3 *#rest"]:
     """Cross-product matrix: ``skew(v) @ w == cross(v, w)``."""
-    zero = jnp.zeros_like(v[0])
-    return jnp.stack(
-        [
-            jnp.stack([zero, -v[2], v[1]]),
-            jnp.stack([v[2], zero, -v[0]]),
-            jnp.stack([-v[1], v[0], zero]),
-        ]
-    )
+    x, y, z = jnp.unstack(v)
+    zero = jnp.zeros_like(x)
+    return jnp.stack([zero, -z, y, z, zero, -x, -y, x, zero]).reshape(3, *v.shape)
 
 
 def inverse_symmetric(m: Float[Array, "k k *#rest"]) -> Float[Array, "k k *#rest"]:
@@ -148,13 +128,14 @@ def inverse_symmetric(m: Float[Array, "k k *#rest"]) -> Float[Array, "k k *#rest
         adjugate = jnp.stack([jnp.stack([m[1, 1], -m[0, 1]]), jnp.stack([-m[0, 1], m[0, 0]])])
         return adjugate * (1.0 / determinant)[None, None]
     if size == 3:
-        c00 = m[1, 1] * m[2, 2] - m[1, 2] * m[1, 2]
-        c01 = m[0, 2] * m[1, 2] - m[0, 1] * m[2, 2]
-        c02 = m[0, 1] * m[1, 2] - m[0, 2] * m[1, 1]
-        c11 = m[0, 0] * m[2, 2] - m[0, 2] * m[0, 2]
-        c12 = m[0, 1] * m[0, 2] - m[0, 0] * m[1, 2]
-        c22 = m[0, 0] * m[1, 1] - m[0, 1] * m[0, 1]
-        determinant = m[0, 0] * c00 + m[0, 1] * c01 + m[0, 2] * c02
+        m00, m01, m02, _, m11, m12, _, _, m22 = jnp.unstack(m.reshape(9, *m.shape[2:]))
+        c00 = m11 * m22 - m12 * m12
+        c01 = m02 * m12 - m01 * m22
+        c02 = m01 * m12 - m02 * m11
+        c11 = m00 * m22 - m02 * m02
+        c12 = m01 * m02 - m00 * m12
+        c22 = m00 * m11 - m01 * m01
+        determinant = m00 * c00 + m01 * c01 + m02 * c02
         adjugate = jnp.stack([c00, c01, c02, c01, c11, c12, c02, c12, c22])
         return (adjugate * (1.0 / determinant)[None]).reshape(m.shape)
     raise ValueError(f"closed-form inverse is for sizes 1 to 3, got {size}")

@@ -1,8 +1,9 @@
 """Compiled programs kept on disk, so that the second start of the same experiment is quick.
 
-What XLA compiles for one experiment is loaded again by every later command that needs the same
-program: another seed, `resume`, `render` or `verify`. JAX does the keeping and knows by a key over
-program, options and version what fits. Machine code made for one processor may not run on
+What is compiled for one experiment is loaded again by every later command that needs the same
+program: another seed, `resume`, `render` or `verify`. JAX keeps what XLA makes, and knows by a key
+over program, options and version what fits; native code is kept beside it
+(`evo_cpg.fusion.machine`). Machine code made for one processor may not run on
 another, so each kind of processor has a folder of its own: a cluster may share the home folder.
 
 `JAX_COMPILATION_CACHE_DIR` names another folder, `JAX_ENABLE_COMPILATION_CACHE=false` keeps
@@ -15,6 +16,8 @@ import platform
 from pathlib import Path
 
 import jax
+
+from evo_cpg.fusion.machine import keep_code_in
 
 # The oldest programs go when all take up more than this, bytes. One is 1 to 4 MB.
 _MOST = 1 << 30
@@ -30,7 +33,11 @@ def keep_compiled_programs() -> Path | None:
         The folder; None where none can be made, or the user has chosen one.
     """
     jax.config.update("jax_persistent_cache_min_compile_time_secs", _LEAST_SECONDS)
-    if jax.config.values["jax_compilation_cache_dir"]:
+    if not jax.config.values["jax_enable_compilation_cache"]:
+        return None
+    own = jax.config.values["jax_compilation_cache_dir"]
+    if own:
+        keep_code_in(Path(own))
         return None
     home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     folder = Path(home) / "evo_cpg" / "compiled" / _processor()
@@ -40,6 +47,7 @@ def keep_compiled_programs() -> Path | None:
     except OSError:
         return None
     jax.config.update("jax_compilation_cache_dir", str(folder))
+    keep_code_in(folder)
     return folder
 
 

@@ -1,25 +1,20 @@
-"""Cores as devices, the population in chunks on them, and compiler options that make them fast.
+"""Cores as devices, and the population in chunks on them.
 
-XLA's own threading slows this program down: its many small kernels are handed between threads at
-a cost above their own (0.28 M instead of 0.41 M steps/s on one core). So each core becomes a
-device of its own, the population is sharded over them, and XLA keeps to one thread per device.
-These are process-wide settings, which is why they are made by the program (the command line, a
-benchmark) and never by importing the package.
+Each core becomes a device of its own, the population is sharded over them, and XLA keeps to one
+thread per device. These are process-wide settings, which is why they are made by the program (the
+command line, a benchmark) and never by importing the package.
 
-A device computes a *chunk* of the population at a time, one that its cache holds, for as long as a
-trial lasts. The chunks of all devices are a *block*. The host feeds one block after the other to a
-program that knows one block only, so neither the time to compile nor the memory of the physics
-depends on how many individuals there are.
+A device computes a *chunk* of the population at a time, for as long as a trial lasts. The chunks of
+all devices are a *block*. The host feeds one block after the other to a program that knows one
+block only, so neither the time to compile nor the memory of the physics depends on how many
+individuals there are.
 """
 
-import functools
 import os
-import warnings
 from collections.abc import Callable
 from typing import Any, NamedTuple, TypeVar
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Int
@@ -28,30 +23,14 @@ from evo_cpg.training.compile_cache import keep_compiled_programs
 
 Tree = TypeVar("Tree")
 
-# Lets XLA:CPU compile small reductions and products itself instead of handing them to a library
-# that is several times slower at this size; and uses the widest vectors that the processor has.
-COMPILER_OPTIONS = {
-    "xla_cpu_experimental_ynn_fusion_type": "",
-    "xla_cpu_prefer_vector_width": 512,
-}
-
 # The name of the mesh axis that carries the population.
 POPULATION_AXIS = "population"
 
-# Individuals per device are rounded up to this many, so that no vector loop ends in a slow,
-# scalar remainder. 16 float32 values fill an AVX-512 register and a line of the cache.
+# Individuals per device are rounded up to this many: what the widest vectors hold.
 LANES = 16
 
-# What a step of a chunk costs, in units of what each of its first vectors of LANES adds (about 5 us
-# of the ten-body swimmer): so much however narrow the chunk is; so much more for each vector beyond
-# those that the cache holds; and so many times as much where arrays are an even number of cache
-# lines long, for then they compete for the same places in the cache (the more so at 4, 8 and 16).
-# See docs/benchmarks.md for the figures.
-_FIXED_COST = 3.0
-_HELD, _SPILL_COST = 7, 1.0
-_EVEN_COST = 1.05
-# Vectors of the widest chunk.
-_WIDEST = 9
+# Vectors of the widest chunk: some seconds of work, so that progress shows and memory stays flat.
+_WIDEST = 32
 
 
 def use_cores(count: int | None = None) -> int:
@@ -112,21 +91,17 @@ def layout(count: int, mesh: Mesh) -> Layout:
 
 
 def chunk_width(count: int, devices: int) -> int:
-    """How many individuals a device computes at a time.
+    """How many individuals a device computes at a time: chunks of full vectors, equally wide.
 
-    The cheapest by a model of what chunks cost, with the places at the end that stay empty: few
-    wide chunks, none too wide for the cache, of full vectors and rather an odd number of them. On
-    other devices than CPUs, which have no such cache, a chunk is all of a device's share.
+    On other devices than CPUs a chunk is all of a device's share.
 
     Args:
         count: individuals, on all devices.
         devices: that share them; those that stay idle make no difference.
     """
     share = -(-count // (devices * LANES))
-    if jax.default_backend() != "cpu":
-        return LANES * share
-    costs = {width: -(-share // width) * _chunk_cost(width) for width in range(1, _WIDEST + 1)}
-    return LANES * min(costs, key=costs.__getitem__)
+    chunks = -(-share // _WIDEST) if jax.default_backend() == "cpu" else 1
+    return LANES * -(-share // chunks)
 
 
 def sharded(
@@ -141,7 +116,7 @@ def sharded(
         ranks: number of axes of each argument; where its arrays differ in that, of each of them.
         result_rank: number of axes of each array that it gives.
     """
-    return fast_jit(
+    return jax.jit(
         jax.shard_map(
             function,
             mesh=mesh,
@@ -187,35 +162,6 @@ def run_in_blocks(
     return jax.tree.map(join, *results)
 
 
-def fast_jit(function: Callable, **options) -> jax.stages.Wrapped:
-    """`jax.jit` with this program's compiler options, or without them where JAX lacks them."""
-    return jax.jit(function, compiler_options=_supported_options(), **options)
-
-
-def _chunk_cost(width: int) -> float:
-    """Of a step of a chunk of so many vectors, in units of what one of the first few adds."""
-    spilt = max(0, width - _HELD) * _SPILL_COST
-    return (_FIXED_COST + width + spilt) * (1 if width % 2 else _EVEN_COST)
-
-
 def _spec(rank: int) -> PartitionSpec:
     """The last axis of an array is the population; a number is the same on all devices."""
     return PartitionSpec(*(None,) * (rank - 1), POPULATION_AXIS) if rank else PartitionSpec()
-
-
-@functools.cache
-def _supported_options() -> dict[str, str | int] | None:
-    if jax.default_backend() != "cpu":
-        return None
-    try:
-        jax.jit(jnp.negative, compiler_options=COMPILER_OPTIONS).lower(1.0).compile()
-    except Exception as error:
-        if "No such compile option" not in str(error):
-            raise
-        warnings.warn(
-            f"this version of JAX ({jax.__version__}) does not know {list(COMPILER_OPTIONS)}; "
-            "training works but is several times slower",
-            stacklevel=3,
-        )
-        return None
-    return COMPILER_OPTIONS

@@ -12,7 +12,7 @@ from jax.sharding import Mesh
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.simulation.rollout import as_recording
 from evo_cpg.training.checkpoint import Champion, Checkpoint
-from evo_cpg.training.devices import fast_jit, population_mesh
+from evo_cpg.training.devices import population_mesh
 from evo_cpg.training.experiment import (
     Experiment,
     Generation,
@@ -53,7 +53,7 @@ def train(
     mesh = mesh or population_mesh()
     checkpoint = folder.load()
     if checkpoint is None:
-        genes = fast_jit(lambda: first_population(experiment))()
+        genes = jax.jit(lambda: first_population(experiment))()
         nobody = (None,) * experiment.runs
         checkpoint = Checkpoint(0, np.asarray(genes), nobody, [], _no_scales(experiment))
     elif checkpoint.history:
@@ -62,9 +62,9 @@ def train(
     run_trials = compile_trials(experiment.simulation, mesh)
     everybody = experiment.runs * experiment.genetics.population
     numbers = jax.tree.map(lambda x: np.tile(x, everybody), situation_numbers(experiment))
-    run_breeding = fast_jit(functools.partial(breed, experiment))
+    run_breeding = jax.jit(functools.partial(breed, experiment))
     learn = compile_learning(experiment, mesh) if experiment.learning else None
-    draw_keys = fast_jit(functools.partial(generation_keys, experiment))
+    draw_keys = jax.jit(functools.partial(generation_keys, experiment))
     while checkpoint.generation < experiment.generations:
         start = time.perf_counter()
         index = np.int32(checkpoint.generation)
@@ -109,12 +109,12 @@ def replay_champion(
         Its fitness, its terms and its motion in one trial.
     """
     simulation, keys = experiment.simulation, champion_keys(experiment, champion)
-    live = fast_jit(functools.partial(replay, experiment, devices, recorded=recorded))
+    live = jax.jit(functools.partial(replay, experiment, devices, recorded=recorded))
     outcome, frames = live(champion.genes, keys, situation_numbers(experiment))
     scales = {name: jnp.float32(value) for name, value in champion.scales.items()}
     # Compiled as in training: a multiplication and an addition may become one operation, with one
     # rounding.
-    fitness, mean = fast_jit(functools.partial(judge, simulation.task))(outcome, scales)
+    fitness, mean = jax.jit(functools.partial(judge, simulation.task))(outcome, scales)
     terms = {name: float(value) for name, value in mean.terms.items()}
     names = [body.name for body in experiment.creature.bodies]
     return float(fitness), terms, as_recording(simulation, frames, names, trial=recorded)

@@ -18,7 +18,7 @@ from jaxtyping import Float
 
 from evo_cpg.training.ascent import Free, compile_ascent, draw_ways, log_uniform, reach
 from evo_cpg.training.checkpoint import Champion
-from evo_cpg.training.devices import LANES, chunk_width, fast_jit, population_mesh
+from evo_cpg.training.devices import LANES, chunk_width, population_mesh
 from evo_cpg.training.experiment import (
     Experiment,
     champion_keys,
@@ -180,7 +180,7 @@ def compile_evaluation(
     everybody = experiment.runs * experiment.genetics.population * experiment.trials
     width = chunk_width(everybody, devices)
     live = compile_trials(experiment.simulation, mesh, width)
-    assess = fast_jit(lambda *given: judge(experiment.simulation.task, *given))
+    assess = jax.jit(lambda *given: judge(experiment.simulation.task, *given))
 
     def evaluate(genes: Float[np.ndarray, "g n"], champion: Champion) -> list[Champion]:
         count, trials = genes.shape[1], experiment.trials

@@ -1,9 +1,9 @@
 """What starting the program costs and what importing it does."""
 
+import resource
 import statistics
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import evo_cpg
@@ -50,17 +50,23 @@ def python(code: str, *arguments: object, compiled: Path) -> str:
     return done.stdout
 
 
+def processor_time_of_children():
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
 def test_help_answers_at_once():
+    """In processor time: how long it takes on a busy machine says nothing."""
     seconds = []
     for arguments in (["--help"], ["train", "--help"], ["render", "--help"]):
-        start = time.perf_counter()
+        start = processor_time_of_children()
         done = subprocess.run(
             [sys.executable, "-m", "evo_cpg.cli.main", *arguments],
             cwd=REPOSITORY,
             capture_output=True,
             text=True,
         )
-        seconds.append(time.perf_counter() - start)
+        seconds.append(processor_time_of_children() - start)
         assert done.returncode == 0 and "Usage:" in done.stdout and done.stderr == ""
     assert statistics.median(seconds) < 0.5
 

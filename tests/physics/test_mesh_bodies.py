@@ -13,7 +13,7 @@ from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, Material,
 from evo_cpg.creature.mesh import ConvexMesh
 from evo_cpg.creature.shapes import Box, Shape, Sphere
 from evo_cpg.creature.tree import build_tree
-from evo_cpg.fusion.kernels import fuse
+from evo_cpg.fusion.fuse import fuse
 from evo_cpg.physics.added_mass import added_inertia
 from evo_cpg.physics.buoyancy import displacement, make_cells
 from evo_cpg.physics.fluid import drag

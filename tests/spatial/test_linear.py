@@ -80,8 +80,3 @@ def test_lift_lines_up_the_first_axes():
     assert lifted.shape == (3, 1, 1)
     assert lifted.dtype == np.float32
     np.testing.assert_array_equal((lifted * x)[:, 1, 4], [1, 2, 3])
-
-
-def test_compute_once_is_the_identity():
-    x = draw(3, 2)
-    np.testing.assert_array_equal(linear.compute_once(x), x)

@@ -10,7 +10,7 @@ import pytest
 
 from evo_cpg.evolution.selection import rank_order
 from evo_cpg.simulation.rollout import Outcome, as_recording, rollout, score
-from evo_cpg.training.devices import fast_jit, population_mesh
+from evo_cpg.training.devices import population_mesh
 from evo_cpg.training.experiment import (
     Generation,
     breed,
@@ -59,13 +59,13 @@ def test_two_devices_give_the_same_bits_as_one(evaluated):
 
 
 def test_padding_a_population_changes_nobody(small, genes, evaluated):
-    outcome = fast_jit(lambda g: rollout(small.simulation, g))(genes)
+    outcome = jax.jit(lambda g: rollout(small.simulation, g))(genes)
     for name, values in outcome.terms.items():
         np.testing.assert_allclose(evaluated[1].terms[name], values, rtol=1e-5, atol=1e-7)
 
 
 def test_a_replay_is_the_trial_and_its_recording(small, genes, evaluated):
-    outcome, frames = fast_jit(lambda g: replay(small, 2, g))(genes[:, 4])
+    outcome, frames = jax.jit(lambda g: replay(small, 2, g))(genes[:, 4])
     for name, values in evaluated[1].terms.items():
         np.testing.assert_array_equal(outcome.terms[name], values[4:5])
     motion = as_recording(small.simulation, frames, ["tail", "head"])
@@ -82,7 +82,7 @@ def of_run(generation: Generation, run: int) -> Generation:
 
 @pytest.fixture(scope="module")
 def step(small, run_trials):
-    breeding = fast_jit(functools.partial(breed, small))
+    breeding = jax.jit(functools.partial(breed, small))
     return lambda genes, i, scales: breeding(genes, run_trials(genes), i, scales)
 
 

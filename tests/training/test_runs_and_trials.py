@@ -12,7 +12,7 @@ from creatures import quick_jit
 from evo_cpg.evolution.bits import BitGenetics
 from evo_cpg.simulation.noise import Noise
 from evo_cpg.simulation.rollout import Outcome, score
-from evo_cpg.training.devices import chunk_width, fast_jit, population_mesh
+from evo_cpg.training.devices import chunk_width, population_mesh
 from evo_cpg.training.experiment import (
     breed,
     compile_trials,
@@ -163,7 +163,7 @@ def test_more_trials_than_a_chunk_has_places_are_replayed_exactly():
     genes = np.asarray(first_population(single))
     keys = np.asarray(generation_keys(single, np.int32(3)))
     outcome = compile_trials(single.simulation, population_mesh(2))(genes, keys, None, 40)
-    again, _ = fast_jit(functools.partial(replay, single, 2))(genes[:, 0], keys)
+    again, _ = jax.jit(functools.partial(replay, single, 2))(genes[:, 0], keys)
     for name, values in outcome.terms.items():
         assert len(np.unique(values)) > 30
         np.testing.assert_array_equal(again.terms[name], values)

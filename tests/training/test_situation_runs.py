@@ -12,7 +12,7 @@ import pytest
 from evo_cpg.simulation.noise import Noise
 from evo_cpg.simulation.rollout import score
 from evo_cpg.simulation.situation import Situation
-from evo_cpg.training.devices import fast_jit, population_mesh
+from evo_cpg.training.devices import population_mesh
 from evo_cpg.training.experiment import (
     compile_trials,
     first_population,
@@ -128,7 +128,7 @@ def test_more_situations_than_a_chunk_has_places_are_replayed_exactly(devices, n
     numbers = situation_numbers(made)
     live = compile_trials(made.simulation, population_mesh(devices))
     outcome = live(genes, keys, numbers, 40)
-    replayed, _ = fast_jit(functools.partial(replay, made, devices))(genes[:, 0], keys, numbers)
+    replayed, _ = jax.jit(functools.partial(replay, made, devices))(genes[:, 0], keys, numbers)
     assert len(np.unique(outcome.terms["distance"])) == 40
     for name, values in outcome.terms.items():
         np.testing.assert_array_equal(replayed.terms[name], values)

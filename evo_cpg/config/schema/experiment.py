@@ -11,6 +11,7 @@ from evo_cpg.config.schema.section import Section
 from evo_cpg.config.schema.task import ReachLightConfig, TaskConfig
 from evo_cpg.config.schema.trial import NoiseConfig, SimulationConfig
 from evo_cpg.config.schema.world import WorldConfig
+from evo_cpg.fusion.engine import EngineName, InstructionSet
 
 
 class ExperimentConfig(Section):
@@ -28,6 +29,9 @@ class ExperimentConfig(Section):
         controller: the nervous system.
         task: what the animals are judged by.
         evolution: the genetic algorithm.
+        engine: what computes the trials: ``auto`` and ``native`` take machine code made on the
+            spot, the first only where it can be had; ``jax`` takes JAX alone, many times slower.
+        instruction_set: of the machine code; ``host`` is the largest that this processor has.
     """
 
     name: Annotated[str, Field(pattern=r"^[^./\\][^/\\]*$")]
@@ -40,6 +44,8 @@ class ExperimentConfig(Section):
     controller: ControllerConfig = BrainCpgConfig()
     task: TaskConfig = ReachLightConfig()
     evolution: EvolutionConfig = RealEvolutionConfig()
+    engine: EngineName = "auto"
+    instruction_set: InstructionSet = "host"
 
     @model_validator(mode="after")
     def _check(self) -> "ExperimentConfig":

@@ -1,0 +1,486 @@
+"""From a graph of scalars to LLVM IR: a program that computes it for all individuals.
+
+The program runs over the individuals a *vector* at a time: every scalar of the graph becomes one
+instruction on a register that holds it for 16 individuals (or 8, 4, 1: the machine's width). All
+that lies between two ends of loops is one *stretch* without branches, a function, whose values LLVM
+keeps in registers or spills; what crosses from one to another has a *slot* in scratch memory, a
+number for each individual of the vector. A *driver* loops and calls them. The last vector overlaps
+the one before it where the individuals do not come out even; where there are fewer than one vector
+holds, loads and stores are masked.
+
+No instruction carries a fast-math flag, and which products are fused with sums is decided before
+(`evo_cpg.fusion.sums`): the bits of an individual's results do not depend on the vector's width.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from evo_cpg.fusion.graph import Block, Loop, Node
+from evo_cpg.fusion.ir import TYPES, Writer, number
+from evo_cpg.fusion.liveness import Plan, home, resolve
+from evo_cpg.fusion.operations import write
+
+# After so many loads and stores the order of what touches memory is settled (by an instruction that
+# does nothing): what LLVM does to find a better one takes a time that grows with the square.
+_ACCESSES_AT_ONCE = 32
+
+
+class Buffer(NamedTuple):
+    """An array that goes into or out of the function.
+
+    Attributes:
+        rows: numbers for each individual.
+        dtype: of the numbers.
+        shared: whether there is one set of them for all individuals.
+    """
+
+    rows: int
+    dtype: np.dtype
+    shared: bool = False
+
+
+class Variant(NamedTuple):
+    """What the machine code is made for.
+
+    Attributes:
+        width: individuals in a vector.
+        masked: fewer individuals than that.
+        fma: whether the processor multiplies and adds in one instruction.
+    """
+
+    width: int
+    masked: bool
+    fma: bool
+
+
+class Code(NamedTuple):
+    """The text of the function ``@program`` and what goes with it.
+
+    Attributes:
+        text: LLVM IR.
+        scratch: bytes of memory that it needs.
+    """
+
+    text: str
+    scratch: int
+
+
+def emit(
+    arguments: Sequence[Buffer],
+    results: Sequence[tuple[Buffer, list[Node]]],
+    top: Block,
+    variant: Variant,
+) -> Code:
+    """The function that computes nodes for all individuals.
+
+    Args:
+        arguments: buffers; the key of an input node is (number of the buffer, row).
+        results: buffers, and the node of each row.
+        top: the block of the whole program.
+        variant: the kind of code.
+
+    Raises:
+        Unsupported: there are more operations than code is made of.
+    """
+    plan = Plan([node for _, nodes in results for node in nodes], top)
+    return _Emitter(arguments, results, variant, plan).emit(top)
+
+
+class _Emitter:
+    """Writes the functions, one for each stretch, and the driver that calls them.
+
+    Of the attributes ``w`` has the lines of the stretch that is being written, and ``names``
+    and ``spread`` what is known in it.
+    """
+
+    def __init__(self, arguments, results, variant: Variant, plan: Plan):
+        self.arguments, self.results, self.plan = arguments, results, plan
+        self.width, self.masked, _ = variant
+        self.w = Writer(variant.width, variant.fma)
+        self.globals: list[str] = []
+        self.functions: list[str] = []
+        self.driver: list[str] = []
+        self.label = "vector"
+        self.scratch = 0
+        self.slots: dict[Node, int] = {}
+        self.tables: dict[Node, int | str] = {}
+        self._begin()
+
+    def emit(self, top: Block) -> Code:
+        """The whole program."""
+        crossing = set(self.plan.crossing)
+        self._copy_inputs([node for node in self.plan.inputs if node in crossing])
+        for node in [*self.plan.carried, *self.plan.counters, *self.plan.crossing]:
+            if node not in self.slots:
+                self.slots[node] = self._room(self._row_bytes(node))
+        self._block(top)
+        self._write_results()
+        self._end()
+        return Code(self._text(), self.scratch)
+
+    def _begin(self) -> None:
+        """A new stretch, in which nothing is known yet."""
+        self.w.lines = []
+        # Names of values, and of those that all share spread over a vector.
+        self.names: dict[Node, str] = {}
+        self.spread: dict[Node, str] = {}
+        self.buffers: dict[str, None] = {}
+        self.accesses = 0
+
+    def _end(self, result: str = "") -> str:
+        """The stretch as a function of its own, called by the driver; the name of its result."""
+        if not self.w.lines and not result:
+            return ""
+        name = f"@stretch{len(self.functions)}"
+        kind = "i1" if result else "void"
+        parameters = [f"ptr noalias {buffer}" for buffer in self.buffers]
+        parameters += ["ptr noalias %scratch", "i64 %n", "i64 %first"]
+        body = [*self._valid(), *self.w.lines, f"ret {kind} {result}"]
+        # Not inlined: within the driver's loops LLVM would take constants out of them, thousands,
+        # and spill each as a whole vector.
+        self.functions.append(
+            f"define internal {kind} {name}({', '.join(parameters)}) noinline #0 {{\n"
+            + "\n".join(body)
+            + "\n}"
+        )
+        given = ", ".join(each.replace(" noalias", "") for each in parameters)
+        call = f"call {kind} {name}({given})"
+        found = f"%found{len(self.functions)}" if result else ""
+        self.driver.append(f"{found} = {call}" if result else call)
+        return found
+
+    # Code without branches.
+
+    def _block(self, block: Block) -> None:
+        for node in self.plan.nodes(block):
+            if node.op == "loop":
+                self._loop(node, node.detail)
+            elif node.op == "rows":
+                self._rows(node)
+            elif node.op == "constants":
+                self._constants(node)
+            elif node.op not in ("result", "list"):
+                self.names[node] = self._lookup(node) if node.op == "lookup" else self._write(node)
+                if node in self.slots:
+                    self._store(self.names[node], node, self.slots[node], node.uniform)
+
+    def _write(self, node: Node) -> str:
+        return write(self.w, node, [self._ref(one, node.uniform) for one in node.operands])
+
+    # Memory.
+
+    def _room(self, size: int) -> int:
+        """Scratch memory of so many bytes; where it begins."""
+        place = self.scratch
+        self.scratch += -(-size // 64) * 64
+        return place
+
+    def _row_bytes(self, node: Node, count: int = 1) -> int:
+        return count * node.dtype.itemsize * (1 if node.uniform else self.width)
+
+    def _at(self, place: int) -> str:
+        return self.w.let(f"getelementptr i8, ptr %scratch, i64 {place}")
+
+    def _store(self, value: str, node: Node, place: int | str, uniform: bool = False) -> None:
+        pointer = place if isinstance(place, str) else self._at(place)
+        self._store_at(value, node.dtype, pointer, uniform)
+
+    def _store_at(self, value: str, dtype: np.dtype, pointer: str, uniform: bool = False) -> None:
+        self._settle_order()
+        t = self.w.type_of(dtype, uniform)
+        if dtype.kind == "b":
+            wide = self.w.type_of(np.dtype(np.int8), uniform)
+            value, t = self.w.let(f"zext {t} {value} to {wide}"), wide
+        self.w.lines.append(f"store {t} {value}, ptr {pointer}, align {dtype.itemsize}")
+
+    def _load_at(self, dtype: np.dtype, pointer: str, uniform: bool = False) -> str:
+        held = np.dtype(np.int8) if dtype.kind == "b" else dtype
+        t = self.w.type_of(held, uniform)
+        self._settle_order()
+        value = self.w.let(f"load {t}, ptr {pointer}, align {held.itemsize}")
+        if dtype.kind == "b":
+            zero = self.w.literal(0, held, uniform)
+            value = self.w.let(f"icmp ne {t} {value}, {zero}")
+        return value
+
+    def _settle_order(self) -> None:
+        self.accesses += 1
+        if self.accesses % _ACCESSES_AT_ONCE == 0:
+            self.w.lines.append('call void asm sideeffect "", "~{memory}"()')
+
+    def _input(self, node: Node) -> str:
+        number, row = node.detail
+        pointer = self._row_pointer(f"%b{number}", row, node.dtype, node.uniform)
+        if self.masked and not node.uniform:
+            return self._load_masked(node.dtype, pointer)
+        return self._load_at(node.dtype, pointer, node.uniform)
+
+    def _row_pointer(self, base: str, row: int | str, dtype: np.dtype, shared: bool) -> str:
+        t = "i8" if dtype.kind == "b" else TYPES[dtype.char]
+        self.buffers[base] = None
+        if shared:
+            return self.w.let(f"getelementptr {t}, ptr {base}, i64 {row}")
+        start = self.w.let(f"mul i64 %n, {row}")
+        place = self.w.let(f"add i64 {start}, %first")
+        return self.w.let(f"getelementptr {t}, ptr {base}, i64 {place}")
+
+    def _load_masked(self, dtype: np.dtype, pointer: str) -> str:
+        """A vector of which only the first individuals exist; the others are zero."""
+        held = np.dtype(np.int8) if dtype.kind == "b" else dtype
+        t, mask = self.w.type_of(held, False), self.w.type_of(np.dtype(bool), False)
+        name = f"llvm.masked.load.{self.w.suffix(t)}.p0"
+        self.w.declared[name] = f"declare {t} @{name}(ptr, i32, {mask}, {t})"
+        value = self.w.let(
+            f"call {t} @{name}(ptr {pointer}, i32 {held.itemsize}, {mask} %valid, "
+            f"{t} zeroinitializer)"
+        )
+        if dtype.kind == "b":
+            value = self.w.let(f"icmp ne {t} {value}, zeroinitializer")
+        return value
+
+    def _store_masked(self, value: str, dtype: np.dtype, pointer: str) -> None:
+        t, mask = self.w.type_of(dtype, False), self.w.type_of(np.dtype(bool), False)
+        size = dtype.itemsize
+        if dtype.kind == "b":
+            wide = self.w.type_of(np.dtype(np.int8), False)
+            value, t = self.w.let(f"zext {t} {value} to {wide}"), wide
+        name = f"llvm.masked.store.{self.w.suffix(t)}.p0"
+        self.w.declared[name] = f"declare void @{name}({t}, ptr, i32, {mask})"
+        self.w.lines.append(
+            f"call void @{name}({t} {value}, ptr {pointer}, i32 {size}, {mask} %valid)"
+        )
+
+    def _copy_inputs(self, nodes: list[Node]) -> None:
+        """Bring rows that loops read close together: far apart they compete for cache and pages.
+
+        Rows that lie one behind the other are copied by a loop.
+        """
+        runs: list[list[Node]] = []
+        for node in sorted(nodes, key=lambda node: node.detail):
+            number, row = node.detail
+            if runs and runs[-1][-1].detail == (number, row - 1):
+                runs[-1].append(node)
+            else:
+                runs.append([node])
+        for run in runs:
+            size = self._row_bytes(run[0])
+            start = self._room(size * len(run))
+            self.slots.update((node, start + i * size) for i, node in enumerate(run))
+            self._copy_rows(run, start, size)
+
+    def _copy_rows(self, run: list[Node], start: int, size: int) -> None:
+        dtype, (number, row) = run[0].dtype, run[0].detail
+        k = self.w.count
+        before, head, self.label = self.label, f"copy{k}", f"copied{k}"
+        source = self.w.let(f"add i64 %i{k}, {row}")
+        pointer = self._row_pointer(f"%b{number}", source, dtype, False)
+        value = (self._load_masked if self.masked else self._load_at)(dtype, pointer)
+        place = self.w.let(f"mul i64 %i{k}, {size}")
+        place = self.w.let(f"add i64 {place}, {start}")
+        self._store_at(value, dtype, self.w.let(f"getelementptr i8, ptr %scratch, i64 {place}"))
+        self.driver += [
+            f"br label %{head}",
+            f"{head}:",
+            f"%i{k} = phi i64 [ 0, %{before} ], [ %j{k}, %{head} ]",
+            *self.w.lines,
+            f"%j{k} = add i64 %i{k}, 1",
+            f"%more{k} = icmp slt i64 %j{k}, {len(run)}",
+            f"br i1 %more{k}, label %{head}, label %{self.label}",
+            f"{self.label}:",
+        ]
+        self._begin()
+
+    def _rows(self, node: Node) -> None:
+        """Write a table of computed numbers."""
+        size = self._row_bytes(node)
+        start = self.tables[node] = self._room(size * len(node.operands))
+        for i, operand in enumerate(node.operands):
+            value = self._ref(operand, node.uniform)
+            self._store(value, node, start + i * size, node.uniform)
+
+    def _constants(self, node: Node) -> None:
+        values = node.detail.values
+        t = "i8" if node.dtype.kind == "b" else TYPES[node.dtype.char]
+        name = self.tables[node] = f"@table{len(self.globals)}"
+        items = ", ".join(f"{t} {number(value, node.dtype)}" for value in values)
+        self.globals.append(f"{name} = internal constant [{len(values)} x {t}] [{items}], align 64")
+
+    def _lookup(self, node: Node) -> str:
+        table, place = node.operands
+        dtype = node.dtype
+        where = self.tables[table]
+        base = where if isinstance(where, str) else self._at(where)
+        index = self._ref(place, place.uniform)
+        one = table.op == "constants" or table.uniform
+        item = "i8" if dtype.kind == "b" else TYPES[dtype.char]
+        if place.uniform:
+            steps = index if one else self.w.let(f"mul i32 {index}, {self.width}")
+            pointer = self.w.let(f"getelementptr {item}, ptr {base}, i32 {steps}")
+            return self._load_at(dtype, pointer, one)
+        if self.width == 1:
+            pointer = self.w.let(f"getelementptr {item}, ptr {base}, i32 {index}")
+            return self._load_at(dtype, pointer)
+        whole, result = self.w.type_of(dtype, False), "poison"
+        indices = self.w.type_of(np.dtype(np.int32), False)
+        for i in range(self.width):
+            own = self.w.let(f"extractelement {indices} {index}, i32 {i}")
+            if not one:
+                own = self.w.let(f"mul i32 {own}, {self.width}")
+                own = self.w.let(f"add i32 {own}, {i}")
+            pointer = self.w.let(f"getelementptr {item}, ptr {base}, i32 {own}")
+            value = self._load_at(dtype, pointer, True)
+            scalar = TYPES[dtype.char]
+            result = self.w.let(f"insertelement {whole} {result}, {scalar} {value}, i32 {i}")
+        return result
+
+    def _write_results(self) -> None:
+        for k, (buffer, nodes) in enumerate(self.results):
+            for row, node in enumerate(nodes):
+                value = self._ref(node)
+                base = f"%b{len(self.arguments) + k}"
+                pointer = self._row_pointer(base, row, buffer.dtype, False)
+                if self.masked:
+                    self._store_masked(value, buffer.dtype, pointer)
+                else:
+                    self._store_at(value, buffer.dtype, pointer)
+
+    # Loops.
+
+    def _loop(self, node: Node, loop: Loop) -> None:
+        """Carried values live in their slots; a round reads all that it needs before it writes."""
+        kept, lists = self.plan.kept(node), self.plan.lists(node)
+        for k in kept:
+            self._store(self._ref(loop.start[k]), loop.carried[k], self.slots[loop.carried[k]])
+        for one in lists:
+            self.tables[one] = self._room(self._row_bytes(one) * (loop.count or 1))
+        self._end()
+        number = self.w.count = self.w.count + 1
+        counter, head, body, after = (
+            f"{word}{number}" for word in ("round", "head", "body", "after")
+        )
+        before, self.label = self.label, head
+        self.driver += [f"br label %{head}", f"{head}:"]
+        phi = len(self.driver)
+        self.driver.append("")
+        if loop.condition is None:
+            more = f"%more{number}"
+            self.driver.append(f"{more} = icmp slt i32 %{counter}, {loop.count}")
+        else:
+            more = self._test(loop)
+        self.driver += [f"br i1 {more}, label %{body}, label %{after}", f"{body}:"]
+        self.label = body
+        if loop.counter in self.slots:
+            place = f"%place{number}"
+            self.driver.append(
+                f"{place} = getelementptr i8, ptr %scratch, i64 {self.slots[loop.counter]}"
+            )
+            self.driver.append(f"store i32 %{counter}, ptr {place}")
+        self._begin()
+        self._round(loop, kept, lists)
+        self._end()
+        self.driver[phi] = (
+            f"%{counter} = phi i32 [ 0, %{before} ], [ %next{number}, %{self.label} ]"
+        )
+        self.driver += [f"%next{number} = add i32 %{counter}, 1", f"br label %{head}", f"{after}:"]
+        self.label = after
+        self._begin()
+
+    def _test(self, loop: Loop) -> str:
+        """Whether any individual wants another round."""
+        self._begin()
+        self._block(loop.test)
+        condition = loop.condition
+        assert condition is not None
+        active, flag = self._ref(condition), self.w.type_of(np.dtype(bool), False)
+        if self.masked:
+            active = self.w.let(f"and {flag} {active}, %valid")
+        if self.width == 1:
+            return self._end(active)
+        name = f"llvm.vector.reduce.or.v{self.width}i1"
+        self.w.declared[name] = f"declare i1 @{name}({flag})"
+        return self._end(self.w.let(f"call i1 @{name}({flag} {active})"))
+
+    def _round(self, loop: Loop, kept: list[int], lists: list[Node]) -> None:
+        self._block(loop.body)
+        following = [self._ref(loop.following[k]) for k in kept]
+        if loop.condition is not None:
+            # Who wants no more stays as it is.
+            active, flag = self._ref(loop.condition), self.w.type_of(np.dtype(bool), False)
+            for i, (k, value) in enumerate(zip(kept, following, strict=True)):
+                t, old = (
+                    self.w.type_of(loop.carried[k].dtype, False),
+                    self._ref(loop.carried[k]),
+                )
+                following[i] = self.w.let(f"select {flag} {active}, {t} {value}, {t} {old}")
+        for one in lists:
+            value = self._ref(loop.written[one.detail])
+            steps = self.w.let(f"mul i32 {self._ref(loop.place, True)}, {self._row_bytes(one)}")
+            start = self._at(self.tables[one])  # pyright: ignore[reportArgumentType]
+            pointer = self.w.let(f"getelementptr i8, ptr {start}, i32 {steps}")
+            self._store_at(value, one.dtype, pointer)
+        for k, value in zip(kept, following, strict=True):
+            self._store(value, loop.carried[k], self.slots[loop.carried[k]])
+
+    # Names.
+
+    def _ref(self, node: Node, uniform: bool = False) -> str:
+        """The name of a value, spread over a vector unless it is wanted once for all."""
+        node = resolve(node)
+        if node.value is not None:
+            return self.w.literal(node.value, node.dtype, uniform)
+        name = self.names.get(node)
+        if name is None:
+            if node.op == "input" and node not in self.slots:
+                name = self._input(node)
+            else:
+                name = self._load_at(node.dtype, self._at(self.slots[home(node)]), node.uniform)
+            self.names[node] = name
+        if not node.uniform or uniform or self.width == 1:
+            return name
+        wide = self.spread.get(node)
+        if wide is None:
+            t, scalar = self.w.type_of(node.dtype, False), TYPES[node.dtype.char]
+            one = self.w.let(f"insertelement {t} poison, {scalar} {name}, i32 0")
+            zeros = f"<{self.width} x i32> zeroinitializer"
+            wide = self.w.let(f"shufflevector {t} {one}, {t} poison, {zeros}")
+            self.spread[node] = wide
+        return wide
+
+    def _valid(self) -> list[str]:
+        """Which individuals of a vector exist."""
+        if not self.masked:
+            return []
+        lanes, wide = ", ".join(f"i64 {i}" for i in range(self.width)), f"<{self.width} x i64>"
+        zeros = f"<{self.width} x i32> zeroinitializer"
+        return [
+            f"%one = insertelement {wide} poison, i64 %n, i32 0",
+            f"%all = shufflevector {wide} %one, {wide} poison, {zeros}",
+            f"%valid = icmp ult {wide} <{lanes}>, %all",
+        ]
+
+    def _text(self) -> str:
+        buffers = len(self.arguments) + len(self.results)
+        parameters = ", ".join([*(f"ptr %b{k}" for k in range(buffers)), "ptr %scratch", "i64 %n"])
+        driver = [
+            f"define internal void @program({parameters}) #0 {{",
+            "entry:",
+            "br label %vector",
+            "vector:",
+            f"%first = phi i64 [ 0, %entry ], [ %next, %{self.label} ]",
+            *self._valid(),
+            *self.driver,
+            # The last vector ends with the last individual.
+            f"%stop = add i64 %first, {self.width}",
+            f"%left = sub i64 %n, {self.width}",
+            "%within = icmp slt i64 %stop, %left",
+            "%next = select i1 %within, i64 %stop, i64 %left",
+            "%more = icmp slt i64 %stop, %n",
+            "br i1 %more, label %vector, label %done",
+            "done:",
+            "ret void",
+            "}",
+        ]
+        declared = self.w.declared.values()
+        return "\n".join([*self.globals, *declared, *self.functions, *driver])

@@ -1,0 +1,91 @@
+"""The text of LLVM's instructions: names, types, constants.
+
+A value is either the same for all individuals of a vector, a scalar, or a vector of theirs.
+"""
+
+import struct
+from collections.abc import Sequence
+
+import numpy as np
+
+# LLVM's types by NumPy's character.
+TYPES = {
+    "?": "i1", "b": "i8", "B": "i8", "h": "i16", "H": "i16", "i": "i32", "I": "i32", "l": "i64",
+    "L": "i64", "q": "i64", "Q": "i64", "f": "float", "d": "double",
+}  # fmt: skip
+
+
+class Writer:
+    """Writes instructions one after the other.
+
+    Attributes:
+        width: individuals in a vector.
+        fma: whether the processor multiplies and adds in one instruction.
+        lines: the instructions.
+        count: of names given.
+        declared: declarations of the functions that were called, by name.
+    """
+
+    def __init__(self, width: int, fma: bool):
+        self.width, self.fma = width, fma
+        self.lines: list[str] = []
+        self.count = 0
+        self.declared: dict[str, str] = {}
+
+    def let(self, text: str) -> str:
+        """Write an instruction; the name of its result."""
+        self.count += 1
+        name = f"%v{self.count}"
+        self.lines.append(f"{name} = {text}")
+        return name
+
+    def type_of(self, dtype: np.dtype, uniform: bool) -> str:
+        """The type of a value: a scalar, if it is the same for all, or a vector."""
+        t = TYPES[dtype.char]
+        return t if uniform or self.width == 1 else f"<{self.width} x {t}>"
+
+    def literal(self, value, dtype: np.dtype, uniform: bool) -> str:
+        """A constant."""
+        text = number(value, dtype)
+        if uniform or self.width == 1:
+            return text
+        return f"splat ({TYPES[dtype.char]} {text})"
+
+    def intrinsic(self, name: str, t: str, a: Sequence[str], source: str = "") -> str:
+        """Call one of LLVM's own functions.
+
+        Args:
+            name: of it, without ``llvm.`` and types.
+            t: type of its result.
+            a: names of its operands.
+            source: type of these, if it is another.
+
+        Returns:
+            The name of its result.
+        """
+        source = source or t
+        suffix = self.suffix(t) + (f".{self.suffix(source)}" if source != t else "")
+        full = f"llvm.{name}.{suffix}"
+        if full not in self.declared:
+            self.declared[full] = f"declare {t} @{full}({', '.join([source] * len(a))})"
+        return self.let(f"call {t} @{full}({', '.join([f'{source} {x}' for x in a])})")
+
+    @staticmethod
+    def suffix(t: str) -> str:
+        """What LLVM appends to the names of intrinsics for a type."""
+        short = t.replace("float", "f32").replace("double", "f64")
+        if short.startswith("<"):
+            width, _, item = short[1:-1].partition(" x ")
+            return f"v{width}{item}"
+        return short
+
+
+def number(value, dtype: np.dtype) -> str:
+    """A constant as LLVM reads it."""
+    if dtype.kind == "b":
+        return "true" if value else "false"
+    if dtype.kind in "iu":
+        return str(int(np.asarray(value).astype(dtype)))
+    # Of both types the digits are those of a double.
+    bits = struct.unpack("<Q", struct.pack("<d", float(np.asarray(value, dtype))))[0]
+    return f"0x{bits:016X}"

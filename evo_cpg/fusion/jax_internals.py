@@ -1,0 +1,170 @@
+"""All that touches JAX beyond its public interface, so that a new version breaks one file."""
+
+import functools
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+from jax.extend.core import ClosedJaxpr, Jaxpr, Primitive, jaxpr_as_fun
+from jax.interpreters import ad, batching, mlir
+
+from evo_cpg.fusion.threefry import threefry2x32
+from evo_cpg.fusion.unsupported import Unsupported
+
+Zero = ad.Zero
+instantiate_zeros = ad.instantiate_zeros
+
+try:
+    from jax.core import ShapedArray
+except ImportError:
+    from jax._src.core import ShapedArray
+
+_RANDOM = {
+    "random_bits", "random_fold_in", "random_seed", "random_split", "random_unwrap", "random_wrap",
+    "threefry2x32",
+}  # fmt: skip
+
+
+def primitive(
+    name: str,
+    shapes: Callable[..., Sequence[Any]],
+    evaluate: Callable[..., Sequence[jax.Array]],
+    differentiate: Callable,
+    batch: Callable,
+    transpose: Callable | None = None,
+) -> Primitive:
+    """A primitive with several results.
+
+    Args:
+        name: of it.
+        shapes: of its results (`jax.ShapeDtypeStruct`), from arguments and parameters.
+        evaluate: in terms of other primitives.
+        differentiate: rule of forward mode.
+        batch: rule of `jax.vmap`.
+        transpose: rule of reverse mode, if it is linear.
+    """
+    new = Primitive(name)
+    new.multiple_results = True
+    new.def_abstract_eval(
+        lambda *x, **params: [ShapedArray(s.shape, s.dtype) for s in shapes(*x, **params)]
+    )
+    new.def_impl(evaluate)
+    mlir.register_lowering(new, mlir.lower_fun(evaluate, multiple_results=True))
+    ad.primitive_jvps[new] = differentiate
+    batching.primitive_batchers[new] = batch
+    if transpose is not None:
+        ad.primitive_transposes[new] = transpose
+    return new
+
+
+def no_tangent(x: jax.Array) -> Any:
+    """The change of what does not change."""
+    return Zero(jax.typeof(x).to_tangent_aval())
+
+
+def is_random(name: str) -> bool:
+    """Whether a primitive makes random numbers or keys; keys are traced as their words."""
+    return name in _RANDOM
+
+
+def random_program(equation: Any) -> ClosedJaxpr:
+    """What a primitive of random numbers does, on the words of keys.
+
+    Raises:
+        Unsupported: the keys are not of threefry, or this JAX has it in another place.
+    """
+    name, params = equation.primitive.name, equation.params
+    shapes = [_words(atom.aval) for atom in equation.invars]
+    try:
+        return jax.make_jaxpr(_random_function(name, params, equation))(*shapes)
+    except (AttributeError, ImportError, TypeError) as error:
+        raise Unsupported(f"it cannot follow {name} of JAX {jax.__version__}: {error}") from None
+
+
+def _random_function(name: str, params: dict, equation: Any) -> Callable:
+    if name in ("random_wrap", "random_unwrap"):
+        return lambda x: x
+    if name == "threefry2x32":
+        return threefry2x32
+    implementation = params.get("impl") or equation.invars[0].aval.dtype._impl
+    if implementation.key_shape != (2,):
+        raise Unsupported(f"it has no random numbers of {implementation.name}")
+    if name == "random_bits":
+        one = functools.partial(
+            implementation.random_bits, bit_width=params["bit_width"], shape=params["shape"]
+        )
+    elif name == "random_split":
+        one = functools.partial(implementation.split, shape=params["shape"])
+    else:
+        one = {"random_fold_in": implementation.fold_in, "random_seed": implementation.seed}[name]
+    for _ in equation.invars[0].aval.shape:
+        one = jax.vmap(one)
+    return one
+
+
+def _words(aval: Any) -> jax.ShapeDtypeStruct:
+    """An array as it is traced: a key is two numbers."""
+    if jax.numpy.issubdtype(aval.dtype, jax.dtypes.prng_key):
+        return jax.ShapeDtypeStruct((*aval.shape, *aval.dtype._impl.key_shape), "uint32")
+    return jax.ShapeDtypeStruct(aval.shape, aval.dtype)
+
+
+# Options that make XLA compile fast. They come and go: jaxlib 0.11.2 has the last one no more.
+_QUICK: dict[str, Any] = {
+    "xla_backend_optimization_level": 0,
+    "xla_cpu_experimental_ynn_fusion_type": "",
+    "xla_cpu_use_fusion_emitters": False,
+}
+
+
+def quick_jit(function: Callable, **options: Any) -> Callable:
+    """`jax.jit` for what runs so briefly that compiling is what takes the time."""
+
+    @functools.cache
+    def jitted() -> Callable:
+        return jax.jit(function, compiler_options=_quick_options(), **options)
+
+    @functools.wraps(function)
+    def call(*args: Any) -> Any:
+        return jitted()(*args)
+
+    return call
+
+
+@functools.cache
+def _quick_options() -> dict[str, Any]:
+    """Those that this XLA has; it starts the back end."""
+    if _has(_QUICK):
+        return _QUICK
+    return {name: value for name, value in _QUICK.items() if _has({name: value})}
+
+
+def _has(options: dict[str, Any]) -> bool:
+    try:
+        jax.jit(lambda: 0, compiler_options=options).lower().compile()
+    except jax.errors.JaxRuntimeError:
+        return False
+    return True
+
+
+def opened(closed: ClosedJaxpr) -> Jaxpr:
+    """A program whose constants are its first arguments.
+
+    Since JAX 0.11 every program holds its constants, and what a cache keeps must hold none that are
+    traced.
+    """
+    jaxpr = closed.jaxpr
+    return jaxpr.replace(constvars=(), invars=[*jaxpr.constvars, *jaxpr.invars])
+
+
+def scan_counts(params: dict[str, Any]) -> tuple[int, int]:
+    """How many constants a ``scan`` has, and how many values it carries."""
+    if "ft_in" in params:  # since JAX 0.11
+        constants, carried, _ = params["ft_in"].unpack()
+        return len(constants), len(carried)
+    return params["num_consts"], params["num_carry"]
+
+
+def run(closed: ClosedJaxpr, arrays: Sequence[Any]) -> list[Any]:
+    """The results of a program."""
+    return list(jaxpr_as_fun(closed)(*arrays))

@@ -1,0 +1,206 @@
+"""From LLVM IR to machine code in memory, kept on disk so that it is made once.
+
+llvmlite brings LLVM; no compiler and no linker are needed. What was compiled stays in memory as
+long as the process lives, for XLA may call it at any time; equal code is there only once.
+"""
+
+import contextlib
+import functools
+import hashlib
+import os
+import platform
+import sys
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from evo_cpg.fusion.unsupported import Unsupported
+
+if TYPE_CHECKING:
+    import llvmlite.binding as llvm
+
+# Vectors of so many bytes, and what the processor must have for it, by the name of the set of
+# instructions; the first that it has is taken.
+_SETS = {
+    "avx512": (64, ("avx512f", "avx512vl", "avx512dq", "avx512bw", "fma")),
+    "avx2": (32, ("avx2", "fma")),
+    "sse": (16, ("sse2",)),
+    "neon": (16, ("neon",)),
+}
+
+# What is left out where a smaller set is wanted.
+_LARGER = {"avx2": ("avx512",), "sse": ("avx", "fma", "f16c", "xop", "vaes", "vpclmul")}
+
+# LLVM's effort: 1 to 3 make the same code here, 0 makes it slow.
+_EFFORT = 2
+
+
+class Target(NamedTuple):
+    """The machine that code is made for.
+
+    Attributes:
+        name: of its set of instructions.
+        bytes: of a vector.
+        fma: whether it multiplies and adds in one instruction.
+        processor: LLVM's name of it.
+        features: LLVM's list of what it has.
+    """
+
+    name: str
+    bytes: int
+    fma: bool
+    processor: str
+    features: str
+
+
+_folder: Path | None = None
+
+
+def keep_code_in(folder: Path | None) -> None:
+    """Where machine code is kept for the next start; None keeps nothing."""
+    global _folder
+    _folder = folder
+
+
+def llvm_version() -> str:
+    """Of the LLVM that makes the code."""
+    return ".".join(map(str, _llvm().llvm_version_info))
+
+
+def was_tried(target: Target, version: str) -> bool:
+    """Whether code for a machine was tried out with a version of JAX."""
+    return _folder is not None and (_folder / _trial_name(target, version)).exists()
+
+
+def remember_trial(target: Target, version: str) -> None:
+    """Note that it was."""
+    if _folder is not None:
+        with contextlib.suppress(OSError):
+            (_folder / _trial_name(target, version)).touch()
+
+
+def _trial_name(target: Target, version: str) -> str:
+    import llvmlite
+
+    text = "\n".join([version, llvmlite.__version__, sys.version, *map(str, target)])
+    return f"native-tried-{hashlib.sha256(text.encode()).hexdigest()[:16]}"
+
+
+@functools.cache
+def host(wanted: str | None = None) -> Target:
+    """This machine, or as much of it as a set of instructions has.
+
+    Args:
+        wanted: name of the set; None for the largest that the processor has.
+
+    Raises:
+        Unsupported: llvmlite is missing, or the processor lacks the set.
+    """
+    llvm = _llvm()
+    has = {name for name, present in llvm.get_host_cpu_features().items() if present}
+    if platform.machine().lower() in ("aarch64", "arm64"):
+        has |= {"neon", "fma"}
+    names = [name for name, (_, needs) in _SETS.items() if has.issuperset(needs)]
+    if not names:
+        raise Unsupported(f"it knows no vectors of {platform.machine()}")
+    if wanted is not None and wanted not in names:
+        raise Unsupported(f"this processor has no {wanted}; it has {', '.join(names)}")
+    name = wanted or names[0]
+    dropped = _LARGER.get(name, ())
+    kept = {each for each in has if not each.startswith(dropped or ("\0",))}
+    flags = [f"{'+' if each in kept else '-'}{each}" for each in sorted(has - {"neon", "fma"})]
+    if "fma" in has and name not in ("neon",):
+        flags.append(f"{'+' if 'fma' in kept else '-'}fma")
+    size = _SETS[name][0]
+    return Target(name, size, "fma" in kept, llvm.get_host_cpu_name(), ",".join(flags))
+
+
+def load(text: str, target: Target) -> tuple[str, int]:
+    """A name of its own for a module's function ``@handler``, and its address.
+
+    Args:
+        text: LLVM IR, which may be any module with that function.
+        target: the machine.
+    """
+    key = "\n".join([llvm_version(), platform.platform(), *map(str, target), str(_EFFORT), text])
+    name = hashlib.sha256(key.encode()).hexdigest()[:32]
+    return name, _load(name, text, target)
+
+
+# Of each module its entry, the size of its code, and what keeps it in memory.
+_loaded: dict[str, tuple[int, int, object]] = {}
+
+
+def code_bytes() -> int:
+    """Size of all machine code in memory."""
+    return sum(size for _, size, _ in _loaded.values())
+
+
+def _load(name: str, text: str, target: Target) -> int:
+    if name not in _loaded:
+        code = _read(name) or _compile(name, text, target)
+        builder = _llvm().JITLibraryBuilder()
+        builder.add_object_img(code).add_current_process().export_symbol("handler")
+        tracker = builder.link(_linker(), name)
+        _loaded[name] = tracker["handler"], len(code), tracker
+    return _loaded[name][0]
+
+
+def _compile(name: str, text: str, target: Target) -> bytes:
+    llvm = _llvm()
+    module = llvm.parse_assembly(text)
+    code = _target_machine(target).emit_object(module)
+    _write(name, code)
+    return code
+
+
+@functools.cache
+def _target_machine(target: Target) -> "llvm.TargetMachine":
+    llvm = _llvm()
+    return llvm.Target.from_default_triple().create_target_machine(
+        cpu=target.processor,
+        features=target.features,
+        opt=_EFFORT,
+        reloc="pic",
+        codemodel="small",
+    )
+
+
+@functools.cache
+def _linker() -> "llvm.LLJIT":
+    llvm = _llvm()
+    machine = llvm.Target.from_default_triple().create_target_machine(opt=_EFFORT, jit=True)
+    return llvm.create_lljit_compiler(machine, use_jit_link=True)
+
+
+@functools.cache
+def _llvm():
+    try:
+        import llvmlite.binding as llvm
+    except ImportError as error:
+        raise Unsupported(f"llvmlite cannot be imported ({error})") from None
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    return llvm
+
+
+def _read(name: str) -> bytes | None:
+    if _folder is None:
+        return None
+    try:
+        content = (_folder / f"native-{name}").read_bytes()
+    except OSError:
+        return None
+    # A file that was cut short is none.
+    code, digest = content[:-32], content[-32:]
+    return code if hashlib.sha256(code).digest() == digest else None
+
+
+def _write(name: str, code: bytes) -> None:
+    if _folder is None:
+        return
+    with contextlib.suppress(OSError):
+        handle, path = tempfile.mkstemp(dir=_folder, prefix=".native-")
+        with os.fdopen(handle, "wb") as file:
+            file.write(code + hashlib.sha256(code).digest())
+        os.replace(path, _folder / f"native-{name}")

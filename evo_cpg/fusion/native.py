@@ -1,0 +1,117 @@
+"""Fused programs as native code: from a program to a call of machine code, or to plain JAX."""
+
+import weakref
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from evo_cpg.fusion import engine
+from evo_cpg.fusion.emit import Buffer, Variant, emit
+from evo_cpg.fusion.graph import Graph
+from evo_cpg.fusion.handler import handler
+from evo_cpg.fusion.machine import Target, load
+from evo_cpg.fusion.primitives import RULES, Program, plain
+from evo_cpg.fusion.trace import trace_program
+
+
+class Native(NamedTuple):
+    """Machine code of a program.
+
+    Attributes:
+        name: under which XLA finds it.
+        scratch: bytes of memory that it works in.
+    """
+
+    name: str
+    scratch: int
+
+
+# Bytes of a float32.
+_SINGLE = 4
+
+# Whether JAX computes what code cannot be made for; not while code is tried out.
+FALLS_BACK = True
+
+_made: "weakref.WeakKeyDictionary[Program, dict]" = weakref.WeakKeyDictionary()
+
+
+def evaluate(*arrays: jax.Array, program: Program, batch: tuple[int, ...]) -> list[jax.Array]:
+    """The results of a program for all individuals.
+
+    Args:
+        arrays: what it shares, and its arguments with the batch axes behind.
+        program: for one individual.
+        batch: lengths of the batch axes.
+    """
+    count = int(np.prod(batch, dtype=int))
+    outputs = program.outputs
+    if not count or not any(aval.size for aval in outputs):
+        return [jnp.zeros((*aval.shape, *batch), aval.dtype) for aval in outputs]
+    try:
+        native = _native(program, count)
+    except Exception as error:
+        if not FALLS_BACK:
+            raise
+        engine.warn_of_fallback(program.name, error)
+        return plain(program, batch)(*arrays)
+    rows = [int(np.prod(aval.shape, dtype=int)) for aval in outputs]
+    shapes = [
+        jax.ShapeDtypeStruct((size, count), aval.dtype)
+        for size, aval in zip(rows, outputs, strict=True)
+        if size
+    ]
+    room = jax.ShapeDtypeStruct((max(native.scratch, 1),), np.uint8)
+    given = [
+        x.reshape(-1) if i < program.shared else x.reshape(-1, count)
+        for i, x in enumerate(arrays)
+        if x.size
+    ]
+    *found, _ = jax.ffi.ffi_call(native.name, (*shapes, room))(*given)
+    results = iter(found)
+    return [
+        (next(results) if size else jnp.zeros(0, aval.dtype)).reshape(*aval.shape, *batch)
+        for size, aval in zip(rows, outputs, strict=True)
+    ]
+
+
+def _native(program: Program, count: int) -> Native:
+    """Machine code for so many individuals, made at the first call."""
+    target = engine.target()
+    made = _made.setdefault(program, {})
+    kinds = [np.dtype(x.dtype) for x in (*program.inputs, *program.outputs)]
+    widest = max([kind.itemsize for kind in kinds if kind.kind == "f"], default=_SINGLE)
+    width = 1 if count == 1 else target.bytes // widest
+    key = target, width, count < width
+    if key not in made:
+        made[key] = _make(program, target, Variant(width, count < width, target.fma))
+    return made[key]
+
+
+def _make(program: Program, target: Target, variant: Variant) -> Native:
+    graph, inputs, arguments = Graph(), [], []
+    for i, x in enumerate(program.inputs):
+        shared, dtype = i < program.shared, np.dtype(x.dtype)
+        nodes = np.empty(x.size, object)
+        nodes[:] = [graph.input((len(arguments), row), dtype, shared) for row in range(x.size)]
+        inputs.append(nodes.reshape(x.shape))
+        if x.size:
+            arguments.append(Buffer(x.size, dtype, shared))
+    found = trace_program(graph, program, inputs)
+    results = [
+        (Buffer(nodes.size, np.dtype(x.dtype)), list(nodes.flat))
+        for x, nodes in zip(program.outputs, found, strict=True)
+        if nodes.size
+    ]
+    code = emit(arguments, results, graph.top, variant)
+    entry = handler("handler", arguments, [buffer for buffer, _ in results], code.scratch, variant)
+    vector = (
+        f'"prefer-vector-width"="{8 * target.bytes}" "min-legal-vector-width"="{8 * target.bytes}"'
+    )
+    text = f"{code.text}\n{entry}\nattributes #0 = {{ nounwind {vector} }}\n"
+    name, address = load(text, target)
+    return Native(engine.register(name, address), code.scratch)
+
+
+RULES["evaluate"] = evaluate

@@ -1,0 +1,41 @@
+"""Try native code out: ``python -m evo_cpg.fusion.trial avx2`` ends with 0 where it holds."""
+
+import functools
+import sys
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from evo_cpg.fusion import engine, native
+from evo_cpg.fusion.fuse import fuse
+
+
+def main(instructions: str) -> None:
+    """Compare a small program with JAX, one individual and many.
+
+    Raises:
+        ArithmeticError: they differ.
+    """
+    # Whoever tries must not ask whether it was tried.
+    engine._wrong = lambda found: ""
+    native.FALLS_BACK = False
+
+    def program(x: jax.Array) -> tuple[jax.Array, jax.Array]:
+        def turn(carry: jax.Array, i: jax.Array) -> tuple[jax.Array, None]:
+            return jnp.sin(carry) + x[1] * i.astype(x.dtype), None
+
+        return jax.lax.scan(turn, x[0], jnp.arange(3))[0], (x > 0).any(0)
+
+    values = np.linspace(-2, 2, 120, dtype=np.float32).reshape(2, 60)
+    with engine.using(engine.Engine("native", instructions)):  # pyright: ignore
+        for count in (1, 3, 60):
+            x = jnp.asarray(values[:, :count])
+            found = jax.jit(functools.partial(fuse, program, batch_ndim=1))(x)
+            for got, wanted in zip(found, program(x), strict=True):
+                if not np.allclose(got, wanted, rtol=1e-5, atol=1e-6):
+                    raise ArithmeticError(f"native code and JAX differ for {count} individuals")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])

@@ -1,0 +1,287 @@
+"""Where there is no native code JAX computes the smallest part, and a warning says so."""
+
+import ctypes
+import functools
+import subprocess
+import sys
+import types
+import warnings
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from against_jax import sample
+
+from evo_cpg.fusion import engine, machine, native
+from evo_cpg.fusion.engine import Engine, EngineWarning, described, using
+from evo_cpg.fusion.fuse import fuse
+from evo_cpg.fusion.unsupported import Unsupported
+
+
+@pytest.fixture(autouse=True)
+def anew():
+    """What is asked once in a process is asked again, before and after."""
+    folder = machine._folder
+    asked = engine._warn_once, engine._wrong, machine.host, machine._llvm
+    for cached in asked:
+        cached.cache_clear()
+    yield
+    machine.keep_code_in(folder)
+    for cached in asked:
+        cached.cache_clear()
+
+
+def warned(run, *args):
+    """The result, and what was warned of."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        result = jax.block_until_ready(run(*args))
+    assert all(each.category is EngineWarning for each in caught)
+    return result, [str(each.message) for each in caught]
+
+
+def calls(run, *args):
+    """How many pieces of native code the lowered program calls."""
+    return jax.jit(run).lower(*args).as_text().count("custom_call @evo_cpg_")
+
+
+def smooth(x):
+    return jnp.sin(x) * x[0][None]
+
+
+def ordered(x):
+    return jnp.sort(x, 0)
+
+
+def part(function, x, **options):
+    return fuse(function, x, batch_ndim=x.ndim - 1, **options)
+
+
+def whole(x):
+    """Of which the part in the middle cannot be native code."""
+    x = part(smooth, x * x[1][None])
+    return part(smooth, part(ordered, x, name="the order") + 1.0)
+
+
+def assert_right(got, function, x):
+    with using(Engine("jax")):
+        np.testing.assert_allclose(got, function(x), rtol=1e-5, atol=1e-6)
+
+
+def test_the_smallest_part_is_left_to_jax():
+    x = sample((3, 9))
+    run = functools.partial(fuse, whole, batch_ndim=1, name="all of it")
+    got, said = warned(jax.jit(run), x)
+    assert said == ["the order runs on plain JAX, not as native code: it has no rule for sort"]
+    assert_right(got, whole, x)
+    again, said = warned(jax.jit(lambda x: run(x)), x)
+    assert said == []
+    assert_right(again, whole, x)
+    assert calls(run, x) == 2
+
+
+def test_what_is_to_blame_itself_is_named_and_its_parts_are_native():
+    def function(x):
+        return jnp.sort(part(smooth, x), 0) + part(smooth, 2 * x)
+
+    x = sample((3, 9))
+    got, said = warned(jax.jit(lambda x: fuse(function, x, batch_ndim=1, name="sorting")), x)
+    assert said == ["sorting runs on plain JAX, not as native code: it has no rule for sort"]
+    assert_right(got, function, x)
+    assert calls(functools.partial(fuse, function, batch_ndim=1, name="sorting"), x) == 2
+
+
+def test_names_come_from_the_functions():
+    _, said = warned(jax.jit(lambda x: fuse(ordered, x, batch_ndim=1)), sample((3, 9)))
+    assert said == ["ordered runs on plain JAX, not as native code: it has no rule for sort"]
+
+
+def test_derivatives_are_named_after_their_functions():
+    """The function has a rule; its derivative adds to computed places."""
+
+    def pick(x):
+        return x[jnp.stack([x[0] > 0, x[1] > 0]).astype(int)] ** 2
+
+    x = sample((3, 9))
+    run = jax.vmap(functools.partial(fuse, pick, batch_ndim=0), -1, -1)
+    got, said = warned(jax.jit(jax.grad(lambda x: run(x).sum())), x)
+    (only,) = said
+    assert only.startswith("the derivative of ") and "pick runs on plain JAX" in only
+    np.testing.assert_allclose(got, jax.grad(lambda x: jax.vmap(pick, -1)(x).sum())(x), rtol=1e-6)
+
+
+def test_what_turns_out_while_code_is_made():
+    """A rule that there is, but not for this: found out only when the whole is compiled."""
+
+    def function(x):
+        return x.at[(x[0] > 0).astype(int)].set(0.0)
+
+    x = sample((3,))
+    run = jax.jit(jax.vmap(lambda x: fuse(function, x, batch_ndim=0, name="setting")))
+    got, said = warned(run, jnp.tile(x, (4, 1)))
+    assert said == [
+        "setting runs on plain JAX, not as native code: it has no scatter to computed places"
+    ]
+    np.testing.assert_array_equal(got, jnp.tile(function(x), (4, 1)))
+
+
+def test_plain_jax_on_demand():
+    x = sample((3, 9))
+    run = functools.partial(fuse, smooth, batch_ndim=1)
+    assert calls(run, x) == 1
+    with using(Engine("jax")):
+        assert calls(lambda x: run(x), x) == 0
+        assert described(Engine("jax")) == {"engine": "jax"}
+    own = described(Engine())
+    assert own["engine"] == "native" and own["vector_bytes"] in (16, 32, 64)
+    assert described(Engine("native", own["instructions"])) == own
+
+
+def assert_falls_back(reason):
+    """Two programs, one warning; who insists on native code gets an error."""
+    x = sample((3, 9))
+
+    def both(x):
+        return fuse(smooth, x, batch_ndim=1) + fuse(lambda x: x * x, x, batch_ndim=1)
+
+    got, said = warned(jax.jit(both), x)
+    (only,) = said
+    assert only.startswith("JAX computes everything, slowly, for there is no native code: ")
+    assert reason in only
+    assert_right(got, both, x)
+    with using(Engine("native")), pytest.raises(Unsupported, match=reason):
+        fuse(smooth, x, batch_ndim=1)
+
+
+def test_without_llvmlite(monkeypatch):
+    monkeypatch.setitem(sys.modules, "llvmlite", None)
+    monkeypatch.setitem(sys.modules, "llvmlite.binding", None)
+    assert_falls_back("llvmlite cannot be imported")
+
+
+def test_a_set_of_instructions_that_the_processor_lacks():
+    lacking = "neon" if machine.host().name != "neon" else "avx2"
+    with using(Engine("native", lacking)), pytest.raises(Unsupported, match=f"has no {lacking}"):
+        fuse(smooth, sample((3, 9)), batch_ndim=1)
+
+
+def trying(monkeypatch, tmp_path, code):
+    """Instead of the trial another program is run; the list of how often."""
+    machine.keep_code_in(tmp_path)
+    run, runs = subprocess.run, []
+
+    def other(command, **options):
+        runs.append(command)
+        return run([sys.executable, "-c", code], **options)
+
+    monkeypatch.setattr(engine, "subprocess", types.SimpleNamespace(**vars(subprocess)))
+    monkeypatch.setattr(engine.subprocess, "run", other)
+    return runs
+
+
+def test_a_trial_that_ends_its_process(monkeypatch, tmp_path):
+    runs = trying(monkeypatch, tmp_path, "import os; os.abort()")
+    assert_falls_back("it failed when it was tried out")
+    assert len(runs) == 1 and not list(tmp_path.glob("native-tried-*"))
+
+
+def test_a_trial_that_finds_other_numbers(monkeypatch, tmp_path):
+    trying(monkeypatch, tmp_path, "raise ArithmeticError('native code and JAX differ')")
+    assert_falls_back("exit status 1: ArithmeticError: native code and JAX differ")
+
+
+def test_a_trial_that_never_ends(monkeypatch, tmp_path):
+    trying(monkeypatch, tmp_path, "import time; time.sleep(60)")
+    monkeypatch.setattr(engine, "_LONGEST_TRIAL", 0.2)
+    assert_falls_back("it could not be tried out")
+
+
+def test_one_trial_for_each_version(monkeypatch, tmp_path):
+    runs = trying(monkeypatch, tmp_path, "")
+    own = engine.target()
+    assert len(runs) == 1 and runs[0][1:] == ["-m", "evo_cpg.fusion.trial", own.name]
+    assert machine.was_tried(own, jax.__version__)
+    assert not machine.was_tried(own, "another") and not machine.was_tried(
+        own._replace(name="other"), jax.__version__
+    )
+    engine._wrong.cache_clear()
+    assert engine.target() == own and len(runs) == 1
+    # Where nothing is kept, every process tries.
+    machine.keep_code_in(None)
+    engine._wrong.cache_clear()
+    assert engine.target() == own and len(runs) == 2
+
+
+def test_a_mistake_in_the_making_of_code(monkeypatch):
+    def fails(*_):
+        raise ValueError("no idea\nat all")
+
+    monkeypatch.setattr(native, "emit", fails)
+    x = sample((3, 9))
+    got, said = warned(jax.jit(lambda x: fuse(smooth, x, batch_ndim=1)), x)
+    assert said == ["smooth runs on plain JAX, not as native code: ValueError: no idea"]
+    assert_right(got, smooth, x)
+
+
+def test_code_that_llvm_refuses(monkeypatch):
+    whole = native.emit
+
+    def broken(*args):
+        code = whole(*args)
+        return code._replace(text=code.text.replace("fmul", "fnothing"))
+
+    monkeypatch.setattr(native, "emit", broken)
+    x = sample((3, 9))
+    got, said = warned(jax.jit(lambda x: fuse(lambda x: x * x[0][None], x, batch_ndim=1)), x)
+    assert len(said) == 1 and "RuntimeError: LLVM IR parsing error" in said[0]
+    np.testing.assert_array_equal(got, x * x[:1])
+
+
+@pytest.fixture
+def seven(tmp_path, monkeypatch):
+    """Loads a function as if anew: what it returns, and how often it was compiled so far."""
+    machine.keep_code_in(tmp_path)
+    compiled, make = [], machine._compile
+
+    def compile_and_count(name, *args):
+        compiled.append(name)
+        return make(name, *args)
+
+    monkeypatch.setattr(machine, "_compile", compile_and_count)
+
+    def load():
+        monkeypatch.setattr(machine, "_loaded", {})
+        monkeypatch.setattr(machine, "_linker", functools.cache(machine._linker.__wrapped__))
+        _, address = machine.load("define i32 @handler() { ret i32 7 }", machine.host())
+        return ctypes.CFUNCTYPE(ctypes.c_int)(address)(), len(compiled)
+
+    return load
+
+
+def test_code_on_disk_is_read_again(seven, tmp_path):
+    assert seven() == (7, 1)
+    assert len(list(tmp_path.glob("native-*"))) == 1
+    assert seven() == (7, 1)
+
+
+@pytest.mark.parametrize("damage", ["cut", "empty", "changed", "gone"])
+def test_code_that_is_not_whole_is_made_again(seven, tmp_path, damage):
+    assert seven() == (7, 1)
+    (file,) = tmp_path.glob("native-*")
+    whole = file.read_bytes()
+    if damage == "gone":
+        file.unlink()
+    else:
+        file.write_bytes(
+            {"cut": whole[:-1], "empty": b"", "changed": whole[:9] + b"?" + whole[10:]}[damage]
+        )
+    assert seven() == (7, 2)
+    assert file.read_bytes() == whole
+    assert seven() == (7, 2)
+
+
+def test_a_folder_that_is_not_there_is_no_harm(seven, tmp_path):
+    machine.keep_code_in(tmp_path / "nowhere")
+    assert seven() == (7, 1)
+    assert seven() == (7, 2)

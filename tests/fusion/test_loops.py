@@ -1,0 +1,256 @@
+"""Loops, branches and fixed points of fused functions are those of JAX."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from against_jax import assert_agrees, fused, sample
+from jax import lax
+
+from evo_cpg.fusion.converge import converge
+from evo_cpg.fusion.fuse import fuse
+from evo_cpg.fusion.graph import Block, Graph
+from evo_cpg.fusion.liveness import Plan
+from evo_cpg.fusion.trace import trace_closed
+
+COUNTS = [1, 2, 5, 16, 19]
+
+
+def decay(x, length, reverse=False):
+    """A carry of several types, rows that are read, rows that are stacked, and constants."""
+    rates = jnp.linspace(0.5, 1.5, 7)[:length]
+    own = jnp.stack([x[0] * k for k in range(7)])[:length]
+    closed = jnp.cos(x[1])
+
+    def turn(carry, row):
+        x, count, alive, _ = carry
+        rate, mine, number = row
+        new = x * rate + closed * mine
+        return (new, count + number, alive & (new[0] < 2), 1.0), (new[:2], x[0] > 0, 3.0 * rate)
+
+    start = x, jnp.int32(5), jnp.bool_(True), 1.0
+    return lax.scan(turn, start, (rates, own, jnp.arange(length)), reverse=reverse, length=length)
+
+
+@pytest.mark.parametrize("reverse", [False, True])
+@pytest.mark.parametrize("length", [0, 1, 2, 7])
+def test_counted_loops(length, reverse):
+    assert_agrees(lambda x: decay(x, length, reverse), sample((3, 5)))
+
+
+@pytest.mark.parametrize("count", COUNTS)
+def test_loops_of_any_number_of_individuals(count):
+    assert_agrees(lambda x: decay(x, 4), sample((3, count)))
+
+
+def test_loops_within_loops():
+    """The inner ones use the counter and the carry of the outer ones, and table what they stack."""
+
+    def outer(carry, i):
+        def inner(total, row):
+            return total + row * i, total
+
+        total, partial = lax.scan(inner, carry[0], carry)
+
+        def search(state):
+            return state[0] * 1.5 + 0.1, state[1] + i
+
+        found = lax.while_loop(lambda s: s[0] < carry[1] + i, search, (abs(partial[1]), i))
+        return jnp.roll(carry, 1).at[0].set(jnp.sin(total)), (found, partial.sum())
+
+    assert_agrees(
+        lambda x: lax.scan(outer, x, jnp.arange(3.0)), sample((4, 18)), rtol=1e-4, atol=1e-5
+    )
+
+
+def test_for_loops_and_what_is_stacked_is_read_again():
+    def function(x):
+        _, rows = lax.scan(lambda c, _: (c + x, c * x[0]), x, None, length=5)
+        again = lax.scan(lambda c, row: (c * 0.5 + row, None), x, rows)[0]
+        several = lax.fori_loop(0, 6, lambda i, c: c + rows[i % 5] * i, x)
+        some = lax.fori_loop(2, 2 + (x[0] > 0), lambda i, c: c + i, x)
+        return again, several, rows[2], rows[::-2].sum(0), some
+
+    assert_agrees(function, sample((3, 9)), rtol=1e-5)
+
+
+def test_updates_at_the_counter():
+    def function(x):
+        def turn(i, y):
+            return lax.dynamic_update_index_in_dim(y, y[(i + 3) % 4] + x[i], i, 0)
+
+        return lax.fori_loop(0, 4, turn, x)
+
+    assert_agrees(function, sample((4, 6)))
+
+
+def collatz(start):
+    def advance(state):
+        n, rounds = state
+        return jnp.where(n % 2 == 0, n // 2, 3 * n + 1), rounds + 1
+
+    return lax.while_loop(lambda state: state[0] != 1, advance, (start, 0))
+
+
+@pytest.mark.parametrize("count", COUNTS)
+def test_who_has_finished_stays_as_it_is(count):
+    """From 1 to 111 rounds, side by side; the last vector holds fewer individuals than others."""
+    assert_agrees(lambda x: collatz(x[0]), jnp.arange(1, 1 + count)[None] * 27 % 83 + 1)
+
+
+def test_loops_that_never_begin():
+    def function(x):
+        nothing = lax.while_loop(lambda c: False, lambda c: c + 1, x)
+        return nothing, lax.while_loop(lambda c: c[0] > 100, lambda c: c + 1, x)
+
+    for count in (1, 4):
+        assert_agrees(function, sample((2, count)))
+
+
+def test_a_loop_in_which_some_fall_out_of_numbers():
+    """NaN ends the loop of one, and is no concern of the others."""
+
+    def function(x):
+        def advance(state):
+            return state[0] * state[0] + x[0], state[1] + 1
+
+        return lax.while_loop(lambda s: (s[0] < 50) & (s[1] < 9), advance, (x[0] * x[1], 0))
+
+    x = sample((2, 9), 4).at[0, 3].set(jnp.nan).at[0, 5].set(jnp.inf) + 1
+    assert_agrees(function, x, rtol=1e-4)
+
+
+BRANCHES = [lambda x: x * 2, lambda x: jnp.sin(x), lambda x: x.at[0].set(7.0)]
+
+
+def test_branches_that_depend_on_the_individual():
+    places = jnp.array([0, 1, 2, -5, 9, 1])
+    assert_agrees(lambda x, i: lax.switch(i, BRANCHES, x), sample((2, 6)), places)
+    assert_agrees(lambda x: lax.cond(x[0] > x[1], *BRANCHES[:2], x), sample((2, 6)))
+
+
+@pytest.mark.parametrize("place", [-3, 0, 1, 2, 8])
+def test_branches_that_do_not(place):
+    def function(x):
+        def turn(c, i):
+            return lax.switch(i + place, BRANCHES, c), lax.switch(jnp.int32(place), BRANCHES, x)
+
+        return lax.scan(turn, x, jnp.arange(3))
+
+    assert_agrees(function, sample((2, 6)))
+
+
+def kepler(given):
+    """Angle of a planet, from the eccentricity and the mean angle."""
+    eccentricity, mean = given
+    return converge(lambda angle: mean + eccentricity * jnp.sin(angle), mean, 100)
+
+
+PLANETS = jnp.stack([jnp.linspace(0.01, 0.4, 11), jnp.linspace(-2.0, 3.0, 11)])
+
+
+def slopes(given):
+    """The closed form: mean = angle - eccentricity sin(angle)."""
+    angle = kepler(given)
+    return jnp.stack([jnp.sin(angle), jnp.ones_like(angle)]) / (1 - given[0] * jnp.cos(angle))[None]
+
+
+def test_fixed_points(x64):
+    given = PLANETS.astype("float64")
+    (angle,) = fused(kepler, given)
+    np.testing.assert_allclose(angle - given[0] * np.sin(angle), given[1], atol=1e-14)
+    assert_agrees(kepler, given, rtol=1e-13)
+
+
+def test_derivatives_of_fixed_points(x64):
+    """Forwards and backwards, of JAX and fused, differentiated outside and within."""
+    given = PLANETS.astype("float64")
+    wanted = slopes(given)
+    for run in (kepler, functools.partial(fuse, kepler, batch_ndim=1)):
+        backward = jax.jit(jax.grad(lambda given, run=run: run(given).sum()))(given)
+        np.testing.assert_allclose(backward, wanted, rtol=1e-11)
+        forward = [
+            jax.jit(lambda x, d, run=run: jax.jvp(run, (x,), (d,))[1])(given, direction)
+            for direction in jnp.broadcast_to(jnp.eye(2)[..., None], (2, *given.shape))
+        ]
+        np.testing.assert_allclose(forward, wanted, rtol=1e-11)
+    for differentiate in (jax.grad, jax.jacfwd):
+        (within,) = fused(differentiate(kepler), given)
+        np.testing.assert_allclose(within, wanted, rtol=1e-11)
+
+
+def test_derivatives_of_fixed_points_of_several_numbers(x64):
+    """A pytree, with a parameter that all share, against finite differences."""
+
+    def settle(gain, x):
+        def advance(state):
+            a, (b,) = state
+            return jnp.tanh(gain * b + x[0]), (0.4 * a * jnp.cos(b) + x[1],)
+
+        a, (b,) = converge(advance, (x[0], (x[1],)), 200)
+        return a * b
+
+    x = sample((2, 7), dtype=np.float64)
+
+    def total(gain, x):
+        return fuse(lambda x: settle(gain, x), x, batch_ndim=1).sum()
+
+    by_gain, by_x = jax.jit(jax.grad(total, (0, 1)))(0.3, x)
+    step = 1e-6
+    total = jax.jit(total)
+    by_gain, by_x = float(by_gain), np.asarray(by_x)
+    assert by_gain == pytest.approx(
+        float(total(0.3 + step, x) - total(0.3 - step, x)) / 2e-6, rel=1e-7
+    )
+    for i in range(2):
+        moved = [total(0.3, x.at[i, 4].add(sign * step)) for sign in (1, -1)]
+        assert by_x[i, 4] == pytest.approx(float(moved[0] - moved[1]) / 2e-6, rel=1e-7)
+
+
+def test_it_stops_where_it_does_not_settle():
+    (got,) = fused(lambda x: converge(lambda y: 1 - y, x, 7), jnp.arange(4.0))
+    np.testing.assert_array_equal(got, 1 - np.arange(4.0))
+
+
+def planned(function, *values):
+    graph = Graph()
+    inputs = []
+    for i, value in enumerate(values):
+        nodes = np.empty(value.size, object)
+        nodes[:] = [graph.input((i, k), value.dtype) for k in range(value.size)]
+        inputs.append(nodes.reshape(value.shape))
+    results = trace_closed(graph, jax.make_jaxpr(function)(*values), inputs)
+    return Plan([node for result in results for node in result.flat], graph.top)
+
+
+def test_what_nobody_needs_is_not_carried():
+    def function(x):
+        def turn(carry, _):
+            useful, waste, apart = carry
+            return (useful * x, waste * useful, apart + 1.0), (waste, useful)
+
+        (useful, _, _), (_, path) = lax.scan(turn, (x, x, x), None, length=3)
+        return useful, path[2]
+
+    plan = planned(function, np.ones(2, np.float32))
+    (loop,) = (node for node in plan.nodes(_top(plan)) if node.op == "loop")
+    assert len(plan.carried) == len(plan.kept(loop)) == 2
+    assert len(plan.lists(loop)) == 2
+    assert [node.op for node in plan.nodes(loop.detail.body)] == ["mul", "mul"]
+
+
+def _top(plan) -> Block:
+    return min(plan._nodes, key=lambda block: block.depth)
+
+
+def test_what_does_not_change_is_computed_before_the_loop():
+    def function(x):
+        return lax.scan(lambda c, _: (c * jnp.sqrt(x[0] * x[1]), None), x, None, length=3)[0]
+
+    plan = planned(function, np.ones(2, np.float32))
+    top = _top(plan)
+    (loop,) = (node for node in plan.nodes(top) if node.op == "loop")
+    assert [node.op for node in plan.nodes(top)][:2] == ["mul", "sqrt"]
+    assert {node.op for node in plan.nodes(loop.detail.body)} == {"mul"}
