@@ -118,7 +118,7 @@ def test_segments_take_less_memory_in_long_trials(monkeypatch):
             outcome = rollout(made, genes, backward=Backward(copies=copies))
             return score(made.task, outcome, {"energy": jnp.float32(1.0)}).sum()
 
-        usage = quick_jit(jax.grad(fitness)).lower(genes).compile().memory_analysis()
+        usage = jax.jit(jax.grad(fitness)).lower(genes).compile().memory_analysis()
         return usage.temp_size_in_bytes
 
     one_level, segments = memory(2**30), memory(0)
