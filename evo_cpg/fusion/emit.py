@@ -177,8 +177,8 @@ class _Emitter:
         self.scratch += -(-size // 64) * 64
         return place
 
-    def _row_bytes(self, node: Node, count: int = 1) -> int:
-        return count * node.dtype.itemsize * (1 if node.uniform else self.width)
+    def _row_bytes(self, node: Node) -> int:
+        return node.dtype.itemsize * (1 if node.uniform else self.width)
 
     def _at(self, place: int) -> str:
         return self.w.let(f"getelementptr i8, ptr %scratch, i64 {place}")

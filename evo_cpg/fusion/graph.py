@@ -196,22 +196,19 @@ class Graph:
         nodes = tuple(node for array in arrays for node in array.flat)
         return self._new("given", nodes, np.dtype(bool), self.top, False)
 
-    def make(
-        self, op: str, operands: Sequence[Node], dtype: Any, detail: Any = None, unique: bool = True
-    ) -> Node:
-        """A node as it stands, without simplification.
+    def make(self, op: str, operands: Sequence[Node], dtype: Any, detail: Any = None) -> Node:
+        """A node as it stands, without simplification; the one that is there already, if any.
 
         Args:
             op: its name.
             operands: nodes.
             dtype: of the value.
-            detail: hashable, if ``unique``.
-            unique: hand out the node that is there already.
+            detail: hashable.
         """
         operands = tuple(operands)
         dtype = np.dtype(dtype)
-        key = (op, dtype.char, detail, *[node.number for node in operands]) if unique else None
-        node = self._nodes.get(key) if unique else None
+        key = (op, dtype.char, detail, *[node.number for node in operands])
+        node = self._nodes.get(key)
         if node is None:
             block, uniform = self.top, True
             for operand in operands:
@@ -219,8 +216,7 @@ class Graph:
                     block = operand.block
                 uniform = uniform and operand.uniform
             node = self._new(op, operands, dtype, block, uniform, detail=detail)
-            if unique:
-                self._nodes[key] = node
+            self._nodes[key] = node
         return node
 
     def table(self, column: Sequence[Node]) -> Node:
