@@ -2,9 +2,9 @@
 
 The program runs over the individuals a *vector* at a time: every scalar of the graph becomes one
 instruction on a register that holds it for 16 individuals (or 8, 4, 1: the machine's width). All
-that lies between two ends of loops is one *stretch* without branches, a function, whose values LLVM
-keeps in registers or spills; what crosses from one to another has a *slot* in scratch memory, a
-number for each individual of the vector. A *driver* loops and calls them. The last vector overlaps
+that lies between two ends of loops is one *stretch* without branches, a function; what crosses from
+one to another, or leaves the registers within one, has a *slot* in scratch memory, a number for each
+individual of the vector. A *driver* loops and calls them. The last vector overlaps
 the one before it where the individuals do not come out even; where there are fewer than one vector
 holds, loads and stores are masked.
 
@@ -19,12 +19,10 @@ import numpy as np
 
 from evo_cpg.fusion.graph import Block, Loop, Node
 from evo_cpg.fusion.ir import TYPES, Writer, number
-from evo_cpg.fusion.liveness import Plan, home, resolve
+from evo_cpg.fusion.liveness import Plan, home
 from evo_cpg.fusion.operations import write
-
-# After so many loads and stores the order of what touches memory is settled (by an instruction that
-# does nothing): what LLVM does to find a better one takes a time that grows with the square.
-_ACCESSES_AT_ONCE = 32
+from evo_cpg.fusion.order import resolve
+from evo_cpg.fusion.registers import Registers
 
 
 class Buffer(NamedTuple):
@@ -48,11 +46,13 @@ class Variant(NamedTuple):
         width: individuals in a vector.
         masked: fewer individuals than that.
         fma: whether the processor multiplies and adds in one instruction.
+        registers: for vectors, that it has.
     """
 
     width: int
     masked: bool
     fma: bool
+    registers: int
 
 
 class Code(NamedTuple):
@@ -97,14 +97,19 @@ class _Emitter:
 
     def __init__(self, arguments, results, variant: Variant, plan: Plan):
         self.arguments, self.results, self.plan = arguments, results, plan
-        self.width, self.masked, _ = variant
+        self.width, self.masked = variant.width, variant.masked
+        self.registers = Registers(variant.registers)
         self.w = Writer(variant.width, variant.fma)
         self.globals: list[str] = []
         self.functions: list[str] = []
         self.driver: list[str] = []
         self.label = "vector"
         self.scratch = 0
+        # Places of what crosses stretches, and of what left the registers in this one, and free
+        # ones for that by their size.
         self.slots: dict[Node, int] = {}
+        self.spilled: dict[Node, int] = {}
+        self.free: dict[int, list[int]] = {}
         self.tables: dict[Node, int | str] = {}
         self._begin()
 
@@ -115,7 +120,7 @@ class _Emitter:
         for node in [*self.plan.carried, *self.plan.counters, *self.plan.crossing]:
             if node not in self.slots:
                 self.slots[node] = self._room(self._row_bytes(node))
-        self._block(top)
+        self._block(top, [node for _, nodes in self.results for node in nodes])
         self._write_results()
         self._end()
         return Code(self._text(), self.scratch)
@@ -123,11 +128,9 @@ class _Emitter:
     def _begin(self) -> None:
         """A new stretch, in which nothing is known yet."""
         self.w.lines = []
-        # Names of values, and of those that all share spread over a vector.
+        # Names of values that LLVM finds registers for: truth values, and whole numbers for all.
         self.names: dict[Node, str] = {}
-        self.spread: dict[Node, str] = {}
         self.buffers: dict[str, None] = {}
-        self.accesses = 0
 
     def _end(self, result: str = "") -> str:
         """The stretch as a function of its own, called by the driver; the name of its result."""
@@ -153,21 +156,61 @@ class _Emitter:
 
     # Code without branches.
 
-    def _block(self, block: Block) -> None:
-        for node in self.plan.nodes(block):
-            if node.op == "loop":
-                self._loop(node, node.detail)
-            elif node.op == "rows":
-                self._rows(node)
-            elif node.op == "constants":
-                self._constants(node)
-            elif node.op not in ("result", "list"):
-                self.names[node] = self._lookup(node) if node.op == "lookup" else self._write(node)
-                if node in self.slots:
-                    self._store(self.names[node], node, self.slots[node], node.uniform)
+    def _block(self, block: Block, wanted: list[Node]) -> None:
+        """The operations of a block; what is wanted in the end, in the order of its use."""
+        for run, loop in self.plan.runs(block):
+            uses = wanted if loop is None else [loop.detail.start[k] for k in self.plan.kept(loop)]
+            self._expect(run, uses)
+            for node in run:
+                self._operation(node)
+                self._used()
+            if loop is not None:
+                self._loop(loop, loop.detail)
+
+    def _operation(self, node: Node) -> None:
+        if node.op == "rows":
+            self._rows(node)
+        elif node.op == "constants":
+            self._constants(node)
+        elif node.op not in ("result", "list"):
+            name = self._lookup(node) if node.op == "lookup" else self._write(node)
+            self._hold(node, not node.uniform, name)
+            if node in self.slots:
+                self._store(name, node, self.slots[node], node.uniform)
 
     def _write(self, node: Node) -> str:
         return write(self.w, node, [self._ref(one, node.uniform) for one in node.operands])
+
+    # Registers.
+
+    def _expect(self, run: list[Node], wanted: list[Node]) -> None:
+        """Begin a stretch; `_used` is to be called after each operation and each use in the end."""
+        self.registers.expect(run, wanted)
+        for node, place in self.spilled.items():
+            self._release(node, place)
+        self.spilled = {}
+
+    def _used(self) -> None:
+        leaving, over = self.registers.pass_on()
+        for node in over:
+            if node in self.spilled:
+                self._release(node, self.spilled.pop(node))
+        for (node, wide), name in leaving:
+            kept = node in self.spilled or home(node) in self.slots
+            if not kept and wide != node.uniform:
+                free = self.free.get(self._row_bytes(node))
+                place = free.pop() if free else self._room(self._row_bytes(node))
+                self.spilled[node] = place
+                self._store(name, node, place, node.uniform)
+
+    def _release(self, node: Node, place: int) -> None:
+        self.free.setdefault(self._row_bytes(node), []).append(place)
+
+    def _hold(self, node: Node, wide: bool, name: str) -> None:
+        if node.dtype.kind == "f" or (wide and self.width > 1 and node.dtype.kind in "iu"):
+            self.registers.hold(node, wide, name)
+        else:
+            self.names[node] = name
 
     # Memory.
 
@@ -188,27 +231,20 @@ class _Emitter:
         self._store_at(value, node.dtype, pointer, uniform)
 
     def _store_at(self, value: str, dtype: np.dtype, pointer: str, uniform: bool = False) -> None:
-        self._settle_order()
         t = self.w.type_of(dtype, uniform)
         if dtype.kind == "b":
             wide = self.w.type_of(np.dtype(np.int8), uniform)
             value, t = self.w.let(f"zext {t} {value} to {wide}"), wide
-        self.w.lines.append(f"store {t} {value}, ptr {pointer}, align {dtype.itemsize}")
+        self.w.lines.append(f"store volatile {t} {value}, ptr {pointer}, align {dtype.itemsize}")
 
     def _load_at(self, dtype: np.dtype, pointer: str, uniform: bool = False) -> str:
         held = np.dtype(np.int8) if dtype.kind == "b" else dtype
         t = self.w.type_of(held, uniform)
-        self._settle_order()
-        value = self.w.let(f"load {t}, ptr {pointer}, align {held.itemsize}")
+        value = self.w.let(f"load volatile {t}, ptr {pointer}, align {held.itemsize}")
         if dtype.kind == "b":
             zero = self.w.literal(0, held, uniform)
             value = self.w.let(f"icmp ne {t} {value}, {zero}")
         return value
-
-    def _settle_order(self) -> None:
-        self.accesses += 1
-        if self.accesses % _ACCESSES_AT_ONCE == 0:
-            self.w.lines.append('call void asm sideeffect "", "~{memory}"()')
 
     def _input(self, node: Node) -> str:
         number, row = node.detail
@@ -345,6 +381,7 @@ class _Emitter:
                     self._store_masked(value, buffer.dtype, pointer)
                 else:
                     self._store_at(value, buffer.dtype, pointer)
+                self._used()
 
     # Loops.
 
@@ -353,6 +390,7 @@ class _Emitter:
         kept, lists = self.plan.kept(node), self.plan.lists(node)
         for k in kept:
             self._store(self._ref(loop.start[k]), loop.carried[k], self.slots[loop.carried[k]])
+            self._used()
         for one in lists:
             self.tables[one] = self._room(self._row_bytes(one) * (loop.count or 1))
         self._end()
@@ -390,7 +428,7 @@ class _Emitter:
     def _test(self, loop: Loop) -> str:
         """Whether any individual wants another round."""
         self._begin()
-        self._block(loop.test)
+        self._block(loop.test, [loop.condition])
         condition = loop.condition
         assert condition is not None
         active, flag = self._ref(condition), self.w.type_of(np.dtype(bool), False)
@@ -403,25 +441,53 @@ class _Emitter:
         return self._end(self.w.let(f"call i1 @{name}({flag} {active})"))
 
     def _round(self, loop: Loop, kept: list[int], lists: list[Node]) -> None:
-        self._block(loop.body)
-        following = [self._ref(loop.following[k]) for k in kept]
-        if loop.condition is not None:
-            # Who wants no more stays as it is.
-            active, flag = self._ref(loop.condition), self.w.type_of(np.dtype(bool), False)
-            for i, (k, value) in enumerate(zip(kept, following, strict=True)):
-                t, old = (
-                    self.w.type_of(loop.carried[k].dtype, False),
-                    self._ref(loop.carried[k]),
-                )
-                following[i] = self.w.let(f"select {flag} {active}, {t} {value}, {t} {old}")
-        for one in lists:
-            value = self._ref(loop.written[one.detail])
+        # What goes from one place to another is read before any is written.
+        carried = set(loop.carried)
+        ends = {k: resolve(loop.following[k]) for k in kept}
+        moved = [k for k in kept if ends[k] in carried and ends[k] is not loop.carried[k]]
+        kept = [k for k in kept if k not in moved]
+        written = [loop.written[one.detail] for one in lists]
+        old = [] if loop.condition is None else [loop.condition]
+        uses = [*written, *(ends[k] for k in moved)]
+        for k in kept:
+            uses += [ends[k], *([loop.carried[k]] if old else [])]
+        self._block(loop.body, [*uses, *old])
+        for one, value in zip(lists, written, strict=True):
             steps = self.w.let(f"mul i32 {self._ref(loop.place, True)}, {self._row_bytes(one)}")
             start = self._at(self.tables[one])  # pyright: ignore[reportArgumentType]
             pointer = self.w.let(f"getelementptr i8, ptr {start}, i32 {steps}")
-            self._store_at(value, one.dtype, pointer)
-        for k, value in zip(kept, following, strict=True):
+            self._store_at(self._ref(value), one.dtype, pointer)
+            self._used()
+        copies = [(k, self._copy(loop, k)) for k in moved]
+        for k in kept:
+            value = self._ref(ends[k])
+            self._used()
+            if old:
+                value = self._unless_done(loop, k, value)
+                self._used()
             self._store(value, loop.carried[k], self.slots[loop.carried[k]])
+        for k, place in copies:
+            node = loop.carried[k]
+            self._store(self._load_at(node.dtype, self._at(place)), node, self.slots[node])
+
+    def _copy(self, loop: Loop, k: int) -> int:
+        """What comes to be carried, kept aside; where."""
+        node = loop.carried[k]
+        value = self._ref(loop.following[k])
+        if loop.condition is not None:
+            value = self._unless_done(loop, k, value)
+        place = self._room(self._row_bytes(node))
+        self._store(value, node, place)
+        self._used()
+        return place
+
+    def _unless_done(self, loop: Loop, k: int, value: str) -> str:
+        """Who wants no more rounds stays as it is."""
+        node, condition = loop.carried[k], loop.condition
+        assert condition is not None
+        active, flag = self._ref(condition), self.w.type_of(np.dtype(bool), False)
+        t, old = self.w.type_of(node.dtype, False), self._ref(node)
+        return self.w.let(f"select {flag} {active}, {t} {value}, {t} {old}")
 
     # Names.
 
@@ -430,23 +496,33 @@ class _Emitter:
         node = resolve(node)
         if node.value is not None:
             return self.w.literal(node.value, node.dtype, uniform)
-        name = self.names.get(node)
-        if name is None:
-            if node.op == "input" and node not in self.slots:
-                name = self._input(node)
-            else:
-                name = self._load_at(node.dtype, self._at(self.slots[home(node)]), node.uniform)
-            self.names[node] = name
-        if not node.uniform or uniform or self.width == 1:
-            return name
-        wide = self.spread.get(node)
-        if wide is None:
-            t, scalar = self.w.type_of(node.dtype, False), TYPES[node.dtype.char]
-            one = self.w.let(f"insertelement {t} poison, {scalar} {name}, i32 0")
-            zeros = f"<{self.width} x i32> zeroinitializer"
-            wide = self.w.let(f"shufflevector {t} {one}, {t} poison, {zeros}")
-            self.spread[node] = wide
-        return wide
+        name = self.registers.name(node, not node.uniform) or self.names.get(node)
+        wide = not (node.uniform and uniform) and self.width > 1
+        if node.uniform and wide:
+            spread = self.registers.name(node, True)
+            if spread is None:
+                spread = self._spread(node, name or self._fetch(node))
+                self.registers.hold(node, True, spread)
+            return spread
+        return name or self._fetch(node)
+
+    def _fetch(self, node: Node) -> str:
+        """Read a value that is in memory."""
+        if node in self.spilled:
+            name = self._load_at(node.dtype, self._at(self.spilled[node]), node.uniform)
+        elif node.op == "input" and node not in self.slots:
+            name = self._input(node)
+        else:
+            name = self._load_at(node.dtype, self._at(self.slots[home(node)]), node.uniform)
+        self._hold(node, not node.uniform, name)
+        return name
+
+    def _spread(self, node: Node, name: str) -> str:
+        """A value that all share as a vector."""
+        t, scalar = self.w.type_of(node.dtype, False), TYPES[node.dtype.char]
+        one = self.w.let(f"insertelement {t} poison, {scalar} {name}, i32 0")
+        zeros = f"<{self.width} x i32> zeroinitializer"
+        return self.w.let(f"shufflevector {t} {one}, {t} poison, {zeros}")
 
     def _valid(self) -> list[str]:
         """Which individuals of a vector exist."""

@@ -19,13 +19,13 @@ from evo_cpg.fusion.unsupported import Unsupported
 if TYPE_CHECKING:
     import llvmlite.binding as llvm
 
-# Vectors of so many bytes, and what the processor must have for it, by the name of the set of
-# instructions; the first that it has is taken.
+# Bytes of a vector, how many registers hold one, and what the processor must have for it, by the
+# name of the set of instructions; the first that it has is taken.
 _SETS = {
-    "avx512": (64, ("avx512f", "avx512vl", "avx512dq", "avx512bw", "fma")),
-    "avx2": (32, ("avx2", "fma")),
-    "sse": (16, ("sse2",)),
-    "neon": (16, ("neon",)),
+    "avx512": (64, 32, ("avx512f", "avx512vl", "avx512dq", "avx512bw", "fma")),
+    "avx2": (32, 16, ("avx2", "fma")),
+    "sse": (16, 16, ("sse2",)),
+    "neon": (16, 32, ("neon",)),
 }
 
 # What is left out where a smaller set is wanted.
@@ -41,6 +41,7 @@ class Target(NamedTuple):
     Attributes:
         name: of its set of instructions.
         bytes: of a vector.
+        registers: for vectors.
         fma: whether it multiplies and adds in one instruction.
         processor: LLVM's name of it.
         features: LLVM's list of what it has.
@@ -48,6 +49,7 @@ class Target(NamedTuple):
 
     name: str
     bytes: int
+    registers: int
     fma: bool
     processor: str
     features: str
@@ -100,7 +102,7 @@ def host(wanted: str | None = None) -> Target:
     has = {name for name, present in llvm.get_host_cpu_features().items() if present}
     if platform.machine().lower() in ("aarch64", "arm64"):
         has |= {"neon", "fma"}
-    names = [name for name, (_, needs) in _SETS.items() if has.issuperset(needs)]
+    names = [name for name, (*_, needs) in _SETS.items() if has.issuperset(needs)]
     if not names:
         raise Unsupported(f"it knows no vectors of {platform.machine()}")
     if wanted is not None and wanted not in names:
@@ -111,8 +113,8 @@ def host(wanted: str | None = None) -> Target:
     flags = [f"{'+' if each in kept else '-'}{each}" for each in sorted(has - {"neon", "fma"})]
     if "fma" in has and name not in ("neon",):
         flags.append(f"{'+' if 'fma' in kept else '-'}fma")
-    size = _SETS[name][0]
-    return Target(name, size, "fma" in kept, llvm.get_host_cpu_name(), ",".join(flags))
+    size, registers, _ = _SETS[name]
+    return Target(name, size, registers, "fma" in kept, llvm.get_host_cpu_name(), ",".join(flags))
 
 
 def load(text: str, target: Target) -> tuple[str, int]:
@@ -149,7 +151,11 @@ def _load(name: str, text: str, target: Target) -> int:
 def _compile(name: str, text: str, target: Target) -> bytes:
     llvm = _llvm()
     module = llvm.parse_assembly(text)
+    # The order of instructions and what is in registers is settled (`evo_cpg.fusion.registers`);
+    # looking for a better one takes longer than all the rest. The setting is the whole process's.
+    llvm.set_option("", "-enable-misched=false")
     code = _target_machine(target).emit_object(module)
+    llvm.set_option("", "-enable-misched=true")
     _write(name, code)
     return code
 

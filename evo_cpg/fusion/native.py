@@ -85,7 +85,9 @@ def _native(program: Program, count: int) -> Native:
     width = 1 if count == 1 else target.bytes // widest
     key = target, width, count < width
     if key not in made:
-        made[key] = _make(program, target, Variant(width, count < width, target.fma))
+        made[key] = _make(
+            program, target, Variant(width, count < width, target.fma, target.registers)
+        )
     return made[key]
 
 

@@ -11,7 +11,7 @@ from jax import lax
 
 from evo_cpg.fusion.converge import converge
 from evo_cpg.fusion.fuse import fuse
-from evo_cpg.fusion.graph import Block, Graph
+from evo_cpg.fusion.graph import Graph
 from evo_cpg.fusion.liveness import Plan
 from evo_cpg.fusion.trace import trace_closed
 
@@ -222,7 +222,7 @@ def planned(function, *values):
         nodes[:] = [graph.input((i, k), value.dtype) for k in range(value.size)]
         inputs.append(nodes.reshape(value.shape))
     results = trace_closed(graph, jax.make_jaxpr(function)(*values), inputs)
-    return Plan([node for result in results for node in result.flat], graph.top)
+    return Plan([node for result in results for node in result.flat], graph.top), graph.top
 
 
 def test_what_nobody_needs_is_not_carried():
@@ -234,23 +234,20 @@ def test_what_nobody_needs_is_not_carried():
         (useful, _, _), (_, path) = lax.scan(turn, (x, x, x), None, length=3)
         return useful, path[2]
 
-    plan = planned(function, np.ones(2, np.float32))
-    (loop,) = (node for node in plan.nodes(_top(plan)) if node.op == "loop")
+    plan, top = planned(function, np.ones(2, np.float32))
+    (_, loop), _ = plan.runs(top)
     assert len(plan.carried) == len(plan.kept(loop)) == 2
     assert len(plan.lists(loop)) == 2
-    assert [node.op for node in plan.nodes(loop.detail.body)] == ["mul", "mul"]
-
-
-def _top(plan) -> Block:
-    return min(plan._nodes, key=lambda block: block.depth)
+    ((body, _),) = plan.runs(loop.detail.body)
+    assert [node.op for node in body] == ["mul", "mul"]
 
 
 def test_what_does_not_change_is_computed_before_the_loop():
     def function(x):
         return lax.scan(lambda c, _: (c * jnp.sqrt(x[0] * x[1]), None), x, None, length=3)[0]
 
-    plan = planned(function, np.ones(2, np.float32))
-    top = _top(plan)
-    (loop,) = (node for node in plan.nodes(top) if node.op == "loop")
-    assert [node.op for node in plan.nodes(top)][:2] == ["mul", "sqrt"]
-    assert {node.op for node in plan.nodes(loop.detail.body)} == {"mul"}
+    plan, top = planned(function, np.ones(2, np.float32))
+    (before, loop), _ = plan.runs(top)
+    assert [node.op for node in before] == ["mul", "sqrt"]
+    ((body, _),) = plan.runs(loop.detail.body)
+    assert {node.op for node in body} == {"mul"}

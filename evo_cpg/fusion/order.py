@@ -1,0 +1,88 @@
+"""In which order operations are computed, so that few values wait for their use at a time.
+
+What waits takes a register, or is stored and read again: a quarter of all instructions in the order
+in which a program was written.
+"""
+
+from collections.abc import Iterator
+
+from evo_cpg.fusion.graph import Node
+
+
+def resolve(node: Node) -> Node:
+    """The node behind opaque ones."""
+    while node.op == "opaque":
+        node = node.operands[0]
+    return node
+
+
+def ordered(run: list[Node]) -> list[Node]:
+    """The operations of a stretch without loops.
+
+    Each comes shortly before it is used, behind what nothing else uses, the operand made last
+    first; and as soon as it is the last that waits for some value.
+    """
+    return _Order(run).nodes
+
+
+class _Order:
+    def __init__(self, run: list[Node]):
+        inside = set(run)
+        self.nodes: list[Node] = []
+        self._done: set[Node] = set()
+        self._operands: dict[Node, list[Node]] = {}
+        self._users: dict[Node, list[Node]] = {node: [] for node in run}
+        for node in run:
+            operands = {*map(resolve, node.operands)} & inside
+            self._operands[node] = sorted(operands, key=_number)
+            for operand in self._operands[node]:
+                self._users[operand].append(node)
+        # How many operands of each are not there yet, and how many uses of each are to come.
+        self._missing = {node: len(operands) for node, operands in self._operands.items()}
+        self._left = {node: len(users) for node, users in self._users.items()}
+        for root in reversed(run):
+            if not self._users[root]:
+                self._compute(root)
+
+    def _compute(self, root: Node) -> None:
+        begun, stack = set(), [(root, False)]
+        while stack:
+            node, ready = stack.pop()
+            if node in self._done:
+                continue
+            if ready:
+                self._put(node)
+            elif node not in begun:
+                begun.add(node)
+                stack.append((node, True))
+                stack.extend((operand, False) for operand in self._operands[node])
+
+    def _put(self, node: Node) -> None:
+        """A node is next, and after it what takes no more room than it frees."""
+        stack = [node]
+        while stack:
+            node = stack.pop()
+            if node in self._done:
+                continue
+            self._done.add(node)
+            self.nodes.append(node)
+            for operand in self._operands[node]:
+                self._left[operand] -= 1
+            for user in self._users[node]:
+                self._missing[user] -= 1
+            stack.extend(user for user in self._touched(node) if self._frees(user))
+
+    def _touched(self, node: Node) -> Iterator[Node]:
+        """What may have become ready, or the last use of something."""
+        yield from self._users[node]
+        for operand in self._operands[node]:
+            if self._left[operand] == 1:
+                yield from self._users[operand]
+
+    def _frees(self, node: Node) -> bool:
+        ready = node not in self._done and not self._missing[node]
+        return ready and any(self._left[operand] == 1 for operand in self._operands[node])
+
+
+def _number(node: Node) -> float:
+    return node.number
