@@ -3,10 +3,10 @@
 The program runs over the individuals a *vector* at a time: every scalar of the graph becomes one
 instruction on a register that holds it for 16 individuals (or 8, 4, 1: the machine's width). All
 that lies between two ends of loops is one *stretch* without branches, a function; what crosses from
-one to another, or leaves the registers within one, has a *slot* in scratch memory, a number for each
-individual of the vector. A *driver* loops and calls them. The last vector overlaps
+one to another has a *slot* in scratch memory, a number for each individual of the vector, and so
+has what leaves the registers for a while. A *driver* loops and calls them. The last vector overlaps
 the one before it where the individuals do not come out even; where there are fewer than one vector
-holds, loads and stores are masked.
+holds, rows are read and written with a mask.
 
 No instruction carries a fast-math flag, and which products are fused with sums is decided before
 (`evo_cpg.fusion.sums`): the bits of an individual's results do not depend on the vector's width.
@@ -20,6 +20,7 @@ import numpy as np
 from evo_cpg.fusion.graph import Block, Loop, Node
 from evo_cpg.fusion.ir import TYPES, Writer, number
 from evo_cpg.fusion.liveness import Plan, home
+from evo_cpg.fusion.memory import Memory
 from evo_cpg.fusion.operations import write
 from evo_cpg.fusion.order import resolve
 from evo_cpg.fusion.registers import Registers
@@ -100,16 +101,14 @@ class _Emitter:
         self.width, self.masked = variant.width, variant.masked
         self.registers = Registers(variant.registers)
         self.w = Writer(variant.width, variant.fma)
+        self.memory = Memory(self.w, variant.masked)
         self.globals: list[str] = []
         self.functions: list[str] = []
         self.driver: list[str] = []
         self.label = "vector"
-        self.scratch = 0
-        # Places of what crosses stretches, and of what left the registers in this one, and free
-        # ones for that by their size.
+        # Of what crosses stretches, and of what left the registers in this one.
         self.slots: dict[Node, int] = {}
         self.spilled: dict[Node, int] = {}
-        self.free: dict[int, list[int]] = {}
         self.tables: dict[Node, int | str] = {}
         self._begin()
 
@@ -119,18 +118,18 @@ class _Emitter:
         self._copy_inputs([node for node in self.plan.inputs if node in crossing])
         for node in [*self.plan.carried, *self.plan.counters, *self.plan.crossing]:
             if node not in self.slots:
-                self.slots[node] = self._room(self._row_bytes(node))
+                self.slots[node] = self.memory.room(self._row_bytes(node))
         self._block(top, [node for _, nodes in self.results for node in nodes])
         self._write_results()
         self._end()
-        return Code(self._text(), self.scratch)
+        return Code(self._text(), self.memory.size)
 
     def _begin(self) -> None:
         """A new stretch, in which nothing is known yet."""
         self.w.lines = []
         # Names of values that LLVM finds registers for: truth values, and whole numbers for all.
         self.names: dict[Node, str] = {}
-        self.buffers: dict[str, None] = {}
+        self.memory.buffers = {}
 
     def _end(self, result: str = "") -> str:
         """The stretch as a function of its own, called by the driver; the name of its result."""
@@ -138,7 +137,7 @@ class _Emitter:
             return ""
         name = f"@stretch{len(self.functions)}"
         kind = "i1" if result else "void"
-        parameters = [f"ptr noalias {buffer}" for buffer in self.buffers]
+        parameters = [f"ptr noalias {buffer}" for buffer in self.memory.buffers]
         parameters += ["ptr noalias %scratch", "i64 %n", "i64 %first"]
         body = [*self._valid(), *self.w.lines, f"ret {kind} {result}"]
         # Not inlined: within the driver's loops LLVM would take constants out of them, thousands,
@@ -176,7 +175,7 @@ class _Emitter:
             name = self._lookup(node) if node.op == "lookup" else self._write(node)
             self._hold(node, not node.uniform, name)
             if node in self.slots:
-                self._store(name, node, self.slots[node], node.uniform)
+                self._store(name, node, self.slots[node])
 
     def _write(self, node: Node) -> str:
         return write(self.w, node, [self._ref(one, node.uniform) for one in node.operands])
@@ -187,24 +186,19 @@ class _Emitter:
         """Begin a stretch; `_used` is to be called after each operation and each use in the end."""
         self.registers.expect(run, wanted)
         for node, place in self.spilled.items():
-            self._release(node, place)
+            self.memory.give_back(self._row_bytes(node), place)
         self.spilled = {}
 
     def _used(self) -> None:
         leaving, over = self.registers.pass_on()
         for node in over:
             if node in self.spilled:
-                self._release(node, self.spilled.pop(node))
+                self.memory.give_back(self._row_bytes(node), self.spilled.pop(node))
         for (node, wide), name in leaving:
             kept = node in self.spilled or home(node) in self.slots
             if not kept and wide != node.uniform:
-                free = self.free.get(self._row_bytes(node))
-                place = free.pop() if free else self._room(self._row_bytes(node))
-                self.spilled[node] = place
-                self._store(name, node, place, node.uniform)
-
-    def _release(self, node: Node, place: int) -> None:
-        self.free.setdefault(self._row_bytes(node), []).append(place)
+                self.spilled[node] = place = self.memory.borrow(self._row_bytes(node))
+                self._store(name, node, place)
 
     def _hold(self, node: Node, wide: bool, name: str) -> None:
         if node.dtype.kind == "f" or (wide and self.width > 1 and node.dtype.kind in "iu"):
@@ -214,79 +208,11 @@ class _Emitter:
 
     # Memory.
 
-    def _room(self, size: int) -> int:
-        """Scratch memory of so many bytes; where it begins."""
-        place = self.scratch
-        self.scratch += -(-size // 64) * 64
-        return place
-
     def _row_bytes(self, node: Node) -> int:
         return node.dtype.itemsize * (1 if node.uniform else self.width)
 
-    def _at(self, place: int) -> str:
-        return self.w.let(f"getelementptr i8, ptr %scratch, i64 {place}")
-
-    def _store(self, value: str, node: Node, place: int | str, uniform: bool = False) -> None:
-        pointer = place if isinstance(place, str) else self._at(place)
-        self._store_at(value, node.dtype, pointer, uniform)
-
-    def _store_at(self, value: str, dtype: np.dtype, pointer: str, uniform: bool = False) -> None:
-        t = self.w.type_of(dtype, uniform)
-        if dtype.kind == "b":
-            wide = self.w.type_of(np.dtype(np.int8), uniform)
-            value, t = self.w.let(f"zext {t} {value} to {wide}"), wide
-        self.w.lines.append(f"store volatile {t} {value}, ptr {pointer}, align {dtype.itemsize}")
-
-    def _load_at(self, dtype: np.dtype, pointer: str, uniform: bool = False) -> str:
-        held = np.dtype(np.int8) if dtype.kind == "b" else dtype
-        t = self.w.type_of(held, uniform)
-        value = self.w.let(f"load volatile {t}, ptr {pointer}, align {held.itemsize}")
-        if dtype.kind == "b":
-            zero = self.w.literal(0, held, uniform)
-            value = self.w.let(f"icmp ne {t} {value}, {zero}")
-        return value
-
-    def _input(self, node: Node) -> str:
-        number, row = node.detail
-        pointer = self._row_pointer(f"%b{number}", row, node.dtype, node.uniform)
-        if self.masked and not node.uniform:
-            return self._load_masked(node.dtype, pointer)
-        return self._load_at(node.dtype, pointer, node.uniform)
-
-    def _row_pointer(self, base: str, row: int | str, dtype: np.dtype, shared: bool) -> str:
-        t = "i8" if dtype.kind == "b" else TYPES[dtype.char]
-        self.buffers[base] = None
-        if shared:
-            return self.w.let(f"getelementptr {t}, ptr {base}, i64 {row}")
-        start = self.w.let(f"mul i64 %n, {row}")
-        place = self.w.let(f"add i64 {start}, %first")
-        return self.w.let(f"getelementptr {t}, ptr {base}, i64 {place}")
-
-    def _load_masked(self, dtype: np.dtype, pointer: str) -> str:
-        """A vector of which only the first individuals exist; the others are zero."""
-        held = np.dtype(np.int8) if dtype.kind == "b" else dtype
-        t, mask = self.w.type_of(held, False), self.w.type_of(np.dtype(bool), False)
-        name = f"llvm.masked.load.{self.w.suffix(t)}.p0"
-        self.w.declared[name] = f"declare {t} @{name}(ptr, i32, {mask}, {t})"
-        value = self.w.let(
-            f"call {t} @{name}(ptr {pointer}, i32 {held.itemsize}, {mask} %valid, "
-            f"{t} zeroinitializer)"
-        )
-        if dtype.kind == "b":
-            value = self.w.let(f"icmp ne {t} {value}, zeroinitializer")
-        return value
-
-    def _store_masked(self, value: str, dtype: np.dtype, pointer: str) -> None:
-        t, mask = self.w.type_of(dtype, False), self.w.type_of(np.dtype(bool), False)
-        size = dtype.itemsize
-        if dtype.kind == "b":
-            wide = self.w.type_of(np.dtype(np.int8), False)
-            value, t = self.w.let(f"zext {t} {value} to {wide}"), wide
-        name = f"llvm.masked.store.{self.w.suffix(t)}.p0"
-        self.w.declared[name] = f"declare void @{name}({t}, ptr, i32, {mask})"
-        self.w.lines.append(
-            f"call void @{name}({t} {value}, ptr {pointer}, i32 {size}, {mask} %valid)"
-        )
+    def _store(self, value: str, node: Node, place: int) -> None:
+        self.memory.store(value, node.dtype, place, node.uniform)
 
     def _copy_inputs(self, nodes: list[Node]) -> None:
         """Bring rows that loops read close together: far apart they compete for cache and pages.
@@ -302,7 +228,7 @@ class _Emitter:
                 runs.append([node])
         for run in runs:
             size = self._row_bytes(run[0])
-            start = self._room(size * len(run))
+            start = self.memory.room(size * len(run))
             self.slots.update((node, start + i * size) for i, node in enumerate(run))
             self._copy_rows(run, start, size)
 
@@ -311,11 +237,10 @@ class _Emitter:
         k = self.w.count
         before, head, self.label = self.label, f"copy{k}", f"copied{k}"
         source = self.w.let(f"add i64 %i{k}, {row}")
-        pointer = self._row_pointer(f"%b{number}", source, dtype, False)
-        value = (self._load_masked if self.masked else self._load_at)(dtype, pointer)
+        value = self.memory.load_row(f"%b{number}", source, dtype, False)
         place = self.w.let(f"mul i64 %i{k}, {size}")
         place = self.w.let(f"add i64 {place}, {start}")
-        self._store_at(value, dtype, self.w.let(f"getelementptr i8, ptr %scratch, i64 {place}"))
+        self.memory.store(value, dtype, self.memory.at(place))
         self.driver += [
             f"br label %{head}",
             f"{head}:",
@@ -331,10 +256,9 @@ class _Emitter:
     def _rows(self, node: Node) -> None:
         """Write a table of computed numbers."""
         size = self._row_bytes(node)
-        start = self.tables[node] = self._room(size * len(node.operands))
+        start = self.tables[node] = self.memory.room(size * len(node.operands))
         for i, operand in enumerate(node.operands):
-            value = self._ref(operand, node.uniform)
-            self._store(value, node, start + i * size, node.uniform)
+            self._store(self._ref(operand, node.uniform), node, start + i * size)
 
     def _constants(self, node: Node) -> None:
         values = node.detail.values
@@ -345,42 +269,17 @@ class _Emitter:
 
     def _lookup(self, node: Node) -> str:
         table, place = node.operands
-        dtype = node.dtype
         where = self.tables[table]
-        base = where if isinstance(where, str) else self._at(where)
+        base = where if isinstance(where, str) else self.memory.at(where)
         index = self._ref(place, place.uniform)
-        one = table.op == "constants" or table.uniform
-        item = "i8" if dtype.kind == "b" else TYPES[dtype.char]
-        if place.uniform:
-            steps = index if one else self.w.let(f"mul i32 {index}, {self.width}")
-            pointer = self.w.let(f"getelementptr {item}, ptr {base}, i32 {steps}")
-            return self._load_at(dtype, pointer, one)
-        if self.width == 1:
-            pointer = self.w.let(f"getelementptr {item}, ptr {base}, i32 {index}")
-            return self._load_at(dtype, pointer)
-        whole, result = self.w.type_of(dtype, False), "poison"
-        indices = self.w.type_of(np.dtype(np.int32), False)
-        for i in range(self.width):
-            own = self.w.let(f"extractelement {indices} {index}, i32 {i}")
-            if not one:
-                own = self.w.let(f"mul i32 {own}, {self.width}")
-                own = self.w.let(f"add i32 {own}, {i}")
-            pointer = self.w.let(f"getelementptr {item}, ptr {base}, i32 {own}")
-            value = self._load_at(dtype, pointer, True)
-            scalar = TYPES[dtype.char]
-            result = self.w.let(f"insertelement {whole} {result}, {scalar} {value}, i32 {i}")
-        return result
+        shared = table.op == "constants" or table.uniform
+        return self.memory.look_up(base, index, node.dtype, shared, place.uniform)
 
     def _write_results(self) -> None:
         for k, (buffer, nodes) in enumerate(self.results):
             for row, node in enumerate(nodes):
-                value = self._ref(node)
                 base = f"%b{len(self.arguments) + k}"
-                pointer = self._row_pointer(base, row, buffer.dtype, False)
-                if self.masked:
-                    self._store_masked(value, buffer.dtype, pointer)
-                else:
-                    self._store_at(value, buffer.dtype, pointer)
+                self.memory.store_row(self._ref(node), base, row, buffer.dtype)
                 self._used()
 
     # Loops.
@@ -392,7 +291,7 @@ class _Emitter:
             self._store(self._ref(loop.start[k]), loop.carried[k], self.slots[loop.carried[k]])
             self._used()
         for one in lists:
-            self.tables[one] = self._room(self._row_bytes(one) * (loop.count or 1))
+            self.tables[one] = self.memory.room(self._row_bytes(one) * (loop.count or 1))
         self._end()
         number = self.w.count = self.w.count + 1
         counter, head, body, after = (
@@ -428,9 +327,9 @@ class _Emitter:
     def _test(self, loop: Loop) -> str:
         """Whether any individual wants another round."""
         self._begin()
-        self._block(loop.test, [loop.condition])
         condition = loop.condition
         assert condition is not None
+        self._block(loop.test, [condition])
         active, flag = self._ref(condition), self.w.type_of(np.dtype(bool), False)
         if self.masked:
             active = self.w.let(f"and {flag} {active}, %valid")
@@ -454,9 +353,9 @@ class _Emitter:
         self._block(loop.body, [*uses, *old])
         for one, value in zip(lists, written, strict=True):
             steps = self.w.let(f"mul i32 {self._ref(loop.place, True)}, {self._row_bytes(one)}")
-            start = self._at(self.tables[one])  # pyright: ignore[reportArgumentType]
+            start = self.memory.at(self.tables[one])
             pointer = self.w.let(f"getelementptr i8, ptr {start}, i32 {steps}")
-            self._store_at(self._ref(value), one.dtype, pointer)
+            self.memory.store(self._ref(value), one.dtype, pointer)
             self._used()
         copies = [(k, self._copy(loop, k)) for k in moved]
         for k in kept:
@@ -468,7 +367,7 @@ class _Emitter:
             self._store(value, loop.carried[k], self.slots[loop.carried[k]])
         for k, place in copies:
             node = loop.carried[k]
-            self._store(self._load_at(node.dtype, self._at(place)), node, self.slots[node])
+            self._store(self.memory.load(node.dtype, place), node, self.slots[node])
 
     def _copy(self, loop: Loop, k: int) -> int:
         """What comes to be carried, kept aside; where."""
@@ -476,7 +375,7 @@ class _Emitter:
         value = self._ref(loop.following[k])
         if loop.condition is not None:
             value = self._unless_done(loop, k, value)
-        place = self._room(self._row_bytes(node))
+        place = self.memory.room(self._row_bytes(node))
         self._store(value, node, place)
         self._used()
         return place
@@ -509,11 +408,12 @@ class _Emitter:
     def _fetch(self, node: Node) -> str:
         """Read a value that is in memory."""
         if node in self.spilled:
-            name = self._load_at(node.dtype, self._at(self.spilled[node]), node.uniform)
+            name = self.memory.load(node.dtype, self.spilled[node], node.uniform)
         elif node.op == "input" and node not in self.slots:
-            name = self._input(node)
+            number, row = node.detail
+            name = self.memory.load_row(f"%b{number}", row, node.dtype, node.uniform)
         else:
-            name = self._load_at(node.dtype, self._at(self.slots[home(node)]), node.uniform)
+            name = self.memory.load(node.dtype, self.slots[home(node)], node.uniform)
         self._hold(node, not node.uniform, name)
         return name
 

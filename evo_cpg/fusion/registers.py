@@ -1,9 +1,9 @@
 """Which values are in registers, and which of them has to leave.
 
-Code without branches is known to its end, so the best choice is known too: the value whose next use
-is furthest away (L. A. Belady, IBM Systems Journal 5(2), 1966). LLVM is left with nothing to choose:
-its own search takes a time that grows faster than the code, two thirds of all compiling, and finds
-nothing better.
+Code without branches is known to its end, so the best choice is known too: the value whose next
+use is furthest away (L. A. Belady, IBM Systems Journal 5(2), 1966). LLVM is left with nothing to
+choose: its own search takes a time that grows faster than the code, two thirds of all compiling,
+and finds nothing better.
 """
 
 from collections.abc import Iterable, Sequence
