@@ -1,53 +1,134 @@
-"""The swimmer's physics on all cores and on one."""
+"""Trials on all cores, on one, and on all by as many processes.
 
+They are whole ones, as in training, of random genes. Processes that know nothing of each other share no more than the machine: what all cores of one
+process reach of them is what its own threads cost. Run as a program, this module is one of them:
+`python -m benchmarks.scaling CONFIG STEPS SIZE FIRST LAST`.
+"""
+
+import contextlib
+import dataclasses
 import functools
 import statistics
+import sys
+from collections.abc import Callable, Iterator
+from typing import Any
 
-from benchmarks.animals import swimmer
+import jax
+import numpy as np
+
 from benchmarks.moving import UNIT
-from benchmarks.ours import compile_motion, full_lanes
-from benchmarks.plan import Plan
+from benchmarks.plan import Plan, experiment_of
 from benchmarks.rows import Row
-from benchmarks.timing import Contender, count_lasting, race, ratio_quartiles
+from benchmarks.timing import Contender, race, ratio_quartiles
+from benchmarks.worker import Worker, serve, started
+from evo_cpg.simulation.rollout import Simulation
 from evo_cpg.training.devices import population_mesh
+from evo_cpg.training.experiment import compile_trials
 
-_FEWEST, _MOST = 10, 20_000
+# Configs, and control steps of a trial: on one core it lasts about a second.
+_CASES = {
+    "iwadate2010_swimmer": 4000,
+    "fukui2003_model1": 2400,
+    "iwadate2010_salamander_land": 600,
+}
+_QUICK = 60
+# Whole vectors of individuals for each core.
+_SIZE = 256
+_ALL, _ONE, _APART = "all", "1 core", "processes"
 
 
 def measure(plan: Plan) -> list[Row]:
-    """A row per size; the ratio is how many times as fast all cores are."""
-    exercise = swimmer().exercise
-    return [_at_size(exercise, size, plan) for size in plan.sizes_or(200)]
+    """Two rows per config and size: how many times one core, and what share of processes."""
+    cases = [("iwadate2010_swimmer", _QUICK)] if plan.quick else list(_CASES.items())
+    return [
+        row
+        for config, steps in cases
+        for size in plan.sizes_or(_SIZE)
+        for row in _measure(config, steps, size, plan)
+    ]
 
 
-def _at_size(exercise, size: int, plan: Plan) -> Row:
-    names = f"{plan.cores} cores", "1 core"
-    contenders, seconds = [], []
-    for name, count in zip(names, (plan.cores, 1), strict=True):
-        plan.say(f"scaling: compiling for {name}")
-        mesh = population_mesh(count)
-        program = compile_motion(exercise, exercise.lanes(full_lanes(size, mesh)), mesh)
-        steps = count_lasting(
-            lambda n, run=program.run: functools.partial(run, n),
-            plan.call_seconds,
-            _FEWEST,
-            _MOST,
+def _measure(config: str, steps: int, size: int, plan: Plan) -> list[Row]:
+    simulation = _simulation(config, steps)
+    work, contenders = size * steps * simulation.substeps, []
+    for name, count in ((_ONE, 1), (_ALL, plan.cores)):
+        plan.say(f"scaling: compiling {config} for {name}")
+        contenders.append(Contender(name, work, _trials(simulation, size, count, 0, size)))
+    with _processes(config, steps, size, plan) as workers:
+
+        def apart() -> None:
+            for worker in workers:
+                worker.send(None)
+            for worker in workers:
+                worker.answer(plan.limit)
+
+        contenders.append(Contender(_APART, work, apart))
+        plan.say(f"scaling: {config}")
+        rates = race(contenders, plan.repeats)
+    return [
+        Row(
+            "scaling",
+            config,
+            size,
+            statistics.median(rates[_ALL]),
+            UNIT,
+            f"trials of {steps} control steps on {plan.cores} cores, median of {plan.repeats} "
+            "rounds in turn",
+            peer=_ONE if peer == _ONE else f"{plan.cores} processes",
+            peer_rate=statistics.median(rates[peer]),
+            ratio=ratio,
+            ratio_spread=(low, high),
         )
-        call = functools.partial(program.run, steps)
-        contenders.append(Contender(name if name == names[1] else "all", size * steps, call))
-        seconds.append(program.compile_seconds)
-    rates = race(contenders, plan.repeats)
-    low, ratio, high = ratio_quartiles(rates, "all", names[1])
-    return Row(
-        "scaling",
-        names[0],
-        size,
-        statistics.median(rates["all"]),
-        UNIT,
-        f"physics of the swimmer, median of {plan.repeats} rounds in turn",
-        seconds[0],
-        peer=names[1],
-        peer_rate=statistics.median(rates[names[1]]),
-        ratio=ratio,
-        ratio_spread=(low, high),
+        for peer in (_ONE, _APART)
+        for low, ratio, high in (ratio_quartiles(rates, _ALL, peer),)
+    ]
+
+
+def _simulation(config: str, steps: int) -> Simulation:
+    return dataclasses.replace(experiment_of(config).simulation, steps=steps)
+
+
+def _trials(
+    simulation: Simulation, size: int, cores: int, first: int, last: int
+) -> Callable[[], object]:
+    """Trials of some individuals of a population."""
+    draw = jax.jit(
+        lambda: simulation.controller.random_genes(jax.random.key(0), (size,), np.float32)
     )
+    genes = np.asarray(draw())[:, first:last]
+    return functools.partial(compile_trials(simulation, population_mesh(cores)), genes)
+
+
+@contextlib.contextmanager
+def _processes(config: str, steps: int, size: int, plan: Plan) -> Iterator[list[Worker]]:
+    """As many as there are cores, each with its share of the individuals, ready to run."""
+    ends = np.linspace(0, size, plan.cores + 1).astype(int)
+    with contextlib.ExitStack() as stack:
+        workers = [
+            stack.enter_context(
+                started("scaling", config, *map(str, (steps, size, first, last)))
+            )
+            for first, last in zip(ends[:-1], ends[1:], strict=True)
+        ]
+        for worker in workers:
+            worker.answer(plan.limit)
+        yield workers
+
+
+def _prepare(
+    config: str, steps: int, size: int, first: int, last: int
+) -> tuple[dict[str, Any], Callable[[Any], dict[str, Any]]]:
+    from evo_cpg.training.devices import use_cores
+
+    use_cores()
+    run = _trials(_simulation(config, steps), size, 1, first, last)
+
+    def work(_: Any) -> dict[str, Any]:
+        run()
+        return {}
+
+    return {}, work
+
+
+if __name__ == "__main__":
+    serve(lambda: _prepare(sys.argv[1], *map(int, sys.argv[2:6])))

@@ -80,13 +80,17 @@ class Worker:
 
     def ask(self, question: Any, limit: float) -> dict[str, Any]:
         """Let it do its work once, and wait for the answer."""
+        self.send(question)
+        return self.answer(limit)
+
+    def send(self, question: Any) -> None:
+        """Let it do its work once; `answer` waits until it is done."""
         assert self._process.stdin is not None
         try:
             self._process.stdin.write(json.dumps(question) + "\n")
             self._process.stdin.flush()
         except BrokenPipeError:
             raise WorkerError(self._last_words()) from None
-        return self.answer(limit)
 
     def stop(self) -> None:
         """End it at once."""
