@@ -1,13 +1,15 @@
 """Trials on all cores, on one, and on all by as many processes.
 
-They are whole ones, as in training, of random genes. Processes that know nothing of each other share no more than the machine: what all cores of one
-process reach of them is what its own threads cost. Run as a program, this module is one of them:
+They are whole ones, as in training, of random genes. Processes that know nothing of each other
+share no more than the machine: what all cores of one process reach of their speed is what its own
+threads cost. Run as a program, this module is one of them:
 `python -m benchmarks.scaling CONFIG STEPS SIZE FIRST LAST`.
 """
 
 import contextlib
 import dataclasses
 import functools
+import itertools
 import statistics
 import sys
 from collections.abc import Callable, Iterator
@@ -105,10 +107,8 @@ def _processes(config: str, steps: int, size: int, plan: Plan) -> Iterator[list[
     ends = np.linspace(0, size, plan.cores + 1).astype(int)
     with contextlib.ExitStack() as stack:
         workers = [
-            stack.enter_context(
-                started("scaling", config, *map(str, (steps, size, first, last)))
-            )
-            for first, last in zip(ends[:-1], ends[1:], strict=True)
+            stack.enter_context(started("scaling", config, *map(str, (steps, size, first, last))))
+            for first, last in itertools.pairwise(ends)
         ]
         for worker in workers:
             worker.answer(plan.limit)

@@ -15,6 +15,7 @@ from rich.console import Console
 
 from benchmarks import (
     breeding,
+    engines,
     generation,
     gradient,
     machine,
@@ -89,6 +90,7 @@ CASES: dict[str, Case] = {
     "ga": Case(functools.partial(_alone, breeding.measure), sized=False),
     "generation": Case(functools.partial(_alone, generation.measure), sized=False),
     "gradient": Case(functools.partial(_alone, gradient.measure), sized=False),
+    "engines": Case(functools.partial(_alone, engines.measure)),
     "scaling": Case(functools.partial(_alone, scaling.measure)),
     "startup": Case(functools.partial(_alone, startup.measure), sized=False),
 }

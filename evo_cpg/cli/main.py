@@ -339,7 +339,7 @@ def bench(
         typer.Argument(
             metavar="[CASE]...",
             help="swimmer, salamander-water, salamander-land, quadruped, cpg, brain, ga, "
-            "generation, gradient, scaling or startup; all by default.",
+            "generation, gradient, engines, scaling or startup; all by default.",
         ),
     ] = None,
     sizes: Annotated[

@@ -1,0 +1,63 @@
+"""Every shipped config on native code and on plain JAX, which is what remains without LLVM.
+
+Whole trials of a population, short ones: plain JAX compiles long and is slow.
+"""
+
+import dataclasses
+import functools
+import statistics
+
+import jax
+import numpy as np
+
+from benchmarks.moving import UNIT
+from benchmarks.plan import CONFIGS, SMALL_SWIMMER, Plan, experiment_of
+from benchmarks.rows import Row
+from benchmarks.timing import Contender, race, ratio_quartiles, seconds
+from evo_cpg.fusion.engine import Engine
+from evo_cpg.training.devices import population_mesh
+from evo_cpg.training.experiment import compile_trials
+
+_SIZE = 64
+_STEPS = 60
+
+
+def measure(plan: Plan) -> list[Row]:
+    """A row per config and size; the ratio is how many times plain JAX's speed."""
+    if plan.quick:
+        return [_measure("iwadate2010_swimmer", SMALL_SWIMMER, _SIZE, plan)]
+    configs = sorted(path.stem for path in CONFIGS.glob("*.yaml"))
+    return [_measure(name, (), size, plan) for name in configs for size in plan.sizes_or(_SIZE)]
+
+
+def _measure(name: str, overrides: tuple[str, ...], size: int, plan: Plan) -> Row:
+    simulation = dataclasses.replace(experiment_of(name, *overrides).simulation, steps=_STEPS)
+    draw = jax.jit(
+        lambda: simulation.controller.random_genes(jax.random.key(0), (size,), np.float32)
+    )
+    genes = np.asarray(draw())
+    contenders, compiling = [], {}
+    for engine in ("native", "jax"):
+        plan.say(f"engines: compiling {name} for {engine}")
+        own = dataclasses.replace(simulation, engine=Engine(engine))
+        live = functools.partial(compile_trials(own, population_mesh()), genes)
+        first = seconds(live)
+        compiling[engine] = max(first - seconds(live), 0.0)
+        contenders.append(Contender(engine, size * _STEPS * simulation.substeps, live))
+    plan.say(f"engines: {name}")
+    rates = race(contenders, plan.repeats)
+    low, ratio, high = ratio_quartiles(rates, "native", "jax")
+    return Row(
+        "engines",
+        name,
+        size,
+        statistics.median(rates["native"]),
+        UNIT,
+        f"trials of {_STEPS} control steps on {plan.cores} cores, median of {plan.repeats} rounds "
+        f"in turn; plain JAX compiles in {compiling['jax']:.0f} s",
+        compiling["native"],
+        peer=f"plain JAX, compiled in {compiling['jax']:.0f} s",
+        peer_rate=statistics.median(rates["jax"]),
+        ratio=ratio,
+        ratio_spread=(low, high),
+    )

@@ -1,0 +1,136 @@
+"""Native code and plain JAX on every shipped config: control steps from recorded states.
+
+How far two ways to round may be apart depends on the motion: what touches the ground multiplies a
+last digit by thousands within one control step. So what a change of the state's last digits does to
+plain JAX itself is the measure.
+"""
+
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from evo_cpg.config.build import build_experiment
+from evo_cpg.config.load import load_config
+from evo_cpg.fusion.engine import Engine, using
+from evo_cpg.simulation import rollout
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+INDIVIDUALS, TIMES, APART, NUDGES = 10, 10, 20, 8
+# One of two float32 numbers that lie next to each other, relative to the other.
+LAST_DIGIT = 2.0**-23
+SMALL = "iwadate2010_swimmer", ("creature.bodies.1.repeat=1",)
+EVERY = sorted(path.stem for path in CONFIGS.glob("*.yaml"))
+IN_WATER = "iwadate2010_swimmer", "iwadate2010_salamander_water", "two_eyed_swimmer"
+
+
+def cases(names):
+    return [
+        pytest.param(SMALL, id="three bodies"),
+        *[pytest.param((name, ()), id=name, marks=pytest.mark.slow) for name in names],
+    ]
+
+
+class Trial:
+    """A config's individuals, and one control step of theirs by either engine."""
+
+    def __init__(self, config):
+        name, overrides = config
+        path = CONFIGS / f"{name}.yaml"
+        simulation = build_experiment(load_config(path, list(overrides)), path).simulation
+        self.rate = simulation.control_rate
+        genes = simulation.controller.random_genes(jax.random.key(0), (INDIVIDUALS,), jnp.float32)
+        keys = None
+        if not simulation.noise.silent:
+            keys = jax.random.key_data(jax.random.split(jax.random.key(1), INDIVIDUALS)).T
+
+        def begin():
+            return rollout._begin(simulation, genes, keys, None)
+
+        def made(engine):
+            def step(animal, index):
+                with using(Engine(engine)):
+                    return rollout._control_step(simulation, begin()[0], animal, index)
+
+            return jax.jit(step)
+
+        with using(Engine("native")):
+            self.start = jax.jit(begin)()[1]
+        self.native, self.plain = made("native"), made("jax")
+
+
+@pytest.fixture(scope="module")
+def trials():
+    made = {}
+
+    def trial(config):
+        if config not in made:
+            made[config] = Trial(config)
+        return made[config]
+
+    return trial
+
+
+def numbers(tree):
+    return [np.asarray(x, float) for x in jax.tree.leaves(tree) if x.size]
+
+
+def moved(trial, animal, number, engine="plain"):
+    """What a control step gives, and for what share of it each was off the ground."""
+    animal, instant = getattr(trial, engine)(animal, number)
+    airborne = instant.seen.pop("airborne")
+    return (animal, instant), np.asarray(airborne)
+
+
+def distances(found, wanted):
+    """Of every individual, per array: the largest difference relative to the array's size."""
+    return np.array(
+        [
+            np.abs(a - b).reshape(-1, INDIVIDUALS).max(0) / max(np.abs(b).max(), 1e-12)
+            for a, b in zip(numbers(found), numbers(wanted), strict=True)
+        ]
+    )
+
+
+def nudged(animal, generator):
+    """The same state but for its last digits."""
+
+    def nudge(x):
+        return x * (1 + LAST_DIGIT * generator.choice([-1.0, 1.0], x.shape)).astype(x.dtype)
+
+    return animal._replace(state=jax.tree.map(nudge, animal.state))
+
+
+@pytest.mark.parametrize("config", cases(EVERY))
+def test_one_control_step_from_a_hundred_recorded_states(config, trials):
+    trial, generator = trials(config), np.random.default_rng(0)
+    animal, apart, loose, touching = trial.start, [], [], 0
+    for index in range(TIMES * APART):
+        number = jnp.int32(index)
+        if index % APART == 0:
+            wanted, off = moved(trial, animal, number)
+            found, found_off = moved(trial, animal, number, "native")
+            near = [moved(trial, nudged(animal, generator), number)[0] for _ in range(NUDGES)]
+            apart.append(distances(found, wanted))
+            loose.append([distances(one, wanted) for one in near])
+            touching += (off == found_off).sum()
+        animal = trial.native(animal, number)[0]
+    apart, loose = np.array(apart), np.array(loose)
+    assert apart.shape[0] * apart.shape[2] == 100
+    # By as much as rounding: typically, and nowhere much more than the last digits bring about.
+    assert np.median(apart.max(1)) <= 4 * np.median(loose.max(2)) + 1e-6
+    assert apart.max() <= 10 * loose.max() + 1e-5
+    # Whether something just touches or just does not, a last digit may decide.
+    assert touching >= 95
+
+
+@pytest.mark.parametrize("config", cases(IN_WATER))
+def test_a_second_in_water(config, trials):
+    """On the ground trajectories part."""
+    trial = trials(config)
+    native = plain = trial.start
+    for index in range(round(trial.rate)):
+        native, plain = trial.native(native, index)[0], trial.plain(plain, index)[0]
+    assert distances(native, plain).max() < 1e-4
