@@ -11,7 +11,7 @@ DEV := $(VENV)/.installed-dev
 RUN := runs/swim-$(shell date +%Y%m%d-%H%M%S)
 
 .DEFAULT_GOAL := help
-.PHONY: help swim test test-slow test-matrix check bench docs format clean
+.PHONY: help swim test test-slow test-jax test-matrix check bench docs format clean
 .DELETE_ON_ERROR:
 
 help: ## list the targets
@@ -26,6 +26,9 @@ test: $(DEV) ## run the tests
 
 test-slow: $(DEV) ## run the slow tests too, all compiled as for users
 	EVO_CPG_TESTS_OPTIMISED=3 $(BIN)/pytest -m "slow or not slow"
+
+test-jax: $(DEV) ## physics, oscillators and their derivatives on plain JAX, without native code
+	$(BIN)/pytest --engine=jax tests/spatial tests/physics tests/control
 
 test-matrix: ## run the tests on all interpreters, oldest and newest dependencies (PYTHONS=..., PYTEST=...)
 	$(PYTHON) benchmarks/matrix.py --pytest='$(PYTEST)' build/matrix $(PYTHONS)

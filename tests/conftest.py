@@ -28,6 +28,7 @@ _CHECKED = [f"evo_cpg.{path.parent.name}" for path in _PACKAGE.glob("*/__init__.
 _CHECKED.remove("evo_cpg.fusion")
 jaxtyping.install_import_hook(_CHECKED, "runtime_checks.typechecker")
 
+from evo_cpg.fusion import engine  # noqa: E402
 from evo_cpg.fusion.machine import keep_code_in  # noqa: E402
 
 # Two functions that come to the same program are compiled once: an experiment that several tests
@@ -45,6 +46,17 @@ hypothesis.settings.register_profile(
     "evo_cpg", deadline=None, derandomize=True, max_examples=25, print_blob=True
 )
 hypothesis.settings.load_profile("evo_cpg")
+
+
+def pytest_addoption(parser):
+    """`make test-jax` computes everything on plain JAX."""
+    parser.addoption("--engine", choices=("auto", "jax"), default="auto")
+
+
+def pytest_configure(config):
+    """Without native code, whatever a test's config says."""
+    if config.getoption("--engine") == "jax":
+        engine.is_native = lambda: False
 
 
 @pytest.fixture

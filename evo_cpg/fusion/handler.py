@@ -6,16 +6,17 @@ in `jax.ffi.include_dir()`), on 64-bit machines:
 | structure | fields and their offsets in bytes |
 |---|---|
 | call frame | size 0, extension 8, api 16, stage 32, arguments 40, results 80 |
-| arguments, results (within the frame) | count +16, types +24, pointers +32 |
+| arguments, results (within the frame) | size 0, count +16, types +24, pointers +32 |
 | buffer | size 0, type 16, data 24, rank 32, dimensions 40 |
-| extension | type 8; of one that asks for metadata: metadata 24 |
+| extension | size 0, type 8; of one that asks for metadata: metadata 24 |
 | metadata | size 0, version 8 (major +16, minor +20), traits 32 |
 | api | size 0, version 16 (major +16), Error_Create 48 |
 | arguments of Error_Create | size 0, extension 8, message 16, code 24 |
 
-It reads nothing before it has checked that it is there: the version of the interface, the sizes of
-the structures, the number of arrays, and the type and shape of each. What does not fit becomes an
-error of XLA.
+It reads nothing before it has checked that it is there: the sizes of the structures, the version of
+the interface, the number of arrays, and the type and shape of each. What does not fit becomes an
+error of XLA; where not even that can be told, because there is no `Error_Create`, the process ends,
+as the trial before native code is first used would find out (`evo_cpg.fusion.engine`).
 """
 
 from collections.abc import Sequence
@@ -36,7 +37,9 @@ _BYTES_TYPE = 6
 _INVALID_ARGUMENT = 3
 
 # Least sizes of structures that hold all fields read here, bytes.
-_FRAME_SIZE, _BUFFER_SIZE, _API_SIZE = 120, 48, 56
+_LEAST_FRAME_SIZE = 40  # without arrays
+_FRAME_SIZE, _ARRAYS_SIZE, _BUFFER_SIZE, _API_SIZE = 120, 40, 48, 56
+_EXTENSION_SIZE, _METADATA_SIZE = 32, 36
 _EXECUTE = 3
 
 
@@ -83,9 +86,13 @@ def handler(
         major=_MAJOR,
         minor=_MINOR,
         execute=_EXECUTE,
+        least_frame_size=_LEAST_FRAME_SIZE,
         frame_size=_FRAME_SIZE,
         buffer_size=_BUFFER_SIZE,
         api_size=_API_SIZE,
+        arrays_size=_ARRAYS_SIZE,
+        extension_size=_EXTENSION_SIZE,
+        metadata_size=_METADATA_SIZE,
         code=_INVALID_ARGUMENT,
         bytes_type=_BYTES_TYPE,
         **_messages(),
@@ -111,6 +118,7 @@ def _messages() -> dict[str, str]:
 
 _TEMPLATE = """
 %wanted = type {{ i32, i32, i64 }}
+declare void @llvm.trap()
 @arrays = internal constant [{wanted_count} x %wanted] [{wanted}]
 {messages}
 
@@ -174,11 +182,22 @@ no:
 define ptr @{name}(ptr %frame) #0 {{
 entry:
   %data = alloca ptr, i64 {wanted_count}, align 8
+  %frame_size = load i64, ptr %frame
+  %frame_told = icmp uge i64 %frame_size, {least_frame_size}
+  br i1 %frame_told, label %extended, label %lost
+lost:
+  call void @llvm.trap()
+  unreachable
+extended:
   %extp = getelementptr i8, ptr %frame, i64 8
   %ext = load ptr, ptr %extp
   %none = icmp eq ptr %ext, null
   br i1 %none, label %staging, label %asking
 asking:
+  %ext_size = load i64, ptr %ext
+  %ext_large = icmp uge i64 %ext_size, {extension_size}
+  br i1 %ext_large, label %kinds, label %staging
+kinds:
   %kindp = getelementptr i8, ptr %ext, i64 8
   %kind = load i32, ptr %kindp
   %metadata = icmp eq i32 %kind, 1
@@ -186,6 +205,10 @@ asking:
 answer:
   %metap = getelementptr i8, ptr %ext, i64 24
   %meta = load ptr, ptr %metap
+  %meta_size = load i64, ptr %meta
+  %meta_large = icmp uge i64 %meta_size, {metadata_size}
+  br i1 %meta_large, label %version, label %nothing
+version:
   %majorp = getelementptr i8, ptr %meta, i64 24
   store i32 {major}, ptr %majorp
   %minorp = getelementptr i8, ptr %meta, i64 28
@@ -203,16 +226,25 @@ nothing:
 sizes:
   %apip = getelementptr i8, ptr %frame, i64 16
   %api = load ptr, ptr %apip
-  %frame_size = load i64, ptr %frame
   %api_size = load i64, ptr %api
-  %frame_large = icmp uge i64 %frame_size, {frame_size}
   %api_large = icmp uge i64 %api_size, {api_size}
+  br i1 %api_large, label %versions, label %lost
+versions:
   %api_majorp = getelementptr i8, ptr %api, i64 32
   %api_major = load i32, ptr %api_majorp
   %major_same = icmp eq i32 %api_major, {major}
-  %both = and i1 %frame_large, %api_large
-  %all = and i1 %both, %major_same
-  br i1 %all, label %counts, label %bad_size
+  %frame_large = icmp uge i64 %frame_size, {frame_size}
+  %framed = and i1 %major_same, %frame_large
+  br i1 %framed, label %lists, label %bad_size
+lists:
+  %args_sizep = getelementptr i8, ptr %frame, i64 40
+  %args_size = load i64, ptr %args_sizep
+  %args_large = icmp uge i64 %args_size, {arrays_size}
+  %rets_sizep = getelementptr i8, ptr %frame, i64 80
+  %rets_size = load i64, ptr %rets_sizep
+  %rets_large = icmp uge i64 %rets_size, {arrays_size}
+  %both = and i1 %args_large, %rets_large
+  br i1 %both, label %counts, label %bad_size
 bad_size:
   %e_size = call ptr @complain(ptr %api, ptr @m_size)
   ret ptr %e_size
@@ -234,6 +266,10 @@ people:
   %retsp = getelementptr i8, ptr %frame, i64 112
   %rets = load ptr, ptr %retsp
   %firstp = load ptr, ptr %rets
+  %first_size = load i64, ptr %firstp
+  %first_large = icmp uge i64 %first_size, {buffer_size}
+  br i1 %first_large, label %first_ranks, label %bad_array
+first_ranks:
   %first_rankp = getelementptr i8, ptr %firstp, i64 32
   %first_rank = load i64, ptr %first_rankp
   %matrix = icmp eq i64 %first_rank, 2
@@ -277,15 +313,24 @@ bad_array:
 room:
   %scratchpp = getelementptr ptr, ptr %rets, i64 {result_count}
   %scratchb = load ptr, ptr %scratchpp
+  %scratch_size = load i64, ptr %scratchb
+  %scratch_large = icmp uge i64 %scratch_size, {buffer_size}
+  br i1 %scratch_large, label %scratch_types, label %bad_array
+scratch_types:
   %scratch_typep = getelementptr i8, ptr %scratchb, i64 16
   %scratch_type = load i32, ptr %scratch_typep
   %scratch_bytes = icmp eq i32 %scratch_type, {bytes_type}
+  %scratch_rankp = getelementptr i8, ptr %scratchb, i64 32
+  %scratch_rank = load i64, ptr %scratch_rankp
+  %scratch_row = icmp eq i64 %scratch_rank, 1
+  %scratch_known = and i1 %scratch_bytes, %scratch_row
+  br i1 %scratch_known, label %scratch_sizes, label %bad_array
+scratch_sizes:
   %scratch_dimsp = getelementptr i8, ptr %scratchb, i64 40
   %scratch_dims = load ptr, ptr %scratch_dimsp
   %scratch_is = load i64, ptr %scratch_dims
   %scratch_enough = icmp sge i64 %scratch_is, {scratch}
-  %scratch_good = and i1 %scratch_bytes, %scratch_enough
-  br i1 %scratch_good, label %run, label %bad_array
+  br i1 %scratch_enough, label %run, label %bad_array
 run:
   %scratchp = getelementptr i8, ptr %scratchb, i64 24
   %scratch = load ptr, ptr %scratchp

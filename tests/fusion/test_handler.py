@@ -1,7 +1,11 @@
 """The entry into native code takes nothing but what it was made for."""
 
 import ctypes
+import os
 import re
+import subprocess
+import sys
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -123,7 +127,10 @@ def test_code_for_few_is_not_for_many(count):
 class Frame:
     """A call as XLA makes it, of which every part can be made wrong."""
 
-    def __init__(self, target, frame_size=120, api_size=56, buffer_size=48, major=0, stage=3):
+    def __init__(
+        self, target, frame_size=120, api_size=56, buffer_size=48, list_size=40, major=0, stage=3,
+        rank=None,
+    ):  # fmt: skip
         self.messages = []
         create = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p)
 
@@ -147,14 +154,15 @@ class Frame:
         def buffers(values):
             return self.at([
                 self.at([
-                    buffer_size, 0, types[x.dtype.char], x.ctypes.data, x.ndim, self.at(x.shape)
+                    buffer_size, 0, types[x.dtype.char], x.ctypes.data, rank or x.ndim,
+                    self.at(x.shape),
                 ])
                 for x in values
             ])  # fmt: skip
 
         self.kept += [arrays, found]
-        self.frame = [frame_size, 0, self.at(api), 0, stage, 0, 0, 2, 0, buffers(arrays)]
-        self.frame += [0, 0, 3, 0, buffers(found)]
+        self.frame = [frame_size, 0, self.at(api), 0, stage, list_size, 0, 2, 0, buffers(arrays)]
+        self.frame += [list_size, 0, 3, 0, buffers(found)]
         self.address, _, _ = machine._loaded[target.removeprefix("evo_cpg_")]
 
     def at(self, numbers):
@@ -177,9 +185,10 @@ def test_a_call_frame_is_what_the_header_says():
     ("wrong", "message"),
     [
         ({"frame_size": 112}, SIZE),
-        ({"api_size": 48}, SIZE),
+        ({"list_size": 32}, SIZE),
         ({"major": 1}, SIZE),
         ({"buffer_size": 40}, ARRAY),
+        ({"rank": 2}, ARRAY),
     ],
 )
 def test_another_interface_is_refused(wrong, message):
@@ -188,6 +197,23 @@ def test_another_interface_is_refused(wrong, message):
     ((text, code),) = frame.messages
     assert text.startswith("evo_cpg: ") and message in text and code == 3
     assert not frame.result.any()
+
+
+@pytest.mark.parametrize("wrong", [{"api_size": 48}, {"frame_size": 32}])
+def test_without_a_way_to_complain_the_process_ends(wrong):
+    """Nothing is read astray, and nothing uncomputed passes for a result."""
+    script = f"""
+from test_handler import Frame, PEOPLE, lowered
+frame = Frame(lowered(PEOPLE)[0], **{wrong})
+print("ready", flush=True)
+frame.run()
+"""
+    paths = [str(Path(__file__).parent), str(Path(__file__).parents[2])]
+    run = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(paths)},
+    )  # fmt: skip
+    assert run.stdout == "ready\n" and run.returncode < 0
 
 
 @pytest.mark.parametrize("stage", [0, 1, 2])
@@ -201,4 +227,8 @@ def test_which_interface_it_is_for():
     metadata = (ctypes.c_int64 * 5)(40, 24, 0, -1, -1)
     frame.frame[1] = frame.at([32, 1, 0, ctypes.addressof(metadata)])
     assert frame.run() is None and not frame.result.any()
+    frame.frame[1] = frame.at([24, 1, 0, 0])
+    assert frame.run() is None
+    frame.frame[1] = frame.at([32, 1, 0, frame.at([32])])
+    assert frame.run() is None
     assert [*np.frombuffer(metadata, np.int32)[6:8]] == [0, 1] and metadata[4] & 0xFFFFFFFF == 0

@@ -1,0 +1,174 @@
+"""The order of operations, and which values are in registers."""
+
+import functools
+
+import hypothesis.strategies as st
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from jax import lax
+
+from evo_cpg.fusion.engine import Engine, using
+from evo_cpg.fusion.fuse import fuse
+from evo_cpg.fusion.graph import Graph
+from evo_cpg.fusion.machine import host
+from evo_cpg.fusion.order import ordered
+from evo_cpg.fusion.registers import Registers
+from evo_cpg.fusion.unsupported import Unsupported
+
+INPUTS, REGISTERS = 5, 8
+LIMIT = 6  # of eight registers two are spare
+
+
+@st.composite
+def programs(draw):
+    """Operations in the order in which they were made, and what is wanted of them."""
+    graph = Graph()
+    known = [graph.input((0, i), np.dtype(np.float32)) for i in range(INPUTS)]
+    made = []
+    for _ in range(draw(st.integers(1, 60))):
+        pair = [known[draw(st.integers(0, len(known) - 1))] for _ in range(2)]
+        node = graph.make("max", pair, np.float32)
+        if node not in made:
+            known.append(node)
+            made.append(node)
+    used = {operand for node in made for operand in node.operands}
+    return made, [node for node in made if node not in used]
+
+
+@given(programs())
+@settings(deadline=None)
+def test_order_computes_all_of_it_operands_first(program):
+    made, _ = program
+    order = ordered(made)
+    assert sorted(order, key=made.index) == made
+    place = {node: i for i, node in enumerate(order)}
+    for node in made:
+        assert all(place.get(operand, -1) < place[node] for operand in node.operands)
+
+
+def test_what_frees_most_comes_soon():
+    """Sums of neighbours, made one level after the other: each is added up before the next."""
+    graph = Graph()
+    rows = [graph.input((0, i), np.dtype(np.float32)) for i in range(16)]
+    made = []
+    while len(rows) > 1:
+        rows = [graph.add(a, b) for a, b in zip(rows[::2], rows[1::2], strict=True)]
+        made += rows
+
+    def most_waiting(order):
+        waiting, most = set(), 0
+        for node in order:
+            waiting -= set(node.operands)
+            waiting.add(node)
+            most = max(most, len(waiting))
+        return most
+
+    assert most_waiting(made) == 8
+    assert most_waiting(ordered(made)) == 4
+
+
+@given(programs())
+@settings(deadline=None)
+def test_no_choice_reads_memory_less_often(program):
+    order, wanted = program
+    steps = [*({*node.operands} for node in order), *({node} for node in wanted)]
+    registers, reads = Registers(REGISTERS), 0
+    registers.expect(order, wanted)
+    for i, needed in enumerate(steps):
+        for node in needed:
+            if registers.name(node, True) is None:
+                reads += 1
+                registers.hold(node, True, "read")
+        if i < len(order):
+            registers.hold(order[i], True, "computed")
+        registers.pass_on()
+        assert sum(registers.name(node, True) is not None for node in held(steps)) <= LIMIT
+    for policy in (least_recently_used, first_in):
+        assert reads <= reads_with(policy, order, steps)
+
+
+def held(steps):
+    return {node for needed in steps for node in needed}
+
+
+def least_recently_used(since, last):
+    return min(last, key=last.get)
+
+
+def first_in(since, last):
+    return min(since, key=since.get)
+
+
+def reads_with(policy, order, steps):
+    """How often memory is read where others leave; what is used no more leaves at once."""
+    since, last, reads = {}, {}, 0
+    ends = {node: i for i, needed in enumerate(steps) for node in needed}
+    for i, needed in enumerate(steps):
+        reads += sum(node not in since for node in needed)
+        for node in [*needed, *order[i : i + 1]]:
+            since.setdefault(node, i)
+            last[node] = i
+        for node in list(since):
+            if ends.get(node, -1) <= i:
+                del since[node], last[node]
+        while len(since) > LIMIT:
+            node = policy(since, last)
+            del since[node], last[node]
+    return reads
+
+
+SETS = "host", "avx2", "sse"
+
+
+def natively(function, x, instructions="host"):
+    if instructions != "host":
+        try:
+            host(instructions)
+        except Unsupported as error:
+            pytest.skip(str(error))
+    with using(Engine("native", instructions)):
+        return jax.jit(functools.partial(fuse, function, batch_ndim=1))(x)
+
+
+@pytest.mark.parametrize("instructions", SETS)
+@pytest.mark.parametrize("count", [1, 3, 16, 40])
+def test_many_values_that_wait(count, instructions):
+    """All of a hundred products are needed twice, far apart."""
+
+    def function(x):
+        products = [x[i] * x[i + 1] for i in range(100)]
+        there, back = 1.0, 1.0
+        for product in products:
+            there = jnp.maximum(there * 0.5, product)
+        for product in reversed(products):
+            back = jnp.minimum(back * 0.5, product)
+        return there, back, jnp.stack(products)
+
+    x = np.random.default_rng(0).normal(size=(101, count)).astype(np.float32)
+    found = natively(function, x, instructions)
+    for got, wanted in zip(found, jax.vmap(function, -1, -1)(x), strict=True):
+        np.testing.assert_array_equal(got, wanted)
+
+
+@pytest.mark.parametrize("counted", [True, False])
+def test_values_that_change_places_in_a_loop(counted):
+    """Each place takes over what the next one had, before that is written."""
+    rounds = jnp.array([0.0, 1.0, 2.0, 5.0, 41.0, 3.0])
+
+    def function(x, rounds):
+        def turn(carry):
+            row, done = carry
+            return jnp.concatenate([row[1:], 1.5 * row[:1]]), done + 1
+
+        if counted:
+            return lax.scan(lambda c, _: (turn(c), None), (x, rounds), None, length=7)[0]
+        return lax.while_loop(lambda carry: carry[1] < rounds, turn, (x, jnp.zeros_like(rounds)))
+
+    x = jnp.arange(40 * 6, dtype=jnp.float32).reshape(40, 6)
+    with using(Engine("native")):
+        found = jax.jit(functools.partial(fuse, function, batch_ndim=1))(x, rounds)
+    for got, wanted in zip(found, jax.vmap(function, -1, -1)(x, rounds), strict=True):
+        np.testing.assert_array_equal(got, wanted)
