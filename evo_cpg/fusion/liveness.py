@@ -67,14 +67,14 @@ class Plan:
         """The lists of a loop that are needed."""
         return self._lists[loop]
 
-    def _needed(self, wanted: list[Node]) -> set[Node]:
-        needed: set[Node] = set()
+    def _needed(self, wanted: list[Node]) -> dict[Node, None]:
+        needed: dict[Node, None] = {}
         waiting = list(wanted)
         while waiting:
             node = waiting.pop()
             if node in needed:
                 continue
-            needed.add(node)
+            needed[node] = None
             if node.op == "loop":
                 if node.detail.condition is not None:
                     waiting.append(node.detail.condition)

@@ -33,8 +33,8 @@ class _Order:
         self._operands: dict[Node, list[Node]] = {}
         self._users: dict[Node, list[Node]] = {node: [] for node in run}
         for node in run:
-            operands = {*map(resolve, node.operands)} & inside
-            self._operands[node] = sorted(operands, key=_number)
+            operands = dict.fromkeys(map(resolve, node.operands))
+            self._operands[node] = sorted((x for x in operands if x in inside), key=_number)
             for operand in self._operands[node]:
                 self._users[operand].append(node)
         # How many operands of each are not there yet, and how many uses of each are to come.

@@ -31,7 +31,8 @@ class Registers:
         self._next_use: dict[Held, int] = {}
         # Of each node all that is to come, the next one last.
         self._uses: dict[Node, list[int]] = {}
-        self._steps: list[set[Node]] = []
+        # What each step uses, in an order that is the same for equal programs.
+        self._steps: list[tuple[Node, ...]] = []
         self._now = 0
 
     def expect(self, nodes: Sequence[Node], wanted: Iterable[Node]) -> None:
@@ -42,8 +43,8 @@ class Registers:
             wanted: what will be used after that, in order, likewise.
         """
         self._names, self._next_use, self._uses, self._now = {}, {}, {}, 0
-        self._steps = [{*map(resolve, node.operands)} for node in nodes]
-        self._steps += [{resolve(node)} for node in wanted]
+        self._steps = [tuple(dict.fromkeys(map(resolve, node.operands))) for node in nodes]
+        self._steps += [(resolve(node),) for node in wanted]
         for i in range(len(self._steps) - 1, -1, -1):
             for node in self._steps[i]:
                 self._uses.setdefault(node, []).append(i)
