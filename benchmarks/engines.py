@@ -7,11 +7,8 @@ import dataclasses
 import functools
 import statistics
 
-import jax
-import numpy as np
-
 from benchmarks.moving import UNIT
-from benchmarks.plan import CONFIGS, SMALL_SWIMMER, Plan, experiment_of
+from benchmarks.plan import CONFIGS, SMALL_SWIMMER, Plan, experiment_of, random_genes
 from benchmarks.rows import Row
 from benchmarks.timing import Contender, race, ratio_quartiles, seconds
 from evo_cpg.fusion.engine import Engine
@@ -32,10 +29,7 @@ def measure(plan: Plan) -> list[Row]:
 
 def _measure(name: str, overrides: tuple[str, ...], size: int, plan: Plan) -> Row:
     simulation = dataclasses.replace(experiment_of(name, *overrides).simulation, steps=_STEPS)
-    draw = jax.jit(
-        lambda: simulation.controller.random_genes(jax.random.key(0), (size,), np.float32)
-    )
-    genes = np.asarray(draw())
+    genes = random_genes(simulation, size)
     contenders, compiling = [], {}
     for engine in ("native", "jax"):
         plan.say(f"engines: compiling {name} for {engine}")

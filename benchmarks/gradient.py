@@ -80,7 +80,7 @@ def _prepare(size: int, seconds: float, settings: Sequence[str]) -> tuple[dict[s
     import numpy as np
 
     from benchmarks.machine import peak_memory
-    from benchmarks.plan import experiment_of
+    from benchmarks.plan import experiment_of, random_genes
     from evo_cpg.simulation.backward import Backward
     from evo_cpg.simulation.rollout import rollout, score
     from evo_cpg.training.devices import use_cores
@@ -96,10 +96,7 @@ def _prepare(size: int, seconds: float, settings: Sequence[str]) -> tuple[dict[s
         outcome = rollout(simulation, genes, backward=Backward())
         return score(simulation.task, outcome, scales).mean()
 
-    draw = jax.jit(
-        lambda: simulation.controller.random_genes(jax.random.key(0), (size,), np.float32)
-    )
-    genes = np.asarray(draw())
+    genes = random_genes(simulation, size)
 
     def compiled(function: Any) -> tuple[Any, float]:
         start = time.perf_counter()

@@ -10,7 +10,6 @@ import statistics
 from collections.abc import Callable
 from typing import NamedTuple
 
-import jax
 import numpy as np
 from jax.sharding import Mesh
 
@@ -20,7 +19,7 @@ from benchmarks.jax_peers import Entry, JaxPeer, entered
 from benchmarks.memory import peak_of_motion
 from benchmarks.mujoco_peer import Kind, Motion, kinds, stopped
 from benchmarks.ours import Program, compile_motion, full_lanes
-from benchmarks.plan import Plan
+from benchmarks.plan import Plan, random_genes
 from benchmarks.rows import Row, finite
 from benchmarks.timing import Contender, count_lasting, race, ratio_quartiles, seconds
 from evo_cpg.simulation.rollout import Outcome
@@ -180,10 +179,7 @@ def _whole_stack(exercise: Exercise, size: int, steps: int, mesh: Mesh, quick: b
     fewest = _FEWEST_CONTROL_STEPS if quick else simulation.steps
     trial = max(round(_WHOLE_SHARE * steps / simulation.substeps), fewest)
     simulation = dataclasses.replace(simulation, steps=trial)
-    draw = jax.jit(
-        lambda: simulation.controller.random_genes(jax.random.key(0), (size,), np.float32)
-    )
-    genes = np.asarray(draw())
+    genes = random_genes(simulation, size)
     live: Callable[[], Outcome] = functools.partial(compile_trials(simulation, mesh), genes)
     first = seconds(live)
     lost = int((~live().alive).sum())

@@ -4,8 +4,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
+import jax
+import numpy as np
+
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import load_config
+from evo_cpg.simulation.rollout import Simulation
 from evo_cpg.training.experiment import Experiment
 
 ROOT = Path(__file__).parents[1]
@@ -45,6 +49,14 @@ class Plan(NamedTuple):
     def sizes_or(self, *own: int) -> tuple[int, ...]:
         """The population sizes of a case: those chosen, or its own, of which the first if quick."""
         return self.sizes or (own[:1] if self.quick else own)
+
+
+def random_genes(simulation: Simulation, size: int) -> np.ndarray:
+    """Genomes of a random population, the same in every process; shape (genes, size)."""
+    draw = jax.jit(
+        lambda: simulation.controller.random_genes(jax.random.key(0), (size,), np.float32)
+    )
+    return np.asarray(draw())
 
 
 def swimmer_settings(plan: Plan) -> tuple[str, ...]:

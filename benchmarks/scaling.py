@@ -15,11 +15,10 @@ import sys
 from collections.abc import Callable, Iterator
 from typing import Any
 
-import jax
 import numpy as np
 
 from benchmarks.moving import UNIT
-from benchmarks.plan import Plan, experiment_of
+from benchmarks.plan import Plan, experiment_of, random_genes
 from benchmarks.rows import Row
 from benchmarks.timing import Contender, race, ratio_quartiles
 from benchmarks.worker import Worker, serve, started
@@ -94,10 +93,7 @@ def _trials(
     simulation: Simulation, size: int, cores: int, first: int, last: int
 ) -> Callable[[], object]:
     """Trials of some individuals of a population."""
-    draw = jax.jit(
-        lambda: simulation.controller.random_genes(jax.random.key(0), (size,), np.float32)
-    )
-    genes = np.asarray(draw())[:, first:last]
+    genes = random_genes(simulation, size)[:, first:last]
     return functools.partial(compile_trials(simulation, population_mesh(cores)), genes)
 
 

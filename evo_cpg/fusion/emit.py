@@ -92,8 +92,8 @@ def emit(
 class _Emitter:
     """Writes the functions, one for each stretch, and the driver that calls them.
 
-    Of the attributes ``w`` has the lines of the stretch that is being written, and ``names``
-    and ``spread`` what is known in it.
+    Of the attributes ``w`` has the lines of the stretch that is being written, ``registers`` and
+    ``names`` where its values are.
     """
 
     def __init__(self, arguments, results, variant: Variant, plan: Plan):

@@ -11,6 +11,7 @@ a number that they share, the counter of a loop, and what is computed from these
 """
 
 import contextlib
+import functools
 import math
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
@@ -439,33 +440,25 @@ def _simpler_quotient(graph: Graph, a: Node, b: Node) -> Node | None:
     return None
 
 
-def _simpler_and(graph: Graph, a: Node, b: Node) -> Node | None:
+def _simpler_choice(decisive: bool, graph: Graph, a: Node, b: Node) -> Node | None:
+    """Of "and" or "or", which one operand with the decisive value settles."""
     if a.dtype != bool:
         return None
     for one, other in ((a, b), (b, a)):
         if one.value is not None:
-            return other if one.value else one
-    return a if a is b else None
-
-
-def _simpler_or(graph: Graph, a: Node, b: Node) -> Node | None:
-    if a.dtype != bool:
-        return None
-    for one, other in ((a, b), (b, a)):
-        if one.value is not None:
-            return one if one.value else other
+            return one if one.value == decisive else other
     return a if a is b else None
 
 
 # An equal node that costs less, if there is one, by operation.
 _SIMPLER: dict[str, Callable[..., Node | None]] = {
     "add": _simpler_sum,
-    "and": _simpler_and,
+    "and": functools.partial(_simpler_choice, False),
     "div": _simpler_quotient,
     "mul": _simpler_product,
     "neg": _simpler_negative,
     "not": _simpler_not,
-    "or": _simpler_or,
+    "or": functools.partial(_simpler_choice, True),
     "select": _simpler_select,
     "sub": _simpler_difference,
 }

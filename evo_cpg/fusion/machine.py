@@ -154,8 +154,10 @@ def _compile(name: str, text: str, target: Target) -> bytes:
     # The order of instructions and what is in registers is settled (`evo_cpg.fusion.registers`);
     # looking for a better one takes longer than all the rest. The setting is the whole process's.
     llvm.set_option("", "-enable-misched=false")
-    code = _target_machine(target).emit_object(module)
-    llvm.set_option("", "-enable-misched=true")
+    try:
+        code = _target_machine(target).emit_object(module)
+    finally:
+        llvm.set_option("", "-enable-misched=true")
     _write(name, code)
     return code
 
