@@ -28,8 +28,8 @@ from evo_cpg.config.differences import CENTRAL, ONE_SIDED, Change, derivative
 from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.numbers import number_at, number_keys, with_numbers
 from evo_cpg.config.schema.experiment import ExperimentConfig
+from evo_cpg.simulation.batched import Inputs, is_number
 from evo_cpg.simulation.rollout import Simulation
-from evo_cpg.spatial.partly import PartlyTraced
 from evo_cpg.training.experiment import Experiment
 
 # Distance of neighbouring values, as a share of the value; of 0 it is that itself.
@@ -71,8 +71,7 @@ class Parameters:
         config: the configuration.
         source: the file that it came from.
         folders: where else a user's own classes are looked for.
-        places: which leaves of the simulation change.
-        masks: which elements of them do.
+        inputs: the numbers of the simulation that change.
         apart: whether bodies with the same surface are treated one by one, because parameters make
             them differ.
     """
@@ -83,8 +82,7 @@ class Parameters:
     config: ExperimentConfig
     source: Path | str
     folders: tuple[Path, ...]
-    places: tuple[int, ...]
-    masks: tuple[np.ndarray, ...]
+    inputs: Inputs
     apart: bool
 
     @property
@@ -104,19 +102,13 @@ class Parameters:
         model = model or self.model
         dtype = values.dtype
         moved = values - jnp.asarray(model.centre, dtype)
-        leaves, structure = jax.tree.flatten(self.experiment.simulation)
-        parts = zip(self.places, self.masks, model.leaves, model.slopes, strict=True)
-        for place, mask, leaf, slope in parts:
-            own = np.flatnonzero(mask)
-            changed = jnp.asarray(leaf, dtype).reshape(-1)[own] + jnp.tensordot(
-                moved, jnp.asarray(slope, dtype).reshape(len(moved), -1)[:, own], 1
-            )
-            known = np.asarray(leaves[place], float)
-            if known.ndim and len(own) < known.size:
-                leaves[place] = PartlyTraced(known, own, changed)
-            else:
-                leaves[place] = changed.reshape(known.shape)
-        return jax.tree.unflatten(structure, leaves)
+        parts = zip(self.inputs.elements, model.leaves, model.slopes, strict=True)
+        changed = [
+            jnp.asarray(leaf, dtype).reshape(-1)[own]
+            + jnp.tensordot(moved, jnp.asarray(slope, dtype).reshape(len(moved), -1)[:, own], 1)
+            for own, leaf, slope in parts
+        ]
+        return self.inputs.put(self.experiment.simulation, changed)
 
     def at(self, values: Float[np.ndarray, " k"], curved: bool = True) -> Linearisation:
         """Equation (1) about other values, for the same compiled program.
@@ -141,19 +133,19 @@ class Parameters:
         if curved:
             here = jax.tree.unflatten(jax.tree.structure(self.experiment.simulation), leaves)
             slopes = [_slopes(build, config, key, here, self.source) for key in self.keys]
-        return _linearisation(np.asarray(values, float), self.places, leaves, slopes)
+        return _linearisation(np.asarray(values, float), self.inputs.places, leaves, slopes)
 
     def _covers(self, leaves: list[Any]) -> bool:
         """Whether nothing differs from the configuration's own simulation but what changes."""
-        masks = dict(zip(self.places, self.masks, strict=True))
+        changing = dict(zip(self.inputs.places, self.inputs.elements, strict=True))
         own = jax.tree.leaves(self.experiment.simulation)
-        return all(
-            np.allclose(leaf[~mask], old[~mask], rtol=_LAYOUT, atol=0)
-            for place, (leaf, old) in enumerate(zip(leaves, own, strict=True))
-            if _is_number(leaf)
-            for leaf, old in [(np.asarray(leaf), np.asarray(old))]
-            for mask in [masks.get(place, np.zeros(leaf.shape, bool))]
-        )
+        for place, (leaf, old) in enumerate(zip(leaves, own, strict=True)):
+            if is_number(leaf):
+                rest = np.delete(np.ravel(leaf), changing.get(place, []))
+                theirs = np.delete(np.ravel(old), changing.get(place, []))
+                if not np.allclose(rest, theirs, rtol=_LAYOUT, atol=0):
+                    return False
+        return True
 
     def config_at(self, values: Float[np.ndarray, " k"]) -> ExperimentConfig:
         """The configuration with other values.
@@ -201,15 +193,11 @@ def parametrise(
         else:
             break
     places = sorted({place for slope in slopes for place in slope})
-    masks = tuple(
-        np.asarray(np.any([s[place].moves for s in slopes if place in s], axis=0))
-        for place in places
-    )
+    moves = [np.any([s[place].moves for s in slopes if place in s], axis=0) for place in places]
+    inputs = Inputs(tuple(places), tuple(map(np.flatnonzero, moves)))
     values = np.array([number_at(config, key) for key in keys])
     model = _linearisation(values, places, leaves, slopes)
-    return Parameters(
-        tuple(keys), model, experiment, config, source, folders, tuple(places), masks, apart
-    )
+    return Parameters(tuple(keys), model, experiment, config, source, folders, inputs, apart)
 
 
 def all_parameters(
@@ -261,11 +249,6 @@ def _named(keys: Sequence[str], values: Iterable[float]) -> str:
     return ", ".join(f"{key}={value:g}" for key, value in zip(keys, values, strict=True))
 
 
-def _is_number(leaf: Any) -> bool:
-    real = isinstance(leaf, np.ndarray) and np.issubdtype(leaf.dtype, np.floating)
-    return real or isinstance(leaf, float)
-
-
 def _same_layout(build: _Build, config: ExperimentConfig, other: Simulation) -> list[Any] | None:
     """The leaves of a simulation that differs from another one in its numbers alone, or None."""
     leaves, structure = jax.tree.flatten(build(config).simulation)
@@ -273,7 +256,7 @@ def _same_layout(build: _Build, config: ExperimentConfig, other: Simulation) -> 
     if structure != layout:
         return None
     for mine, given in zip(leaves, theirs, strict=True):
-        if not (_is_number(given) and _is_number(mine)):
+        if not (is_number(given) and is_number(mine)):
             if not np.array_equal(mine, given):
                 return None
         elif np.shape(mine) != np.shape(given):
@@ -335,7 +318,7 @@ def _slopes(
     paths = jax.tree_util.tree_flatten_with_path(base)[0]
     changes = {}
     for place, (_, leaf) in enumerate(paths):
-        if not _is_number(leaf):
+        if not is_number(leaf):
             continue
         slope = derivative(stencil, step, leaf, [other[place] for other in found])
         if slope is None:

@@ -296,7 +296,9 @@ def _merge_alike(rows: np.ndarray, areas: np.ndarray) -> tuple[np.ndarray, np.nd
     _, chosen, inverse = np.unique(
         rounded * signs + 0.0, axis=0, return_index=True, return_inverse=True
     )
-    return (rows * signs)[chosen], np.bincount(inverse.ravel(), weights=areas)
+    # In the order of the points: that of the rows themselves would change with a body's size.
+    order = np.argsort(chosen)
+    return (rows * signs)[chosen[order]], np.bincount(inverse.ravel(), weights=areas)[order]
 
 
 def _outer_products(rows: np.ndarray) -> np.ndarray:

@@ -132,7 +132,7 @@ def check_derivatives(config, keys):
     @quick_jit
     def with_leaves(chosen):
         leaves = list(every)
-        for place, leaf in zip(parameters.places, chosen, strict=True):
+        for place, leaf in zip(parameters.inputs.places, chosen, strict=True):
             leaves[place] = leaf
         return terms(jax.tree.unflatten(layout, leaves))
 
@@ -216,7 +216,7 @@ def test_a_number_at_the_end_of_what_is_allowed_has_the_derivative_to_its_other_
     simulation = jax.tree.leaves(parameters.experiment.simulation)
     slopes = {
         id(simulation[place]): slope
-        for place, slope in zip(parameters.places, parameters.model.slopes, strict=True)
+        for place, slope in zip(parameters.inputs.places, parameters.model.slopes, strict=True)
     }
     np.testing.assert_allclose(slopes[id(tree.damping)][0], 1.0, rtol=1e-9)
     np.testing.assert_allclose(slopes[id(tree.mass)][1], tree.volume, rtol=1e-9)

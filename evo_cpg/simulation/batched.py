@@ -1,0 +1,175 @@
+"""Different bodies in one program: simulations of one plan as a batch, like genomes.
+
+A number of a simulation (a mass, a size, a drag coefficient) is a constant of the compiled program,
+which is what makes it fast. Where simulations differ in some numbers, these alone become inputs of
+the program, one value for each individual; what all have in common, zeros of matrices above all,
+stays constant. A program that was compiled for some bodies serves all others that differ in the
+same numbers.
+"""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int, UInt32
+
+from evo_cpg.simulation.backward import Backward
+from evo_cpg.simulation.rollout import Outcome, Simulation, rollout
+from evo_cpg.spatial.partly import PartlyTraced
+
+# Differences of so many units in the last place are rounding.
+_ROUNDING = 16 * np.finfo(float).eps
+
+
+class LayoutError(ValueError):
+    """Simulations that differ in more than numbers."""
+
+
+class Inputs(NamedTuple):
+    """Which numbers of a simulation are inputs of its program.
+
+    Attributes:
+        places: of its leaves that have such numbers.
+        elements: of each of these leaves, flattened.
+    """
+
+    places: tuple[int, ...]
+    elements: tuple[Int[np.ndarray, " _"], ...]
+
+    def of(self, simulation: Simulation) -> list[np.ndarray]:
+        """Their values, leaf by leaf."""
+        leaves = jax.tree.leaves(simulation)
+        return [
+            np.asarray(leaves[place], float).reshape(-1)[own]
+            for place, own in zip(self.places, self.elements, strict=True)
+        ]
+
+    def put(self, simulation: Simulation, values: Sequence[Array]) -> Simulation:
+        """The simulation with other values, which may be traced; its other numbers stay known."""
+        leaves, structure = jax.tree.flatten(simulation)
+        for place, own, value in zip(self.places, self.elements, values, strict=True):
+            known = np.asarray(leaves[place], float)
+            if known.ndim and len(own) < known.size:
+                leaves[place] = PartlyTraced(known, own, value)
+            else:
+                leaves[place] = value.reshape(known.shape)
+        return jax.tree.unflatten(structure, leaves)
+
+
+class BatchedSimulation(NamedTuple):
+    """Simulations that differ in some numbers, one for each individual.
+
+    Attributes:
+        common: what they have in common; one of them.
+        inputs: the numbers in which they differ.
+        values: of these numbers, leaf by leaf, with the individuals on the last axis.
+    """
+
+    common: Simulation
+    inputs: Inputs
+    values: tuple[Float[np.ndarray, "_ n"], ...]
+
+    def __getitem__(self, individual: int) -> Simulation:
+        """The simulation of one individual, all of its numbers known."""
+        own = [np.asarray(value[:, individual]) for value in self.values]
+        leaves, structure = jax.tree.flatten(self.common)
+        parts = zip(self.inputs.places, self.inputs.elements, own, strict=True)
+        for place, elements, value in parts:
+            whole = np.array(leaves[place], float, order="C")
+            whole.reshape(-1)[elements] = value
+            leaves[place] = whole if whole.ndim else float(whole)
+        return jax.tree.unflatten(structure, leaves)
+
+    @property
+    def size(self) -> int:
+        """Number of individuals."""
+        return self.values[0].shape[1]
+
+
+def batch(
+    simulations: Sequence[Simulation], like: BatchedSimulation | None = None
+) -> BatchedSimulation:
+    """Simulations as a batch.
+
+    Args:
+        simulations: at least one; bodies of one plan in worlds of one kind.
+        like: a batch for which a program was compiled that is to serve these as well: they have
+            the same in common, and may differ in the same numbers.
+
+    Raises:
+        LayoutError: they differ in more than numbers.
+        ValueError: they differ in other numbers than ``like``, or in none.
+    """
+    every = [like.common, *simulations] if like else simulations
+    (first, structure), *others = map(jax.tree.flatten, every)
+    paths = jax.tree_util.tree_leaves_with_path(every[0])
+    names = [jax.tree_util.keystr(path)[1:] for path, _ in paths]
+    if any(other != structure for _, other in others):
+        raise LayoutError(
+            "the simulations differ in more than numbers: in parts, names, or how bodies are "
+            "joined or grouped"
+        )
+    differing: dict[int, np.ndarray] = {}
+    for place, leaf in enumerate(first):
+        theirs = [leaves[place] for leaves, _ in others]
+        if any(np.shape(other) != np.shape(leaf) for other in theirs):
+            raise LayoutError(f"{names[place]} has another shape in some of the simulations")
+        moves = _differs(np.stack([np.asarray(x) for x in (leaf, *theirs)]))
+        if moves.any():
+            if not is_number(leaf):
+                raise ValueError(f"{names[place]} is no real number, and differs")
+            differing[place] = np.flatnonzero(moves)
+    if not (like or differing):
+        raise ValueError("the simulations are all the same")
+    inputs = like.inputs if like else Inputs(tuple(differing), tuple(differing.values()))
+    allowed = dict(zip(inputs.places, inputs.elements, strict=True))
+    for place, elements in differing.items():
+        if not np.isin(elements, allowed.get(place, ())).all():
+            raise ValueError(f"{names[place]} differs, and is no input of the program")
+    values = zip(*(inputs.of(simulation) for simulation in simulations), strict=True)
+    return BatchedSimulation(every[0], inputs, tuple(np.stack(each, axis=-1) for each in values))
+
+
+def rollout_batched(
+    common: Simulation,
+    inputs: Inputs,
+    values: Sequence[Float[Array, "_ n"]],
+    genes: Float[Array, "g n"],
+    keys: UInt32[Array, "w n"] | None = None,
+    trial: Int[Array, " n"] | None = None,
+    backward: Backward | None = None,
+) -> Outcome:
+    """`rollout` of every individual in a simulation of its own.
+
+    Args:
+        common: see `BatchedSimulation`.
+        inputs: likewise.
+        values: likewise; they are taken in the precision of the genes.
+        genes: one genome per individual.
+        keys: see `rollout`.
+        trial: see `rollout`.
+        backward: see `rollout`.
+    """
+
+    def one(values: list[Array], genes: Array, keys: Array | None, trial: Array | None) -> Outcome:
+        return rollout(inputs.put(common, values), genes, keys, trial, backward)
+
+    own = [jnp.asarray(value, genes.dtype) for value in values]
+    return jax.vmap(one, in_axes=-1, out_axes=-1)(own, genes, keys, trial)
+
+
+def _differs(each: np.ndarray) -> np.ndarray | np.bool_:
+    """Which elements differ along the first axis by more than rounding."""
+    if not np.issubdtype(each.dtype, np.floating):
+        return (each != each[:1]).any(0)
+    largest = np.abs(each, where=np.isfinite(each), out=np.zeros_like(each)).max(initial=0.0)
+    # An infinity, a torque limit that is none, is close to another one.
+    return np.any(~np.isclose(each, each[:1], rtol=0, atol=_ROUNDING * largest), axis=0)
+
+
+def is_number(leaf: Any) -> bool:
+    """Whether a leaf of a simulation is a real number, or an array of them."""
+    real = isinstance(leaf, np.ndarray) and np.issubdtype(leaf.dtype, np.floating)
+    return real or isinstance(leaf, float)

@@ -1,0 +1,118 @@
+"""Different bodies in one program do what each does alone."""
+
+import functools
+
+import jax
+import numpy as np
+import pytest
+
+from evo_cpg.config.batched import build_batch
+from evo_cpg.config.errors import ConfigError
+from evo_cpg.config.load import load_config
+from evo_cpg.config.numbers import number_at
+from evo_cpg.simulation.batched import rollout_batched
+from evo_cpg.simulation.rollout import rollout
+from tiny_run import REPOSITORY, TINY
+
+SWIMMER = REPOSITORY / "configs" / "iwadate2010_swimmer.yaml"
+WALKER = REPOSITORY / "configs" / "fukui2003_model1.yaml"
+
+# A second in water, a tenth of one on the ground.
+CASES = {
+    "swimmer": (
+        SWIMMER,
+        TINY,
+        (
+            "creature.materials.body.density",
+            "creature.bodies.0.shape.size.0",
+            "creature.bodies.1.shape.size.1",
+            "creature.bodies.1.joint.at.0",
+            "creature.bodies.1.joint.actuator.gain",
+            "world.water.form_drag",
+        ),
+    ),
+    "walker": (
+        WALKER,
+        ("simulation.steps=6",),
+        (
+            "creature.materials.leg.density",
+            "creature.bodies.0.shape.size.0",
+            "creature.bodies.1.shape.size.2",
+            "creature.bodies.1.joint.at.0",
+            "creature.bodies.1.joint.actuator.stiffness",
+            "world.gravity",
+        ),
+    ),
+}
+BODIES = 3
+
+
+def numbers(config, keys, seed=0):
+    """Each within a quarter of the configuration's own."""
+    rng = np.random.default_rng(seed)
+    return {key: number_at(config, key) * rng.uniform(0.75, 1.25, BODIES) for key in keys}
+
+
+def genes_of(simulation, dtype):
+    return simulation.controller.random_genes(jax.random.key(1), (BODIES,), dtype)
+
+
+@pytest.mark.parametrize(
+    ("case", "dtype", "error"),
+    [
+        ("swimmer", np.float32, 1e-5),
+        ("walker", np.float64, 1e-10),
+        pytest.param("swimmer", np.float64, 1e-10, marks=pytest.mark.slow),
+        pytest.param("walker", np.float32, 1e-5, marks=pytest.mark.slow),
+    ],
+)
+def test_each_body_does_what_it_does_alone(case, dtype, error, request):
+    if dtype == np.float64:
+        request.getfixturevalue("x64")
+    path, overrides, keys = CASES[case]
+    config = load_config(path, list(overrides))
+    batched = build_batch(config, path, numbers(config, keys))
+    genes = genes_of(batched.common, dtype)
+    together = jax.jit(functools.partial(rollout_batched, batched.common, batched.inputs))(
+        batched.values, genes
+    )
+    assert together.alive.all()
+    last = BODIES - 1
+    found = {name: term[last] for name, term in together.terms.items()}
+    alone, first = (
+        jax.jit(functools.partial(rollout, simulation))(genes[:, last:]).terms
+        for simulation in (batched[last], batched[0])
+    )
+    for name, term in found.items():
+        np.testing.assert_allclose(term, alone[name][0], rtol=error, atol=error)
+    # Bodies that do the same would prove nothing.
+    assert max(abs(first[name][0] - term) for name, term in found.items()) > 5 * error
+
+
+def test_a_compiled_program_serves_other_bodies():
+    path, overrides, keys = CASES["swimmer"]
+    config = load_config(path, [*overrides, "simulation.steps=5"])
+    batched = build_batch(config, path, numbers(config, keys))
+    others = build_batch(config, path, numbers(config, keys, seed=1), like=batched)
+    genes = genes_of(batched.common, np.float32)
+    run = jax.jit(functools.partial(rollout_batched, batched.common, batched.inputs))
+    run(batched.values, genes)
+    found = run(others.values, genes)
+    assert run._cache_size() == 1
+    alone = rollout(others[2], genes[:, 2:3])
+    for name, term in found.terms.items():
+        np.testing.assert_allclose(term[2], alone.terms[name][0], rtol=1e-5, atol=1e-5)
+
+
+def test_the_number_that_may_not_differ_is_named():
+    path, overrides, keys = CASES["swimmer"]
+    config = load_config(path, list(overrides))
+    density = build_batch(config, path, numbers(config, keys[:1]))
+    with pytest.raises(ConfigError, match=r"world\.water\.form_drag differs, and is no input"):
+        build_batch(config, path, numbers(config, keys[-1:]), like=density)
+    with pytest.raises(ConfigError, match="does not exist"):
+        build_batch(config, path, {"world.water.from_drag": np.ones(2)})
+    with pytest.raises(ConfigError, match="greater than 0"):
+        build_batch(config, path, {keys[0]: np.array([1000.0, -1.0])})
+    with pytest.raises(ConfigError, match="all the same"):
+        build_batch(config, path, {keys[0]: np.full(2, 1000.0)})
