@@ -4,17 +4,14 @@ import os
 import tempfile
 from pathlib import Path
 
+import xla_flags
+
 # JAX reads these when it starts, so they are set before anything imports it. One thread a
 # device: pytest-xdist keeps the cores busy already. XLA optimises little, for most programs run
 # for a moment and compile for seconds; `make test-slow` has them compiled as users do.
 os.environ["JAX_PLATFORMS"] = "cpu"
 os.environ["NPROC"] = "1"
-os.environ["XLA_FLAGS"] = " ".join(
-    (
-        "--xla_force_host_platform_device_count=2",
-        f"--xla_backend_optimization_level={os.environ.get('EVO_CPG_TESTS_OPTIMISED', '0')}",
-    )
-)
+os.environ["XLA_FLAGS"] = " ".join(("--xla_force_host_platform_device_count=2", *xla_flags.quick()))
 
 import hypothesis
 import jax

@@ -6,6 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import xla_flags
+
 REPOSITORY = Path(__file__).parents[1]
 CONFIG = REPOSITORY / "configs" / "iwadate2010_swimmer.yaml"
 
@@ -54,7 +56,7 @@ def environment(compiled: Path) -> dict[str, str]:
     """Environment of a process that compiles quickly and only once."""
     return os.environ | {
         "PYTHONPATH": str(REPOSITORY),
-        "XLA_FLAGS": "--xla_backend_optimization_level=0",
+        "XLA_FLAGS": " ".join(xla_flags.quick()),
         "JAX_COMPILATION_CACHE_DIR": str(compiled),
         "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
     }

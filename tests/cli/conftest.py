@@ -1,6 +1,7 @@
 """The program in this process for what is quick, in its own where the process matters."""
 
 import contextlib
+import io
 import os
 import sys
 import time
@@ -16,23 +17,34 @@ from tiny_run import CONFIG, GENERATIONS, LONG, program
 Called = tuple[int, str, str]
 
 
-@pytest.fixture
-def cli(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> Callable[..., Called]:
+@pytest.fixture(scope="session")
+def cli() -> Callable[..., Called]:
     """Call `evo-cpg` in this process: exit code, what it printed, what it complained of."""
-    # JAX has its two devices already.
-    monkeypatch.setattr(training, "use_cores", lambda count=None: 2)
+    return called
 
-    def call(*arguments: object) -> Called:
-        monkeypatch.setattr(sys, "argv", ["evo-cpg", *map(str, arguments)])
-        with pytest.raises(SystemExit) as stop:
+
+def called(*arguments: object, folder: Path | None = None) -> Called:
+    """Call `evo-cpg` in this process, where JAX has its two devices already.
+
+    Args:
+        arguments: of the command line.
+        folder: working folder.
+    """
+    out, err = io.StringIO(), io.StringIO()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(training, "use_cores", lambda count=None: 2)
+        patch.setattr(sys, "argv", ["evo-cpg", *map(str, arguments)])
+        if folder is not None:
+            patch.chdir(folder)
+        with (
+            contextlib.redirect_stdout(out),
+            contextlib.redirect_stderr(err),
+            pytest.raises(SystemExit) as stop,
+        ):
             main()
-        code = stop.value.code
-        assert isinstance(code, int)
-        return code, *capsys.readouterr()
-
-    return call
+    code = stop.value.code
+    assert isinstance(code, int)
+    return code, out.getvalue(), err.getvalue()
 
 
 @pytest.fixture(scope="session")

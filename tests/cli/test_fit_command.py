@@ -101,7 +101,7 @@ def test_drag_and_speed_come_out_of_a_recorded_coast(cli, config, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_constant_of_the_cord_comes_out_of_a_champions_motion(finished_run, finish, tmp_path):
+def test_a_constant_of_the_cord_comes_out_of_a_champions_motion(finished_run, cli, tmp_path):
     key, truth = "controller.cpg.time_scale", 0.8
     folder = RunFolder(finished_run)
     config = load_config(folder.config)
@@ -116,7 +116,7 @@ def test_a_constant_of_the_cord_comes_out_of_a_champions_motion(finished_run, fi
     data = np.asarray(exact) + 1e-4 * np.random.default_rng(1).normal(size=exact.shape)
     table = tmp_path / "data.csv"
     write(table, ("time", *columns), np.column_stack([times, data]))
-    code, said, complaint = finish("fit", folder.config, table, key, "--run", folder.path)
+    code, said, complaint = cli("fit", folder.config, table, key, "--run", folder.path)
     assert code == 0, complaint
     line = next(line for line in said.splitlines() if key in line)
     low, high = (float(line.split()[i]) for i in (-3, -1))
@@ -191,12 +191,12 @@ def test_the_controllers_numbers_take_a_champion(cli, tmp_path):
     assert code == 2 and "--run RUN takes a champion's" in complaint
 
 
-def test_the_champion_of_another_animal_is_refused(finish, finished_run, tmp_path):
+def test_the_champion_of_another_animal_is_refused(cli, finished_run, tmp_path):
     """In a process of its own: building an animal over ground starts JAX."""
     table = tmp_path / "data.csv"
     write(table, ["time", "x"], [[0.1, 1], [0.2, 1], [0.3, 1]])
     land = REPOSITORY / "configs" / "iwadate2010_salamander_land.yaml"
     key = "controller.cpg.time_scale"
-    code, _, complaint = finish("fit", land, table, key, "--run", finished_run)
+    code, _, complaint = cli("fit", land, table, key, "--run", finished_run)
     assert code == 2 and "Traceback" not in complaint
     assert f"--run: the champion of {finished_run} has" in complaint

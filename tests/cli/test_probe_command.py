@@ -19,9 +19,9 @@ def rows(path: Path) -> list[dict[str, float]]:
 
 
 @pytest.fixture(scope="module")
-def probed(finished_run, finish, tmp_path_factory):
+def probed(finished_run, cli, tmp_path_factory):
     folder = tmp_path_factory.mktemp("probe") / "made"
-    code, out, err = finish("probe", finished_run, *LIGHTS, "--out", folder, "--reach", 0.97)
+    code, out, err = cli("probe", finished_run, *LIGHTS, "--out", folder, "--reach", 0.97)
     assert code == 0, err
     return folder, out
 
@@ -49,16 +49,16 @@ def test_the_table_says_what_was_asked_and_what_came_of_it(probed):
     assert len({row["light"] for row in found}) == 6
 
 
-def test_a_row_is_that_of_a_probe_of_its_light_alone(finished_run, finish, probed, tmp_path):
+def test_a_row_is_that_of_a_probe_of_its_light_alone(finished_run, cli, probed, tmp_path):
     alone = ("--bearings", "60", "--distances", "5", "--reach", "0.97")
-    code, _, err = finish("probe", finished_run, *alone, "--out", tmp_path)
+    code, _, err = cli("probe", finished_run, *alone, "--out", tmp_path)
     assert code == 0, err
     (row,) = rows(tmp_path / "probe.csv")
     assert row == pytest.approx(rows(probed[0] / "probe.csv")[-1], rel=1e-5)
 
 
-def test_its_own_trials_come_out_as_in_training(finished_run, finish, tmp_path):
-    code, _, err = finish("probe", finished_run, "--trials", "--out", tmp_path)
+def test_its_own_trials_come_out_as_in_training(finished_run, cli, tmp_path):
+    code, _, err = cli("probe", finished_run, "--trials", "--out", tmp_path)
     assert code == 0, err
     (row,) = rows(tmp_path / "probe.csv")
     champion, _, _ = RunFolder(finished_run).load_champion()
@@ -67,8 +67,8 @@ def test_its_own_trials_come_out_as_in_training(finished_run, finish, tmp_path):
     assert row["light"] == pytest.approx(champion.terms["light"], rel=1e-4)
 
 
-def test_the_blind_see_nothing_and_have_files_of_their_own(finished_run, finish, probed, tmp_path):
-    code, out, err = finish("probe", finished_run, *LIGHTS, "--blind", "--out", tmp_path)
+def test_the_blind_see_nothing_and_have_files_of_their_own(finished_run, cli, probed, tmp_path):
+    code, out, err = cli("probe", finished_run, *LIGHTS, "--blind", "--out", tmp_path)
     assert code == 0, err
     found = rows(tmp_path / "probe_blind.csv")
     assert out.splitlines()[-1] == str(tmp_path / "probe_blind.png")

@@ -17,21 +17,21 @@ QUICK = "--rounds", 1, "--steps", 3
 
 
 @pytest.fixture(scope="module")
-def refined(finished_run, finish, tmp_path_factory):
+def refined(finished_run, cli, tmp_path_factory):
     folder = shutil.copytree(finished_run, tmp_path_factory.mktemp("refined") / "run")
-    code, out, err = finish("refine", folder, *QUICK, "--cores", 2)
+    code, out, err = cli("refine", folder, *QUICK, "--cores", 2)
     assert code == 0, err
     assert out == f"{folder}\n"
     return RunFolder(folder), err
 
 
-def test_the_champion_is_better_and_verified(refined, finished_run, finish):
+def test_the_champion_is_better_and_verified(refined, finished_run, cli):
     folder, err = refined
     before, after = (RunFolder(path).load_champion()[0] for path in (finished_run, folder.path))
     assert after.fitness > before.fitness
     assert f"fitness {before.fitness:.4f} -> {after.fitness:.4f}" in err
     assert "round    1/1" in err
-    code, out, err = finish("verify", folder.path)
+    code, out, err = cli("verify", folder.path)
     assert (code, err) == (0, "")
     assert out.endswith("comes out as recorded (exactly)\n")
 
@@ -52,21 +52,21 @@ def test_the_folder_tells_what_was_gained_and_what_was_there_before(refined, fin
     assert folder.read_meta()["refined"]
 
 
-def test_evolution_goes_on_from_it(refined, finish, tmp_path):
+def test_evolution_goes_on_from_it(refined, cli, tmp_path):
     folder = RunFolder(shutil.copytree(refined[0].path, tmp_path / "run"))
     done = folder.load()
     assert done is not None
-    code, _, err = finish("resume", folder.path, "--generations", done.generation + 1)
+    code, _, err = cli("resume", folder.path, "--generations", done.generation + 1)
     assert code == 0, err
     last = folder.history()["best"][-1]
     np.testing.assert_allclose(last, done.champion.fitness, rtol=1e-4)
 
 
-def test_numbers_of_the_configuration_are_refined_with_the_genes(finished_run, finish, tmp_path):
+def test_numbers_of_the_configuration_are_refined_with_the_genes(finished_run, cli, tmp_path):
     folder = RunFolder(shutil.copytree(finished_run, tmp_path / "run"))
     keys = "controller.cpg.time_scale", "creature.bodies.1.shape.size.0"
     before, first = yaml.safe_load(folder.config.read_text()), folder.load_champion()[0]
-    code, _, err = finish("refine", folder.path, *keys, *QUICK, "--cores", 2)
+    code, _, err = cli("refine", folder.path, *keys, *QUICK, "--cores", 2)
     assert code == 0, err
     after = yaml.safe_load(folder.config.read_text())
     scales = [made["controller"]["cpg"].pop("time_scale") for made in (before, after)]
@@ -80,7 +80,7 @@ def test_numbers_of_the_configuration_are_refined_with_the_genes(finished_run, f
     kept = folder.path / "config_before.yaml"
     assert kept.read_bytes() == (finished_run / "config.yaml").read_bytes()
     assert folder.load_champion()[0].fitness > first.fitness
-    code, out, err = finish("verify", folder.path)
+    code, out, err = cli("verify", folder.path)
     assert (code, err) == (0, "")
     assert out.endswith("(exactly)\n")
 
@@ -110,18 +110,18 @@ def test_what_is_no_run_is_refused(cli, tmp_path):
 
 
 @pytest.mark.slow  # 4 min: the backward pass of a walker on the ground
-def test_postures_are_graded_from_then_on(finish, tmp_path):
+def test_postures_are_graded_from_then_on(cli, tmp_path):
     folder = RunFolder(tmp_path / "run")
     config = REPOSITORY / "configs" / "fukui2003_model1.yaml"
     settings = "simulation.steps=120", "evolution.generations=3"
-    code, _, err = finish("train", config, *settings, "--out", folder.path)
+    code, _, err = cli("train", config, *settings, "--out", folder.path)
     assert code == 0, err
-    code, _, err = finish("refine", folder.path, *QUICK)
+    code, _, err = cli("refine", folder.path, *QUICK)
     assert code == 0, err
     assert "the genes count as graded" in err
     genes = folder.load_champion()[0].genes
     assert ((genes > 0) & (genes < 1)).any()
     assert "graded: true" in folder.config.read_text()
-    code, out, err = finish("verify", folder.path)
+    code, out, err = cli("verify", folder.path)
     assert (code, err) == (0, "")
     assert out.endswith("(exactly)\n")

@@ -8,10 +8,10 @@ KEYS = ("world.water.form_drag", "world.water.current.0", "genes")
 
 
 @pytest.mark.slow
-def test_it_ranks_what_it_was_asked_for(finished_run, finish, tmp_path):
+def test_it_ranks_what_it_was_asked_for(finished_run, cli, tmp_path):
     folder = tmp_path / "made"
     arguments = ("--seconds", 1, "--out", folder)
-    code, out, err = finish("sensitivity", finished_run, *KEYS, *arguments)
+    code, out, err = cli("sensitivity", finished_run, *KEYS, *arguments)
     assert code == 0, err
     *_, table, picture = out.splitlines()
     assert (table, picture) == (str(folder / "sensitivity.csv"), str(folder / "sensitivity.png"))

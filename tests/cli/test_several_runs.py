@@ -19,10 +19,10 @@ NOISY = (
 
 
 @pytest.fixture(scope="module")
-def noisy_run(finish, tmp_path_factory):
+def noisy_run(cli, tmp_path_factory):
     folder = tmp_path_factory.mktemp("several") / "run"
     overrides = (*TINY, *NOISY, "evolution.generations=2")
-    code, _, err = finish("train", CONFIG, *overrides, "--out", folder, "--cores", 2)
+    code, _, err = cli("train", CONFIG, *overrides, "--out", folder, "--cores", 2)
     assert code == 0, err
     assert "generation    2/2  best of 2 runs" in err and "  median" in err
     assert "champion of generation" in err and " of run " in err
@@ -35,17 +35,17 @@ def test_every_generation_has_a_row_for_each_run(noisy_run):
     assert rows == [("0", "0"), ("0", "1"), ("1", "0"), ("1", "1")]
 
 
-def test_the_best_of_all_comes_out_exactly_noise_included(noisy_run, finish):
-    code, out, err = finish("verify", noisy_run)
+def test_the_best_of_all_comes_out_exactly_noise_included(noisy_run, cli):
+    code, out, err = cli("verify", noisy_run)
     assert (code, err) == (0, "")
     assert out.endswith("comes out as recorded (exactly)\n")
 
 
-def test_the_champion_of_any_run_is_filmed(noisy_run, finish, tmp_path):
+def test_the_champion_of_any_run_is_filmed(noisy_run, cli, tmp_path):
     kept, _, _ = RunFolder(noisy_run).load_champion()
     picture = tmp_path / "other.png"
     options = ("--run", 1 - kept.run, "--size", "64x48", "-o", picture)
-    code, out, err = finish("render", noisy_run, *options)
+    code, out, err = cli("render", noisy_run, *options)
     assert (code, out) == (0, f"{picture}\n"), err
     assert picture.stat().st_size > 0
 

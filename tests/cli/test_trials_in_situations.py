@@ -17,30 +17,30 @@ TRIALS = (
 
 
 @pytest.fixture(scope="module")
-def situated_run(finish, tmp_path_factory):
+def situated_run(cli, tmp_path_factory):
     folder = tmp_path_factory.mktemp("situated") / "run"
     overrides = (*TINY, f"simulation.trials={TRIALS}", "evolution.generations=2")
-    code, _, err = finish("train", CONFIG, *overrides, "--out", folder, "--cores", 2)
+    code, _, err = cli("train", CONFIG, *overrides, "--out", folder, "--cores", 2)
     assert code == 0, err
     return folder
 
 
-def test_the_champion_comes_out_exactly(situated_run, finish):
-    code, out, err = finish("verify", situated_run)
+def test_the_champion_comes_out_exactly(situated_run, cli):
+    code, out, err = cli("verify", situated_run)
     assert (code, err) == (0, "")
     assert out.endswith("comes out as recorded (exactly)\n")
     written = yaml.safe_load((situated_run / "config.yaml").read_text())
     assert written["simulation"]["trials"] == yaml.safe_load(TRIALS)
 
 
-def test_pictures_are_made_of_any_trial(situated_run, finish, tmp_path):
-    code, out, err = finish("plot", situated_run, "--trial", 2, "-o", tmp_path)
+def test_pictures_are_made_of_any_trial(situated_run, cli, tmp_path):
+    code, out, err = cli("plot", situated_run, "--trial", 2, "-o", tmp_path)
     assert code == 0, err
     names = ["fitness.png", "joint_signals_trial2.png", "path_trial2.png"]
     assert out.splitlines() == [str(tmp_path / name) for name in names]
     assert all((tmp_path / name).stat().st_size > 0 for name in names)
     picture = tmp_path / "film.png"
-    code, out, err = finish("render", situated_run, "--trial", 1, "--size", "64x48", "-o", picture)
+    code, out, err = cli("render", situated_run, "--trial", 1, "--size", "64x48", "-o", picture)
     assert (code, out) == (0, f"{picture}\n"), err
 
 

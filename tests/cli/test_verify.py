@@ -42,9 +42,9 @@ def complaints(err: str, folder: Path) -> list[str]:
     return [line.removeprefix(start) for line in lines]
 
 
-def test_a_fresh_run_comes_out_exactly_as_recorded(finished_run, finish):
+def test_a_fresh_run_comes_out_exactly_as_recorded(finished_run, cli):
     champion, _, _ = RunFolder(finished_run).load_champion()
-    code, out, err = finish("verify", finished_run)
+    code, out, err = cli("verify", finished_run)
     assert (code, err) == (0, "")
     assert out == (
         f"{finished_run}: the champion's fitness {champion.fitness:.6f} comes out as recorded "
@@ -52,23 +52,23 @@ def test_a_fresh_run_comes_out_exactly_as_recorded(finished_run, finish):
     )
 
 
-def test_an_altered_config_is_found_by_digest_and_by_replay(copied_run, finish):
+def test_an_altered_config_is_found_by_digest_and_by_replay(copied_run, cli):
     config = yaml.safe_load(copied_run.config.read_text())
     config["world"]["water"]["density"] *= 0.8
     copied_run.config.write_text(yaml.safe_dump(config))
-    code, out, err = finish("verify", copied_run.path)
+    code, out, err = cli("verify", copied_run.path)
     assert (code, out) == (2, "")
     found = complaints(err, copied_run.path)
     assert found[0] == "config.yaml is not the one that the champion was evolved with"
     assert any(line.startswith("energy: recorded 0.") and "replayed 0." in line for line in found)
 
 
-def test_genes_altered_with_all_digests_are_found_by_replay(copied_run, finish):
+def test_genes_altered_with_all_digests_are_found_by_replay(copied_run, cli):
     champion, _, _ = copied_run.load_champion()
     genes = -champion.genes
     alter(copied_run, genes=genes, genes_sha256=genes_digest(genes))
     shutil.rmtree(copied_run.path / "checkpoints")
-    code, out, err = finish("verify", copied_run.path)
+    code, out, err = cli("verify", copied_run.path)
     assert (code, out) == (2, "")
     found = complaints(err, copied_run.path)
     assert found[0].startswith("fitness: recorded ")

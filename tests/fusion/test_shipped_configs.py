@@ -128,9 +128,11 @@ def test_one_control_step_from_a_hundred_recorded_states(config, trials):
 
 @pytest.mark.parametrize("config", cases(IN_WATER))
 def test_a_second_in_water(config, trials):
-    """On the ground trajectories part."""
-    trial = trials(config)
-    native = plain = trial.start
+    """No further apart than by a last digit in every control step; on the ground they part."""
+    trial, generator = trials(config), np.random.default_rng(0)
+    native = plain = near = trial.start
     for index in range(round(trial.rate)):
         native, plain = trial.native(native, index)[0], trial.plain(plain, index)[0]
-    assert distances(native, plain).max() < 1e-4
+        near = trial.plain(nudged(near, generator), index)[0]
+    assert distances(native, plain).max() < 3 * distances(near, plain).max()
+    assert distances(native, plain).max() < 1e-3
