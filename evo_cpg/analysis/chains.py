@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from evo_cpg.analysis.limit_cycle import parts
+from evo_cpg.control.couplings import explicit_weights
 from evo_cpg.control.matsuoka import CpgSettings, build_network, inhibition_matrix
 from evo_cpg.creature.tree import Tree
 
@@ -35,6 +36,9 @@ def chains(tree: Tree, settings: CpgSettings) -> list[Chain]:
     """All chains that cannot be made longer; the longest first, else in the order of the bodies."""
     down = CpgSettings(pair_weight=1.0, child_weight=0.0, opposite=settings.opposite)
     links = inhibition_matrix(tree, down) - np.eye(tree.dof_count)
+    for place in explicit_weights(tree, settings.couplings, settings.rings):
+        # Something else is written in the place of the parent's coupling.
+        links[place] = 0
     # Whether neighbours are coupled at present or not.
     coupled = dataclasses.replace(settings, pair_weight=1.0, parent_weight=1.0, child_weight=1.0)
     joined = parts(build_network(tree, coupled))

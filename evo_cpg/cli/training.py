@@ -17,6 +17,8 @@ from evo_cpg.config.build import build_experiment
 from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.load import dump_config, load_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
+from evo_cpg.control.brain_cpg import BrainCpg
+from evo_cpg.control.couplings import uncoupled
 from evo_cpg.fusion.engine import described
 from evo_cpg.training.checkpoint import Champion, genes_digest, outcome_digest
 from evo_cpg.training.devices import use_cores
@@ -125,8 +127,23 @@ def validate_configs(paths: Sequence[Path]) -> None:
                 f"{experiment.creature.mass:.3g} kg, "
                 f"{experiment.simulation.controller.gene_count} genes"
             )
+            alone = _alone(experiment)
+            if alone:
+                print(
+                    f"{path}: warning: coupled to no other oscillator: {', '.join(alone)}; "
+                    "controller.cpg.couplings and rings couple them"
+                )
     if wrong:
         raise SystemExit(2)
+
+
+def _alone(experiment: Experiment) -> list[str]:
+    """Degrees of freedom with a motor whose oscillators are coupled to nothing."""
+    controller, tree = experiment.simulation.controller, experiment.simulation.world.tree
+    if not isinstance(controller, BrainCpg):
+        return []
+    driven = (tree.servo_gain > 0) | (tree.servo_stiffness > 0)
+    return [tree.dof_names[i] for i in uncoupled(controller.network.matrix) if driven[i]]
 
 
 def open_run(run: Path) -> tuple[RunFolder, ExperimentConfig, Experiment]:

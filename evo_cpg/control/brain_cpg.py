@@ -48,6 +48,7 @@ from evo_cpg.control.brain import (
     think,
 )
 from evo_cpg.control.controller import Command, Controller, Observation, Origin
+from evo_cpg.control.couplings import axis_names, matching_bodies
 from evo_cpg.control.matsuoka import CpgSettings, MatsuokaNetwork, MatsuokaState, build_network
 from evo_cpg.creature.tree import Tree
 from evo_cpg.spatial.linear import lift
@@ -318,7 +319,7 @@ def _grouped_axes(tree: Tree, groups: Mapping[str, tuple[str, ...]]) -> list[str
     """Axis of each degree of freedom, behind the group of its body where it is in one."""
     group_of: dict[int, str] = {}
     for group, patterns in groups.items():
-        found = matsuoka.matching_bodies(tree, patterns, f"groups.{group}")
+        found = matching_bodies(tree, patterns, f"groups.{group}")
         if not found & set(tree.dof_bodies):
             raise ValueError(f"groups.{group} names no body with a joint")
         for body in found:
@@ -327,7 +328,7 @@ def _grouped_axes(tree: Tree, groups: Mapping[str, tuple[str, ...]]) -> list[str
                     f"groups {group_of[body]} and {group} both name {tree.names[body]!r}"
                 )
     names = [group_of.get(body) for body in tree.dof_bodies]
-    axes = matsuoka.axis_names(tree)
+    axes = axis_names(tree)
     return [
         f"{group}/{axis}" if group is not None else axis
         for group, axis in zip(names, axes, strict=True)

@@ -23,8 +23,9 @@ contralaterally (extensor to flexor, flexor to extensor), more strongly from par
 back; that asymmetry is what makes the wave run from head to tail. Where the two axes point in
 opposite directions (the z of a right leg that swings forwards by a turn about -z), what is
 contralateral for the muscles is ipsilateral for the neurons. The axes of one joint may inhibit
-each other contralaterally, too (``cross_weight``). One signed matrix (oscillator by oscillator)
-states it, its positive part A from one side to the other, its negative part B within a side:
+each other contralaterally, too (``cross_weight``), and any oscillators may be coupled one by one
+or around a ring (`evo_cpg.control.couplings`). One signed matrix (oscillator by oscillator) states
+it, its positive part A from one side to the other, its negative part B within a side:
 
     T_r dx_e/dt + x_e = -A y_f - B y_e - b z_e + u_e + s,    and the same with e and f exchanged.
 
@@ -37,7 +38,6 @@ individuals takes 10 us on one core in float32.
 """
 
 import dataclasses
-import fnmatch
 import itertools
 import math
 from typing import Any, Literal
@@ -49,6 +49,14 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
+from evo_cpg.control.couplings import (
+    Coupling,
+    Ring,
+    axis_names,
+    explicit_weights,
+    matching_bodies,
+    start_phases,
+)
 from evo_cpg.creature.tree import Tree
 from evo_cpg.fusion.fuse import fuse
 from evo_cpg.spatial.linear import lift
@@ -63,8 +71,8 @@ SUBSTEP_SHARE = 0.25
 # Up to so many substeps are written out.
 _UNROLLED = 3
 
-# Extensors start at this share of the largest tonic input, flexors at 0. A symmetric start
-# would never oscillate.
+# Extensors start at this share of the largest tonic input, flexors at 0, or as a wanted lag has it.
+# A symmetric start would never oscillate.
 INITIAL_SHARE = 0.1
 
 
@@ -84,6 +92,8 @@ class CpgSettings:
             ``pair_weight``; they then turn together, positive with positive.
         opposite: bodies, or patterns such as ``front_*``, whose oscillators follow the other side
             of their parents' than their axes say; so front legs that step against hind legs.
+        couplings: between chosen oscillators, in the place of what the tree would give them.
+        rings: of oscillators with a constant lag from one to the next, likewise.
         sensory_feedback: s, the same for every neuron.
         max_tonic_input: u_max; outputs are proportional to it.
         min_adaptation_gain: smallest b.
@@ -100,6 +110,8 @@ class CpgSettings:
     child_weight: float = 0.2
     cross_weight: float = 0.0
     opposite: tuple[str, ...] = ()
+    couplings: tuple[Coupling, ...] = ()
+    rings: tuple[Ring, ...] = ()
     sensory_feedback: float = 0.0
     max_tonic_input: float = 1.0
     min_adaptation_gain: float = 1.0
@@ -134,7 +146,7 @@ class MatsuokaNetwork(eqx.Module):
         rise_time: T_r, s.
         adaptation_time: T_a, s.
         sensory_feedback: s.
-        initial_potential: of the extensors at rest.
+        initial_potential: of each neuron at the start, extensors first.
     """
 
     offsets: tuple[int, ...] = eqx.field(static=True)
@@ -144,7 +156,7 @@ class MatsuokaNetwork(eqx.Module):
     rise_time: float
     adaptation_time: float
     sensory_feedback: float
-    initial_potential: float
+    initial_potential: Float[np.ndarray, "2 o"]
 
     @property
     def oscillator_count(self) -> int:
@@ -183,36 +195,6 @@ class MatsuokaState(eqx.Module):
     adaptation: Float[Array, "2 o *n"]
 
 
-def axis_names(tree: Tree) -> tuple[str, ...]:
-    """Axis of each degree of freedom: the part of its name behind the body's, mostly x, y or z."""
-    return tuple(
-        name[len(tree.names[body]) + 1 :]
-        for name, body in zip(tree.dof_names, tree.dof_bodies, strict=True)
-    )
-
-
-def matching_bodies(tree: Tree, patterns: tuple[str, ...], setting: str) -> set[int]:
-    """Indices of the bodies that are named by patterns such as ``*_arm``.
-
-    Args:
-        tree: the creature.
-        patterns: names, in which ``*`` stands for anything.
-        setting: where they are written, for the message.
-
-    Raises:
-        ValueError: a pattern that no body matches.
-    """
-    found: set[int] = set()
-    for pattern in patterns:
-        matches = fnmatch.filter(tree.names, pattern)
-        if not matches:
-            raise ValueError(
-                f"{setting} names {pattern!r}, but the bodies are {', '.join(tree.names)}"
-            )
-        found.update(map(tree.names.index, matches))
-    return found
-
-
 def inhibition_matrix(tree: Tree, settings: CpgSettings) -> Float[np.ndarray, "o o"]:
     """How strongly each oscillator (row) is inhibited by each other one (column).
 
@@ -223,7 +205,7 @@ def inhibition_matrix(tree: Tree, settings: CpgSettings) -> Float[np.ndarray, "o
         Positive where the other side inhibits, negative where the same side does.
 
     Raises:
-        ValueError: no body is named as ``opposite`` says.
+        ValueError: no body is named as ``opposite`` says, or couplings do not fit the creature.
     """
     axes = axis_names(tree)
     matrix = np.eye(tree.dof_count)
@@ -242,25 +224,31 @@ def inhibition_matrix(tree: Tree, settings: CpgSettings) -> Float[np.ndarray, "o
     for i, (body, following) in enumerate(itertools.pairwise(tree.dof_bodies)):
         if body == following:
             matrix[i, i + 1] = matrix[i + 1, i] = settings.cross_weight
+    for place, weight in explicit_weights(tree, settings.couplings, settings.rings).items():
+        matrix[place] = weight
     return settings.pair_weight * matrix
 
 
 def build_network(tree: Tree, settings: CpgSettings) -> MatsuokaNetwork:
     """Grow the network on a creature's tree."""
     rise_time, adaptation_time = TIME_CONSTANTS[settings.constants]
+    matrix = inhibition_matrix(tree, settings)
+    share = np.cos(start_phases(tree, settings.couplings, settings.rings, matrix))
+    sides = np.maximum([share, -share], 0)
     return MatsuokaNetwork(
-        **_connections(inhibition_matrix(tree, settings)),
+        **_connections(matrix),
         rise_time=settings.time_scale * rise_time,
         adaptation_time=settings.time_scale * adaptation_time,
         sensory_feedback=settings.sensory_feedback,
-        initial_potential=INITIAL_SHARE * settings.max_tonic_input,
+        initial_potential=INITIAL_SHARE * settings.max_tonic_input * sides,
     )
 
 
 def sub_network(network: MatsuokaNetwork, oscillators: tuple[int, ...]) -> MatsuokaNetwork:
     """Some of a network's oscillators with what joins them."""
     connections = _connections(network.matrix[np.ix_(oscillators, oscillators)])
-    return dataclasses.replace(network, **connections)
+    start = network.initial_potential[:, list(oscillators)]
+    return dataclasses.replace(network, **connections, initial_potential=start)
 
 
 def _connections(matrix: Float[np.ndarray, "o o"]) -> dict[str, Any]:
@@ -302,7 +290,7 @@ def initial_state(
     batch: tuple[int, ...] = (),
     dtype: jnp.dtype | type = jnp.float32,
 ) -> MatsuokaState:
-    """Extensors slightly active, everything else at rest.
+    """Neurons slightly active, extensors where no lag is asked for, and nothing adapted.
 
     Args:
         network: gives the number of oscillators.
@@ -310,7 +298,7 @@ def initial_state(
         dtype: floating-point type of the state.
     """
     rest = jnp.zeros((2, network.oscillator_count, *batch), dtype)
-    return MatsuokaState(rest.at[0].set(network.initial_potential), rest)
+    return MatsuokaState(rest + lift(network.initial_potential, rest), rest)
 
 
 def advance(

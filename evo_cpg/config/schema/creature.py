@@ -1,11 +1,13 @@
 """How a creature is written in YAML: lengths in m, angles in degrees, z up, facing +x."""
 
-from typing import Annotated, Any, Literal
+from collections.abc import Sequence
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
 from typing_extensions import override
 
+from evo_cpg.config.schema.copies import SIDES, Copy, Entry, MirrorAxis, copies, copies_named
 from evo_cpg.config.schema.section import Finite, NotNegative, Positive, Section, Share, Vector
 from evo_cpg.creature.creature import (
     Actuator,
@@ -48,6 +50,10 @@ class SolidConfig(Section):
     def centre(self) -> np.ndarray:
         """Centre of mass ``(3,)`` in the body's frame, m; a mesh's alone is not at 0."""
         return np.zeros(3)
+
+    def mirrored(self, axis: MirrorAxis) -> Self:
+        """Its image in the plane of its frame with this normal; a mesh's alone is another shape."""
+        return self
 
 
 class BoxConfig(SolidConfig):
@@ -117,6 +123,12 @@ class MeshConfig(SolidConfig):
     @override
     def centre(self) -> np.ndarray:
         return self._made()[1]
+
+    @override
+    def mirrored(self, axis: MirrorAxis) -> Self:
+        vertices = tuple(_reflected(vertex, axis) for vertex in self.vertices)
+        faces = tuple((a, c, b) for a, b, c in self.faces)
+        return self.model_copy(update={"vertices": vertices, "faces": faces})
 
     def build(self) -> Shape:
         """The shape, centred on its own frame."""
@@ -218,6 +230,29 @@ class JointConfig(Section):
         """The axes as vectors, not normalised."""
         return [_AXES[axis] if isinstance(axis, str) else axis for axis in self.axes]
 
+    def turned(self, angle_deg: float) -> "JointConfig":
+        """The joint and all that hangs on it, turned about the parent's vertical axis."""
+        if not angle_deg:
+            return self
+        roll, pitch, yaw = self.rotation_deg
+        at = euler_to_matrix(0.0, 0.0, np.deg2rad(angle_deg)) @ self.at
+        update = {"at": tuple(at.tolist()), "rotation_deg": (roll, pitch, yaw + angle_deg)}
+        return self.model_copy(update=update)
+
+    def mirrored(self, axis: MirrorAxis) -> "JointConfig":
+        """The joint's image, parent and child being mirrored in planes of their frames.
+
+        The same angle is then the mirrored pose, so limits stay as they are.
+        """
+        return self.model_copy(
+            update={
+                "at": _reflected(self.at, axis),
+                "child_at": _reflected(self.child_at, axis),
+                "axes": [_opposed(direction, axis) for direction in self.directions],
+                "rotation_deg": _opposed(self.rotation_deg, axis),
+            }
+        )
+
     def build(self, parent: str, parent_centre: np.ndarray, centre: np.ndarray) -> Joint:
         """The joint, on the given parent, in frames moved to the bodies' centres of mass.
 
@@ -250,15 +285,20 @@ class JointConfig(Section):
 
 
 class BodyConfig(Section):
-    """A rigid body, or a row of equal ones.
+    """A rigid body, or several that are alike but for their place.
 
     Attributes:
-        name: unique; of a repeated body it contains ``{i}``, which counts from 1.
+        name: unique; of bodies that stand for several it contains ``{i}``, ``{j}`` or ``{side}``
+            (see `evo_cpg.config.schema.copies`).
         shape: centred on the body's frame; a mesh lies in it as in its file.
         material: name of one of the creature's materials.
         joint: how it hangs on its parent; the root has none.
         repeat: number of equal bodies in a row; the first hangs on the joint's ``parent``, every
-            other one on the one before it.
+            other one on the one before it. ``{i}`` counts them from 1.
+        radial: number of such rows, turned about the parent's vertical axis by equal angles;
+            ``{j}`` counts them from 1, counterclockwise from above.
+        mirror: normal of the parent's plane in which all that is mirrored once more: ``y`` for
+            limbs of which ``{side}`` is left, as written, and right.
         color: in pictures, ``"#rrggbb"``.
     """
 
@@ -267,23 +307,36 @@ class BodyConfig(Section):
     material: str
     joint: JointConfig | None = None
     repeat: Annotated[int, Field(ge=1, le=1000)] = 1
+    radial: Annotated[int, Field(ge=1, le=1000)] = 1
+    mirror: MirrorAxis | None = None
     color: Annotated[str, Field(pattern=r"^#[0-9a-fA-F]{6}$")] | None = None
 
     @model_validator(mode="after")
     def _check(self) -> "BodyConfig":
-        if self.repeat > 1 and "{i}" not in self.name:
-            raise ValueError(f"name: a repeated body needs {{i}} in its name, got {self.name!r}")
-        if self.repeat > 1 and self.joint is None:
-            raise ValueError("repeat: the root, which has no joint, cannot be repeated")
+        problem = self.entry.problem()
+        if problem:
+            raise ValueError(problem)
+        if self.mirror and self.joint:
+            offset = self.joint.at["xyz".index(self.mirror)]
+            if offset < 0:
+                raise ValueError(
+                    f"mirror: write the {SIDES[self.mirror][0]} one, whose joint.at has a positive "
+                    f"{self.mirror}, got {offset:g}"
+                )
         return self
 
-    def names(self) -> list[str]:
-        """Names of the bodies that this entry stands for."""
-        return [self.name.replace("{i}", str(i + 1)) for i in range(self.repeat)]
+    @property
+    def entry(self) -> Entry:
+        """What says which bodies it stands for."""
+        parent = self.joint.parent if self.joint else None
+        return Entry(self.name, parent, self.repeat, self.radial, self.mirror)
 
 
 class LightSensorConfig(Section):
-    """A directional eye (Iwadate 2010, eq. 1); the field of view is the full opening angle."""
+    """A directional eye (Iwadate 2010, eq. 1); the field of view is the full opening angle.
+
+    A ``body`` with placeholders has one on each body that it stands for.
+    """
 
     body: str
     position: Vector = (0.0, 0.0, 0.0)
@@ -330,72 +383,87 @@ class CreatureConfig(Section):
         Raises:
             CreatureError: its parts do not fit together.
         """
-        bodies: list[Body] = []
-        centres = {
-            name: centre
-            for entry in self.bodies
-            for centre in [entry.shape.centre]
-            for name in entry.names()
-        }
-        for entry in self.bodies:
+        everything = self.copies()
+        centres = {copy.name: self._shape(copy).centre for copy in everything}
+        bodies = []
+        for copy in everything:
+            entry = self.bodies[copy.entry]
+            joint = None
+            if entry.joint and copy.parent is not None:
+                given = entry.joint.turned(copy.turn_deg)
+                if copy.mirror:
+                    given = given.mirrored(copy.mirror)
+                parent_centre = centres.get(copy.parent, np.zeros(3))
+                joint = given.build(copy.parent, parent_centre, centres[copy.name])
             material = Material(**self.materials[entry.material].model_dump())
-            parent, shape = entry.joint.parent if entry.joint else "", entry.shape.build()
-            for name in entry.names():
-                joint = None
-                if entry.joint:
-                    at = centres.get(parent, np.zeros(3))
-                    joint = entry.joint.build(parent, at, centres[name])
-                bodies.append(Body(name, shape, material, joint, entry.color))
-                parent = name
-        everything = tuple(body.name for body in bodies)
+            shape = self._shape(copy).build()
+            bodies.append(Body(copy.name, shape, material, joint, entry.color))
+        named = self.pressure_sensors
+        pressure = [copy.name for copy in everything] if named == "all" else named
         creature = Creature(
             name=self.name,
             bodies=tuple(bodies),
             light_sensors=tuple(
                 LightSensor(
-                    eye.body,
-                    _moved(eye.position, centres.get(eye.body, np.zeros(3))),
-                    _unit(eye.axis),
+                    copy.name,
+                    _moved(_image(eye.position, copy), centres[copy.name]),
+                    _unit(_image(eye.axis, copy)),
                     float(np.deg2rad(eye.field_of_view_deg)),
                 )
                 for eye in self.light_sensors
+                for copy in copies_named(eye.body, everything)
             ),
-            pressure_sensors=everything
-            if self.pressure_sensors == "all"
-            else tuple(self.pressure_sensors),
+            pressure_sensors=tuple(
+                copy.name for name in pressure for copy in copies_named(name, everything)
+            ),
             depth_sensors=tuple(
                 DepthSensor(
-                    gauge.body,
-                    _moved(gauge.position, centres.get(gauge.body, np.zeros(3))),
+                    copy.name,
+                    _moved(_image(gauge.position, copy), centres[copy.name]),
                     gauge.full_scale,
                 )
                 for gauge in self.depth_sensors
+                for copy in copies_named(gauge.body, everything)
             ),
         )
         topological_order(creature)
         return creature
 
+    def copies(self) -> list[Copy]:
+        """All bodies that the entries stand for."""
+        return copies([entry.entry for entry in self.bodies])
+
     def entry_of(self, body: int) -> int:
         """Which entry of ``bodies`` stands for the body of this number."""
-        counts = np.cumsum([entry.repeat for entry in self.bodies])
-        return int(np.searchsorted(counts, body, side="right"))
+        return self.copies()[body].entry
 
     def references(self) -> list[tuple[tuple[str | int, ...], str, list[str]]]:
         """Every name that must exist: its key, the name, and the valid names."""
-        bodies = [name for entry in self.bodies for name in entry.names()]
+        everything = self.copies()
+        bodies = [copy.name for copy in everything]
         found: list[tuple[tuple[str | int, ...], str, list[str]]] = []
+
+        def refer(key: tuple[str | int, ...], name: str) -> None:
+            # With placeholders it stands for bodies, and is not the name of one.
+            if not copies_named(name, everything):
+                found.append((key, name, bodies))
+
         for i, entry in enumerate(self.bodies):
             found.append((("bodies", i, "material"), entry.material, list(self.materials)))
             if entry.joint:
-                found.append((("bodies", i, "joint", "parent"), entry.joint.parent, bodies))
+                refer(("bodies", i, "joint", "parent"), entry.joint.parent)
         for i, eye in enumerate(self.light_sensors):
-            found.append((("light_sensors", i, "body"), eye.body, bodies))
+            refer(("light_sensors", i, "body"), eye.body)
         for i, gauge in enumerate(self.depth_sensors):
-            found.append((("depth_sensors", i, "body"), gauge.body, bodies))
+            refer(("depth_sensors", i, "body"), gauge.body)
         if self.pressure_sensors != "all":
             for i, name in enumerate(self.pressure_sensors):
-                found.append((("pressure_sensors", i), name, bodies))
+                refer(("pressure_sensors", i), name)
         return found
+
+    def _shape(self, copy: Copy) -> ShapeConfig:
+        shape = self.bodies[copy.entry].shape
+        return shape.mirrored(copy.mirror) if copy.mirror else shape
 
 
 def _unit(vector: Any) -> tuple[float, float, float]:
@@ -407,3 +475,24 @@ def _moved(place: tuple[float, float, float], origin: np.ndarray) -> tuple[float
     """A place in a frame that is moved to ``origin``; as it is where the frame stays."""
     x, y, z = np.subtract(place, origin).tolist() if origin.any() else place
     return x, y, z
+
+
+def _reflected(place: Vector, axis: MirrorAxis) -> Vector:
+    """The image of a place in the plane with this normal."""
+    x, y, z = (-value if name == axis else value for name, value in zip("xyz", place, strict=True))
+    return x, y, z
+
+
+def _opposed(turn: Sequence[float], axis: MirrorAxis) -> Vector:
+    """The image of a rotation: of its axis, or of its roll, pitch and yaw.
+
+    What turns counterclockwise about a normal of the mirror still does in its image; about
+    directions in the mirror it turns the other way.
+    """
+    x, y, z = (value if name == axis else -value for name, value in zip("xyz", turn, strict=True))
+    return x, y, z
+
+
+def _image(vector: Vector, copy: Copy) -> Vector:
+    """A place or a direction in the frame of a body, as written or in its mirror image."""
+    return _reflected(vector, copy.mirror) if copy.mirror else vector

@@ -1,0 +1,307 @@
+"""Couplings that a creature's tree does not give: between chosen oscillators, and around rings.
+
+With A the inhibition of each oscillator (row) by the other side of each other one (column), and
+with negative A by the same side, both in units of ``pair_weight``, a pair in which the target
+follows the source by the lag L is coupled by
+
+    A[target, source] = w (cos L + sin L),    A[source, target] = w (cos L - sin L),        (1)
+
+and n oscillators around a ring, each behind the one before it by L, with n L whole turns, by
+
+    A[i, j] = w / (n - 1) (cos (i - j) L + sin (i - j) L)    for all i and j of the ring.    (2)
+
+The cosine is the same both ways, and holds the distance; the sine runs one way, and tells which of
+the two leads. At L = 0 all swing together, at 180 degrees neighbours swing against each other, and
+at 90 degrees the source pushes the target, which pulls it back.
+
+In a ring of equal oscillators with equal drives a wave with exactly this lag is a solution, for the
+network looks the same from each of them. ``docs/models/controller.md`` says which waves grow.
+"""
+
+import dataclasses
+import fnmatch
+import math
+from collections.abc import Iterator
+
+import numpy as np
+from jaxtyping import Float
+
+from evo_cpg.creature.tree import Tree
+
+# A ring closes if its lags add up to whole turns but for so many degrees: 51.43 for 7 is enough.
+_CLOSED_DEG = 0.1
+
+
+@dataclasses.dataclass(frozen=True)
+class Coupling:
+    """What one oscillator, or each of several, does to another one.
+
+    Attributes:
+        source: a degree of freedom, or a pattern such as ``left_*.z``.
+        target: likewise; several sources act on as many targets one on one, in the order of the
+            bodies, and one acts on several, or several on one.
+        weight: in units of ``pair_weight``; without a lag, positive where the source inhibits the
+            target's other side (they swing together), negative where its own (against each other).
+        lag_deg: what the target is to be behind the source, degrees; both then act on each other
+            by eq. 1. None for one way alone.
+
+    Raises:
+        ValueError: a value outside its range.
+    """
+
+    source: str
+    target: str
+    weight: float = 0.5
+    lag_deg: float | None = None
+
+    def __post_init__(self):
+        _check_lag(self.lag_deg)
+        if self.lag_deg is not None and not self.weight >= 0:
+            raise ValueError(
+                "weight is the strength with which a lag is held and must not be negative, got "
+                f"{self.weight}"
+            )
+
+
+@dataclasses.dataclass(frozen=True)
+class Ring:
+    """Oscillators around a ring, each as far behind the one before it.
+
+    Attributes:
+        oscillators: degrees of freedom, or patterns such as ``arm*_1.y``, in the order of the ring;
+            those of a pattern in the order of the bodies.
+        lag_deg: of each behind the one before it, degrees; as many of them as there are oscillators
+            make whole turns.
+        weight: how much inhibition the others together may exert on one, in units of
+            ``pair_weight``, by eq. 2.
+
+    Raises:
+        ValueError: a value outside its range.
+    """
+
+    oscillators: tuple[str, ...]
+    lag_deg: float
+    weight: float = 0.5
+
+    def __post_init__(self):
+        _check_lag(self.lag_deg)
+        if not self.weight >= 0:
+            raise ValueError(
+                "weight is the strength with which a lag is held and must not be negative, got "
+                f"{self.weight}"
+            )
+
+
+def axis_names(tree: Tree) -> tuple[str, ...]:
+    """Axis of each degree of freedom: the part of its name behind the body's, mostly x, y or z."""
+    return tuple(
+        name[len(tree.names[body]) + 1 :]
+        for name, body in zip(tree.dof_names, tree.dof_bodies, strict=True)
+    )
+
+
+def matching_bodies(tree: Tree, patterns: tuple[str, ...], setting: str) -> set[int]:
+    """Indices of the bodies that are named by patterns such as ``*_arm``.
+
+    Args:
+        tree: the creature.
+        patterns: names, in which ``*`` stands for anything.
+        setting: where they are written, for the message.
+
+    Raises:
+        ValueError: a pattern that no body matches.
+    """
+    found: set[int] = set()
+    for pattern in patterns:
+        matches = fnmatch.filter(tree.names, pattern)
+        if not matches:
+            raise ValueError(
+                f"{setting} names {pattern!r}, but the bodies are {', '.join(tree.names)}"
+            )
+        found.update(map(tree.names.index, matches))
+    return found
+
+
+def matching_oscillators(tree: Tree, pattern: str, setting: str) -> list[int]:
+    """Oscillators that are named by a pattern such as ``arm*_1.y``, in the order of the bodies.
+
+    Args:
+        tree: the creature.
+        pattern: a degree of freedom, in which ``*`` stands for anything.
+        setting: where it is written, for the message.
+
+    Raises:
+        ValueError: no degree of freedom matches.
+    """
+    found = [i for i, name in enumerate(tree.dof_names) if fnmatch.fnmatchcase(name, pattern)]
+    if not found:
+        raise ValueError(
+            f"{setting} names {pattern!r}, but the degrees of freedom are "
+            f"{', '.join(tree.dof_names)}"
+        )
+    return found
+
+
+def explicit_weights(
+    tree: Tree, couplings: tuple[Coupling, ...], rings: tuple[Ring, ...]
+) -> dict[tuple[int, int], float]:
+    """What each target (first) is inhibited with by each source, in units of ``pair_weight``.
+
+    Raises:
+        ValueError: names that do not exist or do not fit together, a ring that does not close, or
+            two couplings of the same source and target.
+    """
+    weights: dict[tuple[int, int], float] = {}
+    written: dict[tuple[int, int], str] = {}
+
+    def put(target: int, source: int, weight: float, setting: str) -> None:
+        if (target, source) in weights:
+            names = f"{tree.dof_names[source]!r} and {tree.dof_names[target]!r}"
+            raise ValueError(
+                f"{setting} couples {names}, which {written[target, source]} couples already"
+            )
+        weights[target, source], written[target, source] = weight, setting
+
+    for i, coupling in enumerate(couplings):
+        setting = f"couplings.{i}"
+        for source, target in _pairs(tree, coupling, setting):
+            if coupling.lag_deg is None:
+                put(target, source, coupling.weight, setting)
+                continue
+            cosine, sine = _cosine_and_sine(coupling.lag_deg)
+            put(target, source, coupling.weight * (cosine + sine), setting)
+            put(source, target, coupling.weight * (cosine - sine), setting)
+    for i, ring in enumerate(rings):
+        members = _members(tree, ring, f"rings.{i}")
+        share = ring.weight / (len(members) - 1)
+        for place, target in enumerate(members):
+            for other, source in enumerate(members):
+                if place != other:
+                    cosine, sine = _cosine_and_sine((place - other) * ring.lag_deg)
+                    put(target, source, share * (cosine + sine), f"rings.{i}")
+    return weights
+
+
+def start_phases(
+    tree: Tree,
+    couplings: tuple[Coupling, ...],
+    rings: tuple[Ring, ...],
+    joined: Float[np.ndarray, "o o"],
+) -> Float[np.ndarray, " o"]:
+    """By how much each oscillator starts behind the first of those that it is coupled to, rad.
+
+    Lags that are asked for count first; what else is joined starts together. Where lags contradict
+    each other around a loop of couplings, those written first count.
+
+    Args:
+        tree: the creature.
+        couplings: with lags.
+        rings: likewise.
+        joined: not 0 where two oscillators are coupled at all.
+    """
+    lags: list[dict[int, float]] = [{} for _ in tree.dof_names]
+    for i, ring in enumerate(rings):
+        members = _members(tree, ring, f"rings.{i}")
+        for before, behind in zip(members, members[1:] + members[:1], strict=True):
+            lags[before].setdefault(behind, math.radians(ring.lag_deg))
+            lags[behind].setdefault(before, -math.radians(ring.lag_deg))
+    for i, coupling in enumerate(couplings):
+        lag = coupling.lag_deg
+        if lag is None:
+            lag = 0.0 if coupling.weight >= 0 else 180.0
+        for source, target in _pairs(tree, coupling, f"couplings.{i}"):
+            lags[source].setdefault(target, math.radians(lag))
+            lags[target].setdefault(source, -math.radians(lag))
+    together = (joined != 0) | (joined.T != 0)
+    phases = np.zeros(len(lags))
+    placed: set[int] = set()
+    for first in range(len(lags)):
+        # What the tree alone joins waits until no lag is left to follow.
+        now, later = [first] if first not in placed else [], []
+        placed.add(first)
+        while now or later:
+            if now:
+                here = now.pop(0)
+                reached = lags[here]
+                later.append(here)
+            else:
+                here = later.pop(0)
+                reached = dict.fromkeys(np.flatnonzero(together[here]).tolist(), 0.0)
+            for other, lag in reached.items():
+                if other not in placed:
+                    placed.add(other)
+                    phases[other] = phases[here] + lag
+                    now.append(other)
+    return phases
+
+
+def uncoupled(matrix: Float[np.ndarray, "o o"]) -> list[int]:
+    """Oscillators that no other one inhibits, and that inhibit no other one.
+
+    Args:
+        matrix: see `evo_cpg.control.matsuoka.inhibition_matrix`.
+    """
+    others = matrix - np.diag(np.diag(matrix))
+    return [int(i) for i in np.flatnonzero(~others.any(0) & ~others.any(1))]
+
+
+def _pairs(tree: Tree, coupling: Coupling, setting: str) -> Iterator[tuple[int, int]]:
+    """Sources and targets, one on one.
+
+    Raises:
+        ValueError: they are neither as many nor one, or an oscillator would act on itself.
+    """
+    sources = matching_oscillators(tree, coupling.source, f"{setting}.source")
+    targets = matching_oscillators(tree, coupling.target, f"{setting}.target")
+    count = max(len(sources), len(targets))
+    if {len(sources), len(targets)} - {1, count}:
+        raise ValueError(
+            f"{setting}: {coupling.source!r} stands for {len(sources)} degrees of freedom and "
+            f"{coupling.target!r} for {len(targets)}; there must be as many of both, or one"
+        )
+    sources, targets = sources * (count // len(sources)), targets * (count // len(targets))
+    for source, target in zip(sources, targets, strict=True):
+        if source == target:
+            raise ValueError(f"{setting} couples {tree.dof_names[source]!r} to itself")
+        yield source, target
+
+
+def _members(tree: Tree, ring: Ring, setting: str) -> list[int]:
+    """The oscillators of a ring.
+
+    Raises:
+        ValueError: fewer than two, one that stands there twice, or a ring that does not close.
+    """
+    found = [
+        oscillator
+        for i, pattern in enumerate(ring.oscillators)
+        for oscillator in matching_oscillators(tree, pattern, f"{setting}.oscillators.{i}")
+    ]
+    names = [tree.dof_names[i] for i in found]
+    for i, name in enumerate(names):
+        if name in names[:i]:
+            raise ValueError(f"{setting}.oscillators names {name!r} twice")
+    count = len(found)
+    if count < 2:
+        raise ValueError(
+            f"{setting}.oscillators: a ring needs at least two, got {', '.join(names)}"
+        )
+    turns = count * ring.lag_deg / 360
+    if abs(turns - round(turns)) * 360 / count > _CLOSED_DEG:
+        allowed = sorted({(360 * k / count + 180) % 360 - 180 for k in range(count)}, key=abs)
+        raise ValueError(
+            f"{setting}.lag_deg: {count} lags around the ring must make whole turns, as "
+            f"{', '.join(f'{lag:.5g}' for lag in allowed[:5])} degrees do, got {ring.lag_deg:g}"
+        )
+    return found
+
+
+def _cosine_and_sine(lag_deg: float) -> tuple[float, float]:
+    """Of a lag in degrees; exactly 0 and 1 where they are, so that no coupling is nearly none."""
+    cosine, sine = math.cos(math.radians(lag_deg)), math.sin(math.radians(lag_deg))
+    return round(cosine, 12) + 0.0, round(sine, 12) + 0.0
+
+
+def _check_lag(lag_deg: float | None) -> None:
+    if lag_deg is not None and not -180 <= lag_deg <= 180:
+        raise ValueError(f"lag_deg must be from -180 to 180, got {lag_deg}")

@@ -1,0 +1,291 @@
+"""Couplings that the tree does not give, against what a network's symmetry demands.
+
+A ring of n equal oscillators with equal drives looks the same from each of them, so that a wave in
+which each is behind the one before it by k/n of a turn is exact. Which one grows follows from the
+eigenvalues of eq. 2: (n / 2 - 1) w / (n - 1) for the wanted wave, below that for every other one.
+"""
+
+import itertools
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from evo_cpg.analysis.chains import chains
+from evo_cpg.analysis.couplings import network_at, problem_of
+from evo_cpg.analysis.limit_cycle import limit_cycle
+from evo_cpg.control.couplings import Coupling, Ring, uncoupled
+from evo_cpg.control.matsuoka import (
+    CpgSettings,
+    MatsuokaState,
+    build_network,
+    inhibition_matrix,
+    initial_state,
+    sub_network,
+)
+
+A = CpgSettings().pair_weight
+
+
+@pytest.fixture(scope="session")
+def star(grow):
+    """Builds a root with so many arms of so many segments, ``arm1_1`` the first of the first."""
+
+    def build(arms, segments=1, axes="y"):
+        plan = {"disc": (None, "")}
+        for j, i in itertools.product(range(1, arms + 1), range(1, segments + 1)):
+            parent = "disc" if i == 1 else f"arm{j}_{i - 1}"
+            plan[f"arm{j}_{i}"] = parent, axes
+        return grow(plan)
+
+    return build
+
+
+def ring(lag, weight=0.5):
+    return CpgSettings(rings=(Ring(("arm*_1.y",), lag, weight),))
+
+
+def first_segments(tree):
+    return [i for i, name in enumerate(tree.dof_names) if name.endswith("_1.y")]
+
+
+def differences(degrees):
+    return (np.asarray(degrees) + 180) % 360 - 180
+
+
+def orbit_lags(tree, settings, gain):
+    """Lag of each arm behind the one before it, around the ring, degrees; and the orbit."""
+    network = build_network(tree, settings)
+    count = network.oscillator_count
+    cycle = limit_cycle(network, np.ones((2, count)), np.full(count, gain), tuple(range(count)))
+    component = np.fft.rfft(cycle.outputs, axis=1)[first_segments(tree), 1]
+    return np.rad2deg(np.angle(component / np.roll(component, -1))), cycle
+
+
+@pytest.mark.parametrize(
+    ("arms", "segments", "lag", "gain"),
+    [
+        (5, 1, 72, 2.0),
+        (5, 3, 72, 5.0),
+        (5, 2, -72, 10.0),
+        (5, 1, 144, 5.0),
+        (4, 2, 90, 5.0),
+        (3, 1, -120, 2.0),
+        (5, 2, 0, 5.0),
+        (6, 2, 180, 5.0),
+        (2, 1, 180, 5.0),
+    ],
+)
+def test_arms_around_a_ring_keep_the_lag_that_is_asked_for(star, arms, segments, lag, gain):
+    lags, cycle = orbit_lags(star(arms, segments), ring(lag), gain)
+    np.testing.assert_allclose(differences(lags - lag), 0, atol=0.01)
+    assert cycle.stable
+    assert np.ptp(cycle.amplitude[:arms]) < 1e-4 * cycle.amplitude[0]
+
+
+@pytest.mark.parametrize(("arms", "lag"), [(5, 72), (5, 144), (7, 360 / 7), (4, 90), (3, 120)])
+def test_of_all_waves_around_a_ring_the_one_asked_for_grows_fastest(star, arms, lag):
+    matrix = inhibition_matrix(star(arms), ring(lag)) / A - np.eye(arms)
+    place = np.arange(arms)
+    found = {}
+    for k in range(arms):
+        wave = np.exp(-2j * np.pi * k * place / arms)
+        value = matrix @ wave / wave
+        np.testing.assert_allclose(value, value[0], atol=1e-9)
+        found[k] = value[0]
+    wanted = round(lag * arms / 360)
+    share = 0.5 / (arms - 1)
+    assert found[wanted] == pytest.approx(share * (arms / 2 - 1 + 1j * arms / 2))
+    # The same wave the other way is as strong and out of step; all others are weaker than none.
+    assert found[arms - wanted] == pytest.approx(found[wanted].conjugate())
+    others = [value for k, value in found.items() if k not in (wanted, arms - wanted)]
+    np.testing.assert_allclose(others, -share, atol=1e-9)
+
+
+def late_lags(tree, settings, gain, states, steps=3600, h=1 / 60):
+    """Lags around the ring in the last 20 s of a minute from given states, degrees."""
+    from control.test_matsuoka import simulate
+
+    network = build_network(tree, settings)
+    count = network.oscillator_count
+    batch = states.potential.shape[2:]
+    signals = np.asarray(
+        simulate(
+            network, states, jnp.ones((2, count, *batch)), jnp.full((count, *batch), gain), h, steps
+        )
+    )[-1200:, first_segments(tree)]
+    spectrum = np.fft.rfft((signals - signals.mean(0)) * np.hanning(1200)[:, None, None], axis=0)
+    peak = np.abs(spectrum).sum((1, 2)).argmax()
+    component = spectrum[peak]
+    return np.rad2deg(np.angle(component / np.roll(component, -1, axis=0)))
+
+
+@pytest.mark.parametrize("lag", [72, 144, 0])
+def test_a_ring_falls_into_step_from_any_start(star, lag):
+    tree = star(5, 2)
+    rng = np.random.default_rng(0)
+    start = rng.uniform(0, 1, (2, 2, tree.dof_count, 30))
+    states = MatsuokaState(jnp.asarray(start[0]), jnp.asarray(start[1]))
+    lags = late_lags(tree, ring(lag), 5.0, states)
+    settled = (np.abs(differences(lags - lag)) < 1).all(0)
+    assert settled.mean() > 0.9
+
+
+def test_an_uncoupled_root_leaves_the_lag_to_the_start(star):
+    tree = star(5, 2)
+    rng = np.random.default_rng(0)
+    start = rng.uniform(0, 1, (2, 2, tree.dof_count, 30))
+    states = MatsuokaState(jnp.asarray(start[0]), jnp.asarray(start[1]))
+    lags = late_lags(tree, CpgSettings(), 5.0, states)
+    assert (np.abs(differences(lags - 72)) < 1).all(0).mean() < 0.1
+
+
+def test_the_start_is_in_the_phases_that_are_asked_for(star):
+    tree = star(5, 2)
+    potential = initial_state(build_network(tree, ring(72)), (), float).potential
+    phase = np.deg2rad(72 * np.arange(5))
+    share = 0.1 * np.array([np.cos(phase), -np.cos(phase)])
+    expected = np.tile(np.maximum(share, 0), (1, 2))  # second segments start with the first
+    np.testing.assert_allclose(potential, expected, atol=1e-9)
+
+
+def test_without_lags_extensors_start_together(star):
+    tree = star(3, 2)
+    settings = CpgSettings(couplings=(Coupling("arm1_1.y", "arm2_1.y"),))
+    potential = initial_state(build_network(tree, settings), (), float).potential
+    np.testing.assert_array_equal(potential, [[0.1] * 6, [0.0] * 6])
+
+
+def test_a_part_of_a_network_starts_as_the_whole_does(star):
+    network = build_network(star(5), ring(72))
+    part = sub_network(network, (1, 3))
+    np.testing.assert_array_equal(part.initial_potential, network.initial_potential[:, [1, 3]])
+
+
+def test_a_coupling_acts_one_way_and_a_lag_both_ways(star):
+    tree = star(3, 1, "yz")
+    names = tree.dof_names
+    settings = CpgSettings(
+        couplings=(
+            Coupling("arm1_1.y", "arm[23]_1.y", weight=-0.4),  # one on several
+            Coupling("arm*_1.y", "arm*_1.z", weight=0.6, lag_deg=90),  # one on one
+        )
+    )
+    matrix = inhibition_matrix(tree, settings) / A - np.eye(6)
+    expected = np.zeros((6, 6))
+    for arm in (2, 3):
+        expected[names.index(f"arm{arm}_1.y"), names.index("arm1_1.y")] = -0.4
+    for arm in (1, 2, 3):
+        y, z = names.index(f"arm{arm}_1.y"), names.index(f"arm{arm}_1.z")
+        expected[z, y], expected[y, z] = 0.6, -0.6
+    np.testing.assert_array_equal(matrix, expected)
+
+
+@pytest.mark.parametrize("lag", [-120, 0, 45, 180])
+def test_a_lag_of_a_pair_is_its_cosine_both_ways_and_its_sine_one_way(star, lag):
+    tree = star(2)
+    settings = CpgSettings(couplings=(Coupling("arm1_1.y", "arm2_1.y", 0.7, lag),))
+    matrix = inhibition_matrix(tree, settings) / A
+    cosine, sine = np.cos(np.deg2rad(lag)), np.sin(np.deg2rad(lag))
+    assert matrix[1, 0] + matrix[0, 1] == pytest.approx(1.4 * cosine)
+    assert matrix[1, 0] - matrix[0, 1] == pytest.approx(1.4 * sine)
+
+
+@pytest.mark.parametrize(("lag", "tolerance"), [(0, 0.01), (90, 0.01), (180, 0.01)])
+def test_two_arms_keep_the_lag_of_their_coupling(star, lag, tolerance):
+    coupling = Coupling("arm1_1.y", "arm2_1.y", 0.5, lag)
+    lags, cycle = orbit_lags(star(2, 2), CpgSettings(couplings=(coupling,)), 5.0)
+    assert abs(differences(lags[0] - lag)) < (25 if lag == 90 else tolerance)
+    assert cycle.stable
+
+
+def test_a_written_coupling_takes_the_place_of_the_trees(star):
+    tree = star(2, 2)
+    names = tree.dof_names
+    cut = (Coupling("arm1_1.y", "arm1_2.y", 0.0), Coupling("arm1_2.y", "arm1_1.y", 0.0))
+    matrix = inhibition_matrix(tree, CpgSettings(couplings=cut)) / A
+    first, second = names.index("arm1_1.y"), names.index("arm1_2.y")
+    assert matrix[second, first] == matrix[first, second] == 0
+    other = names.index("arm2_1.y"), names.index("arm2_2.y")
+    assert matrix[other[::-1]] == 1 and matrix[other] == pytest.approx(0.2)
+    # So there is no chain along the first arm.
+    found = {
+        chain.name: len(chain.oscillators) for chain in chains(tree, CpgSettings(couplings=cut))
+    }
+    assert found == {"arm2_1.y + 1": 2, "arm1_1.y": 1, "arm1_2.y": 1}
+
+
+def test_the_search_for_a_lag_along_an_arm_leaves_the_ring_as_it_is(star):
+    tree, settings = star(3, 3), ring(120)
+    chain = next(c for c in chains(tree, settings) if len(c.oscillators) == 3)
+    problem = problem_of(tree, settings, chain, 5.0, True, False)
+    network, _ = network_at(problem, jnp.log(jnp.array([5.0, 1.0, 0.2])))
+    found = build_network(tree, settings)
+    np.testing.assert_allclose(network.weights, found.weights, atol=1e-12)
+    np.testing.assert_allclose(network.own_weights, found.own_weights, atol=1e-12)
+
+
+def test_oscillators_that_are_coupled_to_nothing_are_found(star):
+    tree = star(5, 2, "yz")
+    matrix = inhibition_matrix(tree, ring(72))
+    assert uncoupled(matrix) == []
+    tree = star(5, 1, "yz")
+    alone = [tree.dof_names[i] for i in uncoupled(inhibition_matrix(tree, ring(72)))]
+    assert alone == [f"arm{j}_1.z" for j in range(1, 6)]
+
+
+@pytest.mark.parametrize(
+    ("settings", "expected"),
+    [
+        (
+            {"couplings": (Coupling("arm1_1.x", "arm2_1.y"),)},
+            r"couplings\.0\.source names 'arm1_1\.x', but the degrees of freedom are arm1_1\.y, ",
+        ),
+        (
+            {"couplings": (Coupling("arm[12]_1.y", "arm*_1.y"),)},
+            r"couplings\.0: 'arm\[12\]_1\.y' stands for 2 degrees of freedom and 'arm\*_1\.y' for "
+            r"5; there must be as many of both, or one",
+        ),
+        (
+            {"couplings": (Coupling("arm1_1.y", "arm*_1.y"),)},
+            r"couplings\.0 couples 'arm1_1\.y' to itself",
+        ),
+        (
+            {
+                "couplings": (Coupling("arm1_1.y", "arm2_1.y"),),
+                "rings": (Ring(("arm*_1.y",), 72.0),),
+            },
+            r"rings\.0 couples 'arm1_1\.y' and 'arm2_1\.y', which couplings\.0 couples already",
+        ),
+        (
+            {"rings": (Ring(("arm*_1.y",), 70.0),)},
+            r"rings\.0\.lag_deg: 5 lags around the ring must make whole turns, as 0, 72, -72, 144, "
+            r"-144 degrees do, got 70",
+        ),
+        (
+            {"rings": (Ring(("arm1_1.y",), 0.0),)},
+            r"rings\.0\.oscillators: a ring needs at least two, got arm1_1\.y",
+        ),
+        (
+            {"rings": (Ring(("arm1_1.y", "arm*_1.y"), 0.0),)},
+            r"rings\.0\.oscillators names 'arm1_1\.y' twice",
+        ),
+    ],
+)
+def test_couplings_that_do_not_fit_the_creature_are_refused(star, settings, expected):
+    with pytest.raises(ValueError, match=expected):
+        build_network(star(5), CpgSettings(**settings))
+
+
+@pytest.mark.parametrize(
+    ("make", "expected"),
+    [
+        (lambda: Coupling("a.y", "b.y", -1.0, 90.0), "held and must not be negative, got -1.0"),
+        (lambda: Coupling("a.y", "b.y", 1.0, 200.0), "lag_deg must be from -180 to 180, got 200"),
+        (lambda: Ring(("a.y",), float("nan")), "lag_deg must be from -180 to 180, got nan"),
+        (lambda: Ring(("a.y",), 0.0, -1.0), "held and must not be negative, got -1.0"),
+    ],
+)
+def test_values_outside_their_range_are_refused(make, expected):
+    with pytest.raises(ValueError, match=expected):
+        make()
