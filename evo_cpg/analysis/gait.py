@@ -6,6 +6,7 @@ trial. Each joint's frequency is the peak of its spectrum; amplitudes and phases
 component at the common frequency.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -72,6 +73,24 @@ def gait(recording: Recording, axis: str | None = None, last: float = 0.5) -> Ga
     component = fourier_component(angles, step, float(np.median(frequency)))
     lag = np.rad2deg(np.angle(component[:-1] / component[1:]))
     return Gait(axis, frequency, np.abs(component), lag)
+
+
+def ring_lags(
+    recording: Recording, joints: Sequence[str], last: float = 0.5
+) -> Float[np.ndarray, " n"]:
+    """By how much each joint is behind the one before it, and the first behind the last, degrees.
+
+    Args:
+        recording: the motion.
+        joints: names of degrees of freedom, in the order of a ring.
+        last: share of the recording, at its end, that is looked at.
+    """
+    start = round(len(recording.time) * (1 - last))
+    step = float(recording.time[1] - recording.time[0])
+    angles = recording.joint_angle[start:, [recording.dof_names.index(name) for name in joints]]
+    frequency = float(np.median(dominant_frequency(angles, step)))
+    component = fourier_component(angles, step, frequency)
+    return np.rad2deg(np.angle(np.roll(component, 1) / component))
 
 
 def dominant_frequency(signals: Float[np.ndarray, "t j"], step: float) -> Float[np.ndarray, " j"]:

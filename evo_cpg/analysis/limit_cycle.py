@@ -14,6 +14,7 @@ All is done in float64.
 """
 
 import functools
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -108,8 +109,17 @@ class LimitCycle(NamedTuple):
     @property
     def lag(self) -> Float[np.ndarray, " gaps"]:
         """Of each oscillator's fundamental behind the one before it, degrees from -180 to 180."""
+        return self.lags(self.oscillators)[1:]
+
+    def lags(self, order: Sequence[int]) -> Float[np.ndarray, " n"]:
+        """Likewise in another order, the first behind the last, as around a ring.
+
+        Args:
+            order: some of `oscillators`.
+        """
         component = np.fft.rfft(self.outputs, axis=1)[:, 1]
-        return np.rad2deg(np.angle(component[:-1] / component[1:]))
+        component = component[[self.oscillators.index(i) for i in order]]
+        return np.rad2deg(np.angle(np.roll(component, 1) / component))
 
 
 def parts(network: MatsuokaNetwork) -> list[tuple[int, ...]]:

@@ -13,6 +13,7 @@ from evo_cpg.cli.errors import UsageError
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import load_config
 from evo_cpg.control.brain_cpg import BrainCpg
+from evo_cpg.control.couplings import ring_members
 from evo_cpg.simulation.rollout import Simulation
 
 _COLUMNS = ("joints", "Hz", "lag, deg", "amplitude", "multiplier", "recovery")
@@ -49,15 +50,24 @@ def show_rhythm(
         left = column == "joints"
         table.add_column(column, justify="left" if left else "right", no_wrap=left)
     rests: dict[str, list[str]] = {}
+    cycles: dict[int, LimitCycle] = {}
     for part in parts(network):
         first, *others = part
         names = tree.dof_names[first] + (f" + {len(others)}" if others else "")
         try:
-            table.add_row(names, *_words(limit_cycle(network, drive, gains, part)))
+            cycle = limit_cycle(network, drive, gains, part)
+            table.add_row(names, *_words(cycle))
+            cycles |= dict.fromkeys(part, cycle)
         except NoRhythmError as error:
             table.add_row(names, "none")
             rests.setdefault(str(error), []).append(names)
     Console().print(table)
+    for i, ring in enumerate(cpg.rings):
+        members = ring_members(tree, ring, f"rings.{i}")
+        if members[0] in cycles:
+            lags = ", ".join(f"{lag:.1f}" for lag in cycles[members[0]].lags(members))
+            names = ", ".join(tree.dof_names[member] for member in members)
+            print(f"ring of {names}: {lags} deg behind the one before")
     for reason, who in rests.items():
         print(f"{', '.join(who)}: {reason}")
 

@@ -172,7 +172,7 @@ def explicit_weights(
             put(target, source, coupling.weight * (cosine + sine), setting)
             put(source, target, coupling.weight * (cosine - sine), setting)
     for i, ring in enumerate(rings):
-        members = _members(tree, ring, f"rings.{i}")
+        members = ring_members(tree, ring, f"rings.{i}")
         share = ring.weight / (len(members) - 1)
         for place, target in enumerate(members):
             for other, source in enumerate(members):
@@ -201,7 +201,7 @@ def start_phases(
     """
     lags: list[dict[int, float]] = [{} for _ in tree.dof_names]
     for i, ring in enumerate(rings):
-        members = _members(tree, ring, f"rings.{i}")
+        members = ring_members(tree, ring, f"rings.{i}")
         for before, behind in zip(members, members[1:] + members[:1], strict=True):
             lags[before].setdefault(behind, math.radians(ring.lag_deg))
             lags[behind].setdefault(before, -math.radians(ring.lag_deg))
@@ -235,6 +235,42 @@ def start_phases(
     return phases
 
 
+def ring_members(tree: Tree, ring: Ring, setting: str) -> list[int]:
+    """The oscillators of a ring, in its order.
+
+    Args:
+        tree: the creature.
+        ring: names them.
+        setting: where it is written, for the message.
+
+    Raises:
+        ValueError: fewer than two, one that stands there twice, or a ring that does not close.
+    """
+    found = [
+        oscillator
+        for i, pattern in enumerate(ring.oscillators)
+        for oscillator in matching_oscillators(tree, pattern, f"{setting}.oscillators.{i}")
+    ]
+    names = [tree.dof_names[i] for i in found]
+    for i, name in enumerate(names):
+        if name in names[:i]:
+            raise ValueError(f"{setting}.oscillators names {name!r} twice")
+    count = len(found)
+    if count < 2:
+        raise ValueError(
+            f"{setting}.oscillators: a ring needs at least two, got {', '.join(names)}"
+        )
+    turns = count * ring.lag_deg / 360
+    if abs(turns - round(turns)) * 360 / count > _CLOSED_DEG:
+        allowed = sorted({(360 * k / count + 180) % 360 - 180 for k in range(count)})
+        allowed.sort(key=lambda lag: (round(abs(lag), 6), -lag))
+        raise ValueError(
+            f"{setting}.lag_deg: {count} lags around the ring must make whole turns, as "
+            f"{', '.join(f'{lag:.5g}' for lag in allowed[:5])} degrees do, got {ring.lag_deg:g}"
+        )
+    return found
+
+
 def uncoupled(matrix: Float[np.ndarray, "o o"]) -> list[int]:
     """Oscillators that no other one inhibits, and that inhibit no other one.
 
@@ -264,36 +300,6 @@ def _pairs(tree: Tree, coupling: Coupling, setting: str) -> Iterator[tuple[int, 
         if source == target:
             raise ValueError(f"{setting} couples {tree.dof_names[source]!r} to itself")
         yield source, target
-
-
-def _members(tree: Tree, ring: Ring, setting: str) -> list[int]:
-    """The oscillators of a ring.
-
-    Raises:
-        ValueError: fewer than two, one that stands there twice, or a ring that does not close.
-    """
-    found = [
-        oscillator
-        for i, pattern in enumerate(ring.oscillators)
-        for oscillator in matching_oscillators(tree, pattern, f"{setting}.oscillators.{i}")
-    ]
-    names = [tree.dof_names[i] for i in found]
-    for i, name in enumerate(names):
-        if name in names[:i]:
-            raise ValueError(f"{setting}.oscillators names {name!r} twice")
-    count = len(found)
-    if count < 2:
-        raise ValueError(
-            f"{setting}.oscillators: a ring needs at least two, got {', '.join(names)}"
-        )
-    turns = count * ring.lag_deg / 360
-    if abs(turns - round(turns)) * 360 / count > _CLOSED_DEG:
-        allowed = sorted({(360 * k / count + 180) % 360 - 180 for k in range(count)}, key=abs)
-        raise ValueError(
-            f"{setting}.lag_deg: {count} lags around the ring must make whole turns, as "
-            f"{', '.join(f'{lag:.5g}' for lag in allowed[:5])} degrees do, got {ring.lag_deg:g}"
-        )
-    return found
 
 
 def _cosine_and_sine(lag_deg: float) -> tuple[float, float]:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from evo_cpg.analysis.gait import bending_axis, dominant_frequency, gait
+from evo_cpg.analysis.gait import bending_axis, dominant_frequency, gait, ring_lags
 from evo_cpg.simulation.recording import Recording
 
 STEP = 1 / 60
@@ -66,3 +66,11 @@ def test_drift_is_no_rhythm():
     time = np.arange(1000) * STEP
     drifting = 5 * time + 0.1 * np.sin(2 * np.pi * 1.5 * time)
     assert dominant_frequency(drifting[:, None], STEP)[0] == pytest.approx(1.5, rel=0.01)
+
+
+def test_lags_around_a_ring_close_it():
+    names = tuple(f"arm{j}.y" for j in (3, 1, 5, 2, 4))
+    phases = np.deg2rad([130.0, 0.0, 300.0, 50.0, 200.0])
+    time = 2 * np.pi * 1.3 * STEP * np.arange(1200)[:, None]
+    found = ring_lags(recording(np.cos(time - phases), names), [f"arm{j}.y" for j in range(1, 6)])
+    np.testing.assert_allclose(found, [60, 50, 80, 70, 100], atol=0.5)

@@ -38,6 +38,14 @@ def test_a_controller_without_oscillators_is_refused(cli):
     assert "has no oscillators" in err
 
 
+@pytest.mark.slow
+def test_the_lags_around_a_ring_are_shown(cli):
+    code, out, err = cli("cpg", REPOSITORY / "configs" / "starfish.yaml", "--gain", 4)
+    assert code == 0, err
+    names = ", ".join(f"arm{j}_1.y" for j in range(1, 6))
+    assert f"ring of {names}: 72.0, 72.0, 72.0, 72.0, 72.0 deg behind the one before" in out
+
+
 @pytest.fixture
 def nothing_kept(monkeypatch):
     """Leave the compiled programs of the user alone."""

@@ -1,5 +1,7 @@
 """Whatever a user gets wrong: one or two lines, exit code 2, nothing written, nothing lost."""
 
+import re
+import shutil
 import sys
 from pathlib import Path
 
@@ -216,3 +218,16 @@ def test_a_wrong_command_line_is_answered_with_the_usage(cli, arguments):
     code, out, err = cli(*arguments)
     assert (code, out) == (2, "")
     assert "Usage: evo-cpg" in err and "Traceback" not in err
+
+
+def test_validate_names_oscillators_that_are_coupled_to_nothing(cli, tmp_path):
+    shutil.copytree(REPOSITORY / "configs/creatures", tmp_path / "creatures")
+    path = tmp_path / "starfish_land.yaml"
+    text = (REPOSITORY / "configs/starfish_land.yaml").read_text()
+    path.write_text(re.sub(r"\n      - \{source: .arm\[145\].*", "", text))
+    code, out, err = cli("validate", path)
+    assert (code, err) == (0, "")
+    assert out.splitlines()[1] == (
+        f"{path}: warning: coupled to no other oscillator: arm1_1.z, arm4_1.z, arm5_1.z; "
+        "controller.cpg.couplings and rings couple them"
+    )

@@ -7,6 +7,8 @@ eigenvalues of eq. 2: (n / 2 - 1) w / (n - 1) for the wanted wave, below that fo
 
 import itertools
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -21,6 +23,8 @@ from evo_cpg.control.matsuoka import (
     build_network,
     inhibition_matrix,
     initial_state,
+    output,
+    runge_kutta_step,
     sub_network,
 )
 
@@ -41,6 +45,17 @@ def star(grow):
     return build
 
 
+@eqx.filter_jit
+def simulate(network, state, tonic_input, gain, h, steps):
+    """Outputs ``(steps, oscillators, n)`` with constant inputs, by plain JAX: quick to compile."""
+
+    def step(state, _):
+        state = runge_kutta_step(network, h, state, tonic_input, gain)
+        return state, output(state)
+
+    return jax.lax.scan(step, state, length=steps)[1]
+
+
 def ring(lag, weight=0.5):
     return CpgSettings(rings=(Ring(("arm*_1.y",), lag, weight),))
 
@@ -53,34 +68,42 @@ def differences(degrees):
     return (np.asarray(degrees) + 180) % 360 - 180
 
 
-def orbit_lags(tree, settings, gain):
-    """Lag of each arm behind the one before it, around the ring, degrees; and the orbit."""
+def scattered(tree, count):
+    """States drawn at random."""
+    start = np.random.default_rng(0).uniform(0, 1, (2, 2, tree.dof_count, count))
+    return MatsuokaState(jnp.asarray(start[0]), jnp.asarray(start[1]))
+
+
+def arm_lags(tree, settings, gains, states=None, h=1 / 60):
+    """Lag of each arm behind the one before it after 40 s, ``(arms, n)``, degrees."""
     network = build_network(tree, settings)
-    count = network.oscillator_count
-    cycle = limit_cycle(network, np.ones((2, count)), np.full(count, gain), tuple(range(count)))
-    component = np.fft.rfft(cycle.outputs, axis=1)[first_segments(tree), 1]
-    return np.rad2deg(np.angle(component / np.roll(component, -1))), cycle
+    count, batch = network.oscillator_count, (len(gains),)
+    states = initial_state(network, batch, float) if states is None else states
+    gain = jnp.broadcast_to(jnp.asarray(gains)[None], (count, *batch))
+    signals = simulate(network, states, jnp.ones((2, count, *batch)), gain, h, 3600)
+    late = np.asarray(signals)[-1200:, first_segments(tree)]
+    spectrum = np.fft.rfft((late - late.mean(0)) * np.hanning(1200)[:, None, None], axis=0)
+    peak = np.abs(spectrum).sum(1).argmax(0)
+    component = np.take_along_axis(spectrum, peak[None, None], 0)[0]
+    return np.rad2deg(np.angle(component / np.roll(component, -1, axis=0)))
 
 
 @pytest.mark.parametrize(
-    ("arms", "segments", "lag", "gain"),
-    [
-        (5, 1, 72, 2.0),
-        (5, 3, 72, 5.0),
-        (5, 2, -72, 10.0),
-        (5, 1, 144, 5.0),
-        (4, 2, 90, 5.0),
-        (3, 1, -120, 2.0),
-        (5, 2, 0, 5.0),
-        (6, 2, 180, 5.0),
-        (2, 1, 180, 5.0),
-    ],
+    ("arms", "segments", "lag"),
+    [(5, 3, 72), (5, 1, -72), (5, 2, 144), (4, 2, 90), (5, 2, 0), (6, 2, 180), (2, 1, 180)],
 )
-def test_arms_around_a_ring_keep_the_lag_that_is_asked_for(star, arms, segments, lag, gain):
-    lags, cycle = orbit_lags(star(arms, segments), ring(lag), gain)
-    np.testing.assert_allclose(differences(lags - lag), 0, atol=0.01)
+def test_arms_around_a_ring_keep_the_lag_that_is_asked_for(star, arms, segments, lag):
+    lags = arm_lags(star(arms, segments), ring(lag), [2.0, 5.0, 10.0])
+    np.testing.assert_allclose(differences(lags - lag), 0, atol=0.2)
+
+
+@pytest.mark.slow
+def test_the_wave_around_a_ring_is_a_stable_orbit_of_equal_arms(star):
+    network = build_network(star(5), ring(72))
+    cycle = limit_cycle(network, np.ones((2, 5)), np.full(5, 5.0), tuple(range(5)))
     assert cycle.stable
-    assert np.ptp(cycle.amplitude[:arms]) < 1e-4 * cycle.amplitude[0]
+    np.testing.assert_allclose(cycle.lag, 72, atol=0.01)
+    assert np.ptp(cycle.amplitude) < 1e-4 * cycle.amplitude[0]
 
 
 @pytest.mark.parametrize(("arms", "lag"), [(5, 72), (5, 144), (7, 360 / 7), (4, 90), (3, 120)])
@@ -102,42 +125,19 @@ def test_of_all_waves_around_a_ring_the_one_asked_for_grows_fastest(star, arms, 
     np.testing.assert_allclose(others, -share, atol=1e-9)
 
 
-def late_lags(tree, settings, gain, states, steps=3600, h=1 / 60):
-    """Lags around the ring in the last 20 s of a minute from given states, degrees."""
-    from control.test_matsuoka import simulate
-
-    network = build_network(tree, settings)
-    count = network.oscillator_count
-    batch = states.potential.shape[2:]
-    signals = np.asarray(
-        simulate(
-            network, states, jnp.ones((2, count, *batch)), jnp.full((count, *batch), gain), h, steps
-        )
-    )[-1200:, first_segments(tree)]
-    spectrum = np.fft.rfft((signals - signals.mean(0)) * np.hanning(1200)[:, None, None], axis=0)
-    peak = np.abs(spectrum).sum((1, 2)).argmax()
-    component = spectrum[peak]
-    return np.rad2deg(np.angle(component / np.roll(component, -1, axis=0)))
+@pytest.mark.slow
+def test_rings_fall_into_step_from_any_start(star):
+    tree, count = star(5, 2), 30
+    for lag in (72, 0):
+        lags = arm_lags(tree, ring(lag, weight=2), [5.0] * count, scattered(tree, count))
+        np.testing.assert_allclose(differences(lags - lag), 0, atol=1)
 
 
-@pytest.mark.parametrize("lag", [72, 144, 0])
-def test_a_ring_falls_into_step_from_any_start(star, lag):
-    tree = star(5, 2)
-    rng = np.random.default_rng(0)
-    start = rng.uniform(0, 1, (2, 2, tree.dof_count, 30))
-    states = MatsuokaState(jnp.asarray(start[0]), jnp.asarray(start[1]))
-    lags = late_lags(tree, ring(lag), 5.0, states)
-    settled = (np.abs(differences(lags - lag)) < 1).all(0)
-    assert settled.mean() > 0.9
-
-
-def test_an_uncoupled_root_leaves_the_lag_to_the_start(star):
-    tree = star(5, 2)
-    rng = np.random.default_rng(0)
-    start = rng.uniform(0, 1, (2, 2, tree.dof_count, 30))
-    states = MatsuokaState(jnp.asarray(start[0]), jnp.asarray(start[1]))
-    lags = late_lags(tree, CpgSettings(), 5.0, states)
-    assert (np.abs(differences(lags - 72)) < 1).all(0).mean() < 0.1
+def test_without_a_ring_the_lag_is_what_the_start_made_it(star):
+    tree, count = star(5, 2), 30
+    lags = arm_lags(tree, CpgSettings(), [5.0] * count, scattered(tree, count))
+    assert (np.abs(differences(lags - 72)) < 10).all(0).mean() < 0.1
+    assert (np.abs(differences(lags)) < 10).all(0).mean() < 0.1
 
 
 def test_the_start_is_in_the_phases_that_are_asked_for(star):
@@ -191,12 +191,12 @@ def test_a_lag_of_a_pair_is_its_cosine_both_ways_and_its_sine_one_way(star, lag)
     assert matrix[1, 0] - matrix[0, 1] == pytest.approx(1.4 * sine)
 
 
-@pytest.mark.parametrize(("lag", "tolerance"), [(0, 0.01), (90, 0.01), (180, 0.01)])
-def test_two_arms_keep_the_lag_of_their_coupling(star, lag, tolerance):
-    coupling = Coupling("arm1_1.y", "arm2_1.y", 0.5, lag)
-    lags, cycle = orbit_lags(star(2, 2), CpgSettings(couplings=(coupling,)), 5.0)
-    assert abs(differences(lags[0] - lag)) < (25 if lag == 90 else tolerance)
-    assert cycle.stable
+@pytest.mark.parametrize(("weight", "lag"), [(0.5, 0), (-0.5, 180)])
+def test_two_arms_swing_together_or_against_each_other(star, weight, lag):
+    pair = ("arm1_1.y", "arm2_1.y")
+    couplings = Coupling(*pair, weight), Coupling(*pair[::-1], weight)
+    lags = arm_lags(star(2, 2), CpgSettings(couplings=couplings), [2.0, 5.0, 10.0])
+    np.testing.assert_allclose(differences(lags - lag), 0, atol=0.01)
 
 
 def test_a_written_coupling_takes_the_place_of_the_trees(star):

@@ -1,7 +1,7 @@
 """How a creature is written in YAML: lengths in m, angles in degrees, z up, facing +x."""
 
 from collections.abc import Sequence
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -50,10 +50,6 @@ class SolidConfig(Section):
     def centre(self) -> np.ndarray:
         """Centre of mass ``(3,)`` in the body's frame, m; a mesh's alone is not at 0."""
         return np.zeros(3)
-
-    def mirrored(self, axis: MirrorAxis) -> Self:
-        """Its image in the plane of its frame with this normal; a mesh's alone is another shape."""
-        return self
 
 
 class BoxConfig(SolidConfig):
@@ -124,8 +120,8 @@ class MeshConfig(SolidConfig):
     def centre(self) -> np.ndarray:
         return self._made()[1]
 
-    @override
-    def mirrored(self, axis: MirrorAxis) -> Self:
+    def mirrored(self, axis: MirrorAxis) -> "MeshConfig":
+        """Its image in the plane of its frame with this normal; other shapes are their own."""
         vertices = tuple(_reflected(vertex, axis) for vertex in self.vertices)
         faces = tuple((a, c, b) for a, b, c in self.faces)
         return self.model_copy(update={"vertices": vertices, "faces": faces})
@@ -463,7 +459,9 @@ class CreatureConfig(Section):
 
     def _shape(self, copy: Copy) -> ShapeConfig:
         shape = self.bodies[copy.entry].shape
-        return shape.mirrored(copy.mirror) if copy.mirror else shape
+        if copy.mirror and isinstance(shape, MeshConfig):
+            return shape.mirrored(copy.mirror)
+        return shape
 
 
 def _unit(vector: Any) -> tuple[float, float, float]:

@@ -1,0 +1,45 @@
+"""The shipped starfish under a constant drive: what its cord asks for, its arms do in water."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from evo_cpg.analysis.gait import dominant_frequency, ring_lags
+from evo_cpg.config.build import build_experiment
+from evo_cpg.config.load import load_config
+from evo_cpg.fusion.engine import using
+from evo_cpg.simulation.rollout import as_recording, record
+from tiny_run import REPOSITORY
+
+ARMS = [f"arm{j}_1.y" for j in range(1, 6)]
+
+
+def constant_drive(*changes):
+    """Eight seconds of a starfish whose brain gives every oscillator u = 0.5 and b = 5.5."""
+    path = REPOSITORY / "configs/starfish.yaml"
+    experiment = build_experiment(load_config(path, ["simulation.steps=480", *changes]), path)
+    simulation = experiment.simulation
+    genes = jnp.zeros((simulation.controller.gene_count, 1), jnp.float32)
+    with using(simulation.engine):
+        frames = jax.jit(lambda genes: record(simulation, genes))(genes)
+    return as_recording(simulation, frames, [body.name for body in experiment.creature.bodies])
+
+
+@pytest.mark.slow
+def test_arms_of_a_starfish_beat_one_after_the_other():
+    motion = constant_drive()
+    np.testing.assert_allclose(ring_lags(motion, ARMS), 72, atol=2)
+    chosen = [motion.dof_names.index(name) for name in ARMS]
+    step = float(motion.time[1] - motion.time[0])
+    frequency = dominant_frequency(motion.joint_angle[240:, chosen], step)
+    np.testing.assert_allclose(frequency, frequency[0], rtol=0.01)
+    # It goes up, and nowhere else.
+    way = motion.position[-1, 0] - motion.position[240, 0]
+    assert way[2] > 0.3 and np.hypot(*way[:2]) < 0.2 * way[2]
+
+
+@pytest.mark.slow
+def test_without_the_ring_they_beat_together_as_they_start():
+    motion = constant_drive("controller.cpg.rings=[]")
+    np.testing.assert_allclose(ring_lags(motion, ARMS), 0, atol=2)
