@@ -44,9 +44,12 @@ def main(run: Path) -> None:
         joints = [tree.dof_names[member] for member in ring_members(tree, ring, f"rings.{i}")]
         whole = ring_lags(recording, joints)
         pieces = np.array([ring_lags(part, joints, last=1.0) for part in parts(recording)])
-        for joint, lag, piece in zip(joints, whole, pieces.T, strict=True):
-            shares = ", ".join(f"{value:.1f}" for value in piece)
-            print(f"  {joint}: {lag:.1f} degrees behind the one before; {shares}")
+        print("| | " + " | ".join(joints) + " |")
+        cells = [
+            f"{lag:.1f} ({piece.min():.1f} to {piece.max():.1f})"
+            for lag, piece in zip(whole, pieces.T, strict=True)
+        ]
+        print(f"| `{experiment.name}` | " + " | ".join(cells) + " |")
 
 
 if __name__ == "__main__":
