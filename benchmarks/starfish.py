@@ -41,7 +41,7 @@ def main(run: Path) -> None:
     distance = recording.distance
     print(f"{run}: fitness {champion.fitness:.4f}, {distance[0]:.2f} to {distance[-1]:.2f} m")
     for i, ring in enumerate(controller.settings.cpg.rings):
-        joints = [tree.dof_names[member] for member in ring_members(tree, ring, f"rings.{i}")]
+        joints = [tree.dof_names[member] for member in ring_members(tree, ring, i)]
         whole = ring_lags(recording, joints)
         pieces = np.array([ring_lags(part, joints, last=1.0) for part in parts(recording)])
         print("| | " + " | ".join(joints) + " |")

@@ -63,7 +63,7 @@ def show_rhythm(
             rests.setdefault(str(error), []).append(names)
     Console().print(table)
     for i, ring in enumerate(cpg.rings):
-        members = ring_members(tree, ring, f"rings.{i}")
+        members = ring_members(tree, ring, i)
         if members[0] in cycles:
             lags = ", ".join(f"{lag:.1f}" for lag in cycles[members[0]].lags(members))
             names = ", ".join(tree.dof_names[member] for member in members)

@@ -20,6 +20,7 @@ from evo_cpg.config.situations import build_situations, require_light
 from evo_cpg.config.terrain import build_ground
 from evo_cpg.control.brain_cpg import BrainCpgSettings, build_brain_cpg
 from evo_cpg.control.controller import Controller
+from evo_cpg.control.couplings import CouplingError
 from evo_cpg.control.postures import PostureSettings, build_posture_controller
 from evo_cpg.creature.creature import Creature, CreatureError
 from evo_cpg.creature.shapes import Surface
@@ -229,6 +230,8 @@ def _build_controller(
         if given.type == "postures":
             return build_posture_controller(tree, PostureSettings(**options), step)
         return build_brain_cpg(tree, eyes, pressure, BrainCpgSettings(**options), step, depth)
+    except CouplingError as error:
+        raise ConfigError(source, ("controller", "cpg", *error.where), str(error)) from None
     except ValueError as error:
         raise ConfigError(source, ("controller",), str(error)) from None
 

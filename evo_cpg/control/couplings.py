@@ -21,7 +21,7 @@ network looks the same from each of them. ``docs/models/controller.md`` says whi
 import dataclasses
 import fnmatch
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from jaxtyping import Float
@@ -30,6 +30,18 @@ from evo_cpg.creature.tree import Tree
 
 # A ring closes if its lags add up to whole turns but for so many degrees: 51.43 for 7 is enough.
 _CLOSED_DEG = 0.1
+
+
+class CouplingError(ValueError):
+    """Couplings that do not fit a creature.
+
+    Attributes:
+        where: path of the offending value in the settings, such as ``("rings", 0, "lag_deg")``.
+    """
+
+    def __init__(self, message: str, where: Sequence[str | int]):
+        super().__init__(message)
+        self.where = tuple(where)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -122,22 +134,21 @@ def matching_bodies(tree: Tree, patterns: tuple[str, ...], setting: str) -> set[
     return found
 
 
-def matching_oscillators(tree: Tree, pattern: str, setting: str) -> list[int]:
+def matching_oscillators(tree: Tree, pattern: str, where: Sequence[str | int]) -> list[int]:
     """Oscillators that are named by a pattern such as ``arm*_1.y``, in the order of the bodies.
 
     Args:
         tree: the creature.
         pattern: a degree of freedom, in which ``*`` stands for anything.
-        setting: where it is written, for the message.
+        where: path of the setting, for the message.
 
     Raises:
-        ValueError: no degree of freedom matches.
+        CouplingError: no degree of freedom matches.
     """
     found = [i for i, name in enumerate(tree.dof_names) if fnmatch.fnmatchcase(name, pattern)]
     if not found:
-        raise ValueError(
-            f"{setting} names {pattern!r}, but the degrees of freedom are "
-            f"{', '.join(tree.dof_names)}"
+        raise CouplingError(
+            f"{pattern!r} is no degree of freedom; these are {', '.join(tree.dof_names)}", where
         )
     return found
 
@@ -148,37 +159,37 @@ def explicit_weights(
     """What each target (first) is inhibited with by each source, in units of ``pair_weight``.
 
     Raises:
-        ValueError: names that do not exist or do not fit together, a ring that does not close, or
-            two couplings of the same source and target.
+        CouplingError: names that do not exist or do not fit together, a ring that does not close,
+            or two couplings of the same source and target.
     """
     weights: dict[tuple[int, int], float] = {}
     written: dict[tuple[int, int], str] = {}
 
-    def put(target: int, source: int, weight: float, setting: str) -> None:
+    def put(target: int, source: int, weight: float, where: tuple[str, int]) -> None:
         if (target, source) in weights:
             names = f"{tree.dof_names[source]!r} and {tree.dof_names[target]!r}"
-            raise ValueError(
-                f"{setting} couples {names}, which {written[target, source]} couples already"
+            raise CouplingError(
+                f"couples {names}, which {written[target, source]} couples already", where
             )
-        weights[target, source], written[target, source] = weight, setting
+        weights[target, source] = weight
+        written[target, source] = ".".join(map(str, where))
 
     for i, coupling in enumerate(couplings):
-        setting = f"couplings.{i}"
-        for source, target in _pairs(tree, coupling, setting):
+        for source, target in _pairs(tree, coupling, i):
             if coupling.lag_deg is None:
-                put(target, source, coupling.weight, setting)
+                put(target, source, coupling.weight, ("couplings", i))
                 continue
             cosine, sine = _cosine_and_sine(coupling.lag_deg)
-            put(target, source, coupling.weight * (cosine + sine), setting)
-            put(source, target, coupling.weight * (cosine - sine), setting)
+            put(target, source, coupling.weight * (cosine + sine), ("couplings", i))
+            put(source, target, coupling.weight * (cosine - sine), ("couplings", i))
     for i, ring in enumerate(rings):
-        members = ring_members(tree, ring, f"rings.{i}")
+        members = ring_members(tree, ring, i)
         share = ring.weight / (len(members) - 1)
         for place, target in enumerate(members):
             for other, source in enumerate(members):
                 if place != other:
                     cosine, sine = _cosine_and_sine((place - other) * ring.lag_deg)
-                    put(target, source, share * (cosine + sine), f"rings.{i}")
+                    put(target, source, share * (cosine + sine), ("rings", i))
     return weights
 
 
@@ -201,7 +212,7 @@ def start_phases(
     """
     lags: list[dict[int, float]] = [{} for _ in tree.dof_names]
     for i, ring in enumerate(rings):
-        members = ring_members(tree, ring, f"rings.{i}")
+        members = ring_members(tree, ring, i)
         for before, behind in zip(members, members[1:] + members[:1], strict=True):
             lags[before].setdefault(behind, math.radians(ring.lag_deg))
             lags[behind].setdefault(before, -math.radians(ring.lag_deg))
@@ -209,7 +220,7 @@ def start_phases(
         lag = coupling.lag_deg
         if lag is None:
             lag = 0.0 if coupling.weight >= 0 else 180.0
-        for source, target in _pairs(tree, coupling, f"couplings.{i}"):
+        for source, target in _pairs(tree, coupling, i):
             lags[source].setdefault(target, math.radians(lag))
             lags[target].setdefault(source, -math.radians(lag))
     together = (joined != 0) | (joined.T != 0)
@@ -235,38 +246,38 @@ def start_phases(
     return phases
 
 
-def ring_members(tree: Tree, ring: Ring, setting: str) -> list[int]:
+def ring_members(tree: Tree, ring: Ring, number: int) -> list[int]:
     """The oscillators of a ring, in its order.
 
     Args:
         tree: the creature.
         ring: names them.
-        setting: where it is written, for the message.
+        number: which of the settings' rings it is, for messages.
 
     Raises:
-        ValueError: fewer than two, one that stands there twice, or a ring that does not close.
+        CouplingError: fewer than two, one that stands there twice, or a ring that does not close.
     """
+    where = ("rings", number, "oscillators")
     found = [
         oscillator
         for i, pattern in enumerate(ring.oscillators)
-        for oscillator in matching_oscillators(tree, pattern, f"{setting}.oscillators.{i}")
+        for oscillator in matching_oscillators(tree, pattern, (*where, i))
     ]
     names = [tree.dof_names[i] for i in found]
     for i, name in enumerate(names):
         if name in names[:i]:
-            raise ValueError(f"{setting}.oscillators names {name!r} twice")
+            raise CouplingError(f"{name!r} stands in the ring twice", where)
     count = len(found)
     if count < 2:
-        raise ValueError(
-            f"{setting}.oscillators: a ring needs at least two, got {', '.join(names)}"
-        )
+        raise CouplingError(f"a ring needs at least two, got {', '.join(names) or 'none'}", where)
     turns = count * ring.lag_deg / 360
     if abs(turns - round(turns)) * 360 / count > _CLOSED_DEG:
         allowed = sorted({(360 * k / count + 180) % 360 - 180 for k in range(count)})
         allowed.sort(key=lambda lag: (round(abs(lag), 6), -lag))
-        raise ValueError(
-            f"{setting}.lag_deg: {count} lags around the ring must make whole turns, as "
-            f"{', '.join(f'{lag:.5g}' for lag in allowed[:5])} degrees do, got {ring.lag_deg:g}"
+        raise CouplingError(
+            f"{count} lags around the ring must make whole turns, as "
+            f"{', '.join(f'{lag:.5g}' for lag in allowed[:5])} degrees do, got {ring.lag_deg:g}",
+            ("rings", number, "lag_deg"),
         )
     return found
 
@@ -281,24 +292,26 @@ def uncoupled(matrix: Float[np.ndarray, "o o"]) -> list[int]:
     return [int(i) for i in np.flatnonzero(~others.any(0) & ~others.any(1))]
 
 
-def _pairs(tree: Tree, coupling: Coupling, setting: str) -> Iterator[tuple[int, int]]:
+def _pairs(tree: Tree, coupling: Coupling, number: int) -> Iterator[tuple[int, int]]:
     """Sources and targets, one on one.
 
     Raises:
-        ValueError: they are neither as many nor one, or an oscillator would act on itself.
+        CouplingError: they are neither as many nor one, or an oscillator would act on itself.
     """
-    sources = matching_oscillators(tree, coupling.source, f"{setting}.source")
-    targets = matching_oscillators(tree, coupling.target, f"{setting}.target")
+    where = ("couplings", number)
+    sources = matching_oscillators(tree, coupling.source, (*where, "source"))
+    targets = matching_oscillators(tree, coupling.target, (*where, "target"))
     count = max(len(sources), len(targets))
     if {len(sources), len(targets)} - {1, count}:
-        raise ValueError(
-            f"{setting}: {coupling.source!r} stands for {len(sources)} degrees of freedom and "
-            f"{coupling.target!r} for {len(targets)}; there must be as many of both, or one"
+        raise CouplingError(
+            f"{coupling.source!r} stands for {len(sources)} degrees of freedom and "
+            f"{coupling.target!r} for {len(targets)}; there must be as many of both, or one",
+            where,
         )
     sources, targets = sources * (count // len(sources)), targets * (count // len(targets))
     for source, target in zip(sources, targets, strict=True):
         if source == target:
-            raise ValueError(f"{setting} couples {tree.dof_names[source]!r} to itself")
+            raise CouplingError(f"couples {tree.dof_names[source]!r} to itself", where)
         yield source, target
 
 

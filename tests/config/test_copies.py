@@ -16,6 +16,7 @@ from evo_cpg.creature.creature import neutral_pose
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import resting_state
+from tiny_run import REPOSITORY
 
 STAR = """
 name: star
@@ -272,3 +273,11 @@ def test_problems_of_a_copy_lead_back_to_its_entry():
     joint = data["bodies"][2]["joint"] | {"parent": "disc"}
     data["bodies"].append(data["bodies"][2] | {"name": "arm2_1", "joint": joint})
     assert refused(data).startswith("bodies.3.name: two bodies are called 'arm2_1'")
+
+
+def test_the_example_of_the_docs_is_a_starfish():
+    page = (REPOSITORY / "docs/config.md").read_text()
+    block = page.split("### Limbs that are written once")[1].split("```yaml\n")[1].split("```")[0]
+    creature = built("name: example\nmaterials: {flesh: {density: 1000}}\n" + block)
+    assert len(creature.bodies) == 1 + 5 * 4
+    assert [eye.body for eye in creature.light_sensors] == [f"tip{j}" for j in range(1, 6)]

@@ -386,6 +386,23 @@ def test_limbs_have_drives_of_their_own_and_unknown_ones_are_named():
     assert message.startswith("controller.axes.z.gian: unknown key; did you mean 'gain'?")
 
 
+def test_couplings_are_read_and_wrong_ones_are_answered_with_their_place():
+    coupling = {"source": "tail.y", "target": "tail.z"}
+    message = problem(small(controller__cpg={"couplings": [coupling]}))
+    assert message == (
+        "controller.cpg.couplings.0.source: 'tail.y' is no degree of freedom; these are tail.z"
+    )
+    message = problem(small(controller__cpg={"couplings": [coupling | {"wieght": 1}]}))
+    assert message.startswith("controller.cpg.couplings.0.wieght: unknown key; did you mean")
+    message = problem(small(controller__cpg={"rings": [{"oscillators": ["tail.z"], "lag_deg": 0}]}))
+    assert message.startswith("controller.cpg.rings.0.oscillators: a ring needs at least two")
+    message = problem(small(controller__cpg={"rings": [{"oscillators": ["tail.z"]}]}))
+    assert message == "controller.cpg.rings.0.lag_deg: is missing and has no default"
+    ring = {"oscillators": ["tail.z"], "lag_deg": 0, "weight": -1}
+    message = problem(small(controller__cpg={"rings": [ring]}))
+    assert message.startswith("controller.cpg.rings.0: weight is the strength with which a lag is")
+
+
 def test_bodies_must_form_one_tree():
     data = small()
     del data["creature"]["bodies"][1]["joint"]

@@ -16,7 +16,7 @@ import pytest
 from evo_cpg.analysis.chains import chains
 from evo_cpg.analysis.couplings import network_at, problem_of
 from evo_cpg.analysis.limit_cycle import limit_cycle
-from evo_cpg.control.couplings import Coupling, Ring, uncoupled
+from evo_cpg.control.couplings import Coupling, CouplingError, Ring, uncoupled
 from evo_cpg.control.matsuoka import (
     CpgSettings,
     MatsuokaState,
@@ -235,46 +235,53 @@ def test_oscillators_that_are_coupled_to_nothing_are_found(star):
 
 
 @pytest.mark.parametrize(
-    ("settings", "expected"),
+    ("settings", "where", "expected"),
     [
         (
             {"couplings": (Coupling("arm1_1.x", "arm2_1.y"),)},
-            r"couplings\.0\.source names 'arm1_1\.x', but the degrees of freedom are arm1_1\.y, ",
+            ("couplings", 0, "source"),
+            r"'arm1_1\.x' is no degree of freedom; these are arm1_1\.y, arm2_1\.y",
         ),
         (
             {"couplings": (Coupling("arm[12]_1.y", "arm*_1.y"),)},
-            r"couplings\.0: 'arm\[12\]_1\.y' stands for 2 degrees of freedom and 'arm\*_1\.y' for "
-            r"5; there must be as many of both, or one",
+            ("couplings", 0),
+            r"'arm\[12\]_1\.y' stands for 2 degrees of freedom and 'arm\*_1\.y' for 5; there must",
         ),
         (
             {"couplings": (Coupling("arm1_1.y", "arm*_1.y"),)},
-            r"couplings\.0 couples 'arm1_1\.y' to itself",
+            ("couplings", 0),
+            r"couples 'arm1_1\.y' to itself",
         ),
         (
             {
                 "couplings": (Coupling("arm1_1.y", "arm2_1.y"),),
                 "rings": (Ring(("arm*_1.y",), 72.0),),
             },
-            r"rings\.0 couples 'arm1_1\.y' and 'arm2_1\.y', which couplings\.0 couples already",
+            ("rings", 0),
+            r"couples 'arm1_1\.y' and 'arm2_1\.y', which couplings\.0 couples already",
         ),
         (
             {"rings": (Ring(("arm*_1.y",), 70.0),)},
-            r"rings\.0\.lag_deg: 5 lags around the ring must make whole turns, as 0, 72, -72, 144, "
-            r"-144 degrees do, got 70",
+            ("rings", 0, "lag_deg"),
+            r"5 lags around the ring must make whole turns, as 0, 72, -72, 144, -144 degrees do, "
+            r"got 70",
         ),
         (
             {"rings": (Ring(("arm1_1.y",), 0.0),)},
-            r"rings\.0\.oscillators: a ring needs at least two, got arm1_1\.y",
+            ("rings", 0, "oscillators"),
+            r"a ring needs at least two, got arm1_1\.y",
         ),
         (
             {"rings": (Ring(("arm1_1.y", "arm*_1.y"), 0.0),)},
-            r"rings\.0\.oscillators names 'arm1_1\.y' twice",
+            ("rings", 0, "oscillators"),
+            r"'arm1_1\.y' stands in the ring twice",
         ),
     ],
 )
-def test_couplings_that_do_not_fit_the_creature_are_refused(star, settings, expected):
-    with pytest.raises(ValueError, match=expected):
+def test_couplings_that_do_not_fit_the_creature_are_refused(star, settings, where, expected):
+    with pytest.raises(CouplingError, match=expected) as caught:
         build_network(star(5), CpgSettings(**settings))
+    assert caught.value.where == where
 
 
 @pytest.mark.parametrize(
