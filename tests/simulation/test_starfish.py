@@ -34,9 +34,6 @@ def test_arms_of_a_starfish_beat_one_after_the_other():
     step = float(motion.time[1] - motion.time[0])
     frequency = dominant_frequency(motion.joint_angle[240:, chosen], step)
     np.testing.assert_allclose(frequency, frequency[0], rtol=0.01)
-    # It goes up, and nowhere else.
-    way = motion.position[-1, 0] - motion.position[240, 0]
-    assert way[2] > 0.3 and np.hypot(*way[:2]) < 0.2 * way[2]
 
 
 @pytest.mark.slow
