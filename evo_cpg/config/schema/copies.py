@@ -52,6 +52,8 @@ class Entry(NamedTuple):
         inherited = set(_PLACEHOLDER.findall(self.parent or ""))
         for mark, (key, wanted, adjective) in own.items():
             there = f"{{{mark}}}" in self.name
+            if wanted and not there:
+                return f"name: a {adjective} body needs {{{mark}}} in its name, got {self.name!r}"
             if wanted and self.parent is None:
                 return f"{key}: the root, which has no joint, cannot be {adjective}"
             if wanted and mark in inherited:
@@ -59,8 +61,6 @@ class Entry(NamedTuple):
                     f"{key}: is copied with its parent {self.parent!r} already, whose name has "
                     f"{{{mark}}}"
                 )
-            if wanted and not there:
-                return f"name: a {adjective} body needs {{{mark}}} in its name, got {self.name!r}"
             if mark in inherited and not there:
                 return (
                     f"name: is copied with its parent {self.parent!r}, and needs {{{mark}}} in "
