@@ -3,9 +3,9 @@
 import sys
 from pathlib import Path
 
+from evo_cpg.cli.building import build
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.training import open_run
-from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import dump_creature, load_config
 from evo_cpg.exchange.mjcf_export import mjcf_model, mjcf_text
 from evo_cpg.exchange.mjcf_import import read_mjcf
@@ -17,7 +17,7 @@ def export_model(source: Path, output: Path, overwrite: bool) -> None:
     if source.is_dir():
         _, _, experiment = open_run(source)
     else:
-        experiment = build_experiment(load_config(source), source)
+        experiment = build(load_config(source), source)
     simulation = experiment.simulation
     world, situation = simulation.world, simulation.situations[0]
     model = mjcf_model(

@@ -12,6 +12,7 @@ from rich.table import Table
 
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.measured_motion import TARGET, MeasuredMotion, commands, read_motion
+from evo_cpg.cli.progress import Work, working
 from evo_cpg.cli.training import open_champion
 from evo_cpg.config.errors import ConfigError, nearest
 from evo_cpg.config.load import dump_config, load_config
@@ -78,9 +79,10 @@ def fit_data(
     numbers = np.isfinite(recording.data).sum()
     if numbers <= len(ordered):
         raise UsageError(f"{data}: {numbers} numbers cannot determine {len(ordered)} parameters")
-    result, shown = _search(
-        parameters, recording, ordered, np.array(values), positive, begun, genes, noise
-    )
+    with working("searching: compiling takes one to several minutes") as work:
+        result, shown = _search(
+            parameters, recording, ordered, np.array(values), positive, begun, genes, noise, work
+        )
     _report(ordered, np.array(values), positive, result, recording)
     if out is not None:
         found = dict(zip(ordered, map(float, result.values), strict=True))
@@ -180,6 +182,7 @@ def _search(
     begun: dict[str, float],
     genes: np.ndarray | None,
     given: Sequence[str],
+    work: Work,
 ) -> tuple["Fit", np.ndarray]:
     """The estimate, and the motion that it gives; ``genes`` of a champion, if one moves the joints.
 
@@ -227,7 +230,9 @@ def _search(
     with jax.enable_x64(True):
         program = jax.jit(search)
         model = parameters.model
-        for _ in range(_MOST_SEARCHES):
+        for number in range(1, _MOST_SEARCHES + 1):
+            if number > 1:
+                work.doing(f"searching on from there: {number} of up to {_MOST_SEARCHES}")
             result = jax.device_get(
                 program(jnp.asarray(values), model, jnp.asarray(recording.data))
             )
@@ -242,6 +247,7 @@ def _search(
                 raise UsageError(_forbidden(names, values, size, error)) from None
             if still.all():
                 break
+        work.doing("the motion with the estimates")
         shown = jax.device_get(jax.jit(observe)(jnp.asarray(values), model))
     return result, shown
 

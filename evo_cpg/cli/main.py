@@ -37,7 +37,31 @@ Trial = Annotated[
     int,
     typer.Option("--trial", min=0, help="Of the champion's trials, which; counted from 0."),
 ]
+Strict = Annotated[
+    bool, typer.Option("--strict", help="Refuse values that are allowed but hardly meant.")
+]
 Cores = Annotated[int | None, typer.Option(min=1, help="Cores to use; all by default.")]
+
+
+def _show_version(wanted: bool) -> bool:
+    if wanted:
+        from evo_cpg.cli.version import version
+
+        print(version())
+        raise typer.Exit
+    return wanted
+
+
+@app.callback()
+def options(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", callback=_show_version, is_eager=True, help="Show the version and exit."
+        ),
+    ] = False,
+) -> None:
+    """Evolve the motion of virtual creatures."""
 
 
 @app.command()
@@ -48,11 +72,12 @@ def train(
         Path | None, typer.Option("--out", "-o", help="Run folder; runs/NAME by default.")
     ] = None,
     cores: Cores = None,
+    strict: Strict = False,
 ) -> None:
     """Evolve a population and keep the champion."""
     from evo_cpg.cli.training import start_run
 
-    start_run(config, overrides or [], out, cores)
+    start_run(config, overrides or [], out, cores, strict)
 
 
 @app.command()
@@ -234,11 +259,12 @@ def preview(
         Path | None, typer.Option("--output", "-o", help="A .png file; NAME.png by default.")
     ] = None,
     size: Annotated[str, typer.Option(help="WIDTHxHEIGHT in pixels.")] = "1280x720",
+    strict: Strict = False,
 ) -> None:
     """Draw the creature of a config at rest."""
     from evo_cpg.cli.pictures import preview_config
 
-    preview_config(config, overrides or [], output, size)
+    preview_config(config, overrides or [], output, size, strict)
 
 
 @app.command()
@@ -252,13 +278,18 @@ def verify(run: Run, cores: Cores = None) -> None:
 @app.command()
 def validate(
     configs: Annotated[
-        list[Path], typer.Argument(metavar="CONFIG...", help="YAML configuration files.")
+        list[str],
+        typer.Argument(
+            metavar="CONFIG... [KEY=VALUE]...",
+            help="YAML configuration files, and settings to change in all of them.",
+        ),
     ],
+    strict: Strict = False,
 ) -> None:
     """Check configuration files without running them."""
     from evo_cpg.cli.training import validate_configs
 
-    validate_configs(configs)
+    validate_configs(configs, strict)
 
 
 @app.command()

@@ -4,13 +4,11 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from rich.console import Console
-from rich.progress import Progress
-
+from evo_cpg.cli.building import build, read_config
 from evo_cpg.cli.errors import UsageError
+from evo_cpg.cli.progress import working
 from evo_cpg.cli.training import champion_motion
-from evo_cpg.config.build import build_creature, build_experiment
-from evo_cpg.config.load import load_config
+from evo_cpg.config.build import build_creature
 from evo_cpg.simulation.situation import starting_pose
 
 
@@ -32,9 +30,7 @@ def render_run(
     world = experiment.simulation.world
     name = "champion" if number is None else f"champion_run{number}"
     path = output or folder.path / "videos" / f"{name}{_of_trial(trial)}.mp4"
-    console = Console(stderr=True)
-    with Progress(console=console, disable=not console.is_terminal) as progress:
-        task = progress.add_task("rendering", total=None)
+    with working("rendering", counted=True) as work:
         made = film(
             experiment.creature,
             recording,
@@ -47,7 +43,7 @@ def render_run(
             world="land" if world.water is None else "water",
             ground=world.ground,
             surface=None if world.water is None else world.water.surface,
-            progress=lambda done, total: progress.update(task, completed=done, total=total),
+            progress=work.reached,
         )
     print(made)
 
@@ -66,14 +62,16 @@ def plot_run(run: Path, output: Path | None, trial: int) -> None:
     print(plot_path(recording, place / f"path{which}.png"))
 
 
-def preview_config(path: Path, overrides: Sequence[str], output: Path | None, size: str) -> None:
+def preview_config(
+    path: Path, overrides: Sequence[str], output: Path | None, size: str, strict: bool = False
+) -> None:
     """`evo-cpg preview`."""
     pixels = _pixels(size)
-    config = load_config(path, overrides)
+    config = read_config(path, overrides, strict)
     creature = build_creature(config, path)
     pose = None
     if config.simulation.start_pose == "settled":
-        simulation = build_experiment(config, path).simulation
+        simulation = build(config, path).simulation
         pose = starting_pose(
             simulation.situations[0],
             simulation.world.tree,

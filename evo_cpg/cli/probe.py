@@ -8,6 +8,7 @@ from rich.console import Console
 from rich.table import Table
 
 from evo_cpg.cli.errors import UsageError
+from evo_cpg.cli.progress import working
 from evo_cpg.cli.training import open_champion
 from evo_cpg.config.situations import out_of_reach
 from evo_cpg.simulation.situation import Situation
@@ -52,7 +53,8 @@ def probe_run(
     except OSError as error:
         raise UsageError(f"--out: {place} cannot be made ({error.strerror})") from None
     simulation = blinded(experiment.simulation) if blind else experiment.simulation
-    found = probe(simulation, champion.genes, situations)
+    with working(f"probing {len(situations)} lights: compiling takes 10 s to a minute"):
+        found = probe(simulation, champion.genes, situations)
     from evo_cpg.view.probe_plot import plot_probe
 
     reached = found.reached(reach)

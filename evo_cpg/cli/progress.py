@@ -1,16 +1,188 @@
-"""What long work shows while it goes on: a bar on a terminal, lines elsewhere."""
+"""What long work says while it goes on: a moving line on a terminal, plain lines elsewhere.
+
+Everything goes to standard error. Elsewhere than on a terminal, in a log or a pipe, work that is
+soon done says nothing, and other work is never silent for more than `LONGEST_SILENCE` seconds: a
+thread says what is being done and for how long where the work itself has nothing to say.
+"""
 
 import contextlib
 import sys
+import threading
+import time
 from collections.abc import Callable, Iterator
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    ProgressColumn,
+    SpinnerColumn,
+    TaskID,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+# Nobody has to wonder for longer than this whether anything goes on, s.
+LONGEST_SILENCE = 10.0
+
+# Before the first line, and between two, s. Shorter than the longest silence, since the thread may
+# have to wait for its turn.
+FIRST, BETWEEN = 2.0, 8.0
+
+# How often the thread looks at the clock, s.
+_LOOK = 0.25
+
+# From so much of the work on it can be said how long the rest takes.
+_LEAST_SHARE = 0.02
+
+
+class Heartbeat:
+    """When to say what, as a function of the time; see `beating` for what looks at the clock.
+
+    Args:
+        what: is being done.
+        start: when it began, s.
+    """
+
+    def __init__(self, what: str, start: float):
+        self._what, self._start = what, start
+        self._next = start + FIRST
+        self._done: tuple[int, int] | None = None
+        self._lock = threading.Lock()
+
+    def doing(self, what: str) -> None:
+        """From now on something else is being done."""
+        with self._lock:
+            self._what, self._done = what, None
+
+    def reached(self, done: int, total: int) -> None:
+        """So much of it is done."""
+        with self._lock:
+            self._done = done, total
+
+    def heard(self, now: float) -> None:
+        """Something was said by somebody else; what is being done begins anew."""
+        with self._lock:
+            self._start, self._next = now, now + BETWEEN
+
+    def due(self, now: float) -> str | None:
+        """The line that is due, if one is; it counts as said."""
+        with self._lock:
+            if now < self._next:
+                return None
+            self._next = now + BETWEEN
+            return f"{self._what}: {_standing(now - self._start, self._done)}"
+
+
+def _standing(elapsed: float, done: tuple[int, int] | None) -> str:
+    """For how long, how far, and how much longer."""
+    words = f"{elapsed:.0f} s"
+    if done is None:
+        return f"{words} so far"
+    count, total = done
+    words = f"{count}/{total}, {words}"
+    if _LEAST_SHARE * total < count < total:
+        words += f", about {elapsed * (total - count) / count:.0f} s to go"
+    return words
+
+
+@contextlib.contextmanager
+def beating(
+    heartbeat: Heartbeat,
+    say: Callable[[str], None],
+    clock: Callable[[], float] = time.monotonic,
+) -> Iterator[None]:
+    """Say what is due, in a thread, for as long as the block lasts.
+
+    Args:
+        heartbeat: knows what is due.
+        say: writes a line.
+        clock: tells the time, s.
+    """
+    over = threading.Event()
+
+    def watch() -> None:
+        while not over.wait(_LOOK):
+            line = heartbeat.due(clock())
+            if line is not None:
+                say(line)
+
+    thread = threading.Thread(target=watch, name="heartbeat", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join()
+
+
+class Work:
+    """Work that goes on: what it calls to say how far it is."""
+
+    def doing(self, what: str) -> None:
+        """From now on something else is being done."""
+
+    def reached(self, done: int, total: int) -> None:
+        """So much of it is done."""
+
+
+class _Line(Work):
+    """On a terminal."""
+
+    def __init__(self, bars: Progress, bar: TaskID):
+        self._bars, self._bar = bars, bar
+
+    def doing(self, what: str) -> None:
+        self._bars.update(self._bar, description=what)
+
+    def reached(self, done: int, total: int) -> None:
+        self._bars.update(self._bar, completed=done, total=total)
+
+
+class _Lines(Work):
+    """Elsewhere."""
+
+    def __init__(self, heartbeat: Heartbeat):
+        self._heartbeat = heartbeat
+
+    def doing(self, what: str) -> None:
+        self._heartbeat.doing(what)
+
+    def reached(self, done: int, total: int) -> None:
+        self._heartbeat.reached(done, total)
+
+
+@contextlib.contextmanager
+def working(what: str, counted: bool = False) -> Iterator[Work]:
+    """Say what is being done for as long as the block lasts, and for how long it has been.
+
+    Args:
+        what: is being done, and how long it may take.
+        counted: whether the work says how far it is.
+
+    Yields:
+        What the work may call.
+    """
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        heartbeat = Heartbeat(what, time.monotonic())
+        with beating(heartbeat, _say):
+            yield _Lines(heartbeat)
+        return
+    columns: list[ProgressColumn] = [
+        SpinnerColumn(),
+        TextColumn("{task.description}", markup=False),
+    ]
+    columns += [BarColumn(bar_width=24), TimeRemainingColumn()] if counted else []
+    with Progress(*columns, TimeElapsedColumn(), console=console, transient=True) as bars:
+        yield _Line(bars, bars.add_task(what, total=None))
 
 
 @contextlib.contextmanager
 def progress(
-    title: str, step: str, total: int, completed: int = 0
+    title: str, step: str, total: int, completed: int = 0, first: str = "compiling"
 ) -> Iterator[Callable[[int, str, float], None]]:
     """Show every step of some work.
 
@@ -19,6 +191,7 @@ def progress(
         step: what a step is called.
         total: steps in all.
         completed: steps done before.
+        first: what is done before the first of them.
 
     Yields:
         A function to call after every step, with its number (from 0), how things stand, and the
@@ -26,25 +199,33 @@ def progress(
     """
     console = Console(stderr=True)
     if not console.is_terminal:
+        heartbeat = Heartbeat(f"{step} {completed + 1:4d}/{total}  {first}", time.monotonic())
 
         def tell(number: int, state: str, seconds: float) -> None:
-            words = f"{step} {number + 1:4d}/{total}  {state}  {seconds:6.2f} s"
-            print(words, file=sys.stderr, flush=True)
+            _say(f"{step} {number + 1:4d}/{total}  {state}  {seconds:6.2f} s")
+            heartbeat.heard(time.monotonic())
+            heartbeat.doing(f"{step} {number + 2:4d}/{total}")
 
-        yield tell
+        with beating(heartbeat, _say):
+            yield tell
         return
     columns = (
         TextColumn("{task.description}"),
         BarColumn(bar_width=24),
         MofNCompleteColumn(),
+        TimeElapsedColumn(),
         TimeRemainingColumn(),
         TextColumn("{task.fields[state]}"),
     )
     with Progress(*columns, console=console) as bars:
-        bar = bars.add_task(title, total=total, completed=completed, state="compiling")
+        bar = bars.add_task(title, total=total, completed=completed, state=first)
 
         def advance(number: int, state: str, seconds: float) -> None:
             del number, seconds
             bars.update(bar, advance=1, state=state)
 
         yield advance
+
+
+def _say(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)

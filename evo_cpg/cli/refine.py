@@ -8,12 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from evo_cpg.cli.building import build
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.progress import progress
 from evo_cpg.cli.training import (
     REPLAY_TOLERANCE,
     champion_of,
     class_folders,
+    live_again,
     misfit,
     now,
     open_run,
@@ -24,6 +26,8 @@ from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.load import dump_config
 from evo_cpg.config.parameters import Parameters, parametrise
 from evo_cpg.training.run_folder import RunFolderError
+
+_COMPILING = "compiling, which takes a minute or two for a new body"
 
 if TYPE_CHECKING:
     from evo_cpg.training.ascent import Free
@@ -53,7 +57,7 @@ def refine_run(
     if not getattr(config.controller, "graded", True):
         controller = config.controller.model_copy(update={"graded": True})
         config = config.model_copy(update={"controller": controller})
-        experiment = build_experiment(config, folder.config, beside)
+        experiment = build(config, folder.config, beside)
         print(
             "bits have no slopes: the genes count as graded, as they do in the run once it gains",
             file=sys.stderr,
@@ -64,7 +68,6 @@ def refine_run(
             "configuration; free numbers take a run of its own"
         )
     parameters = parametrise(config, folder.config, keys, beside) if keys else None
-    from evo_cpg.training.loop import replay_champion
     from evo_cpg.training.refine import Refinement, Round, compile_refinement
 
     devices = folder.read_meta().get("devices", 1)
@@ -81,7 +84,7 @@ def refine_run(
 
     recorded = champion.fitness
     try:
-        with progress("refine", "round", rounds) as show:
+        with progress("refine", "round", rounds, first=_COMPILING) as show:
 
             def tell(done: Round) -> None:
                 keep(done)
@@ -117,7 +120,7 @@ def refine_run(
         return
     best, _, _ = folder.load_champion()
     _, _, experiment = open_run(run)
-    folder.save_champion(best, replay_champion(experiment, best, devices)[2])
+    folder.save_champion(best, live_again(experiment, best, devices)[2])
     folder.update_meta(refined=now())
     terms = ", ".join(f"{name} {value:.3g}" for name, value in last.champion.terms.items())
     for key, value in zip(keys, last.values, strict=True):

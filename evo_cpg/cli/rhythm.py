@@ -9,8 +9,8 @@ from rich.console import Console
 from rich.table import Table
 
 from evo_cpg.analysis.limit_cycle import LimitCycle, NoRhythmError, limit_cycle, parts
+from evo_cpg.cli.building import build
 from evo_cpg.cli.errors import UsageError
-from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import load_config
 from evo_cpg.control.brain_cpg import BrainCpg
 from evo_cpg.control.couplings import ring_members
@@ -25,7 +25,7 @@ def read_oscillators(path: Path, overrides: Sequence[str]) -> tuple[Simulation, 
     Raises:
         UsageError: the controller has no oscillators.
     """
-    simulation = build_experiment(load_config(path, overrides), path).simulation
+    simulation = build(load_config(path, overrides), path).simulation
     controller = simulation.controller
     if not isinstance(controller, BrainCpg):
         raise UsageError(

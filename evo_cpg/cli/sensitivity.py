@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from evo_cpg.cli.errors import UsageError
+from evo_cpg.cli.progress import Work, working
 from evo_cpg.cli.training import class_folders, open_champion
 from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.load import load_config
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
 
 # Rows for the terminal and bars of the picture; the table file has all.
 _SHOWN = 25
+
+_COMPILING = "differentiating the trial: compiling takes one to several minutes"
 
 # Not a key of the configuration: what all genes are multiplied by.
 GENES = "genes"
@@ -56,15 +59,18 @@ def show_sensitivities(
     config = config.model_copy(update={"simulation": trial})
     chosen = tuple(key for key in keys if key != GENES)
     if not keys:
-        chosen = all_parameters(config, folder.config, beside, shapes)
-    parameters = parametrise(config, folder.config, chosen, beside)
+        with working("finding the numbers that can be changed"):
+            chosen = all_parameters(config, folder.config, beside, shapes)
+    with working("finding what each number changes"):
+        parameters = parametrise(config, folder.config, chosen, beside)
     place = out or folder.path
     try:
         place.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UsageError(f"--out: {place} cannot be made ({error.strerror})") from None
     scaled = not keys or GENES in keys
-    speed, fitness = _measure(parameters, champion, scaled)
+    with working(_COMPILING) as work:
+        speed, fitness = _measure(parameters, champion, scaled, work)
     rows = [_row(one, other) for one in speed for other in fitness if one.key == other.key]
     name = "sensitivity" if number is None else f"sensitivity_run{number}"
     table = place / f"{name}.csv"
@@ -92,7 +98,7 @@ def show_sensitivities(
     print(picture)
 
 
-def _measure(parameters: Parameters, champion: Champion, scaled: bool) -> tuple:
+def _measure(parameters: Parameters, champion: Champion, scaled: bool, work: Work) -> tuple:
     """Sensitivities of speed and fitness, in float64."""
     import jax
     import jax.numpy as jnp
@@ -116,6 +122,7 @@ def _measure(parameters: Parameters, champion: Champion, scaled: bool) -> tuple:
         program = jax.jit(lambda p, model: differentiate(lambda q: outcome(q, model), p))
         measures, slopes = jax.device_get(program(jnp.asarray(values), parameters.model))
         places, models = [], []
+        work.doing("changing the numbers one by one")
         for sign in (-1.0, 1.0):
             for i in range(len(values)):
                 place = values.copy()
@@ -127,6 +134,8 @@ def _measure(parameters: Parameters, champion: Champion, scaled: bool) -> tuple:
                     place, model = values * np.nan, parameters.model
                 places.append(place)
                 models.append(model)
+                work.reached(len(places), 2 * len(values))
+        work.doing("living the trial with every number changed: compiling takes a minute or two")
         stacked = jax.tree.map(lambda *x: np.stack(x), *models)
         run_all = jax.jit(jax.vmap(outcome, out_axes=1))
         after = jax.device_get(run_all(jnp.asarray(np.array(places)), stacked))

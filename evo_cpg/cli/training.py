@@ -5,15 +5,16 @@ import platform
 import sys
 import time
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from evo_cpg.cli.building import build, read_config
 from evo_cpg.cli.errors import UsageError
-from evo_cpg.cli.progress import progress
-from evo_cpg.config.build import build_experiment
+from evo_cpg.cli.progress import progress, working
 from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.load import dump_config, load_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
@@ -32,12 +33,14 @@ REPLAY_TOLERANCE = 1e-3
 _PACKAGES = ("evo-cpg", "jax", "jaxlib", "equinox", "numpy")
 
 
-def start_run(path: Path, overrides: Sequence[str], out: Path | None, cores: int | None) -> None:
+def start_run(
+    path: Path, overrides: Sequence[str], out: Path | None, cores: int | None, strict: bool = False
+) -> None:
     """`evo-cpg train`."""
-    config = load_config(path, overrides)
+    config = read_config(path, overrides, strict)
     # Finding a place to stand on uneven ground starts JAX.
     devices = use_cores(cores)
-    experiment = build_experiment(config, path)
+    experiment = build(config, path)
     folder = RunFolder(out or Path("runs") / config.name)
     meta = _meta(config, devices, path) | described(experiment.simulation.engine)
     folder.create(dump_config(config), meta)
@@ -97,9 +100,7 @@ def verify_run(run: Path, cores: int | None) -> None:
     if wrong:
         _report(run, [*differences, wrong])
     devices = folder.read_meta().get("devices", 1)
-    from evo_cpg.training.loop import replay_champion
-
-    fitness, terms, _ = replay_champion(experiment, champion, devices)
+    fitness, terms, _ = live_again(experiment, champion, devices)
     recorded = {"fitness": champion.fitness, **champion.terms}
     replayed = {"fitness": fitness, **terms}
     for name, value in recorded.items():
@@ -111,13 +112,26 @@ def verify_run(run: Path, cores: int | None) -> None:
     print(f"{run}: the champion's fitness {champion.fitness:.6f} comes out as recorded ({exact})")
 
 
-def validate_configs(paths: Sequence[Path]) -> None:
-    """`evo-cpg validate`."""
+def validate_configs(words: Sequence[str], strict: bool = False) -> None:
+    """`evo-cpg validate`.
+
+    Args:
+        words: files, and settings that hold for all of them.
+        strict: refuse what is hardly meant.
+
+    Raises:
+        UsageError: there is no file among the words.
+        SystemExit: with 2, where a file is wrong.
+    """
+    overrides = [word for word in words if "=" in word and not Path(word).exists()]
+    paths = [Path(word) for word in words if word not in overrides]
+    if not paths:
+        raise UsageError(f"validate: {overrides[0]} is a setting; name a configuration file, too")
     wrong = 0
     for path in paths:
         try:
-            experiment = build_experiment(load_config(path), path)
-        except ConfigError as error:
+            experiment = build(read_config(path, overrides, strict), path)
+        except (ConfigError, UsageError) as error:
             wrong += 1
             print(f"evo-cpg: {error}", file=sys.stderr)
         else:
@@ -156,7 +170,7 @@ def open_run(run: Path) -> tuple[RunFolder, ExperimentConfig, Experiment]:
     folder = RunFolder(run)
     folder.require()
     config = load_config(folder.config)
-    return folder, config, build_experiment(config, folder.config, class_folders(folder))
+    return folder, config, build(config, folder.config, class_folders(folder))
 
 
 def class_folders(folder: RunFolder) -> list[Path]:
@@ -206,9 +220,7 @@ def champion_motion(
     # The folder keeps the motion in the first.
     if recording is None or trial > 0:
         devices = folder.read_meta().get("devices", 1)
-        from evo_cpg.training.loop import replay_champion
-
-        _, _, recording = replay_champion(experiment, champion, devices, trial)
+        _, _, recording = live_again(experiment, champion, devices, trial)
     return experiment, champion, recording, folder
 
 
@@ -220,28 +232,52 @@ def use_cores_of(run: Path, cores: int | None = None) -> int:
     return use_cores(cores or RunFolder(run).read_meta().get("devices"))
 
 
-def _evolve(experiment: Experiment, folder: RunFolder) -> None:
+def live_again(experiment: Experiment, champion: Champion, devices: int, trial: int = 0) -> Any:
+    """The champion's fitness, terms and motion, lived again; says so where it takes long."""
     # Importing the loop starts nothing, but it takes JAX a second.
-    from evo_cpg.training.loop import replay_champion, train
+    from evo_cpg.training.loop import replay_champion
 
-    done = folder.load()
+    with working("replaying the champion: compiling takes some seconds, a trial less"):
+        return replay_champion(experiment, champion, devices, trial)
+
+
+def _evolve(experiment: Experiment, folder: RunFolder) -> None:
+    from evo_cpg.training.loop import compile_replay, train
+
+    done, devices = folder.load(), folder.read_meta()["devices"]
     start = done.generation if done else 0
     try:
-        with progress(experiment.name, "generation", experiment.generations, start) as show:
+        # The recording takes a program of its own. It is compiled while the population evolves:
+        # one core is busy for some seconds, and nobody waits for it at the end.
+        with ThreadPoolExecutor(1, "recording") as beside:
+            programs = []
+            with progress(
+                experiment.name,
+                "generation",
+                experiment.generations,
+                start,
+                "compiling, which takes 10 s to a minute for a new body",
+            ) as show:
 
-            def tell(rows: list[dict[str, float]]) -> None:
-                show(int(rows[0]["generation"]), _standing(rows), rows[0]["seconds"])
+                def tell(rows: list[dict[str, float]]) -> None:
+                    show(int(rows[0]["generation"]), _standing(rows), rows[0]["seconds"])
 
-            checkpoint = train(experiment, folder, tell)
-        champion = checkpoint.champion
-        if champion is None:
-            raise RunFolderError(
-                f"{folder.path}: every individual of every generation diverged, so there is no "
-                "champion; try more substeps or weaker motors"
-            )
-        devices = folder.read_meta()["devices"]
-        folder.save_champion(champion, replay_champion(experiment, champion, devices)[2])
-        folder.update_meta(finished=now())
+                def compile_beside() -> None:
+                    programs.append(beside.submit(compile_replay, experiment, devices))
+
+                checkpoint = train(experiment, folder, tell, on_compiled=compile_beside)
+            champion = checkpoint.champion
+            if champion is None:
+                raise RunFolderError(
+                    f"{folder.path}: every individual of every generation diverged, so there is "
+                    "no champion; try more substeps or weaker motors"
+                )
+            with working("recording the champion's motion"):
+                if not programs:
+                    compile_beside()
+                _, _, motion = programs[0].result()(champion)
+            folder.save_champion(champion, motion)
+            folder.update_meta(finished=now())
     except KeyboardInterrupt:
         print(f"interrupted; go on with `evo-cpg resume {folder.path}`", file=sys.stderr)
         raise

@@ -28,6 +28,9 @@ from evo_cpg.training.experiment import (
 from evo_cpg.training.memetic import compile_learning
 from evo_cpg.training.run_folder import RunFolder
 
+# Fitness, terms and motion of an individual that lives again.
+Replayed = tuple[float, dict[str, float], Recording]
+
 # Columns of metrics.csv that differ from run to run.
 TIMING_COLUMNS = ("seconds", "steps_per_second")
 
@@ -37,6 +40,7 @@ def train(
     folder: RunFolder,
     on_generation: Callable[[list[dict[str, float]]], None] = lambda rows: None,
     mesh: Mesh | None = None,
+    on_compiled: Callable[[], object] = lambda: None,
 ) -> Checkpoint:
     """Evolve from the folder's newest checkpoint, or from the start, to the last generation.
 
@@ -46,6 +50,8 @@ def train(
         on_generation: called with the new rows of metrics.csv, one for each run, after every
             generation.
         mesh: devices to use; None for all.
+        on_compiled: called once, when the program of the trials is compiled and has run: the
+            moment to compile in a thread what is needed later.
 
     Returns:
         The state after the last generation.
@@ -65,11 +71,14 @@ def train(
     run_breeding = jax.jit(functools.partial(breed, experiment))
     learn = compile_learning(experiment, mesh) if experiment.learning else None
     draw_keys = jax.jit(functools.partial(generation_keys, experiment))
+    first = checkpoint.generation
     while checkpoint.generation < experiment.generations:
         start = time.perf_counter()
         index = np.int32(checkpoint.generation)
         keys = jax.device_get(draw_keys(index))
         outcome = run_trials(checkpoint.genes, keys, numbers, experiment.trials)
+        if checkpoint.generation == first:
+            on_compiled()
         yardsticks = {
             name: np.array(values, np.float32) for name, values in checkpoint.scales.items()
         }
@@ -96,7 +105,7 @@ def train(
 
 def replay_champion(
     experiment: Experiment, champion: Champion, devices: int, recorded: int = 0
-) -> tuple[float, dict[str, float], Recording]:
+) -> Replayed:
     """Live the champion's trials again, with the noise that they had.
 
     Args:
@@ -108,16 +117,42 @@ def replay_champion(
     Returns:
         Its fitness, its terms and its motion in one trial.
     """
-    simulation, keys = experiment.simulation, champion_keys(experiment, champion)
+    return compile_replay(experiment, devices, recorded)(champion)
+
+
+def compile_replay(
+    experiment: Experiment, devices: int, recorded: int = 0
+) -> Callable[[Champion], Replayed]:
+    """Compile `replay_champion` before there is a champion.
+
+    The program of the trials in training cannot serve: it computes a whole trial as one piece of
+    native code whose results are what the trial amounted to, and the frames of all its individuals
+    would take hundreds of megabytes. A recording takes a trial step by step.
+    """
+    simulation, genes = experiment.simulation, experiment.simulation.controller.gene_count
+    numbers = situation_numbers(experiment)
+    somebody = Champion(np.zeros(genes, np.float32), 0.0, 0, {}, {}, 0, 0)
+    keys = jax.eval_shape(lambda: champion_keys(experiment, somebody))
     live = jax.jit(functools.partial(replay, experiment, devices, recorded=recorded))
-    outcome, frames = live(champion.genes, keys, situation_numbers(experiment))
-    scales = {name: jnp.float32(value) for name, value in champion.scales.items()}
+    lived = live.lower(jax.ShapeDtypeStruct((genes,), jnp.float32), keys, numbers)
     # Compiled as in training: a multiplication and an addition may become one operation, with one
     # rounding.
-    fitness, mean = jax.jit(functools.partial(judge, simulation.task))(outcome, scales)
-    terms = {name: float(value) for name, value in mean.terms.items()}
-    names = [body.name for body in experiment.creature.bodies]
-    return float(fitness), terms, as_recording(simulation, frames, names, trial=recorded)
+    scales = {name: jnp.float32(1.0) for name in _no_scales(experiment)}
+    assess = jax.jit(functools.partial(judge, simulation.task))
+    assessed = assess.lower(lived.out_info[0], scales).compile()
+    run = lived.compile()
+
+    def of(champion: Champion) -> Replayed:
+        given = np.asarray(champion.genes, np.float32), champion_keys(experiment, champion)
+        outcome, frames = run(*given, numbers)
+        fitness, mean = assessed(
+            outcome, {name: jnp.float32(value) for name, value in champion.scales.items()}
+        )
+        terms = {name: float(value) for name, value in mean.terms.items()}
+        names = [body.name for body in experiment.creature.bodies]
+        return float(fitness), terms, as_recording(simulation, frames, names, trial=recorded)
+
+    return of
 
 
 def _no_scales(experiment: Experiment) -> dict[str, tuple[float, ...]]:

@@ -1,0 +1,54 @@
+"""From a configuration file to an experiment, with what the user should know on the way."""
+
+import sys
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from evo_cpg.cli.errors import UsageError
+from evo_cpg.cli.progress import working
+from evo_cpg.config.build import build_experiment
+from evo_cpg.config.load import load_config
+from evo_cpg.config.plausible import doubts
+from evo_cpg.config.schema.experiment import ExperimentConfig
+from evo_cpg.training.experiment import Experiment
+
+
+def read_config(
+    path: Path, overrides: Sequence[str] = (), strict: bool = False
+) -> ExperimentConfig:
+    """A configuration; what of it is hardly meant is said.
+
+    Args:
+        path: the file.
+        overrides: ``key=value`` settings.
+        strict: refuse what is hardly meant.
+
+    Raises:
+        ConfigError: it is wrong.
+        UsageError: something is hardly meant, and that is refused.
+    """
+    config = load_config(path, overrides)
+    found = [f"{path}: {doubt}" for doubt in doubts(config, path)]
+    if found and strict:
+        raise UsageError("\n".join(found))
+    for line in found:
+        print(f"evo-cpg: warning: {line}", file=sys.stderr)
+    return config
+
+
+def build(config: ExperimentConfig, source: Path, folders: Iterable[Path] = ()) -> Experiment:
+    """`build_experiment`, which says what it does where it takes long.
+
+    Args:
+        config: the configuration.
+        source: file it came from.
+        folders: where else to look for a user's own classes.
+
+    Raises:
+        ConfigError: parts that do not fit together.
+    """
+    what = f"building {config.name}"
+    if config.simulation.start_pose == "settled":
+        what = f"{what}: letting the creature settle, which takes up to a minute"
+    with working(what):
+        return build_experiment(config, source, folders)

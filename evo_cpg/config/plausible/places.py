@@ -1,0 +1,77 @@
+"""Places that lie outside of what they belong to."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from evo_cpg.config.errors import Key
+from evo_cpg.config.plausible.doubt import Case, Doubt
+from evo_cpg.creature.shapes import Shape
+
+# A place may stick out of its body by this share of the body's largest half extent: bodies are
+# joined with gaps between them, and eyes stand on stalks.
+_OUT = 0.3
+
+
+def joint_anchor(case: Case) -> Iterator[Doubt]:
+    """A joint that is nowhere near one of the bodies that it joins."""
+    bodies = {body.name: body for body in case.creature.bodies}
+    for key, entry, body in case.bodies():
+        if entry.joint is None or body.joint is None:
+            continue
+        parent, joint = bodies[body.joint.parent], body.joint
+        yield from _outside(
+            (*key, "joint", "at"),
+            entry.joint.at,
+            f"body {parent.name!r}, on which {body.name!r} hangs",
+            parent.shape,
+            joint.parent_anchor,
+        )
+        yield from _outside(
+            (*key, "joint", "child_at"),
+            entry.joint.child_at,
+            f"body {body.name!r} itself",
+            body.shape,
+            joint.child_anchor,
+        )
+
+
+def sensor_place(case: Case) -> Iterator[Doubt]:
+    """An eye or a gauge that is nowhere near its body."""
+    creature, config = case.creature, case.config.creature
+    for name, given, sensors in (
+        ("light_sensors", config.light_sensors, creature.light_sensors),
+        ("depth_sensors", config.depth_sensors, creature.depth_sensors),
+    ):
+        for i, (entry, sensor) in enumerate(zip(given, sensors, strict=True)):
+            shape = creature.bodies[creature.body_index(sensor.body)].shape
+            yield from _outside(
+                ("creature", name, i, "position"),
+                entry.position,
+                f"body {sensor.body!r}",
+                shape,
+                sensor.position,
+            )
+
+
+def _outside(
+    key: Key, value: object, whose: str, shape: Shape, place: tuple[float, float, float]
+) -> Iterator[Doubt]:
+    """Doubt a place, in the shape's own frame, that is too far outside of it."""
+    half = shape.half_extents
+    gap = float(shape.distance(np.array([place]))[0])
+    if gap <= _OUT * half.max():
+        return
+    x, y, z = half
+    likely = "places count from the body's centre, so half its size reaches its surface"
+    if gap > 100 * half.max():
+        likely = "places are in m: is this in mm?"
+    yield Doubt(
+        key,
+        value,
+        f"lies {gap:.3g} m outside of {whose}, which reaches to {x:.3g}, {y:.3g}, {z:.3g} m; "
+        f"{likely}",
+    )
+
+
+RULES = (joint_anchor, sensor_place)

@@ -1,0 +1,215 @@
+"""Sensors that can never feel anything, and animals that nothing holds."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from evo_cpg.config.plausible.doubt import Case, Doubt
+from evo_cpg.config.schema.choice import CustomConfig
+from evo_cpg.config.schema.ground import PlaneConfig, ReliefConfig, ShoreConfig
+from evo_cpg.config.schema.task import ReachLightConfig
+from evo_cpg.creature.creature import neutral_pose
+
+# By so much may an animal on the ground tilt an eye, degrees.
+_TILT = 45.0
+
+# Less of its range than this is too little for a depth gauge to tell anything.
+_LEAST_READING = 0.01
+
+
+def light_without(case: Case) -> Iterator[Doubt]:
+    """Eyes where no trial has a light."""
+    task = case.config.task
+    if isinstance(task, ReachLightConfig | CustomConfig):
+        return
+    for i, eye in enumerate(case.config.creature.light_sensors):
+        yield Doubt(
+            ("creature", "light_sensors", i, "body"),
+            eye.body,
+            f"a task of type {task.type!r} has no light, so this eye sees none (it still tells how "
+            "far it is tilted); leave the eye out, or choose a task with a light: reach_light",
+        )
+
+
+def light_never_in_view(case: Case) -> Iterator[Doubt]:
+    """Eyes of a walker that look away from every light, however it turns about the vertical."""
+    config = case.config
+    if config.world.ground is None or config.world.water is not None:
+        return
+    lights = _elevations(case)
+    if lights is None:
+        return
+    _, turns = neutral_pose(case.creature)
+    for i, (given, eye) in enumerate(
+        zip(config.creature.light_sensors, case.creature.light_sensors, strict=True)
+    ):
+        axis = turns[case.creature.body_index(eye.body)] @ np.array(eye.axis)
+        high = float(np.rad2deg(np.arcsin(np.clip(axis[2], -1, 1))))
+        nearest = min(abs(high - light) for light in lights)
+        if nearest > given.field_of_view_deg / 2 + _TILT:
+            yield Doubt(
+                ("creature", "light_sensors", i, "axis"),
+                given.axis,
+                f"the eye looks {high:.0f} degrees above the horizon and sees "
+                f"{given.field_of_view_deg / 2:g} to each side; no light comes nearer than "
+                f"{nearest:.0f}, whichever way the animal faces; turn the axis, such as [1, 0, 0] "
+                "straight ahead, or widen field_of_view_deg",
+            )
+
+
+def _elevations(case: Case) -> list[float] | None:
+    """Of the lights above the horizon, degrees; None where they cannot be told."""
+    task, trials = case.config.task, case.config.simulation.trials
+    if not isinstance(task, ReachLightConfig):
+        return None
+    own = [entry.light for entry in trials if entry.light] if isinstance(trials, list) else []
+    lights = [light.over(task.light) for light in own] or [task.light]
+    if isinstance(trials, list) and len(own) < len(trials):
+        lights.append(task.light)
+    found = [light.elevation_deg for light in lights]
+    return None if None in found else [angle for angle in found if angle is not None]
+
+
+def touch_without_ground(case: Case) -> Iterator[Doubt]:
+    """Pressure sensors, asked for by name, where there is nothing to touch."""
+    named = case.config.creature.pressure_sensors
+    # All is the default, and costs nothing.
+    if named == "all" or case.config.world.ground is not None:
+        return
+    for i, name in enumerate(named):
+        yield Doubt(
+            ("creature", "pressure_sensors", i),
+            name,
+            "there is no ground to press against it, so it always feels 0; give the world a "
+            "ground (world.ground: {}), or leave the sensor out (pressure_sensors: [])",
+        )
+
+
+def touch_inside(case: Case) -> Iterator[Doubt]:
+    """Pressure sensors on bodies that lie inside of another one at rest."""
+    named = case.config.creature.pressure_sensors
+    if named == "all" or case.config.world.ground is None:
+        return
+    creature = case.creature
+    centres, turns = neutral_pose(creature)
+    for i, name in enumerate(named):
+        inner = creature.body_index(name)
+        points = creature.bodies[inner].shape.surface(2).points @ turns[inner].T + centres[inner]
+        for outer, body in enumerate(creature.bodies):
+            own = (points - centres[outer]) @ turns[outer]
+            if outer != inner and (body.shape.distance(own) < 0).all():
+                yield Doubt(
+                    ("creature", "pressure_sensors", i),
+                    name,
+                    f"the body lies inside of {body.name!r}, which touches the ground before it; "
+                    f"put the sensor on {body.name!r}",
+                )
+
+
+def depth_without_surface(case: Case) -> Iterator[Doubt]:
+    """Depth gauges where there is no surface to be deep under."""
+    water = case.config.world.water
+    if water is not None and water.surface is not None:
+        return
+    lacks = "there is no water" if water is None else "the water has no surface"
+    likely = "world.water" if water is None else "world.water.surface: 0"
+    for i, gauge in enumerate(case.config.creature.depth_sensors):
+        yield Doubt(
+            ("creature", "depth_sensors", i, "body"),
+            gauge.body,
+            f"{lacks}, so this gauge always reads 0; set {likely}, or leave the gauge out",
+        )
+
+
+def depth_out_of_scale(case: Case) -> Iterator[Doubt]:
+    """Depth gauges whose scale is so long that the deepest place is a tick on it."""
+    water, lowest = case.config.world.water, _lowest(case)
+    if water is None or water.surface is None or lowest is None:
+        return
+    deepest = water.surface - lowest
+    if deepest <= 0:
+        return
+    for i, gauge in enumerate(case.config.creature.depth_sensors):
+        if deepest < _LEAST_READING * gauge.full_scale:
+            yield Doubt(
+                ("creature", "depth_sensors", i, "full_scale"),
+                gauge.full_scale,
+                f"the water is {deepest:.3g} m deep, so this gauge never reads more than "
+                f"{deepest / gauge.full_scale:.2g}; plausible is about the water's depth; lengths "
+                "are in m: is this in mm?",
+            )
+
+
+def water_below_ground(case: Case) -> Iterator[Doubt]:
+    """Water that lies under the ground everywhere."""
+    water, lowest = case.config.world.water, _lowest(case)
+    if water is None or water.surface is None or lowest is None or water.surface > lowest:
+        return
+    yield Doubt(
+        ("world", "water", "surface"),
+        water.surface,
+        f"the ground is nowhere lower than {lowest:.3g} m, so there is no water above it; raise "
+        "the surface, lower the ground (world.ground.floor), or leave the water out (water: null)",
+    )
+
+
+def _lowest(case: Case) -> float | None:
+    """Height of the lowest ground, m; None where there is no ground, no end to it, or no telling.
+
+    Slopes go down for ever.
+    """
+    ground = case.config.world.ground
+    if ground is None:
+        return None
+    floor = ground.floor
+    if isinstance(floor, PlaneConfig):
+        return None if floor.slope_deg else floor.height
+    if isinstance(floor, ShoreConfig):
+        return min(floor.start_height, floor.stop_height)
+    if isinstance(floor, ReliefConfig):
+        return min(map(min, floor.heights))
+    return None
+
+
+def controller_without_senses(case: Case) -> Iterator[Doubt]:
+    """Sensors of an animal that takes its postures in turn and senses nothing."""
+    creature = case.config.creature
+    if case.config.controller.type != "postures":
+        return
+    named = [] if creature.pressure_sensors == "all" else creature.pressure_sensors
+    listed = [("light_sensors", eye.body) for eye in creature.light_sensors]
+    listed += [("depth_sensors", gauge.body) for gauge in creature.depth_sensors]
+    listed += [("pressure_sensors", name) for name in named]
+    for kind in dict.fromkeys(kind for kind, _ in listed):
+        names = [name for other, name in listed if other == kind]
+        yield Doubt(
+            ("creature", kind),
+            names,
+            "a controller of type 'postures' senses nothing; leave them out, or take one that "
+            "does: brain_cpg",
+        )
+
+
+def nothing_to_hold_it(case: Case) -> Iterator[Doubt]:
+    """Gravity, but neither water nor ground: the animal falls for ever."""
+    world = case.config.world
+    if world.gravity and world.water is None and world.ground is None:
+        yield Doubt(
+            ("world", "gravity"),
+            world.gravity,
+            "there is neither water nor ground, so the animal falls from start to end; give the "
+            "world a ground (ground: {}) or water (water: {}), or set gravity to 0",
+        )
+
+
+RULES = (
+    light_without,
+    light_never_in_view,
+    touch_without_ground,
+    touch_inside,
+    depth_without_surface,
+    depth_out_of_scale,
+    water_below_ground,
+    controller_without_senses,
+    nothing_to_hold_it,
+)

@@ -1,0 +1,111 @@
+"""Densities and lengths that look like those of another unit: g/cm^3, cm or mm."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from evo_cpg.config.errors import Key
+from evo_cpg.config.plausible.doubt import Case, Doubt
+from evo_cpg.config.schema.creature import SolidConfig
+from evo_cpg.config.schema.ground import BoulderConfig
+
+# Of solids, from foam to osmium, and of liquids, from petrol to the Dead Sea, kg/m^3.
+_SOLIDS, _LIQUIDS = (20.0, 23_000.0), (500.0, 2000.0)
+_WATER = 1000.0
+
+# The longest edge of a body: from the limb of a small insect to a whale, m.
+_BODIES = (0.001, 30.0)
+
+# How much larger or smaller than the median of all bodies a body may be, and how many have to be
+# there for a median to mean anything.
+_UNLIKE, _SEVERAL = 50.0, 3
+
+# An obstacle may be so many times the creature's length.
+_OBSTACLE = 100.0
+
+# The strongest gravity of a planet of the sun is 24.8 m/s^2.
+_GRAVITY = 30.0
+
+
+def density(case: Case) -> Iterator[Doubt]:
+    """Of materials and of the water."""
+    for name, material in case.config.creature.materials.items():
+        key = "creature", "materials", name, "density"
+        yield from _density(key, material.density, _SOLIDS, "bodies")
+    water = case.config.world.water
+    if water is not None:
+        yield from _density(("world", "water", "density"), water.density, _LIQUIDS, "water")
+
+
+def _density(key: Key, value: float, plausible: tuple[float, float], what: str) -> Iterator[Doubt]:
+    low, high = plausible
+    if low <= value <= high:
+        return
+    likely = f"water has {_WATER:g}"
+    if low <= 1000 * value <= high:
+        likely = f"in g/cm^3 it would be {1000 * value:g} kg/m^3: write that"
+    elif low <= value / 1000 <= high:
+        likely = f"did you mean {value / 1000:g}?"
+    yield Doubt(key, value, f"densities of {what} are {low:g} to {high:g} kg/m^3; {likely}")
+
+
+def body_size(case: Case) -> Iterator[Doubt]:
+    """No body is as large as a house, as small as dust, or unlike all the others."""
+    edges = [2 * float(body.shape.half_extents.max()) for body in case.creature.bodies]
+    middle = float(np.median(edges))
+    low, high = _BODIES
+    for (key, entry, _), edge in zip(case.bodies(), edges, strict=True):
+        place, value = _size(entry.shape)
+        if not low <= edge <= high:
+            likely = f"in mm it would be {edge / 1000:g} m, in cm {edge / 100:g} m"
+            if edge < low:
+                likely = "is it in km, or divided by 1000 twice?"
+            problem = f"a body of {edge:g} m; plausible are {low:g} to {high:g} m; {likely}"
+        elif len(edges) >= _SEVERAL and not 1 / _UNLIKE <= edge / middle <= _UNLIKE:
+            problem = (
+                f"a body of {edge:g} m among others of {middle:g} m; plausible is up to "
+                f"{_UNLIKE:g} times as much or as little; is it in another unit than m?"
+            )
+        else:
+            continue
+        yield Doubt((*key, "shape", *place), value, problem)
+
+
+def _size(shape: SolidConfig) -> tuple[tuple[str, ...], object]:
+    """The key, within a shape, of what says how large it is, and the value."""
+    for name in ("size", "radii", "length", "radius"):
+        if hasattr(shape, name):
+            return (name,), getattr(shape, name)
+    return (), "mesh"
+
+
+def obstacle_size(case: Case) -> Iterator[Doubt]:
+    """No obstacle is a hundred times as large as the creature across."""
+    ground = case.config.world.ground
+    most = _OBSTACLE * case.length
+    for i, obstacle in enumerate(ground.obstacles if ground else ()):
+        round_one = isinstance(obstacle, BoulderConfig)
+        name, value = ("radius", obstacle.radius) if round_one else ("size", obstacle.size)
+        edge = obstacle.radius if round_one else min(obstacle.size)
+        if edge > most:
+            yield Doubt(
+                ("world", "ground", "obstacles", i, name),
+                value,
+                f"{edge:g} m beside a creature of {case.length:.2g} m; plausible is up to "
+                f"{most:.2g} m; lengths are in m: is this in mm?",
+            )
+
+
+def gravity(case: Case) -> Iterator[Doubt]:
+    """No planet is that heavy."""
+    value = case.config.world.gravity
+    if value > _GRAVITY:
+        likely = f"in cm/s^2 it would be {value / 100:g} m/s^2" if value < 3000 else "is it m/s^2?"
+        yield Doubt(
+            ("world", "gravity"),
+            value,
+            f"plausible are 0 to {_GRAVITY:g} m/s^2, the earth has 9.81; {likely}",
+        )
+
+
+RULES = (density, body_size, obstacle_size, gravity)

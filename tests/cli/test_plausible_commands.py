@@ -1,0 +1,95 @@
+"""What is hardly meant is said by the commands that read a config, or refused with --strict."""
+
+import pytest
+
+from tiny_run import CONFIG, REPOSITORY, TINY
+
+GRAMS = "creature.materials.body.density=1"
+RADIANS = "task.light.bearing_deg=0.524"
+SAID = (
+    f"{CONFIG}: creature.materials.body.density: 1: densities of bodies are 20 to 23000 kg/m^3; in "
+    "g/cm^3 it would be 1000 kg/m^3: write that\n"
+)
+
+
+def test_validate_takes_settings_and_warns(cli):
+    code, out, err = cli("validate", CONFIG, GRAMS, "creature.bodies.1.repeat=2")
+    assert code == 0
+    assert out == f"{CONFIG}: 3 bodies, 6 joint axes, 0.006 kg, 519 genes\n"
+    assert err == f"evo-cpg: warning: {SAID}"
+
+
+def test_validate_takes_settings_for_every_file(cli):
+    walker = REPOSITORY / "configs" / "hexapod.yaml"
+    code, out, _ = cli("validate", "seed=3", CONFIG, walker)
+    assert (code, out.count("\n")) == (0, 2)
+    code, out, err = cli("validate", CONFIG, "seed=-1")
+    assert (code, out) == (2, "")
+    assert f"{CONFIG}: seed: -1: input should be greater than or equal to 0" in err
+    code, out, err = cli("validate", "seed=3")
+    assert (code, out) == (2, "")
+    assert "seed=3 is a setting; name a configuration file, too" in err
+
+
+@pytest.mark.parametrize(
+    "command", [["validate"], ["train", "--out", "run"], ["preview", "-o", "body.png"]]
+)
+def test_strict_refuses_before_anything_is_written(cli, tmp_path, monkeypatch, command):
+    monkeypatch.chdir(tmp_path)
+    name, *rest = command
+    code, out, err = cli(name, CONFIG, GRAMS, RADIANS, "--strict", *rest)
+    assert (code, out) == (2, "")
+    first, second = err.splitlines()
+    assert f"{first}\n" == f"evo-cpg: {SAID}"
+    assert second.startswith(f"{CONFIG}: task.light.bearing_deg: 0.524: ")
+    assert not list(tmp_path.iterdir())
+
+
+def test_strict_takes_what_is_plausible(cli):
+    code, out, err = cli("validate", "--strict", CONFIG)
+    assert (code, err) == (0, "")
+    assert out.startswith(str(CONFIG))
+
+
+def test_train_and_preview_warn_and_go_on(cli, tmp_path):
+    heavy = "creature.materials.body.density=19"
+    code, _, err = cli("preview", CONFIG, heavy, "-o", tmp_path / "body.png", "--size", "64x36")
+    assert code == 0
+    assert "evo-cpg: warning: " in err and "densities of bodies are 20" in err
+    assert (tmp_path / "body.png").is_file()
+    run = tmp_path / "run"
+    code, _, err = cli("train", CONFIG, *TINY, "evolution.generations=1", RADIANS, "--out", run)
+    assert code == 0
+    assert "task.light.bearing_deg: 0.524: in degrees this is hardly a turn; as radians" in err
+    assert (run / "champion.npz").is_file()
+
+
+def test_the_version_is_that_of_the_package(cli):
+    from importlib import metadata
+
+    code, out, err = cli("--version")
+    assert (code, err) == (0, "")
+    words = out.split()
+    assert words[:2] == ["evo-cpg", metadata.version("evo-cpg")]
+
+
+def test_the_version_names_the_commit_of_a_checkout(tmp_path):
+    import subprocess
+
+    from evo_cpg.cli.version import _commit
+
+    assert _commit(tmp_path) is None
+    (tmp_path / ".git").mkdir()
+    assert _commit(tmp_path) is None
+    (tmp_path / ".git").rmdir()
+    subprocess.run(["git", "init", "-q", tmp_path], check=True)
+    who = ["-c", "user.name=a", "-c", "user.email=a@b", "-c", "commit.gpgsign=false"]
+    (tmp_path / "file").write_text("one")
+    subprocess.run(["git", "-C", tmp_path, "add", "file"], check=True)
+    subprocess.run(["git", "-C", tmp_path, *who, "commit", "-qm", "x"], check=True)
+    command = ["git", "-C", str(tmp_path), "rev-parse", "HEAD"]
+    head = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    commit = _commit(tmp_path)
+    assert commit and head.startswith(commit) and len(commit) >= 4
+    (tmp_path / "file").write_text("two")
+    assert _commit(tmp_path) == f"{commit}-dirty"

@@ -1,0 +1,131 @@
+"""Nobody waits in silence: what is said when, by a clock that the test turns."""
+
+import io
+import itertools
+import threading
+import time
+
+import pytest
+from rich.console import Console
+
+from evo_cpg.cli import progress as module
+from evo_cpg.cli.progress import BETWEEN, FIRST, LONGEST_SILENCE, Heartbeat, beating
+
+
+@pytest.fixture
+def impatient(monkeypatch):
+    """Lines come after milliseconds."""
+    monkeypatch.setattr(module, "_LOOK", 0.001)
+    monkeypatch.setattr(module, "FIRST", 0.01)
+
+
+def lines_of(heartbeat: Heartbeat, seconds: float, step: float = 0.25) -> list[tuple[float, str]]:
+    """What is said, and when, by who looks at the clock every ``step``."""
+    said = []
+    for tick in range(int(seconds / step) + 1):
+        line = heartbeat.due(tick * step)
+        if line is not None:
+            said.append((tick * step, line))
+    return said
+
+
+def test_short_work_says_nothing():
+    assert lines_of(Heartbeat("compiling", 0.0), FIRST - 0.3) == []
+
+
+def test_long_work_is_never_silent_for_longer_than_that():
+    """The thread may come late by as much as lies between the two limits."""
+    said = lines_of(Heartbeat("compiling", 0.0), 100.0)
+    instants = [0.0, *(instant for instant, _ in said), 100.0]
+    assert max(b - a for a, b in itertools.pairwise(instants)) <= BETWEEN + 0.25
+    assert BETWEEN + 0.25 < LONGEST_SILENCE
+    assert len(said) <= 1 + 100 / BETWEEN
+    assert said[0][1] == "compiling: 2 s so far"
+    assert said[1][1] == "compiling: 10 s so far"
+
+
+def test_a_line_says_how_far_it_is_and_how_long_it_will_take():
+    heartbeat = Heartbeat("rendering", 0.0)
+    heartbeat.reached(50, 200)
+    assert heartbeat.due(20.0) == "rendering: 50/200, 20 s, about 60 s to go"
+    heartbeat.reached(1, 200)
+    assert heartbeat.due(40.0) == "rendering: 1/200, 40 s"
+    heartbeat.reached(200, 200)
+    assert heartbeat.due(60.0) == "rendering: 200/200, 60 s"
+    heartbeat.doing("writing")
+    assert heartbeat.due(80.0) == "writing: 80 s so far"
+
+
+def test_what_somebody_else_says_counts():
+    """A generation that was reported is no silence, and the next one begins with it."""
+    heartbeat = Heartbeat("generation 1", 0.0)
+    heartbeat.heard(1.9)
+    heartbeat.doing("generation 2")
+    assert heartbeat.due(1.9 + BETWEEN - 0.01) is None
+    assert heartbeat.due(1.9 + BETWEEN) == f"generation 2: {BETWEEN:.0f} s so far"
+
+
+def test_the_thread_says_what_is_due_and_ends_with_the_work(impatient):
+    """By a clock that runs a hundred times as fast."""
+    start, said = time.monotonic(), []
+
+    def clock() -> float:
+        return 100 * (time.monotonic() - start)
+
+    spoken = threading.Event()
+
+    def say(line: str) -> None:
+        said.append(line)
+        spoken.set()
+
+    with beating(Heartbeat("compiling", 0.0), say, clock):
+        assert spoken.wait(10)
+    assert said[0].startswith("compiling: ")
+    count = len(said)
+    time.sleep(0.2)
+    assert len(said) == count
+    assert "heartbeat" not in {thread.name for thread in threading.enumerate()}
+
+
+def test_the_thread_ends_where_the_work_fails():
+    with pytest.raises(ValueError, match="no"), beating(Heartbeat("x", 0.0), print):
+        raise ValueError("no")
+    assert "heartbeat" not in {thread.name for thread in threading.enumerate()}
+
+
+def test_work_in_a_pipe_is_lines_on_standard_error(impatient, capsys):
+    with module.working("rendering", counted=True) as work:
+        work.reached(3, 4)
+        time.sleep(0.3)
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err == "rendering: 3/4, 0 s, about 0 s to go\n"
+
+
+def test_steps_in_a_pipe_are_lines_with_what_comes_first(impatient, capsys):
+    with module.progress("mine", "generation", 3, 1, "compiling") as show:
+        time.sleep(0.3)
+        show(1, "best 2", 0.5)
+    _, err = capsys.readouterr()
+    assert err == (
+        "generation    2/3  compiling: 0 s so far\ngeneration    2/3  best 2    0.50 s\n"
+    )
+
+
+def test_on_a_terminal_it_is_one_line_that_moves(monkeypatch):
+    """It shows what is done with its brackets, and goes when the work is done."""
+    screen = io.StringIO()
+
+    def terminal(**_):
+        return Console(file=screen, force_terminal=True, width=100)
+
+    monkeypatch.setattr(module, "Console", terminal)
+    with module.working("probing [red] lights", counted=True) as work:
+        work.reached(1, 2)
+        work.doing("drawing")
+        time.sleep(0.3)
+    assert "drawing" in screen.getvalue()
+    with module.progress("mine", "generation", 3) as show:
+        show(0, "best 2", 0.5)
+        time.sleep(0.3)
+    assert "best 2" in screen.getvalue() and "1/3" in screen.getvalue()

@@ -1,0 +1,351 @@
+"""What is allowed but hardly meant: every mistake is doubted, and nothing that is shipped."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from evo_cpg.config.load import load_config
+from evo_cpg.config.plausible import RULES, doubts
+from tiny_run import CONFIG, REPOSITORY
+
+CONFIGS = REPOSITORY / "configs"
+WALKER = CONFIGS / "iwadate2010_salamander_land.yaml"
+LEGS = CONFIGS / "fukui2003_model1.yaml"
+SHORE = CONFIGS / "salamander_amphibious.yaml"
+INSECT = CONFIGS / "hexapod.yaml"
+
+GAUGE = "creature.depth_sensors=[{body: head}]"
+LEVEL = "world.ground.floor={type: plane, height: -1}"
+
+# The file, settings that make the mistake, the key that is doubted, and what is said about it.
+MISTAKES = {
+    "density in g/cm^3": (
+        CONFIG,
+        ["creature.materials.body.density=1"],
+        "creature.materials.body.density",
+        "in g/cm^3 it would be 1000 kg/m^3",
+    ),
+    "density times 1000": (
+        CONFIG,
+        ["creature.materials.body.density=1e6"],
+        "creature.materials.body.density",
+        "did you mean 1000?",
+    ),
+    "water in g/cm^3": (
+        CONFIG,
+        ["world.water.density=1.025"],
+        "world.water.density",
+        "in g/cm^3 it would be 1025 kg/m^3",
+    ),
+    "water like air": (CONFIG, ["world.water.density=80"], "world.water.density", "water has 1000"),
+    "box in mm": (
+        CONFIG,
+        ["creature.bodies.0.shape.size=[200, 100, 100]"],
+        "creature.bodies.0.shape.size",
+        "in mm it would be 0.2 m",
+    ),
+    "box in km": (
+        CONFIG,
+        ["creature.bodies.0.shape.size=[0.0002, 0.0001, 0.0001]"],
+        "creature.bodies.0.shape.size",
+        "a body of 0.0002 m; plausible are 0.001 to 30 m",
+    ),
+    "one radius in cm": (
+        CONFIG,
+        ["creature.bodies.0.shape={type: sphere, radius: 10}"],
+        "creature.bodies.0.shape.radius",
+        "a body of 20 m among others of 0.2 m",
+    ),
+    "boulder in mm": (
+        WALKER,
+        ["world.ground.obstacles=[{type: boulder, centre: [900, 0, 0], radius: 400}]"],
+        "world.ground.obstacles.0.radius",
+        "400 m beside a creature of",
+    ),
+    "block in mm": (
+        WALKER,
+        ["world.ground.obstacles=[{type: block, centre: [900, 0, 0], size: [500, 400, 300]}]"],
+        "world.ground.obstacles.0.size",
+        "300 m beside a creature of",
+    ),
+    "gravity in cm/s^2": (
+        CONFIG,
+        ["world.gravity=981"],
+        "world.gravity",
+        "in cm/s^2 it would be 9.81 m/s^2",
+    ),
+    "limits in rad": (
+        CONFIG,
+        ["creature.bodies.1.joint.limits_deg=[-1.05, 1.05]"],
+        "creature.bodies.1.joint.limits_deg",
+        "as radians it would be 60.2 degrees",
+    ),
+    "limits converted twice": (
+        WALKER,
+        ["creature.bodies.1.joint.limits_deg=[-2292, 2292]"],
+        "creature.bodies.1.joint.limits_deg",
+        "converted twice? then it was 40",
+    ),
+    "attitude in rad": (
+        INSECT,
+        ["creature.bodies.2.joint.rotation_deg=[0, 1.05, 1.5708]"],
+        "creature.bodies.2.joint.rotation_deg",
+        "as radians it would be 60, 90 degrees",
+    ),
+    "heading in rad": (
+        CONFIG,
+        ["simulation.start_heading_deg=3.14"],
+        "simulation.start_heading_deg",
+        "as radians it would be 180 degrees",
+    ),
+    "bearing in rad": (
+        CONFIG,
+        ["task.light.bearing_deg=0.524"],
+        "task.light.bearing_deg",
+        "as radians it would be 30 degrees",
+    ),
+    "bearing of a trial in rad": (
+        CONFIG,
+        ["simulation.trials=[{light: {bearing_deg: -0.7854}}, {start_heading_deg: 1.571}]"],
+        "simulation.trials.0.light.bearing_deg",
+        "as radians it would be -45 degrees",
+    ),
+    "bearing converted twice": (
+        CONFIG,
+        ["task.light.bearing_deg=1719"],
+        "task.light.bearing_deg",
+        "plausible are -360 to 360 degrees; converted twice?",
+    ),
+    "slope in rad": (
+        WALKER,
+        ["world.ground.floor={type: plane, slope_deg: 0.2618}"],
+        "world.ground.floor.slope_deg",
+        "as radians it would be 15 degrees",
+    ),
+    "block turned in rad": (
+        WALKER,
+        [
+            "world.ground.obstacles="
+            "[{type: block, centre: [3, 0, 0], size: [1, 1, 1], heading_deg: 0.7854}]"
+        ],
+        "world.ground.obstacles.0.heading_deg",
+        "as radians it would be 45 degrees",
+    ),
+    "field of view in rad": (
+        CONFIG,
+        ["creature.light_sensors.0.field_of_view_deg=3.1416"],
+        "creature.light_sensors.0.field_of_view_deg",
+        "as radians it would be 180 degrees",
+    ),
+    "step of postures in rad": (
+        LEGS,
+        ["controller.angle_step=0.349"],
+        "controller.angle_step",
+        "as radians a step would be 20 degrees",
+    ),
+    "angle of postures in rad": (
+        LEGS,
+        ["controller.lowest_angle=1.92", "controller.neutral_angle=3.14"],
+        "controller.lowest_angle",
+        "as radians it would be 110 degrees",
+    ),
+    "rate in deg/s": (
+        CONFIG,
+        ["controller.max_rate=286"],
+        "controller.max_rate",
+        "as degrees per second it would be 4.99 rad/s",
+    ),
+    "joint beyond its parent": (
+        CONFIG,
+        ["creature.bodies.1.joint.at=[-0.2, 0, 0]"],
+        "creature.bodies.1.joint.at",
+        "lies 0.1 m outside of body 'head', on which 'segment1' hangs",
+    ),
+    "joint beyond its body": (
+        CONFIG,
+        ["creature.bodies.1.joint.child_at=[0.11, 0.2, 0]"],
+        "creature.bodies.1.joint.child_at",
+        "outside of body 'segment1' itself, which reaches to 0.1, 0.05, 0.05 m",
+    ),
+    "joint in mm": (
+        CONFIG,
+        ["creature.bodies.1.joint.at=[-110, 0, 0]"],
+        "creature.bodies.1.joint.at",
+        "places are in m: is this in mm?",
+    ),
+    "eye off its body": (
+        CONFIG,
+        ["creature.light_sensors.0.position=[1, 0, 0]"],
+        "creature.light_sensors.0.position",
+        "lies 0.9 m outside of body 'head'",
+    ),
+    "gauge off its body": (
+        SHORE,
+        ["creature.depth_sensors=[{body: head, position: [0, 0, -50]}]"],
+        "creature.depth_sensors.0.position",
+        "outside of body 'head'",
+    ),
+    "eyes without light": (
+        WALKER,
+        ["task={type: walk}"],
+        "creature.light_sensors.0.body",
+        "a task of type 'walk' has no light",
+    ),
+    "eye that looks up": (
+        WALKER,
+        [
+            "creature.light_sensors.1.axis=[0, 0, 1]",
+            "creature.light_sensors.1.field_of_view_deg=60",
+        ],
+        "creature.light_sensors.1.axis",
+        "the eye looks 90 degrees above the horizon and sees 30 to each side",
+    ),
+    "touch without ground": (
+        CONFIG,
+        ["creature.pressure_sensors=[segment3]"],
+        "creature.pressure_sensors.0",
+        "there is no ground to press against it",
+    ),
+    "touch inside of another body": (
+        WALKER,
+        [
+            "creature.bodies.1.shape={type: sphere, radius: 0.02}",
+            "creature.bodies.1.joint.at=[0, 0, 0]",
+            "creature.bodies.1.joint.child_at=[0, 0, 0]",
+            "creature.pressure_sensors=[chest]",
+        ],
+        "creature.pressure_sensors.0",
+        "the body lies inside of 'head'",
+    ),
+    "gauge without water": (
+        WALKER,
+        [GAUGE],
+        "creature.depth_sensors.0.body",
+        "there is no water, so this gauge always reads 0; set world.water,",
+    ),
+    "gauge without surface": (
+        CONFIG,
+        [GAUGE],
+        "creature.depth_sensors.0.body",
+        "the water has no surface, so this gauge always reads 0; set world.water.surface: 0",
+    ),
+    "gauge in mm": (
+        SHORE,
+        ["creature.depth_sensors=[{body: head, full_scale: 1000}]", LEVEL],
+        "creature.depth_sensors.0.full_scale",
+        "the water is 1 m deep, so this gauge never reads more than 0.001",
+    ),
+    "water under the ground": (
+        SHORE,
+        ["world.water.surface=-5"],
+        "world.water.surface",
+        "the ground is nowhere lower than -0.9",
+    ),
+    "eyes of postures": (
+        LEGS,
+        ["creature.light_sensors=[{body: torso}]"],
+        "creature.light_sensors",
+        "a controller of type 'postures' senses nothing",
+    ),
+    "free fall": (
+        CONFIG,
+        ["world.water=null"],
+        "world.gravity",
+        "the animal falls from start to end",
+    ),
+}
+
+
+def found(path: Path, settings: list[str]) -> dict[str, str]:
+    """What is doubted, by key."""
+    listed = doubts(load_config(path, settings), path)
+    return {".".join(map(str, doubt.key)): str(doubt) for doubt in listed}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_mistake_is_doubted(mistake):
+    """With the key, the value, and what was probably meant."""
+    path, settings, key, words = MISTAKES[mistake]
+    said = found(path, settings)
+    assert key in said, said
+    assert words in said[key]
+    assert said[key].startswith(f"{key}: ")
+
+
+@pytest.mark.parametrize("path", sorted(CONFIGS.glob("*.yaml")), ids=lambda path: path.stem)
+def test_nothing_that_is_shipped_is_doubted(path):
+    assert found(path, []) == {}
+
+
+def test_every_rule_has_a_mistake():
+    """Each of the rules finds at least one of those above."""
+    from evo_cpg.config.build import build_creature
+    from evo_cpg.config.plausible.doubt import Case
+
+    silent = set(RULES)
+    for path, settings, *_ in MISTAKES.values():
+        config = load_config(path, settings)
+        case = Case(config, build_creature(config, path))
+        silent -= {rule for rule in silent if list(rule(case))}
+    assert not silent
+
+
+@pytest.mark.parametrize(
+    ("path", "settings"),
+    [
+        # Small angles that are no common angle in radians.
+        (CONFIG, ["task.light.bearing_deg=1", "simulation.start_heading_deg=3"]),
+        (CONFIG, ["task.light.bearing_deg=0.9"]),
+        (WALKER, ["world.ground.floor={type: plane, slope_deg: 2.5}"]),
+        # A gap of a quarter of the body between two bodies.
+        (CONFIG, ["creature.bodies.1.joint.at=[-0.125, 0, 0]"]),
+        # An eye on a stalk, and one that looks up where the light is above.
+        (CONFIG, ["creature.light_sensors.0.position=[0.12, 0, 0]"]),
+        (
+            WALKER,
+            ["creature.light_sensors.0.axis=[0, 0, 1]", "task.light.elevation_deg=60"],
+        ),
+        # In water an animal may face anywhere.
+        (CONFIG, ["creature.light_sensors.0={body: head, axis: [0, 0, 1], field_of_view_deg: 40}"]),
+        # All pressure sensors is the default; it means nothing where there is no ground.
+        (CONFIG, ["creature.pressure_sensors=all"]),
+        (CONFIG, ["creature.pressure_sensors=[]"]),
+        # The moon, and weightlessness.
+        (CONFIG, ["world.gravity=1.62"]),
+        (CONFIG, ["world.gravity=0", "world.water=null"]),
+        # A house beside an animal, and a long wall.
+        (
+            WALKER,
+            ["world.ground.obstacles=[{type: block, centre: [90, 0, 0], size: [1, 900, 3]}]"],
+        ),
+        (SHORE, [GAUGE]),
+    ],
+)
+def test_what_may_be_meant_is_not_doubted(path, settings):
+    assert found(path, settings) == {}
+
+
+def test_a_mesh_is_measured_in_its_own_frame(tmp_path):
+    """Joints and eyes of a mesh are in the frame of its file, wherever it lies in that."""
+    made = trimesh.creation.box((0.2, 0.1, 0.1))
+    made.apply_translation((5.0, 0, 0))
+    made.export(tmp_path / "part.stl")
+    shape = f"creature.bodies.0.shape={{type: mesh, file: {tmp_path / 'part.stl'}}}"
+    where = [
+        "creature.bodies.1.repeat=1",
+        "creature.bodies.1.joint.at=[4.89, 0, 0]",
+        "creature.light_sensors.0.position=[5, 0, 0]",
+    ]
+    assert found(CONFIG, [shape, *where]) == {}
+    assert set(found(CONFIG, [shape])) == {
+        "creature.bodies.1.joint.at",
+        "creature.light_sensors.0.position",
+    }
+
+
+def test_a_row_of_bodies_is_doubted_once():
+    said = doubts(load_config(CONFIG, ["creature.bodies.1.joint.child_at=[1, 0, 0]"]), CONFIG)
+    assert len(said) == 1
+    assert np.isclose(said[0].value[0], 1)

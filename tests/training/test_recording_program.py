@@ -1,0 +1,74 @@
+"""The program that records the champion is compiled while the population evolves."""
+
+import threading
+
+import jax
+import numpy as np
+import pytest
+
+from evo_cpg.cli import training
+from evo_cpg.config.build import build_experiment
+from evo_cpg.config.load import load_config
+from evo_cpg.training import loop
+from evo_cpg.training.run_folder import RunFolder
+from tiny_run import CONFIG, TINY
+
+NOISY = (*TINY, "noise.joint_angle_deg=2", "simulation.trials=3", "seed=77")
+
+
+@pytest.fixture
+def lowered():
+    """Every program that JAX lowers during the test, and the thread that does."""
+    seen = []
+
+    def listen(event: str, seconds: float, **details) -> None:
+        del seconds
+        if event.endswith("jaxpr_to_mlir_module_duration"):
+            seen.append((details.get("fun_name", ""), threading.current_thread().name))
+
+    jax.monitoring.register_event_duration_secs_listener(listen)
+    yield seen
+    jax.monitoring.unregister_event_duration_listener(listen)
+
+
+def folder_of(path, overrides):
+    folder = RunFolder(path)
+    folder.create("name: test\n", {"devices": 2})
+    return build_experiment(load_config(CONFIG, overrides), CONFIG), folder
+
+
+def test_nothing_large_is_compiled_after_the_last_generation(tmp_path, lowered, capsys):
+    experiment, folder = folder_of(tmp_path / "run", (*TINY, "seed=76"))
+    training._evolve(experiment, folder)
+    who = {name: thread for name, thread in lowered if "replay" in name}
+    assert who and all(thread.startswith("recording") for thread in who.values()), lowered
+    mine = [name for name, thread in lowered if thread == threading.main_thread().name]
+    assert any("rollout" in name for name in mine)
+    assert not any("replay" in name or "judge" in name for name in mine), mine
+    assert capsys.readouterr().out == f"{folder.path}\n"
+    champion, motion, _ = folder.load_champion()
+    assert motion is not None and len(motion.time) == experiment.simulation.steps
+    again = loop.replay_champion(experiment, champion, 2)
+    assert again[0] == champion.fitness and again[1] == champion.terms
+    assert np.array_equal(again[2].position, motion.position)
+
+
+def test_it_is_told_once_and_after_the_first_trials(tmp_path):
+    """Not before: two programs would be compiled at once, and the first generation come later."""
+    experiment, folder = folder_of(tmp_path / "run", (*TINY, "seed=76"))
+    told, rows = [], []
+    loop.train(experiment, folder, rows.append, on_compiled=lambda: told.append(len(rows)))
+    assert told == [0]
+    loop.train(experiment, folder, rows.append, on_compiled=lambda: told.append(len(rows)))
+    assert told == [0], "nothing is left to do, and nothing was compiled"
+
+
+def test_one_program_replays_any_champion(tmp_path):
+    """With noise of its own for each: compiled before there was any."""
+    experiment, folder = folder_of(tmp_path / "run", NOISY)
+    run = loop.compile_replay(experiment, 2)
+    champion = loop.train(experiment, folder).champion
+    assert champion is not None
+    fitness, terms, _ = run(champion)
+    assert fitness == champion.fitness and terms == champion.terms
+    assert run(champion._replace(index=champion.index + 1))[0] != fitness
