@@ -6,6 +6,7 @@ Whole trials of a population, short ones: plain JAX compiles long and is slow.
 import dataclasses
 import functools
 import statistics
+from collections.abc import Iterator
 
 from benchmarks.moving import UNIT
 from benchmarks.plan import CONFIGS, SMALL_SWIMMER, Plan, experiment_of, random_genes
@@ -19,12 +20,14 @@ _SIZE = 64
 _STEPS = 60
 
 
-def measure(plan: Plan) -> list[Row]:
+def measure(plan: Plan) -> Iterator[Row]:
     """A row per config and size; the ratio is how many times plain JAX's speed."""
     if plan.quick:
-        return [_measure("iwadate2010_swimmer", SMALL_SWIMMER, _SIZE, plan)]
-    configs = sorted(path.stem for path in CONFIGS.glob("*.yaml"))
-    return [_measure(name, (), size, plan) for name in configs for size in plan.sizes_or(_SIZE)]
+        yield _measure("iwadate2010_swimmer", SMALL_SWIMMER, _SIZE, plan)
+        return
+    for name in sorted(path.stem for path in CONFIGS.glob("*.yaml")):
+        for size in plan.sizes_or(_SIZE):
+            yield _measure(name, (), size, plan)
 
 
 def _measure(name: str, overrides: tuple[str, ...], size: int, plan: Plan) -> Row:

@@ -9,7 +9,7 @@ worker: `python -m benchmarks.gradient SIZE SECONDS [KEY=VALUE ...]`, where 0 s 
 import statistics
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from benchmarks.moving import UNIT
@@ -28,10 +28,11 @@ _CALLS = {_SHORT: {_GRADIENT: 5, _FORWARD: 30}, _WHOLE: {_GRADIENT: 1, _FORWARD:
 _PATIENCE = 5
 
 
-def measure(plan: Plan) -> list[Row]:
+def measure(plan: Plan) -> Iterator[Row]:
     """A row for each size, whose ratio is the speed with the gradient over that without."""
     seconds = _SHORT if plan.quick else _WHOLE
-    return [_measure(plan, size, seconds) for size in plan.sizes_or(*SIZES)]
+    for size in plan.sizes_or(*SIZES):
+        yield _measure(plan, size, seconds)
 
 
 def _measure(plan: Plan, size: int, seconds: float) -> Row:

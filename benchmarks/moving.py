@@ -7,7 +7,7 @@ physics, fitness) of a trial as in training, both beside the physics of the peer
 import dataclasses
 import functools
 import statistics
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -87,8 +87,8 @@ class _Theirs(NamedTuple):
     how: str
 
 
-def measure(animal: Animal, plan: Plan, peak: float) -> list[Row]:
-    """All rows of an animal.
+def measure(animal: Animal, plan: Plan, peak: float) -> Iterator[Row]:
+    """All rows of an animal, those of a size when it is measured.
 
     Args:
         animal: which.
@@ -110,8 +110,10 @@ def measure(animal: Animal, plan: Plan, peak: float) -> list[Row]:
             errors = _errors(animal.exercise, program, mesh, plan.cores)
         guests = animal.guests if size == guest_size else ()
         with entered(guests, animal.exercise, size, plan) as entries:
-            rows += _at_size(animal, size, program, errors, entries, mesh, plan, peak)
-    return rows + _growth(animal.case, rows)
+            found = _at_size(animal, size, program, errors, entries, mesh, plan, peak)
+        rows += found
+        yield from found
+    yield from _growth(animal.case, rows)
 
 
 def _errors(

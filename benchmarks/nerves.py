@@ -7,6 +7,7 @@ oscillators has a sixteenth of the step, over 1 s; that of the brain differs in 
 
 import functools
 import statistics
+from collections.abc import Iterator
 
 import jax
 import jax.numpy as jnp
@@ -31,10 +32,9 @@ _SEED = 0
 _MIDDLE, _SPREAD = 0.5, 0.2
 
 
-def measure_cpg(plan: Plan, peak: float) -> list[Row]:
+def measure_cpg(plan: Plan, peak: float) -> Iterator[Row]:
     """The swimmer's oscillators with constant inputs, one control step after the other."""
     controller, mesh = _controller(), population_mesh()
-    rows = []
     error = None
     for size in plan.sizes_or(200):
         plan.say(f"cpg, {size} individuals")
@@ -45,16 +45,14 @@ def measure_cpg(plan: Plan, peak: float) -> list[Row]:
             with jax.enable_x64(True):
                 reference = _compile_rhythm(controller, tempers, mesh, FINER).run(steps * FINER)
             error = _relative(program.run(steps), reference)
-        rows.append(_row("cpg", "oscillators", size, program, error, plan, None, peak))
-    return rows
+        yield _row("cpg", "oscillators", size, program, error, plan, None, peak)
 
 
-def measure_brain(plan: Plan, peak: float) -> list[Row]:
+def measure_brain(plan: Plan, peak: float) -> Iterator[Row]:
     """The swimmer's network, each thought after the last."""
     controller, mesh = _controller(), population_mesh()
     # A product and a sum for every weight.
     flops = 2 * controller.gene_count
-    rows = []
     error = None
     for size in plan.sizes_or(200):
         plan.say(f"brain, {size} individuals")
@@ -64,8 +62,7 @@ def measure_brain(plan: Plan, peak: float) -> list[Row]:
             with jax.enable_x64(True):
                 reference = _compile_thought(controller, genes, mesh).run(1)
             error = _relative(program.run(1), reference)
-        rows.append(_row("brain", "network", size, program, error, plan, flops, peak))
-    return rows
+        yield _row("brain", "network", size, program, error, plan, flops, peak)
 
 
 def _controller() -> BrainCpg:

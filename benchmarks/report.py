@@ -43,6 +43,15 @@ def tables(rows: list[Row], machine: dict[str, Any]) -> tuple[Table, Table]:
     return ours, beside
 
 
+def line(row: Row) -> str:
+    """What a row says in short, for whoever waits for the others."""
+    rate = _rate(row.rate, row.unit) + ("" if row.unit == SECONDS else f" {row.unit}")
+    words = f"{_name(row)}, {row.size}: {rate}"
+    if row.peer is None:
+        return words
+    return f"{words}; {times(row.ratio)} {row.peer}" if row.ratio else f"{words}; no {row.peer}"
+
+
 def notes(rows: list[Row]) -> list[str]:
     """Why peers gave no rate, and what else is to be known of them, a line each."""
     lines = [f"{row.case}, {row.size}, {row.peer}: {row.note}" for row in rows if row.note]

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import math
+import os
 from pathlib import Path
 from typing import Any
 
@@ -71,9 +72,11 @@ def finite(value: float) -> float | None:
 
 
 def save(path: Path, machine: dict[str, Any], rows: list[Row]) -> None:
-    """Write what was measured, and where and when."""
+    """Write what was measured so far, and where and when; the file is whole at any moment."""
     record = {"format": FORMAT, "machine": machine, "rows": [dataclasses.asdict(r) for r in rows]}
-    path.write_text(json.dumps(record, indent=1, allow_nan=False) + "\n")
+    partial = path.with_name(f".{path.name}.partial")
+    partial.write_text(json.dumps(record, indent=1, allow_nan=False) + "\n")
+    os.replace(partial, path)
 
 
 def load(path: Path) -> tuple[dict[str, Any], list[Row]]:

@@ -38,15 +38,12 @@ _SIZE = 256
 _ALL, _ONE, _APART = "all", "1 core", "processes"
 
 
-def measure(plan: Plan) -> list[Row]:
+def measure(plan: Plan) -> Iterator[Row]:
     """Two rows per config and size: how many times one core, and what share of processes."""
     cases = [("iwadate2010_swimmer", _QUICK)] if plan.quick else list(_CASES.items())
-    return [
-        row
-        for config, steps in cases
-        for size in plan.sizes_or(_SIZE)
-        for row in _measure(config, steps, size, plan)
-    ]
+    for config, steps in cases:
+        for size in plan.sizes_or(_SIZE):
+            yield from _measure(config, steps, size, plan)
 
 
 def _measure(config: str, steps: int, size: int, plan: Plan) -> list[Row]:

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 from benchmarks.plan import CONFIGS, ROOT, Plan, experiment_of, swimmer_settings
@@ -25,7 +26,7 @@ class StartError(Exception):
     """The program that was started failed."""
 
 
-def measure(plan: Plan) -> list[Row]:
+def measure(plan: Plan) -> Iterator[Row]:
     """The first start ever, and the second one."""
     overrides = ("evolution.generations=1", *swimmer_settings(plan))
     population = experiment_of("iwadate2010_swimmer", *overrides).genetics.population
@@ -33,13 +34,11 @@ def measure(plan: Plan) -> list[Row]:
         "evo-cpg train configs/iwadate2010_swimmer.yaml "
         f"{' '.join(overrides)}, a process of its own, wall clock"
     )
-    rows = []
     with tempfile.TemporaryDirectory() as folder:
         for part in ("first ever", "again"):
             plan.say(f"startup: {part}")
             taken = _start(Path(folder), part, overrides)
-            rows.append(Row("startup", part, population, taken, SECONDS, how))
-    return rows
+            yield Row("startup", part, population, taken, SECONDS, how)
 
 
 def _start(folder: Path, part: str, overrides: tuple[str, ...]) -> float:

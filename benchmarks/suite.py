@@ -6,7 +6,7 @@ docs/benchmarks.md says how each figure is measured.
 """
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -31,6 +31,7 @@ from benchmarks.animals import ANIMALS
 from benchmarks.compare import Verdict, compare
 from benchmarks.plan import Plan
 from benchmarks.rows import Row
+from evo_cpg.cli.progress import working
 from evo_cpg.training.devices import use_cores
 
 # How long a call lasts, and how many rounds there are.
@@ -43,11 +44,12 @@ class Case(NamedTuple):
     """Something that can be asked for by name.
 
     Attributes:
-        measure: gives its rows; its arguments are the plan and the peak of the machine, 1/s.
+        measure: gives its rows, each when it is measured; its arguments are the plan and the peak
+            of the machine, 1/s.
         sized: whether `--sizes` means it.
     """
 
-    measure: Callable[[Plan, float], list[Row]]
+    measure: Callable[[Plan, float], Iterable[Row]]
     sized: bool = True
 
 
@@ -75,11 +77,11 @@ class Wanted(NamedTuple):
     tolerance: float = 0.1
 
 
-def _animal(name: str, plan: Plan, peak: float) -> list[Row]:
+def _animal(name: str, plan: Plan, peak: float) -> Iterable[Row]:
     return moving.measure(ANIMALS[name](), plan, peak)
 
 
-def _alone(measure: Callable[[Plan], list[Row]], plan: Plan, peak: float) -> list[Row]:
+def _alone(measure: Callable[[Plan], Iterable[Row]], plan: Plan, peak: float) -> Iterable[Row]:
     return measure(plan)
 
 
@@ -107,21 +109,25 @@ def main(wanted: Wanted) -> bool:
     cores = _prepare_jax()
     console = Console()
     found: list[Row] = []
-    with console.status("the machine's peak") as status:
+    with working("the machine's peak") as work:
         peak = machine.matrix_product_rate()
+        where = machine.describe(cores, peak) | {"quick": wanted.quick}
         call_seconds, repeats = _QUICK if wanted.quick else _THOROUGH
         limit = min(wanted.limit, _QUICK_LIMIT) if wanted.quick else wanted.limit
-        plan = Plan(cores, wanted.sizes, call_seconds, repeats, limit, wanted.quick, status.update)
+        plan = Plan(cores, wanted.sizes, call_seconds, repeats, limit, wanted.quick, work.doing)
         for name in CASES:
             if not wanted.cases or name in wanted.cases:
-                found += CASES[name].measure(plan, peak)
-    where = machine.describe(cores, peak) | {"quick": wanted.quick}
+                for row in CASES[name].measure(plan, peak):
+                    found.append(row)
+                    work.say(report.line(row))
+                    # Cases take minutes; what is measured is not lost where the next one fails.
+                    if wanted.json is not None:
+                        rows.save(wanted.json, where, found)
     for table in report.tables(found, where):
         console.print(table)
     for line in report.notes(found):
         console.print(line, highlight=False)
     if wanted.json is not None:
-        rows.save(wanted.json, where, found)
         console.print(str(wanted.json), highlight=False)
     if wanted.plot is not None:
         picture.draw(found, where, wanted.plot)

@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from typing import Any
 
 from rich.console import Console
 from rich.progress import (
@@ -52,10 +53,10 @@ class Heartbeat:
         self._done: tuple[int, int] | None = None
         self._lock = threading.Lock()
 
-    def doing(self, what: str) -> None:
+    def doing(self, what: str, now: float) -> None:
         """From now on something else is being done."""
         with self._lock:
-            self._what, self._done = what, None
+            self._what, self._start, self._done = what, now, None
 
     def reached(self, done: int, total: int) -> None:
         """So much of it is done."""
@@ -63,9 +64,9 @@ class Heartbeat:
             self._done = done, total
 
     def heard(self, now: float) -> None:
-        """Something was said by somebody else; what is being done begins anew."""
+        """Something was said by somebody else."""
         with self._lock:
-            self._start, self._next = now, now + BETWEEN
+            self._next = now + BETWEEN
 
     def due(self, now: float) -> str | None:
         """The line that is due, if one is; it counts as said."""
@@ -121,6 +122,9 @@ def beating(
 class Work:
     """Work that goes on: what it calls to say how far it is."""
 
+    def say(self, line: str) -> None:
+        """A line that stays."""
+
     def doing(self, what: str) -> None:
         """From now on something else is being done."""
 
@@ -133,6 +137,9 @@ class _Line(Work):
 
     def __init__(self, bars: Progress, bar: TaskID):
         self._bars, self._bar = bars, bar
+
+    def say(self, line: str) -> None:
+        self._bars.console.print(line, markup=False, highlight=False)
 
     def doing(self, what: str) -> None:
         self._bars.update(self._bar, description=what)
@@ -147,8 +154,12 @@ class _Lines(Work):
     def __init__(self, heartbeat: Heartbeat):
         self._heartbeat = heartbeat
 
+    def say(self, line: str) -> None:
+        _say(line)
+        self._heartbeat.heard(time.monotonic())
+
     def doing(self, what: str) -> None:
-        self._heartbeat.doing(what)
+        self._heartbeat.doing(what, time.monotonic())
 
     def reached(self, done: int, total: int) -> None:
         self._heartbeat.reached(done, total)
@@ -176,7 +187,7 @@ def working(what: str, counted: bool = False) -> Iterator[Work]:
         TextColumn("{task.description}", markup=False),
     ]
     columns += [BarColumn(bar_width=24), TimeRemainingColumn()] if counted else []
-    with Progress(*columns, TimeElapsedColumn(), console=console, transient=True) as bars:
+    with Progress(*columns, TimeElapsedColumn(), **_settings(console), transient=True) as bars:
         yield _Line(bars, bars.add_task(what, total=None))
 
 
@@ -203,8 +214,9 @@ def progress(
 
         def tell(number: int, state: str, seconds: float) -> None:
             _say(f"{step} {number + 1:4d}/{total}  {state}  {seconds:6.2f} s")
-            heartbeat.heard(time.monotonic())
-            heartbeat.doing(f"{step} {number + 2:4d}/{total}")
+            now = time.monotonic()
+            heartbeat.heard(now)
+            heartbeat.doing(f"{step} {number + 2:4d}/{total}", now)
 
         with beating(heartbeat, _say):
             yield tell
@@ -217,7 +229,7 @@ def progress(
         TimeRemainingColumn(),
         TextColumn("{task.fields[state]}"),
     )
-    with Progress(*columns, console=console) as bars:
+    with Progress(*columns, **_settings(console)) as bars:
         bar = bars.add_task(title, total=total, completed=completed, state=first)
 
         def advance(number: int, state: str, seconds: float) -> None:
@@ -225,6 +237,11 @@ def progress(
             bars.update(bar, advance=1, state=state)
 
         yield advance
+
+
+def _settings(console: Console) -> dict[str, Any]:
+    """Of a moving line: what is printed meanwhile goes above it, but stays out of it in a pipe."""
+    return {"console": console, "redirect_stdout": sys.stdout.isatty()}
 
 
 def _say(line: str) -> None:

@@ -74,7 +74,7 @@ def test_a_chains_body_length_is_from_centre_to_centre(chain):
 def test_an_animal_is_measured_at_every_size(chain):
     """Rows of both parts beside every kind of water, and of how the largest one compares."""
     animal, plan = Animal("chain", chain, (200, 208), flops=1000), Plan(2, None, 0.01, 2)
-    rows = measure(animal, plan, 1e11)
+    rows = list(measure(animal, plan, 1e11))
     for size in animal.sizes:
         for part in (PHYSICS, WHOLE):
             own = [row for row in rows if (row.size, row.part) == (size, part)]

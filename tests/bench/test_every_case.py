@@ -32,7 +32,7 @@ def test_a_case_measures(name, monkeypatch, tmp_path):
     monkeypatch.setattr(jax_peers, "_MODULES", {"mjx": "no_such_mjx", "brax": "no_such_brax"})
     monkeypatch.setattr(breeding, "_MODULE", "no_such_evosax")
     sizes = (2,) if suite.CASES[name].sized else None
-    rows = suite.CASES[name].measure(PLAN._replace(sizes=sizes), PEAK)
+    rows = list(suite.CASES[name].measure(PLAN._replace(sizes=sizes), PEAK))
     assert rows
     for row in rows:
         assert row.case == name

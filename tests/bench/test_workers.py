@@ -36,7 +36,7 @@ def test_one_that_ends_leaves_its_last_words():
 
 
 def test_a_gradient_that_does_not_compile_is_a_row():
-    rows = gradient.measure(Plan(1, limit=0.01))
+    rows = list(gradient.measure(Plan(1, limit=0.01)))
     assert [row.size for row in rows] == list(gradient.SIZES)
     for row in rows:
         assert row.note == "did not finish compiling in 0.05 s"

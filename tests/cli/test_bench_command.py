@@ -5,7 +5,8 @@ import json
 import pytest
 import typer
 
-from benchmarks import suite
+from benchmarks import rows, suite
+from benchmarks.rows import Row
 from evo_cpg.cli.main import app
 
 QUICK = ("bench", "brain", "--quick", "--sizes", "3,17")
@@ -53,6 +54,27 @@ def test_a_file_that_is_no_benchmark_is_refused(cli, tmp_path):
     assert f"--compare: {other} is no benchmark of this program" in complaint
 
 
+def test_what_was_measured_is_kept_where_the_next_case_fails(cli, monkeypatch, tmp_path):
+    """Row by row: told on standard error, and in the file."""
+    kept, seen = tmp_path / "bench.json", []
+
+    def measure(plan, peak):
+        yield Row("cpg", "oscillators", 1, 5e6, "steps/s", "a test")
+        seen.append([row["size"] for row in json.loads(kept.read_text())["rows"]])
+        yield Row("cpg", "oscillators", 2, 8e6, "steps/s", "a test", peer="MuJoCo", ratio=2.0)
+        seen.append([row["size"] for row in json.loads(kept.read_text())["rows"]])
+        raise KeyboardInterrupt
+
+    monkeypatch.setitem(suite.CASES, "cpg", suite.Case(measure))
+    code, out, err = cli("bench", "cpg", "--quick", "--json", kept)
+    assert (code, out) == (130, "")
+    assert seen == [[1], [1, 2]]
+    assert [row.size for row in rows.load(kept)[1]] == [1, 2]
+    assert "cpg, oscillators, 1: 5 M steps/s\n" in err
+    assert "cpg, oscillators, 2: 8 M steps/s; 2x MuJoCo\n" in err
+    assert [path.name for path in tmp_path.iterdir()] == ["bench.json"]
+
+
 def test_a_run_is_kept_and_compared(cli, tmp_path):
     """A tenth of the rate is slower; a tenfold one is not."""
     kept, drawn = tmp_path / "new" / "bench.json", tmp_path / "bench.png"
@@ -65,8 +87,8 @@ def test_a_run_is_kept_and_compared(cli, tmp_path):
     assert record["machine"]["cores"] == 2 and record["machine"]["float32_peak"] > 0
     for factor, expected in ((0.01, 0), (100, 1)):
         earlier = tmp_path / "earlier.json"
-        rows = [{**row, "rate": row["rate"] * factor} for row in record["rows"]]
-        earlier.write_text(json.dumps({**record, "rows": rows}))
+        scaled = [{**row, "rate": row["rate"] * factor} for row in record["rows"]]
+        earlier.write_text(json.dumps({**record, "rows": scaled}))
         code, out, _ = cli(*QUICK, "--compare", earlier)
         assert code == expected
         assert ("SLOWER" in out) == bool(expected)

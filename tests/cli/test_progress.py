@@ -52,15 +52,15 @@ def test_a_line_says_how_far_it_is_and_how_long_it_will_take():
     assert heartbeat.due(40.0) == "rendering: 1/200, 40 s"
     heartbeat.reached(200, 200)
     assert heartbeat.due(60.0) == "rendering: 200/200, 60 s"
-    heartbeat.doing("writing")
-    assert heartbeat.due(80.0) == "writing: 80 s so far"
+    heartbeat.doing("writing", 65.0)
+    assert heartbeat.due(80.0) == "writing: 15 s so far"
 
 
 def test_what_somebody_else_says_counts():
     """A generation that was reported is no silence, and the next one begins with it."""
     heartbeat = Heartbeat("generation 1", 0.0)
     heartbeat.heard(1.9)
-    heartbeat.doing("generation 2")
+    heartbeat.doing("generation 2", 1.9)
     assert heartbeat.due(1.9 + BETWEEN - 0.01) is None
     assert heartbeat.due(1.9 + BETWEEN) == f"generation 2: {BETWEEN:.0f} s so far"
 
