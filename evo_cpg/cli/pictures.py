@@ -4,11 +4,17 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
+from evo_cpg.analysis.chains import chains
 from evo_cpg.cli.building import build, read_config
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.progress import working
 from evo_cpg.cli.training import champion_motion
 from evo_cpg.config.build import build_creature
+from evo_cpg.config.schema.ground import GroundConfig, PlaneConfig
+from evo_cpg.control.brain_cpg import BrainCpg
+from evo_cpg.control.controller import Controller
+from evo_cpg.control.matsuoka import CpgSettings
+from evo_cpg.control.postures import PostureController
 from evo_cpg.simulation.situation import starting_pose
 
 
@@ -50,7 +56,7 @@ def render_run(
 
 def plot_run(run: Path, output: Path | None, trial: int) -> None:
     """`evo-cpg plot`."""
-    _, _, recording, folder = champion_motion(run, trial=trial)
+    experiment, _, recording, folder = champion_motion(run, trial=trial)
     from evo_cpg.view.plots import plot_fitness, plot_joint_signals, plot_path
 
     place, which = output or folder.path / "plots", _of_trial(trial)
@@ -58,7 +64,16 @@ def plot_run(run: Path, output: Path | None, trial: int) -> None:
     history["best_so_far"] = history["champion"]
     print(plot_fitness(history, place / "fitness.png"))
     if recording.dof_names:
-        print(plot_joint_signals(recording, place / f"joint_signals{which}.png"))
+        simulation = experiment.simulation
+        settings, signal = _rhythm_of(simulation.controller)
+        made = plot_joint_signals(
+            recording,
+            place / f"joint_signals{which}.png",
+            chains=[chain.oscillators for chain in chains(simulation.world.tree, settings)],
+            title=experiment.name,
+            signal=signal,
+        )
+        print(made)
     print(plot_path(recording, place / f"path{which}.png"))
 
 
@@ -69,19 +84,34 @@ def preview_config(
     pixels = _pixels(size)
     config = read_config(path, overrides, strict)
     creature = build_creature(config, path)
-    pose = None
-    if config.simulation.start_pose == "settled":
+    pose, ground = None, config.world.ground is not None
+    if config.simulation.start_pose == "settled" or _has_shape(config.world.ground):
+        # As it starts, among what stands around.
         simulation = build(config, path).simulation
-        pose = starting_pose(
-            simulation.situations[0],
-            simulation.world.tree,
-            [body.name for body in creature.bodies],
-        )
+        names = [body.name for body in creature.bodies]
+        pose = starting_pose(simulation.situations[0], simulation.world.tree, names)
+        footing = simulation.world.footing
+        ground = footing.ground if footing is not None else False
     from evo_cpg.view.preview import preview
 
-    stands = config.world.ground is not None
     place = output or Path(f"{creature.name}.png")
-    print(preview(creature, place, pixels, ground=stands, pose=pose))
+    with working("drawing"):
+        made = preview(creature, place, pixels, ground=ground, pose=pose)
+    print(made)
+
+
+def _has_shape(ground: GroundConfig | None) -> bool:
+    """Whether there is more to see of the ground than that it is level."""
+    return ground is not None and (bool(ground.obstacles) or ground.floor != PlaneConfig())
+
+
+def _rhythm_of(controller: Controller) -> tuple[CpgSettings, str]:
+    """How the oscillators of a controller are joined, and what its signals are, with the unit."""
+    if isinstance(controller, BrainCpg):
+        return controller.settings.cpg, "CPG output (no unit)"
+    if isinstance(controller, PostureController):
+        return CpgSettings(), "angle of the posture (rad)"
+    return CpgSettings(), "controller's signal"
 
 
 def _of_trial(trial: int) -> str:

@@ -30,7 +30,7 @@ LONGEST_SILENCE = 10.0
 
 # Before the first line, and between two, s. Shorter than the longest silence, since the thread may
 # have to wait for its turn.
-FIRST, BETWEEN = 2.0, 8.0
+FIRST, BETWEEN = 5.0, 8.0
 
 # How often the thread looks at the clock, s.
 _LOOK = 0.25

@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import pyvista as pv
 
+from evo_cpg.view.legible import write_legibly
 from evo_cpg.view.look import Look
 
 # In pixels of a picture 720 high; smaller pictures do not shrink below `_SMALLEST` of it.
@@ -52,6 +53,7 @@ def add_captions(
         style.SetOpacity(0.75 if dim else 1.0)
         label = pv.Text(text, position=(round(x), round(y)))
         label.prop = style
+        write_legibly(label, text)
         plotter.renderer.AddViewProp(label)
         return label
 

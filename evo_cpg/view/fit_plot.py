@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from evo_cpg.view.legible import legible
 from evo_cpg.view.output import PLOT_SUFFIXES, in_one_piece, output_path
 
 _INK, _DATA, _MODEL = "#1f2937", "#9ca3af", "#D55E00"
@@ -41,7 +42,8 @@ def plot_fit(
     for axes, name, own, model in zip(rows, columns, data.T, fitted.T, strict=True):
         axes.plot(time, own, "o", ms=3, color=_DATA, label="recorded")
         axes.plot(time, model, color=_MODEL, lw=1.6, label="fitted")
-        axes.set_ylabel(f"{name} ({_PLACES.get(name, _ANGLE)})", color=_INK)
+        unit = _PLACES.get(name, _ANGLE)
+        axes.set_ylabel(f"{legible(name)} ({unit})", color=_INK, parse_math=False)
         axes.grid(color="#e5e7eb", lw=0.8)
         axes.set_axisbelow(True)
         axes.spines[["top", "right"]].set_visible(False)

@@ -4,7 +4,7 @@ Drawn with matplotlib's object interface on the Agg canvas: no display, no globa
 """
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +16,7 @@ from matplotlib.ticker import MaxNLocator
 
 from evo_cpg.analysis.gait import bending_axis
 from evo_cpg.simulation.recording import Recording
+from evo_cpg.view.legible import legible
 from evo_cpg.view.output import PLOT_SUFFIXES, in_one_piece, output_path
 
 # Okabe and Ito's palette.
@@ -100,11 +101,15 @@ def plot_joint_signals(
     path: str | os.PathLike[str],
     axis: str | None = None,
     window: tuple[float, float] | None = None,
+    *,
+    chains: Sequence[Sequence[int]] = (),
+    title: str = "",
+    signal: str = "CPG output (no unit)",
 ) -> Path:
     """Angle and CPG output of every joint about one axis, one row each (Iwadate 2010, Fig. 3).
 
-    A thin line joins the crests of neighbouring joints: its slope is the phase lag along the
-    body. The rows follow the recording's order, from the root to the tips.
+    A thin line joins the crests of neighbouring joints of a chain: its slope is the phase lag along
+    the body.
 
     Args:
         recording: the motion.
@@ -112,6 +117,11 @@ def plot_joint_signals(
         axis: such as ``z``; by default the one about which the animal bends most.
         window: first and last instant to show, s; by default 5 s in the middle of the second half,
             where the animal is under way: it has started, and has not arrived.
+        chains: degrees of freedom that follow one another along the body, by their numbers in the
+            recording; the rows follow them, chain after chain. One chain of all in the recording's
+            order, from the root to the tips, where there are none.
+        title: of what is shown, such as the name of the run.
+        signal: what the dashed line is, and its unit.
 
     Returns:
         The path.
@@ -136,7 +146,8 @@ def plot_joint_signals(
             f"the window from {start:g} s to {stop:g} s holds {shown.sum()} instants; the "
             f"recording runs from {recording.time[0]:g} s to {end:g} s"
         )
-    rows = [i for i, name in enumerate(names) if name[2] == axis]
+    groups = _in_chains([i for i, name in enumerate(names) if name[2] == axis], chains)
+    rows = [row for group in groups for row in group]
     time = recording.time[shown]
     angle = np.degrees(recording.joint_angle[shown][:, rows])
     output = recording.cpg_output[shown][:, rows]
@@ -157,36 +168,55 @@ def plot_joint_signals(
         right.yaxis.set_major_locator(MaxNLocator(3, symmetric=True))
         if i == len(rows) // 2:
             panel.set_ylabel("joint angle (deg)", color=_BLUE)
-            right.set_ylabel("CPG output (no unit)", color=_RED)
+            right.set_ylabel(signal, color=_RED)
         right.tick_params(labelsize=8)
         panel.tick_params(labelsize=8)
         # On the right axes, which lie above the left ones, so that no curve crosses the name.
         right.text(
             *(0.008, 0.93),
-            names[dof][0],
+            legible(names[dof][0]),
+            parse_math=False,
             transform=right.transAxes,
             va="top",
             fontweight="bold",
             bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 1.5},
         )
-    beat = _crests(time, angle)
-    caption = f"rotation about {axis}"
-    if beat is not None:
-        frequency, lag, crest_times = beat
-        caption += f": {frequency:.2f} Hz, {np.degrees(lag.mean()) if len(lag) else 0:.0f} deg"
-        caption += " of lag per joint"
-        _join_crests(figure, panels, crest_times, time, angle)
+    caption = f"{legible(title)}: joint signals about {axis}" if title else f"rotation about {axis}"
+    first = 0
+    for group in groups:
+        own = slice(first, first + len(group))
+        beat = _crests(time, angle[:, own])
+        if beat is not None:
+            frequency, lag, crest_times = beat
+            _join_crests(figure, panels[own], crest_times, time, angle[:, own])
+        if beat is not None and not first:
+            ends = [legible(names[group[i]][0]) for i in (0, -1)]
+            where = f" from {ends[0]} to {ends[1]}" if len(groups) > 1 and len(group) > 1 else ""
+            degrees = np.degrees(lag.mean()) if len(lag) else 0
+            caption += f"\n{frequency:.2f} Hz, {degrees:.0f} deg of lag per joint{where}"
+        first += len(group)
     panels[-1].set_xlabel("time (s)")
-    figure.suptitle(caption, fontsize=11, fontweight="bold")
+    figure.suptitle(caption, fontsize=11, fontweight="bold", parse_math=False)
     figure.legend(
         [angle_line, output_line],
-        ["joint angle", "CPG output"],
+        ["joint angle", signal.partition(" (")[0]],
         loc="outside lower center",
         ncols=2,
         frameon=False,
         fontsize=9,
     )
     return _save(figure, path)
+
+
+def _in_chains(rows: list[int], chains: Sequence[Sequence[int]]) -> list[list[int]]:
+    """The rows chain by chain, each where it comes first; what is in no chain is one of its own."""
+    if not chains:
+        return [rows]
+    groups, left = [], list(rows)
+    for chain in chains:
+        groups.append([row for row in chain if row in left])
+        left = [row for row in left if row not in chain]
+    return [group for group in [*groups, left] if group]
 
 
 def plot_path(recording: Recording, path: str | os.PathLike[str]) -> Path:

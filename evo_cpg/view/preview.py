@@ -1,6 +1,5 @@
 """A picture of a body plan: the neutral pose with names, joint axes, sensors and a scale."""
 
-import dataclasses
 import os
 from pathlib import Path
 from typing import NamedTuple
@@ -8,19 +7,16 @@ from typing import NamedTuple
 import numpy as np
 import pyvista as pv
 
-from evo_cpg.creature.creature import Creature, lowest_height, neutral_pose
-from evo_cpg.view.ground import add_floor, grid_spacing
-from evo_cpg.view.look import LOOKS
+from evo_cpg.creature.creature import Creature, neutral_pose
+from evo_cpg.physics.footing import Ground
+from evo_cpg.view.ground import grid_spacing
+from evo_cpg.view.legible import legible, write_legibly
 from evo_cpg.view.meshes import add_bodies, shape_mesh
 from evo_cpg.view.offscreen import canvas, pixels
 from evo_cpg.view.output import frame_writer, output_path
-from evo_cpg.view.shadows import add_contacts, add_shadows
+from evo_cpg.view.preview_ground import add_preview_ground, obstacles_near
 
 _BACKGROUND = "#f4f6f8"
-# The ground is as pale as paper, so that names and axes stand out.
-_GROUND = dataclasses.replace(
-    LOOKS["land"], floor=("#d3cab8", "#ece5d8"), grid="#a89c84", visibility=1.7
-)
 _TEXT = "#1d2530"
 # Okabe and Ito's palette: told apart with every common kind of colour blindness.
 _AXES = {"x": "#D55E00", "y": "#009E73", "z": "#0072B2"}
@@ -35,8 +31,8 @@ _AMBIENT = 0.35
 _OPACITY = 0.72
 # Names of more bodies than this would cover the picture.
 _MOST_NAMES = 24
-# Size of a name, and width and height of its plate relative to that, a letter.
-_NAME, _LETTER, _LINE = 14, 0.56, 1.35
+# Size of a name, and width of a letter, of one in the wider font, and height relative to that.
+_NAME, _LETTER, _WIDE, _LINE = 14, 0.56, 0.7, 1.35
 _OVERSAMPLING = 2
 
 
@@ -45,7 +41,7 @@ def preview(
     path: str | os.PathLike[str],
     size: tuple[int, int] = (1280, 720),
     *,
-    ground: bool = False,
+    ground: Ground | bool = False,
     pose: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> Path:
     """Draw a creature in its neutral pose, or another.
@@ -54,9 +50,10 @@ def preview(
         creature: what to draw.
         path: ``.png``.
         size: width and height, pixels.
-        ground: whether it stands on ground, which then lies under its lowest point.
-        pose: centres ``(bodies, 3)`` in m and rotations ``(bodies, 3, 3)``; None for the neutral
-            pose.
+        ground: that it stands on, with its obstacles, as it is in the world; True for level ground
+            under its lowest point.
+        pose: centres ``(bodies, 3)`` in m and rotations ``(bodies, 3, 3)``, in the world where the
+            ground is; None for the neutral pose.
 
     Returns:
         The path.
@@ -77,6 +74,9 @@ def preview(
             for body, centre, turn in zip(creature.bodies, centres, rotations, strict=True)
         ]
     )
+    world = ground if isinstance(ground, Ground) else None
+    stones, far = obstacles_near(world, hull)
+    shown = np.concatenate([hull, stones])
     scale = np.median(half_extents.min(1))
     rendered = (size[0] * _OVERSAMPLING, size[1] * _OVERSAMPLING)
     with canvas(rendered) as plotter:
@@ -86,7 +86,7 @@ def preview(
             light.positional = False
             plotter.add_light(light)
         if ground:
-            _add_ground(plotter, creature, centres, rotations, hull)
+            add_preview_ground(plotter, creature, centres, rotations, shown, world)
         bodies = add_bodies(plotter, creature, _AMBIENT)
         for actors, centre, turn in zip(bodies, centres, rotations, strict=True):
             placed = np.eye(4)
@@ -102,8 +102,9 @@ def preview(
             plotter.renderer.AddViewProp(bodies[i][0])
         legend = _add_joints(plotter, creature, centres, rotations, scale)
         legend |= _add_sensors(plotter, creature, centres, rotations, scale)
-        view = _frame(plotter, hull, size)
-        _add_texts(plotter, creature, centres, view, legend)
+        view = _frame(plotter, shown, size)
+        notes = [f"{far} obstacle{'s' if far > 1 else ''} farther away"] if far else []
+        _add_texts(plotter, creature, centres, view, legend, notes)
         plotter.show(auto_close=False, interactive=False)
         with frame_writer(path, size, rendered, 1) as write:
             write(pixels(plotter))
@@ -111,29 +112,16 @@ def preview(
 
 
 class _View(NamedTuple):
-    """The picture's centre in the world, its right and up, and pixels rendered per metre."""
+    """The picture's centre in the world, its right and up, and pixels rendered per metre.
+
+    What is to be in front of everything is moved by ``nearer``, m.
+    """
 
     focus: np.ndarray
     right: np.ndarray
     up: np.ndarray
     pixels_per_metre: float
-
-
-def _add_ground(
-    plotter: pv.Plotter,
-    creature: Creature,
-    centres: np.ndarray,
-    rotations: np.ndarray,
-    hull: np.ndarray,
-) -> None:
-    """Ground under the lowest point, and shadows where the creature stands on it."""
-    height = lowest_height(creature, (centres, rotations))
-    middle = (hull.min(0) + hull.max(0)) / 2
-    radius = float(np.linalg.norm(hull - middle, axis=1).max())
-    add_floor(plotter, _GROUND, height, radius, grid_spacing(radius))(middle)
-    half_extents = np.array([body.shape.half_extents for body in creature.bodies])
-    add_shadows(plotter, _GROUND, height, half_extents)(centres, rotations)
-    add_contacts(plotter, _GROUND, creature, height)(centres, rotations)
+    nearer: np.ndarray
 
 
 def _add_joints(
@@ -221,7 +209,7 @@ def _frame(plotter: pv.Plotter, hull: np.ndarray, size: tuple[int, int]) -> _Vie
     plotter.camera.up = up
     plotter.camera.parallel_scale = half_height
     plotter.camera.clipping_range = (0.5 * span, 10 * span)
-    return _View(focus, right, up, plotter.window_size[1] / 2 / half_height)
+    return _View(focus, right, up, plotter.window_size[1] / 2 / half_height, -4 * span * ahead)
 
 
 def _add_texts(
@@ -230,8 +218,9 @@ def _add_texts(
     centres: np.ndarray,
     view: _View,
     legend: dict[str, str],
+    notes: list[str],
 ) -> None:
-    """Names, title, legend and scale bar."""
+    """Names, title, legend, scale bar and what else is to be said."""
     width, height = plotter.window_size
     unit = _OVERSAMPLING * max(min(height / _OVERSAMPLING / 720, 1.5), 0.6)
 
@@ -256,19 +245,26 @@ def _add_texts(
             background_color=_BACKGROUND if plate else None,
             background_opacity=0.72 if plate else None,
         )
+        write_legibly(label, text)
         plotter.renderer.AddViewProp(label)
 
     if len(creature.bodies) <= _MOST_NAMES:
         names = [body.name for body in creature.bodies]
         middle = (centres - view.focus) @ np.column_stack([view.right, view.up])
         places = [width / 2, height / 2] + view.pixels_per_metre * middle
-        sizes = [(len(name) * _LETTER * _NAME * unit, _LINE * _NAME * unit) for name in names]
+        line = _LINE * _NAME * unit
+        # What is not ASCII is written in a wider font.
+        sizes = [
+            (len(legible(name)) * (_LETTER if name.isascii() else _WIDE) * _NAME * unit, line)
+            for name in names
+        ]
         for name, (x, y) in zip(names, _apart(places, np.array(sizes)), strict=True):
             write(name, x, y, _NAME, _TEXT, True, "center", "center", plate=True)
     margin = 34 * unit
     write(creature.name, margin, height - margin, 25, _TEXT, True, "left", "top")
     axes = sum(len(body.joint.axes) for body in creature.bodies if body.joint)
-    facts = f"{len(creature.bodies)} bodies, {axes} degrees of freedom, {creature.mass:.3g} kg"
+    words = [f"{len(creature.bodies)} bodies", f"{axes} degrees of freedom"]
+    facts = ", ".join([*words, f"{creature.mass:.3g} kg", *notes])
     write(facts, margin, height - margin - 36 * unit, 17, _TEXT, False, "left", "top")
     for i, (meaning, color) in enumerate(legend.items()):
         y = height - margin - 24 * unit * i
@@ -278,7 +274,8 @@ def _add_texts(
     bar = length * view.pixels_per_metre
     left = np.array([width - margin - bar, margin])
     ticks = [(0, 0), (bar, 0), (0, -5 * unit), (0, 5 * unit), (bar, -5 * unit), (bar, 5 * unit)]
-    points = [view.focus + _world(left + tick - [width / 2, height / 2], view) for tick in ticks]
+    front = view.focus + view.nearer
+    points = [front + _world(left + tick - [width / 2, height / 2], view) for tick in ticks]
     plotter.add_mesh(
         pv.line_segments_from_points(np.array(points)),
         color=_TEXT,

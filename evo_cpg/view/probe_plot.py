@@ -14,6 +14,7 @@ from matplotlib.patches import Circle
 from matplotlib.transforms import Affine2D
 
 from evo_cpg.training.probe import Probe, seen_from_start
+from evo_cpg.view.legible import legible
 from evo_cpg.view.output import PLOT_SUFFIXES, in_one_piece, output_path
 
 _INK, _GREY = "#1f2937", "#6b7280"
@@ -81,7 +82,9 @@ def plot_probe(probe: Probe, share: float, title: str, path: str | os.PathLike[s
     axes.margins(0.07)
     axes.set_xlabel("x (m)")
     axes.set_ylabel("y (m)")
-    axes.set_title(title, fontsize=12, fontweight="bold", color=_INK, pad=12)
+    axes.set_title(
+        legible(title), parse_math=False, fontsize=12, fontweight="bold", color=_INK, pad=12
+    )
     axes.grid(color="#e5e7eb", lw=0.8)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)

@@ -11,6 +11,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from evo_cpg.analysis.sensitivity import CHANGE, Sensitivity
+from evo_cpg.view.legible import legible
 from evo_cpg.view.output import PLOT_SUFFIXES, in_one_piece, output_path
 
 _INK, _GREY = "#1f2937", "#6b7280"
@@ -65,7 +66,9 @@ def plot_sensitivities(
     axes.invert_yaxis()
     axes.margins(x=0.06, y=0.01)
     axes.set_xlabel(f"change of the {measure} (%) where the parameter grows by 1 %", color=_INK)
-    axes.set_title(title, fontsize=12, fontweight="bold", color=_INK, pad=12)
+    axes.set_title(
+        legible(title), parse_math=False, fontsize=12, fontweight="bold", color=_INK, pad=12
+    )
     axes.grid(axis="x", color="#e5e7eb", lw=0.8)
     axes.set_axisbelow(True)
     axes.spines[["top", "right", "left"]].set_visible(False)
@@ -76,7 +79,7 @@ def plot_sensitivities(
 
 
 def _label(row: Sensitivity) -> str:
-    return f"{row.key} = {row.value:.4g}"
+    return f"{legible(row.key)} = {row.value:.4g}"
 
 
 def _legend() -> list[Patch | Line2D]:

@@ -2,6 +2,7 @@
 
 import contextlib
 import io
+import math
 import os
 import sys
 import time
@@ -10,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from evo_cpg.cli import training
+from evo_cpg.cli import progress, training
 from evo_cpg.cli.main import main
 from tiny_run import CONFIG, GENERATIONS, LONG, program
 
@@ -33,6 +34,8 @@ def called(*arguments: object, folder: Path | None = None) -> Called:
     out, err = io.StringIO(), io.StringIO()
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(training, "use_cores", lambda count=None: 2)
+        # How long anything takes on a busy machine says nothing.
+        patch.setattr(progress, "FIRST", math.inf)
         patch.setattr(sys, "argv", ["evo-cpg", *map(str, arguments)])
         if folder is not None:
             patch.chdir(folder)

@@ -6,13 +6,17 @@ import numpy as np
 import pytest
 import synthetic
 
-from evo_cpg.creature.creature import LightSensor
+from evo_cpg.creature.creature import LightSensor, neutral_pose
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
+from evo_cpg.physics.footing import Ground
+from evo_cpg.physics.terrain import Block, Boulder, Plane
+from evo_cpg.view import plots
 from evo_cpg.view.ground import grid_spacing
 from evo_cpg.view.meshes import eye_meshes, head_index, shape_mesh
 from evo_cpg.view.output import OutputError
 from evo_cpg.view.plots import _crests, plot_fitness, plot_joint_signals, plot_path
 from evo_cpg.view.preview import preview
+from evo_cpg.view.preview_ground import obstacles_near
 
 
 @pytest.fixture(scope="module")
@@ -93,6 +97,30 @@ def test_a_preview_shows_the_body(tmp_path):
     assert min(warm, cool) > 200
 
 
+STONES = (Boulder((1.5, 0.8, 0.0), 0.3), Block((-2.0, -1.2, 0.0), (0.2, 0.3, 0.4), 0.5))
+
+
+@pytest.mark.parametrize("floor", [Plane(), Plane((0.0, 0.0995, 0.995))], ids=["level", "slope"])
+def test_a_preview_shows_what_stands_around(tmp_path, floor):
+    """Stones are grey; each of them adds to the picture, and those far away are counted."""
+    creature = synthetic.swimmer()
+    centres, turns = neutral_pose(creature)
+    pose = centres + np.array([0, 0, 0.5]), turns
+
+    def grey(*stones):
+        ground = Ground(floor=floor, obstacles=stones)
+        path = preview(creature, tmp_path / "x.png", (480, 270), ground=ground, pose=pose)
+        image = synthetic.read(path).astype(int)
+        return int(((np.ptp(image, axis=-1) < 30) & (image.mean(-1) < 150)).sum())
+
+    none, one, two = grey(), grey(STONES[0]), grey(*STONES)
+    assert one > none + 500
+    assert two > none + 500
+    far = Boulder((500.0, 0.0, 0.0), 1.0)
+    assert obstacles_near(Ground(obstacles=(*STONES, far)), centres)[1] == 1
+    assert len(obstacles_near(Ground(obstacles=(far,)), centres)[0]) == 0
+
+
 def test_a_preview_has_limits(tmp_path):
     with pytest.raises(OutputError, match=r"use \.png"):
         preview(synthetic.swimmer(), tmp_path / "body.mp4")
@@ -120,6 +148,37 @@ def test_a_still_animal_has_no_crests():
 def test_joint_signals(recording, tmp_path, axis):
     path = plot_joint_signals(recording, tmp_path / "joints.png", axis, window=(2.0, 6.0))
     assert 0.02 < ink(path) < 0.5
+
+
+def test_joint_signals_follow_chains(recording, tmp_path, monkeypatch):
+    """Row by row, named; crests are joined within a chain, and the lag is that of the first."""
+    figures, joined = [], []
+    monkeypatch.setattr(plots, "_save", lambda figure, path: figures.append(figure) or path)
+    original = plots._join_crests
+
+    def join(figure, panels, crest_times, time, angle):
+        joined.append(len(panels))
+        original(figure, panels, crest_times, time, angle)
+
+    monkeypatch.setattr(plots, "_join_crests", join)
+    about_z = [i for i, name in enumerate(recording.dof_names) if name.endswith(".z")]
+    first, second = about_z[:3:-1], about_z[:3]
+    others = [i for i, name in enumerate(recording.dof_names) if name.endswith(".y")]
+    plot_joint_signals(
+        recording, tmp_path / "x.png", "z", chains=[others, first, second], title="mine"
+    )
+    (figure,) = figures
+    shown = [axes.texts[0].get_text() for axes in figure.axes if axes.texts]
+    rows = [*first, *second, about_z[3]]
+    assert shown == [recording.dof_names[row].rpartition(".")[0] for row in rows]
+    assert joined == [len(first), len(second), 1]
+    title = figure.get_suptitle()
+    assert title.startswith("mine: joint signals about z\n")
+    # Backwards along the body the lag has the other sign.
+    lag = -np.degrees(synthetic.LAG)
+    assert f" {lag:.0f} deg of lag per joint from {shown[0]} to {shown[len(first) - 1]}" in title
+    words = {axes.get_ylabel() for axes in figure.axes} - {""}
+    assert words == {"joint angle (deg)", "CPG output (no unit)"}
 
 
 def test_joint_signals_of_a_still_animal(recording, tmp_path):

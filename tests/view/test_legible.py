@@ -1,0 +1,87 @@
+"""Names in any script can be read in every picture."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import pyvista as pv
+import synthetic
+
+from evo_cpg.view.legible import legible, write_legibly
+from evo_cpg.view.offscreen import canvas, pixels
+from evo_cpg.view.plots import plot_joint_signals
+from evo_cpg.view.preview import preview
+
+NAMES = ("頭部", "хвост", "ουρά", "🐟😀", "あタマ", "머리", "b$7$", "é_ß", "सिर", "尾")
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("segment{i} $x$", "segment{i} $x$"),
+        ("хвост ουρά é", "хвост ουρά é"),
+        ("e\u0301", "é"),
+        ("頭a", "<982D>a"),
+        ("あタマ", "atama"),
+        ("머리", "meori"),
+        ("🐟", "(fish)"),
+        ("सिर", "sara"),
+        ("\ue000", "<E000>"),
+    ],
+)
+def test_what_the_font_lacks_is_spelt_out(text, expected):
+    assert legible(text) == expected
+
+
+def drawn(text):
+    """The pixels of a text, light on dark."""
+    with canvas((240, 60)) as plotter:
+        plotter.background_color = "black"
+        label = pv.Text(text, position=(10, 20))
+        label.prop = pv.TextProperty(color="white", font_size=24, bold=True)
+        write_legibly(label, text)
+        plotter.renderer.AddViewProp(label)
+        plotter.show(auto_close=False, interactive=False)
+        return np.array(pixels(plotter)).mean(-1)
+
+
+@pytest.mark.parametrize("text", NAMES)
+def test_a_picture_of_vtk_shows_every_letter(text):
+    """More of them are wider; without its font it would show nothing of most."""
+    shown = [drawn(text[:count]) > 100 for count in (1, len(text))]
+    widths = [np.ptp(np.flatnonzero(image.any(0))) for image in shown]
+    assert widths[0] > 3
+    if len(text) > 1:
+        assert widths[1] > widths[0]
+
+
+def test_scripts_differ_in_a_picture():
+    """They are no boxes, which all look alike."""
+    images = [drawn(text).tobytes() for text in ("хвост", "ουρά", "머리", "尾部", "頭部")]
+    assert len(set(images)) == len(images)
+
+
+def test_pictures_of_an_animal_with_such_names(tmp_path):
+    """No glyph is missing: matplotlib would warn, and a warning is an error here."""
+    creature, motion = synthetic.swimmer(), synthetic.swim(12)
+    new = {body.name: name for body, name in zip(creature.bodies, NAMES, strict=True)}
+    bodies = [
+        dataclasses.replace(
+            body,
+            name=new[body.name],
+            joint=body.joint and dataclasses.replace(body.joint, parent=new[body.joint.parent]),
+        )
+        for body in creature.bodies
+    ]
+    eyes = [dataclasses.replace(eye, body=new[eye.body]) for eye in creature.light_sensors]
+    other = dataclasses.replace(
+        creature,
+        name="魚",
+        bodies=tuple(bodies),
+        light_sensors=tuple(eyes),
+        pressure_sensors=tuple(new[name] for name in creature.pressure_sensors),
+    )
+    assert preview(other, tmp_path / "body.png", (320, 180)).is_file()
+    parts = [name.rpartition(".") for name in motion.dof_names]
+    named = motion._replace(dof_names=tuple(f"{new[body]}.{axis}" for body, _, axis in parts))
+    assert plot_joint_signals(named, tmp_path / "joints.png", title="魚 $x$").is_file()
