@@ -6,6 +6,7 @@ thread says what is being done and for how long where the work itself has nothin
 """
 
 import contextlib
+import math
 import sys
 import threading
 import time
@@ -45,11 +46,15 @@ class Heartbeat:
     Args:
         what: is being done.
         start: when it began, s.
+        said: when the last line before that was said, s; minus infinity where there was none.
     """
 
-    def __init__(self, what: str, start: float):
+    def __init__(self, what: str, start: float, said: float = -math.inf):
         self._what, self._start = what, start
+        # Work that follows other work adds to its silence.
         self._next = start + FIRST
+        if math.isfinite(said):
+            self._next = min(self._next, said + BETWEEN)
         self._done: tuple[int, int] | None = None
         self._lock = threading.Lock()
 
@@ -178,7 +183,7 @@ def working(what: str, counted: bool = False) -> Iterator[Work]:
     """
     console = Console(stderr=True)
     if not console.is_terminal:
-        heartbeat = Heartbeat(what, time.monotonic())
+        heartbeat = Heartbeat(what, time.monotonic(), _said_at)
         with beating(heartbeat, _say):
             yield _Lines(heartbeat)
         return
@@ -210,7 +215,9 @@ def progress(
     """
     console = Console(stderr=True)
     if not console.is_terminal:
-        heartbeat = Heartbeat(f"{step} {completed + 1:4d}/{total}  {first}", time.monotonic())
+        heartbeat = Heartbeat(
+            f"{step} {completed + 1:4d}/{total}  {first}", time.monotonic(), _said_at
+        )
 
         def tell(number: int, state: str, seconds: float) -> None:
             _say(f"{step} {number + 1:4d}/{total}  {state}  {seconds:6.2f} s")
@@ -244,5 +251,11 @@ def _settings(console: Console) -> dict[str, Any]:
     return {"console": console, "redirect_stdout": sys.stdout.isatty()}
 
 
+# When the last line was said.
+_said_at = -math.inf
+
+
 def _say(line: str) -> None:
+    global _said_at
+    _said_at = time.monotonic()
     print(line, file=sys.stderr, flush=True)

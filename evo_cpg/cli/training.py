@@ -242,7 +242,8 @@ def live_again(experiment: Experiment, champion: Champion, devices: int, trial: 
 
 
 def _evolve(experiment: Experiment, folder: RunFolder) -> None:
-    from evo_cpg.training.loop import compile_replay, train
+    with working("starting JAX"):
+        from evo_cpg.training.loop import compile_replay, train
 
     done, devices = folder.load(), folder.read_meta()["devices"]
     start = done.generation if done else 0

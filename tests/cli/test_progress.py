@@ -44,6 +44,12 @@ def test_long_work_is_never_silent_for_longer_than_that():
     assert said[1][1] == "compiling: 13 s so far"
 
 
+def test_work_that_follows_other_work_adds_to_its_silence():
+    """What was said last counts, not when this work began."""
+    assert Heartbeat("b", 7.0, said=1.0).due(1.0 + BETWEEN) == f"b: {BETWEEN - 6:.0f} s so far"
+    assert Heartbeat("b", 7.0, said=6.0).due(7.0 + FIRST - 0.1) is None
+
+
 def test_a_line_says_how_far_it_is_and_how_long_it_will_take():
     heartbeat = Heartbeat("rendering", 0.0)
     heartbeat.reached(50, 200)
