@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Array, Float, PyTree
 
 from evo_cpg.simulation.rollout import Simulation, rollout, score
-from evo_cpg.simulation.task import Moment, Task
+from evo_cpg.simulation.task import Task, Transition
 
 # Relative change by which a derivative is checked; of a parameter that is 0, the change itself.
 CHANGE = 0.01
@@ -94,7 +94,7 @@ class _Followed(Task):
     Attributes:
         task: the animal's own.
         light: that of the task.
-        duration: from the first moment to the last, s.
+        duration: from the first control step to the last, s.
         ahead: whether only the way along x counts.
     """
 
@@ -108,14 +108,14 @@ class _Followed(Task):
         nowhere = jnp.zeros((3, *batch), dtype)
         return _Journey(self.task.begin(batch, dtype, steps), nowhere, nowhere)
 
-    def watch(self, tally: _Journey, moment: Moment, steps: int) -> _Journey:
-        """See `Task.watch`."""
-        place = moment.position
-        if moment.light_position is not None:
-            away = place - moment.light_position
+    def update(self, tally: _Journey, transition: Transition, steps: int) -> _Journey:
+        """See `Task.update`."""
+        place, light = transition.before.state.position, transition.before.light_position
+        if light is not None:
+            away = place - light
             place = jnp.stack([-jnp.sqrt((away * away).sum(0)), 0 * place[1], 0 * place[2]])
-        start = jnp.where(moment.step == 0, place, tally.start)
-        return _Journey(self.task.watch(tally.own, moment, steps), start, place)
+        start = jnp.where(transition.step == 0, place, tally.start)
+        return _Journey(self.task.update(tally.own, transition, steps), start, place)
 
     def terms(self, tally: _Journey, steps: int) -> dict[str, Float[Array, " *n"]]:
         """Those of the task, and ``speed`` (m/s)."""

@@ -209,8 +209,8 @@ class BrainCpg(Controller):
 
         In order: light, pressure, cosine and sine to the vertical; cosine of each joint angle,
         sine of each, normalised gain A / A_max of each oscillator in the last step, and, where
-        wanted, each joint rate in units of ``max_rate``, cut off at 1; last the depths, which are
-        not in Table 2, of an animal with depth gauges.
+        wanted, each joint rate in units of ``max_rate``, cut off at 1; last what is not in Table 2:
+        the depths of an animal with depth gauges, and readings of sensors of one's own.
         """
         angle = observation.joint_angle
         values = [
@@ -224,7 +224,10 @@ class BrainCpg(Controller):
         ]
         if self.joint_rates:
             values.append(jnp.clip(observation.joint_rate / self.max_rate, -1.0, 1.0))
-        return jnp.concatenate([*values, observation.depth])
+        values.append(observation.depth)
+        if observation.custom is not None:
+            values.append(observation.custom)
+        return jnp.concatenate(values)
 
     def cpg_inputs(
         self, outputs: Float[Array, "s *n"]
@@ -247,6 +250,7 @@ def build_brain_cpg(
     settings: BrainCpgSettings | None = None,
     control_step: float = CONTROL_STEP,
     depth_count: int = 0,
+    custom_count: int = 0,
 ) -> BrainCpg:
     """Grow the controller on a creature's tree.
 
@@ -257,6 +261,7 @@ def build_brain_cpg(
         settings: the defaults if None.
         control_step: time between two calls of `BrainCpg.act`, s.
         depth_count: depth gauges.
+        custom_count: readings of the creature's `sensors`.
 
     Raises:
         ValueError: the creature has no joint, or lacks a body or an axis that the settings name.
@@ -278,7 +283,7 @@ def build_brain_cpg(
         "per_dof": (per_dof, per_dof),
     }[settings.drive]
     senses_per_joint = 4 if settings.joint_rates else 3
-    input_count = 3 * light_count + pressure_count + depth_count
+    input_count = 3 * light_count + pressure_count + depth_count + custom_count
     input_count += senses_per_joint * tree.dof_count
     output_count = 2 * (max(source) + 1) + max(gain_source) + 1
     own = [settings.axes.get(axis, AxisSettings()) for axis in axes]

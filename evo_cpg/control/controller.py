@@ -22,6 +22,7 @@ class Observation(NamedTuple):
         joint_angle: rad.
         joint_rate: rad/s.
         depth: of each depth gauge below the water's surface, 0 to 1 at its full scale and below.
+        custom: readings of the creature's `sensors`, one after the other; None stands for none.
     """
 
     light: Float[Array, "l *n"]
@@ -31,6 +32,7 @@ class Observation(NamedTuple):
     joint_angle: Float[Array, "d *n"]
     joint_rate: Float[Array, "d *n"]
     depth: Float[Array, "z *n"]
+    custom: Float[Array, "c *n"] | None = None
 
 
 class Command(NamedTuple):

@@ -44,7 +44,7 @@ from evo_cpg.physics.joints import (
 from evo_cpg.physics.kinematics import Kinematics, kinematics
 from evo_cpg.physics.state import State
 from evo_cpg.physics.world import World, body_equations
-from evo_cpg.spatial.linear import lift
+from evo_cpg.spatial.linear import lift, matvec_t
 
 # Solves with lines before the forces are imposed. On the ground: of the points of tumbling
 # quadrupeds without motors, 1.2 % are more than 1 mm deep with 3, 0.75 % with 4. In water, for
@@ -98,11 +98,13 @@ class Imposed(NamedTuple):
         accelerations: of the creature.
         torque: that the motors applied, N m.
         support: force of the ground on every place, in its frame, N; None without ground.
+        contact_force: the same in world axes.
     """
 
     accelerations: Accelerations
     torque: Float[Array, "d *n"]
-    support: Float[Array, "3 p *n"] | None
+    support: Float[Array, "3 p *n"] | None = None
+    contact_force: Float[Array, "3 p *n"] | None = None
 
 
 def prepare(
@@ -196,7 +198,7 @@ def _impose(
     held = Laws(torque, jnp.zeros_like(torque), None)
     footing, contacts = world.footing, equations.contacts
     if footing is None or contacts is None or force is None:
-        return Imposed(solve_with(world, h, equations, held), torque, None)
+        return Imposed(solve_with(world, h, equations, held), torque)
     loaded = equations._replace(bias=pressed(footing, contacts, force, equations.bias))
     given, free = (solve_with(world, h, some, held) for some in (loaded, equations))
     velocity, without = (end_velocity(footing, contacts, some, h) for some in (given, free))
@@ -207,4 +209,6 @@ def _impose(
             loaded - alone
         )
 
-    return Imposed(jax.tree.map(shared, free, given), torque, shared(jnp.zeros_like(force), force))
+    support = shared(jnp.zeros_like(force), force)
+    contact_force = matvec_t(contacts.frame, support)
+    return Imposed(jax.tree.map(shared, free, given), torque, support, contact_force)

@@ -30,11 +30,13 @@ class Effort(NamedTuple):
         energy: spent by all motors, the sum of |torque x rate| over the step, J.
         support: force of the ground on every place of the footing, in the ground's frame (two
             tangents, then the normal), N; None without ground.
+        contact_force: the same in world axes.
     """
 
     torque: Float[Array, "d *n"]
     energy: Float[Array, " *n"]
     support: Float[Array, "3 p *n"] | None = None
+    contact_force: Float[Array, "3 p *n"] | None = None
 
 
 def step(
@@ -65,7 +67,7 @@ def _whole_step(
     equations, laws = prepare(world, h, state, target_rate, target_angle)
     with jax.named_scope("solve"):
         found = solve_with(world, h, equations, laws)
-    return _finish(h, state, Imposed(found, laws.torque - h * laws.slope * found.qdd, None))
+    return _finish(h, state, Imposed(found, laws.torque - h * laws.slope * found.qdd))
 
 
 def _finish(h: float, state: State, imposed: Imposed) -> tuple[State, Effort]:
@@ -73,7 +75,7 @@ def _finish(h: float, state: State, imposed: Imposed) -> tuple[State, Effort]:
     with jax.named_scope("integrate"):
         new_state = integrate(state, imposed.accelerations, h)
     energy = h * jnp.abs(imposed.torque * 0.5 * (state.qd + new_state.qd)).sum(0)
-    return new_state, Effort(imposed.torque, energy, imposed.support)
+    return new_state, Effort(imposed.torque, energy, imposed.support, imposed.contact_force)
 
 
 def _can_overload(tree: Tree) -> bool:

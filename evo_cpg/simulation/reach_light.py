@@ -14,7 +14,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from evo_cpg.simulation.task import Moment, Task
+from evo_cpg.simulation.task import Task, Transition
 
 # An animal that flees is not punished beyond this multiple of the starting distance, so that one
 # wild individual cannot dominate averages.
@@ -55,15 +55,16 @@ class ReachLight(Task):
         del steps
         return LightTally(*(jnp.zeros(batch, dtype) for _ in LightTally._fields))
 
-    def watch(self, tally: LightTally, moment: Moment, steps: int) -> LightTally:
-        """See `Task.watch`."""
-        distance = _distance(moment.position, moment.light_position)
-        last = moment.step >= steps - min(self.final_steps, steps)
+    def update(self, tally: LightTally, transition: Transition, steps: int) -> LightTally:
+        """See `Task.update`."""
+        before, step = transition.before, transition.step
+        distance = _distance(before.state.position, before.light_position)
+        last = step >= steps - min(self.final_steps, steps)
         return LightTally(
-            jnp.where(moment.step == 0, distance, tally.start_distance),
+            jnp.where(step == 0, distance, tally.start_distance),
             tally.final_distance + jnp.where(last, distance, 0.0),
-            tally.light + moment.light.max(0, initial=0.0),
-            tally.energy + moment.energy,
+            tally.light + transition.observation.light.max(0, initial=0.0),
+            tally.energy + transition.energy,
         )
 
     def terms(self, tally: LightTally, steps: int) -> dict[str, Float[Array, " *n"]]:

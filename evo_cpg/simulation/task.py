@@ -1,7 +1,7 @@
-"""What the animals are evolved for: a task watches a trial and turns it into a fitness.
+"""What the animals are evolved for: a task follows a trial and turns it into a fitness.
 
 A task is structure and settings, like a controller. During a trial its ``tally``, any pytree of
-arrays, is updated once per control step; at the end it becomes named terms, and the terms become
+arrays, is updated with every control step; at the end it becomes named terms, and the terms become
 one fitness, which is maximised. Terms may be measured against scales taken from the first
 generation (such as the most energy that an animal can spend), which then stay fixed.
 """
@@ -14,30 +14,35 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
 
+from evo_cpg.control.controller import Command, Observation
+from evo_cpg.simulation.snapshot import Forces, Snapshot
 
-class Moment(NamedTuple):
-    """One control step as a task sees it; trailing axes are individuals.
+
+class Transition(NamedTuple):
+    """One control step as a task sees it: the animal before and after it, and what it did.
+
+    Every number of it is computed only where a task uses it.
 
     Attributes:
         step: number of the control step, from 0.
-        position: centre of the root body, m.
-        orientation: of the root, quaternion (w, x, y, z).
-        light: strength at each light sensor.
-        joint_angle: rad.
-        energy: spent by all motors in this control step, J.
-        airborne: share of this control step in which nothing of the animal touches the ground; 1
-            where there is no ground.
-        light_position: place of the light in this trial, m; None for a task in the dark.
+        before: the animal at its beginning.
+        after: the animal at its end.
+        observation: what the controller sensed.
+        command: what it asked of the motors.
+        forces: of motors and ground, means over the step.
+        energy: spent by all motors, J.
+        airborne: share of the step in which nothing of the animal touches the ground; 1 where
+            there is no ground.
     """
 
     step: Array
-    position: Float[Array, "3 *n"]
-    orientation: Float[Array, "4 *n"]
-    light: Float[Array, "eyes *n"]
-    joint_angle: Float[Array, "d *n"]
+    before: Snapshot
+    after: Snapshot
+    observation: Observation
+    command: Command
+    forces: Forces
     energy: Float[Array, " *n"]
     airborne: Float[Array, " *n"]
-    light_position: Float[Array, "3 *#n"] | None = None
 
 
 class Task(eqx.Module):
@@ -48,7 +53,7 @@ class Task(eqx.Module):
 
     Attributes:
         light: place of the point light, m, where a situation does not have its own; None for a
-            task in the dark. `Moment.light_position` is where it is.
+            task in the dark. `Snapshot.light_position` is where it is.
 
     Example:
         A race along x::
@@ -59,8 +64,8 @@ class Task(eqx.Module):
                 def begin(self, batch, dtype, steps):
                     return jnp.zeros(batch, dtype)
 
-                def watch(self, tally, moment, steps):
-                    return moment.position[0]
+                def update(self, tally, transition, steps):
+                    return transition.after.state.position[0]
 
                 def terms(self, tally, steps):
                     return {"distance": tally}
@@ -76,8 +81,8 @@ class Task(eqx.Module):
         """The tally before a trial of so many control steps."""
 
     @abc.abstractmethod
-    def watch(self, tally: PyTree, moment: Moment, steps: int) -> PyTree:
-        """The tally after one more control step."""
+    def update(self, tally: PyTree, transition: Transition, steps: int) -> PyTree:
+        """The tally after one more control step: same structure, shapes and types."""
 
     @abc.abstractmethod
     def terms(self, tally: PyTree, steps: int) -> dict[str, Float[Array, " *n"]]:

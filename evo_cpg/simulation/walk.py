@@ -31,7 +31,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from evo_cpg.simulation.task import Moment, Task
+from evo_cpg.simulation.task import Task, Transition
 
 # ``any`` counts the way made whatever its direction; ``forward`` what of it leads along the world's
 # +x, which an animal faces at the start unless it is turned, and counts a way back as negative.
@@ -80,10 +80,10 @@ class Distance(Task):
         del steps
         return _no_way(batch, dtype)
 
-    def watch(self, tally: Way, moment: Moment, steps: int) -> Way:
-        """See `Task.watch`."""
+    def update(self, tally: Way, transition: Transition, steps: int) -> Way:
+        """See `Task.update`."""
         del steps
-        return _go_on(tally, moment)
+        return _go_on(tally, transition)
 
     def terms(self, tally: Way, steps: int) -> dict[str, Float[Array, " *n"]]:
         """``distance`` and, of it, what leads ``forward`` (m)."""
@@ -124,11 +124,11 @@ class Walk(Task):
         del steps
         return Gait(_no_way(batch, dtype), *(jnp.zeros(batch, dtype) for _ in Gait._fields[1:]))
 
-    def watch(self, tally: Gait, moment: Moment, steps: int) -> Gait:
-        """See `Task.watch`."""
+    def update(self, tally: Gait, transition: Transition, steps: int) -> Gait:
+        """See `Task.update`."""
         del steps
-        way = _go_on(tally.way, moment)
-        _, x, y, _ = moment.orientation
+        way = _go_on(tally.way, transition)
+        _, x, y, _ = transition.before.state.orientation
         rise = way.end[2] - way.start[2]
         return Gait(
             way,
@@ -136,7 +136,7 @@ class Walk(Task):
             tally.tilt + 2.0 * (x * x + y * y),
             tally.rise + rise,
             tally.squared_rise + rise * rise,
-            tally.airborne + moment.airborne,
+            tally.airborne + transition.airborne,
         )
 
     def terms(self, tally: Gait, steps: int) -> dict[str, Float[Array, " *n"]]:
@@ -165,8 +165,9 @@ def _no_way(batch: tuple[int, ...], dtype: jnp.dtype) -> Way:
     return Way(jnp.zeros((3, *batch), dtype), jnp.zeros((3, *batch), dtype))
 
 
-def _go_on(way: Way, moment: Moment) -> Way:
-    return Way(jnp.where(moment.step == 0, moment.position, way.start), moment.position)
+def _go_on(way: Way, transition: Transition) -> Way:
+    place = transition.before.state.position
+    return Way(jnp.where(transition.step == 0, place, way.start), place)
 
 
 def _measured(way: Way) -> dict[str, Float[Array, " *n"]]:

@@ -40,8 +40,8 @@ class GoForward(Task):
     def begin(self, batch, dtype, steps):
         return jnp.zeros(batch, dtype)
 
-    def watch(self, tally, moment, steps):
-        return moment.position[0]
+    def update(self, tally, transition, steps):
+        return transition.after.state.position[0]
 
     def terms(self, tally, steps):
         return {"distance": tally}

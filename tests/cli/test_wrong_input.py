@@ -31,7 +31,7 @@ class Jump(Task):
     def begin(self, batch, dtype, steps):
         return jnp.zeros(batch, dtype)
 
-    def watch(self, tally, moment, steps):
+    def update(self, tally, transition, steps):
         return tally
 
     def terms(self, tally, steps):

@@ -15,7 +15,7 @@ import pytest
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import load_config
 from evo_cpg.fusion.engine import Engine, using
-from evo_cpg.simulation import rollout
+from evo_cpg.simulation.control_step import begin_life, control_step
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 INDIVIDUALS, TIMES, APART, NUDGES = 10, 10, 20, 8
@@ -47,12 +47,12 @@ class Trial:
             keys = jax.random.key_data(jax.random.split(jax.random.key(1), INDIVIDUALS)).T
 
         def begin():
-            return rollout._begin(simulation, genes, keys, None)
+            return begin_life(simulation, genes, keys, None)
 
         def made(engine):
             def step(animal, index):
                 with using(Engine(engine)):
-                    return rollout._control_step(simulation, begin()[0], animal, index)
+                    return control_step(simulation, begin()[0], animal, index)
 
             return jax.jit(step)
 
@@ -79,9 +79,8 @@ def numbers(tree):
 
 def moved(trial, animal, number, engine="plain"):
     """What a control step gives, and for what share of it each was off the ground."""
-    animal, instant = getattr(trial, engine)(animal, number)
-    airborne = instant.seen.pop("airborne")
-    return (animal, instant), np.asarray(airborne)
+    animal, effects = getattr(trial, engine)(animal, number)
+    return (animal, effects._replace(airborne=())), np.asarray(effects.airborne)
 
 
 def distances(found, wanted):

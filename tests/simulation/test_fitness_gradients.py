@@ -20,7 +20,7 @@ from evo_cpg.config.load import load_config
 from evo_cpg.control.postures import PostureController, PostureSettings, build_posture_controller
 from evo_cpg.simulation.reach_light import ReachLight
 from evo_cpg.simulation.rollout import Simulation, rollout, score
-from evo_cpg.simulation.task import Moment, Task
+from evo_cpg.simulation.task import Task, Transition
 from trials import experiment
 
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -63,13 +63,13 @@ class Until(Task):
         stop = jnp.broadcast_to(self.stop, batch)
         return self.task.begin(batch, dtype, steps), height, airborne, stop
 
-    def watch(self, tally, moment: Moment, steps):
+    def update(self, tally, transition: Transition, steps):
         inner, _, airborne, stop = tally
         # The task is told that its trial ends where it does.
-        number = jnp.where(moment.step == 0, 0, moment.step + steps - stop)
-        inner = self.task.watch(inner, moment._replace(step=number), steps)
-        new = inner, moment.position[2], airborne + moment.airborne, stop
-        goes_on = moment.step < stop
+        number = jnp.where(transition.step == 0, 0, transition.step + steps - stop)
+        inner = self.task.update(inner, transition._replace(step=number), steps)
+        new = inner, transition.before.state.position[2], airborne + transition.airborne, stop
+        goes_on = transition.step < stop
 
         def choose(old: jax.Array, new: jax.Array) -> jax.Array:
             return jnp.where(jnp.broadcast_to(goes_on, new.shape), new, old)

@@ -115,8 +115,8 @@ class Where(Task):
     def begin(self, batch, dtype, steps):
         return jnp.zeros((3, *batch), dtype)
 
-    def watch(self, tally, moment, steps):
-        return tally + moment.light_position
+    def update(self, tally, transition, steps):
+        return tally + transition.before.light_position
 
     def terms(self, tally, steps):
         return dict(zip("xyz", tally / steps, strict=True))

@@ -9,19 +9,23 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from creatures import quick_jit
+from evo_cpg.control.controller import Command, Observation
 from evo_cpg.creature.creature import Body, Creature, Material
 from evo_cpg.creature.shapes import Box
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.physics.footing import Ground, make_footing
+from evo_cpg.physics.state import State
 from evo_cpg.physics.world import World
 from evo_cpg.simulation.rollout import Simulation, as_recording, record, rollout
 from evo_cpg.simulation.sensors import place_sensors
 from evo_cpg.simulation.situation import Situation
-from evo_cpg.simulation.task import Moment
+from evo_cpg.simulation.snapshot import Forces, Snapshot
+from evo_cpg.simulation.task import Transition
 from evo_cpg.simulation.walk import Distance, Walk
 from trials import SineController, experiment
 
 STEPS, ANIMALS = 40, 5
+BOX = Creature("box", (Body("box", Box((0.2, 0.2, 0.2)), Material(300.0, 0.0)),))
 GENES = np.array([[3.0, 2.0, 0.0], [1.0, 2.0, 1.0]], np.float32)
 
 
@@ -34,25 +38,35 @@ def motion():
     return position, turns, rng.uniform(size=(STEPS, ANIMALS))
 
 
-def watched(task, motion):
+def taken(step, place, turn, airborne):
+    """A control step that begins at a place, of which these tasks see nothing else."""
+    still = jnp.zeros((6, *place.shape[1:]))
+    none = jnp.zeros((0, *place.shape[1:]))
+    world = World(build_tree(BOX), 9.81)
+    before = Snapshot(world, 1 / 60, State(place, turn, still, none, none))
+    unseen = Observation(*[none] * 7)
+    forces = Forces(none, jnp.zeros((3, 0, *place.shape[1:])))
+    energy = jnp.zeros(place.shape[1:])
+    command = Command(none, none)
+    return Transition(step, before, before, unseen, command, forces, energy, airborne)
+
+
+def judged(task, motion):
     """The terms of an invented motion."""
     position, turns, airborne = motion
     quaternion = turns.as_quat()[:, [3, 0, 1, 2]].reshape(STEPS, ANIMALS, 4)
-    none = jnp.zeros((0, ANIMALS))
     tally = task.begin((ANIMALS,), jnp.dtype(jnp.float32), STEPS)
     for k in range(STEPS):
         place, turn = jnp.float32(position[k]), jnp.float32(quaternion[k].T)
         share = jnp.float32(airborne[k])
-        tally = task.watch(
-            tally, Moment(jnp.array(k), place, turn, none, none, share, share), STEPS
-        )
+        tally = task.update(tally, taken(jnp.array(k), place, turn, share), STEPS)
     return task.terms(tally, STEPS)
 
 
 @pytest.mark.parametrize("heading", ["any", "forward"])
 def test_distance_is_the_straight_line_over_ground(motion, heading):
     position = motion[0]
-    terms = watched(Distance(heading=heading), motion)
+    terms = judged(Distance(heading=heading), motion)
     way = position[-1] - position[0]
     np.testing.assert_allclose(terms["distance"], np.hypot(way[0], way[1]), rtol=1e-5)
     np.testing.assert_allclose(terms["forward"], way[0], rtol=1e-5, atol=1e-5)
@@ -63,12 +77,12 @@ def test_distance_is_the_straight_line_over_ground(motion, heading):
 
 def test_a_walk_is_judged_by_tilt_bounce_and_flight(motion):
     position, turns, airborne = motion
-    terms = watched(Walk(torso_length=0.6), motion)
+    terms = judged(Walk(torso_length=0.6), motion)
     up = turns.apply([0, 0, 1])[:, 2].reshape(STEPS, ANIMALS)
     np.testing.assert_allclose(terms["tilt"], (1 - up).mean(0), rtol=1e-5)
     np.testing.assert_allclose(terms["bounce"], position[:, 2].std(0), rtol=1e-4)
     np.testing.assert_allclose(terms["airborne"], airborne.mean(0), rtol=1e-5)
-    np.testing.assert_array_equal(terms["distance"], watched(Distance(), motion)["distance"])
+    np.testing.assert_array_equal(terms["distance"], judged(Distance(), motion)["distance"])
 
 
 @pytest.mark.parametrize("heading", ["any", "forward"])
@@ -87,17 +101,16 @@ def test_a_small_bounce_keeps_its_digits_in_a_long_trial(bounce):
     """1200 steps at a height of 100 m, in float32."""
     steps, task = 1200, Walk(torso_length=0.6)
     heights = 100.0 + np.float32(bounce) * np.sign(np.arange(steps) % 2 - 0.5)
-    upright, none = jnp.array([1.0, 0.0, 0.0, 0.0]), jnp.zeros(0)
+    upright = jnp.array([1.0, 0.0, 0.0, 0.0])
 
     def advance(tally, now):
         step, height = now
         place = jnp.array([0.0, 0.0, 1.0]) * height
-        moment = Moment(step, place, upright, none, none, jnp.float32(0), jnp.float32(0))
-        return task.watch(tally, moment, steps), None
+        return task.update(tally, taken(step, place, upright, jnp.float32(0)), steps), None
 
     start = task.begin((), jnp.dtype(jnp.float32), steps)
-    moments = jnp.arange(steps), jnp.float32(heights)
-    terms = task.terms(jax.lax.scan(advance, start, moments)[0], steps)
+    course = jnp.arange(steps), jnp.float32(heights)
+    terms = task.terms(jax.lax.scan(advance, start, course)[0], steps)
     assert float(terms["bounce"]) == pytest.approx(np.float32(heights).std(dtype=float), rel=1e-3)
     assert float(terms["tilt"]) == 0.0
 
@@ -126,11 +139,10 @@ def test_a_trial_in_the_dark_has_no_goal_and_its_distance_is_from_the_start():
 
 def test_time_in_the_air_is_that_of_a_free_fall():
     """A box let go 0.5 m above ground that returns nothing: sqrt(2 h / g) of one second."""
-    creature = Creature("box", (Body("box", Box((0.2, 0.2, 0.2)), Material(300.0, 0.0)),))
-    tree, ground = build_tree(creature), Ground(restitution=0.0)
+    tree, ground = build_tree(BOX), Ground(restitution=0.0)
     simulation = Simulation(
-        world=World(tree, 9.81, footing=make_footing(creature, tree, ground)),
-        sensors=place_sensors(creature, tree),
+        world=World(tree, 9.81, footing=make_footing(BOX, tree, ground)),
+        sensors=place_sensors(BOX, tree),
         controller=SineController(),
         task=Walk(torso_length=0.2),
         control_rate=60.0,

@@ -1,0 +1,246 @@
+"""One control step: the animal senses, its controller commands, the physics moves it.
+
+The command is held for ``substeps`` physics steps.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PyTree
+
+from evo_cpg.control.controller import Command, Observation
+from evo_cpg.fusion.fuse import fuse
+from evo_cpg.physics.kinematics import kinematics
+from evo_cpg.physics.state import State
+from evo_cpg.physics.step import Effort, step
+from evo_cpg.simulation.noise import disturb_motion, disturb_start
+from evo_cpg.simulation.sensors import fathom, feel, see
+from evo_cpg.simulation.simulation import Simulation
+from evo_cpg.simulation.situation import light_places, starting_state
+from evo_cpg.simulation.snapshot import Forces, Snapshot
+from evo_cpg.simulation.task import Transition
+from evo_cpg.spatial.linear import lift
+
+
+class Animal(NamedTuple):
+    """What goes on from one control step to the next.
+
+    Attributes:
+        state: of the body.
+        nerves: of the controller.
+        pressure: what the skin felt last.
+        forces: of the last control step; None unless a sensor may ask for them.
+    """
+
+    state: State
+    nerves: Any
+    pressure: Float[Array, "s *n"]
+    forces: Forces | None = None
+
+
+class Life(NamedTuple):
+    """What stays the same throughout a trial.
+
+    Attributes:
+        decoded: the genes, as the controller made them its own.
+        keys: of the trial's noise.
+        light: where it is for each individual; None where it is the same for all.
+        common_light: where it is for all; None where each has its own, or there is none.
+    """
+
+    decoded: PyTree[Array]
+    keys: Array | None
+    light: Array | None
+    common_light: np.ndarray | Array | None
+
+
+class Effects(NamedTuple):
+    """What happened in a control step; see `Transition`.
+
+    Attributes:
+        before: the body at its beginning.
+        after: the body at its end.
+        observation: of the controller.
+        command: of the controller.
+        forces: of motors and ground.
+        energy: spent by all motors, J.
+        airborne: share of the time off the ground.
+    """
+
+    before: State
+    after: State
+    observation: Observation
+    command: Command
+    forces: Forces
+    energy: Float[Array, " *n"]
+    airborne: Float[Array, " *n"]
+
+
+def begin_life(
+    simulation: Simulation, genes: Array, keys: Array | None, trial: Array | None
+) -> tuple[Life, Animal]:
+    """The trials as they begin."""
+    ndim, own = genes.ndim - 1, trial is not None
+
+    def begin(genes: Array, keys: Array | None, trial: Array | None) -> tuple:
+        light = light_places(simulation.lights, trial, genes.dtype) if own else None
+        animal = starting_animal(simulation, keys, trial, genes.shape[1:], genes.dtype)
+        return simulation.controller.decode(genes), light, animal
+
+    name = f"{type(simulation.controller).__name__}.decode"
+    decoded, light, animal = fuse(begin, genes, keys, trial, batch_ndim=ndim, name=name)
+    common = None if own else light_places(simulation.lights, None, genes.dtype)
+    return Life(decoded, keys, light, common), animal
+
+
+def starting_animal(
+    simulation: Simulation,
+    keys: Array | None,
+    trial: Array | None,
+    batch: tuple[int, ...],
+    dtype: jnp.dtype,
+) -> Animal:
+    """Bodies at their start, nerves at rest."""
+    rest = starting_state(simulation.situations, trial, simulation.world.tree, batch, dtype)
+    return Animal(
+        disturb_start(simulation.noise, simulation.world.tree, rest, keys),
+        simulation.controller.initial_state(batch, dtype),
+        jnp.zeros((len(simulation.sensors.pressure_bodies), *batch), dtype),
+        _no_forces(simulation, rest) if simulation.extra_sensors else None,
+    )
+
+
+def control_step(
+    simulation: Simulation, life: Life, animal: Animal, index: Array
+) -> tuple[Animal, Effects]:
+    """Push, sense, command, and move for one control step."""
+
+    def whole(decoded: PyTree[Array], keys: Array | None, light: Array | None, animal: Animal):
+        own = Life(decoded, keys, light, life.common_light)
+        animal = push(simulation, own, animal, index)
+        observation = sense(simulation, own, animal)
+        nerves, command = act(simulation, own, animal, observation)
+        return move(simulation, animal._replace(nerves=nerves), observation, command)
+
+    ndim = animal.state.position.ndim - 1
+    given = life.decoded, life.keys, life.light, animal
+    return fuse(whole, *given, batch_ndim=ndim, name="a control step")
+
+
+def push(simulation: Simulation, life: Life, animal: Animal, index: Array) -> Animal:
+    """The animal after the noise of one control step."""
+    duration = 1.0 / simulation.control_rate
+
+    def disturb(state: State, keys: Array | None) -> State:
+        return disturb_motion(simulation.noise, state, keys, index, duration)
+
+    ndim = animal.state.position.ndim - 1
+    return animal._replace(
+        state=fuse(disturb, animal.state, life.keys, batch_ndim=ndim, name="noise")
+    )
+
+
+def sense(simulation: Simulation, life: Life, animal: Animal) -> Observation:
+    """What the controller gets to know."""
+    world, state = simulation.world, animal.state
+
+    def look(state: State, light: Array | None) -> tuple[Array, Array, Array, Array]:
+        kin = kinematics(world.tree, state)
+        place = _light_of(life, light, state.position)
+        return *see(simulation.sensors, kin, place), fathom(simulation.sensors, world, kin)
+
+    def read(state: State, forces: Forces, light: Array | None) -> Array:
+        snapshot = _snapshot(simulation, life._replace(light=light), state)
+        return jnp.concatenate([one.sense(snapshot, forces) for one in simulation.extra_sensors])
+
+    ndim = state.position.ndim - 1
+    strength, cosine, sine, depth = fuse(look, state, life.light, batch_ndim=ndim, name="sensors")
+    custom = None
+    if simulation.extra_sensors:
+        names = ", ".join(f"{type(one).__name__}.sense" for one in simulation.extra_sensors)
+        custom = fuse(read, state, animal.forces, life.light, batch_ndim=ndim, name=names)
+    return Observation(strength, animal.pressure, cosine, sine, state.q, state.qd, depth, custom)
+
+
+def act(
+    simulation: Simulation, life: Life, animal: Animal, observation: Observation
+) -> tuple[Any, Command]:
+    """The controller's next state, and what it asks of the motors."""
+    controller, ndim = simulation.controller, animal.state.position.ndim - 1
+    name = f"{type(controller).__name__}.act"
+    given = life.decoded, animal.nerves, observation
+    return fuse(controller.act, *given, batch_ndim=ndim, name=name)
+
+
+def move(
+    simulation: Simulation, animal: Animal, observation: Observation, command: Command
+) -> tuple[Animal, Effects]:
+    """The physics steps of a control step."""
+    world, h, state = simulation.world, simulation.step_length, animal.state
+    batch = state.position.shape[1:]
+
+    def advance(carry, _):
+        state, energy, airborne, forces, support = carry
+        state, effort = step(world, state, command.target_rate, h, command.target_angle)
+        support = support if effort.support is None else effort.support
+        airborne = airborne + _is_airborne(effort) / simulation.substeps
+        forces = _add_share(forces, effort, 1.0 / simulation.substeps)
+        return (state, energy + effort.energy, airborne, forces, support), None
+
+    none, still = jnp.zeros(batch, state.q.dtype), _no_forces(simulation, state)
+    start = state, none, none, still, still.contact_force
+    (moved, energy, airborne, forces, support), _ = jax.lax.scan(
+        advance, start, None, length=simulation.substeps
+    )
+
+    def touch(state: State, support: Array) -> Array:
+        return feel(simulation.sensors, world, kinematics(world.tree, state), support)
+
+    pressure = animal.pressure
+    if world.footing is not None and simulation.sensors.pressure_bodies:
+        pressure = fuse(touch, moved, support, batch_ndim=len(batch), name="sensors")
+    after = Animal(moved, animal.nerves, pressure, forces if animal.forces else None)
+    return after, Effects(state, moved, observation, command, forces, energy, airborne)
+
+
+def transition(simulation: Simulation, life: Life, effects: Effects, index: Array) -> Transition:
+    """A control step as a task sees it."""
+    before, after = (
+        _snapshot(simulation, life, state) for state in (effects.before, effects.after)
+    )
+    return Transition(index, before, after, *effects[2:])
+
+
+def _snapshot(simulation: Simulation, life: Life, state: State) -> Snapshot:
+    light = _light_of(life, life.light, state.position)
+    return Snapshot(simulation.world, 1.0 / simulation.control_rate, state, light)
+
+
+def _light_of(life: Life, own: Array | None, position: Array) -> Array | None:
+    """Where the light is, with axes of individuals."""
+    place = life.common_light if own is None else own
+    return None if place is None else lift(place, position)
+
+
+def _no_forces(simulation: Simulation, state: State) -> Forces:
+    footing = simulation.world.footing
+    places = 0 if footing is None else len(footing.bodies)
+    batch = state.position.shape[1:]
+    return Forces(jnp.zeros_like(state.q), jnp.zeros((3, places, *batch), state.q.dtype))
+
+
+def _add_share(forces: Forces, effort: Effort, share: float) -> Forces:
+    """The means so far, with those of one more physics step."""
+    contact_force = forces.contact_force
+    if effort.contact_force is not None:
+        contact_force = contact_force + share * effort.contact_force
+    return Forces(forces.torque + share * effort.torque, contact_force)
+
+
+def _is_airborne(effort: Effort) -> Float[Array, " *n"]:
+    """1 where nothing touched the ground in a physics step, else 0; 1 without ground."""
+    if effort.support is None:
+        return jnp.ones_like(effort.energy)
+    return jnp.all(effort.support[2] <= 0, axis=0).astype(effort.energy.dtype)

@@ -1,0 +1,162 @@
+"""The whole animal at an instant, as tasks and sensors see it.
+
+What follows from the state is computed when it is asked for, and what nobody asks for costs
+nothing. Bodies and degrees of freedom are in the order of the tree (`Snapshot.body`,
+`Snapshot.dof` find them by name), contact places in that of the footing; trailing axes are
+individuals.
+"""
+
+import dataclasses
+import functools
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from evo_cpg.physics.footing import lowest_points
+from evo_cpg.physics.kinematics import Kinematics, kinematics, take
+from evo_cpg.physics.state import State
+from evo_cpg.physics.world import World
+from evo_cpg.spatial.linear import cross, lift, matvec
+
+
+class Forces(NamedTuple):
+    """What motors and ground did in a control step, means over its physics steps.
+
+    Attributes:
+        torque: of the motors, N m.
+        contact_force: of the ground on every contact place, world axes, N; no places where there
+            is no ground.
+    """
+
+    torque: Float[Array, "d *n"]
+    contact_force: Float[Array, "3 p *n"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Snapshot:
+    """Pose and velocities of the animal in its world.
+
+    Attributes:
+        world: model of the animal and its surroundings: ``world.tree.mass`` (kg),
+            ``world.gravity`` (m/s^2), ``world.water``, ``world.ground``.
+        control_step: length of a control step, s.
+        state: pose and velocity of the root, joint angles and rates.
+        light_position: place of the light in this trial, m; None for a task in the dark.
+    """
+
+    world: World
+    control_step: float
+    state: State
+    light_position: Float[Array, "3 *#n"] | None = None
+
+    @functools.cached_property
+    def kinematics(self) -> Kinematics:
+        """Frames and velocities of the bodies at their joints, see `evo_cpg.physics.kinematics`."""
+        return kinematics(self.world.tree, self.state)
+
+    @property
+    def rotation(self) -> Float[Array, "3 3 b *n"]:
+        """Body to world."""
+        return self.kinematics.rotation
+
+    @functools.cached_property
+    def position(self) -> Float[Array, "3 b *n"]:
+        """Centres of mass of the bodies, m."""
+        return self.kinematics.origin + self._lever
+
+    @functools.cached_property
+    def velocity(self) -> Float[Array, "3 b *n"]:
+        """Of the bodies' centres of mass, m/s."""
+        return self.kinematics.linear + cross(self.kinematics.angular, self._lever)
+
+    @property
+    def angular_velocity(self) -> Float[Array, "3 b *n"]:
+        """Of the bodies, world axes, rad/s."""
+        return self.kinematics.angular
+
+    @functools.cached_property
+    def centre_of_mass(self) -> Float[Array, "3 *n"]:
+        """Of the whole animal, m."""
+        return self._mean(self.position)
+
+    @functools.cached_property
+    def centre_of_mass_velocity(self) -> Float[Array, "3 *n"]:
+        """Of the whole animal, m/s."""
+        return self._mean(self.velocity)
+
+    @property
+    def contact_bodies(self) -> Int[np.ndarray, " p"]:
+        """Index of the body that each contact place belongs to."""
+        footing = self.world.footing
+        return np.array(() if footing is None else footing.bodies, int)
+
+    @property
+    def contact_position(self) -> Float[Array, "3 p *n"]:
+        """The point of each place that is nearest to the ground, m."""
+        arm, _ = self._lowest
+        return take(self.kinematics.origin, self.contact_bodies) + arm
+
+    @property
+    def contact_velocity(self) -> Float[Array, "3 p *n"]:
+        """Of the material that is at this point, m/s."""
+        arm, _ = self._lowest
+        linear, angular = (
+            take(x, self.contact_bodies) for x in (self.kinematics.linear, self.angular_velocity)
+        )
+        return linear + cross(angular, arm)
+
+    @property
+    def clearance(self) -> Float[Array, "p *n"]:
+        """Of each place above the ground, m; negative where it is pressed in."""
+        return self._lowest[1]
+
+    def body(self, name: str) -> int:
+        """Index of a body.
+
+        Raises:
+            ValueError: there is none of that name.
+        """
+        return _index(self.world.tree.names, name, "body")
+
+    def dof(self, name: str) -> int:
+        """Index of a degree of freedom, ``body.axis``.
+
+        Raises:
+            ValueError: there is none of that name.
+        """
+        return _index(self.world.tree.dof_names, name, "degree of freedom")
+
+    def contacts_of(self, names: Sequence[str]) -> Int[np.ndarray, " k"]:
+        """Indices of the contact places of some bodies.
+
+        Raises:
+            ValueError: there is no body of that name.
+        """
+        return np.flatnonzero(np.isin(self.contact_bodies, [self.body(name) for name in names]))
+
+    @property
+    def _lever(self) -> Array:
+        """From the bodies' origins to their centres of mass, world axes."""
+        return matvec(self.rotation, lift(self.world.tree.com, self.kinematics.origin))
+
+    @functools.cached_property
+    def _lowest(self) -> tuple[Array, Array]:
+        """From the bodies' origins to the contact points, world axes, and their clearance."""
+        if self.world.footing is None:
+            origin = self.kinematics.origin
+            return origin[:, :0], origin[0, :0]
+        arm, _, gap, _ = lowest_points(self.world.footing, self.kinematics)
+        return arm, gap
+
+    def _mean(self, of_bodies: Float[Array, "3 b *n"]) -> Float[Array, "3 *n"]:
+        """Over the mass."""
+        mass = lift(self.world.tree.mass, of_bodies[0])
+        return (of_bodies * mass[None]).sum(1) / mass.sum(0)
+
+
+def _index(names: tuple[str, ...], name: str, kind: str) -> int:
+    if name not in names:
+        raise ValueError(f"there is no {kind} {name!r}; there are {', '.join(names)}")
+    return names.index(name)
