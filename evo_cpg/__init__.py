@@ -1,1 +1,74 @@
-"""Evolving virtual creatures: rigid bodies in water, Matsuoka CPGs, genetic algorithms, in JAX."""
+"""Evolve the motion of virtual creatures: ``import evo_cpg as evo``.
+
+What stands here is stable (see docs/api.md). It is imported when it is first asked for, so
+importing the package takes no time and starts nothing.
+"""
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from evo_cpg.api.environment import Environment, EnvironmentState
+    from evo_cpg.api.experiment import Evaluation, Experiment, Trials
+    from evo_cpg.api.load import load
+    from evo_cpg.api.record import Record
+    from evo_cpg.api.training import Trained, train
+    from evo_cpg.config.errors import ConfigError
+    from evo_cpg.control.controller import Command, Controller, Observation
+    from evo_cpg.simulation.sensor import Sensor
+    from evo_cpg.simulation.snapshot import Forces, Snapshot
+    from evo_cpg.simulation.task import Task, Transition
+
+_HOMES = {
+    "Command": "control.controller",
+    "ConfigError": "config.errors",
+    "Controller": "control.controller",
+    "Environment": "api.environment",
+    "EnvironmentState": "api.environment",
+    "Evaluation": "api.experiment",
+    "Experiment": "api.experiment",
+    "Forces": "simulation.snapshot",
+    "Observation": "control.controller",
+    "Record": "api.record",
+    "Sensor": "simulation.sensor",
+    "Snapshot": "simulation.snapshot",
+    "Task": "simulation.task",
+    "Trained": "api.training",
+    "Transition": "simulation.task",
+    "Trials": "api.experiment",
+    "load": "api.load",
+    "train": "api.training",
+}
+
+__all__ = [  # noqa: RUF022 - as the reference has them
+    "load",
+    "Experiment",
+    "Evaluation",
+    "Trials",
+    "Record",
+    "Environment",
+    "EnvironmentState",
+    "train",
+    "Trained",
+    "Task",
+    "Transition",
+    "Snapshot",
+    "Forces",
+    "Sensor",
+    "Controller",
+    "Observation",
+    "Command",
+    "ConfigError",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(importlib.import_module(f"{__name__}.{_HOMES[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

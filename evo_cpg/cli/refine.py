@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from evo_cpg.api.training import require_configured
 from evo_cpg.cli.building import build
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.progress import progress
@@ -23,6 +24,7 @@ from evo_cpg.cli.training import (
 )
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.errors import ConfigError
+from evo_cpg.config.fingerprint import fingerprint
 from evo_cpg.config.load import dump_config
 from evo_cpg.config.parameters import Parameters, parametrise
 from evo_cpg.training.run_folder import RunFolderError
@@ -47,6 +49,7 @@ def refine_run(
     """`evo-cpg refine`."""
     use_cores_of(run, cores)
     folder, config, experiment = open_run(run)
+    require_configured(folder)
     champion, motion, _ = folder.load_champion()
     if number is not None and number != champion.run:
         champion, motion = champion_of(folder, number), None
@@ -119,9 +122,9 @@ def refine_run(
         print(folder.path)
         return
     best, _, _ = folder.load_champion()
-    _, _, experiment = open_run(run)
+    _, config, experiment = open_run(run)
     folder.save_champion(best, live_again(experiment, best, devices)[2])
-    folder.update_meta(refined=now())
+    folder.update_meta(refined=now(), fingerprint=fingerprint(config))
     terms = ", ".join(f"{name} {value:.3g}" for name, value in last.champion.terms.items())
     for key, value in zip(keys, last.values, strict=True):
         print(f"{key}: {value:.6g}", file=sys.stderr)

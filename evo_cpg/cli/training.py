@@ -1,21 +1,20 @@
 """The commands that evolve and check: train, resume, verify, validate."""
 
 import math
-import platform
 import sys
-import time
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from evo_cpg.api.load import class_folders
+from evo_cpg.api.training import Recorder, begin_run, evolve, now, require_configured
 from evo_cpg.cli.building import build, read_config
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.progress import progress, working
 from evo_cpg.config.errors import ConfigError
+from evo_cpg.config.fingerprint import changes, fingerprint
 from evo_cpg.config.load import dump_config, load_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.control.brain_cpg import BrainCpg
@@ -30,8 +29,6 @@ from evo_cpg.training.run_folder import RunFolder, RunFolderError
 # machine of the training run they are equal; another processor rounds differently.
 REPLAY_TOLERANCE = 1e-3
 
-_PACKAGES = ("evo-cpg", "jax", "jaxlib", "equinox", "numpy")
-
 
 def start_run(
     path: Path, overrides: Sequence[str], out: Path | None, cores: int | None, strict: bool = False
@@ -42,8 +39,7 @@ def start_run(
     devices = use_cores(cores)
     experiment = build(config, path)
     folder = RunFolder(out or Path("runs") / config.name)
-    meta = _meta(config, devices, path) | described(experiment.simulation.engine)
-    folder.create(dump_config(config), meta)
+    begin_run(folder, config, experiment, devices, path)
     _evolve(experiment, folder)
 
 
@@ -51,6 +47,14 @@ def resume_run(run: Path, generations: int | None, cores: int | None) -> None:
     """`evo-cpg resume`."""
     devices = use_cores_of(run, cores)
     folder, config, experiment = open_run(run)
+    require_configured(folder)
+    changed = changes(folder.read_meta().get("fingerprint"), fingerprint(config))
+    if changed:
+        print(
+            f"evo-cpg: warning: {run}: changed since the run was last started: "
+            f"{', '.join(changed)}; what is evolved from here on is evolved under the new one",
+            file=sys.stderr,
+        )
     if generations is not None:
         evolution = config.evolution.model_copy(update={"generations": generations})
         config = config.model_copy(update={"evolution": evolution})
@@ -73,7 +77,7 @@ def resume_run(run: Path, generations: int | None, cores: int | None) -> None:
             )
     folder.reopen(dump_config(config))
     engine = described(experiment.simulation.engine)
-    folder.update_meta(devices=devices, resumed=now(), **engine)
+    folder.update_meta(devices=devices, resumed=now(), fingerprint=fingerprint(config), **engine)
     _evolve(experiment, folder)
 
 
@@ -81,6 +85,7 @@ def verify_run(run: Path, cores: int | None) -> None:
     """`evo-cpg verify`."""
     use_cores_of(run, cores)
     folder, _, experiment = open_run(run)
+    require_configured(folder)
     champion, _, digests = folder.load_champion()
     differences = []
     if digests["genes_sha256"] != genes_digest(champion.genes):
@@ -173,12 +178,6 @@ def open_run(run: Path) -> tuple[RunFolder, ExperimentConfig, Experiment]:
     return folder, config, build(config, folder.config, class_folders(folder))
 
 
-def class_folders(folder: RunFolder) -> list[Path]:
-    """Where a user's own classes lie: beside the config that the run was started with."""
-    origin = folder.read_meta().get("config")
-    return [Path(origin).parent] if isinstance(origin, str) else []
-
-
 def open_champion(
     run: Path, number: int | None = None
 ) -> tuple[Experiment, Champion, Any, RunFolder]:
@@ -243,15 +242,12 @@ def live_again(experiment: Experiment, champion: Champion, devices: int, trial: 
 
 def _evolve(experiment: Experiment, folder: RunFolder) -> None:
     with working("starting JAX"):
-        from evo_cpg.training.loop import compile_replay, train
+        import evo_cpg.training.loop  # noqa: F401
 
-    done, devices = folder.load(), folder.read_meta()["devices"]
+    done = folder.load()
     start = done.generation if done else 0
     try:
-        # The recording takes a program of its own. It is compiled while the population evolves:
-        # one core is busy for some seconds, and nobody waits for it at the end.
-        with ThreadPoolExecutor(1, "recording") as beside:
-            programs = []
+        with Recorder(experiment, folder) as recorder:
             with progress(
                 experiment.name,
                 "generation",
@@ -263,22 +259,9 @@ def _evolve(experiment: Experiment, folder: RunFolder) -> None:
                 def tell(rows: list[dict[str, float]]) -> None:
                     show(int(rows[0]["generation"]), _standing(rows), rows[0]["seconds"])
 
-                def compile_beside() -> None:
-                    programs.append(beside.submit(compile_replay, experiment, devices))
-
-                checkpoint = train(experiment, folder, tell, on_compiled=compile_beside)
-            champion = checkpoint.champion
-            if champion is None:
-                raise RunFolderError(
-                    f"{folder.path}: every individual of every generation diverged, so there is "
-                    "no champion; try more substeps or weaker motors"
-                )
+                champion = evolve(experiment, folder, tell, recorder)
             with working("recording the champion's motion"):
-                if not programs:
-                    compile_beside()
-                _, _, motion = programs[0].result()(champion)
-            folder.save_champion(champion, motion)
-            folder.update_meta(finished=now())
+                recorder.keep(champion)
     except KeyboardInterrupt:
         print(f"interrupted; go on with `evo-cpg resume {folder.path}`", file=sys.stderr)
         raise
@@ -328,23 +311,3 @@ def _report(run: Path, differences: list[str]) -> None:
         for difference in differences:
             print(f"evo-cpg: {run}: {difference}", file=sys.stderr)
         raise SystemExit(2)
-
-
-def _meta(config: ExperimentConfig, devices: int, path: Path) -> dict[str, Any]:
-    return {
-        "name": config.name,
-        "seed": config.seed,
-        "config": str(path.resolve()),
-        "command": sys.argv[1:],
-        "versions": {package: metadata.version(package) for package in _PACKAGES},
-        "python": platform.python_version(),
-        "machine": platform.machine(),
-        "system": platform.platform(),
-        "devices": devices,
-        "started": now(),
-    }
-
-
-def now() -> str:
-    """The time of day, with the zone."""
-    return time.strftime("%Y-%m-%dT%H:%M:%S%z")

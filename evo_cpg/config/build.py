@@ -1,15 +1,14 @@
 """From a checked configuration to an experiment."""
 
-import importlib
-import inspect
 import sys
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from evo_cpg.config.errors import ConfigError
+from evo_cpg.config.own_classes import build_own
+from evo_cpg.config.own_returns import check_own_returns
 from evo_cpg.config.schema.choice import CustomConfig
 from evo_cpg.config.schema.evolution import BitEvolutionConfig, RealEvolutionConfig
 from evo_cpg.config.schema.experiment import ExperimentConfig
@@ -36,9 +35,11 @@ from evo_cpg.physics.footing import make_footing
 from evo_cpg.physics.world import World
 from evo_cpg.simulation.noise import Noise
 from evo_cpg.simulation.reach_light import ReachLight
-from evo_cpg.simulation.rollout import Simulation
+from evo_cpg.simulation.sensor import Sensor
 from evo_cpg.simulation.sensors import place_sensors
+from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.task import Task
+from evo_cpg.simulation.velocity_sensor import VelocitySensor
 from evo_cpg.simulation.walk import Distance, Walk
 from evo_cpg.training.experiment import Experiment, Learning
 
@@ -74,7 +75,9 @@ def build_experiment(
     tree = build_tree(creature)
     world = _build_world(config, creature, tree, apart)
     genetics = config.evolution
-    controller = _build_controller(config, creature, tree, source)
+    extra_sensors = _build_sensors(config, tree, source)
+    custom = sum(sensor.count for sensor in extra_sensors)
+    controller = _build_controller(config, creature, tree, custom, source)
     noise = Noise(
         joint_angle=float(np.deg2rad(config.noise.joint_angle_deg)),
         tilt=float(np.deg2rad(config.noise.tilt_deg)),
@@ -104,21 +107,24 @@ def build_experiment(
     elif noise.silent:
         # One trial is as good as many.
         trials = 1
+    simulation = Simulation(
+        world=world,
+        sensors=place_sensors(creature, tree),
+        controller=controller,
+        task=task,
+        control_rate=config.simulation.control_rate_hz,
+        substeps=config.simulation.substeps,
+        steps=config.simulation.steps,
+        noise=noise,
+        situations=situations,
+        engine=engine,
+        extra_sensors=extra_sensors,
+    )
+    check_own_returns(config, simulation, source)
     return Experiment(
         name=config.name,
         creature=creature,
-        simulation=Simulation(
-            world=world,
-            sensors=place_sensors(creature, tree),
-            controller=controller,
-            task=task,
-            control_rate=config.simulation.control_rate_hz,
-            substeps=config.simulation.substeps,
-            steps=config.simulation.steps,
-            noise=noise,
-            situations=situations,
-            engine=engine,
-        ),
+        simulation=simulation,
         genetics=genetics.build(),
         generations=genetics.generations,
         seed=config.seed,
@@ -206,30 +212,43 @@ def _surface_points(
     return make_patches(tree, form, skin, water.law, surfacing, apart)
 
 
+def _build_sensors(config: ExperimentConfig, tree: Tree, source: Path | str) -> tuple[Sensor, ...]:
+    step = 1.0 / config.simulation.control_rate_hz
+    return tuple(
+        build_own(given, Sensor, ("creature", "sensors", i), source, tree=tree, control_step=step)
+        if isinstance(given, CustomConfig)
+        else VelocitySensor(given.body, given.full_scale)
+        for i, given in enumerate(config.creature.sensors)
+    )
+
+
 def _build_controller(
-    config: ExperimentConfig, creature: Creature, tree: Tree, source: Path | str
+    config: ExperimentConfig, creature: Creature, tree: Tree, custom: int, source: Path | str
 ) -> Controller:
     given = config.controller
     eyes, pressure = len(creature.light_sensors), len(creature.pressure_sensors)
     depth = len(creature.depth_sensors)
     step = 1.0 / config.simulation.control_rate_hz
     if isinstance(given, CustomConfig):
-        return _custom(
+        return build_own(
             given,
             Controller,
-            "controller",
+            ("controller",),
             source,
             tree=tree,
             light_count=eyes,
             pressure_count=pressure,
             control_step=step,
             depth_count=depth,
+            custom_count=custom,
         )
     options = {name: getattr(given, name) for name in type(given).model_fields if name != "type"}
     try:
         if given.type == "postures":
             return build_posture_controller(tree, PostureSettings(**options), step)
-        return build_brain_cpg(tree, eyes, pressure, BrainCpgSettings(**options), step, depth)
+        return build_brain_cpg(
+            tree, eyes, pressure, BrainCpgSettings(**options), step, depth, custom
+        )
     except CouplingError as error:
         raise ConfigError(source, ("controller", "cpg", *error.where), str(error)) from None
     except ValueError as error:
@@ -241,7 +260,7 @@ def _build_task(
 ) -> Task:
     given = config.task
     if isinstance(given, CustomConfig):
-        return _custom(given, Task, "task", source)
+        return build_own(given, Task, ("task",), source)
     if isinstance(given, DistanceConfig):
         return Distance(heading=given.heading)
     if isinstance(given, WalkConfig):
@@ -256,30 +275,3 @@ def _build_task(
         light_weight=given.light_weight,
         final_steps=max(1, round(given.final_seconds * config.simulation.control_rate_hz)),
     )
-
-
-def _custom(given: CustomConfig, kind: type, section: str, source: Path | str, **extra) -> Any:
-    """Build a user's own class, from its options and what it takes of ``extra``."""
-    module_name, _, class_name = given.type.partition(":")
-    try:
-        made = getattr(importlib.import_module(module_name), class_name)
-    except Exception as error:
-        # Whatever the user's module raises is about the user's module.
-        raise ConfigError(
-            source,
-            (section, "type"),
-            f"{given.type!r} cannot be imported ({type(error).__name__}: {error})",
-        ) from None
-    if not (isinstance(made, type) and issubclass(made, kind)):
-        raise ConfigError(
-            source,
-            (section, "type"),
-            f"{given.type!r} is not a subclass of {kind.__module__}:{kind.__name__}",
-        )
-    taken = inspect.signature(made).parameters
-    try:
-        return made(**given.options, **{name: extra[name] for name in extra if name in taken})
-    except (TypeError, ValueError) as error:
-        raise ConfigError(
-            source, (section, "options"), f"{given.type} cannot be built with them ({error})"
-        ) from None

@@ -1,5 +1,6 @@
 """From a YAML file and overrides to a checked configuration."""
 
+import copy
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -53,13 +54,29 @@ def load_config(path: Path | str, overrides: Sequence[str] = ()) -> ExperimentCo
         ConfigError: anything that is wrong with it, in words for the user.
     """
     path = Path(path)
-    data = _read_yaml(path)
-    _read_files(data, path)
+    return complete_config(_read_yaml(path), path, overrides)
+
+
+def complete_config(
+    data: dict[str, Any], source: Path, overrides: Sequence[str] = ()
+) -> ExperimentConfig:
+    """Check the contents of a configuration file, with those of the files that it names.
+
+    Args:
+        data: the contents.
+        source: the file; others are looked for beside it.
+        overrides: ``key.path=value`` with a YAML value, applied in order.
+
+    Raises:
+        ConfigError: anything that is wrong with it, in words for the user.
+    """
+    data = copy.deepcopy(data)
+    _read_files(data, source)
     for override in overrides:
         _apply(data, override)
-        _read_files(data, path)
-    _read_meshes(data, path)
-    return check_config(data, path)
+        _read_files(data, source)
+    _read_meshes(data, source)
+    return check_config(data, source)
 
 
 def check_config(data: dict[str, Any], source: Path | str) -> ExperimentConfig:

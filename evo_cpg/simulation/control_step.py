@@ -108,7 +108,7 @@ def starting_animal(
         disturb_start(simulation.noise, simulation.world.tree, rest, keys),
         simulation.controller.initial_state(batch, dtype),
         jnp.zeros((len(simulation.sensors.pressure_bodies), *batch), dtype),
-        _no_forces(simulation, rest) if simulation.extra_sensors else None,
+        no_forces(simulation, rest) if simulation.extra_sensors else None,
     )
 
 
@@ -152,7 +152,7 @@ def sense(simulation: Simulation, life: Life, animal: Animal) -> Observation:
         return *see(simulation.sensors, kin, place), fathom(simulation.sensors, world, kin)
 
     def read(state: State, forces: Forces, light: Array | None) -> Array:
-        snapshot = _snapshot(simulation, life._replace(light=light), state)
+        snapshot = snapshot_of(simulation, life._replace(light=light), state)
         return jnp.concatenate([one.sense(snapshot, forces) for one in simulation.extra_sensors])
 
     ndim = state.position.ndim - 1
@@ -189,7 +189,7 @@ def move(
         forces = _add_share(forces, effort, 1.0 / simulation.substeps)
         return (state, energy + effort.energy, airborne, forces, support), None
 
-    none, still = jnp.zeros(batch, state.q.dtype), _no_forces(simulation, state)
+    none, still = jnp.zeros(batch, state.q.dtype), no_forces(simulation, state)
     start = state, none, none, still, still.contact_force
     (moved, energy, airborne, forces, support), _ = jax.lax.scan(
         advance, start, None, length=simulation.substeps
@@ -208,12 +208,13 @@ def move(
 def transition(simulation: Simulation, life: Life, effects: Effects, index: Array) -> Transition:
     """A control step as a task sees it."""
     before, after = (
-        _snapshot(simulation, life, state) for state in (effects.before, effects.after)
+        snapshot_of(simulation, life, state) for state in (effects.before, effects.after)
     )
     return Transition(index, before, after, *effects[2:])
 
 
-def _snapshot(simulation: Simulation, life: Life, state: State) -> Snapshot:
+def snapshot_of(simulation: Simulation, life: Life, state: State) -> Snapshot:
+    """The animal in a state, as tasks and sensors see it."""
     light = _light_of(life, life.light, state.position)
     return Snapshot(simulation.world, 1.0 / simulation.control_rate, state, light)
 
@@ -224,7 +225,8 @@ def _light_of(life: Life, own: Array | None, position: Array) -> Array | None:
     return None if place is None else lift(place, position)
 
 
-def _no_forces(simulation: Simulation, state: State) -> Forces:
+def no_forces(simulation: Simulation, state: State) -> Forces:
+    """Those of motors that do nothing, off the ground."""
     footing = simulation.world.footing
     places = 0 if footing is None else len(footing.bodies)
     batch = state.position.shape[1:]

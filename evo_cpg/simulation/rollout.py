@@ -182,7 +182,7 @@ def _trial(
 
         name = f"{_name(task)}.update"
         tally = fuse(update, tally, effects, life.light, batch_ndim=ndim, name=name)
-        sane = fuse(_is_sane, animal.state, batch_ndim=ndim)
+        sane = fuse(is_sane, animal.state, batch_ndim=ndim)
         frame = {}
         if recorded.stop:
             frame = fuse(functools.partial(_frame, tree), effects, batch_ndim=ndim)
@@ -213,6 +213,8 @@ def _frame(tree: Tree, effects: Effects) -> dict[str, Array]:
         "target_rate": effects.command.target_rate,
         "cpg_output": effects.command.signal,
         "torque": effects.forces.torque,
+        "contact_force": effects.forces.contact_force,
+        "energy": effects.energy,
     }
 
 
@@ -257,7 +259,7 @@ def _name(part: Any) -> str:
     return type(part).__name__
 
 
-def _is_sane(state: State) -> Bool[Array, " *n"]:
+def is_sane(state: State) -> Bool[Array, " *n"]:
     """False where the motion has blown up, NaN included."""
     speed = jnp.abs(state.velocity[3:]).max(0)
     rate = jnp.abs(state.velocity[:3]).max(0)

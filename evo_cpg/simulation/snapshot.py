@@ -153,7 +153,7 @@ class Snapshot:
     def _mean(self, of_bodies: Float[Array, "3 b *n"]) -> Float[Array, "3 *n"]:
         """Over the mass."""
         mass = lift(self.world.tree.mass, of_bodies[0])
-        return (of_bodies * mass[None]).sum(1) / mass.sum(0)
+        return (of_bodies * mass[None]).sum(1) / mass.sum()
 
 
 def _index(names: tuple[str, ...], name: str, kind: str) -> int:

@@ -96,6 +96,14 @@ class Task(eqx.Module):
         del terms
         return {}
 
+    def descriptors(self, terms: Mapping[str, Float[Array, " n"]]) -> dict[str, Array]:
+        """Of the terms, those that say how an animal behaves rather than how well.
+
+        They are for searches that look for variety; none unless overridden.
+        """
+        del terms
+        return {}
+
     @abc.abstractmethod
     def fitness(
         self, terms: Mapping[str, Float[Array, " *n"]], scales: Mapping[str, Float[Array, ""]]

@@ -1,5 +1,6 @@
 """A user's own task and controller, in a module beside the config, train without a fork."""
 
+import hashlib
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from evo_cpg.control.controller import Command, Controller
+from evo_cpg.simulation.sensor import Sensor
 from evo_cpg.simulation.task import Task
+from my_scale import SCALE
 
 class SineController(Controller):
     gene_count: int = eqx.field(static=True, default=2)
@@ -49,6 +52,12 @@ class GoForward(Task):
     def fitness(self, terms, scales):
         return terms["distance"] + self.bonus
 
+class Variometer(Sensor):
+    count: int = eqx.field(static=True, default=1)
+
+    def sense(self, snapshot, forces):
+        return snapshot.state.velocity[5:6] * SCALE
+
 class Slopeless(GoForward):
     def fitness(self, terms, scales):
         distance = super().fitness(terms, scales)
@@ -76,6 +85,7 @@ def race(folder: Path, task: dict[str, Any]) -> Path:
     mine = folder / "mine"
     mine.mkdir()
     (mine / "my_animal.py").write_text(MODULE)
+    (mine / "my_scale.py").write_text("SCALE = 0.5\n")
     written = mine / "race.yaml"
     written.write_text(yaml.safe_dump(config))
     return written
@@ -113,3 +123,30 @@ def test_a_fitness_without_slopes_is_not_refined_in_silence(finish, tmp_path):
     assert "no slope was finite" in err
     # It tells as well that somebody made the world an easier one since.
     assert f"fitness is {recorded + 1:.4f} here, not {recorded:.4f} as recorded" in err
+
+
+def test_resume_says_what_changed_since_the_run_began(finish, tmp_path):
+    config = race(tmp_path, {"type": "my_animal:GoForward", "options": {"bonus": 0.0}})
+    sensors = "creature.sensors=[{type: 'my_animal:Variometer'}]"
+    run = tmp_path / "run"
+    code, _, err = finish("train", config, *SETTINGS, sensors, "--out", run, "--cores", 1)
+    assert code == 0, err
+    folder = RunFolder(run)
+    kept = folder.read_meta()["fingerprint"]
+    scale = config.with_name("my_scale.py")
+    assert kept["code"] == {
+        path.stem: hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in (scale, scale.with_name("my_animal.py"))
+    }
+    code, _, err = finish("resume", run, "--generations", 3)
+    assert code == 0 and "warning" not in err, err
+    folder.config.write_text(folder.config.read_text().replace("bonus: 0.0", "bonus: 1.0"))
+    scale.write_text("SCALE = 0.25\n")
+    code, _, err = finish("resume", run, "--generations", 4)
+    assert code == 0, err
+    assert err.startswith(
+        f"evo-cpg: warning: {run}: changed since the run was last started: task.options, the "
+        "source of my_scale; "
+    )
+    code, _, err = finish("resume", run, "--generations", 4)
+    assert code == 0 and "warning" not in err, err

@@ -14,6 +14,8 @@ from tiny_run import CONFIG, REPOSITORY, TINY
 
 TASKS = """
 import jax.numpy as jnp
+from evo_cpg.control.controller import Command, Controller
+from evo_cpg.simulation.sensor import Sensor
 from evo_cpg.simulation.task import Task
 
 class NotATask: ...
@@ -39,6 +41,40 @@ class Jump(Task):
 
     def fitness(self, terms, scales):
         return terms["jump"]
+
+class Forgets(Jump):
+    def update(self, tally, transition, steps):
+        return tally[None]
+
+class Nameless(Jump):
+    def terms(self, tally, steps):
+        return tally
+
+class Wholesale(Jump):
+    def fitness(self, terms, scales):
+        return terms["jump"].mean()
+
+class Lost(Jump):
+    def update(self, tally, transition, steps):
+        return transition.after.position[2, transition.after.body("nose")]
+
+class Numb(Sensor):
+    count: int = 2
+
+    def sense(self, snapshot, forces):
+        return snapshot.state.velocity[:3]
+
+class Stiff(Controller):
+    gene_count: int = 1
+
+    def random_genes(self, key, batch, dtype):
+        return jnp.zeros((1, *batch), dtype)
+
+    def initial_state(self, batch, dtype):
+        return jnp.zeros(batch, dtype)
+
+    def act(self, decoded, state, observation):
+        return state, Command(decoded, decoded)
 """
 
 
@@ -178,11 +214,68 @@ def test_a_film_of_unknown_kind_or_size_is_refused(refused, finished_run, tmp_pa
         ("my_tasks:Jump", {"hieght": 2}, "cannot be built with them (Jump.__init__() got an unexp"),
         ("my_tasks:Jump", {"height": -2}, "height must not be negative, got -2"),
         ("my tasks:Jump", {}, "task.type: 'my tasks:Jump': string should match pattern"),
+        (
+            "my_tasks:Forgets",
+            {},
+            "task.type: Forgets.update must return the tally with the same structure, shapes and "
+            "types as it began with, float32[7]; got float32[1, 7]",
+        ),
+        ("my_tasks:Nameless", {}, "task.type: Nameless.terms must return a dict by name, not"),
+        (
+            "my_tasks:Wholesale",
+            {},
+            "task.type: Wholesale.fitness must return one number, shape (7,), the last axis being "
+            "individuals (7 here); got float32[]",
+        ),
+        (
+            "my_tasks:Lost",
+            {},
+            "task.type: Lost.update fails (ValueError: there is no body 'nose'; there are head, ",
+        ),
     ],
 )
 def test_a_task_of_ones_own_that_does_not_fit_is_refused(
     refused, tmp_path, monkeypatch, kind, options, expected
 ):
+    config = written_beside_tasks(tmp_path, monkeypatch)
+    config["task"] = {"type": kind, "options": options}
+    (tmp_path / "x.yaml").write_text(yaml.safe_dump(config))
+    assert expected in refused("train", "x.yaml", "--out", "run")
+
+
+@pytest.mark.parametrize(
+    ("override", "expected"),
+    [
+        (
+            "creature.sensors=[{type: 'my_tasks:Numb'}]",
+            "creature.sensors.0.type: Numb.sense must return 2, shape (2, 7), the last axis being "
+            "individuals (7 here); got float32[3, 7]",
+        ),
+        (
+            "creature.sensors=[{type: 'my_tasks:Jump'}]",
+            "creature.sensors.0.type: 'my_tasks:Jump' is not a subclass of "
+            "evo_cpg.simulation.sensor:Sensor",
+        ),
+        ("creature.sensors=[{type: velocty}]", "'velocty' is not known; allowed: 'velocity', or m"),
+        ("creature.sensors=[{body: head}]", "creature.sensors.0.type: is missing and has no de"),
+        ("creature.sensors=[{type: velocity, body: hed}]", "did you mean 'head'?"),
+        (
+            "controller={type: 'my_tasks:Stiff'}",
+            "controller.type: Stiff.act must return 27 for its target_rate, shape (27, 7), the "
+            "last axis being individuals (7 here); got float32[1, 7]",
+        ),
+    ],
+)
+def test_a_sensor_or_controller_of_ones_own_that_does_not_fit_is_refused(
+    refused, tmp_path, monkeypatch, override, expected
+):
+    config = written_beside_tasks(tmp_path, monkeypatch)
+    (tmp_path / "x.yaml").write_text(yaml.safe_dump(config))
+    assert expected in refused("train", "x.yaml", override, "--out", "run")
+
+
+def written_beside_tasks(tmp_path, monkeypatch):
+    """A configuration; the module lies beside where it is to be written."""
     (tmp_path / "my_tasks.py").write_text(TASKS)
     (tmp_path / "broken_tasks.py").write_text("def :\n")
     monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
@@ -190,9 +283,7 @@ def test_a_task_of_ones_own_that_does_not_fit_is_refused(
     monkeypatch.delitem(sys.modules, "my_tasks", raising=False)
     config = yaml.safe_load(CONFIG.read_text())
     config["creature"] = str(REPOSITORY / "configs" / config["creature"])
-    config["task"] = {"type": kind, "options": options}
-    (tmp_path / "x.yaml").write_text(yaml.safe_dump(config))
-    assert expected in refused("train", "x.yaml", "--out", "run")
+    return config
 
 
 def test_validate_reports_every_file_and_fails_if_one_is_wrong(cli, tmp_path):

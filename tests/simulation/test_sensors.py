@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from creatures import random_creature, random_state
 from evo_cpg.creature.creature import DepthSensor
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.physics.fluid import Water
@@ -17,7 +18,9 @@ from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import State, resting_state
 from evo_cpg.physics.world import World
 from evo_cpg.simulation.sensors import fathom, feel, light_strength, place_sensors, see
-from evo_cpg.spatial.rotation import euler_to_matrix
+from evo_cpg.simulation.snapshot import Forces, Snapshot
+from evo_cpg.simulation.velocity_sensor import VelocitySensor
+from evo_cpg.spatial.rotation import euler_to_matrix, integrate_quaternion
 from trials import EYES, swimmer
 
 
@@ -155,3 +158,33 @@ def test_depth_gauges_read_the_depth_of_their_own_place(x64):
             resting_state(tree, dtype=jnp.float64, position=(0.0, 0.0, -0.5), orientation=down),
         )
         np.testing.assert_allclose(fathom(sensors, world, kin), expected, rtol=0, atol=1e-9)
+
+
+def test_velocities_are_how_fast_the_bodies_get_on(x64):
+    """Central differences of the poses; a velocity sensor tells them in the body's own axes."""
+    rng = np.random.default_rng(3)
+    tree = build_tree(random_creature(rng, ((0, 2), (1, 1), (0, 3), (3, 1))))
+    state, h = random_state(tree, rng, (4,)), 1e-6
+
+    def after(time):
+        v = state.velocity
+        turned = integrate_quaternion(state.orientation, v[:3], time)
+        place, q = state.position + time * v[3:], state.q + time * state.qd
+        return Snapshot(World(tree, 9.81), 1 / 60, State(place, turned, v, q, state.qd))
+
+    now, later, before = after(0.0), after(h), after(-h)
+    rate = (later.position - before.position) / (2 * h)
+    np.testing.assert_allclose(now.velocity, rate, rtol=1e-6, atol=1e-6)
+    centre = (later.centre_of_mass - before.centre_of_mass) / (2 * h)
+    np.testing.assert_allclose(now.centre_of_mass_velocity, centre, rtol=1e-6, atol=1e-6)
+    turning = jnp.einsum(
+        "ijbn,kjbn->ikbn", (later.rotation - before.rotation) / (2 * h), now.rotation
+    )
+    spin = jnp.stack([turning[2, 1], turning[0, 2], turning[1, 0]])
+    np.testing.assert_allclose(now.angular_velocity, spin, rtol=1e-6, atol=1e-6)
+    none = Forces(jnp.zeros_like(state.q), jnp.zeros((3, 0, 4)))
+    read = VelocitySensor("b3", 100.0).sense(now, none)
+    i = tree.names.index("b3")
+    own = np.einsum("ijn,in->jn", now.rotation[:, :, i], rate[:, i])
+    np.testing.assert_allclose(read, own / 100.0, rtol=1e-6, atol=1e-8)
+    assert np.abs(VelocitySensor("b3", 1e-3).sense(now, none)).max() == 1.0

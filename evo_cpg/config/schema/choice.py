@@ -14,16 +14,18 @@ class CustomConfig(Section):
     options: dict[str, Any] = Field(default_factory=dict)
 
 
-def by_type(default: str) -> Discriminator:
+def by_type(default: str | None) -> Discriminator:
     """What tells the kinds apart: the tag is ``type``, or ``custom`` for a class of your own.
 
     Args:
-        default: the kind where no ``type`` is given.
+        default: the kind where no ``type`` is given; None where it has to be.
     """
 
-    def kind(value: Any) -> str:
+    def kind(value: Any) -> str | None:
         written = value.get("type", default) if isinstance(value, dict) else None
         given = getattr(value, "type", default) if written is None else written
+        if given is None:
+            return None
         return "custom" if isinstance(given, str) and ":" in given else str(given)
 
     return Discriminator(kind)

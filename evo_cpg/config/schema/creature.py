@@ -9,6 +9,7 @@ from typing_extensions import override
 
 from evo_cpg.config.schema.copies import SIDES, Copy, Entry, MirrorAxis, copies, copies_named
 from evo_cpg.config.schema.section import Finite, NotNegative, Positive, Section, Share, Vector
+from evo_cpg.config.schema.sensor import SensorConfig, VelocitySensorConfig
 from evo_cpg.creature.creature import (
     Actuator,
     Body,
@@ -364,6 +365,7 @@ class CreatureConfig(Section):
         light_sensors: its eyes.
         pressure_sensors: ``all`` bodies, or a list of names.
         depth_sensors: its depth gauges.
+        sensors: further ones, told apart by their ``type``.
     """
 
     name: str
@@ -372,6 +374,7 @@ class CreatureConfig(Section):
     light_sensors: list[LightSensorConfig] = Field(default_factory=list)
     pressure_sensors: Literal["all"] | list[str] = "all"
     depth_sensors: list[DepthSensorConfig] = Field(default_factory=list)
+    sensors: list[SensorConfig] = Field(default_factory=list)
 
     def build(self) -> Creature:
         """The creature.
@@ -452,6 +455,9 @@ class CreatureConfig(Section):
             refer(("light_sensors", i, "body"), eye.body)
         for i, gauge in enumerate(self.depth_sensors):
             refer(("depth_sensors", i, "body"), gauge.body)
+        for i, sensor in enumerate(self.sensors):
+            if isinstance(sensor, VelocitySensorConfig):
+                refer(("sensors", i, "body"), sensor.body)
         if self.pressure_sensors != "all":
             for i, name in enumerate(self.pressure_sensors):
                 refer(("pressure_sensors", i), name)

@@ -1,0 +1,184 @@
+"""The animal as an environment of reinforcement learning, in the manner of Brax.
+
+``reset(key)`` and ``step(state, action)`` are pure functions of one animal, for `jax.jit`,
+`jax.vmap` and `jax.lax.scan`. The rewards of an episode add up to the task's fitness: each is what
+the control step changed of the fitness that the trial would have if it stopped there (with the
+averages over the whole trial).
+"""
+
+import dataclasses
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from evo_cpg.control.controller import Command, Observation
+from evo_cpg.fusion.engine import using
+from evo_cpg.fusion.fuse import fuse
+from evo_cpg.simulation.control_step import (
+    Animal,
+    Life,
+    move,
+    push,
+    sense,
+    starting_animal,
+    transition,
+)
+from evo_cpg.simulation.rollout import is_sane
+from evo_cpg.simulation.simulation import Simulation
+from evo_cpg.simulation.situation import light_places
+
+
+class EnvironmentState(eqx.Module):
+    """What goes on from step to step; fields may be added.
+
+    Attributes:
+        obs: what the animal senses.
+        reward: of the last step.
+        done: the trial is over, or the animal diverged.
+        metrics: the task's terms so far.
+        inner: everything else, which is not part of the stable interface.
+    """
+
+    obs: Float[Array, " o"]
+    reward: Float[Array, ""]
+    done: Bool[Array, ""]
+    metrics: dict[str, Float[Array, ""]]
+    inner: "_Inner"
+
+
+class _Inner(eqx.Module):
+    animal: Animal
+    tally: Any
+    value: Float[Array, ""]
+    number: Int[Array, ""]
+    alive: Bool[Array, ""]
+    keys: Array | None
+
+
+class Environment:
+    """One animal in its world, without a controller of its own; see `Experiment.environment`.
+
+    Attributes:
+        action_names: degree of freedom that each number of an action moves.
+        action_size: how many they are.
+        observation_sizes: what an observation is made of, in order (see
+            `evo_cpg.control.controller.Observation`), and how many numbers each part has.
+        observation_size: how many they are together.
+        episode_length: steps of a trial.
+    """
+
+    def __init__(
+        self,
+        simulation: Simulation,
+        scales: dict[str, Float[Array, ""]],
+        actions: str,
+        trial: int,
+    ):
+        tree = simulation.world.tree
+        if actions not in ("rates", "angles"):
+            raise ValueError(f"actions must be 'rates' or 'angles', got {actions!r}")
+        if actions == "angles" and not np.asarray(tree.servo_stiffness).any():
+            raise ValueError("actions='angles' needs motors with a stiffness, and none has one")
+        situations = simulation.situations
+        own = situations[trial if len(situations) > 1 else 0]
+        self._simulation = dataclasses.replace(simulation, situations=(own,))
+        self._scales, self._actions = scales, actions
+        self.action_names, self.action_size = tree.dof_names, tree.dof_count
+        self.episode_length = simulation.steps
+        seen = jax.eval_shape(lambda: self._sense(self._start(None), None)[1])
+        self.observation_sizes = {
+            name: x.shape[0] for name, x in seen._asdict().items() if x is not None
+        }
+        self.observation_size = sum(self.observation_sizes.values())
+
+    def reset(self, key: Array) -> EnvironmentState:
+        """The animal at its start.
+
+        Args:
+            key: of the noise in the trial, if there is any.
+        """
+        key = (
+            key if jnp.issubdtype(key.dtype, jax.dtypes.prng_key) else jax.random.wrap_key_data(key)
+        )
+        keys = None if self._simulation.noise.silent else jax.random.key_data(key)
+        with using(self._simulation.engine):
+            animal, observation = self._sense(self._start(keys), keys)
+            tally = self._simulation.task.begin((), jnp.dtype("float32"), self.episode_length)
+            terms, value = self._judge(tally)
+        inner = _Inner(animal, tally, value, jnp.int32(0), jnp.asarray(True), keys)
+        return EnvironmentState(
+            _vector(observation), jnp.float32(0.0), jnp.asarray(False), terms, inner
+        )
+
+    def step(self, state: EnvironmentState, action: Float[Array, " a"]) -> EnvironmentState:
+        """The animal one control step later. It does not start anew when it is done.
+
+        Args:
+            state: from `reset` or the step before.
+            action: of every degree of freedom, rad/s or rad.
+
+        Raises:
+            ValueError: the action is not of the right shape.
+        """
+        action = jnp.asarray(action, jnp.float32)
+        if action.shape != (self.action_size,):
+            raise ValueError(
+                f"action must have the shape ({self.action_size},), got {action.shape}"
+            )
+        inner, task, steps = state.inner, self._simulation.task, self.episode_length
+
+        def whole(animal: Animal, tally: Any, number: Array, keys: Array | None, action: Array):
+            still = jnp.zeros_like(action)
+            command = Command(action, still)
+            if self._actions == "angles":
+                command = Command(still, still, action)
+            life = self._life(keys)
+            seen = sense(self._simulation, life, animal)
+            animal, effects = move(self._simulation, animal, seen, command)
+            happened = transition(self._simulation, life, effects, number)
+            tally = task.update(tally, happened, steps)
+            sane = is_sane(animal.state)
+            animal, observation = self._sense(animal, keys, number + 1)
+            return animal, tally, sane, observation, self._judge(tally)
+
+        with using(self._simulation.engine):
+            given = inner.animal, inner.tally, inner.number, inner.keys, action
+            animal, tally, sane, observation, (terms, value) = fuse(
+                whole, *given, batch_ndim=0, name="a step of the environment"
+            )
+        alive, number = inner.alive & sane, inner.number + 1
+        reward = jnp.where(alive, value - inner.value, 0.0)
+        later = _Inner(animal, tally, value, number, alive, inner.keys)
+        done = ~alive | (number >= steps)
+        return EnvironmentState(_vector(observation), reward, done, terms, later)
+
+    def _start(self, keys: Array | None) -> Animal:
+        animal = starting_animal(self._simulation, keys, None, (), jnp.dtype("float32"))
+        return animal._replace(nerves=())
+
+    def _life(self, keys: Array | None) -> Life:
+        light = light_places(self._simulation.lights, None, jnp.dtype("float32"))
+        return Life((), keys, None, light)
+
+    def _sense(
+        self, animal: Animal, keys: Array | None, number: Array | int = 0
+    ) -> tuple[Animal, Observation]:
+        """The animal after the push of a control step, and what it senses."""
+        life = self._life(keys)
+        animal = push(self._simulation, life, animal, jnp.asarray(number))
+        return animal, sense(self._simulation, life, animal)
+
+    def _judge(self, tally: Any) -> tuple[dict[str, Array], Array]:
+        """The task's terms so far, and their fitness; 0 as long as it is no number."""
+        task = self._simulation.task
+        terms = task.terms(tally, self.episode_length)
+        value = task.fitness(terms, self._scales)
+        return terms, jnp.where(jnp.isfinite(value), value, 0.0)
+
+
+def _vector(observation: Observation) -> Float[Array, " o"]:
+    return jnp.concatenate([x for x in observation if x is not None])

@@ -1,0 +1,359 @@
+"""An experiment to be called from Python: individuals first, as NumPy and evosax have them.
+
+Inside the library individuals are the last axis of every array; here, and only here, they are
+turned round.
+"""
+
+import dataclasses
+import functools
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
+from jaxtyping import Array, Float
+
+from evo_cpg.api.environment import Environment
+from evo_cpg.api.record import Record, as_record
+from evo_cpg.config.schema.experiment import ExperimentConfig
+from evo_cpg.creature.creature import Creature
+from evo_cpg.physics.world import World
+from evo_cpg.simulation.backward import Backward, retention
+from evo_cpg.simulation.rollout import Outcome, as_recording, record, rollout
+from evo_cpg.simulation.task import Task
+from evo_cpg.training import experiment as training
+from evo_cpg.training.devices import population_mesh
+
+Terms = Mapping[str, Float[Array, " *n"]]
+
+
+@dataclasses.dataclass(frozen=True)
+class Trials:
+    """What the trials of a population amounted to, not yet judged.
+
+    Attributes:
+        terms: the task's terms by name.
+        alive: False where an individual diverged.
+    """
+
+    terms: dict[str, np.ndarray]
+    alive: np.ndarray
+
+
+@dataclasses.dataclass(frozen=True)
+class Evaluation:
+    """What a population is worth.
+
+    Attributes:
+        fitness: of every individual, to be maximised: the mean over its trials; -inf where it
+            diverged in any.
+        terms: the task's terms by name, likewise averaged.
+        descriptors: those terms that say how an individual behaves, see `Task.descriptors`.
+    """
+
+    fitness: np.ndarray
+    terms: dict[str, np.ndarray]
+    descriptors: dict[str, np.ndarray]
+
+
+class Experiment:
+    """A creature in a world with a nervous system and a task; made by `evo_cpg.load`.
+
+    Nothing in it changes: what evaluates, records or replaces gives something new.
+
+    Attributes:
+        config: the complete configuration.
+        source: file that it came from.
+        replaced: what was replaced in Python, and the configuration does not say.
+        parts: what it is made of, which is not part of the stable interface.
+    """
+
+    def __init__(
+        self,
+        parts: training.Experiment,
+        config: ExperimentConfig,
+        source: Path,
+        replaced: tuple[str, ...] = (),
+    ):
+        self.parts, self.config, self.source, self.replaced = parts, config, source, replaced
+
+    @property
+    def name(self) -> str:
+        """What the configuration calls it."""
+        return self.parts.name
+
+    @property
+    def creature(self) -> Creature:
+        """The animal."""
+        return self.parts.creature
+
+    @property
+    def world(self) -> World:
+        """The animal in its surroundings."""
+        return self.parts.simulation.world
+
+    @property
+    def task(self) -> Task:
+        """What it is judged by."""
+        return self.parts.simulation.task
+
+    @property
+    def gene_count(self) -> int:
+        """Numbers in a genome."""
+        return self.parts.simulation.controller.gene_count
+
+    @property
+    def population(self) -> int:
+        """Individuals in a generation, as the configuration has it."""
+        return self.parts.genetics.population
+
+    @property
+    def trials(self) -> int:
+        """Trials of every individual."""
+        return self.parts.trials
+
+    def random_genomes(self, key: ArrayLike, count: int | None = None) -> np.ndarray:
+        """Genomes of a first generation, ``(count, genes)``.
+
+        Args:
+            key: of all chance: a number, or a key of JAX.
+            count: how many; None for the configuration's population.
+        """
+        controller, shape = self.parts.simulation.controller, (count or self.population,)
+        return np.asarray(controller.random_genes(_key(key), shape, jnp.float32)).T.copy()
+
+    def rollout(self, key: ArrayLike, genomes: ArrayLike) -> Trials:
+        """Let every individual live through its trials.
+
+        Args:
+            key: of the noise in the trials, if there is any: a number, or a key of JAX.
+            genomes: ``(n, genes)``.
+
+        Returns:
+            Terms and survival, ``(n, trials)``.
+
+        Raises:
+            ValueError: the genomes are not of that shape.
+        """
+        genes = self._genes(genomes)
+        count, trials = genes.shape[1], self.trials
+        numbers = training.situation_numbers(self.parts)
+        outcome = self._run_trials(
+            genes,
+            jax.device_get(self._noise(_key(key), count)),
+            None if numbers is None else np.tile(numbers, count),
+            trials,
+        )
+        shaped = jax.tree.map(lambda x: x.reshape(count, trials), outcome)
+        return Trials(shaped.terms, shaped.alive)
+
+    def evaluate(self, key: ArrayLike, genomes: ArrayLike) -> Evaluation:
+        """Fitness, terms and descriptors of a population, on all cores.
+
+        Args:
+            key: of the noise in the trials, if there is any: a number, or a key of JAX.
+            genomes: ``(n, genes)``.
+
+        Raises:
+            ValueError: the genomes are not of that shape.
+        """
+        trials = self.rollout(key, genomes)
+        outcome = Outcome(*jax.tree.map(jnp.asarray, (trials.terms, trials.alive)))
+        fitness, mean = self._judge(outcome, self.scales)
+        terms = {name: np.asarray(term) for name, term in mean.terms.items()}
+        descriptors = {
+            name: np.asarray(value) for name, value in self.task.descriptors(mean.terms).items()
+        }
+        return Evaluation(np.asarray(fitness), terms, descriptors)
+
+    @functools.cached_property
+    def scales(self) -> dict[str, Float[Array, ""]]:
+        """The task's yardsticks, which `train` measures on the first generation.
+
+        They are those of the experiment's own seed (and its first run), so the same genome always
+        has the same fitness.
+        """
+        first = self.parts._replace(runs=1)
+        shapes = jax.eval_shape(lambda: self.task.scales(self._no_terms()))
+        if not shapes:
+            return {}
+        genes = np.asarray(jax.jit(lambda: training.first_population(first))())
+        keys = jax.device_get(training.generation_keys(first, 0))
+        numbers = training.situation_numbers(first)
+        numbers = None if numbers is None else np.tile(numbers, genes.shape[1])
+        outcome = self._run_trials(genes, keys, numbers, self.trials)
+        terms = {n: np.where(outcome.alive, x, np.nan) for n, x in outcome.terms.items()}
+        return self.task.scales(jax.tree.map(jnp.asarray, terms))
+
+    def fitness_function(
+        self, key: ArrayLike = 0, horizon: float | None = None
+    ) -> Callable[[ArrayLike], Float[Array, ""]]:
+        """The fitness of one genome, for `jax.grad`, `jax.jit` and `jax.vmap`.
+
+        Args:
+            key: of the noise in the trials, if there is any: a number, or a key of JAX.
+            horizon: let slopes fade to 1/e within so many seconds, which helps where the motion is
+                chaotic (see docs/models/gradients.md); None for exact slopes in water. On the
+                ground slopes are cut as well.
+        """
+        simulation, count = self.parts.simulation, self.gene_count
+        numbers: Any = training.situation_numbers(self.parts)
+        kept = None
+        if horizon is not None:
+            kept = float(retention(np.array([horizon]), simulation.control_rate)[0])
+        backward = Backward(kept, rough=simulation.world.footing is not None)
+        keys: Any = self._noise(_key(key), 1)
+        scales = self.scales
+
+        def fitness(genome: ArrayLike) -> Float[Array, ""]:
+            genome = jnp.asarray(genome)
+            if genome.shape != (count,):
+                raise ValueError(f"genome must have the shape ({count},), got {genome.shape}")
+            crowd = jnp.broadcast_to(genome[:, None], (count, self.trials))
+            outcome = rollout(simulation, crowd, keys, numbers, backward)
+            return training.judge(simulation.task, outcome, scales)[0]
+
+        return fitness
+
+    def record(self, key: ArrayLike, genome: ArrayLike, trial: int = 0) -> Record:
+        """One trial of one individual, step by step, in named columns.
+
+        Args:
+            key: as for `evaluate`.
+            genome: ``(genes,)``.
+            trial: which of its trials, from 0.
+
+        Raises:
+            ValueError: the genome is not of that shape, or there is no such trial.
+        """
+        genes = self._genes(np.asarray(genome)[None])
+        if not 0 <= trial < self.trials:
+            raise ValueError(f"trial must be from 0 to {self.trials - 1}, got {trial}")
+        keys, numbers = self._noise(_key(key), 1), training.situation_numbers(self.parts)
+        keys = None if keys is None else keys[:, trial : trial + 1]
+        frames = self._record(genes, keys, None if numbers is None else numbers[trial : trial + 1])
+        names = [body.name for body in self.creature.bodies]
+        simulation = self.parts.simulation
+        return as_record(simulation, frames, as_recording(simulation, frames, names, trial=trial))
+
+    def environment(self, actions: str = "rates", trial: int = 0) -> Environment:
+        """The animal without its controller, for reinforcement learning.
+
+        Args:
+            actions: what an action sets: ``rates`` of the joints for the motors to follow (rad/s),
+                or ``angles`` for the motors' springs to pull to (rad).
+            trial: which of its trials, from 0: where it starts, and where the light is.
+
+        Raises:
+            ValueError: there is no such trial; angles, and no motor has a spring.
+        """
+        if not 0 <= trial < self.trials:
+            raise ValueError(f"trial must be from 0 to {self.trials - 1}, got {trial}")
+        return Environment(self.parts.simulation, self.scales, actions, trial)
+
+    def with_task(self, task: Task) -> "Experiment":
+        """The same with another task."""
+        simulation = dataclasses.replace(self.parts.simulation, task=task)
+        replaced = tuple(dict.fromkeys((*self.replaced, "task")))
+        parts = self.parts._replace(simulation=simulation)
+        return Experiment(parts, self.config, self.source, replaced)
+
+    def with_fitness(self, fitness: Callable[[Terms], Float[Array, " *n"]]) -> "Experiment":
+        """The same with another fitness, made of the terms of its task.
+
+        Args:
+            fitness: a JAX function of the terms by name; it is maximised.
+        """
+        return self.with_task(_Judged(self.task.light, self.task, fitness))
+
+    @functools.cached_property
+    def _run_trials(self) -> Callable[..., Outcome]:
+        return training.compile_trials(self.parts.simulation, population_mesh())
+
+    @functools.cached_property
+    def _judge(self) -> Callable:
+        return jax.jit(functools.partial(training.judge, self.task))
+
+    @functools.cached_property
+    def _record(self) -> Callable:
+        return jax.jit(lambda *given: record(self.parts.simulation, given[0], 1, *given[1:]))
+
+    def _no_terms(self) -> dict[str, Array]:
+        steps = self.parts.simulation.steps
+        return self.task.terms(self.task.begin((1,), jnp.dtype("float32"), steps), steps)
+
+    def _genes(self, genomes: ArrayLike) -> np.ndarray:
+        """Genomes as the library has them, checked."""
+        given = np.asarray(genomes)
+        if given.ndim != 2 or given.shape[1] != self.gene_count or not len(given):
+            turned = given.ndim == 2 and given.shape[0] == self.gene_count
+            hint = "; individuals come first, so transpose them" if turned else ""
+            raise ValueError(
+                f"genomes must have the shape (n, {self.gene_count}), one row per individual, got "
+                f"{given.shape}{hint}"
+            )
+        if not np.issubdtype(given.dtype, np.number):
+            raise ValueError(f"genomes must be numbers, got {given.dtype}")
+        return given.T.astype(np.float32)
+
+    def _noise(self, key: Array, count: int) -> Array | None:
+        """Raw keys of all trials; None without noise."""
+        if self.parts.simulation.noise.silent:
+            return None
+        individual, trial = np.divmod(np.arange(count * self.trials), self.trials)
+
+        def of_trial(individual: Any, trial: Any) -> Array:
+            return jax.random.key_data(
+                jax.random.fold_in(jax.random.fold_in(key, individual), trial)
+            )
+
+        return jax.vmap(of_trial, out_axes=1)(individual, trial)
+
+
+class _Judged(Task):
+    """A task whose terms something else makes a fitness of.
+
+    Attributes:
+        light: the task's.
+        task: whose terms they are.
+        function: of the terms.
+    """
+
+    light: tuple[float, float, float] | None
+    task: Task
+    function: Callable = eqx.field(static=True)
+
+    def begin(self, batch, dtype, steps):
+        """See `Task.begin`."""
+        return self.task.begin(batch, dtype, steps)
+
+    def update(self, tally, transition, steps):
+        """See `Task.update`."""
+        return self.task.update(tally, transition, steps)
+
+    def terms(self, tally, steps):
+        """See `Task.terms`."""
+        return self.task.terms(tally, steps)
+
+    def descriptors(self, terms):
+        """See `Task.descriptors`."""
+        return self.task.descriptors(terms)
+
+    def fitness(self, terms, scales):
+        """That of the function."""
+        del scales
+        return self.function(terms)
+
+
+def _key(key: ArrayLike) -> Array:
+    """A key of JAX, from one or from a number."""
+    if isinstance(key, jax.Array) and jnp.issubdtype(key.dtype, jax.dtypes.prng_key):
+        return key
+    given = np.asarray(key)
+    if given.shape == () and np.issubdtype(given.dtype, np.integer):
+        return jax.random.key(int(given))
+    return jax.random.wrap_key_data(jnp.asarray(key))

@@ -1,0 +1,69 @@
+"""From files or dictionaries to an experiment that can be called."""
+
+import contextlib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from evo_cpg.api.experiment import Experiment
+from evo_cpg.config.build import build_experiment
+from evo_cpg.config.load import complete_config, load_config
+from evo_cpg.training.devices import use_cores
+from evo_cpg.training.run_folder import RunFolder
+
+Overrides = Sequence[str] | Mapping[str, Any]
+
+# Where the contents of a configuration come from that no file holds.
+_NO_FILE = Path("configuration")
+
+
+def load(
+    config: Path | str | Mapping[str, Any], overrides: Overrides = (), cores: int | None = None
+) -> Experiment:
+    """Read a configuration and build what it describes.
+
+    Args:
+        config: a YAML file; a run folder, whose ``config.yaml`` it is; or the contents of such a
+            file as a dictionary, in which files are named from the working folder.
+        overrides: settings to change: ``["seed=3", "world.gravity=1.6"]`` as on the command line,
+            or ``{"seed": 3, "world.gravity": 1.6}``.
+        cores: over which populations are spread; None for all that there are. Where JAX has
+            computed something already it keeps the devices that it has.
+
+    Raises:
+        ConfigError: anything that is wrong with it.
+    """
+    changed = _as_on_the_command_line(overrides)
+    folders: list[Path] = []
+    if isinstance(config, Mapping):
+        source = _NO_FILE
+        read = complete_config(dict(config), source, changed)
+    else:
+        source = Path(config)
+        if source.is_dir():
+            folders = class_folders(RunFolder(source))
+            source = source / "config.yaml"
+        read = load_config(source, changed)
+    # Too late where JAX runs already.
+    with contextlib.suppress(RuntimeError):
+        use_cores(cores)
+    return Experiment(build_experiment(read, source, folders), read, source)
+
+
+def class_folders(folder: RunFolder) -> list[Path]:
+    """Where a user's own classes lie: beside the config that the run was started with."""
+    origin = folder.read_meta().get("config")
+    return [Path(origin).parent] if isinstance(origin, str) else []
+
+
+def _as_on_the_command_line(overrides: Overrides) -> list[str]:
+    if isinstance(overrides, str):
+        raise TypeError(f"overrides must be a list of settings, such as [{overrides!r}]")
+    if not isinstance(overrides, Mapping):
+        return list(overrides)
+    return [
+        f"{key}={yaml.safe_dump([value], default_flow_style=True, width=10**9).strip()[1:-1]}"
+        for key, value in overrides.items()
+    ]

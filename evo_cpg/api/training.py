@@ -1,0 +1,189 @@
+"""Evolving from Python, into a run folder that the commands know."""
+
+import dataclasses
+import platform
+import sys
+import time
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from evo_cpg.api.experiment import Experiment
+from evo_cpg.config.fingerprint import fingerprint
+from evo_cpg.config.load import dump_config
+from evo_cpg.config.schema.experiment import ExperimentConfig
+from evo_cpg.fusion.engine import described
+from evo_cpg.training import experiment as parts
+from evo_cpg.training.checkpoint import Champion
+from evo_cpg.training.run_folder import RunFolder, RunFolderError
+
+Rows = list[dict[str, float]]
+
+_PACKAGES = ("evo-cpg", "jax", "jaxlib", "equinox", "numpy")
+
+
+@dataclasses.dataclass(frozen=True)
+class Trained:
+    """What evolution came to.
+
+    Attributes:
+        folder: the run folder, for `evo-cpg render` and the other commands.
+        genome: of the best individual ever evaluated.
+        fitness: its fitness.
+        terms: the task's terms of it.
+        history: rows of metrics.csv.
+    """
+
+    folder: Path
+    genome: np.ndarray
+    fitness: float
+    terms: dict[str, float]
+    history: Rows
+
+
+def train(
+    experiment: Experiment,
+    out: Path | str,
+    on_generation: Callable[[Rows], None] = lambda rows: None,
+) -> Trained:
+    """Evolve as `evo-cpg train` does.
+
+    Args:
+        experiment: what to evolve.
+        out: a new run folder.
+        on_generation: called with the new rows of metrics.csv after every generation.
+
+    Raises:
+        RunFolderError: the folder holds a run or other files, or everybody diverged.
+    """
+    import jax
+
+    folder, devices = RunFolder(out), len(jax.devices())
+    begin_run(folder, experiment.config, experiment.parts, devices, experiment.source)
+    if experiment.replaced:
+        folder.update_meta(replaced=list(experiment.replaced))
+    with Recorder(experiment.parts, folder) as recorder:
+        champion = evolve(experiment.parts, folder, on_generation, recorder)
+        recorder.keep(champion)
+    checkpoint = folder.load()
+    history = checkpoint.history if checkpoint else []
+    return Trained(folder.path, champion.genes, champion.fitness, champion.terms, history)
+
+
+def begin_run(
+    folder: RunFolder,
+    config: ExperimentConfig,
+    experiment: parts.Experiment,
+    devices: int,
+    source: Path,
+) -> None:
+    """Make a run folder, with what there is to know of the run.
+
+    Raises:
+        RunFolderError: the folder holds a run or other files, or cannot be written.
+    """
+    meta: dict[str, Any] = {
+        "name": config.name,
+        "seed": config.seed,
+        "config": str(source.resolve()),
+        "command": sys.argv[1:],
+        "versions": {package: metadata.version(package) for package in _PACKAGES},
+        "python": platform.python_version(),
+        "machine": platform.machine(),
+        "system": platform.platform(),
+        "devices": devices,
+        "fingerprint": fingerprint(config),
+        "started": now(),
+    }
+    folder.create(dump_config(config), meta | described(experiment.simulation.engine))
+
+
+class Recorder:
+    """Records the champion's motion, for which it compiles a program of its own.
+
+    It does so in a thread while the population evolves: one core is busy for some seconds, and
+    nobody waits for it at the end.
+
+    Args:
+        experiment: what is evolved.
+        folder: of the run.
+    """
+
+    def __init__(self, experiment: parts.Experiment, folder: RunFolder):
+        self._experiment, self._folder = experiment, folder
+        self._thread = ThreadPoolExecutor(1, "recording")
+        self._program: Future | None = None
+
+    def __enter__(self) -> "Recorder":
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._thread.shutdown()
+
+    def compile(self) -> None:
+        """Begin to compile."""
+        from evo_cpg.training.loop import compile_replay
+
+        devices = self._folder.read_meta()["devices"]
+        self._program = self._thread.submit(compile_replay, self._experiment, devices)
+
+    def keep(self, champion: Champion) -> None:
+        """Write the champion and its motion into the run folder."""
+        if self._program is None:
+            self.compile()
+        assert self._program is not None
+        _, _, motion = self._program.result()(champion)
+        self._folder.save_champion(champion, motion)
+        self._folder.update_meta(finished=now())
+
+
+def evolve(
+    experiment: parts.Experiment,
+    folder: RunFolder,
+    on_generation: Callable[[Rows], None],
+    recorder: Recorder,
+) -> Champion:
+    """Evolve from the folder's newest checkpoint on.
+
+    Args:
+        experiment: what to evolve.
+        folder: of the run.
+        on_generation: called with the new rows of metrics.csv after every generation.
+        recorder: which compiles meanwhile.
+
+    Raises:
+        RunFolderError: every individual of every generation diverged.
+    """
+    # Importing the loop starts nothing, but it takes JAX a second.
+    from evo_cpg.training.loop import train as train_generations
+
+    done = train_generations(experiment, folder, on_generation, on_compiled=recorder.compile)
+    if done.champion is None:
+        raise RunFolderError(
+            f"{folder.path}: every individual of every generation diverged, so there is no "
+            "champion; try more substeps or weaker motors"
+        )
+    return done.champion
+
+
+def require_configured(folder: RunFolder) -> None:
+    """Check that the configuration says all of the run.
+
+    Raises:
+        RunFolderError: it was begun in Python with a part that only that program has.
+    """
+    replaced = folder.read_meta().get("replaced")
+    if replaced:
+        raise RunFolderError(
+            f"{folder.path} was begun in Python with another {' and '.join(replaced)} than its "
+            "config.yaml names; it can be filmed and plotted, but not gone on with here"
+        )
+
+
+def now() -> str:
+    """The time of day, with the zone."""
+    return time.strftime("%Y-%m-%dT%H:%M:%S%z")

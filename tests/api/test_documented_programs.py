@@ -1,0 +1,106 @@
+"""The programs of README and docs, run as they stand but for the length of their trials."""
+
+import importlib.util
+import re
+import shutil
+import sys
+import types
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+import evo_cpg as evo
+
+ROOT = Path(__file__).parents[2]
+
+
+def programs(page: str) -> list[str]:
+    """The Python blocks of a page, with shorter trials and fewer individuals."""
+    found = re.findall(r"```python\n(.+?)```", (ROOT / page).read_text(), re.S)
+    short = [one.replace('"simulation.steps": 300', '"simulation.steps": 10') for one in found]
+    return [one.replace("(0, 64)", "(0, 8)") for one in short]
+
+
+def run(program: str, names: dict) -> None:
+    exec(compile(program, "documented", "exec"), names)
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    """A working folder with the configurations in it."""
+    shutil.copytree(ROOT / "configs", tmp_path / "configs")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    jax.devices()
+    return tmp_path
+
+
+class BetterHalf:
+    """Stands in for evosax where it is not installed: the mean of the better half, and noise."""
+
+    default_params = None
+
+    def __init__(self, population_size, solution):
+        self.size, self.genes = population_size, len(solution)
+
+    def init(self, key, solution, params):
+        return solution
+
+    def ask(self, key, state, params):
+        return state[None] + jax.random.normal(key, (self.size, self.genes)), state
+
+    def tell(self, key, population, fitness, state, params):
+        assert population.shape == (self.size, self.genes) and fitness.shape == (self.size,)
+        best = np.asarray(population)[np.argsort(fitness)[: self.size // 2]]
+        return best.mean(0), {}
+
+
+def test_the_notebook_runs_in_order(here, monkeypatch, capsys):
+    first, search, *others = programs("docs/notebook.md")
+    assert len(first.strip().splitlines()) <= 8 and len(search.strip().splitlines()) <= 12
+    names: dict = {}
+    run(first, names)
+    if importlib.util.find_spec("evosax") is None:
+        stand_in = types.ModuleType("evosax.algorithms")
+        stand_in.CMA_ES = BetterHalf  # pyright: ignore
+        monkeypatch.setitem(sys.modules, "evosax", types.ModuleType("evosax"))
+        monkeypatch.setitem(sys.modules, "evosax.algorithms", stand_in)
+    run(search.replace("population_size=32", "population_size=8"), {})
+    for program in others:
+        run(program, names)
+    assert (here / "motion.csv").is_file()
+    assert np.isfinite(names["slope"]).all()
+    assert capsys.readouterr().out.count("\n") >= 1 + 10 + 1 + 1
+
+
+def test_the_readme_runs(here, capsys):
+    (program,) = programs("README.md")
+    run(program, {})
+    assert len(capsys.readouterr().out.split()) == 2
+
+
+def test_an_animal_of_ones_own_trains(here, monkeypatch):
+    classes, program = programs("docs/own.md")
+    (config,) = re.findall(r"```yaml\n(.+?)```", (ROOT / "docs/own.md").read_text(), re.S)
+    (here / "wriggler.py").write_text(classes)
+    (here / "wriggler.yaml").write_text(config)
+    monkeypatch.delitem(sys.modules, "wriggler", raising=False)
+    names: dict = {}
+    run(program, names)
+    trained = names["trained"]
+    assert trained.fitness == pytest.approx(-min(trained.terms["cost"], 30.0), rel=1e-5)
+    assert set(names["experiment"].evaluate(0, trained.genome[None]).descriptors) == {"energy"}
+    assert evo.load(trained.folder).gene_count == 3
+
+
+def test_the_reference_names_all_that_there_is():
+    text = (ROOT / "docs/api.md").read_text()
+    for name in evo.__all__:
+        assert f"evo.{name}" in text, name
+    for kind in (evo.Experiment, evo.Environment):
+        for name in vars(kind):
+            if not name.startswith("_"):
+                assert re.search(rf"\b{name}\b", text), f"{kind.__name__}.{name}"

@@ -1,0 +1,209 @@
+"""`import evo_cpg as evo`: what it gives is what the commands and the library give."""
+
+import csv
+import subprocess
+import sys
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import evo_cpg as evo
+from evo_cpg.cli import training
+from evo_cpg.cli.main import main
+from evo_cpg.training.run_folder import RunFolder
+from tiny_run import CONFIG, REPOSITORY, TINY, environment
+
+COUNT = 5
+
+
+@pytest.fixture(scope="module")
+def experiment():
+    # JAX keeps the devices of this process.
+    jax.devices()
+    return evo.load(CONFIG, TINY)
+
+
+@pytest.fixture(scope="module")
+def genomes(experiment):
+    return experiment.random_genomes(0, COUNT)
+
+
+@pytest.fixture(scope="module")
+def evaluation(experiment, genomes):
+    return experiment.evaluate(0, genomes)
+
+
+def test_importing_it_imports_neither_jax_nor_anything_of_ours(tmp_path):
+    code = (
+        "import sys, evo_cpg as evo; ours = [m for m in sys.modules if m.startswith('evo_cpg.')]\n"
+        "assert not ours and 'jax' not in sys.modules and 'numpy' not in sys.modules, ours\n"
+        "assert 'load' in dir(evo) and evo.load.__name__ == 'load' and 'jax' in sys.modules\n"
+        "from jax._src import xla_bridge; assert not xla_bridge.backends_are_initialized()"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment(tmp_path), capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def test_every_name_is_there_and_others_are_not():
+    assert all(getattr(evo, name) is not None for name in evo.__all__)
+    with pytest.raises(AttributeError, match="module 'evo_cpg' has no attribute 'lode'"):
+        evo.lode  # noqa: B018  # pyright: ignore
+
+
+def test_fitness_of_a_population_is_that_of_each_alone(experiment, genomes, evaluation):
+    assert evaluation.fitness.shape == (COUNT,)
+    assert np.ptp(evaluation.fitness) > 0.01
+    assert evaluation.descriptors == {}
+    alone = experiment.evaluate(0, jnp.asarray(genomes[3:4]))
+    np.testing.assert_array_equal(alone.fitness, evaluation.fitness[3:4])
+    trials = experiment.rollout(0, genomes)
+    assert trials.alive.shape == (COUNT, 1) and trials.alive.all()
+    for name, values in trials.terms.items():
+        np.testing.assert_array_equal(values[:, 0], evaluation.terms[name])
+    weights = experiment.config.task
+    expected = (
+        -weights.distance_weight * np.minimum(evaluation.terms["distance"], 1.5)
+        - weights.energy_weight
+        * np.minimum(evaluation.terms["energy"] / float(experiment.scales["energy"]), 1)
+        + weights.light_weight * evaluation.terms["light"]
+    )
+    np.testing.assert_allclose(evaluation.fitness, expected, rtol=1e-6)
+
+
+@pytest.fixture
+def shell(monkeypatch):
+    """Call `evo-cpg` on the devices of this process; its exit code."""
+    devices = len(jax.devices())
+    monkeypatch.setattr(training, "use_cores", lambda count=None: devices)
+
+    def call(*arguments: object) -> object:
+        monkeypatch.setattr(sys, "argv", ["evo-cpg", *map(str, arguments)])
+        with pytest.raises(SystemExit) as stopped:
+            main()
+        return stopped.value.code
+
+    return call
+
+
+def test_it_evolves_what_the_command_does(experiment, tmp_path, shell):
+    seen = []
+    trained = evo.train(experiment, tmp_path / "python", seen.extend)
+    assert shell("train", CONFIG, *TINY, "--out", tmp_path / "shell") == 0
+    champion, motion, digests = RunFolder(tmp_path / "shell").load_champion()
+    np.testing.assert_array_equal(trained.genome, champion.genes)
+    assert (trained.fitness, trained.terms) == (champion.fitness, champion.terms)
+    assert motion is not None and seen == trained.history and len(seen) == 4
+    assert RunFolder(trained.folder).load_champion()[2] == digests
+    # The yardsticks are those of training, and so is the fitness.
+    again = evo.load(trained.folder).evaluate(0, trained.genome[None])
+    assert float(again.fitness[0]) == pytest.approx(trained.fitness, rel=1e-5)
+
+
+def test_a_run_with_a_fitness_of_its_own_is_not_resumed_as_another(tmp_path, capsys, shell):
+    mine = evo.load(CONFIG, (*TINY, "evolution.generations=1"))
+    mine = mine.with_fitness(lambda terms: terms["energy"])
+    trained = evo.train(mine, tmp_path / "mine")
+    assert trained.fitness == pytest.approx(trained.terms["energy"])
+    for command in ("resume", "verify", "refine"):
+        assert shell(command, trained.folder) == 2
+        assert "begun in Python with another task than its config.yaml" in capsys.readouterr().err
+
+
+def test_a_record_has_named_columns_and_becomes_a_table(experiment, genomes, tmp_path):
+    record = experiment.record(0, genomes[0])
+    assert set(record.units) == set(record) and record.units["segment1.x.torque"] == "N m"
+    steps, recording = len(record["time"]), record.recording
+    names = [body.name for body in experiment.creature.bodies]
+    for k, axis in enumerate("xyz"):
+        np.testing.assert_array_equal(
+            record[f"segment2.{axis}"], recording.position[:, names.index("segment2"), k]
+        )
+    np.testing.assert_array_equal(
+        record["head.rotation_xy"], recording.rotation[:, names.index("head"), 0, 1]
+    )
+    assert record["energy"].sum() == pytest.approx(
+        float(experiment.rollout(0, genomes[:1]).terms["energy"][0, 0]), rel=1e-5
+    )
+    record.to_csv(tmp_path / "motion.csv")
+    with (tmp_path / "motion.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == steps and list(rows[0]) == list(record)
+    assert float(rows[7]["head.z"]) == pytest.approx(float(record["head.z"][7]))
+
+
+def test_the_fitness_function_has_the_value_and_a_slope(experiment, genomes, evaluation):
+    value, slope = jax.jit(jax.value_and_grad(experiment.fitness_function()))(genomes[0])
+    assert float(value) == pytest.approx(float(evaluation.fitness[0]), rel=1e-5)
+    way = slope / np.linalg.norm(slope)
+    ends = experiment.evaluate(0, np.stack([genomes[0] + h * way for h in (-0.01, 0.01)])).fitness
+    assert (ends[1] - ends[0]) / 0.02 == pytest.approx(float(np.linalg.norm(slope)), rel=0.1)
+
+
+def test_rewards_of_an_episode_add_up_to_the_fitness(experiment, genomes):
+    """Played the champion's own commands, the environment moves as in its trial."""
+    environment = experiment.environment()
+    record, outcome = experiment.record(0, genomes[1]), experiment.evaluate(0, genomes[1:2])
+    actions = np.stack([record[f"{name}.target_rate"] for name in environment.action_names], 1)
+    state = environment.reset(jax.random.key(0))
+    assert state.obs.shape == (environment.observation_size,) == (18,)
+    assert not state.done
+
+    def step(state, action):
+        state = environment.step(state, action)
+        return state, (state.reward, state.done, state.obs)
+
+    end, (rewards, done, seen) = jax.jit(lambda s: jax.lax.scan(step, s, actions))(state)
+    assert float(rewards.sum()) == pytest.approx(float(outcome.fitness[0]), rel=1e-4)
+    for name, values in outcome.terms.items():
+        assert float(end.metrics[name]) == pytest.approx(float(values[0]), rel=1e-3)
+    assert done[-1] and not done[:-1].any()
+    places = np.cumsum([0, *environment.observation_sizes.values()])
+    first = places[list(environment.observation_sizes).index("joint_angle")]
+    for i, name in enumerate(environment.action_names):
+        angles = record[f"{name}.angle"]
+        np.testing.assert_allclose(seen[:-1, first + i], angles[1:], rtol=1e-3, atol=1e-4)
+    many = jax.vmap(environment.reset)(jax.random.split(jax.random.key(0), 3))
+    many = jax.jit(jax.vmap(environment.step))(many, jnp.stack([actions[0]] * 3))
+    np.testing.assert_allclose(many.obs, jnp.stack([seen[0]] * 3), rtol=1e-5, atol=1e-6)
+
+
+def test_what_is_wrong_is_said(experiment, genomes):
+    with pytest.raises(
+        ValueError, match=r"shape \(n, 135\), one row per individual, got \(135, 5\)"
+    ):
+        experiment.evaluate(0, genomes.T)
+    with pytest.raises(ValueError, match="individuals come first, so transpose them"):
+        experiment.rollout(0, genomes.T)
+    with pytest.raises(ValueError, match="genomes must be numbers, got <U1"):
+        experiment.evaluate(0, np.full((2, 135), "x"))
+    with pytest.raises(ValueError, match=r"genome must have the shape \(135,\), got \(134,\)"):
+        experiment.fitness_function()(genomes[0, 1:])
+    for call in (
+        lambda: experiment.record(0, genomes[0], 1),
+        lambda: experiment.environment(trial=1),
+    ):
+        with pytest.raises(ValueError, match="trial must be from 0 to 0, got 1"):
+            call()
+    with pytest.raises(ValueError, match="actions must be 'rates' or 'angles', got 'torques'"):
+        experiment.environment("torques")
+    with pytest.raises(ValueError, match="needs motors with a stiffness, and none has one"):
+        experiment.environment("angles")
+    environment = experiment.environment()
+    with pytest.raises(ValueError, match=r"action must have the shape \(6,\), got \(5,\)"):
+        environment.step(environment.reset(jax.random.key(0)), jnp.zeros(5))
+    with pytest.raises(TypeError, match=r"must be a list of settings, such as \['seed=3'\]"):
+        evo.load(CONFIG, "seed=3")
+    with pytest.raises(evo.ConfigError, match=r"world.gravty: unknown key; did you mean 'gravity'"):
+        evo.load(CONFIG, {"world.gravty": 1.6})
+
+
+def test_overrides_are_those_of_the_command_line():
+    given = evo.load(REPOSITORY / "configs" / "hexapod.yaml", {"world.gravity": 1.6, "seed": 4})
+    assert (given.world.gravity, given.config.seed) == (1.6, 4)
+    contents = given.config.model_dump(mode="json")
+    assert evo.load(contents).config == given.config
+    assert evo.load(contents, ["world.gravity=2"]).world.gravity == 2.0
