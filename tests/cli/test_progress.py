@@ -14,9 +14,9 @@ from evo_cpg.cli.progress import BETWEEN, FIRST, LONGEST_SILENCE, Heartbeat, bea
 
 @pytest.fixture
 def impatient(monkeypatch):
-    """Lines come after milliseconds."""
+    """Lines come soon."""
     monkeypatch.setattr(module, "_LOOK", 0.001)
-    monkeypatch.setattr(module, "FIRST", 0.01)
+    monkeypatch.setattr(module, "FIRST", 0.25)
 
 
 def lines_of(heartbeat: Heartbeat, seconds: float, step: float = 0.25) -> list[tuple[float, str]]:
@@ -102,7 +102,7 @@ def test_the_thread_ends_where_the_work_fails():
 def test_work_in_a_pipe_is_lines_on_standard_error(impatient, capsys):
     with module.working("rendering", counted=True) as work:
         work.reached(3, 4)
-        time.sleep(0.3)
+        time.sleep(0.8)
     out, err = capsys.readouterr()
     assert out == ""
     assert err == "rendering: 3/4, 0 s, about 0 s to go\n"
@@ -110,7 +110,7 @@ def test_work_in_a_pipe_is_lines_on_standard_error(impatient, capsys):
 
 def test_steps_in_a_pipe_are_lines_with_what_comes_first(impatient, capsys):
     with module.progress("mine", "generation", 3, 1, "compiling") as show:
-        time.sleep(0.3)
+        time.sleep(0.8)
         show(1, "best 2", 0.5)
     _, err = capsys.readouterr()
     assert err == (
@@ -129,9 +129,9 @@ def test_on_a_terminal_it_is_one_line_that_moves(monkeypatch):
     with module.working("probing [red] lights", counted=True) as work:
         work.reached(1, 2)
         work.doing("drawing")
-        time.sleep(0.3)
+        time.sleep(0.8)
     assert "drawing" in screen.getvalue()
     with module.progress("mine", "generation", 3) as show:
         show(0, "best 2", 0.5)
-        time.sleep(0.3)
+        time.sleep(0.8)
     assert "best 2" in screen.getvalue() and "1/3" in screen.getvalue()

@@ -349,3 +349,12 @@ def test_a_row_of_bodies_is_doubted_once():
     said = doubts(load_config(CONFIG, ["creature.bodies.1.joint.child_at=[1, 0, 0]"]), CONFIG)
     assert len(said) == 1
     assert np.isclose(said[0].value[0], 1)
+
+
+def test_copies_of_a_sensor_are_looked_at_one_by_one():
+    """Of five eyes and five feet that are written once."""
+    path = CONFIGS / "starfish_land.yaml"
+    eyes = "creature.light_sensors=[{body: 'arm{j}_2', position: [3, 0, 0]}]"
+    config = load_config(path, [eyes])
+    (doubt,) = doubts(config, path)
+    assert doubt.key == ("creature", "light_sensors", 0, "position")

@@ -6,9 +6,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from evo_cpg.config.errors import Key
-from evo_cpg.config.schema.creature import BodyConfig
+from evo_cpg.config.schema.copies import copies_named
+from evo_cpg.config.schema.creature import BodyConfig, DepthSensorConfig, LightSensorConfig
 from evo_cpg.config.schema.experiment import ExperimentConfig
-from evo_cpg.creature.creature import Body, Creature, neutral_pose
+from evo_cpg.creature.creature import Body, Creature, DepthSensor, LightSensor, neutral_pose
 
 
 class Doubt(NamedTuple):
@@ -45,6 +46,25 @@ class Case(NamedTuple):
         for i, body in enumerate(self.creature.bodies):
             entry = self.config.creature.entry_of(i)
             yield ("creature", "bodies", entry), self.config.creature.bodies[entry], body
+
+    def named(self, name: str) -> list[str]:
+        """The bodies that a name in the configuration stands for, placeholders filled in."""
+        copies = self.config.creature.copies()
+        return [copy.name for copy in copies_named(name, copies)]
+
+    def eyes(self) -> Iterator[tuple[int, LightSensorConfig, LightSensor]]:
+        """Every eye with the number of its entry in the configuration, and that."""
+        built = iter(self.creature.light_sensors)
+        for i, entry in enumerate(self.config.creature.light_sensors):
+            for _ in self.named(entry.body):
+                yield i, entry, next(built)
+
+    def gauges(self) -> Iterator[tuple[int, DepthSensorConfig, DepthSensor]]:
+        """Every depth gauge with the number of its entry in the configuration, and that."""
+        built = iter(self.creature.depth_sensors)
+        for i, entry in enumerate(self.config.creature.depth_sensors):
+            for _ in self.named(entry.body):
+                yield i, entry, next(built)
 
     @property
     def length(self) -> float:

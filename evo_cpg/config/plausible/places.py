@@ -38,18 +38,14 @@ def joint_anchor(case: Case) -> Iterator[Doubt]:
 
 def sensor_place(case: Case) -> Iterator[Doubt]:
     """An eye or a gauge that is nowhere near its body."""
-    creature, config = case.creature, case.config.creature
-    for name, given, sensors in (
-        ("light_sensors", config.light_sensors, creature.light_sensors),
-        ("depth_sensors", config.depth_sensors, creature.depth_sensors),
-    ):
-        for i, (entry, sensor) in enumerate(zip(given, sensors, strict=True)):
-            shape = creature.bodies[creature.body_index(sensor.body)].shape
+    creature = case.creature
+    for name, placed in (("light_sensors", case.eyes()), ("depth_sensors", case.gauges())):
+        for i, entry, sensor in placed:
             yield from _outside(
                 ("creature", name, i, "position"),
                 entry.position,
                 f"body {sensor.body!r}",
-                shape,
+                creature.bodies[creature.body_index(sensor.body)].shape,
                 sensor.position,
             )
 

@@ -40,9 +40,7 @@ def light_never_in_view(case: Case) -> Iterator[Doubt]:
     if lights is None:
         return
     _, turns = neutral_pose(case.creature)
-    for i, (given, eye) in enumerate(
-        zip(config.creature.light_sensors, case.creature.light_sensors, strict=True)
-    ):
+    for i, given, eye in case.eyes():
         axis = turns[case.creature.body_index(eye.body)] @ np.array(eye.axis)
         high = float(np.rad2deg(np.arcsin(np.clip(axis[2], -1, 1))))
         nearest = min(abs(high - light) for light in lights)
@@ -92,7 +90,7 @@ def touch_inside(case: Case) -> Iterator[Doubt]:
         return
     creature = case.creature
     centres, turns = neutral_pose(creature)
-    for i, name in enumerate(named):
+    for i, name in ((i, name) for i, given in enumerate(named) for name in case.named(given)):
         inner = creature.body_index(name)
         points = creature.bodies[inner].shape.surface(2).points @ turns[inner].T + centres[inner]
         for outer, body in enumerate(creature.bodies):
