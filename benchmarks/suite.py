@@ -14,6 +14,7 @@ import jax
 from rich.console import Console
 
 from benchmarks import (
+    bodies,
     breeding,
     engines,
     generation,
@@ -92,6 +93,7 @@ CASES: dict[str, Case] = {
     "ga": Case(functools.partial(_alone, breeding.measure), sized=False),
     "generation": Case(functools.partial(_alone, generation.measure), sized=False),
     "gradient": Case(functools.partial(_alone, gradient.measure), sized=False),
+    "bodies": Case(functools.partial(_alone, bodies.measure)),
     "engines": Case(functools.partial(_alone, engines.measure)),
     "scaling": Case(functools.partial(_alone, scaling.measure)),
     "startup": Case(functools.partial(_alone, startup.measure), sized=False),
