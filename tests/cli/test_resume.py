@@ -117,7 +117,8 @@ def test_resume_refuses_what_it_cannot_go_on_with(finished_run, cli, tmp_path):
     written = config.read_text()
     config.write_text(written.replace("population: 8", "population: 12"))
     code, _, err = cli("resume", folder)
-    assert code == 2 and err.count("\n") == 1
+    warning, err = err.splitlines()
+    assert code == 2 and "warning" in warning and "changed since the run" in warning
     assert "config.yaml was changed: it asks for" in err
     assert "12 individuals" in err and "start a new run instead" in err
     assert config.read_text() == written.replace("population: 8", "population: 12")

@@ -12,15 +12,23 @@ from tiny_run import CONFIG, REPOSITORY
 
 HEXAPOD = REPOSITORY / "configs" / "hexapod.yaml"
 TASK = """
+import jax.numpy as jnp
 from evo_cpg.simulation.task import Task
 
 class Lit(Task):
     light: tuple[float, float, float] = (1.0, 2.0, 3.0)
 
-    def begin(self, batch, dtype, steps): ...
-    def update(self, tally, transition, steps): ...
-    def terms(self, tally, steps): ...
-    def fitness(self, terms, scales): ...
+    def begin(self, batch, dtype, steps):
+        return jnp.zeros(batch, dtype)
+
+    def update(self, tally, transition, steps):
+        return transition.position[0]
+
+    def terms(self, tally, steps):
+        return {"way": tally}
+
+    def fitness(self, terms, scales):
+        return terms["way"]
 """
 
 
