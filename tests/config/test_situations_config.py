@@ -22,7 +22,7 @@ class Lit(Task):
         return jnp.zeros(batch, dtype)
 
     def update(self, tally, transition, steps):
-        return transition.after.position[0]
+        return transition.after.state.position[0]
 
     def terms(self, tally, steps):
         return {"way": tally}
