@@ -121,8 +121,9 @@ class Recorder:
     def __enter__(self) -> "Recorder":
         return self
 
-    def __exit__(self, *error: object) -> None:
-        self._thread.shutdown()
+    def __exit__(self, error: type[BaseException] | None, *rest: object) -> None:
+        # Who interrupts is told so at once, and not when the compiler is done.
+        self._thread.shutdown(wait=error is None, cancel_futures=True)
 
     def compile(self) -> None:
         """Begin to compile."""
