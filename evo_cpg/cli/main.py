@@ -370,7 +370,7 @@ def bench(
         typer.Argument(
             metavar="[CASE]...",
             help="swimmer, salamander-water, salamander-land, quadruped, cpg, brain, ga, "
-            "generation, gradient, engines, scaling or startup; all by default.",
+            "generation, gradient, bodies, engines, scaling or startup; all by default.",
         ),
     ] = None,
     sizes: Annotated[
