@@ -204,8 +204,8 @@ def _search(
     inner = len(parameters.keys)
     fixed = {name.removeprefix(_INITIAL): value for name, value in begun.items()}
 
-    def observe(theta: Any, model: Any) -> Any:
-        simulation = parameters.simulation(theta[:inner], model)
+    def observe(theta: Any) -> Any:
+        simulation = parameters.simulation(theta[:inner])
         if genes is None:
             driver = commands(recording, parameters.experiment.simulation)
             driver = eqx.tree_at(lambda d: d.tree, driver, simulation.world.tree)
@@ -216,39 +216,28 @@ def _search(
         own = jnp.asarray(np.zeros(0) if genes is None else genes, theta.dtype)
         return track(simulation, own, recording.time, recording.columns, initial)
 
-    def search(start: Any, model: Any, data: Any) -> Any:
-        return fit(
-            lambda theta: observe(theta, model),
-            data,
-            start,
-            positive,
-            kind_numbers,
-            wrapped,
-            noise,
-        )
+    def search(start: Any, data: Any) -> Any:
+        return fit(observe, data, start, positive, kind_numbers, wrapped, noise)
 
     with jax.enable_x64(True):
         program = jax.jit(search)
-        model = parameters.model
         for number in range(1, _MOST_SEARCHES + 1):
             if number > 1:
                 work.doing(f"searching on from there: {number} of up to {_MOST_SEARCHES}")
-            result = jax.device_get(
-                program(jnp.asarray(values), model, jnp.asarray(recording.data))
-            )
+            result = jax.device_get(program(jnp.asarray(values), jnp.asarray(recording.data)))
             if not np.isfinite(result.values).all():
                 raise UsageError("the simulation diverges near these values; try others, KEY=VALUE")
             size = np.where(positive, np.abs(result.values), 1.0) * result.errors
             still = np.abs(result.values - values) <= _STILL * size
             values = np.asarray(result.values)
             try:
-                model = parameters.at(values[:inner])
+                parameters.require(values[:inner])
             except ConfigError as error:
                 raise UsageError(_forbidden(names, values, size, error)) from None
             if still.all():
                 break
         work.doing("the motion with the estimates")
-        shown = jax.device_get(jax.jit(observe)(jnp.asarray(values), model))
+        shown = jax.device_get(jax.jit(observe)(jnp.asarray(values)))
     return result, shown
 
 

@@ -4,7 +4,7 @@ import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -135,16 +135,17 @@ def refine_run(
 def _free(parameters: Parameters) -> "Free":
     from evo_cpg.training.ascent import Free
 
-    def rebuild(values: np.ndarray) -> "tuple[Experiment, Any] | None":
+    def rebuild(values: np.ndarray) -> "Experiment | None":
         try:
             config = parameters.config_at(values)
             experiment = build_experiment(config, parameters.source, parameters.folders)
-            return experiment, parameters.at(values)
+            parameters.require(values)
+            return experiment
         except ConfigError:
             # Beyond what is allowed, or where the simulation is laid out differently.
             return None
 
-    return Free(parameters.values, parameters.model, parameters.simulation, rebuild)
+    return Free(parameters.values, parameters.simulation, rebuild)
 
 
 def _row(done: "Round", keys: Sequence[str]) -> dict[str, float]:

@@ -114,31 +114,29 @@ def _measure(parameters: Parameters, champion: Champion, scaled: bool, work: Wor
         genes = jnp.asarray(champion.genes, jnp.float64)
         own = None if noise is None else noise[:, 0]
 
-        def outcome(values: Any, model: Any) -> Any:
+        def outcome(values: Any) -> Any:
             strength = values[-1] if scaled else 1.0
-            simulation = parameters.simulation(values[: len(parameters.keys)], model)
+            simulation = parameters.simulation(values[: len(parameters.keys)])
             return measured(simulation, strength * genes, champion.scales, own)
 
-        program = jax.jit(lambda p, model: differentiate(lambda q: outcome(q, model), p))
-        measures, slopes = jax.device_get(program(jnp.asarray(values), parameters.model))
-        places, models = [], []
+        program = jax.jit(lambda values: differentiate(outcome, values))
+        measures, slopes = jax.device_get(program(jnp.asarray(values)))
+        places = []
         work.doing("changing the numbers one by one")
         for sign in (-1.0, 1.0):
             for i in range(len(values)):
                 place = values.copy()
                 place[i] += sign * steps[i]
                 try:
-                    model = parameters.at(place[: len(parameters.keys)], curved=False)
+                    parameters.require(place[: len(parameters.keys)])
                 except ConfigError:
                     # Not allowed, as a share of more than 1.
-                    place, model = values * np.nan, parameters.model
+                    place = values * np.nan
                 places.append(place)
-                models.append(model)
                 work.reached(len(places), 2 * len(values))
         work.doing("living the trial with every number changed: compiling takes a minute or two")
-        stacked = jax.tree.map(lambda *x: np.stack(x), *models)
         run_all = jax.jit(jax.vmap(outcome, out_axes=1))
-        after = jax.device_get(run_all(jnp.asarray(np.array(places)), stacked))
+        after = jax.device_get(run_all(jnp.asarray(np.array(places))))
     return sensitivities(keys, values, measures, slopes, after.reshape(len(measures), 2, -1), steps)
 
 

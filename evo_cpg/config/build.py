@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 
 from evo_cpg.config.errors import ConfigError
+from evo_cpg.config.numbers import unchecked
 from evo_cpg.config.own_classes import build_own
 from evo_cpg.config.own_returns import check_own_returns
 from evo_cpg.config.schema.choice import CustomConfig
 from evo_cpg.config.schema.evolution import BitEvolutionConfig, RealEvolutionConfig
 from evo_cpg.config.schema.experiment import ExperimentConfig
-from evo_cpg.config.schema.section import Vector
 from evo_cpg.config.schema.task import DistanceConfig, WalkConfig
 from evo_cpg.config.schema.world import WaterConfig
 from evo_cpg.config.situations import build_situations, require_light
@@ -41,6 +41,8 @@ from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.task import Task
 from evo_cpg.simulation.velocity_sensor import VelocitySensor
 from evo_cpg.simulation.walk import Distance, Walk
+from evo_cpg.spatial.choices import chosen
+from evo_cpg.spatial.numerics import Triple, xp
 from evo_cpg.training.experiment import Experiment, Learning
 
 # Random surface points are drawn from a quadrature this fine.
@@ -70,26 +72,16 @@ def build_experiment(
     for folder in (Path(source).parent, *folders, Path.cwd()):
         if str(folder.resolve()) not in sys.path:
             sys.path.append(str(folder.resolve()))
-    engine = _choose_engine(config, source)
-    creature = build_creature(config, source)
-    tree = build_tree(creature)
-    world = _build_world(config, creature, tree, apart)
+    creature, simulation = build_simulation(config, source, apart)
     genetics = config.evolution
-    extra_sensors = _build_sensors(config, tree, source)
-    custom = sum(sensor.count for sensor in extra_sensors)
-    controller = _build_controller(config, creature, tree, custom, source)
-    noise = Noise(
-        joint_angle=float(np.deg2rad(config.noise.joint_angle_deg)),
-        tilt=float(np.deg2rad(config.noise.tilt_deg)),
-        push=config.noise.push,
-    )
+    gene_count = simulation.controller.gene_count
     if isinstance(genetics, BitEvolutionConfig):
         most = genetics.mutated_genes[1]
-        if most > controller.gene_count:
+        if most > gene_count:
             raise ConfigError(
                 source,
                 ("evolution", "mutated_genes"),
-                f"at most {controller.gene_count}, the bits in a genome of this creature, can "
+                f"at most {gene_count}, the bits in a genome of this creature, can "
                 f"change, got {most}",
             )
     learning = None
@@ -97,16 +89,58 @@ def build_experiment(
         given = genetics.learning
         elites = given.elites or min(_LEARNERS, genetics.elites)
         learning = Learning(given.every, elites, given.steps)
-    with using(engine):
-        situations = build_situations(config, creature, world, source)
-    task = _build_task(config, creature, situations[0].light, source)
-    require_light(config, task, source)
+    require_light(config, simulation.task, source)
     trials = config.simulation.trials
     if isinstance(trials, list):
         trials = len(trials)
-    elif noise.silent:
+    elif simulation.noise.silent:
         # One trial is as good as many.
         trials = 1
+    check_own_returns(config, simulation, source)
+    return Experiment(
+        name=config.name,
+        creature=creature,
+        simulation=simulation,
+        genetics=genetics.build(),
+        generations=genetics.generations,
+        seed=config.seed,
+        runs=config.runs,
+        trials=trials,
+        learning=learning,
+    )
+
+
+def build_simulation(
+    config: ExperimentConfig, source: Path | str, apart: bool = False
+) -> tuple[Creature, Simulation]:
+    """The creature that a configuration describes, and what its trials are made of.
+
+    The numbers of the configuration may be traced (see `evo_cpg.config.numbers.put_numbers`) where
+    what is chosen by them is known (`evo_cpg.spatial.choices.repeating`).
+
+    Args:
+        config: the configuration; a user's own classes can be imported.
+        source: file it came from, for messages.
+        apart: see `build_experiment`.
+
+    Raises:
+        ConfigError: parts that do not fit together.
+    """
+    engine = _choose_engine(config, source)
+    creature = build_creature(config, source)
+    tree = build_tree(creature)
+    world = _build_world(config, creature, tree, apart)
+    extra_sensors = _build_sensors(config, tree, source)
+    custom = sum(sensor.count for sensor in extra_sensors)
+    controller = _build_controller(config, creature, tree, custom, source)
+    noise = Noise(
+        joint_angle=xp.deg2rad(config.noise.joint_angle_deg),
+        tilt=xp.deg2rad(config.noise.tilt_deg),
+        push=config.noise.push,
+    )
+    with using(engine):
+        situations = build_situations(config, creature, world, source)
+    task = _build_task(config, creature, situations[0].light, source)
     simulation = Simulation(
         world=world,
         sensors=place_sensors(creature, tree),
@@ -120,18 +154,7 @@ def build_experiment(
         engine=engine,
         extra_sensors=extra_sensors,
     )
-    check_own_returns(config, simulation, source)
-    return Experiment(
-        name=config.name,
-        creature=creature,
-        simulation=simulation,
-        genetics=genetics.build(),
-        generations=genetics.generations,
-        seed=config.seed,
-        runs=config.runs,
-        trials=trials,
-        learning=learning,
-    )
+    return creature, simulation
 
 
 def _choose_engine(config: ExperimentConfig, source: Path | str) -> Engine:
@@ -191,7 +214,7 @@ def _build_water(water: WaterConfig) -> Water:
         water.law,
         water.surface,
         water.current_gradient,
-        tuple(Vortex(**vortex.model_dump()) for vortex in water.vortices),
+        tuple(Vortex(**dict(vortex)) for vortex in water.vortices),
     )
 
 
@@ -243,12 +266,14 @@ def _build_controller(
             custom_count=custom,
         )
     options = {name: getattr(given, name) for name in type(given).model_fields if name != "type"}
+    kind = PostureSettings if given.type == "postures" else BrainCpgSettings
     try:
+        chosen(lambda: kind(**options) and None)
         if given.type == "postures":
-            return build_posture_controller(tree, PostureSettings(**options), step)
-        return build_brain_cpg(
-            tree, eyes, pressure, BrainCpgSettings(**options), step, depth, custom
-        )
+            settings = unchecked(PostureSettings, options)
+            return build_posture_controller(tree, settings, step)
+        settings = unchecked(BrainCpgSettings, options)
+        return build_brain_cpg(tree, eyes, pressure, settings, step, depth, custom)
     except CouplingError as error:
         raise ConfigError(source, ("controller", "cpg", *error.where), str(error)) from None
     except ValueError as error:
@@ -256,7 +281,7 @@ def _build_controller(
 
 
 def _build_task(
-    config: ExperimentConfig, creature: Creature, light: Vector | None, source: Path | str
+    config: ExperimentConfig, creature: Creature, light: Triple | None, source: Path | str
 ) -> Task:
     given = config.task
     if isinstance(given, CustomConfig):
@@ -265,13 +290,16 @@ def _build_task(
         return Distance(heading=given.heading)
     if isinstance(given, WalkConfig):
         torso = next(body for body in creature.bodies if body.joint is None)
-        length = 2 * float(torso.shape.half_extents[0])
-        return Walk(torso_length=length, **given.model_dump(exclude={"type"}))
+        weights = dict(given)
+        del weights["type"]
+        return Walk(torso_length=2 * torso.shape.half_extents[0], **weights)
     assert light is not None
     return ReachLight(
         light=light,
         distance_weight=given.distance_weight,
         energy_weight=given.energy_weight,
         light_weight=given.light_weight,
-        final_steps=max(1, round(given.final_seconds * config.simulation.control_rate_hz)),
+        final_steps=chosen(
+            lambda: max(1, round(given.final_seconds * config.simulation.control_rate_hz))
+        ),
     )

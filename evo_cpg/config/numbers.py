@@ -1,14 +1,20 @@
 """The real numbers of a configuration by their keys, such as ``world.water.form_drag``."""
 
 import copy
+import dataclasses
 import difflib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
+
+from pydantic import BaseModel
 
 from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.load import check_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
+from evo_cpg.spatial.numerics import Number
+
+_T = TypeVar("_T")
 
 # Sections that a trial does not depend on, and lists too long to be parameters one by one.
 _OUTSIDE = ("evolution", "noise")
@@ -67,6 +73,43 @@ def with_numbers(
             place = place[int(part)] if isinstance(place, list) else place[part]
         place[int(last) if isinstance(place, list) else last] = number
     return check_config(data, source)
+
+
+def put_numbers(config: ExperimentConfig, numbers: Mapping[str, Number]) -> ExperimentConfig:
+    """A configuration with other numbers, unchecked, which may be traced.
+
+    Args:
+        config: the configuration.
+        numbers: by key.
+    """
+    for key, number in numbers.items():
+        config = _put(config, key.split("."), number)
+    return config
+
+
+def unchecked(settings: type[_T], fields: Mapping[str, Any]) -> _T:
+    """A frozen dataclass whose fields were checked when they were known."""
+    made = object.__new__(settings)
+    for name, value in fields.items():
+        object.__setattr__(made, name, value)
+    return made
+
+
+def _put(place: Any, key: Sequence[str], number: Number) -> Any:
+    """A part of a configuration with another number."""
+    if not key:
+        return number
+    name, *rest = key
+    if isinstance(place, BaseModel):
+        return place.model_copy(update={name: _put(getattr(place, name), rest, number)})
+    if isinstance(place, Mapping):
+        return {**place, name: _put(place[name], rest, number)}
+    if isinstance(place, (tuple, list)):
+        parts = list(place)
+        parts[int(name)] = _put(parts[int(name)], rest, number)
+        return type(place)(parts)
+    fields = {field.name: getattr(place, field.name) for field in dataclasses.fields(place)}
+    return unchecked(type(place), fields | {name: _put(fields[name], rest, number)})
 
 
 def _numbers(place: Any, key: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], float]]:

@@ -1,20 +1,16 @@
 """Numbers of a configuration as parameters by which a trial can be differentiated.
 
-Building an experiment is NumPy, but what comes out is a pytree whose numbers are smooth functions
-of those in the configuration: a density becomes masses, inertias and limit springs. Those leaves
-that change with a parameter p are found by building at neighbouring values, and stand in the
-compiled program as
+What a configuration describes is built of its numbers twice. With known ones NumPy makes constants,
+and notes what was chosen by them (see `evo_cpg.spatial.choices`). With traced ones JAX makes the
+same functions of the parameters, exactly and wherever they are, as long as the choices stay. What
+no parameter changes remains a constant of the compiled program (see `Inputs`).
 
-    leaf(p) = leaf(p_0) + sum_k J_k (p_k - p_0k),                                       (1)
-
-everything else as a constant. Value and derivative are exact at p_0, J being differences of fourth
-order in float64 (relative error about 1e-11). Far from p_0 the leaves are linear where they should
-be curved: whoever moves far builds anew there (`Parameters.at`) and gives the program another
-`Linearisation`, with which nothing is compiled again.
+Which elements those are, and whether choices or kinks are near, is found by building at values
+near by.
 """
 
 import dataclasses
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -23,41 +19,37 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from evo_cpg.config.build import build_experiment
-from evo_cpg.config.differences import CENTRAL, ONE_SIDED, Change, derivative
+from evo_cpg.config.build import build_experiment, build_simulation
 from evo_cpg.config.errors import ConfigError
-from evo_cpg.config.numbers import number_at, number_keys, with_numbers
+from evo_cpg.config.numbers import number_at, number_keys, put_numbers, with_numbers
 from evo_cpg.config.schema.experiment import ExperimentConfig
-from evo_cpg.simulation.batched import Inputs, is_number
-from evo_cpg.simulation.rollout import Simulation
+from evo_cpg.simulation.batched import Inputs
+from evo_cpg.simulation.simulation import Simulation
+from evo_cpg.spatial.choices import Choices, noting, repeating
+from evo_cpg.spatial.numerics import TABLES, is_number, is_traced
 from evo_cpg.training.experiment import Experiment
 
 # Distance of neighbouring values, as a share of the value; of 0 it is that itself.
 _STEP = 1e-4
 
+# Shares of the step at which is built: on both sides, or on one where the other is not allowed.
+_BOTH_SIDES, _ONE_SIDE = (-1.0, -0.5, 0.5, 1.0), (0.5, 1.0)
+
+# What is even in the step goes with its square, but for a kink: what does not, as a share of the
+# largest change in the same array.
+_KINK = 1e-3
+
+# Accuracy of poses that are searched, m and rad.
+_SEARCHED = 1e-7
+
+# Differences of so many units in the last place are rounding.
+_ROUNDING = 16 * np.finfo(float).eps
 
 # Where the surfaces are that meet the water.
 _PATCHES = tuple(jax.tree_util.GetAttrKey(name) for name in ("world", "patches"))
 
 # What does not change may differ by this share: rounding.
 _LAYOUT = 1e-9
-
-# Arrays looked up by whole-array programs, which know no derivative by them.
-_TABLES = ("heights", "meshes", "triangles")
-
-
-class Linearisation(NamedTuple):
-    """Equation (1): arrays, which a compiled program takes as arguments.
-
-    Attributes:
-        centre: p_0.
-        leaves: the leaves that change, at p_0.
-        slopes: J of each, the parameters along its first axis.
-    """
-
-    centre: Float[np.ndarray, " k"] | Float[Array, " k"]
-    leaves: tuple[Any, ...]
-    slopes: tuple[Any, ...]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -66,84 +58,66 @@ class Parameters:
 
     Attributes:
         keys: of the numbers, as in ``KEY=VALUE`` overrides.
-        model: equation (1) at the configuration's own values.
         experiment: at the configuration's own values.
         config: the configuration.
         source: the file that it came from.
         folders: where else a user's own classes are looked for.
         inputs: the numbers of the simulation that change.
-        apart: whether bodies with the same surface are treated one by one, because parameters make
-            them differ.
+        building: how it is built.
     """
 
     keys: tuple[str, ...]
-    model: Linearisation
     experiment: Experiment
     config: ExperimentConfig
     source: Path | str
     folders: tuple[Path, ...]
     inputs: Inputs
-    apart: bool
+    building: "_Building"
 
     @property
     def values(self) -> Float[np.ndarray, " k"]:
         """Those in the configuration."""
         return np.array([number_at(self.config, key) for key in self.keys])
 
-    def simulation(
-        self, values: Float[Array, " k"], model: Linearisation | None = None
-    ) -> Simulation:
-        """The trial at some values, which may be traced; to first order about the model's centre.
+    def simulation(self, values: Float[Array, " k"]) -> Simulation:
+        """The trial at some values, which may be traced.
 
         Args:
-            values: of the parameters, in the precision of the trial.
-            model: see `at`; that of the configuration's own values if None.
+            values: of the parameters, in the precision of the trial; see `require`.
         """
-        model = model or self.model
-        dtype = values.dtype
-        moved = values - jnp.asarray(model.centre, dtype)
-        parts = zip(self.inputs.elements, model.leaves, model.slopes, strict=True)
+        leaves = self.building.traced(self.config, dict(zip(self.keys, values, strict=True)))
         changed = [
-            jnp.asarray(leaf, dtype).reshape(-1)[own]
-            + jnp.tensordot(moved, jnp.asarray(slope, dtype).reshape(len(moved), -1)[:, own], 1)
-            for own, leaf, slope in parts
+            jnp.asarray(leaves[place], values.dtype).reshape(-1)[own]
+            for place, own in zip(self.inputs.places, self.inputs.elements, strict=True)
         ]
         return self.inputs.put(self.experiment.simulation, changed)
 
-    def at(self, values: Float[np.ndarray, " k"], curved: bool = True) -> Linearisation:
-        """Equation (1) about other values, for the same compiled program.
+    def require(self, values: Float[np.ndarray, " k"]) -> None:
+        """Check that `simulation` is what a configuration with other values describes.
 
         Args:
             values: of the parameters.
-            curved: with the derivatives there; else all are 0, which takes a single build.
 
         Raises:
             ConfigError: the values are not allowed, or the simulation is laid out differently.
         """
-        config = self.config_at(values)
-        build = _builder(self.source, self.folders, self.apart)
-        leaves = _same_layout(build, config, self.experiment.simulation)
+        leaves = self.building.known(self.config_at(values)).same_layout(self.building.own)
         if leaves is None or not self._covers(leaves):
-            raise ConfigError(
-                self.source,
-                (),
-                f"at {_named(self.keys, values)} the simulation is laid out differently",
-            )
-        slopes: list[dict[int, Change]] = [{} for _ in self.keys]
-        if curved:
-            here = jax.tree.unflatten(jax.tree.structure(self.experiment.simulation), leaves)
-            slopes = [_slopes(build, config, key, here, self.source) for key in self.keys]
-        return _linearisation(np.asarray(values, float), self.inputs.places, leaves, slopes)
+            named = zip(self.keys, values, strict=True)
+            place = ", ".join(f"{key}={value:g}" for key, value in named)
+            problem = f"at {place} the simulation is laid out differently"
+            raise ConfigError(self.source, (), problem)
 
     def _covers(self, leaves: list[Any]) -> bool:
         """Whether nothing differs from the configuration's own simulation but what changes."""
         changing = dict(zip(self.inputs.places, self.inputs.elements, strict=True))
-        own = jax.tree.leaves(self.experiment.simulation)
-        for place, (leaf, old) in enumerate(zip(leaves, own, strict=True)):
+        for place, (leaf, old) in enumerate(zip(leaves, self.building.own.leaves, strict=True)):
             if is_number(leaf):
                 rest = np.delete(np.ravel(leaf), changing.get(place, []))
                 theirs = np.delete(np.ravel(old), changing.get(place, []))
-                if not np.allclose(rest, theirs, rtol=_LAYOUT, atol=0):
+                least = _ROUNDING * np.abs(old, where=np.isfinite(old), out=np.zeros(np.shape(old)))
+                slack = float(np.max(least, initial=0.0))
+                if not np.allclose(rest, theirs, rtol=_LAYOUT, atol=slack):
                     return False
         return True
 
@@ -180,24 +154,22 @@ def parametrise(
         if key in keys[:i]:
             raise ConfigError(source, key.split("."), "is given twice")
         number_at(config, key, source)
-    for apart in (False, True):
-        build = _builder(source, folders, apart)
-        experiment = build(config)
-        leaves = jax.tree.leaves(experiment.simulation)
-        try:
-            slopes = [_slopes(build, config, key, experiment.simulation, source) for key in keys]
-        except ConfigError:
-            # Grouped surfaces may part, and their points change places.
-            if apart:
-                raise
-        else:
-            break
-    places = sorted({place for slope in slopes for place in slope})
-    moves = [np.any([s[place].moves for s in slopes if place in s], axis=0) for place in places]
+    # A user's own classes can be imported from here on.
+    experiment = build_experiment(config, source, folders)
+    building, changes = _Building(config, source), {}
+    try:
+        changes = {key: building.changes(config, key) for key in keys}
+    except ConfigError:
+        # Grouped surfaces may part, and their points change places.
+        building = _Building(config, source, apart=True)
+        changes = {key: building.changes(config, key) for key in keys}
+        experiment = build_experiment(config, source, folders, apart=True)
+    building.require_followed(config, changes)
+    every = changes.values()
+    places = sorted({place for change in every for place in change})
+    moves = [np.any([c[place] for c in every if place in c], axis=0) for place in places]
     inputs = Inputs(tuple(places), tuple(map(np.flatnonzero, moves)))
-    values = np.array([number_at(config, key) for key in keys])
-    model = _linearisation(values, places, leaves, slopes)
-    return Parameters(tuple(keys), model, experiment, config, source, folders, inputs, apart)
+    return Parameters(tuple(keys), experiment, config, source, folders, inputs, building)
 
 
 def all_parameters(
@@ -216,17 +188,17 @@ def all_parameters(
             large, and slow to compile.
     """
     found = []
-    folders = tuple(folders)
+    experiment = build_experiment(config, source, folders)
+    paths = jax.tree_util.tree_flatten_with_path(experiment.simulation)[0]
+    wet = {i for i, (path, _) in enumerate(paths) if path[:2] == _PATCHES}
     for apart in (False, True) if surfaces else (False,):
-        build = _builder(source, folders, apart)
-        base = build(config).simulation
-        paths = jax.tree_util.tree_flatten_with_path(base)[0]
-        wet = {i for i, (path, _) in enumerate(paths) if path[:2] == _PATCHES}
+        building = _Building(config, source, apart)
         for key in number_keys(config):
             if key in found:
                 continue
             try:
-                changes = _slopes(build, config, key, base, source)
+                changes = building.changes(config, key)
+                building.require_followed(config, {key: changes})
             except ConfigError:
                 continue
             if surfaces or not wet & set(changes):
@@ -234,120 +206,187 @@ def all_parameters(
     return tuple(key for key in number_keys(config) if key in found)
 
 
-class _LayoutError(ConfigError):
-    """A number that changes more than numbers."""
+class _Built(NamedTuple):
+    """A simulation of known numbers.
 
-
-_Build = Callable[[ExperimentConfig], Experiment]
-
-
-def _builder(source: Path | str, folders: tuple[Path, ...], apart: bool) -> _Build:
-    return lambda config: build_experiment(config, source, folders, apart)
-
-
-def _named(keys: Sequence[str], values: Iterable[float]) -> str:
-    return ", ".join(f"{key}={value:g}" for key, value in zip(keys, values, strict=True))
-
-
-def _same_layout(build: _Build, config: ExperimentConfig, other: Simulation) -> list[Any] | None:
-    """The leaves of a simulation that differs from another one in its numbers alone, or None."""
-    leaves, structure = jax.tree.flatten(build(config).simulation)
-    theirs, layout = jax.tree.flatten(other)
-    if structure != layout:
-        return None
-    for mine, given in zip(leaves, theirs, strict=True):
-        if not (is_number(given) and is_number(mine)):
-            if not np.array_equal(mine, given):
-                return None
-        elif np.shape(mine) != np.shape(given):
-            return None
-    return leaves
-
-
-def _slopes(
-    build: _Build,
-    config: ExperimentConfig,
-    key: str,
-    base: Simulation,
-    source: Path | str,
-) -> dict[int, Change]:
-    """Derivatives of the leaves by one number, of those that change; ``base`` is what is built.
-
-    Raises:
-        _LayoutError: more than leaves change.
-        ConfigError: none does, or there is no derivative.
+    Attributes:
+        paths: of its leaves.
+        leaves: its leaves.
+        structure: the rest.
+        choices: by which it came about.
     """
-    value, where = number_at(config, key, source), key.split(".")
-    step = _STEP * (abs(value) or 1.0)
 
-    def built(shares: Iterable[float]) -> list[list[Any]]:
-        found = []
-        for share in shares:
-            neighbour = with_numbers(config, {key: value + share * step}, source)
-            other = _same_layout(build, neighbour, base)
-            if other is None:
-                raise _LayoutError(
-                    source,
+    paths: list[Any]
+    leaves: list[Any]
+    structure: Any
+    choices: Choices
+
+    def same_layout(self, other: "_Built") -> list[Any] | None:
+        """The leaves if nothing but numbers is different in the other one, or None."""
+        if self.structure != other.structure or self.choices != other.choices:
+            return None
+        for mine, given in zip(self.leaves, other.leaves, strict=True):
+            if not (is_number(given) and is_number(mine)):
+                if not np.array_equal(mine, given):
+                    return None
+            elif np.shape(mine) != np.shape(given):
+                return None
+        return self.leaves
+
+
+class _Building:
+    """How simulations are built that differ from that of a configuration in numbers alone.
+
+    Attributes:
+        source: file that the configuration came from.
+        apart: whether bodies with the same surface are treated one by one.
+        own: the simulation of the configuration itself.
+    """
+
+    def __init__(self, config: ExperimentConfig, source: Path | str, apart: bool = False):
+        self.source, self.apart = source, apart
+        self.own = self.known(config)
+
+    def known(self, config: ExperimentConfig) -> _Built:
+        """Of known numbers.
+
+        Raises:
+            ConfigError: parts that do not fit together.
+        """
+        with noting() as choices:
+            _, simulation = build_simulation(config, self.source, self.apart)
+        paths, structure = jax.tree_util.tree_flatten_with_path(simulation)
+        names, leaves = zip(*paths, strict=True)
+        return _Built(list(names), list(leaves), structure, choices)
+
+    def traced(self, config: ExperimentConfig, numbers: dict[str, Any]) -> list[Any]:
+        """The leaves as functions of some numbers, which may be traced."""
+        with repeating(self.own.choices), jax.numpy_rank_promotion("allow"):
+            changed = put_numbers(config, numbers)
+            _, simulation = build_simulation(changed, self.source, self.apart)
+        return jax.tree.leaves(simulation)
+
+    def changes(self, config: ExperimentConfig, key: str) -> dict[int, np.ndarray]:
+        """Which elements of which leaves follow one number.
+
+        Raises:
+            ConfigError: more than leaves change, none does, or there is no derivative.
+        """
+        value, where = number_at(config, key, self.source), key.split(".")
+        step = _STEP * (abs(value) or 1.0)
+        beyond = f"has no allowed values on either side of {value:g}"
+        others: list[list[Any]] | None = None
+        both = False
+        for shares in (_BOTH_SIDES, _ONE_SIDE, [-share for share in _ONE_SIDE]):
+            neighbours = []
+            try:
+                for share in shares:
+                    pairs = {key: value + share * step}
+                    neighbours.append(self.known(with_numbers(config, pairs, self.source)))
+            except ConfigError:
+                # At the end of what is allowed: from the other side.
+                continue
+            found = [neighbour.same_layout(self.own) for neighbour in neighbours]
+            others = [leaves for leaves in found if leaves is not None]
+            if len(others) < len(found):
+                raise ConfigError(
+                    self.source,
                     where,
                     "changes more than numbers (which parts there are, how they are joined or "
                     "grouped, steps of time), so there is no derivative by it",
                 )
-            found.append(other)
-        return found
-
-    try:
-        stencil, found = CENTRAL, built(CENTRAL[0])
-    except _LayoutError:
-        raise
-    except ConfigError:
-        # At the end of what is allowed: from the other side.
-        stencil, found = ONE_SIDED, []
-        for sign in (1.0, -1.0):
-            try:
-                found = built(sign * share for share in ONE_SIDED[0])
-                step *= sign
-                break
-            except _LayoutError:
-                raise
-            except ConfigError:
+            both = shares is _BOTH_SIDES
+            break
+        if others is None:
+            raise ConfigError(self.source, where, beyond)
+        changes = {}
+        for place, leaf in enumerate(self.own.leaves):
+            if not is_number(leaf):
                 continue
-        if not found:
-            raise ConfigError(
-                source, where, f"has no allowed values on either side of {value:g}"
-            ) from None
-    paths = jax.tree_util.tree_flatten_with_path(base)[0]
-    changes = {}
-    for place, (_, leaf) in enumerate(paths):
-        if not is_number(leaf):
-            continue
-        slope = derivative(stencil, step, leaf, [other[place] for other in found])
-        if slope is None:
-            name = jax.tree_util.keystr(paths[place][0])[1:]
-            raise ConfigError(
-                source,
-                where,
-                f"{value:g} is at a kink of `{name}` (the lowest of several feet, a limit), or a "
-                "search of limited accuracy lies between them, so there is no derivative by it",
-            )
-        if slope.moves.any():
-            changes[place] = slope
-    if not changes:
-        raise ConfigError(source, where, "changes nothing in a trial of this experiment")
-    for place in changes:
-        if getattr(paths[place][0][-1], "name", None) in _TABLES:
-            raise ConfigError(
-                source, where, "changes a table of places (a mesh, a relief): not differentiable"
-            )
-    return changes
+            accuracy = _SEARCHED if self._is_searched(place) else 0.0
+            moves, smooth = _moves(leaf, [other[place] for other in others], both, accuracy)
+            if not smooth:
+                raise ConfigError(
+                    self.source,
+                    where,
+                    f"{value:g} is at a kink of `{self._name(place)}` (the lowest of several feet, "
+                    "a limit), so there is no derivative by it",
+                )
+            if moves.any():
+                changes[place] = moves
+        if not changes:
+            raise ConfigError(self.source, where, "changes nothing in a trial of this experiment")
+        for place in changes:
+            if getattr(self.own.paths[place][-1], "name", None) in TABLES:
+                raise ConfigError(
+                    self.source,
+                    where,
+                    "changes a table of places (a mesh, a relief): not differentiable",
+                )
+        return changes
+
+    def require_followed(
+        self, config: ExperimentConfig, changes: dict[str, dict[int, np.ndarray]]
+    ) -> None:
+        """Check that the traced building follows numbers wherever the known one does.
+
+        Args:
+            config: the configuration.
+            changes: what each number changes, by key.
+
+        Raises:
+            ConfigError: it does not.
+        """
+        places = sorted({place for change in changes.values() for place in change})
+        constant: list[int] = []
+
+        def trace(numbers: list[Array]) -> None:
+            leaves = self.traced(config, dict(zip(changes, numbers, strict=True)))
+            constant.extend(place for place in places if not is_traced(leaves[place]))
+
+        problem = ""
+        try:
+            jax.eval_shape(trace, [jnp.zeros(())] * len(changes))
+        except (jax.errors.JAXTypeError, TypeError, ValueError) as error:
+            problem = f"cannot be traced by JAX: {str(error).partition(chr(10))[0]}"
+        if constant:
+            names = ", ".join(f"`{self._name(place)}`" for place in constant)
+            problem = f"changes {names} in a way that JAX cannot trace"
+        if not problem:
+            return
+        if len(changes) == 1:
+            (key,) = changes
+            raise ConfigError(self.source, key.split("."), f"{problem}, so it has no derivative")
+        # Which one it is.
+        for key, change in changes.items():
+            self.require_followed(config, {key: change})
+
+    def _is_searched(self, place: int) -> bool:
+        """Whether a search takes part in a leaf."""
+        begins = getattr(self.own.paths[place][0], "name", None) == "situations"
+        return begins and bool(self.own.choices.searched)
+
+    def _name(self, place: int) -> str:
+        return jax.tree_util.keystr(self.own.paths[place])[1:]
 
 
-def _linearisation(
-    centre: np.ndarray, places: Iterable[int], leaves: list[Any], slopes: list[dict[int, Change]]
-) -> Linearisation:
-    places = tuple(places)
-    here = tuple(np.asarray(leaves[place], float) for place in places)
-    each = tuple(
-        np.array([s[place].slope if place in s else np.zeros_like(leaf) for s in slopes])
-        for place, leaf in zip(places, here, strict=True)
-    )
-    return Linearisation(centre, here, each)
+def _moves(leaf: Any, others: list[Any], both: bool, accuracy: float) -> tuple[np.ndarray, bool]:
+    """Which elements of a leaf move, and whether they do so smoothly.
+
+    Args:
+        leaf: as it is.
+        others: at neighbouring values.
+        both: whether these lie on both sides, so that there may be a kink.
+        accuracy: of what is built.
+    """
+    finite = np.isfinite(leaf)
+    centre = np.where(finite, leaf, 0.0)
+    moved = np.array([np.where(finite, other, 0.0) for other in others]) - centre
+    least = _ROUNDING * max(float(np.abs(centre).max(initial=0.0)), np.finfo(float).tiny)
+    moved[np.abs(moved) < least] = 0.0
+    bend = 0.0
+    if both:
+        even = moved[0] + moved[-1] - 4 * (moved[1] + moved[-2])
+        bend = float(np.abs(even).max(initial=0.0))
+    largest = float(np.abs(moved).max(initial=0.0))
+    return np.asarray(moved.any(0)), bool(bend <= _KINK * largest + 40 * least + accuracy)

@@ -1,6 +1,5 @@
 """What each trial begins with, from what the configuration says of start and light."""
 
-import dataclasses
 import functools
 from collections.abc import Callable
 from pathlib import Path
@@ -8,10 +7,10 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
 from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.schema.experiment import ExperimentConfig
-from evo_cpg.config.schema.section import Vector
 from evo_cpg.config.schema.task import DEFAULT_LIGHT, ReachLightConfig
 from evo_cpg.config.schema.trial import SituationConfig
 from evo_cpg.creature.creature import Creature, lowest_along, lowest_height, neutral_pose
@@ -20,9 +19,11 @@ from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import resting_state
 from evo_cpg.physics.terrain import Plane, nearest
 from evo_cpg.physics.world import World
-from evo_cpg.simulation.settle import NoRestError, Settling
+from evo_cpg.simulation.settle import NoRestError, Settling, settled
 from evo_cpg.simulation.situation import Situation
 from evo_cpg.simulation.task import Task
+from evo_cpg.spatial.choices import chosen, searched
+from evo_cpg.spatial.numerics import Number, Triple, is_traced, xp
 from evo_cpg.spatial.rotation import euler_to_matrix
 
 # Tries to find the height at which an animal stands, and how exact it is to be, m.
@@ -43,32 +44,36 @@ def build_situations(
     settings = config.simulation
     task = config.task
     common = task.light if isinstance(task, ReachLightConfig) else None
-    place = functools.cache(functools.partial(_start_height, creature, world))
-    settling = functools.cache(
-        lambda: Settling(world, 1.0 / (settings.control_rate_hz * settings.substeps))
-    )
-    situations = []
+    h = 1.0 / (settings.control_rate_hz * settings.substeps)
+    settling = functools.cache(lambda: Settling(world, h))
+    situations: list[Situation] = []
+    begins: list[Situation] = []
     entries = settings.trials if isinstance(settings.trials, list) else [SituationConfig()]
     for i, entry in enumerate(entries):
         key = ("simulation", "trials", i)
         x, y = settings.start if entry.start is None else entry.start
         turn = entry.start_heading_deg
-        heading = float(np.deg2rad(settings.start_heading_deg if turn is None else turn))
-        height = place(x, y, heading, settings.start_clearance)
-        if height is None:
-            raise ConfigError(
-                source,
-                ("simulation", "start") if entry.start is None else (*key, "start"),
-                f"no place to stand at ({x:g}, {y:g}); is it in an obstacle?",
-            )
-        begin = Situation((x, y, height), heading)
-        if settings.start_pose == "settled":
-            begin = _settled(settling, begin, source)
+        heading = xp.deg2rad(settings.start_heading_deg if turn is None else turn)
+        same = chosen(functools.partial(_same_start, begins, x, y, heading))
+        if same is not None:
+            begin = begins[same]
+        else:
+            height = _start_height(creature, world, x, y, heading, settings.start_clearance)
+            if height is None:
+                raise ConfigError(
+                    source,
+                    ("simulation", "start") if entry.start is None else (*key, "start"),
+                    f"no place to stand at ({x:g}, {y:g}); is it in an obstacle?",
+                )
+            begin = Situation((x, y, height), heading)
+            if settings.start_pose == "settled":
+                begin = _settled(settling, world, h, begin, source)
+        begins.append(begin)
         start, light = begin.start_position, common
         if entry.light is not None:
             light = entry.light.over(common or DEFAULT_LIGHT)
         goal = light and light.position(start, heading)
-        problem = goal and out_of_reach(creature, world, start, goal)
+        problem = goal and chosen(functools.partial(out_of_reach, creature, world, start, goal))
         if problem:
             own = entry.light is not None
             raise ConfigError(source, (*key, "light") if own else ("task", "light"), problem)
@@ -76,8 +81,18 @@ def build_situations(
     return tuple(situations)
 
 
+def _same_start(begins: list[Situation], x: float, y: float, heading: float) -> int | None:
+    """Which of some situations begins here, or None."""
+    for i, begin in enumerate(begins):
+        if (*begin.start_position[:2], begin.start_heading) == (x, y, heading):
+            return i
+    return None
+
+
 def _settled(
     settling: Callable[[], Settling],
+    world: World,
+    h: float,
     situation: Situation,
     source: Path | str,
 ) -> Situation:
@@ -87,7 +102,7 @@ def _settled(
         ConfigError: it does not come to rest.
     """
     try:
-        return settling().settle(situation)
+        return settled(settling, world, h, situation)
     except NoRestError as error:
         x, y, _ = situation.start_position
         raise ConfigError(
@@ -114,7 +129,7 @@ def require_light(config: ExperimentConfig, task: Task, source: Path | str) -> N
             )
 
 
-def out_of_reach(creature: Creature, world: World, start: Vector, light: Vector) -> str | None:
+def out_of_reach(creature: Creature, world: World, start: Triple, light: Triple) -> str | None:
     """Why a light cannot be reached; None where it may be.
 
     Args:
@@ -144,8 +159,8 @@ def out_of_reach(creature: Creature, world: World, start: Vector, light: Vector)
 
 
 def _start_height(
-    creature: Creature, world: World, x: float, y: float, heading: float, start_clearance: float
-) -> float | None:
+    creature: Creature, world: World, x: Number, y: Number, heading: Number, start_clearance: Number
+) -> Number | None:
     """Of the root's centre, m: where the animal stands on the ground, or height 0.
 
     None where there is no place to stand.
@@ -158,24 +173,35 @@ def _start_height(
         return footing.ground.level + height
     floor = footing.ground.floor
     if isinstance(floor, Plane) and not footing.ground.obstacles:
-        normal = np.array(floor.normal) / np.linalg.norm(floor.normal)
+        normal = xp.array(floor.normal)
+        normal = normal / xp.linalg.norm(normal)
         seen = euler_to_matrix(0.0, 0.0, heading).T @ normal
-        rise = start_clearance - lowest_along(creature, seen) + float(floor.height)
-        return float((rise - normal[:2] @ (x, y)) / normal[2])
-    level = Situation((x, y, 0.0), heading)
+        rise = start_clearance - lowest_along(creature, seen) + floor.height
+        return (rise - normal[0] * x - normal[1] * y) / normal[2]
+
+    def gap(height: Array) -> Array:
+        turn = Situation((x, y, 0.0), heading).orientation
+        state = resting_state(world.tree, (), height.dtype, (x, y, height), turn)
+        return clearance(footing, kinematics(world.tree, state)).min()
 
     @jax.jit
-    def gap(height):
-        state = resting_state(
-            world.tree, (), position=level.start_position, orientation=level.orientation
-        )
-        raised = dataclasses.replace(state, position=state.position.at[2].set(height))
-        return clearance(footing, kinematics(world.tree, raised)).min()
+    def look(height: Number) -> tuple[Array, Array]:
+        height = jnp.asarray(height, float)
+        return jax.jvp(gap, (height,), (jnp.ones_like(height),))
 
-    # Raising it by its missing clearance raises it less than enough, but for level ground.
-    for _ in range(_START_STEPS):
-        missing = start_clearance - float(gap(height))
-        if abs(missing) < _START_ACCURACY:
-            return height
-        height += missing
-    return None
+    def search() -> float | None:
+        here = height
+        # Raising it by its missing clearance raises it less than enough, but for level ground.
+        for _ in range(_START_STEPS):
+            missing = start_clearance - float(look(here)[0])
+            if abs(missing) < _START_ACCURACY:
+                return here
+            here += missing
+        return None
+
+    found = searched(search)
+    if found is None:
+        return None
+    reached, rise = look(found)
+    exact = found + (start_clearance - reached) / jax.lax.stop_gradient(rise)
+    return exact if is_traced(world, x, y, heading, start_clearance) else float(exact)

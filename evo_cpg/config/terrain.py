@@ -17,6 +17,7 @@ from evo_cpg.config.schema.ground import (
 )
 from evo_cpg.physics.footing import Ground
 from evo_cpg.physics.terrain import Block, Boulder, Part, Plane, Relief, Shore
+from evo_cpg.spatial.numerics import xp
 
 _FLOOR = ("world", "ground", "floor")
 _ARRAYS, _TABLES, _IMAGES = (".npy",), (".csv", ".txt"), (".png", ".jpg", ".jpeg", ".tif", ".tiff")
@@ -24,22 +25,22 @@ _ARRAYS, _TABLES, _IMAGES = (".npy",), (".csv", ".txt"), (".png", ".jpg", ".jpeg
 
 def build_ground(config: GroundConfig) -> Ground:
     """The ground that a configuration describes."""
-    material = config.model_dump(exclude={"floor", "obstacles"})
+    material = dict(config)
+    del material["floor"], material["obstacles"]
     obstacles = tuple(_obstacle(obstacle) for obstacle in config.obstacles)
     return Ground(**material, floor=_floor(config.floor), obstacles=obstacles)
 
 
 def _floor(config: PlaneConfig | ShoreConfig | HillsConfig | ReliefConfig) -> Part:
     if isinstance(config, PlaneConfig):
-        slope, downhill = np.deg2rad([config.slope_deg, config.downhill_deg])
-        normal = (
-            float(np.sin(slope) * np.cos(downhill)),
-            float(np.sin(slope) * np.sin(downhill)),
-            float(np.cos(slope)),
-        )
+        slope, downhill = xp.deg2rad(config.slope_deg), xp.deg2rad(config.downhill_deg)
+        level = xp.sin(slope)
+        normal = (level * xp.cos(downhill), level * xp.sin(downhill), xp.cos(slope))
         return Plane(normal, config.height * normal[2])
     if isinstance(config, ShoreConfig):
-        return Shore(**config.model_dump(exclude={"type"}))
+        shore = dict(config)
+        del shore["type"]
+        return Shore(**shore)
     heights = _hills(config) if isinstance(config, HillsConfig) else np.array(config.heights)
     corner = None if isinstance(config, HillsConfig) else config.corner
     if corner is None:
@@ -52,7 +53,7 @@ def _obstacle(config: BoulderConfig | BlockConfig) -> Part:
     if isinstance(config, BoulderConfig):
         return Boulder(config.centre, config.radius)
     x, y, z = config.size
-    return Block(config.centre, (x / 2, y / 2, z / 2), float(np.deg2rad(config.heading_deg)))
+    return Block(config.centre, (x / 2, y / 2, z / 2), xp.deg2rad(config.heading_deg))
 
 
 def _hills(config: HillsConfig) -> np.ndarray:

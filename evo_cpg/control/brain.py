@@ -24,6 +24,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from evo_cpg.spatial.linear import matvec
+from evo_cpg.spatial.numerics import Number
 
 # XLA:CPU splits a sum over more than 32 terms into two passes, with all products stored in
 # between; summing in blocks of this many keeps each in one pass (20 % of a control step).
@@ -67,7 +68,7 @@ class Brain(eqx.Module):
     """
 
     sizes: tuple[int, ...] = eqx.field(static=True)
-    temperature: float
+    temperature: Number
 
     @property
     def gene_count(self) -> int:

@@ -52,6 +52,7 @@ from evo_cpg.control.couplings import axis_names, matching_bodies
 from evo_cpg.control.matsuoka import CpgSettings, MatsuokaNetwork, MatsuokaState, build_network
 from evo_cpg.creature.tree import Tree
 from evo_cpg.spatial.linear import lift
+from evo_cpg.spatial.numerics import Number, Numbers, xp
 
 CONTROL_STEP = 1 / 60  # s: Iwadate 2010, 2000 steps in 33.3 s.
 
@@ -149,16 +150,16 @@ class BrainCpg(Controller):
     origin: Origin = eqx.field(static=True)
     joint_rates: bool = eqx.field(static=True)
     substeps: int = eqx.field(static=True)
-    max_tonic_input: float
-    min_adaptation_gain: float
-    max_adaptation_gain: float
-    max_rate: float
-    max_amplitude: float
+    max_tonic_input: Number
+    min_adaptation_gain: Number
+    max_adaptation_gain: Number
+    max_rate: Number
+    max_amplitude: Number
     source: tuple[int, ...] = eqx.field(static=True)
     gain_source: tuple[int, ...] = eqx.field(static=True)
-    steering_range: Float[np.ndarray, " d"]
-    rate_gain: Float[np.ndarray, " d"]
-    centring: Float[np.ndarray, " d"]
+    steering_range: Float[Numbers, " d"]
+    rate_gain: Float[Numbers, " d"]
+    centring: Float[Numbers, " d"]
     control_step: float = eqx.field(static=True)
 
     @property
@@ -303,21 +304,21 @@ def build_brain_cpg(
         max_amplitude=max_amplitude(settings),
         source=source,
         gain_source=gain_source,
-        steering_range=np.array(
+        steering_range=xp.array(
             [_or(axis.steering_range, settings.steering_range) for axis in own]
         ),
-        rate_gain=np.array([settings.rate_gain * axis.gain for axis in own]),
-        centring=np.array([_or(axis.centring, settings.centring) for axis in own]),
+        rate_gain=xp.array([settings.rate_gain * axis.gain for axis in own]),
+        centring=xp.array([_or(axis.centring, settings.centring) for axis in own]),
         control_step=control_step,
     )
 
 
-def max_amplitude(settings: BrainCpgSettings) -> float:
+def max_amplitude(settings: BrainCpgSettings) -> Number:
     """A_max: the output of an oscillator never exceeds it, in units of the tonic input."""
     cpg = settings.cpg
     ranges = [_or(axis.steering_range, 0.0) for axis in settings.axes.values()]
-    steering = max([settings.steering_range, *ranges])
-    return cpg.max_tonic_input * (1 + steering) + max(cpg.sensory_feedback, 0.0)
+    steering = xp.max(xp.array([settings.steering_range, *ranges]))
+    return cpg.max_tonic_input * (1 + steering) + xp.maximum(cpg.sensory_feedback, 0.0)
 
 
 def _grouped_axes(tree: Tree, groups: Mapping[str, tuple[str, ...]]) -> list[str]:
@@ -340,7 +341,7 @@ def _grouped_axes(tree: Tree, groups: Mapping[str, tuple[str, ...]]) -> list[str
     ]
 
 
-def _or(own: float | None, common: float) -> float:
+def _or(own: Number | None, common: Number) -> Number:
     return common if own is None else own
 
 

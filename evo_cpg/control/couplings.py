@@ -20,13 +20,18 @@ network looks the same from each of them. ``docs/models/controller.md`` says whi
 
 import dataclasses
 import fnmatch
-import math
+import functools
 from collections.abc import Iterator, Sequence
 
 import numpy as np
 from jaxtyping import Float
 
 from evo_cpg.creature.tree import Tree
+from evo_cpg.spatial.choices import chosen
+from evo_cpg.spatial.numerics import Number, Numbers, xp
+
+# Cosines and sines below this are rounding.
+_NO_COUPLING = 1e-12
 
 # A ring closes if its lags add up to whole turns but for so many degrees: 51.43 for 7 is enough.
 _CLOSED_DEG = 0.1
@@ -155,17 +160,17 @@ def matching_oscillators(tree: Tree, pattern: str, where: Sequence[str | int]) -
 
 def explicit_weights(
     tree: Tree, couplings: tuple[Coupling, ...], rings: tuple[Ring, ...]
-) -> dict[tuple[int, int], float]:
+) -> dict[tuple[int, int], Number]:
     """What each target (first) is inhibited with by each source, in units of ``pair_weight``.
 
     Raises:
         CouplingError: names that do not exist or do not fit together, a ring that does not close,
             or two couplings of the same source and target.
     """
-    weights: dict[tuple[int, int], float] = {}
+    weights: dict[tuple[int, int], Number] = {}
     written: dict[tuple[int, int], str] = {}
 
-    def put(target: int, source: int, weight: float, where: tuple[str, int]) -> None:
+    def put(target: int, source: int, weight: Number, where: tuple[str, int]) -> None:
         if (target, source) in weights:
             names = f"{tree.dof_names[source]!r} and {tree.dof_names[target]!r}"
             raise CouplingError(
@@ -197,8 +202,8 @@ def start_phases(
     tree: Tree,
     couplings: tuple[Coupling, ...],
     rings: tuple[Ring, ...],
-    joined: Float[np.ndarray, "o o"],
-) -> Float[np.ndarray, " o"]:
+    joined: Float[Numbers, "o o"],
+) -> Float[Numbers, " o"]:
     """By how much each oscillator starts behind the first of those that it is coupled to, rad.
 
     Lags that are asked for count first; what else is joined starts together. Where lags contradict
@@ -210,21 +215,22 @@ def start_phases(
         rings: likewise.
         joined: not 0 where two oscillators are coupled at all.
     """
-    lags: list[dict[int, float]] = [{} for _ in tree.dof_names]
+    lags: list[dict[int, Number]] = [{} for _ in tree.dof_names]
     for i, ring in enumerate(rings):
         members = ring_members(tree, ring, i)
         for before, behind in zip(members, members[1:] + members[:1], strict=True):
-            lags[before].setdefault(behind, math.radians(ring.lag_deg))
-            lags[behind].setdefault(before, -math.radians(ring.lag_deg))
+            lags[before].setdefault(behind, xp.deg2rad(ring.lag_deg))
+            lags[behind].setdefault(before, -xp.deg2rad(ring.lag_deg))
     for i, coupling in enumerate(couplings):
         lag = coupling.lag_deg
         if lag is None:
-            lag = 0.0 if coupling.weight >= 0 else 180.0
+            together = chosen(functools.partial(_is_together, coupling.weight))
+            lag = 0.0 if together else 180.0
         for source, target in _pairs(tree, coupling, i):
-            lags[source].setdefault(target, math.radians(lag))
-            lags[target].setdefault(source, -math.radians(lag))
-    together = (joined != 0) | (joined.T != 0)
-    phases = np.zeros(len(lags))
+            lags[source].setdefault(target, xp.deg2rad(lag))
+            lags[target].setdefault(source, -xp.deg2rad(lag))
+    together = chosen(lambda: np.asarray((joined != 0) | (joined.T != 0)))
+    phases: list[Number] = [0.0] * len(lags)
     placed: set[int] = set()
     for first in range(len(lags)):
         # What the tree alone joins waits until no lag is left to follow.
@@ -243,7 +249,7 @@ def start_phases(
                     placed.add(other)
                     phases[other] = phases[here] + lag
                     now.append(other)
-    return phases
+    return xp.array(phases)
 
 
 def ring_members(tree: Tree, ring: Ring, number: int) -> list[int]:
@@ -270,8 +276,7 @@ def ring_members(tree: Tree, ring: Ring, number: int) -> list[int]:
     count = len(found)
     if count < 2:
         raise CouplingError(f"a ring needs at least two, got {', '.join(names) or 'none'}", where)
-    turns = count * ring.lag_deg / 360
-    if abs(turns - round(turns)) * 360 / count > _CLOSED_DEG:
+    if not chosen(functools.partial(_closes, ring.lag_deg, count)):
         allowed = sorted({(360 * k / count + 180) % 360 - 180 for k in range(count)})
         allowed.sort(key=lambda lag: (round(abs(lag), 6), -lag))
         raise CouplingError(
@@ -280,6 +285,15 @@ def ring_members(tree: Tree, ring: Ring, number: int) -> list[int]:
             ("rings", number, "lag_deg"),
         )
     return found
+
+
+def _is_together(weight: float) -> bool:
+    return bool(weight >= 0)
+
+
+def _closes(lag_deg: float, count: int) -> bool:
+    turns = count * lag_deg / 360
+    return bool(abs(turns - round(turns)) * 360 / count <= _CLOSED_DEG)
 
 
 def uncoupled(matrix: Float[np.ndarray, "o o"]) -> list[int]:
@@ -315,10 +329,13 @@ def _pairs(tree: Tree, coupling: Coupling, number: int) -> Iterator[tuple[int, i
         yield source, target
 
 
-def _cosine_and_sine(lag_deg: float) -> tuple[float, float]:
-    """Of a lag in degrees; exactly 0 and 1 where they are, so that no coupling is nearly none."""
-    cosine, sine = math.cos(math.radians(lag_deg)), math.sin(math.radians(lag_deg))
-    return round(cosine, 12) + 0.0, round(sine, 12) + 0.0
+def _cosine_and_sine(lag_deg: Number) -> tuple[Number, Number]:
+    """Of a lag in degrees; exactly 0 where they are, so that no coupling is nearly none."""
+    cosine, sine = xp.cos(xp.deg2rad(lag_deg)), xp.sin(xp.deg2rad(lag_deg))
+    cosine_counts, sine_counts = chosen(
+        lambda: (abs(cosine) > _NO_COUPLING, abs(sine) > _NO_COUPLING)
+    )
+    return cosine if cosine_counts else 0.0, sine if sine_counts else 0.0
 
 
 def _check_lag(lag_deg: float | None) -> None:

@@ -47,7 +47,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from evo_cpg.control.couplings import (
     Coupling,
@@ -59,7 +59,9 @@ from evo_cpg.control.couplings import (
 )
 from evo_cpg.creature.tree import Tree
 from evo_cpg.fusion.fuse import fuse
+from evo_cpg.spatial.choices import chosen
 from evo_cpg.spatial.linear import lift
+from evo_cpg.spatial.numerics import Number, Numbers, xp
 
 # (T_r, T_a) in s: Iwadate 2010, Table 3, exchanged and as it stands there.
 TIME_CONSTANTS = {"swapped": (0.153337, 1.181958), "as_printed": (1.181958, 0.153337)}
@@ -150,13 +152,13 @@ class MatsuokaNetwork(eqx.Module):
     """
 
     offsets: tuple[int, ...] = eqx.field(static=True)
-    weights: Float[np.ndarray, "k o"]
+    weights: Float[Numbers, "k o"]
     own_offsets: tuple[int, ...] = eqx.field(static=True)
-    own_weights: Float[np.ndarray, "m o"]
-    rise_time: float
-    adaptation_time: float
-    sensory_feedback: float
-    initial_potential: Float[np.ndarray, "2 o"]
+    own_weights: Float[Numbers, "m o"]
+    rise_time: Number
+    adaptation_time: Number
+    sensory_feedback: Number
+    initial_potential: Float[Numbers, "2 o"]
 
     @property
     def oscillator_count(self) -> int:
@@ -179,6 +181,9 @@ class MatsuokaNetwork(eqx.Module):
 
     def substeps(self, h: float) -> int:
         """Number of Runge-Kutta steps that a step of h (s) is divided into."""
+        return chosen(lambda: self._substeps(h))
+
+    def _substeps(self, h: float) -> int:
         longest = SUBSTEP_SHARE * min(self.rise_time, self.adaptation_time)
         return max(1, math.ceil(h / longest))
 
@@ -195,7 +200,7 @@ class MatsuokaState(eqx.Module):
     adaptation: Float[Array, "2 o *n"]
 
 
-def inhibition_matrix(tree: Tree, settings: CpgSettings) -> Float[np.ndarray, "o o"]:
+def inhibition_matrix(tree: Tree, settings: CpgSettings) -> Float[Numbers, "o o"]:
     """How strongly each oscillator (row) is inhibited by each other one (column).
 
     An oscillator is joined to the one of the same axis on its body's nearest ancestor that has
@@ -208,8 +213,10 @@ def inhibition_matrix(tree: Tree, settings: CpgSettings) -> Float[np.ndarray, "o
         ValueError: no body is named as ``opposite`` says, or couplings do not fit the creature.
     """
     axes = axis_names(tree)
-    matrix = np.eye(tree.dof_count)
-    direction = np.array([-1 if (axis <= 0).all() else 1 for axis in tree.joint_axes.T])
+    weights: dict[tuple[int, int], Number] = {(i, i): 1.0 for i in range(tree.dof_count)}
+    direction = chosen(
+        lambda: [-1 if (np.asarray(axis) <= 0).all() else 1 for axis in tree.joint_axes.T]
+    )
     opposite = matching_bodies(tree, settings.opposite, "opposite")
     oscillator = {key: i for i, key in enumerate(zip(tree.dof_bodies, axes, strict=True))}
     for child, (body, axis) in enumerate(zip(tree.dof_bodies, axes, strict=True)):
@@ -219,22 +226,28 @@ def inhibition_matrix(tree: Tree, settings: CpgSettings) -> Float[np.ndarray, "o
         if ancestor >= 0:
             parent = oscillator[ancestor, axis]
             side = direction[child] * direction[parent] * (-1 if body in opposite else 1)
-            matrix[child, parent] = side * settings.parent_weight
-            matrix[parent, child] = side * settings.child_weight
+            weights[child, parent] = side * settings.parent_weight
+            weights[parent, child] = side * settings.child_weight
     for i, (body, following) in enumerate(itertools.pairwise(tree.dof_bodies)):
         if body == following:
-            matrix[i, i + 1] = matrix[i + 1, i] = settings.cross_weight
-    for place, weight in explicit_weights(tree, settings.couplings, settings.rings).items():
-        matrix[place] = weight
-    return settings.pair_weight * matrix
+            weights[i, i + 1] = weights[i + 1, i] = settings.cross_weight
+    weights |= explicit_weights(tree, settings.couplings, settings.rings)
+    return settings.pair_weight * _matrix(tree.dof_count, weights)
+
+
+def _matrix(count: int, elements: dict[tuple[int, int], Number]) -> Float[Numbers, "o o"]:
+    """A square matrix of some elements, and zeros."""
+    place = np.zeros((count, count), int)
+    place[tuple(np.array(list(elements)).T)] = 1 + np.arange(len(elements))
+    return xp.array([0.0, *elements.values()])[place]
 
 
 def build_network(tree: Tree, settings: CpgSettings) -> MatsuokaNetwork:
     """Grow the network on a creature's tree."""
     rise_time, adaptation_time = TIME_CONSTANTS[settings.constants]
     matrix = inhibition_matrix(tree, settings)
-    share = np.cos(start_phases(tree, settings.couplings, settings.rings, matrix))
-    sides = np.maximum([share, -share], 0)
+    share = xp.cos(start_phases(tree, settings.couplings, settings.rings, matrix))
+    sides = xp.maximum(xp.stack([share, -share]), 0)
     return MatsuokaNetwork(
         **_connections(matrix),
         rise_time=settings.time_scale * rise_time,
@@ -251,10 +264,11 @@ def sub_network(network: MatsuokaNetwork, oscillators: tuple[int, ...]) -> Matsu
     return dataclasses.replace(network, **connections, initial_potential=start)
 
 
-def _connections(matrix: Float[np.ndarray, "o o"]) -> dict[str, Any]:
+def _connections(matrix: Float[Numbers, "o o"]) -> dict[str, Any]:
     """The fields of a `MatsuokaNetwork` that state an inhibition matrix."""
-    offsets, weights = _diagonals(np.maximum(matrix, 0))
-    own_offsets, own_weights = _diagonals(np.maximum(-matrix, 0))
+    signs = chosen(lambda: np.sign(matrix))
+    offsets, weights = _diagonals(matrix, signs > 0)
+    own_offsets, own_weights = _diagonals(-matrix, signs < 0)
     return {
         "offsets": offsets,
         "weights": weights,
@@ -263,26 +277,25 @@ def _connections(matrix: Float[np.ndarray, "o o"]) -> dict[str, Any]:
     }
 
 
-def diagonal(matrix: Float[np.ndarray, "o o"], offset: int) -> Float[np.ndarray, " o"]:
+def diagonal(matrix: Float[Numbers, "o o"], offset: int) -> Float[Numbers, " o"]:
     """A diagonal as long as the matrix: ``matrix[i, i + offset]`` for each i, 0 outside."""
-    count = len(matrix)
-    row = np.zeros(count)
-    row[max(0, -offset) : count - max(0, offset)] = np.diagonal(matrix, offset)
-    return row
+    return xp.pad(xp.diagonal(matrix, offset), (max(0, -offset), max(0, offset)))
 
 
 def _diagonals(
-    matrix: Float[np.ndarray, "o o"],
-) -> tuple[tuple[int, ...], Float[np.ndarray, "k o"]]:
-    """The diagonals that are not zero, each as long as the matrix, and their offsets."""
+    matrix: Float[Numbers, "o o"], there: Bool[np.ndarray, "o o"]
+) -> tuple[tuple[int, ...], Float[Numbers, "k o"]]:
+    """The diagonals that are not empty, each as long as the matrix, and their offsets.
+
+    Args:
+        matrix: the elements.
+        there: which of them count; all others are zero.
+    """
     count = len(matrix)
-    offsets, diagonals = [], []
-    for offset in range(1 - count, count):
-        row = diagonal(matrix, offset)
-        if row.any():
-            offsets.append(offset)
-            diagonals.append(row)
-    return tuple(offsets), np.array(diagonals).reshape(-1, count)
+    offsets = [k for k in range(1 - count, count) if np.diagonal(there, k).any()]
+    kept = xp.where(there, matrix, 0.0)
+    diagonals = [diagonal(kept, k) for k in offsets]
+    return tuple(offsets), xp.stack(diagonals) if diagonals else np.zeros((0, count))
 
 
 def initial_state(

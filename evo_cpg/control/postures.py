@@ -37,7 +37,9 @@ from jaxtyping import Array, Float, Int
 
 from evo_cpg.control.controller import Command, Controller, Observation, Origin
 from evo_cpg.creature.tree import Tree
+from evo_cpg.spatial.choices import chosen
 from evo_cpg.spatial.linear import lift
+from evo_cpg.spatial.numerics import Number
 
 # Switches fall on the right control step for so many periods (and for ever, where that many hold a
 # whole number of control steps). A trial of the thesis, 20 s, has 60.
@@ -113,8 +115,8 @@ class PostureController(Controller):
     postures: int = eqx.field(static=True)
     bits_per_joint: int = eqx.field(static=True)
     graded: bool = eqx.field(static=True)
-    lowest_angle: float
-    angle_step: float
+    lowest_angle: Number
+    angle_step: Number
     steps_per_posture: Fraction = eqx.field(static=True)
 
     @property
@@ -177,8 +179,9 @@ def build_posture_controller(
     """
     if not tree.dof_count:
         raise ValueError("the controller needs a creature with at least one joint")
-    _check_limits(tree, settings)
-    if not 1 - TOLERANCE <= settings.period / control_step <= LONGEST_PERIOD:
+    chosen(lambda: _check_limits(tree, settings))
+    ratio = settings.period / control_step
+    if not chosen(lambda: 1 - TOLERANCE <= ratio <= LONGEST_PERIOD):
         raise ValueError(
             f"period must be from 1 to {LONGEST_PERIOD} control steps of {control_step:g} s, "
             f"got {settings.period:g} s"
@@ -192,7 +195,7 @@ def build_posture_controller(
         graded=settings.graded,
         lowest_angle=settings.lowest_angle - settings.neutral_angle,
         angle_step=settings.angle_step,
-        steps_per_posture=_steps_per_posture(settings.period / control_step),
+        steps_per_posture=chosen(lambda: _steps_per_posture(ratio)),
     )
 
 

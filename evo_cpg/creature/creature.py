@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from evo_cpg.creature.shapes import Shape
+from evo_cpg.spatial.numerics import Number, Numbers, Triple, xp
 
 
 class CreatureError(ValueError):
@@ -36,10 +37,10 @@ class Material:
         dynamic_friction: coefficient that brakes a sliding contact.
     """
 
-    density: float
-    restitution: float = 0.1
-    static_friction: float = 0.5
-    dynamic_friction: float = 0.4
+    density: Number
+    restitution: Number = 0.1
+    static_friction: Number = 0.5
+    dynamic_friction: Number = 0.4
 
 
 @dataclasses.dataclass(frozen=True)
@@ -56,9 +57,9 @@ class Actuator:
         stiffness: torque per angle error, N m/rad.
     """
 
-    gain: float
-    torque_limit: float = float("inf")
-    stiffness: float = 0.0
+    gain: Number
+    torque_limit: Number = float("inf")
+    stiffness: Number = 0.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -83,19 +84,19 @@ class Joint:
     """
 
     parent: str
-    parent_anchor: tuple[float, float, float]
-    child_anchor: tuple[float, float, float]
-    axes: tuple[tuple[float, float, float], ...]
-    lower: tuple[float, ...]
-    upper: tuple[float, ...]
-    orientation: tuple[tuple[float, float, float], ...] = (
+    parent_anchor: Triple
+    child_anchor: Triple
+    axes: tuple[Triple, ...]
+    lower: tuple[Number, ...]
+    upper: tuple[Number, ...]
+    orientation: tuple[Triple, ...] = (
         (1.0, 0.0, 0.0),
         (0.0, 1.0, 0.0),
         (0.0, 0.0, 1.0),
     )
-    stiffness: float = 0.0
-    damping: float = 0.0
-    armature: float = 0.0
+    stiffness: Number = 0.0
+    damping: Number = 0.0
+    armature: Number = 0.0
     actuator: Actuator | None = None
 
 
@@ -130,9 +131,9 @@ class LightSensor:
     """
 
     body: str
-    position: tuple[float, float, float]
-    axis: tuple[float, float, float]
-    field_of_view: float
+    position: Triple
+    axis: Triple
+    field_of_view: Number
 
 
 @dataclasses.dataclass(frozen=True)
@@ -146,8 +147,8 @@ class DepthSensor:
     """
 
     body: str
-    position: tuple[float, float, float]
-    full_scale: float
+    position: Triple
+    full_scale: Number
 
 
 @dataclasses.dataclass(frozen=True)
@@ -173,32 +174,32 @@ class Creature:
         return [body.name for body in self.bodies].index(name)
 
     @property
-    def mass(self) -> float:
+    def mass(self) -> Number:
         """Mass of the whole creature, kg."""
         return sum(body.shape.volume * body.material.density for body in self.bodies)
 
 
-def neutral_pose(creature: Creature) -> tuple[np.ndarray, np.ndarray]:
+def neutral_pose(creature: Creature) -> tuple[Numbers, Numbers]:
     """Where the bodies are with every joint at zero and the root at the origin.
 
     Returns:
         Centres ``(bodies, 3)`` in m and rotation matrices ``(bodies, 3, 3)``, in the order of
         ``creature.bodies``.
     """
-    frames: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+    frames: dict[str, tuple[Numbers, Numbers]] = {}
     for body in (creature.bodies[i] for i in topological_order(creature)):
         if body.joint is None:
             frames[body.name] = np.zeros(3), np.eye(3)
             continue
         parent_centre, parent_rotation = frames[body.joint.parent]
-        rotation = parent_rotation @ np.array(body.joint.orientation)
-        anchor = parent_centre + parent_rotation @ np.array(body.joint.parent_anchor)
-        frames[body.name] = anchor - rotation @ np.array(body.joint.child_anchor), rotation
+        rotation = parent_rotation @ xp.array(body.joint.orientation)
+        anchor = parent_centre + parent_rotation @ xp.array(body.joint.parent_anchor)
+        frames[body.name] = anchor - rotation @ xp.array(body.joint.child_anchor), rotation
     centres, rotations = zip(*(frames[body.name] for body in creature.bodies), strict=True)
-    return np.array(centres), np.array(rotations)
+    return xp.array(centres), xp.array(rotations)
 
 
-def lowest_height(creature: Creature, pose: tuple[np.ndarray, np.ndarray] | None = None) -> float:
+def lowest_height(creature: Creature, pose: tuple[Numbers, Numbers] | None = None) -> Number:
     """Height of the creature's lowest point, m.
 
     In the neutral pose it is that above the root's centre, and never positive.
@@ -207,12 +208,12 @@ def lowest_height(creature: Creature, pose: tuple[np.ndarray, np.ndarray] | None
         creature: the animal.
         pose: its bodies' centres and rotations, as `neutral_pose` has them; None for that pose.
     """
-    return lowest_along(creature, np.array([0.0, 0.0, 1.0]), pose)
+    return lowest_along(creature, xp.array([0.0, 0.0, 1.0]), pose)
 
 
 def lowest_along(
-    creature: Creature, up: np.ndarray, pose: tuple[np.ndarray, np.ndarray] | None = None
-) -> float:
+    creature: Creature, up: Numbers, pose: tuple[Numbers, Numbers] | None = None
+) -> Number:
     """The same along any direction.
 
     Args:
@@ -221,10 +222,11 @@ def lowest_along(
         pose: as above.
     """
     centres, rotations = neutral_pose(creature) if pose is None else pose
-    return min(
-        float(up @ centre + (up @ rotation) @ body.shape.support(-rotation.T @ up))
+    heights = [
+        up @ centre + (up @ rotation) @ body.shape.support(-rotation.T @ up)
         for body, centre, rotation in zip(creature.bodies, centres, rotations, strict=True)
-    )
+    ]
+    return xp.min(xp.array(heights))
 
 
 def topological_order(creature: Creature) -> list[int]:

@@ -20,6 +20,8 @@ import numpy as np
 from typing_extensions import override
 
 from evo_cpg.creature.shapes import Cell, Shape, Surface
+from evo_cpg.spatial.choices import chosen
+from evo_cpg.spatial.numerics import Number, Numbers, xp
 
 # More triangles tell nothing that the physics would feel, and go into the run folder's config.
 MOST_TRIANGLES = 2000
@@ -96,11 +98,11 @@ class ConvexMesh(Shape):
         return float(np.linalg.norm(self.points, axis=1).max())
 
     @override
-    def inertia(self, mass: float) -> np.ndarray:
-        return np.diag(self.inertia_tensor(mass)).copy()
+    def inertia(self, mass: Number) -> Numbers:
+        return xp.diag(self.inertia_tensor(mass)).copy()
 
     @override
-    def inertia_tensor(self, mass: float) -> np.ndarray:
+    def inertia_tensor(self, mass: Number) -> Numbers:
         return mass / self.volume * self._mass_properties[2]
 
     @property
@@ -142,10 +144,13 @@ class ConvexMesh(Shape):
         return distance
 
     @override
-    def support(self, direction: np.ndarray) -> np.ndarray:
-        reach = self.points @ direction
-        far = reach.max() - reach <= _EQUALLY_FAR * np.ptp(reach)
+    def support(self, direction: Numbers) -> np.ndarray:
+        far = chosen(lambda: self._farthest(direction))
         return self.points[far].mean(0)
+
+    def _farthest(self, direction: np.ndarray) -> np.ndarray:
+        reach = self.points @ direction
+        return np.flatnonzero(reach.max() - reach <= _EQUALLY_FAR * np.ptp(reach))
 
     @functools.cached_property
     def corners(self) -> np.ndarray:

@@ -13,6 +13,9 @@ from typing import Literal, NamedTuple
 import numpy as np
 from typing_extensions import override
 
+from evo_cpg.spatial.choices import chosen
+from evo_cpg.spatial.numerics import Number, Numbers, Triple, as_vector, xp
+
 # Discs into which the cylinder of a capsule is cut. Between them they have its second moment; a
 # capsule that floats level rights itself 33 % / n^2 too strongly about its short axes: 2 %.
 _SLICES = 4
@@ -23,9 +26,9 @@ Profile = Literal["box", "ball", "disc", "polyhedron"]
 class Surface(NamedTuple):
     """Quadrature points on a surface: places (m), unit outward normals and areas (m^2)."""
 
-    points: np.ndarray
-    normals: np.ndarray
-    areas: np.ndarray
+    points: Numbers
+    normals: Numbers
+    areas: Numbers
 
 
 class Cell(NamedTuple):
@@ -42,10 +45,10 @@ class Cell(NamedTuple):
     """
 
     profile: Profile
-    centre: tuple[float, float, float]
-    half_axes: tuple[float, float, float]
-    volume: float
-    triangles: np.ndarray | None = None
+    centre: Triple
+    half_axes: Triple
+    volume: Number
+    triangles: Numbers | None = None
 
 
 class Shape(abc.ABC):
@@ -53,41 +56,41 @@ class Shape(abc.ABC):
 
     @property
     @abc.abstractmethod
-    def volume(self) -> float:
+    def volume(self) -> Number:
         """Volume, m^3."""
 
     @property
     @abc.abstractmethod
-    def half_extents(self) -> np.ndarray:
+    def half_extents(self) -> Numbers:
         """Half sizes of the bounding box along x, y and z, m."""
 
     @property
-    def reach(self) -> float:
+    def reach(self) -> Number:
         """Largest distance from the centre that a part of it may have, m."""
-        return float(np.linalg.norm(self.half_extents))
+        return xp.linalg.norm(self.half_extents)
 
     @abc.abstractmethod
-    def inertia(self, mass: float) -> np.ndarray:
+    def inertia(self, mass: Number) -> Numbers:
         """Moments of inertia ``(3,)`` about x, y and z through the centre, uniform mass, kg m^2."""
 
-    def inertia_tensor(self, mass: float) -> np.ndarray:
+    def inertia_tensor(self, mass: Number) -> Numbers:
         """Inertia ``(3, 3)`` about the centre; diagonal but for meshes, kg m^2."""
-        return np.diag(self.inertia(mass))
+        return xp.diag(self.inertia(mass))
 
     @property
-    def stretch(self) -> tuple[np.ndarray, np.ndarray]:
+    def stretch(self) -> tuple[Numbers, Numbers]:
         """Half lengths ``(3,)`` along its principal axes, m, and the axes as columns ``(3, 3)``."""
-        return self.half_extents, np.eye(3)
+        return self.half_extents, xp.eye(3)
 
     @abc.abstractmethod
-    def distance(self, points: np.ndarray) -> np.ndarray:
+    def distance(self, points: Numbers) -> Numbers:
         """Signed distance ``(n,)`` of points ``(n, 3)`` from the surface, m; negative inside.
 
         Its sign is exact for every shape; its size is exact but for the ellipsoid.
         """
 
     @abc.abstractmethod
-    def support(self, direction: np.ndarray) -> np.ndarray:
+    def support(self, direction: Numbers) -> Numbers:
         """The point ``(3,)`` of the shape that lies farthest along a direction ``(3,)``, m.
 
         Args:
@@ -108,102 +111,95 @@ class Shape(abc.ABC):
 class Box(Shape):
     """Cuboid with edges ``size`` (m) along x, y and z."""
 
-    size: tuple[float, float, float]
+    size: Triple
 
     @property
     @override
-    def volume(self) -> float:
-        return float(np.prod(self.size))
+    def volume(self) -> Number:
+        return xp.prod(xp.array(self.size))
 
     @property
     @override
-    def half_extents(self) -> np.ndarray:
-        return np.array(self.size) / 2
+    def half_extents(self) -> Numbers:
+        return xp.array(self.size) / 2
 
     @override
-    def inertia(self, mass: float) -> np.ndarray:
-        squares = np.square(self.size)
+    def inertia(self, mass: Number) -> Numbers:
+        squares = xp.square(xp.array(self.size))
         return mass / 12 * (squares.sum() - squares)
 
     @override
-    def distance(self, points: np.ndarray) -> np.ndarray:
-        excess = np.abs(points) - self.half_extents
-        outside = np.linalg.norm(np.maximum(excess, 0), axis=-1)
-        return outside + np.minimum(excess.max(-1), 0)
+    def distance(self, points: Numbers) -> Numbers:
+        excess = xp.abs(points) - self.half_extents
+        outside = xp.linalg.norm(xp.maximum(excess, 0), axis=-1)
+        return outside + xp.minimum(excess.max(-1), 0)
 
     @override
-    def support(self, direction: np.ndarray) -> np.ndarray:
-        return np.sign(direction) * self.half_extents
+    def support(self, direction: Numbers) -> Numbers:
+        return xp.sign(direction) * self.half_extents
 
     @override
     def surface(self, resolution: int) -> Surface:
         """Gauss-Legendre points, ``resolution`` squared on each of the six faces."""
-        nodes, weights = np.polynomial.legendre.leggauss(resolution)
-        u, v = (grid.ravel() for grid in np.meshgrid(nodes, nodes, indexing="ij"))
-        weight = np.outer(weights, weights).ravel() / 4
+        places, normals, weights = _cube_rule(resolution)
+        axis = np.abs(normals).argmax(-1)
         half = self.half_extents
-        faces = []
-        for axis in range(3):
-            first, second = (axis + 1) % 3, (axis + 2) % 3
-            for sign in (1.0, -1.0):
-                points = np.zeros((u.size, 3))
-                points[:, axis] = sign * half[axis]
-                points[:, first], points[:, second] = u * half[first], v * half[second]
-                normals = np.zeros_like(points)
-                normals[:, axis] = sign
-                faces.append(Surface(points, normals, weight * 4 * half[first] * half[second]))
-        return _join(faces)
+        return Surface(
+            places * half,
+            normals,
+            weights * 4 * half[(axis + 1) % 3] * half[(axis + 2) % 3],
+        )
 
     @override
     def cells(self) -> tuple[Cell, ...]:
-        return (Cell("box", (0.0, 0.0, 0.0), tuple(self.half_extents), self.volume),)
+        return (Cell("box", (0.0, 0.0, 0.0), as_vector(self.half_extents), self.volume),)
 
 
 @dataclasses.dataclass(frozen=True)
 class Ellipsoid(Shape):
     """Ellipsoid with semi-axes ``radii`` (m) along x, y and z."""
 
-    radii: tuple[float, float, float]
+    radii: Triple
 
     @property
     @override
-    def volume(self) -> float:
-        return float(4 / 3 * np.pi * np.prod(self.radii))
+    def volume(self) -> Number:
+        return 4 / 3 * xp.pi * xp.prod(xp.array(self.radii))
 
     @property
     @override
-    def half_extents(self) -> np.ndarray:
-        return np.array(self.radii, float)
+    def half_extents(self) -> Numbers:
+        return xp.array(self.radii, float)
 
     @override
-    def inertia(self, mass: float) -> np.ndarray:
-        squares = np.square(self.radii)
+    def inertia(self, mass: Number) -> Numbers:
+        squares = xp.square(xp.array(self.radii))
         return mass / 5 * (squares.sum() - squares)
 
     @override
-    def distance(self, points: np.ndarray) -> np.ndarray:
+    def distance(self, points: Numbers) -> Numbers:
         scaled = points / self.half_extents
-        level = np.linalg.norm(scaled, axis=-1)
-        gradient = np.linalg.norm(scaled / self.half_extents, axis=-1)
+        level = xp.linalg.norm(scaled, axis=-1)
+        gradient = xp.linalg.norm(scaled / self.half_extents, axis=-1)
         at_centre = gradient < 1e-12
-        estimate = level * (level - 1) / np.where(at_centre, 1.0, gradient)
-        return np.where(at_centre, -self.half_extents.min(), estimate)
+        estimate = level * (level - 1) / xp.where(at_centre, 1.0, gradient)
+        return xp.where(at_centre, -self.half_extents.min(), estimate)
 
     @override
-    def support(self, direction: np.ndarray) -> np.ndarray:
+    def support(self, direction: Numbers) -> Numbers:
         stretched = self.half_extents * direction
-        return self.half_extents * stretched / np.linalg.norm(stretched)
+        return self.half_extents * stretched / xp.linalg.norm(stretched)
 
     @override
     def surface(self, resolution: int) -> Surface:
         """The sphere's product rule (Gauss in x, uniform around x), mapped to the ellipsoid."""
         directions, solid_angles = _sphere_rule(resolution)
         scaled = directions / self.half_extents
-        stretch = np.linalg.norm(scaled, axis=-1)
+        stretch = xp.linalg.norm(scaled, axis=-1)
         return Surface(
             directions * self.half_extents,
             scaled / stretch[:, None],
-            solid_angles * np.prod(self.radii) * stretch,
+            solid_angles * xp.prod(xp.array(self.radii)) * stretch,
         )
 
     @override
@@ -214,11 +210,11 @@ class Ellipsoid(Shape):
 class Sphere(Ellipsoid):
     """Sphere of the given ``radius`` (m)."""
 
-    def __init__(self, radius: float):
+    def __init__(self, radius: Number):
         super().__init__((radius, radius, radius))
 
     @property
-    def radius(self) -> float:
+    def radius(self) -> Number:
         """Radius, m."""
         return self.radii[0]
 
@@ -232,61 +228,61 @@ class Capsule(Shape):
         length: of the cylindrical part, m; the whole capsule is ``length + 2 radius`` long.
     """
 
-    radius: float
-    length: float
+    radius: Number
+    length: Number
 
     @property
     @override
-    def volume(self) -> float:
-        return np.pi * self.radius**2 * (self.length + 4 / 3 * self.radius)
+    def volume(self) -> Number:
+        return xp.pi * self.radius**2 * (self.length + 4 / 3 * self.radius)
 
     @property
     @override
-    def half_extents(self) -> np.ndarray:
-        return np.array([self.length / 2 + self.radius, self.radius, self.radius])
+    def half_extents(self) -> Numbers:
+        return xp.array([self.length / 2 + self.radius, self.radius, self.radius])
 
     @override
-    def inertia(self, mass: float) -> np.ndarray:
+    def inertia(self, mass: Number) -> Numbers:
         r, length = self.radius, self.length
-        cylinder = mass * np.pi * r**2 * length / self.volume
+        cylinder = mass * xp.pi * r**2 * length / self.volume
         ends = mass - cylinder
         axial = cylinder * r**2 / 2 + ends * 0.4 * r**2
         across = cylinder * (length**2 / 12 + r**2 / 4) + ends * (
             0.4 * r**2 + length**2 / 4 + 3 / 8 * length * r
         )
-        return np.array([axial, across, across])
+        return xp.array([axial, across, across])
 
     @override
-    def distance(self, points: np.ndarray) -> np.ndarray:
-        nearest = np.zeros_like(points)
-        nearest[:, 0] = np.clip(points[:, 0], -self.length / 2, self.length / 2)
-        return np.linalg.norm(points - nearest, axis=-1) - self.radius
+    def distance(self, points: Numbers) -> Numbers:
+        along = xp.clip(points[:, :1], -self.length / 2, self.length / 2)
+        nearest = along * np.array([[1.0, 0.0, 0.0]])
+        return xp.linalg.norm(points - nearest, axis=-1) - self.radius
 
     @override
-    def support(self, direction: np.ndarray) -> np.ndarray:
-        end = np.array([np.sign(direction[0]) * self.length / 2, 0.0, 0.0])
-        return end + self.radius * direction / np.linalg.norm(direction)
+    def support(self, direction: Numbers) -> Numbers:
+        end = xp.array([xp.sign(direction[0]) * self.length / 2, 0.0, 0.0])
+        return end + self.radius * direction / xp.linalg.norm(direction)
 
     @override
     def surface(self, resolution: int) -> Surface:
         """Rings on the cylinder, and the two halves of the sphere's rule as its ends."""
         nodes, weights = np.polynomial.legendre.leggauss(resolution)
         around = _ring(resolution)
-        points = np.concatenate(
+        points = xp.concatenate(
             [
-                np.column_stack([np.full(len(around), x * self.length / 2), self.radius * around])
+                xp.column_stack([xp.full(len(around), x * self.length / 2), self.radius * around])
                 for x in nodes
             ]
         )
-        normals = np.tile(np.column_stack([np.zeros(len(around)), around]), (resolution, 1))
-        ring_area = 2 * np.pi * self.radius * self.length / len(around)
-        side = Surface(points, normals, np.repeat(weights / 2 * ring_area, len(around)))
+        normals = xp.tile(xp.column_stack([xp.zeros(len(around)), around]), (resolution, 1))
+        ring_area = 2 * xp.pi * self.radius * self.length / len(around)
+        side = Surface(points, normals, xp.repeat(weights / 2 * ring_area, len(around)))
         # A rule on either half: one across both would not see the step between them.
         half, share = (nodes + 1) / 2, weights / 2
         directions, solid_angles = _around_x(
-            np.concatenate([-half[::-1], half]), np.concatenate([share[::-1], share]), around
+            xp.concatenate([-half[::-1], half]), xp.concatenate([share[::-1], share]), around
         )
-        shift = np.sign(directions[:, :1]) * np.array([[self.length / 2, 0, 0]])
+        shift = xp.sign(directions[:, :1]) * xp.array([[self.length / 2, 0.0, 0.0]])
         ends = Surface(self.radius * directions + shift, directions, solid_angles * self.radius**2)
         return _join([side, ends])
 
@@ -297,15 +293,15 @@ class Capsule(Shape):
         A half-sphere's centre of volume lies 3/8 r from its base; its second moment along the axis
         about there is that of a half axis of sqrt(19/64) r.
         """
-        r, slices = self.radius, _SLICES if self.length > 0 else 0
+        r, slices = self.radius, _SLICES if chosen(lambda: bool(self.length > 0)) else 0
         half_slice = self.length / (2 * _SLICES)
         discs = [
             Cell(
                 "disc",
                 ((2 * i + 1) * half_slice - self.length / 2, 0.0, 0.0),
                 # A disc's variance is a quarter of the square of its half axis, not a third.
-                (np.sqrt(4 / 3) * half_slice, r, r),
-                np.pi * r**2 * 2 * half_slice,
+                (xp.sqrt(4 / 3) * half_slice, r, r),
+                xp.pi * r**2 * 2 * half_slice,
             )
             for i in range(slices)
         ]
@@ -313,35 +309,50 @@ class Capsule(Shape):
             Cell(
                 "ball",
                 (sign * (self.length / 2 + 3 / 8 * r), 0.0, 0.0),
-                (np.sqrt(19 / 64) * r, r, r),
-                2 / 3 * np.pi * r**3,
+                (xp.sqrt(19 / 64) * r, r, r),
+                2 / 3 * xp.pi * r**3,
             )
             for sign in (1, -1)
         ]
         return (*discs, *ends)
 
 
-def _ring(resolution: int) -> np.ndarray:
+def _ring(resolution: int) -> Numbers:
     """Unit vectors ``(4 resolution, 2)`` evenly around a circle, symmetric about both axes."""
     count = 4 * resolution
-    angles = (np.arange(count) + 0.5) * 2 * np.pi / count
-    return np.column_stack([np.cos(angles), np.sin(angles)])
+    angles = (xp.arange(count) + 0.5) * 2 * xp.pi / count
+    return xp.column_stack([xp.cos(angles), xp.sin(angles)])
 
 
-def _sphere_rule(resolution: int) -> tuple[np.ndarray, np.ndarray]:
+def _cube_rule(resolution: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Places ``(n, 3)`` on the cube from -1 to 1, normals, and weights: 1 on each face."""
+    nodes, weights = np.polynomial.legendre.leggauss(resolution)
+    u, v = (grid.ravel() for grid in np.meshgrid(nodes, nodes, indexing="ij"))
+    unit = np.eye(3)
+    faces = [
+        (
+            np.roll(np.column_stack([np.full(u.size, sign), u, v]), axis, 1),
+            np.tile(sign * unit[axis], (u.size, 1)),
+        )
+        for axis in range(3)
+        for sign in (1.0, -1.0)
+    ]
+    places, normals = (np.concatenate(columns) for columns in zip(*faces, strict=True))
+    return places, normals, np.tile(np.outer(weights, weights).ravel() / 4, 6)
+
+
+def _sphere_rule(resolution: int) -> tuple[Numbers, Numbers]:
     """Directions ``(n, 3)`` and solid angles ``(n,)``: Gauss-Legendre in x, uniform around x."""
     return _around_x(*np.polynomial.legendre.leggauss(2 * resolution), _ring(resolution))
 
 
-def _around_x(
-    nodes: np.ndarray, weights: np.ndarray, around: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def _around_x(nodes: Numbers, weights: Numbers, around: Numbers) -> tuple[Numbers, Numbers]:
     """Directions and solid angles of a product rule: ``nodes`` in x times a ring around x."""
-    directions = np.concatenate(
-        [np.column_stack([np.full(len(around), x), np.sqrt(1 - x * x) * around]) for x in nodes]
+    directions = xp.concatenate(
+        [xp.column_stack([xp.full(len(around), x), xp.sqrt(1 - x * x) * around]) for x in nodes]
     )
-    return directions, np.repeat(weights * 2 * np.pi / len(around), len(around))
+    return directions, xp.repeat(weights * 2 * xp.pi / len(around), len(around))
 
 
 def _join(parts: list[Surface]) -> Surface:
-    return Surface(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+    return Surface(*(xp.concatenate(columns) for columns in zip(*parts, strict=True)))

@@ -4,10 +4,14 @@ Faces of neighbouring bodies that look at each other across a joint are sheltere
 stream against them. Counting them made a 10-body chain swim at 0.05 m/s instead of 0.50 m/s.
 """
 
+import functools
+
 import numpy as np
 
 from evo_cpg.creature.creature import Creature, neutral_pose
 from evo_cpg.creature.shapes import Surface
+from evo_cpg.spatial.choices import chosen
+from evo_cpg.spatial.numerics import xp
 
 # A point is sheltered when a step of this many joint gaps along its normal ends in another body.
 _SHELTER_GAPS = 1.5
@@ -33,19 +37,12 @@ def outer_surfaces(
     surfaces = tuple(body.shape.surface(resolution) for body in creature.bodies)
     if not sheltered or len(surfaces) == 1:
         return surfaces
-    centres, rotations = neutral_pose(creature)
-    reach = _SHELTER_GAPS * _largest_gap(creature, centres, rotations)
-    outer = []
-    for i, surface in enumerate(surfaces):
-        exposed = np.ones(len(surface.areas), bool)
-        for fraction in _PROBES:
-            local = surface.points + fraction * reach * surface.normals
-            world = local @ rotations[i].T + centres[i]
-            for j, other in enumerate(creature.bodies):
-                if j != i:
-                    exposed &= other.shape.distance((world - centres[j]) @ rotations[j]) > 0
-        outer.append(Surface(*(column[exposed] for column in surface)))
-    return tuple(outer)
+    return tuple(
+        Surface(*(column[outside] for column in surface))
+        for surface, outside in zip(
+            surfaces, chosen(lambda: _exposed(creature, surfaces)), strict=True
+        )
+    )
 
 
 def random_surfaces(
@@ -63,15 +60,40 @@ def random_surfaces(
     """
     drawn = []
     for surface in surfaces:
-        total = surface.areas.sum()
-        if total == 0:
+        if not len(surface.areas):
             drawn.append(surface)
             continue
-        chosen = rng.choice(len(surface.areas), size=count, p=surface.areas / total)
+        total = surface.areas.sum()
+        points = chosen(functools.partial(_draw, surface.areas, count, rng))
         drawn.append(
-            Surface(surface.points[chosen], surface.normals[chosen], np.full(count, total / count))
+            Surface(
+                surface.points[points],
+                surface.normals[points],
+                xp.broadcast_to(total / count, count),
+            )
         )
     return tuple(drawn)
+
+
+def _draw(areas: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
+    return rng.choice(len(areas), size=count, p=areas / areas.sum())
+
+
+def _exposed(creature: Creature, surfaces: tuple[Surface, ...]) -> list[np.ndarray]:
+    """Which points of each body no other body covers, by their numbers."""
+    centres, rotations = neutral_pose(creature)
+    reach = _SHELTER_GAPS * _largest_gap(creature, centres, rotations)
+    found = []
+    for i, surface in enumerate(surfaces):
+        exposed = np.ones(len(surface.areas), bool)
+        for fraction in _PROBES:
+            local = surface.points + fraction * reach * surface.normals
+            world = local @ rotations[i].T + centres[i]
+            for j, other in enumerate(creature.bodies):
+                if j != i:
+                    exposed &= other.shape.distance((world - centres[j]) @ rotations[j]) > 0
+        found.append(np.flatnonzero(exposed))
+    return found
 
 
 def _largest_gap(creature: Creature, centres: np.ndarray, rotations: np.ndarray) -> float:

@@ -11,6 +11,7 @@ at its joint (the root's at its centre), with the axes of the body's own frame.
 | I_i | ``inertia``: 6x6 spatial inertia about the working frame's origin, angular part first |
 """
 
+import functools
 import itertools
 from typing import NamedTuple
 
@@ -19,6 +20,8 @@ import numpy as np
 from jaxtyping import Float
 
 from evo_cpg.creature.creature import Creature, neutral_pose, topological_order
+from evo_cpg.spatial.choices import chosen
+from evo_cpg.spatial.numerics import Number, Numbers, Triple, xp
 
 # A soft limit is a critically damped spring on the inertia that the joint sees, slow enough for
 # a step of 1/120 s to resolve it; on top of that it balances the joint's own motor, which would
@@ -80,23 +83,23 @@ class Tree(eqx.Module):
     groups: tuple[Group, ...] = eqx.field(static=True)
     dof_names: tuple[str, ...] = eqx.field(static=True)
     dof_bodies: tuple[int, ...] = eqx.field(static=True)
-    joint_offset: Float[np.ndarray, "3 b"]
-    joint_orientation: Float[np.ndarray, "3 3 b"]
-    joint_axes: Float[np.ndarray, "3 d"]
-    mass: Float[np.ndarray, " b"]
-    volume: Float[np.ndarray, " b"]
-    com: Float[np.ndarray, "3 b"]
-    inertia: Float[np.ndarray, "6 6 b"]
-    stiffness: Float[np.ndarray, " d"]
-    damping: Float[np.ndarray, " d"]
-    armature: Float[np.ndarray, " d"]
-    lower: Float[np.ndarray, " d"]
-    upper: Float[np.ndarray, " d"]
-    servo_gain: Float[np.ndarray, " d"]
-    servo_stiffness: Float[np.ndarray, " d"]
-    torque_limit: Float[np.ndarray, " d"]
-    limit_stiffness: Float[np.ndarray, " d"]
-    limit_damping: Float[np.ndarray, " d"]
+    joint_offset: Float[Numbers, "3 b"]
+    joint_orientation: Float[Numbers, "3 3 b"]
+    joint_axes: Float[Numbers, "3 d"]
+    mass: Float[Numbers, " b"]
+    volume: Float[Numbers, " b"]
+    com: Float[Numbers, "3 b"]
+    inertia: Float[Numbers, "6 6 b"]
+    stiffness: Float[Numbers, " d"]
+    damping: Float[Numbers, " d"]
+    armature: Float[Numbers, " d"]
+    lower: Float[Numbers, " d"]
+    upper: Float[Numbers, " d"]
+    servo_gain: Float[Numbers, " d"]
+    servo_stiffness: Float[Numbers, " d"]
+    torque_limit: Float[Numbers, " d"]
+    limit_stiffness: Float[Numbers, " d"]
+    limit_damping: Float[Numbers, " d"]
 
     @property
     def body_count(self) -> int:
@@ -119,23 +122,22 @@ def build_tree(creature: Creature) -> Tree:
     bodies = [creature.bodies[i] for i in order]
     names = [body.name for body in bodies]
     parents = [names.index(body.joint.parent) if body.joint else -1 for body in bodies]
-    child_anchor = np.array(
-        [body.joint.child_anchor if body.joint else (0, 0, 0) for body in bodies], float
+    child_anchor = xp.array(
+        [body.joint.child_anchor if body.joint else (0.0, 0.0, 0.0) for body in bodies], float
     )
     # A joint's place is given in its parent's geometric frame, whose origin lies at
     # -child_anchor of the parent's working frame.
-    offset = np.array(
-        [
-            np.array(body.joint.parent_anchor) - child_anchor[parent] if body.joint else np.zeros(3)
-            for body, parent in zip(bodies, parents, strict=True)
-        ]
+    parent_anchor = xp.array(
+        [body.joint.parent_anchor if body.joint else (0.0, 0.0, 0.0) for body in bodies], float
     )
-    orientation = np.array(
-        [np.array(body.joint.orientation) if body.joint else np.eye(3) for body in bodies]
+    jointed = np.array([[float(parent >= 0)] for parent in parents])
+    offset = parent_anchor - jointed * child_anchor[np.array(parents)]
+    orientation = xp.stack(
+        [xp.array(body.joint.orientation) if body.joint else np.eye(3) for body in bodies], axis=-1
     )
-    mass = np.array([body.shape.volume * body.material.density for body in bodies])
+    mass = xp.array([body.shape.volume * body.material.density for body in bodies])
     com = -child_anchor
-    inertia = np.stack(
+    inertia = xp.stack(
         [
             spatial_inertia(m, c, body.shape.inertia_tensor(m))
             for m, c, body in zip(mass, com, bodies, strict=True)
@@ -154,24 +156,24 @@ def build_tree(creature: Creature) -> Tree:
         parents=tuple(parents),
         groups=_groups(bodies, parents, dof_bodies),
         dof_names=tuple(
-            f"{body.name}.{_axis_name(axis)}"
+            f"{body.name}.{chosen(functools.partial(_axis_name, axis))}"
             for body in bodies
             if body.joint
             for axis in body.joint.axes
         ),
         dof_bodies=tuple(dof_bodies),
         joint_offset=offset.T,
-        joint_orientation=np.moveaxis(orientation, 0, -1),
-        joint_axes=np.array([axis for j in joints for axis in j.axes], float).reshape(-1, 3).T,
+        joint_orientation=orientation,
+        joint_axes=xp.array([axis for j in joints for axis in j.axes], float).reshape(-1, 3).T,
         mass=mass,
-        volume=np.array([body.shape.volume for body in bodies]),
+        volume=xp.array([body.shape.volume for body in bodies]),
         com=com.T,
         inertia=inertia,
         stiffness=_per_dof([(j.stiffness, len(j.axes)) for j in joints]),
         damping=_per_dof([(j.damping, len(j.axes)) for j in joints]),
         armature=_per_dof([(j.armature, len(j.axes)) for j in joints]),
-        lower=np.array([limit for j in joints for limit in j.lower], float),
-        upper=np.array([limit for j in joints for limit in j.upper], float),
+        lower=xp.array([limit for j in joints for limit in j.lower], float),
+        upper=xp.array([limit for j in joints for limit in j.upper], float),
         servo_gain=gain,
         servo_stiffness=spring,
         torque_limit=_per_dof([(a.torque_limit if a else 0.0, n) for a, n in actuators]),
@@ -180,7 +182,7 @@ def build_tree(creature: Creature) -> Tree:
     )
 
 
-def spatial_inertia(mass: float, com: np.ndarray, inertia: np.ndarray) -> np.ndarray:
+def spatial_inertia(mass: Number, com: Numbers, inertia: Numbers) -> Float[Numbers, "6 6"]:
     """Spatial inertia ``(6, 6)`` about a frame's origin, angular part first.
 
     Args:
@@ -189,8 +191,8 @@ def spatial_inertia(mass: float, com: np.ndarray, inertia: np.ndarray) -> np.nda
         inertia: rotational inertia ``(3, 3)`` about the centre of mass, kg m^2.
     """
     x, y, z = com
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.block(
+    cross = xp.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return xp.block(
         [
             [inertia - mass * cross @ cross, mass * cross],
             [-mass * cross, mass * np.eye(3)],
@@ -198,7 +200,7 @@ def spatial_inertia(mass: float, com: np.ndarray, inertia: np.ndarray) -> np.nda
     )
 
 
-def _effective_inertia(creature: Creature, order: list[int]) -> np.ndarray:
+def _effective_inertia(creature: Creature, order: list[int]) -> Float[Numbers, " d"]:
     """Inertia ``(d,)`` that each axis sees in the neutral pose, kg m^2.
 
     The two halves of the animal on either side of the joint turn against each other, so it is
@@ -206,27 +208,30 @@ def _effective_inertia(creature: Creature, order: list[int]) -> np.ndarray:
     """
     centres, rotations = neutral_pose(creature)
     names = [body.name for body in creature.bodies]
-    effective = []
-    for i in order:
-        joint = creature.bodies[i].joint
-        if joint is None:
-            continue
-        distal = {names[i]}
+    jointed = [(i, joint) for i in order if (joint := creature.bodies[i].joint) is not None]
+    distal = []
+    for i, joint in jointed:
+        beyond = {names[i]}
         for j in order:
             other = creature.bodies[j].joint
-            if other is not None and other.parent in distal:
-                distal.add(names[j])
-        anchor = centres[i] + rotations[i] @ np.array(joint.child_anchor)
-        for axis in joint.axes:
-            direction = rotations[i] @ np.array(axis)
-            halves = {True: 0.0, False: 0.0}
-            for j, body in enumerate(creature.bodies):
-                mass = body.shape.volume * body.material.density
-                spin = rotations[j] @ body.shape.inertia_tensor(mass) @ rotations[j].T
-                arm = np.cross(direction, centres[j] - anchor)
-                halves[body.name in distal] += direction @ spin @ direction + mass * arm @ arm
-            effective.append(halves[True] * halves[False] / (halves[True] + halves[False]))
-    return np.array(effective)
+            if other is not None and other.parent in beyond:
+                beyond.add(names[j])
+        distal += [[name in beyond for name in names]] * len(joint.axes)
+    moved = np.array([i for i, joint in jointed for _ in joint.axes], int)
+    axes = xp.array([axis for _, joint in jointed for axis in joint.axes], float).reshape(-1, 3)
+    anchors = xp.array([joint.child_anchor for _, joint in jointed for _ in joint.axes], float)
+    directions = xp.einsum("dij,dj->di", rotations[moved], axes)
+    places = centres[moved] + xp.einsum("dij,dj->di", rotations[moved], anchors.reshape(-1, 3))
+    mass = xp.array([body.shape.volume * body.material.density for body in creature.bodies])
+    own = xp.stack(
+        [body.shape.inertia_tensor(m) for m, body in zip(mass, creature.bodies, strict=True)]
+    )
+    spin = rotations @ own @ xp.swapaxes(rotations, 1, 2)
+    arm = xp.cross(directions[:, None], centres[None] - places[:, None])
+    about = xp.einsum("di,bij,dj->db", directions, spin, directions) + mass * (arm * arm).sum(-1)
+    beyond = np.array(distal, bool).reshape(len(moved), len(names))
+    outer, inner = xp.where(beyond, about, 0.0).sum(1), xp.where(beyond, 0.0, about).sum(1)
+    return outer * inner / (outer + inner)
 
 
 def _groups(bodies: list, parents: list[int], dof_bodies: list[int]) -> tuple[Group, ...]:
@@ -253,11 +258,11 @@ def _groups(bodies: list, parents: list[int], dof_bodies: list[int]) -> tuple[Gr
     return tuple(groups)
 
 
-def _per_dof(values: list[tuple[float, int]]) -> np.ndarray:
-    return np.array([value for value, axes in values for _ in range(axes)], float)
+def _per_dof(values: list[tuple[Number, int]]) -> Float[Numbers, " d"]:
+    return xp.array([value for value, axes in values for _ in range(axes)], float)
 
 
-def _axis_name(axis: tuple[float, float, float]) -> str:
+def _axis_name(axis: Triple) -> str:
     for name, unit in zip("xyz", np.eye(3), strict=True):
         if np.allclose(np.abs(axis), unit):
             return name

@@ -15,6 +15,8 @@ the body sets more water in motion, which takes the momentum ``dM V_r`` in a ste
 what it leaves behind on the way out moves on by itself. So the surface only ever takes energy.
 """
 
+import functools
+
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -22,7 +24,9 @@ from jaxtyping import Array, Float
 from evo_cpg.creature.creature import Creature
 from evo_cpg.creature.shapes import Shape
 from evo_cpg.creature.tree import Tree
+from evo_cpg.spatial.choices import chosen
 from evo_cpg.spatial.linear import cross, matvec
+from evo_cpg.spatial.numerics import Number, Numbers, xp
 
 # Points of the quadrature of Lamb's integrals: 1e-9 for axes of 1 to 100.
 _NODES = 200
@@ -32,7 +36,7 @@ _NODES = 200
 _ROUND = 1e-6
 
 
-def added_inertia(creature: Creature, tree: Tree, density: float) -> Float[np.ndarray, "6 6 b"]:
+def added_inertia(creature: Creature, tree: Tree, density: Number) -> Float[Numbers, "6 6 b"]:
     """Inertia M of the water around each body, in its working frame.
 
     Args:
@@ -44,15 +48,15 @@ def added_inertia(creature: Creature, tree: Tree, density: float) -> Float[np.nd
     inertias = []
     for name, com in zip(tree.names, tree.com.T, strict=True):
         x, y, z = com
-        to_centre = np.eye(6)
-        to_centre[3:, :3] = [[0, z, -y], [-z, 0, x], [y, -x, 0]]
+        shift = xp.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
+        to_centre = xp.block([[np.eye(3), np.zeros((3, 3))], [shift, np.eye(3)]])
         turn = np.kron(np.eye(2), shapes[name].stretch[1])
-        own = turn @ np.diag(density * ellipsoid(shapes[name])) @ turn.T
+        own = turn @ xp.diag(density * ellipsoid(shapes[name])) @ turn.T
         inertias.append(to_centre.T @ own @ to_centre)
-    return np.stack(inertias, -1)
+    return xp.stack(inertias, -1)
 
 
-def ellipsoid(shape: Shape) -> Float[np.ndarray, " 6"]:
+def ellipsoid(shape: Shape) -> Float[Numbers, " 6"]:
     """Added inertia over density about the centre (Lamb 1932, sections 114 and 115).
 
     With ``alpha_i = abc int_0^inf dl / ((a_i^2 + l) sqrt((a^2 + l) (b^2 + l) (c^2 + l)))``,
@@ -64,23 +68,27 @@ def ellipsoid(shape: Shape) -> Float[np.ndarray, " 6"]:
         About the axes of its `Shape.stretch` (m^5), then along them (m^3).
     """
     half, _ = shape.stretch
-    axes = half * (shape.volume / (4 / 3 * np.pi * np.prod(half))) ** (1 / 3)
+    axes = half * (shape.volume / (4 / 3 * np.pi * xp.prod(half))) ** (1 / 3)
     nodes, weights = np.polynomial.legendre.leggauss(_NODES)
     # l = a^2 (x / (1 - x))^2 takes 0 to 1 to 0 to infinity and leaves a smooth integrand.
     x = (nodes + 1) / 2
     scale = axes.min() * axes.max()
-    shifted = np.square(axes)[:, None] + scale * (x / (1 - x)) ** 2
+    shifted = xp.square(axes)[:, None] + (scale * (x / (1 - x)) ** 2)[None]
     measure = weights / 2 * scale * 2 * x / (1 - x) ** 3
-    alpha = np.prod(axes) * (measure / (shifted * np.sqrt(shifted.prod(0)))).sum(-1)
+    alpha = xp.prod(axes) * (measure / (shifted * xp.sqrt(shifted.prod(0)))).sum(-1)
     linear = alpha / (2 - alpha)
-    angular = np.zeros(3)
+    angular = [0.0, 0.0, 0.0]
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
         difference, total = axes[j] ** 2 - axes[k] ** 2, axes[j] ** 2 + axes[k] ** 2
-        if abs(difference) > _ROUND * total:
+        if chosen(functools.partial(_is_oblong, difference, total)):
             turn = alpha[j] - alpha[k]
             angular[i] = -(difference**2) * turn / (2 * difference + total * turn) / 5
-    return shape.volume * np.concatenate([angular, linear])
+    return shape.volume * xp.concatenate([xp.array(angular), linear])
+
+
+def _is_oblong(difference: float, total: float) -> bool:
+    return bool(abs(difference) > _ROUND * total)
 
 
 def carried_water(

@@ -48,6 +48,7 @@ from evo_cpg.creature.shapes import Cell, Profile
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.kinematics import take
 from evo_cpg.spatial.linear import cross, dot, lift, matmul_t
+from evo_cpg.spatial.numerics import Numbers, xp
 
 # An edge of a box that lies level has w_i = 0, by which one cannot divide: every w_i is at least
 # this share of H. The surface is blurred by as much, and a level box rights itself more strongly by
@@ -82,9 +83,9 @@ class Cells(eqx.Module):
 
     profile: Profile = eqx.field(static=True)
     bodies: tuple[int, ...] = eqx.field(static=True)
-    centre: Float[np.ndarray, "3 c"]
-    half_axes: Float[np.ndarray, "3 c"]
-    volume: Float[np.ndarray, " c"]
+    centre: Float[Numbers, "3 c"]
+    half_axes: Float[Numbers, "3 c"]
+    volume: Float[Numbers, " c"]
     triangles: Float[np.ndarray, "f 3 3"] | None = None
 
 
@@ -104,26 +105,26 @@ def make_cells(creature: Creature, tree: Tree) -> tuple[Cells, ...]:
     """The volume of all bodies in parts, profile by profile."""
     shapes = {body.name: body.shape for body in creature.bodies}
     parts = [(i, cell) for i, name in enumerate(tree.names) for cell in shapes[name].cells()]
-    alike: dict[tuple[Profile, bytes], list[tuple[int, Cell]]] = {
+    kinds: dict[tuple[Profile, bytes], list[tuple[int, Cell]]] = {
         (profile, b""): [] for profile in typing.get_args(Profile)
     }
     for i, cell in parts:
         outline = b"" if cell.triangles is None else cell.triangles.tobytes()
-        alike.setdefault((cell.profile, outline), []).append((i, cell))
+        kinds.setdefault((cell.profile, outline), []).append((i, cell))
     groups = []
-    for (profile, _), chosen in alike.items():
-        if not chosen:
+    for (profile, _), alike in kinds.items():
+        if not alike:
             continue
-        bodies = tuple(i for i, _ in chosen)
+        bodies = tuple(i for i, _ in alike)
         groups.append(
             Cells(
                 profile,
                 bodies,
                 # The geometric centre is the centre of mass: densities are uniform.
-                np.array([cell.centre for _, cell in chosen]).T + tree.com[:, list(bodies)],
-                np.array([cell.half_axes for _, cell in chosen]).T,
-                np.array([cell.volume for _, cell in chosen]),
-                chosen[0][1].triangles,
+                xp.array([cell.centre for _, cell in alike]).T + tree.com[:, np.array(bodies)],
+                xp.array([cell.half_axes for _, cell in alike]).T,
+                xp.array([cell.volume for _, cell in alike]),
+                alike[0][1].triangles,
             )
         )
     return tuple(groups)
@@ -150,7 +151,7 @@ def displacement(cells: tuple[Cells, ...], pose: Float[Array, "4 b *n"]) -> Disp
         else:
             share, moment = _round(_DENSITIES[group.profile], half_axes, up, depth)
         parts = jnp.concatenate([share[None], share[None] * centre + moment])
-        owner = group.volume * (bodies == np.arange(pose.shape[1])[:, None])
+        owner = group.volume[None] * (bodies == np.arange(pose.shape[1])[:, None])
         total = total + matmul_t(parts, lift(owner, parts, parts.ndim))
     return Displacement(total[0], total[1:])
 

@@ -16,9 +16,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.spatial.linear import array_of, lift, matvec
+from evo_cpg.spatial.numerics import Number, Triple
 
-Vector = tuple[float, float, float]
-Gradient = tuple[Vector, Vector, Vector]
+Gradient = tuple[Triple, Triple, Triple]
 
 
 class Vortex(NamedTuple):
@@ -30,13 +30,13 @@ class Vortex(NamedTuple):
         core: radius at which it streams fastest, m.
     """
 
-    centre: tuple[float, float]
-    circulation: float
-    core: float
+    centre: tuple[Number, Number]
+    circulation: Number
+    core: Number
 
 
 def stream(
-    current: Vector,
+    current: Triple,
     gradient: Gradient | None,
     vortices: tuple[Vortex, ...],
     places: Float[Array, "3 b *n"],

@@ -31,6 +31,8 @@ from jaxtyping import Array, Float
 from evo_cpg.creature.shapes import Surface
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.current import Gradient, Vortex
+from evo_cpg.spatial.choices import chosen
+from evo_cpg.spatial.numerics import Number, Numbers, Triple, xp
 from evo_cpg.spatial.partly import PartlyTraced
 
 # -df/dv of |v| v is 2 |v|; the smaller tangential part takes its secant, |v|, which keeps the
@@ -106,12 +108,12 @@ class Water(eqx.Module):
         vortices: on top of that.
     """
 
-    density: float
-    form_drag: float
-    skin_drag: float
-    current: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    density: Number
+    form_drag: Number
+    skin_drag: Number
+    current: Triple = (0.0, 0.0, 0.0)
     law: DragLaw = eqx.field(static=True, default="normal")
-    surface: float | None = None
+    surface: Number | None = None
     gradient: Gradient | None = None
     vortices: tuple[Vortex, ...] = ()
 
@@ -136,20 +138,19 @@ def make_patches(
     """
     if law == "isotropic":
         skin = form
-    patches: dict[bytes, tuple[list[int], Surface, Surface]] = {}
-    for i, name in enumerate(tree.names):
+    placed = [
         # The geometric centre is the centre of mass: densities are uniform.
-        form_points, skin_points = (
-            surface._replace(points=surface.points + tree.com[:, i])
-            for surface in (form[name], skin[name])
+        (
+            form[name]._replace(points=form[name].points + tree.com[None, :, i]),
+            skin[name]._replace(points=skin[name].points + tree.com[None, :, i]),
         )
-        key = b"|".join(np.round(column, 9).tobytes() for column in (*form_points, *skin_points))
-        key = str(i).encode() if apart else key
-        patches.setdefault(key, ([], form_points, skin_points))[0].append(i)
+        for i, name in enumerate(tree.names)
+    ]
+    groups = [(i,) for i in range(len(placed))] if apart else chosen(lambda: _alike(placed))
     return tuple(
-        _patch(tuple(bodies), form_points, skin_points, law == "normal" and not apart, surfacing)
-        for bodies, form_points, skin_points in patches.values()
-        if len(form_points.areas)
+        _patch(bodies, *placed[bodies[0]], law == "normal" and not apart, surfacing)
+        for bodies in groups
+        if len(placed[bodies[0]][0].areas)
     )
 
 
@@ -263,7 +264,7 @@ def _patch(
         normal,
         normal_area,
         _outer_products(normal),
-        np.stack([first, second]),
+        xp.stack([first, second]),
         skin.areas,
         _outer_products(first) + _outer_products(second),
         _places(form) if surfacing else None,
@@ -271,40 +272,55 @@ def _patch(
     )
 
 
+def _alike(surfaces: list[tuple[Surface, Surface]]) -> list[tuple[int, ...]]:
+    """Bodies, grouped by their surfaces."""
+    groups: dict[bytes, list[int]] = {}
+    for i, own in enumerate(surfaces):
+        key = b"|".join(np.round(column, 9).tobytes() for surface in own for column in surface)
+        groups.setdefault(key, []).append(i)
+    return [tuple(bodies) for bodies in groups.values()]
+
+
 def _places(surface: Surface) -> Places:
-    return Places(surface.points, surface.normals, np.sqrt(surface.areas) / 2)
+    return Places(surface.points, surface.normals, xp.sqrt(surface.areas) / 2)
 
 
-def _velocity_rows(surface: Surface) -> list[np.ndarray]:
+def _velocity_rows(surface: Surface) -> list[Numbers]:
     """Rows ``(points, 6)`` giving the normal and two tangential velocities from a body's twist."""
     points, normals, _ = surface
-    helper = np.eye(3)[np.abs(normals).argmin(-1)]
-    first = np.cross(normals, helper)
-    first /= np.linalg.norm(first, axis=-1, keepdims=True)
-    second = np.cross(normals, first)
+    helper = np.eye(3)[chosen(lambda: np.abs(normals).argmin(-1))]
+    across = xp.cross(normals, helper)
+    first = across / xp.linalg.norm(across, axis=-1, keepdims=True)
+    second = xp.cross(normals, first)
     return [
-        np.concatenate([np.cross(points, direction), direction], -1)
+        xp.concatenate([xp.cross(points, direction), direction], -1)
         for direction in (normals, first, second)
     ]
 
 
-def _merge_alike(rows: np.ndarray, areas: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _merge_alike(rows: Numbers, areas: Numbers) -> tuple[Numbers, Numbers]:
     """Rows that are equal up to their sign, once each, with their areas summed."""
+    signs, kept, members = chosen(lambda: _equal_up_to_sign(rows))
+    return (rows * signs)[kept], members @ areas
+
+
+def _equal_up_to_sign(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Which rows are: a sign for each, the first of its kind, and which are of each kind."""
     rounded = np.round(rows, 9) + 0.0
     leading = np.take_along_axis(rounded, (rounded != 0).argmax(1)[:, None], 1)
     signs = np.where(leading < 0, -1.0, 1.0)
-    _, chosen, inverse = np.unique(
+    _, first, inverse = np.unique(
         rounded * signs + 0.0, axis=0, return_index=True, return_inverse=True
     )
     # In the order of the points: that of the rows themselves would change with a body's size.
-    order = np.argsort(chosen)
-    return (rows * signs)[chosen[order]], np.bincount(inverse.ravel(), weights=areas)[order]
+    order = np.argsort(first)
+    return signs, first[order], (inverse.ravel() == order[:, None]).astype(float)
 
 
-def _outer_products(rows: np.ndarray) -> np.ndarray:
+def _outer_products(rows: Numbers) -> Numbers:
     """Blocks (angular-angular, angular-linear, linear-linear) of ``w w^T``, ``(27, points)``."""
-    outer = np.einsum("pi,pj->ijp", rows, rows)
-    return np.stack([outer[:3, :3], outer[:3, 3:], outer[3:, 3:]]).reshape(27, -1)
+    outer = xp.einsum("pi,pj->ijp", rows, rows)
+    return xp.stack([outer[:3, :3], outer[:3, 3:], outer[3:, 3:]]).reshape(27, -1)
 
 
 def _runs(indices: tuple[int, ...]) -> list[slice]:

@@ -19,7 +19,9 @@ from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Sphere
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.kinematics import Kinematics, take
 from evo_cpg.physics.terrain import Part, Plane, nearest
+from evo_cpg.spatial.choices import chosen
 from evo_cpg.spatial.linear import cross, dot, lift, matvec, matvec_t
+from evo_cpg.spatial.numerics import Number, Numbers, xp
 from evo_cpg.spatial.partly import PartlyTraced
 
 # How two materials' values become one. The factors 0.6 x 0.9 and 0.3 x 0.9 of Fukui 2003 suggest
@@ -38,6 +40,8 @@ _CORNERS = 4
 # Slope up which corners of a mesh count as lying beside the lowest one: of a body that falls flat
 # at 5 rad/s they are found 5 steps ahead.
 _TILT = 0.1
+
+_UP = (0.0, 0.0, 1.0)
 
 # Squared length (m^2) added under a root so that it has a gradient at zero.
 _FLOOR = 1e-20
@@ -60,15 +64,15 @@ class Ground(eqx.Module):
             dynamic, m/s.
     """
 
-    restitution: float = 0.5
-    static_friction: float = 0.8
-    dynamic_friction: float = 0.8
+    restitution: Number = 0.5
+    static_friction: Number = 0.8
+    dynamic_friction: Number = 0.8
     restitution_rule: Combination = eqx.field(static=True, default="multiply")
     friction_rule: Combination = eqx.field(static=True, default="geometric")
     floor: Part = Plane()
     obstacles: tuple[Part, ...] = ()
-    margin: float = 0.05
-    stribeck_speed: float = 0.01
+    margin: Number = 0.05
+    stribeck_speed: Number = 0.01
 
     @property
     def layers(self) -> tuple[tuple[Part, ...], ...]:
@@ -76,11 +80,11 @@ class Ground(eqx.Module):
         return ((self.floor,), self.obstacles) if self.obstacles else ((self.floor,),)
 
     @property
-    def level(self) -> float | None:
+    def level(self) -> Number | None:
         """Height of ground that is flat and level, m; None for any other."""
         floor = self.floor
-        if isinstance(floor, Plane) and floor.normal == (0.0, 0.0, 1.0) and not self.obstacles:
-            return float(floor.height)
+        if isinstance(floor, Plane) and not self.obstacles and chosen(lambda: floor.normal == _UP):
+            return floor.height
         return None
 
 
@@ -134,7 +138,7 @@ def make_footing(creature: Creature, tree: Tree, ground: Ground) -> Footing:
         elif isinstance(shape, ConvexMesh):
             meshes.append((i, centre, shape.corners))
         elif isinstance(shape, Capsule):
-            end = np.array([shape.length / 2, 0, 0])
+            end = xp.array([shape.length / 2, 0.0, 0.0])
             balls += [(i, centre - end, shape.radius), (i, centre + end, shape.radius)]
         elif isinstance(shape, Sphere):
             balls.append((i, centre, shape.radius))
@@ -147,12 +151,12 @@ def make_footing(creature: Creature, tree: Tree, ground: Ground) -> Footing:
     bodies = bodies * len(ground.layers)
     materials = [creature.bodies[creature.body_index(tree.names[i])].material for i in bodies]
 
-    def pairs(rule: Combination, name: str) -> np.ndarray:
+    def pairs(rule: Combination, name: str) -> Numbers:
         theirs = getattr(ground, name)
-        return np.array([combine(rule, getattr(own, name), theirs) for own in materials])
+        return xp.array([combine(rule, getattr(own, name), theirs) for own in materials])
 
-    def sizes(parts: list) -> np.ndarray:
-        return np.array([size for *_, size in parts], float)
+    def sizes(parts: list) -> Numbers:
+        return xp.array([size for *_, size in parts], float)
 
     return Footing(
         ground,
@@ -161,22 +165,22 @@ def make_footing(creature: Creature, tree: Tree, ground: Ground) -> Footing:
         _equally_many([corners for *_, corners in meshes]),
         sizes(balls),
         sizes(ellipsoids).reshape(-1, 3).T,
-        np.array([centre for _, centre, _ in boxes + meshes + balls + ellipsoids]).T,
+        xp.array([centre for _, centre, _ in boxes + meshes + balls + ellipsoids]).T,
         pairs(ground.restitution_rule, "restitution"),
         pairs(ground.friction_rule, "static_friction"),
         pairs(ground.friction_rule, "dynamic_friction"),
-        _STIFFNESS * np.sqrt(tree.mass.sum() * tree.mass[bodies]),
+        _STIFFNESS * xp.sqrt(tree.mass.sum() * tree.mass[np.array(bodies)]),
     )
 
 
-def combine(rule: Combination, first: float, second: float) -> float:
+def combine(rule: Combination, first: Number, second: Number) -> Number:
     """One value for a pair of materials."""
     return {
         "multiply": first * second,
         "average": (first + second) / 2,
-        "geometric": float(np.sqrt(first * second)),
-        "min": min(first, second),
-        "max": max(first, second),
+        "geometric": xp.sqrt(first * second),
+        "min": xp.minimum(first, second),
+        "max": xp.maximum(first, second),
     }[rule]
 
 

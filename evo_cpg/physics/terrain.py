@@ -18,6 +18,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.spatial.linear import array_of, cosine_sine, dot, lift
+from evo_cpg.spatial.numerics import Number, Triple, xp
 
 # Squared length (m^2) added under roots so that they have gradients on the spot.
 _FLOOR = 1e-12
@@ -43,15 +44,13 @@ class Plane(Part):
         height: of the plane above the world's origin along its normal, m.
     """
 
-    normal: tuple[float, float, float] = (0.0, 0.0, 1.0)
-    height: float = 0.0
+    normal: Triple = (0.0, 0.0, 1.0)
+    height: Number = 0.0
 
     def distance(self, point: Array) -> tuple[Array, Array]:
         """As in `Part`."""
         normal = array_of(self.normal)
-        if isinstance(normal, np.ndarray):
-            normal = normal / np.linalg.norm(normal)
-        normal = lift(normal, point)
+        normal = lift(normal / xp.linalg.norm(normal), point)
         return dot(normal, point) - self.height, normal
 
 
@@ -67,10 +66,10 @@ class Shore(Part):
     """
 
     axis: Axis = eqx.field(static=True, default="x")
-    start: float = 0.0
-    stop: float = 1.0
-    start_height: float = 0.0
-    stop_height: float = -1.0
+    start: Number = 0.0
+    stop: Number = 1.0
+    start_height: Number = 0.0
+    stop_height: Number = -1.0
 
     def distance(self, point: Array) -> tuple[Array, Array]:
         """As in `Part`."""
@@ -132,8 +131,8 @@ class Boulder(Part):
         radius: m.
     """
 
-    centre: tuple[float, float, float]
-    radius: float
+    centre: Triple
+    radius: Number
 
     def distance(self, point: Array) -> tuple[Array, Array]:
         """As in `Part`."""
@@ -151,9 +150,9 @@ class Block(Part):
         heading: by which it is turned about z, rad.
     """
 
-    centre: tuple[float, float, float]
-    half_extents: tuple[float, float, float]
-    heading: float = 0.0
+    centre: Triple
+    half_extents: Triple
+    heading: Number = 0.0
 
     def distance(self, point: Array) -> tuple[Array, Array]:
         """As in `Part`."""

@@ -2,7 +2,6 @@
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.tree import Tree
@@ -15,6 +14,7 @@ from evo_cpg.physics.fluid import Patch, Water, drag
 from evo_cpg.physics.footing import Footing, Ground
 from evo_cpg.physics.kinematics import Kinematics
 from evo_cpg.spatial.linear import array_of, cross, lift, matmul, matmul_t, matvec, matvec_t
+from evo_cpg.spatial.numerics import Number, Numbers
 
 
 class World(eqx.Module):
@@ -31,12 +31,12 @@ class World(eqx.Module):
     """
 
     tree: Tree
-    gravity: float
+    gravity: Number
     water: Water | None = None
     patches: tuple[Patch, ...] = ()
     footing: Footing | None = None
     cells: tuple[Cells, ...] = ()
-    added_inertia: Float[np.ndarray, "6 6 b"] | None = None
+    added_inertia: Float[Numbers, "6 6 b"] | None = None
 
     @property
     def ground(self) -> Ground | None:

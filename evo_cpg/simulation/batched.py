@@ -8,7 +8,7 @@ same numbers.
 """
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -17,6 +17,7 @@ from jaxtyping import Array, Float, Int, UInt32
 
 from evo_cpg.simulation.backward import Backward
 from evo_cpg.simulation.rollout import Outcome, Simulation, rollout
+from evo_cpg.spatial.numerics import is_number
 from evo_cpg.spatial.partly import PartlyTraced
 
 # Differences of so many units in the last place are rounding.
@@ -43,6 +44,14 @@ class Inputs(NamedTuple):
         leaves = jax.tree.leaves(simulation)
         return [
             np.asarray(leaves[place], float).reshape(-1)[own]
+            for place, own in zip(self.places, self.elements, strict=True)
+        ]
+
+    def of_traced(self, simulation: Simulation) -> list[Array]:
+        """Their values, leaf by leaf, where these may be traced."""
+        leaves = jax.tree.leaves(simulation, is_leaf=lambda leaf: isinstance(leaf, PartlyTraced))
+        return [
+            jnp.asarray(leaves[place]).reshape(-1)[own]
             for place, own in zip(self.places, self.elements, strict=True)
         ]
 
@@ -167,9 +176,3 @@ def _differs(each: np.ndarray) -> np.ndarray | np.bool_:
     largest = np.abs(each, where=np.isfinite(each), out=np.zeros_like(each)).max(initial=0.0)
     # An infinity, a torque limit that is none, is close to another one.
     return np.any(~np.isclose(each, each[:1], rtol=0, atol=_ROUNDING * largest), axis=0)
-
-
-def is_number(leaf: Any) -> bool:
-    """Whether a leaf of a simulation is a real number, or an array of them."""
-    real = isinstance(leaf, np.ndarray) and np.issubdtype(leaf.dtype, np.floating)
-    return real or isinstance(leaf, float)

@@ -18,7 +18,7 @@ from jaxtyping import Array, Float, Shaped, UInt32
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.state import State
 from evo_cpg.spatial.linear import lift
-from evo_cpg.spatial.partly import is_known
+from evo_cpg.spatial.numerics import is_traced
 from evo_cpg.spatial.rotation import integrate_quaternion
 
 # Tags that keep the random streams of one trial apart.
@@ -98,7 +98,7 @@ def disturb_motion(
 
 def _is_none(size: ArrayLike) -> bool:
     """Whether there is no such noise; a traced size is one."""
-    return is_known(size) and not size
+    return not (is_traced(size) or size)
 
 
 def _normals(

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from evo_cpg.simulation.task import Task, Transition
+from evo_cpg.spatial.numerics import Number, Triple
 
 # An animal that flees is not punished beyond this multiple of the starting distance, so that one
 # wild individual cannot dominate averages.
@@ -44,10 +45,10 @@ class ReachLight(Task):
         final_steps: control steps at the end over which the distance is averaged.
     """
 
-    light: tuple[float, float, float]
-    distance_weight: float = 1.0
-    energy_weight: float = 0.2
-    light_weight: float = 0.5
+    light: Triple
+    distance_weight: Number = 1.0
+    energy_weight: Number = 0.2
+    light_weight: Number = 0.5
     final_steps: int = 60
 
     def begin(self, batch: tuple[int, ...], dtype: jnp.dtype, steps: int) -> LightTally:

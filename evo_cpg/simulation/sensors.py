@@ -12,6 +12,7 @@ from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.kinematics import Kinematics, take
 from evo_cpg.physics.world import World
 from evo_cpg.spatial.linear import dot, lift, matvec
+from evo_cpg.spatial.numerics import Numbers, xp
 from evo_cpg.spatial.partly import PartlyTraced
 
 # Added under the root so that the direction to a light at the sensor's own place has a gradient.
@@ -50,22 +51,22 @@ def place_sensors(creature: Creature, tree: Tree) -> Sensors:
 
     def place(
         carried: tuple[LightSensor, ...] | tuple[DepthSensor, ...],
-    ) -> tuple[tuple[int, ...], np.ndarray]:
+    ) -> tuple[tuple[int, ...], Numbers]:
         bodies = tuple(tree.names.index(sensor.body) for sensor in carried)
-        positions = np.array([sensor.position for sensor in carried], float).reshape(-1, 3).T
-        return bodies, positions + tree.com[:, list(bodies)]
+        positions = xp.array([sensor.position for sensor in carried], float).reshape(-1, 3).T
+        return bodies, positions + tree.com[:, np.array(bodies, int)]
 
     eye_bodies, eye_positions = place(eyes)
     depth_bodies, depth_positions = place(gauges)
     return Sensors(
         eye_bodies,
         eye_positions,
-        np.array([eye.axis for eye in eyes], float).reshape(-1, 3).T,
-        np.array([eye.field_of_view for eye in eyes], float),
+        xp.array([eye.axis for eye in eyes], float).reshape(-1, 3).T,
+        xp.array([eye.field_of_view for eye in eyes], float),
         tuple(tree.names.index(name) for name in creature.pressure_sensors),
         depth_bodies,
         depth_positions,
-        np.array([gauge.full_scale for gauge in gauges], float),
+        xp.array([gauge.full_scale for gauge in gauges], float),
     )
 
 

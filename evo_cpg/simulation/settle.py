@@ -16,13 +16,15 @@ All is done in float64, and nothing of that is left behind.
 """
 
 import dataclasses
-from typing import NamedTuple
+import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from evo_cpg.creature.tree import Tree
 from evo_cpg.fusion.jax_internals import quick_jit
@@ -30,7 +32,9 @@ from evo_cpg.physics.state import State, resting_state
 from evo_cpg.physics.statics import Grip, Touch, moved, next_grip, radius_of_gyration, static_forces
 from evo_cpg.physics.world import World
 from evo_cpg.simulation.situation import Situation
-from evo_cpg.spatial.rotation import integrate_quaternion, quaternion_to_matrix
+from evo_cpg.spatial.choices import chosen, searched
+from evo_cpg.spatial.numerics import TABLES, is_number, is_traced
+from evo_cpg.spatial.rotation import axis_rotation, integrate_quaternion, quaternion_to_matrix
 
 # Steps downhill, and saddles that are left, before it is given up.
 _STEPS, _SADDLES = 1000, 8
@@ -63,6 +67,10 @@ _KICK = 0.02
 _LARGEST_TILT = np.deg2rad(60.0)
 
 
+# Programs that are kept.
+_MOST_PROGRAMS = 8
+
+
 class NoRestError(ValueError):
     """The creature does not come to rest."""
 
@@ -75,11 +83,32 @@ class Rest(NamedTuple):
         support: normal force of the ground on every place of the footing, N.
         stiffness: eigenvalues of the stiffness in units of weight over radius of gyration, the
             smallest first; angles count by the radius of gyration.
+        grip: what friction remembers there.
+        give: how it gives way to forces in these units: the inverse of the stiffness, but for where
+            there is none.
     """
 
     state: State
     support: Float[np.ndarray, " p"]
     stiffness: Float[np.ndarray, " k"]
+    grip: Grip
+    give: Float[np.ndarray, "k k"]
+
+
+class _Settled(NamedTuple):
+    """Where a search for rest has ended.
+
+    Attributes:
+        state: the pose.
+        grip: what friction remembers there.
+        give: how all coordinates of the pose give way to forces on them, in m, rad, N and N m.
+        start: x and y (m) and heading (rad) with which it was let down.
+    """
+
+    state: State
+    grip: Grip
+    give: Float[np.ndarray, "k k"]
+    start: tuple[float, float, float]
 
 
 class _Here(NamedTuple):
@@ -121,37 +150,15 @@ class Settling:
         self.scale = np.where(self.free < 3, self.size, 1.0)
         self.stay = np.where(np.isin(self.free, (0, 1, 5)), _STAY, 0.0)
         self.farthest = _FARTHEST if world.footing is None else _FARTHEST_ON_GROUND
-        length, moment, free, count = self.scale, self.weight * self.size, self.free, tree.dof_count
+        moment = self.weight * self.size
+        programs = _programs(world, self.free, h)
+        numbers = programs.numbers(world), self.scale, moment
+        self._look = functools.partial(programs.look, numbers)
+        self._go = functools.partial(programs.go, numbers)
+        self._chord = functools.partial(programs.chord, numbers)
 
-        def pose(y: Array) -> Array:
-            return jnp.zeros(6 + count).at[free].set(length * y)
-
-        @jax.jit
-        def force(y: Array, base: State, grip: Grip) -> tuple[Array, tuple[Array, Array, Touch]]:
-            total, touch = static_forces(world, h, base, grip, pose(y))
-            scaled = total[free] * length / moment
-            return scaled, (scaled, total, touch)
-
-        def go(y: Array, base: State, grip: Grip, touch: Touch) -> tuple[State, Grip]:
-            if world.footing is not None:
-                grip = next_grip(world.footing, h, grip, touch)
-            return moved(base, pose(y)), grip
-
-        def chord(base: State, grip: Grip, give: Array) -> Array:
-            return optimistix.fixed_point(
-                lambda y, _: y + give @ force(y, base, grip)[0],
-                optimistix.FixedPointIteration(rtol=1e-13, atol=1e-13),
-                jnp.zeros(len(free)),
-                max_steps=_CHORDS,
-                throw=False,
-            ).value
-
-        self._look = quick_jit(jax.jacfwd(force, has_aux=True))
-        self._go = quick_jit(go)
-        self._chord = quick_jit(chord)
-
-    def settle(self, situation: Situation) -> Situation:
-        """The same situation with the pose in which the creature rests.
+    def settle(self, situation: Situation) -> "_Settled":
+        """The pose in which the creature rests.
 
         Place and heading are kept, but for what an animal on uneven ground gives way.
 
@@ -165,13 +172,14 @@ class Settling:
             start = resting_state(
                 self.world.tree, (), jnp.float64, situation.start_position, situation.orientation
             )
-            found = self.rest(start).state
-            x, y, z = (float(value) for value in found.position)
-            w, *others = (float(value) for value in found.orientation)
-            return situation._replace(
-                start_position=(x, y, z),
-                start_orientation=(w, *others),
-                start_angles=tuple(float(angle) for angle in found.q),
+            found = self.rest(start)
+            scale = np.zeros((6 + self.world.tree.dof_count, len(self.free)))
+            scale[self.free, np.arange(len(self.free))] = self.scale
+            give = scale @ found.give @ scale.T / (self.weight * self.size)
+            grip = jax.tree.map(np.asarray, found.grip)
+            state = jax.tree.map(np.asarray, found.state)
+            return _Settled(
+                state, grip, give, (*situation.start_position[:2], situation.start_heading)
             )
 
     def rest(self, start: State) -> Rest:
@@ -195,13 +203,16 @@ class Settling:
         else:
             raise NoRestError(f"it is balanced {_SADDLES} times, but never in a stable pose")
         self._require_hold(here.total)
-        state = _put_back(self.world, start, state)
+        stiff = np.abs(values) > _SOFTEST
+        give = (ways[:, stiff] / values[stiff]) @ ways[:, stiff].T
+        if _is_alike_everywhere(self.world):
+            state, grip = _put_back(start, state, grip)
         tilt = _tilt(start, state)
         if tilt > _LARGEST_TILT:
             raise NoRestError(
                 f"it falls over: it would come to rest turned by {np.rad2deg(tilt):.0f} degrees"
             )
-        return Rest(state, np.asarray(here.touch.support), values)
+        return Rest(state, np.asarray(here.touch.support), values, grip, give)
 
     def _at(self, y: np.ndarray, state: State, grip: Grip) -> _Here:
         """All about the pose with the coordinates y."""
@@ -284,6 +295,133 @@ class Settling:
             )
 
 
+class _Programs:
+    """Compiled for all worlds that differ in numbers alone.
+
+    Args:
+        world: one of them.
+        free: the coordinates that are searched.
+        h: step of the simulation, s.
+    """
+
+    def __init__(self, world: World, free: Int[np.ndarray, " k"], h: float):
+        leaves, self.layout = jax.tree_util.tree_flatten_with_path(world)
+        self.free, self.h = free, h
+        # Everything that is no number stays as it is.
+        self.fixed = {i: leaf for i, (path, leaf) in enumerate(leaves) if not _varies(path, leaf)}
+        count = world.tree.dof_count
+
+        def restore(numbers: list[Array]) -> World:
+            others = iter(numbers)
+            every = [self.fixed[i] if i in self.fixed else next(others) for i in range(len(leaves))]
+            return jax.tree.unflatten(self.layout, every)
+
+        def force(
+            y: Array, given: tuple, base: State, grip: Grip
+        ) -> tuple[Array, tuple[Array, Array, Touch]]:
+            numbers, length, moment = given
+            x = jnp.zeros(6 + count).at[free].set(length * y)
+            total, touch = static_forces(restore(numbers), h, base, grip, x)
+            scaled = total[free] * length / moment
+            return scaled, (scaled, total, touch)
+
+        def look(given: tuple, y: Array, base: State, grip: Grip) -> tuple:
+            return jax.jacfwd(force, has_aux=True)(y, given, base, grip)
+
+        def go(given: tuple, y: Array, base: State, grip: Grip, touch: Touch) -> tuple[State, Grip]:
+            numbers, length, _ = given
+            footing = restore(numbers).footing
+            if footing is not None:
+                grip = next_grip(footing, h, grip, touch)
+            return moved(base, jnp.zeros(6 + count).at[free].set(length * y)), grip
+
+        def chord(given: tuple, base: State, grip: Grip, give: Array) -> Array:
+            return optimistix.fixed_point(
+                lambda y, _: y + give @ force(y, given, base, grip)[0],
+                optimistix.FixedPointIteration(rtol=1e-13, atol=1e-13),
+                jnp.zeros(len(free)),
+                max_steps=_CHORDS,
+                throw=False,
+            ).value
+
+        self.look, self.go, self.chord = quick_jit(look), quick_jit(go), quick_jit(chord)
+
+    def numbers(self, world: World) -> list[Any]:
+        """What the programs take of a world."""
+        leaves = jax.tree.leaves(world)
+        return [leaf for i, leaf in enumerate(leaves) if i not in self.fixed]
+
+    def serve(self, world: World, free: Int[np.ndarray, " k"], h: float) -> bool:
+        """Whether they are for this world, too."""
+        leaves, layout = jax.tree_util.tree_flatten_with_path(world)
+        return (
+            layout == self.layout
+            and np.array_equal(free, self.free)
+            and h == self.h
+            and all(
+                np.array_equal(self.fixed[i], leaf) if i in self.fixed else _varies(path, leaf)
+                for i, (path, leaf) in enumerate(leaves)
+            )
+        )
+
+
+# Those that were used last.
+_compiled: list[_Programs] = []
+
+
+def _programs(world: World, free: Int[np.ndarray, " k"], h: float) -> _Programs:
+    found = next((one for one in _compiled if one.serve(world, free, h)), None)
+    if found is None:
+        found = _Programs(world, free, h)
+        _compiled.append(found)
+        del _compiled[:-_MOST_PROGRAMS]
+    return found
+
+
+def _varies(path: tuple[Any, ...], leaf: Any) -> bool:
+    return is_number(leaf) and getattr(path[-1], "name", None) not in TABLES
+
+
+def settled(
+    settling: Callable[[], Settling], world: World, h: float, situation: Situation
+) -> Situation:
+    """The same situation with the pose in which the creature rests.
+
+    Where numbers are traced the search for the pose is not; from where it ended a step of Newton's
+    follows them, with what friction remembers there (the implicit function theorem).
+
+    Args:
+        settling: finds the pose, from known numbers.
+        world: the creature and its surroundings.
+        h: step of the simulation, s.
+        situation: where it starts.
+
+    Raises:
+        NoRestError: it does not come to rest, or not as it stands.
+    """
+    found = searched(lambda: settling().settle(situation))
+    alike_everywhere = chosen(lambda: _is_alike_everywhere(world))
+    state = found.state
+    if is_traced(world, situation):
+        x, y, heading = found.start
+        way = jnp.stack([situation.start_position[0] - x, situation.start_position[1] - y])
+        base, grip = jax.tree.map(lambda leaf: jnp.asarray(leaf, way.dtype), (state, found.grip))
+        turn = jnp.asarray(situation.start_heading - heading, way.dtype)
+        base, grip = _carried(base, grip, way, turn)
+        still = jnp.zeros(len(found.give), way.dtype)
+        force, _ = static_forces(world, h, base, grip, still)
+        state = moved(base, jnp.asarray(found.give, way.dtype) @ force)
+        if alike_everywhere:
+            state, _ = _put_back(base, state, grip)
+    position, orientation, angles = (
+        tuple(values if is_traced(values) else values.tolist())
+        for values in (state.position, state.orientation, state.q)
+    )
+    return situation._replace(
+        start_position=position, start_orientation=orientation, start_angles=angles
+    )
+
+
 def _gives_way(tree: Tree) -> np.ndarray:
     """Degrees of freedom that have an angle of rest under a load."""
     return (tree.stiffness > 0) | (tree.servo_stiffness > 0) | (tree.servo_gain == 0)
@@ -312,23 +450,43 @@ def _require_support(world: World) -> None:
         raise NoRestError(f"it rises for ever: {weights}, which has no surface")
 
 
-def _put_back(world: World, start: State, state: State) -> State:
-    """To the place and heading of the start, where the ground is the same everywhere."""
-    if world.ground is not None and world.ground.level is None:
-        return state
+def _is_alike_everywhere(world: World) -> bool:
+    """Whether no place or heading is different from another one."""
+    return world.ground is None or world.ground.level is not None
+
+
+def _put_back(start: State, state: State, grip: Grip) -> tuple[State, Grip]:
+    """To the place and heading of the start."""
     turn = _heading(start) - _heading(state)
-    about_z = jnp.array([0.0, 0.0, turn])
-    return dataclasses.replace(
+    return _carried(state, grip, start.position[:2] - state.position[:2], turn)
+
+
+def _carried(state: State, grip: Grip, way: Array, turn: Array) -> tuple[State, Grip]:
+    """A pose, and what friction remembers, elsewhere on level ground.
+
+    Args:
+        state: the pose.
+        grip: what friction remembers.
+        way: in the plane ``(2,)``, m.
+        turn: about the upright axis through the root's centre, rad.
+    """
+    about_z = jnp.stack([jnp.zeros_like(turn), jnp.zeros_like(turn), turn])
+    rotation = axis_rotation(np.array([0.0, 0.0, 1.0]), jnp.sin(turn), jnp.cos(turn))
+    position = state.position + jnp.concatenate([way, jnp.zeros_like(way[:1])])
+    place = position[:, None] + rotation @ (grip.place - state.position[:, None])
+    carried = dataclasses.replace(
         state,
-        position=state.position.at[:2].set(start.position[:2]),
+        position=position,
         orientation=integrate_quaternion(state.orientation, about_z, 1.0),
     )
+    turned = {name: rotation @ getattr(grip, name) for name in ("slip", "drag")}
+    return carried, grip._replace(place=place, **turned)
 
 
-def _heading(state: State) -> float:
+def _heading(state: State) -> Array:
     """Of the root's x axis, rad."""
-    ahead = np.asarray(quaternion_to_matrix(state.orientation))[:, 0]
-    return float(np.arctan2(ahead[1], ahead[0]))
+    ahead = quaternion_to_matrix(state.orientation)[:, 0]
+    return jnp.arctan2(ahead[1], ahead[0])
 
 
 def _tilt(start: State, state: State) -> float:

@@ -8,8 +8,9 @@ from evo_cpg.physics.world import World
 from evo_cpg.simulation.noise import Noise
 from evo_cpg.simulation.sensor import Sensor
 from evo_cpg.simulation.sensors import Sensors
-from evo_cpg.simulation.situation import Place, Situation
+from evo_cpg.simulation.situation import Situation
 from evo_cpg.simulation.task import Task
+from evo_cpg.spatial.numerics import Number, Triple
 
 
 class Simulation(eqx.Module):
@@ -33,7 +34,7 @@ class Simulation(eqx.Module):
     sensors: Sensors
     controller: Controller
     task: Task
-    control_rate: float
+    control_rate: Number
     substeps: int = eqx.field(static=True)
     steps: int = eqx.field(static=True)
     noise: Noise = Noise()
@@ -47,6 +48,6 @@ class Simulation(eqx.Module):
         return 1.0 / (self.control_rate * self.substeps)
 
     @property
-    def lights(self) -> tuple[Place | None, ...]:
+    def lights(self) -> tuple[Triple | None, ...]:
         """Where the light is in each situation, m; None for tasks in the dark."""
         return tuple(situation.light or self.task.light for situation in self.situations)

@@ -5,7 +5,7 @@ the population axis lives in is told by the number of its trial. Where all trial
 situation its numbers are constants of the compiled program.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -15,10 +15,7 @@ from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import State, resting_state
 from evo_cpg.spatial.linear import array_of, cosine_sine
-
-Vector = tuple[float, float, float]
-# As they are read: any number of a configuration may be traced (see `evo_cpg.config.parameters`).
-Place = tuple[Any, Any, Any]
+from evo_cpg.spatial.numerics import Number, Triple
 
 
 class Situation(NamedTuple):
@@ -32,14 +29,14 @@ class Situation(NamedTuple):
         start_angles: of the joints at the start, rad; None for the neutral pose.
     """
 
-    start_position: Vector = (0.0, 0.0, 0.0)
-    start_heading: float = 0.0
-    light: Vector | None = None
-    start_orientation: tuple[float, float, float, float] | None = None
-    start_angles: tuple[float, ...] | None = None
+    start_position: Triple = (0.0, 0.0, 0.0)
+    start_heading: Number = 0.0
+    light: Triple | None = None
+    start_orientation: tuple[Number, Number, Number, Number] | None = None
+    start_angles: tuple[Number, ...] | None = None
 
     @property
-    def orientation(self) -> tuple[Any, Any, Any, Any]:
+    def orientation(self) -> tuple[Number, Number, Number, Number]:
         """Of the root at the start, quaternion (w, x, y, z): unless given, a turn about z alone."""
         if self.start_orientation is not None:
             return self.start_orientation
@@ -104,7 +101,7 @@ def starting_pose(
 
 
 def light_places(
-    lights: tuple[Place | None, ...], trial: Int[Array, " *n"] | None, dtype: jnp.dtype
+    lights: tuple[Triple | None, ...], trial: Int[Array, " *n"] | None, dtype: jnp.dtype
 ) -> Float[np.ndarray, "3"] | Float[Array, "3 *#n"] | None:
     """Where the light is in each lane, m: a constant where that is the same in all.
 

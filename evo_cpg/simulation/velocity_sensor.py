@@ -7,6 +7,7 @@ from jaxtyping import Array, Float
 from evo_cpg.simulation.sensor import Sensor
 from evo_cpg.simulation.snapshot import Forces, Snapshot
 from evo_cpg.spatial.linear import matvec_t
+from evo_cpg.spatial.numerics import Number
 
 
 class VelocitySensor(Sensor):
@@ -19,7 +20,7 @@ class VelocitySensor(Sensor):
     """
 
     body: str = eqx.field(static=True)
-    full_scale: float = 1.0
+    full_scale: Number = 1.0
     count: int = eqx.field(static=True, default=3, init=False)
 
     def sense(self, snapshot: Snapshot, forces: Forces) -> Float[Array, "3 *n"]:

@@ -32,6 +32,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from evo_cpg.simulation.task import Task, Transition
+from evo_cpg.spatial.numerics import Number
 
 # ``any`` counts the way made whatever its direction; ``forward`` what of it leads along the world's
 # +x, which an animal faces at the start unless it is turned, and counts a way back as negative.
@@ -111,13 +112,13 @@ class Walk(Task):
         airborne_weight: d.
     """
 
-    torso_length: float
+    torso_length: Number
     light: None = eqx.field(default=None, init=False)
     heading: Heading = eqx.field(static=True, default="any")
-    distance_weight: float = 1.0
-    tilt_weight: float = 20.0
-    bounce_weight: float = 20.0
-    airborne_weight: float = 10.0
+    distance_weight: Number = 1.0
+    tilt_weight: Number = 20.0
+    bounce_weight: Number = 20.0
+    airborne_weight: Number = 10.0
 
     def begin(self, batch: tuple[int, ...], dtype: jnp.dtype, steps: int) -> Gait:
         """See `Task.begin`."""

@@ -8,12 +8,12 @@ takes 0.17 us a kernel, whereas ``jnp.einsum`` would move the population away fr
 
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from evo_cpg.spatial.partly import PartlyTraced, is_known
+from evo_cpg.spatial.numerics import is_traced
+from evo_cpg.spatial.partly import PartlyTraced
 
 # Indices that turn a 3-vector into its cyclic successors, for cross products and cofactors.
 _NEXT = np.array([1, 2, 0])
@@ -42,7 +42,7 @@ def array_of(values: Any, dtype: Any = float) -> np.ndarray | Array:
         values: numbers, nested or not; some may be traced, and the array then is.
         dtype: of a NumPy array; a traced one has that of its numbers.
     """
-    if all(map(is_known, jax.tree.leaves(values))):
+    if not is_traced(values):
         return np.asarray(values, dtype)
     if not isinstance(values, (tuple, list)):
         return values
@@ -52,7 +52,7 @@ def array_of(values: Any, dtype: Any = float) -> np.ndarray | Array:
 
 def cosine_sine(angle: Any) -> tuple[Any, Any]:
     """Cosine and sine: Python floats of a known angle (rad), traced of a traced one."""
-    if not is_known(angle):
+    if is_traced(angle):
         return jnp.cos(angle), jnp.sin(angle)
     return float(np.cos(angle)), float(np.sin(angle))
 

@@ -72,8 +72,3 @@ for _name in ("add", "sub", "mul", "truediv", "pow"):
         setattr(PartlyTraced, f"__{_side}{_name}__", _operator(f"__{_side}{_name}__"))
 for _name in ("neg", "lt", "le", "gt", "ge"):
     setattr(PartlyTraced, f"__{_name}__", _operator(f"__{_name}__"))
-
-
-def is_known(x: Any) -> bool:
-    """Whether a number or an array is a constant of any program that it is part of."""
-    return not isinstance(x, (jax.Array, PartlyTraced))

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.spatial.linear import array_of, lift
+from evo_cpg.spatial.numerics import Number, Numbers, xp
 
 # Below this squared angle (rad^2) sin(x)/x is taken from its series: the next term of the
 # series is then under float32's resolution, and the gradient at rest is finite.
@@ -84,10 +85,11 @@ def axis_rotation(
     )
 
 
-def euler_to_matrix(roll: float, pitch: float, yaw: float) -> np.ndarray:
+def euler_to_matrix(roll: Number, pitch: Number, yaw: Number) -> Float[Numbers, "3 3"]:
     """Rotation matrix ``(3, 3)`` of roll, pitch and yaw (rad): ``Rz(yaw) Ry(pitch) Rx(roll)``."""
-    (sr, sp, sy), (cr, cp, cy) = np.sin([roll, pitch, yaw]), np.cos([roll, pitch, yaw])
-    return np.array(
+    angles = xp.array([roll, pitch, yaw])
+    (sr, sp, sy), (cr, cp, cy) = xp.sin(angles), xp.cos(angles)
+    return xp.array(
         [
             [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
             [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],

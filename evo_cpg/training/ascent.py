@@ -186,16 +186,13 @@ class Free(NamedTuple):
 
     Attributes:
         values: where they begin.
-        model: arrays from which ``simulation`` knows what changes near some values: near those.
-        simulation: at other values, which may be traced, by such a model.
-        rebuild: the experiment, built at other values, and the model there; None where that cannot
-            be.
+        simulation: at other values, which may be traced.
+        rebuild: the experiment, built at other values; None where that cannot be.
     """
 
     values: Float[np.ndarray, " k"]
-    model: Any
-    simulation: Callable[[Float[Array, " k"], Any], Simulation]
-    rebuild: Callable[[Float[np.ndarray, " k"]], tuple[Experiment, Any] | None]
+    simulation: Callable[[Float[Array, " k"]], Simulation]
+    rebuild: Callable[[Float[np.ndarray, " k"]], Experiment | None]
 
     def at(self, shifts: Any) -> Any:
         """The values after shifts, which are shares of them as long as they are small.
@@ -221,9 +218,8 @@ def compile_ascent(
 
     Returns:
         A function of host arrays, compiled at its first call: of the genes, the ways, the task's
-        yardsticks and, where there is noise, the keys of every individual's trials, and where
-        numbers are free, of the models that they climb by (see `Free`); individuals on the last
-        axis.
+        yardsticks and, where there is noise, the keys of every individual's trials; individuals on
+        the last axis.
     """
     simulation, gene_count = experiment.simulation, experiment.simulation.controller.gene_count
     numbers: Any = situation_numbers(experiment)
@@ -235,21 +231,20 @@ def compile_ascent(
         scales: dict[str, Float[Array, ""]],
         kept: Float[Array, ""],
         keys: UInt32[Array, "w trials"] | None,
-        model: Any,
     ) -> Float[Array, ""]:
         own, shifts = genes[:gene_count], genes[gene_count:]
         crowd = jnp.broadcast_to(own[:, None], (gene_count, experiment.trials))
         trial = simulation
         if free:
-            trial = free.simulation(free.at(shifts).astype(genes.dtype), model)
+            trial = free.simulation(free.at(shifts).astype(genes.dtype))
         outcome = rollout(trial, crowd, keys, numbers, Backward(kept, width, rough))
         return judge(simulation.task, outcome, scales)[0]
 
     def climb(
-        genes: Array, way: Any, scales: dict[str, Array], keys: Array | None, model: Any
+        genes: Array, way: Any, scales: dict[str, Array], keys: Array | None
     ) -> tuple[Array, Array, Array]:
         solution = optimistix.minimise(
-            lambda genes, _: -fitness(genes, scales, way.retentions, keys, model),
+            lambda genes, _: -fitness(genes, scales, way.retentions, keys),
             Climber(search=optimistix.LearningRate(way.sizes)),
             genes,
             # The first sees where it stands, and one more where the last move led.
@@ -263,18 +258,16 @@ def compile_ascent(
         best, value, finite = jax.vmap(climb, in_axes=-1, out_axes=-1)(*lanes)
         return best, value[None], finite[None]
 
-    models = jax.tree.map(lambda x: np.ndim(x) + 1, free.model) if free else 1
-    program = sharded(climb_all, mesh, (2, 1, 1, 3, models), 2)
+    program = sharded(climb_all, mesh, (2, 1, 1, 3), 2)
 
     def run(
         genes: Float[np.ndarray, "g n"],
         ways: Ways,
         scales: dict[str, Float[np.ndarray, " n"]],
         keys: UInt32[np.ndarray, "w trials n"] | None = None,
-        model: Any = None,
     ) -> Climbed:
         def pick(lanes: Int[np.ndarray, " block"]) -> tuple:
-            return jax.tree.map(lambda x: x[..., lanes], (genes, ways, scales, keys, model))
+            return jax.tree.map(lambda x: x[..., lanes], (genes, ways, scales, keys))
 
         spread = Layout(mesh, width)
         best, value, finite = run_in_blocks(program, spread, genes.shape[1], pick)

@@ -9,7 +9,7 @@ one.
 
 import time
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -80,12 +80,10 @@ class _Parent(NamedTuple):
     Attributes:
         champion: the individual.
         shifts: of the free numbers.
-        model: about them (see `Free`).
     """
 
     champion: Champion
     shifts: Float[np.ndarray, " k"]
-    model: Any
 
 
 def compile_refinement(
@@ -102,9 +100,8 @@ def compile_refinement(
         settings: how long to go on.
         mesh: devices to use; None for all.
         devices: how many shared the population in training; None for as many.
-        free: numbers of the experiment that are refined as well. Within a round they are taken to
-            first order about those of the individual that a lane sets out from; what is chosen
-            lives in an experiment that was built with them.
+        free: numbers of the experiment that are refined as well; what is chosen lives in an
+            experiment that was built with them.
 
     Returns:
         A function of a champion and of what is called with the `Round` after every round; compiled
@@ -122,14 +119,13 @@ def compile_refinement(
     def try_out(found: Float[np.ndarray, "p n"], champion: Champion) -> list[_Parent]:
         if free is None:
             nothing = np.zeros(0, np.float32)
-            return [_Parent(one, nothing, None) for one in evaluate(found, champion)]
+            return [_Parent(one, nothing) for one in evaluate(found, champion)]
         # Each has a world of its own, which takes time to compile: the most promising alone.
         for genes, shifts in zip(found[:-count].T, found[-count:].T, strict=True):
-            rebuilt = free.rebuild(np.asarray(free.at(shifts), float))
-            if rebuilt is not None:
-                world, model = rebuilt
+            world = free.rebuild(np.asarray(free.at(shifts), float))
+            if world is not None:
                 tried = compile_evaluation(world, mesh, devices)(genes[:, None], champion)
-                return [_Parent(one, shifts, model) for one in tried]
+                return [_Parent(one, shifts) for one in tried]
         return []
 
     def refine(
@@ -140,13 +136,13 @@ def compile_refinement(
         alive = evaluate(champion.genes[:, None], champion)
         champion = alive[0] if alive else champion._replace(fitness=-np.inf)
         began = champion.fitness
-        parents = [_Parent(champion, np.zeros(count, np.float32), free and free.model)]
+        parents = [_Parent(champion, np.zeros(count, np.float32))]
         for number in range(settings.rounds):
             start = time.perf_counter()
             rng = np.random.default_rng((settings.seed, number))
-            starts, models = _starts(parents, rng, lanes, reach(experiment.simulation))
+            starts = _starts(parents, rng, lanes, reach(experiment.simulation))
             ways = draw_ways(rng, experiment.simulation, lanes, 2.0**number)
-            climbed = climb(starts, ways, scales, keys, models)
+            climbed = climb(starts, ways, scales, keys)
             chosen = np.argsort(-climbed.fitness)[: 2 * _PARENTS]
             chosen = chosen[np.isfinite(climbed.fitness[chosen])]
             found = try_out(climbed.genes[:, chosen], champion) if len(chosen) else []
@@ -206,8 +202,8 @@ def compile_evaluation(
 
 def _starts(
     parents: list[_Parent], rng: np.random.Generator, count: int, scale: float
-) -> tuple[Float[np.ndarray, "p n"], Any]:
-    """Genes and shifts that the lanes of a round set out from, and the models that they climb by.
+) -> Float[np.ndarray, "p n"]:
+    """Genes and shifts that the lanes of a round set out from.
 
     The first lane is the best as it is.
     """
@@ -219,9 +215,7 @@ def _starts(
         [np.concatenate([parents[i].champion.genes, parents[i].shifts]) for i in drawn], 1
     )
     kick = scale * kicked * log_uniform(rng, *_KICKS, count)
-    starts = (genes + kick * rng.standard_normal(genes.shape)).astype(np.float32)
-    models = [parents[i].model for i in drawn]
-    return starts, jax.tree.map(lambda *x: np.stack(x, -1).astype(np.float32), *models)
+    return (genes + kick * rng.standard_normal(genes.shape)).astype(np.float32)
 
 
 def _keys_of(experiment: Experiment, champion: Champion, lanes: int) -> np.ndarray | None:

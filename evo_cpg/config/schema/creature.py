@@ -22,6 +22,7 @@ from evo_cpg.creature.creature import (
 )
 from evo_cpg.creature.mesh import ConvexMesh, convex_mesh
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
+from evo_cpg.spatial.numerics import Number, Triple, as_vector, xp
 from evo_cpg.spatial.rotation import euler_to_matrix
 
 Size = tuple[Positive, Positive, Positive]
@@ -232,8 +233,8 @@ class JointConfig(Section):
         if not angle_deg:
             return self
         roll, pitch, yaw = self.rotation_deg
-        at = euler_to_matrix(0.0, 0.0, np.deg2rad(angle_deg)) @ self.at
-        update = {"at": tuple(at.tolist()), "rotation_deg": (roll, pitch, yaw + angle_deg)}
+        at = euler_to_matrix(0.0, 0.0, np.deg2rad(angle_deg)) @ xp.array(self.at)
+        update = {"at": as_vector(at), "rotation_deg": (roll, pitch, yaw + angle_deg)}
         return self.model_copy(update=update)
 
     def mirrored(self, axis: MirrorAxis) -> "JointConfig":
@@ -258,8 +259,8 @@ class JointConfig(Section):
             parent_centre: its centre of mass in the frame that ``at`` is given in, m.
             centre: that of the body itself, in the frame of ``child_at``, m.
         """
-        rotation = euler_to_matrix(*np.deg2rad(self.rotation_deg))
-        limits = np.deg2rad(self.limits)
+        rotation = euler_to_matrix(*xp.deg2rad(xp.array(self.rotation_deg)))
+        limits = xp.deg2rad(xp.array(self.limits))
         actuator = self.actuator
         return Joint(
             parent=parent,
@@ -268,7 +269,7 @@ class JointConfig(Section):
             axes=tuple(_unit(axis) for axis in self.directions),
             lower=tuple(limits[:, 0]),
             upper=tuple(limits[:, 1]),
-            orientation=tuple(map(tuple, rotation)),
+            orientation=tuple(map(as_vector, rotation)),
             stiffness=self.stiffness,
             damping=self.damping,
             armature=self.armature,
@@ -394,7 +395,7 @@ class CreatureConfig(Section):
                     given = given.mirrored(copy.mirror)
                 parent_centre = centres.get(copy.parent, np.zeros(3))
                 joint = given.build(copy.parent, parent_centre, centres[copy.name])
-            material = Material(**self.materials[entry.material].model_dump())
+            material = Material(**dict(self.materials[entry.material]))
             shape = self._shape(copy).build()
             bodies.append(Body(copy.name, shape, material, joint, entry.color))
         named = self.pressure_sensors
@@ -407,7 +408,7 @@ class CreatureConfig(Section):
                     copy.name,
                     _moved(_image(eye.position, copy), centres[copy.name]),
                     _unit(_image(eye.axis, copy)),
-                    float(np.deg2rad(eye.field_of_view_deg)),
+                    xp.deg2rad(eye.field_of_view_deg),
                 )
                 for eye in self.light_sensors
                 for copy in copies_named(eye.body, everything)
@@ -470,24 +471,23 @@ class CreatureConfig(Section):
         return shape
 
 
-def _unit(vector: Any) -> tuple[float, float, float]:
-    x, y, z = np.asarray(vector, float) / np.linalg.norm(vector)
-    return float(x), float(y), float(z)
+def _unit(vector: Any) -> Triple:
+    direction = xp.array(vector, float)
+    return as_vector(direction / xp.linalg.norm(direction))
 
 
-def _moved(place: tuple[float, float, float], origin: np.ndarray) -> tuple[float, float, float]:
+def _moved(place: Triple, origin: np.ndarray) -> Triple:
     """A place in a frame that is moved to ``origin``; as it is where the frame stays."""
-    x, y, z = np.subtract(place, origin).tolist() if origin.any() else place
-    return x, y, z
+    return as_vector(xp.array(place) - origin) if origin.any() else place
 
 
-def _reflected(place: Vector, axis: MirrorAxis) -> Vector:
+def _reflected(place: Triple, axis: MirrorAxis) -> Triple:
     """The image of a place in the plane with this normal."""
     x, y, z = (-value if name == axis else value for name, value in zip("xyz", place, strict=True))
     return x, y, z
 
 
-def _opposed(turn: Sequence[float], axis: MirrorAxis) -> Vector:
+def _opposed(turn: Sequence[Number], axis: MirrorAxis) -> Triple:
     """The image of a rotation: of its axis, or of its roll, pitch and yaw.
 
     What turns counterclockwise about a normal of the mirror still does in its image; about
@@ -497,6 +497,6 @@ def _opposed(turn: Sequence[float], axis: MirrorAxis) -> Vector:
     return x, y, z
 
 
-def _image(vector: Vector, copy: Copy) -> Vector:
+def _image(vector: Triple, copy: Copy) -> Triple:
     """A place or a direction in the frame of a body, as written or in its mirror image."""
     return _reflected(vector, copy.mirror) if copy.mirror else vector

@@ -15,6 +15,7 @@ from evo_cpg.config.schema.section import (
     Vector,
 )
 from evo_cpg.simulation.walk import Heading
+from evo_cpg.spatial.numerics import Number, Triple, xp
 
 
 class LightConfig(OpenSection):
@@ -42,13 +43,13 @@ class LightConfig(OpenSection):
 
     def over(self, other: "LightConfig") -> "LightConfig":
         """This light; what it leaves open is that of another one, or, beside `at`, the default."""
-        given = self.model_dump()
+        given = {name: value for name, value in self if value is not None}
         if self.at is not None or not given:
             return self if given else other
         seen = DEFAULT_LIGHT if other.at is not None else other
-        return LightConfig(**seen.model_dump() | given)
+        return seen.model_copy(update=given)
 
-    def position(self, start: Vector, heading: float) -> Vector:
+    def position(self, start: Triple, heading: Number) -> Triple:
         """Place of the light, m; NaN where something is left open.
 
         Args:
@@ -57,14 +58,17 @@ class LightConfig(OpenSection):
         """
         if self.at is not None:
             return self.at
-        seen = np.array([self.distance, self.bearing_deg, self.elevation_deg], float)
-        distance, (bearing, elevation) = seen[0], np.deg2rad(seen[1:])
-        level = distance * np.cos(elevation)
-        ahead, left = level * np.cos(bearing), level * np.sin(bearing)
+        distance, bearing_deg, elevation_deg = (
+            np.nan if value is None else value
+            for value in (self.distance, self.bearing_deg, self.elevation_deg)
+        )
+        bearing, elevation = xp.deg2rad(bearing_deg), xp.deg2rad(elevation_deg)
+        level = distance * xp.cos(elevation)
+        ahead, left = level * xp.cos(bearing), level * xp.sin(bearing)
         return (
-            start[0] + float(np.cos(heading) * ahead - np.sin(heading) * left),
-            start[1] + float(np.sin(heading) * ahead + np.cos(heading) * left),
-            start[2] + float(distance * np.sin(elevation)),
+            start[0] + xp.cos(heading) * ahead - xp.sin(heading) * left,
+            start[1] + xp.sin(heading) * ahead + xp.cos(heading) * left,
+            start[2] + distance * xp.sin(elevation),
         )
 
 

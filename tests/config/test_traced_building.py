@@ -1,0 +1,181 @@
+"""Simulations built of traced numbers against those that are built anew of known ones."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import yaml
+
+from creatures import quick_jit
+from evo_cpg.config.build import build_simulation
+from evo_cpg.config.load import check_config, load_config
+from evo_cpg.config.parameters import all_parameters, parametrise
+from tiny_run import CONFIG, REPOSITORY, TINY
+
+# Shares of a value at which is built anew: errors of fourth order are below rounding.
+STEP = 1e-4
+STENCIL = {-1.0: 1 / 6, -0.5: -8 / 6, 0.5: 8 / 6, 1.0: -1 / 6}
+
+
+def check_elements(config, keys, accuracy=1e-14):
+    """Every element of a simulation that follows some numbers, and its derivative by each.
+
+    Args:
+        config: what is built.
+        keys: of the numbers.
+        accuracy: of what is built, where a search takes part in it.
+    """
+    parameters = parametrise(config, CONFIG, keys)
+    inputs, values = parameters.inputs, parameters.values
+
+    def traced(values):
+        return inputs.of_traced(parameters.simulation(values))
+
+    def known(values):
+        parameters.require(values)
+        apart = parameters.building.apart
+        return inputs.of(build_simulation(parameters.config_at(values), CONFIG, apart)[1])
+
+    both = quick_jit(lambda values: (jax.jacfwd(traced)(values), traced(values)))
+    slopes, here = both(jnp.asarray(values))
+    same = inputs.of(parameters.experiment.simulation)
+    for found, own in zip(here, same, strict=True):
+        np.testing.assert_allclose(found, own, rtol=1e-12, atol=accuracy)
+    for i, value in enumerate(values):
+        step = STEP * (abs(value) or 1.0)
+        only = np.arange(len(values)) == i
+        others = {share: known(values + share * step * only) for share in STENCIL}
+        for place, slope in enumerate(slopes):
+            each = np.array([weight * others[share][place] for share, weight in STENCIL.items()])
+            difference = each.sum(0) / step
+            rounding = accuracy * max(1.0, np.abs(each).max()) / step
+            slack = 1e-6 * np.abs(difference).max() + rounding
+            np.testing.assert_allclose(slope[:, i], difference, rtol=1e-6, atol=slack)
+    return parameters
+
+
+@pytest.mark.usefixtures("x64")
+def test_a_swimmers_numbers():
+    settings = (
+        "world.water.added_mass=true",
+        "simulation.substeps=1",
+        "creature.bodies.1.joint.rotation_deg=[3, 5, 4]",
+    )
+    config = load_config(CONFIG, [*TINY, *settings])
+    keys = [
+        "world.water.density",
+        "creature.materials.body.density",
+        "creature.bodies.0.shape.size.0",
+        "creature.bodies.1.shape.size.0",
+        "creature.bodies.1.joint.at.0",
+        "creature.bodies.1.joint.rotation_deg.2",
+        "creature.bodies.1.joint.actuator.gain",
+        "creature.light_sensors.0.field_of_view_deg",
+        "simulation.start_heading_deg",
+        "task.light.bearing_deg",
+        "controller.cpg.child_weight",
+        "controller.steering_range",
+    ]
+    check_elements(config, keys)
+
+
+SHAPES = """
+name: shapes
+materials: {wood: {density: 600, static_friction: 0.7}}
+bodies:
+  - {name: trunk, material: wood, shape: {type: ellipsoid, radii: [0.3, 0.2, 0.1]}}
+  - name: leg
+    material: wood
+    shape: {type: capsule, radius: 0.04, length: 0.3}
+    joint:
+      {parent: trunk, at: [0.2, 0, -0.1], child_at: [-0.2, 0, 0], axes: [y], stiffness: 5,
+       rotation_deg: [0, 80, 10], actuator: {gain: 2, stiffness: 30}}
+  - name: foot
+    material: wood
+    shape: {type: box, size: [0.1, 0.08, 0.05]}
+    joint: {parent: leg, at: [0.2, 0, 0], child_at: [-0.05, 0, 0], axes: [[0, 1, 0.2]]}
+  - name: tail
+    material: wood
+    shape: {type: sphere, radius: 0.1}
+    joint: {parent: trunk, at: [-0.3, 0, 0], child_at: [0.1, 0, 0], axes: [z, y], stiffness: 2}
+"""
+
+
+def shapes(start=None, **world):
+    """An animal of every shape."""
+    return check_config(
+        {
+            "name": "shapes",
+            "creature": yaml.safe_load(SHAPES),
+            "world": world,
+            "simulation": {"steps": 5, **(start or {})},
+            "task": {"type": "walk"},
+        },
+        CONFIG,
+    )
+
+
+@pytest.mark.usefixtures("x64")
+def test_numbers_of_every_shape_over_a_slope():
+    ground = {"floor": {"slope_deg": 8, "downhill_deg": 30}, "friction_rule": "average"}
+    keys = [
+        "world.ground.floor.slope_deg",
+        "world.ground.static_friction",
+        "creature.materials.wood.density",
+        "creature.materials.wood.static_friction",
+        "creature.bodies.0.shape.radii.1",
+        "creature.bodies.1.shape.radius",
+        "creature.bodies.1.shape.length",
+        "creature.bodies.1.joint.rotation_deg.1",
+        "creature.bodies.1.joint.actuator.stiffness",
+        "creature.bodies.2.shape.size.2",
+        "creature.bodies.3.shape.radius",
+        "simulation.start.0",
+    ]
+    check_elements(shapes(water=None, ground=ground), keys)
+
+
+@pytest.mark.usefixtures("x64")
+def test_bodies_that_cross_a_surface():
+    water = {"surface": 0.0, "added_mass": True}
+    keys = ["creature.bodies.1.shape.radius", "creature.bodies.2.shape.size.0"]
+    assert not check_elements(shapes(water=water), keys).building.apart
+
+
+@pytest.mark.usefixtures("x64")
+def test_bodies_that_become_different_are_treated_one_by_one():
+    """Two like balls share a surface as long as both are as large."""
+    creature = yaml.safe_load(SHAPES)
+    creature["bodies"] = [creature["bodies"][0], *(dict(creature["bodies"][3]) for _ in range(2))]
+    for body, side in zip(creature["bodies"][1:], (1, -1), strict=True):
+        body["name"] = f"ball{side}"
+        body["joint"] = body["joint"] | {"at": [0.0, 0.4 * side, 0.0]}
+    config = shapes(water={}).model_dump(mode="json") | {"creature": creature}
+    parameters = check_elements(check_config(config, CONFIG), ["creature.bodies.1.shape.radius"])
+    assert parameters.building.apart
+
+
+@pytest.mark.usefixtures("x64")
+def test_a_start_on_hills_follows_the_numbers():
+    """Its height is searched with known numbers; by others it is an implicit function."""
+    hills = {"floor": {"type": "hills", "seed": 3, "height": 0.2, "length": 1.5}}
+    keys = ["simulation.start.1", "simulation.start_heading_deg", "creature.bodies.1.shape.length"]
+    config = shapes({"start": [1.3, -0.7]}, water=None, ground=hills)
+    check_elements(config, keys, accuracy=1e-9)
+
+
+@pytest.mark.usefixtures("x64")
+def test_rest_on_the_water_follows_the_numbers():
+    keys = ["creature.materials.wood.density", "creature.bodies.1.joint.stiffness", "world.gravity"]
+    check_elements(shapes({"start_pose": "settled"}, water={"surface": 0.3}), keys, accuracy=1e-9)
+
+
+@pytest.mark.slow  # minutes: every number of every animal
+@pytest.mark.usefixtures("x64")
+@pytest.mark.parametrize(
+    "name", sorted(path.stem for path in (REPOSITORY / "configs").glob("*.yaml"))
+)
+def test_every_number_of_the_shipped_experiments(name):
+    path = REPOSITORY / "configs" / f"{name}.yaml"
+    config = load_config(path)
+    check_elements(config, all_parameters(config, path), accuracy=1e-9)

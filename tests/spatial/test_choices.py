@@ -1,0 +1,72 @@
+"""Models that are built of known numbers and, with the same choices, of traced ones."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from evo_cpg.spatial.choices import chosen, noting, repeating, searched
+from evo_cpg.spatial.numerics import is_traced, xp
+
+
+def build(x, y):
+    """The area of the larger one of two squares, and a root of z^2 = x near by."""
+    largest = chosen(lambda: int(np.argmax([x, y])))
+    area = xp.array([x, y])[largest] ** 2
+    root = searched(lambda: float(np.sqrt(x)))
+    return area, root - (root * root - x) / (2 * root)
+
+
+def test_what_is_traced_follows_what_was_chosen():
+    with noting() as choices:
+        known = build(2.0, 3.0)
+    assert known == (9.0, pytest.approx(np.sqrt(2.0)))
+    assert not is_traced(known)
+
+    def area(y):
+        with repeating(choices):
+            return build(2.0, y)[0]
+
+    def root(x):
+        with repeating(choices):
+            return build(x, 3.0)[1]
+
+    assert float(jax.grad(area)(3.0)) == 6.0
+    # Where the other one would be larger it still is this one.
+    assert float(area(jnp.asarray(1.0))) == 1.0
+    np.testing.assert_allclose(jax.grad(root)(2.0), 0.5 / np.sqrt(2.0), rtol=1e-6)
+
+
+def test_notes_are_equal_where_the_same_is_chosen():
+    def noted(x, y):
+        with noting() as choices:
+            build(x, y)
+        return choices
+
+    assert noted(2.0, 3.0) == noted(1.0, 4.0)
+    assert noted(2.0, 3.0) != noted(4.0, 3.0)
+    with noting() as fewer:
+        pass
+    assert noted(2.0, 3.0) != fewer
+
+
+def test_choices_within_choices_are_not_noted():
+    with noting() as choices:
+        assert chosen(lambda: chosen(lambda: 3) + 1) == 4
+    with repeating(choices):
+        assert chosen(lambda: 0) == 4
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_an_array_of_known_and_traced_numbers(dtype):
+    with jax.enable_x64(dtype is np.float64):
+        made = jax.jit(lambda x: xp.array([[1.0, x], [x * 2, 4.0]]))(dtype(3.0))
+    assert made.dtype == dtype
+    assert made.tolist() == [[1.0, 3.0], [6.0, 4.0]]
+    assert isinstance(xp.array([[1, 2]], float), np.ndarray)
+
+
+def test_scalars_leave_the_precision_to_what_they_meet():
+    assert type(xp.sin(1.0)) is float
+    assert (xp.sin(1.0) * jnp.ones(2, jnp.float32)).dtype == jnp.float32
+    np.testing.assert_allclose(jax.jit(xp.linalg.norm)(np.array([3.0, 4.0])), 5.0, rtol=1e-6)
