@@ -189,19 +189,22 @@ def _start_height(
         height = jnp.asarray(height, float)
         return jax.jvp(gap, (height,), (jnp.ones_like(height),))
 
+    def follow(near: float) -> Array:
+        # A step of Newton's.
+        reached, rise = look(near)
+        return near + (start_clearance - reached) / jax.lax.stop_gradient(rise)
+
     def search() -> float | None:
         here = height
         # Raising it by its missing clearance raises it less than enough, but for level ground.
         for _ in range(_START_STEPS):
             missing = start_clearance - float(look(here)[0])
             if abs(missing) < _START_ACCURACY:
-                return here
+                return float(follow(here))
             here += missing
         return None
 
     found = searched(search)
-    if found is None:
-        return None
-    reached, rise = look(found)
-    exact = found + (start_clearance - reached) / jax.lax.stop_gradient(rise)
-    return exact if is_traced(world, x, y, heading, start_clearance) else float(exact)
+    if found is None or not is_traced(world, x, y, heading, start_clearance):
+        return found
+    return follow(found)

@@ -46,6 +46,7 @@ from evo_cpg.spatial.linear import (
     skew,
     transpose,
 )
+from evo_cpg.spatial.numerics import Numbers
 
 # Share of a penetration that is undone in a step, and the fastest way out (m/s).
 _PUSH_SHARE, _PUSH_SPEED = 0.2, 0.5
@@ -129,7 +130,7 @@ def find_contacts(footing: Footing, kin: Kinematics, h: float) -> Contacts:
     return Contacts(arm, coasting, wanted, push, frame)
 
 
-def resting_stiffness(footing: Footing, h: float) -> Float[np.ndarray, " p"]:
+def resting_stiffness(footing: Footing, h: float) -> Float[Numbers, " p"]:
     """Normal force on a place that rests per depth, N/m: there ``v* = v_n + f_n / c`` lifts it.
 
     It holds up to the depth from which the way out is no faster, ``5/2 h`` m/s.

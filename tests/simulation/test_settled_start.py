@@ -15,6 +15,7 @@ from evo_cpg.physics.footing import Ground, make_footing
 from evo_cpg.physics.state import resting_state
 from evo_cpg.physics.terrain import Plane
 from evo_cpg.physics.world import World
+from evo_cpg.simulation import settle
 from evo_cpg.simulation.settle import NoRestError, Settling
 from evo_cpg.simulation.situation import Situation
 from evo_cpg.spatial.rotation import quaternion_to_matrix
@@ -44,7 +45,7 @@ def turn(situation: Situation) -> np.ndarray:
 
 
 def settled(world: World, *start, **more) -> Situation:
-    return Settling(world, H).settle(Situation(*start, **more))
+    return settle.settled(lambda: Settling(world, H), world, H, Situation(*start, **more))
 
 
 def draught(area, reach: float, share: float) -> float:
