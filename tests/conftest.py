@@ -25,6 +25,7 @@ _CHECKED = [f"evo_cpg.{path.parent.name}" for path in _PACKAGE.glob("*/__init__.
 _CHECKED.remove("evo_cpg.fusion")
 jaxtyping.install_import_hook(_CHECKED, "runtime_checks.typechecker")
 
+from costs import Costs  # noqa: E402
 from evo_cpg.fusion import engine  # noqa: E402
 from evo_cpg.fusion.machine import keep_code_in  # noqa: E402
 
@@ -46,12 +47,16 @@ hypothesis.settings.load_profile("evo_cpg")
 
 
 def pytest_addoption(parser):
-    """`make test-jax` computes everything on plain JAX."""
+    """`make test-jax` computes everything on plain JAX; what each test costs goes to a file."""
     parser.addoption("--engine", choices=("auto", "jax"), default="auto")
+    parser.addoption(
+        "--compilations", metavar="FILE", help="write each test's costs there, a line of JSON each"
+    )
 
 
 def pytest_configure(config):
-    """Without native code, whatever a test's config says."""
+    """Without native code, whatever a test's config says; costs are always counted."""
+    config.pluginmanager.register(Costs(config), "costs")
     if config.getoption("--engine") == "jax":
         engine.is_native = lambda: False
 
