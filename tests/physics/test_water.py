@@ -22,8 +22,8 @@ def single(shape: Shape, density: float) -> Creature:
     return Creature("single", (Body("b", shape, Material(density)),))
 
 
-def sink(shape: Shape, density: float, seconds: float, resolution: int = 6, **water) -> np.ndarray:
-    """Velocities ``(steps, 6)`` of a body released at rest."""
+def sink(shape: Shape, density: float, seconds: float, resolution: int = 2, **water) -> np.ndarray:
+    """Velocities ``(steps, 6)`` of a body released at rest; a box needs no more points than 2."""
     world = in_water(
         single(shape, density), resolution, form_drag=FORM_DRAG, skin_drag=SKIN_DRAG, **water
     )
@@ -79,7 +79,9 @@ def test_terminal_velocity(kind, law):
     excess = (density - WATER) * shape.volume * GRAVITY
     expected = np.sqrt(2 * excess / (WATER * area * coefficient))
     seconds = 12 * expected / (excess / (density * shape.volume))
-    velocity = sink(shape, density, seconds, law=law)
+    # A sphere's |cos|^3 needs many points; the isotropic law has the same drag at every one.
+    resolution = 6 if (kind, law) == ("sphere", "normal") else 2
+    velocity = sink(shape, density, seconds, resolution, law=law)
     assert -velocity[-1, 5] == pytest.approx(expected, rel=tolerance)
     # The layout of the points is symmetric: it neither drifts nor turns.
     assert np.abs(np.delete(velocity[-1], 5)).max() < 1e-12

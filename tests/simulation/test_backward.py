@@ -91,18 +91,27 @@ def test_a_horizon_is_the_time_in_which_a_slope_falls_to_its_eth():
     np.testing.assert_allclose(share**120, [np.exp(-1), 1.0], rtol=1e-12)
 
 
-@pytest.mark.parametrize("budget", [2**30, 0], ids=["one level", "segments"])
-def test_a_trial_has_the_slopes_that_it_has_with_everything_kept(budget, monkeypatch):
-    monkeypatch.setattr(backward, "_KEPT_AT_MOST", budget)
+def slopes(how: Backward | None) -> jax.Array:
+    """Of the fitness of two swimmers by their genes."""
     made = experiment(STEPS).simulation
-    genes = jnp.array([[1.2, 0.7], [1.1, 1.9]])
 
-    def fitness(genes, how):
+    def fitness(genes):
         outcome = rollout(made, genes, backward=how)
         return score(made.task, outcome, {"energy": jnp.float32(1.0)}).sum()
 
-    plain = quick_jit(jax.grad(lambda genes: fitness(genes, None)))(genes)
-    frugal = quick_jit(jax.grad(lambda genes: fitness(genes, Backward(jnp.ones(2)))))(genes)
+    return quick_jit(jax.grad(fitness))(jnp.array([[1.2, 0.7], [1.1, 1.9]]))
+
+
+@pytest.fixture(scope="module")
+def plain():
+    """The slopes with everything kept."""
+    return slopes(None)
+
+
+@pytest.mark.parametrize("budget", [2**30, 0], ids=["one level", "segments"])
+def test_a_trial_has_the_slopes_that_it_has_with_everything_kept(budget, plain, monkeypatch):
+    monkeypatch.setattr(backward, "_KEPT_AT_MOST", budget)
+    frugal = slopes(Backward(jnp.ones(2)))
     assert np.abs(plain).min() > 1e-5
     np.testing.assert_allclose(frugal, plain, rtol=1e-4)
 
@@ -111,17 +120,20 @@ def test_segments_take_less_memory_in_long_trials(monkeypatch):
     made = dataclasses.replace(experiment().simulation, steps=900)
     genes = jnp.ones((2, 16))
 
-    def memory(budget: int, copies: int = 1) -> int:
+    def gradient(budget: int, copies: int = 1):
         monkeypatch.setattr(backward, "_KEPT_AT_MOST", budget)
 
         def fitness(genes):
             outcome = rollout(made, genes, backward=Backward(copies=copies))
             return score(made.task, outcome, {"energy": jnp.float32(1.0)}).sum()
 
-        usage = jax.jit(jax.grad(fitness)).lower(genes).compile().memory_analysis()
-        return usage.temp_size_in_bytes
+        return jax.jit(jax.grad(fitness)).trace(genes)
 
-    one_level, segments = memory(2**30), memory(0)
-    assert memory(2**30, copies=2**16) == segments
+    def memory(traced) -> int:
+        return traced.lower().compile().memory_analysis().temp_size_in_bytes
+
+    several = gradient(2**30, copies=2**16)
+    assert str(several.jaxpr) == str(gradient(0).jaxpr)
+    one_level, segments = memory(gradient(2**30)), memory(several)
     # Kept are some thirty states, and what some thirty steps of the present segment leave.
     assert segments < one_level / 5

@@ -88,18 +88,23 @@ def test_runs_are_bred_as_if_each_were_alone(genetics, trials):
     alive = rng.random(places) > 0.1
     scales = {"energy": rng.random(2, dtype=np.float32)}
 
-    def bred(made, chosen, index):
+    def program(made):
         made = made._replace(genetics=genetics, trials=trials)
+        return quick_jit(lambda seed, *given: breed(made._replace(seed=seed), *given))
+
+    several, single = program(PAIR), program(alone(SEED))
+
+    def bred(breeding, seed, chosen, index):
         outcome = Outcome(
             {k: v[chosen].reshape(-1) for k, v in terms.items()}, alive[chosen].ravel()
         )
         own = genes.reshape(2, 2, SIZE)[:, chosen].reshape(2, -1)
         yardsticks = {name: values[chosen] for name, values in scales.items()}
-        return quick_jit(functools.partial(breed, made))(own, outcome, np.int32(index), yardsticks)
+        return breeding(np.int32(seed), own, outcome, np.int32(index), yardsticks)
 
     for index in (0, 4):
-        together = bred(PAIR, slice(0, 2), index)
-        lone = [bred(alone(SEED + run), slice(run, run + 1), index) for run in (0, 1)]
+        together = bred(several, SEED, slice(0, 2), index)
+        lone = [bred(single, SEED + run, slice(run, run + 1), index) for run in (0, 1)]
         joined = jax.tree.map(lambda *x: np.concatenate(x), *lone)
         joined = joined._replace(
             next_genes=np.concatenate([result.next_genes for result in lone], axis=1)
