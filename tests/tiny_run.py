@@ -14,6 +14,7 @@ CONFIG = REPOSITORY / "configs" / "iwadate2010_swimmer.yaml"
 # What makes the published swimmer tiny.
 TINY = (
     "creature.bodies.1.repeat=2",
+    "world.water.form_resolution=1",
     "controller.brain.hidden=[4]",
     "simulation.steps=60",
     "evolution.population=8",

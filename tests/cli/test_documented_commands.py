@@ -77,9 +77,8 @@ def test_every_picture_is_there():
             assert (page.parent / picture).is_file(), (page, picture)
 
 
-def test_the_session_of_the_readme_runs(cli, monkeypatch, tmp_path):
+def test_the_session_of_the_readme_runs(cli, tmp_path):
     shutil.copytree(ROOT / "configs", tmp_path / "configs")
-    monkeypatch.chdir(tmp_path)
     block = re.search(
         r"## What you can do\n\n```console\n(.+?)```", (ROOT / "README.md").read_text(), re.S
     )
@@ -91,7 +90,7 @@ def test_the_session_of_the_readme_runs(cli, monkeypatch, tmp_path):
             # Other animals take the same way through the program, and long to compile.
             name, arguments = "validate", arguments[:1]
         extra = {"train": SMALL, "render": ("--size", "64x36", "--seconds", "0.1")}.get(name, ())
-        code, _, complaint = cli(name, *arguments, *extra)
+        code, _, complaint = cli(name, *arguments, *extra, folder=tmp_path)
         assert code == 0, (line, complaint)
         ran.append(name)
     assert {"train", "resume", "render", "plot", "probe", "verify", "preview", "export"} <= set(ran)

@@ -67,6 +67,7 @@ class Slopeless(GoForward):
 
 SETTINGS = (
     "creature.bodies.1.repeat=1",
+    "world.water.form_resolution=1",
     "creature.light_sensors=[]",
     "creature.bodies.1.joint.axes=[z]",
     "simulation.steps=20",

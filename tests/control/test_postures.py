@@ -1,5 +1,6 @@
 """The postures: what every bit means, and that each posture comes at its time."""
 
+import functools
 import math
 
 import equinox as eqx
@@ -8,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from creatures import quick_jit
 from evo_cpg.control.controller import Observation
 from evo_cpg.control.postures import (
     EXACT_PERIODS,
@@ -29,15 +31,15 @@ def plan(legs):
 
 def observe(dofs, batch=(), dtype=float):
     """Senses, which the postures ignore."""
-    nothing = jnp.zeros((0, *batch), dtype)
-    joints = jnp.full((dofs, *batch), 0.3, dtype)
+    nothing = np.zeros((0, *batch), dtype)
+    joints = np.full((dofs, *batch), 0.3, dtype)
     return Observation(nothing, nothing, nothing, nothing, joints, joints, nothing)
 
 
 def encode(numbers, bits):
     """The genome of a table of angle numbers, postures by joints."""
     text = "".join(f"{number:0{bits}b}" for row in numbers for number in row)
-    return jnp.array([float(bit) for bit in text])
+    return np.array([float(bit) for bit in text])
 
 
 def act_for(controller, genes, steps):
@@ -45,13 +47,18 @@ def act_for(controller, genes, steps):
     batch = genes.shape[1:]
     sense = observe(controller.dof_count, batch, genes.dtype)
     start = controller.initial_state(batch, genes.dtype)
-    decoded = controller.decode(genes)
 
-    def advance(state, _):
-        return controller.act(decoded, state, sense)
+    @quick_jit
+    def run(genes, start):
+        decoded = controller.decode(genes)
+        act = functools.partial(controller.act, decoded, observation=sense)
+        return jax.lax.scan(lambda state, _: act(state), start, length=steps)[1]
 
-    _, commands = jax.lax.scan(advance, start, length=steps)
-    return commands
+    return run(genes, start)
+
+
+def decode(controller, genes):
+    return quick_jit(controller.decode)(genes)
 
 
 def degrees_of(controller, genes):
@@ -61,7 +68,7 @@ def degrees_of(controller, genes):
 
 def degrees(controller, genes):
     """Decoded angles as the thesis counts them."""
-    return np.rad2deg(controller.decode(genes)) + controller.settings.neutral_angle
+    return np.rad2deg(decode(controller, genes)) + controller.settings.neutral_angle
 
 
 @pytest.fixture(scope="session")
@@ -103,7 +110,7 @@ def test_hand_made_genome(quadruped, grow):
 
 def test_straight_down_is_the_neutral_pose(pendulum):
     controller = pendulum(1 / 60, postures=2, neutral_angle=170.0)
-    angles = controller.decode(encode([[3], [4]], 3))
+    angles = decode(controller, encode([[3], [4]], 3))
     np.testing.assert_allclose(angles, [[0.0], [np.pi / 9]], rtol=0, atol=1e-15)
 
 
@@ -168,8 +175,8 @@ def test_other_numbers_of_postures_and_bits(chain, postures, bits):
     genes = encode(numbers, bits)
     assert controller.gene_count == len(genes) == postures * 4 * bits
     np.testing.assert_allclose(degrees(controller, genes), -30 + 2.5 * numbers, rtol=0, atol=1e-12)
-    angles = act_for(controller, genes, 21 * postures).target_angle
-    np.testing.assert_array_equal(angles[::20][:postures], controller.decode(genes))
+    angles = np.asarray(act_for(controller, genes, 21 * postures).target_angle)
+    np.testing.assert_array_equal(angles[::20][:postures], decode(controller, genes))
     np.testing.assert_array_equal(angles[20 * postures], angles[0])
 
 
@@ -184,7 +191,7 @@ def test_each_posture_is_held_for_its_period(chain, control_step, period, held, 
     controller = build_posture_controller(chain(3, "y"), settings, control_step)
     genes = controller.random_genes(jax.random.key(1), batch, float)
     # Neighbouring postures differ, so that every switch is seen.
-    angles = np.asarray(controller.decode(genes))
+    angles = np.asarray(decode(controller, genes))
     assert (np.abs(angles - np.roll(angles, 1, axis=0)).max(axis=1) > 0).all()
     expected = np.concatenate([np.repeat(angles, held, axis=0)] * 3)
     found = act_for(controller, genes, 3 * 8 * held)

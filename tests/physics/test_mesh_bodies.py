@@ -60,6 +60,17 @@ def under_water(mesh: ConvexMesh, up: np.ndarray, height: float) -> tuple[float,
     return volumes.sum(), volumes @ corners.mean(1)
 
 
+def displaced(creature: Creature, pose):
+    """Volume and moment, as NumPy arrays."""
+    cells = make_cells(creature, build_tree(creature))
+    return jax.tree.map(np.asarray, quick_jit(lambda pose: displacement(cells, pose))(pose))
+
+
+def resistance(world, velocity) -> list[np.ndarray]:
+    """Wrench of the drag and its derivative."""
+    return list(map(np.asarray, quick_jit(lambda v: drag(world.water, world.patches, v))(velocity)))
+
+
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
 @pytest.mark.parametrize(
     "mesh", [box_mesh(SIZE), tetrahedron(), wedge(), ball_mesh(0.1, 1)], ids="btwo"
@@ -70,8 +81,7 @@ def test_displaced_volume_and_moment_are_exact(mesh, dtype):
     up = directions(rng, 20)
     height = rng.uniform(-1, 1, 20) * np.ptp(mesh.points @ up, axis=0) / 2
     creature = single(mesh)
-    pose = jnp.asarray(np.concatenate([up, height[None]])[:, None], dtype)
-    found = displacement(make_cells(creature, build_tree(creature)), pose)
+    found = displaced(creature, np.concatenate([up, height[None]])[:, None].astype(dtype))
     size = np.linalg.norm(mesh.half_extents)
     tolerance = 1e-6 if dtype == np.float64 else 1e-5
     for k in range(20):
@@ -88,8 +98,8 @@ def test_displaced_volume_and_moment_are_exact(mesh, dtype):
 def test_all_or_nothing_under_water(height, share):
     """In single precision, far from the surface."""
     creature = single(wedge())
-    pose = jnp.asarray([0.6, 0.0, 0.8, height], jnp.float32)[:, None, None]
-    found = displacement(make_cells(creature, build_tree(creature)), pose)
+    pose = np.array([0.6, 0.0, 0.8, height], np.float32)[:, None, None]
+    found = displaced(creature, pose)
     volume = creature.bodies[0].shape.volume
     assert float(found.volume[0, 0]) / volume == pytest.approx(share, abs=1e-5)
     assert np.abs(np.cross(found.moment[:, 0, 0], pose[:3, 0, 0])).max() < 1e-6 * volume
@@ -122,9 +132,7 @@ def test_drag_of_a_box_is_the_box_s(resolution):
     velocity = twist(np.random.default_rng(1), 20)
     ours, theirs = (in_water(single(shape), resolution) for shape in (box_mesh(SIZE), Box(SIZE)))
     for found, expected in zip(
-        drag(ours.water, ours.patches, velocity),
-        drag(theirs.water, theirs.patches, velocity),
-        strict=True,
+        resistance(ours, velocity), resistance(theirs, velocity), strict=True
     ):
         np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
 
@@ -138,8 +146,8 @@ def test_drag_of_a_ball_is_near_the_sphere_s(resolution, tolerance):
     way = rng.normal(size=(3, 50))
     way /= np.linalg.norm(way, axis=0)
     velocity = jnp.asarray(np.concatenate([np.zeros((3, 50)), way])[:, None])
-    wrench, _ = drag(world.water, world.patches, velocity)
-    force = np.asarray(wrench[3:, 0])
+    wrench, _ = resistance(world, velocity)
+    force = wrench[3:, 0]
     expected = 500 * (1 + 3 * np.pi / 4 * 0.05) * np.pi * 0.1**2
     along = -(force * way).sum(0)
     np.testing.assert_allclose(along, expected, rtol=tolerance)

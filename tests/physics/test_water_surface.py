@@ -97,8 +97,9 @@ def test_displaced_volume_and_moment_in_any_position(shape, dtype):
     up[:, 3] = 0.02, 0.0, 1.0
     up /= np.linalg.norm(up, axis=0)
     height = rng.uniform(-1, 1, 40) * np.linalg.norm(shape.half_extents[:, None] * up, axis=0)
-    pose = jnp.asarray(np.concatenate([up, height[None]])[:, None], dtype)
-    found = displacement(make_cells(creature, tree), pose)
+    pose = np.concatenate([up, height[None]])[:, None].astype(dtype)
+    cells = make_cells(creature, tree)
+    found = jax.tree.map(np.asarray, quick_jit(lambda pose: displacement(cells, pose))(pose))
     size = np.linalg.norm(shape.half_extents)
     tolerance = {Box: 0.003, Capsule: 0.01}.get(type(shape), 0.001)
     for k in range(40):
@@ -119,7 +120,8 @@ def test_sphere_displaces_its_cap():
     creature = single(shape, 500.0)
     draught = np.linspace(0, 0.2, 11)
     pose = np.concatenate([np.tile([[0.6], [0.0], [0.8]], 11), 0.1 - draught[None]])
-    found = displacement(make_cells(creature, build_tree(creature)), jnp.asarray(pose[:, None]))
+    cells = make_cells(creature, build_tree(creature))
+    found = quick_jit(lambda pose: displacement(cells, pose))(pose[:, None])
     cap = np.pi * draught**2 * (0.3 - draught) / 3
     np.testing.assert_allclose(found.volume[0], cap, atol=1e-12)
 
@@ -261,9 +263,11 @@ def test_drag_acts_on_what_is_under_water():
     Of the patches at the waterline a smooth share is wet; halfway up each is exactly a half.
     """
     world = floating(Box((0.4, 0.4, 0.2)), 500.0, drag=1.0)
-    velocity = jnp.zeros((6, 1, 4)).at[3].set(2.0)
-    pose = jnp.zeros((4, 1, 4)).at[2].set(1.0).at[3, 0].set(jnp.array([-5.0, 0.0, 0.05, 5.0]))
-    wrench, derivative = drag(world.water, world.patches, velocity, pose)
+    velocity, pose = np.zeros((6, 1, 4)), np.zeros((4, 1, 4))
+    velocity[3], pose[2], pose[3, 0] = 2.0, 1.0, (-5.0, 0.0, 0.05, 5.0)
+    wrench, derivative = quick_jit(lambda v, p: drag(world.water, world.patches, v, p))(
+        velocity, pose
+    )
     force = np.asarray(wrench[3, 0])
     sides, bottom = 0.05 * 2 * 0.4 * 0.2, 0.05 * 0.4 * 0.4
     ends = 2 * 0.4 * 0.2

@@ -1,11 +1,11 @@
 """Relief, obstacles and the water's surface: where the physics has them, and told apart."""
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 import pyvista as pv
 import synthetic
 
+from creatures import quick_jit
 from evo_cpg.physics.footing import Ground
 from evo_cpg.physics.terrain import Block, Boulder, Plane, Relief, Shore
 from evo_cpg.view.camera import hidden, project
@@ -96,7 +96,8 @@ STONES = [Boulder((0.3, -0.2, 0.1), 0.4), Block((0.2, 0.1, 0.3), (0.4, 0.2, 0.1)
 def test_a_stone_has_the_shape_of_the_physics(stone):
     mesh, place, turn = obstacle_mesh(stone)
     world = np.asarray(mesh.points) @ turn.T + place
-    gap, outward = stone.distance(jnp.asarray(world.T))
+    distance = quick_jit(stone.distance)
+    gap, outward = distance(world.T)
     assert np.abs(gap).max() < 1e-5
     normal = np.asarray(mesh.point_data.active_normals) @ turn.T
     # Two faces share an edge, whose way out is of one of them.
@@ -107,12 +108,12 @@ def test_a_stone_has_the_shape_of_the_physics(stone):
     top = obstacle_top(stone, spots)
     over = np.isfinite(top)
     assert 20 < over.sum() < 500
-    gap, _ = stone.distance(jnp.asarray(np.column_stack([spots[over], top[over]]).T))
+    gap, _ = distance(np.column_stack([spots[over], top[over]]).T)
     assert np.abs(np.asarray(gap)).max() < 1e-5
     column = np.linspace(-1, 1, 41)
     for spot in spots[~over][:20]:
         points = np.column_stack([np.tile(spot, (41, 1)), column])
-        gap, _ = stone.distance(jnp.asarray(points.T))
+        gap, _ = distance(points.T)
         assert np.asarray(gap).min() > -1e-6
 
 
