@@ -30,9 +30,9 @@ if os.environ.get("EVO_CPG_TESTS_SHAPES"):
     _CHECKED.remove("evo_cpg.fusion")
     jaxtyping.install_import_hook(_CHECKED, "runtime_checks.typechecker")
 
-from costs import Costs  # noqa: E402
-from evo_cpg.fusion import engine  # noqa: E402
-from evo_cpg.fusion.machine import keep_code_in  # noqa: E402
+from costs import Costs
+from evo_cpg.fusion import engine
+from evo_cpg.fusion.machine import keep_code_in
 
 # Two functions that come to the same program are compiled once: an experiment that several tests
 # build, a run that is started and resumed. Each process has a folder of its own, for the duration.

@@ -5,7 +5,7 @@ they are given. Tests do that dozens of times with the same parts. Here the thre
 make these programs remember what they made, by the content of what they were given.
 
 A test that replaces something by `monkeypatch` gets programs of its own, for what it replaced may
-be part of them.
+be part of them; so does one that watches what is `lowered`.
 """
 
 import functools
@@ -13,12 +13,16 @@ import pickle
 import sys
 from collections import OrderedDict
 from collections.abc import Callable, Iterator
+from typing import ClassVar
 
 import jax
 import pytest
 
 from evo_cpg.fusion import engine
 from evo_cpg.training import ascent, experiment, loop
+
+# Fixtures of tests that get programs of their own.
+_OWN = {"monkeypatch", "lowered"}
 
 # The last so many are kept; each may hold hundreds of thousands of objects.
 _KEPT = 12
@@ -56,8 +60,8 @@ def remember_programs() -> Iterator[None]:
 
 
 @pytest.fixture(autouse=True)
-def forget_where_something_is_replaced(request) -> Iterator[None]:
-    _Kept.used = "monkeypatch" not in request.fixturenames
+def programs_of_its_own(request) -> Iterator[None]:
+    _Kept.used = _OWN.isdisjoint(request.fixturenames)
     yield
     _Kept.used = True
 
@@ -66,7 +70,7 @@ class _Kept:
     """What was made, the latest last, and whether it may be used."""
 
     used = True
-    programs: OrderedDict = OrderedDict()
+    programs: ClassVar[OrderedDict] = OrderedDict()
 
 
 def _remembering(maker: Callable) -> Callable:

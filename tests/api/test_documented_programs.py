@@ -1,4 +1,4 @@
-"""The programs of README and docs, run as they stand but for the length of their trials."""
+"""The programs of README and docs, run as they stand but for shorter trials of a smaller animal."""
 
 import importlib.util
 import re
@@ -29,8 +29,17 @@ def run(program: str, names: dict) -> None:
 
 @pytest.fixture
 def here(tmp_path, monkeypatch):
-    """A working folder with the configurations in it."""
+    """A working folder with the configurations in it, the swimmer of three bodies, not ten."""
     shutil.copytree(ROOT / "configs", tmp_path / "configs")
+    for name, old, new in (
+        ("creatures/swimmer10.yaml", "repeat: 9 ", "repeat: 2 "),
+        ("iwadate2010_swimmer.yaml", "points: quadrature ", "form_resolution: 1 "),
+        ("iwadate2010_swimmer.yaml", "hidden: [16] ", "hidden: [4] "),
+    ):
+        path = tmp_path / "configs" / name
+        text = path.read_text()
+        assert text.count(old) == 1
+        path.write_text(text.replace(old, new))
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", list(sys.path))
     monkeypatch.setenv("MPLBACKEND", "Agg")

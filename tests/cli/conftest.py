@@ -13,10 +13,10 @@ import pytest
 
 from evo_cpg.cli import progress, training
 from evo_cpg.cli.main import main
-from shared_programs import forget_where_something_is_replaced, remember_programs
+from shared_programs import programs_of_its_own, remember_programs
 from tiny_run import CONFIG, GENERATIONS, LONG, program
 
-__all__ = ["forget_where_something_is_replaced", "remember_programs"]
+__all__ = ["programs_of_its_own", "remember_programs"]
 
 Called = tuple[int, str, str]
 

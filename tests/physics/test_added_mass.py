@@ -115,8 +115,10 @@ def test_impulse_of_a_tree_is_conserved():
     state = random_state(world.tree, rng)
     after = quick_jit(lambda s: step(world, s, jnp.zeros_like(s.qd), h)[0])(state)
 
+    pose = quick_jit(lambda state: kinematics(world.tree, state))
+
     def impulse(state):
-        kin = jax.tree.map(np.asarray, kinematics(world.tree, state))
+        kin = jax.tree.map(np.asarray, pose(state))
         total = np.zeros(6)
         for i in range(world.tree.body_count):
             rotation = np.kron(np.eye(2), kin.rotation[:, :, i])

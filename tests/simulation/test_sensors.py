@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from creatures import random_creature, random_state
+from creatures import quick_jit, random_creature, random_state
 from evo_cpg.creature.creature import DepthSensor
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.physics.fluid import Water
@@ -113,7 +113,8 @@ def test_the_skin_feels_the_ground_but_under_water_only_what_presses_harder():
     creature = dataclasses.replace(creature, pressure_sensors=tree.names)
     sensors = place_sensors(creature, tree)
     footing = make_footing(creature, tree, Ground())
-    kin = kinematics(tree, resting_state(tree, (3,), position=(0.0, 0.0, -0.5)))
+    start = resting_state(tree, (3,), position=(0.0, 0.0, -0.5))
+    kin = quick_jit(lambda start: kinematics(tree, start))(start)
     touched = np.array(footing.bodies) == 1
     area = tree.volume[1] ** (2 / 3)
     weight = 1000 * 9.81 * 0.5 * area
@@ -122,7 +123,8 @@ def test_the_skin_feels_the_ground_but_under_water_only_what_presses_harder():
     support = jnp.asarray(support, jnp.float32)
 
     def felt(water):
-        return np.asarray(feel(sensors, World(tree, 9.81, water, footing=footing), kin, support))
+        world = World(tree, 9.81, water, footing=footing)
+        return np.asarray(quick_jit(lambda kin: feel(sensors, world, kin, support))(kin))
 
     np.testing.assert_array_equal(felt(None), [[0, 0, 0], [0, 1, 1]])
     np.testing.assert_array_equal(felt(Water(1000.0, 1.0, 0.02)), [[0, 0, 0], [0, 1, 1]])
@@ -166,25 +168,28 @@ def test_velocities_are_how_fast_the_bodies_get_on(x64):
     tree = build_tree(random_creature(rng, ((0, 2), (1, 1), (0, 3), (3, 1))))
     state, h = random_state(tree, rng, (4,)), 1e-6
 
-    def after(time):
+    @quick_jit
+    def poses(time):
         v = state.velocity
         turned = integrate_quaternion(state.orientation, v[:3], time)
         place, q = state.position + time * v[3:], state.q + time * state.qd
-        return Snapshot(World(tree, 9.81), 1 / 60, State(place, turned, v, q, state.qd))
+        now = Snapshot(World(tree, 9.81), 1 / 60, State(place, turned, v, q, state.qd))
+        none = Forces(jnp.zeros_like(state.q), jnp.zeros((3, 0, 4)))
+        read = [VelocitySensor("b3", largest).sense(now, none) for largest in (100.0, 1e-3)]
+        speeds = now.velocity, now.centre_of_mass_velocity, now.angular_velocity
+        return now.position, now.centre_of_mass, now.rotation, speeds, read
 
-    now, later, before = after(0.0), after(h), after(-h)
-    rate = (later.position - before.position) / (2 * h)
-    np.testing.assert_allclose(now.velocity, rate, rtol=1e-6, atol=1e-6)
-    centre = (later.centre_of_mass - before.centre_of_mass) / (2 * h)
-    np.testing.assert_allclose(now.centre_of_mass_velocity, centre, rtol=1e-6, atol=1e-6)
-    turning = jnp.einsum(
-        "ijbn,kjbn->ikbn", (later.rotation - before.rotation) / (2 * h), now.rotation
+    now, later, before = (jax.tree.map(np.asarray, poses(time)) for time in (0.0, h, -h))
+    rate, centre, turn = (
+        (ahead - behind) / (2 * h) for ahead, behind in zip(later[:3], before[:3], strict=True)
     )
-    spin = jnp.stack([turning[2, 1], turning[0, 2], turning[1, 0]])
-    np.testing.assert_allclose(now.angular_velocity, spin, rtol=1e-6, atol=1e-6)
-    none = Forces(jnp.zeros_like(state.q), jnp.zeros((3, 0, 4)))
-    read = VelocitySensor("b3", 100.0).sense(now, none)
+    _, _, rotation, (velocity, of_the_centre, angular_velocity), (read, over) = now
+    np.testing.assert_allclose(velocity, rate, rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(of_the_centre, centre, rtol=1e-6, atol=1e-6)
+    turning = np.einsum("ijbn,kjbn->ikbn", turn, rotation)
+    spin = np.stack([turning[2, 1], turning[0, 2], turning[1, 0]])
+    np.testing.assert_allclose(angular_velocity, spin, rtol=1e-6, atol=1e-6)
     i = tree.names.index("b3")
-    own = np.einsum("ijn,in->jn", now.rotation[:, :, i], rate[:, i])
+    own = np.einsum("ijn,in->jn", rotation[:, :, i], rate[:, i])
     np.testing.assert_allclose(read, own / 100.0, rtol=1e-6, atol=1e-8)
-    assert np.abs(VelocitySensor("b3", 1e-3).sense(now, none)).max() == 1.0
+    assert np.abs(over).max() == 1.0

@@ -1,5 +1,5 @@
 """Tests of training share compiled programs."""
 
-from shared_programs import forget_where_something_is_replaced, remember_programs
+from shared_programs import programs_of_its_own, remember_programs
 
-__all__ = ["forget_where_something_is_replaced", "remember_programs"]
+__all__ = ["programs_of_its_own", "remember_programs"]

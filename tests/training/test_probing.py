@@ -88,10 +88,14 @@ def test_an_animal_that_diverges_has_no_numbers(simulation):
 def test_the_blind_see_no_light_and_feel_everything_else(simulation):
     blind = blinded(simulation)
     tree = simulation.world.tree
-    kin = kinematics(tree, resting_state(tree, (2,)))
     light = jnp.array([3.0, 1.0, 0.5])[:, None]
-    strength, *others = see(simulation.sensors, kin, light)
-    nothing, *felt = see(blind.sensors, kin, light)
+
+    @quick_jit
+    def seen(state):
+        kin = kinematics(tree, state)
+        return [see(one.sensors, kin, light) for one in (simulation, blind)]
+
+    (strength, *others), (nothing, *felt) = seen(resting_state(tree, (2,)))
     assert float(strength.max()) > 0.5
     np.testing.assert_array_equal(nothing, np.zeros_like(strength))
     np.testing.assert_array_equal(felt, others)
