@@ -1,5 +1,7 @@
 """Creatures, states and worlds that several tests of the physics share."""
 
+from importlib.metadata import version
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -28,6 +30,14 @@ STRUCTURES = (
     ((0, 2), (0, 2), (1, 1), (2, 3), (2, 1)),
     ((0, 1), (0, 3), (0, 3), (2, 2), (2, 3), (5, 1)),
 )
+
+
+def jit_as_for_users(function, **options):
+    """`jax.jit` at the optimisation that users have, whatever the tests are compiled with."""
+    chosen = {"xla_backend_optimization_level": 3}
+    if version("jaxlib").startswith("0.10."):
+        chosen["xla_cpu_use_fusion_emitters"] = True
+    return jax.jit(function, compiler_options=chosen, **options)
 
 
 def random_creature(

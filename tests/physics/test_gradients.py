@@ -1,5 +1,6 @@
 """Derivatives through swimming and walking against central differences."""
 
+import dataclasses
 from pathlib import Path
 
 import equinox as eqx
@@ -8,12 +9,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from creatures import box_chain, in_water, quick_jit
+from creatures import box_chain, in_water, jit_as_for_users, quick_jit
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import load_config
-from evo_cpg.creature.creature import Actuator
+from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, Material
+from evo_cpg.creature.shapes import Sphere
+from evo_cpg.creature.tree import build_tree
+from evo_cpg.physics.footing import Ground, make_footing
 from evo_cpg.physics.state import resting_state
 from evo_cpg.physics.step import step
+from evo_cpg.physics.world import World
 from evo_cpg.simulation.situation import starting_state
 
 WALKER = Path(__file__).parents[2] / "configs" / "fukui2003_model1.yaml"
@@ -31,14 +36,14 @@ LIMITS = pytest.mark.parametrize(
 )
 
 
-def make_swim(torque_limit: float):
+def make_swim(torque_limit: float, bodies: int = 3, axes: str = "yz", steps: int = STEPS):
     """Displacement (m, with weights on x, y and z) and peak torque as functions of `PARAMETERS`.
 
     The chain bends both ways; a finite limit is not reached.
     """
-    world = in_water(box_chain(3, "yz", Actuator(5.0, torque_limit)))
-    dofs = world.tree.dof_count
-    phase = np.repeat(np.arange(dofs // 2), 2) * 0.9 + np.tile([0.0, 1.0], dofs // 2)
+    world = in_water(box_chain(bodies, axes, Actuator(5.0, torque_limit)))
+    joints = bodies - 1
+    phase = np.repeat(np.arange(joints), len(axes)) * 0.9 + np.tile(np.arange(len(axes)), joints)
 
     def swim(parameters):
         amplitude, frequency, form_drag = parameters
@@ -50,7 +55,7 @@ def make_swim(torque_limit: float):
             return state, jnp.abs(effort.torque).max()
 
         start = resting_state(world.tree, dtype=jnp.float64)
-        state, torque = jax.lax.scan(advance, start, jnp.arange(STEPS))
+        state, torque = jax.lax.scan(advance, start, jnp.arange(steps))
         return state.position @ jnp.array([1.0, 0.7, 0.4]), torque.max()
 
     return swim
@@ -63,9 +68,17 @@ def test_gradients_equal_central_differences(torque_limit):
     The step has kinks where a point's normal velocity changes sign; the chance that one lies
     within e of this path is negligible, and both modes would show it.
     """
-    swim = make_swim(torque_limit)
+    equal_central_differences(make_swim(torque_limit), torque_limit, quick_jit)
 
-    @quick_jit
+
+def test_gradients_with_limited_motors_equal_central_differences():
+    """A pair, compiled as for users."""
+    swim = make_swim(50.0, bodies=2, axes="y")
+    equal_central_differences(swim, 50.0, jit_as_for_users)
+
+
+def equal_central_differences(swim, torque_limit: float, jit) -> None:
+    @jit
     def forward(parameters, direction):
         (value, torque), (slope, _) = jax.jvp(swim, (parameters,), (direction,))
         return value, slope, torque
@@ -82,12 +95,52 @@ def test_gradients_equal_central_differences(torque_limit):
         assert 0 < torque < torque_limit
     assert np.abs(differences).min() > 1e-4
     np.testing.assert_allclose(slopes, differences, rtol=1e-6)
-    reverse, _ = quick_jit(jax.grad(swim, has_aux=True))(jnp.asarray(PARAMETERS))
+    reverse, _ = jit(jax.grad(swim, has_aux=True))(jnp.asarray(PARAMETERS))
     np.testing.assert_allclose(reverse, differences, rtol=1e-6)
 
 
+def test_a_gradient_through_contact_of_two_balls_equals_central_differences():
+    """Joined by a motor that swings one while the other rolls; compiled as for users."""
+    flesh = Material(500.0, 0.2, 0.6, 0.5)
+    motor = Actuator(0.5, 20.0, stiffness=8.0)
+    joint = Joint(
+        "a", (-0.15, 0, 0), (0.15, 0, 0), ((0.0, 1.0, 0.0),), (-1.0,), (1.0,), actuator=motor
+    )
+    balls = (Body("a", Sphere(0.1), flesh), Body("b", Sphere(0.08), flesh, joint))
+    creature = Creature("balls", balls)
+    tree = build_tree(creature)
+    ground = Ground(static_friction=0.6, dynamic_friction=0.5)
+    world = World(tree, 9.81, footing=make_footing(creature, tree, ground))
+    start = resting_state(tree, dtype=jnp.float64, position=(0.0, 0.0, 0.12))
+
+    def roll(numbers):
+        angle, speed, spin = numbers
+        state = dataclasses.replace(
+            start, velocity=start.velocity.at[3].set(speed).at[4].set(0.3).at[2].set(spin)
+        )
+
+        def advance(state, _):
+            still = jnp.zeros_like(state.q)
+            state, effort = step(world, state, still, 1 / 240, still + angle)
+            return state, effort.support[2].max()
+
+        state, support = jax.lax.scan(advance, state, length=40)
+        return state.position @ jnp.array([1.0, 0.7, 0.4]), support.max()
+
+    numbers = np.array([0.3, 0.8, 0.5])
+    slope, support = jit_as_for_users(jax.grad(roll, has_aux=True))(jnp.asarray(numbers))
+    assert support > 1.0
+    value = jit_as_for_users(lambda numbers: roll(numbers)[0])
+    units = np.eye(len(numbers)) * DIFFERENCE
+    differences = [
+        (value(numbers + unit) - value(numbers - unit)) / (2 * DIFFERENCE) for unit in units
+    ]
+    assert np.abs(differences).min() > 1e-3
+    np.testing.assert_allclose(slope, differences, rtol=1e-5, atol=1e-8)
+
+
 @pytest.mark.slow
-def test_a_gradient_through_contact_equals_central_differences():
+def test_a_gradient_through_contact_equals_equals_central_differences():
     """A quadruped of Fukui's that pushes itself off the ground for a quarter of a second.
 
     By the angles that its motors are given. Contacts that open, close or begin to slide are kinks;

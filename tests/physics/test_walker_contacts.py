@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from creatures import quick_jit
+from creatures import jit_as_for_users, quick_jit
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import load_config
 from evo_cpg.control.controller import Observation
@@ -31,7 +31,7 @@ WALKERS, SECONDS = 24, 4.0
 def mechanics(world: World, state: State) -> tuple[np.ndarray, np.ndarray]:
     """Velocity of the centre of mass and mechanical energy of each individual."""
     tree = world.tree
-    kin = kinematics(tree, state)
+    kin = quick_jit(lambda state: kinematics(tree, state))(state)
     rotation, angular, linear, origin = (
         np.asarray(part, float) for part in (kin.rotation, kin.angular, kin.linear, kin.origin)
     )
@@ -218,6 +218,57 @@ def test_ragdolls_only_lose_energy_and_come_to_rest():
     assert rise.max() < 0.01
     assert depths(world, states)[-1].max() < 2e-3
     assert np.abs(np.asarray(states.velocity)[-1]).max() < 0.05
+
+
+@pytest.fixture(scope="module")
+def tumbling():
+    """Tripods that fall about for half a second, in float32 and compiled as for users."""
+    with jax.enable_x64(True):
+        world = legged([(0.2, 0.0), (-0.2, 0.0)], segments=1)
+        start = jax.tree.map(lambda x: np.asarray(x, np.float32), thrown(world, 12, 0.4))
+    with jax.enable_x64(False):
+
+        @jit_as_for_users
+        def run(state):
+            def advance(s, _):
+                s, effort = step(world, s, jnp.zeros_like(s.q), H)
+                return s, (s, effort)
+
+            return jax.lax.scan(advance, state, None, 120)[1]
+
+        states, effort = run(start)
+        yield world, start, states, effort
+
+
+def test_a_small_animal_is_pushed_within_friction_and_by_as_much_as_it_gains(tumbling):
+    """No support is negative, none beyond the cone; its impulse is the change of momentum."""
+    world, start, states, effort = tumbling
+    support = np.asarray(effort.support, float)
+    across, along = support[:, 2], np.hypot(support[:, 0], support[:, 1])
+    limit = world.footing.static_friction[:, None] * across
+    assert across.min() >= 0
+    assert (along <= (1 + 1e-5) * limit).all()
+    assert (along > 0.99 * limit)[across > 0].mean() > 0.05
+    seconds = len(across) * H
+    total = support.sum((0, 2)) * H / world.tree.mass.sum()
+    gained = total - np.array([[0], [0], [world.gravity * seconds]])
+    (first, _), (last, _) = (
+        mechanics(world, state) for state in (start, jax.tree.map(lambda x: x[-1], states))
+    )
+    assert np.abs(gained - (last - first)).max() < 0.01 * world.gravity * seconds
+
+
+def test_a_small_animal_only_loses_energy_and_stays_on_the_ground(tumbling):
+    world, start, states, _ = tumbling
+    _, energy = mechanics(world, jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), states))
+    _, first = mechanics(world, start)
+    rise = (energy - np.minimum.accumulate(energy, axis=1)) / first[:, None]
+    assert (energy < 1.01 * first[:, None]).all()
+    assert rise.max() < 0.01
+    deep = depths(world, states)
+    # The bound is what the fastest point moves in a step at 12 m/s.
+    assert deep.max() < 12.0 * H
+    assert 0.02 < (deep > -1e-3).mean() < 0.5
 
 
 @pytest.fixture(scope="module")
