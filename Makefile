@@ -11,21 +11,29 @@ DEV := $(VENV)/.installed-dev
 RUN := runs/swim-$(shell date +%Y%m%d-%H%M%S)
 
 .DEFAULT_GOAL := help
-.PHONY: help swim test test-slow test-jax test-matrix check bench docs format clean
+.PHONY: help swim test test-all test-slow test-shapes test-jax test-mutants test-matrix check bench docs format clean
 .DELETE_ON_ERROR:
 
 help: ## list the targets
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-11s %s\n", $$1, $$2 }' Makefile
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' Makefile
 
 swim: $(CORE) ## evolve the swimmer of Iwadate 2010 and film the best (RUN=folder)
 	$(BIN)/evo-cpg train configs/iwadate2010_swimmer.yaml --out $(RUN)
 	$(BIN)/evo-cpg render $(RUN)
 
-test: $(DEV) ## run the tests
+test: $(DEV) ## run the fast tests
 	$(BIN)/pytest
 
-test-slow: $(DEV) ## run the slow tests too, all compiled as for users
+test-all: test-slow test-shapes test-jax ## run everything: fast and slow, shapes, and plain JAX; hours
+
+test-slow: $(DEV) ## run the fast and the slow tests, all compiled as for users
 	EVO_CPG_TESTS_OPTIMISED=3 $(BIN)/pytest -m "slow or not slow"
+
+test-shapes: $(DEV) ## run the fast tests with the shapes of all arrays checked
+	EVO_CPG_TESTS_SHAPES=1 $(BIN)/pytest
+
+test-mutants: $(DEV) ## put mistakes into the code, one at a time, and see whether the tests notice
+	$(BIN)/python benchmarks/mutants.py
 
 test-jax: $(DEV) ## physics, oscillators and their derivatives on plain JAX, without native code
 	$(BIN)/pytest --engine=jax tests/spatial tests/physics tests/control

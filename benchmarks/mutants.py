@@ -1,0 +1,322 @@
+"""Whether the fast tests notice mistakes in physics, control and evolution: `make test-mutants`.
+
+Each mutant is one small change by hand: a sign, a factor, a term that is dropped, indices that are
+swapped. It is made in a copy of the repository, in which the tests of what was changed then run up
+to the first failure. A mutant that no test notices has survived, and asks for a test.
+"""
+
+import argparse
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+ROOT = Path(__file__).parents[1]
+
+# What the copy goes without.
+_LEFT_OUT = (".*", "runs", "build", "dist", "_build", "__pycache__", "*.egg-info")
+
+# pytest's exit codes.
+_PASSED, _FAILED = 0, 1
+
+
+class Mutant(NamedTuple):
+    """One mistake.
+
+    Attributes:
+        file: in the package.
+        right: text that stands in it once.
+        wrong: in its place.
+        tests: files in ``tests`` that are to notice.
+    """
+
+    file: str
+    right: str
+    wrong: str
+    tests: str
+
+
+MUTANTS = (
+    Mutant(
+        "physics/fluid.py",
+        "wrench = -product(patch.normal.T",
+        "wrench = product(patch.normal.T",
+        "physics/test_water.py",
+    ),
+    Mutant(
+        "physics/fluid.py",
+        "pressure = 0.5 * water.density",
+        "pressure = water.density",
+        "physics/test_water.py",
+    ),
+    Mutant(
+        "physics/fluid.py",
+        "_NORMAL_DERIVATIVE = 2.0",
+        "_NORMAL_DERIVATIVE = 1.0",
+        "physics/test_water.py",
+    ),
+    Mutant(
+        "physics/fluid.py",
+        "friction = jnp.concatenate([along * first, along * second])",
+        "friction = jnp.concatenate([along * first, along * first])",
+        "physics/test_water.py physics/test_implicit_step.py",
+    ),
+    Mutant(
+        "physics/fluid.py",
+        "speed = speed * _wet_share(patch.normal_places, pose)",
+        "speed = speed * 1.0",
+        "physics/test_water_surface.py",
+    ),
+    Mutant(
+        "physics/world.py",
+        "under - tree.mass",
+        "tree.mass - under",
+        "physics/test_water.py physics/test_implicit_step.py",
+    ),
+    Mutant(
+        "physics/world.py",
+        "velocity[3:] - current])\n        resistance",
+        "velocity[3:] + current])\n        resistance",
+        "physics/test_water.py physics/test_implicit_step.py",
+    ),
+    Mutant(
+        "physics/world.py",
+        "force = cross(w, momentum[3:]) - wrench[3:]",
+        "force = -wrench[3:]",
+        "physics/test_accelerations.py physics/test_free_motion.py",
+    ),
+    Mutant(
+        "physics/world.py",
+        "blocks = blocks + h * derivative",
+        "blocks = blocks + 0.5 * h * derivative",
+        "physics/test_implicit_step.py",
+    ),
+    Mutant(
+        "physics/added_mass.py",
+        "return -gyration - matvec",
+        "return gyration - matvec",
+        "physics/test_added_mass.py",
+    ),
+    Mutant(
+        "physics/added_mass.py",
+        "linear = alpha / (2 - alpha)",
+        "linear = alpha / 2",
+        "physics/test_added_mass.py",
+    ),
+    Mutant(
+        "physics/buoyancy.py",
+        "return share, -(lever / reach)[None] * stretched",
+        "return share, (lever / reach)[None] * stretched",
+        "physics/test_water_surface.py",
+    ),
+    Mutant(
+        "physics/joints.py",
+        "- lift(tree.damping, q) * qd",
+        "+ lift(tree.damping, q) * qd",
+        "physics/test_accelerations.py physics/test_motors_and_joints.py",
+    ),
+    Mutant(
+        "physics/joints.py",
+        "h * (tree.damping + h * tree.stiffness)",
+        "h * (tree.damping + tree.stiffness)",
+        "physics/test_implicit_step.py physics/test_motors_and_joints.py",
+    ),
+    Mutant(
+        "physics/joints.py",
+        "tree.servo_gain + h * tree.servo_stiffness",
+        "tree.servo_gain + 0.0 * tree.servo_stiffness",
+        "physics/test_implicit_step.py physics/test_motors_and_joints.py",
+    ),
+    Mutant(
+        "physics/contact.py",
+        "limit = lift(footing.static_friction, support) * support",
+        "limit = 2.0 * lift(footing.static_friction, support) * support",
+        "physics/test_contact.py physics/test_walker_contacts.py",
+    ),
+    Mutant(
+        "physics/contact.py",
+        "dynamic + (static - dynamic) / (1.0 + ratio * ratio)",
+        "static + (dynamic - static) / (1.0 + ratio * ratio)",
+        "physics/test_contact.py",
+    ),
+    Mutant(
+        "physics/contact.py",
+        "bounce = lift(footing.restitution, approach) * share * approach",
+        "bounce = lift(footing.restitution, approach) * share * approach**2",
+        "physics/test_contact.py",
+    ),
+    Mutant(
+        "physics/contact.py",
+        "support = jnp.maximum(force[2], 0.0)",
+        "support = force[2]",
+        "physics/test_contact.py physics/test_walker_contacts.py",
+    ),
+    Mutant(
+        "physics/contact.py",
+        "[1 - k * x * x, -k * x * y, -x]",
+        "[1 - k * x * x, -k * x * y, x]",
+        "physics/test_contact.py physics/test_terrain.py",
+    ),
+    Mutant(
+        "physics/step.py",
+        "position=state.position + h * new_linear",
+        "position=state.position + h * linear",
+        "physics/test_water_surface.py physics/test_free_motion.py",
+    ),
+    Mutant(
+        "physics/step.py",
+        "* (state.qd + new_state.qd)",
+        "* (state.qd + state.qd)",
+        "physics/test_motors_and_joints.py simulation/test_transport_and_slip.py",
+    ),
+    Mutant(
+        "control/matsuoka.py",
+        "adaptation_gain[None] * adaptation\n",
+        "adaptation\n",
+        "control/test_matsuoka.py",
+    ),
+    Mutant(
+        "control/matsuoka.py",
+        "((firing[::-1], other), (firing, own))",
+        "((firing, other), (firing, own))",
+        "control/test_matsuoka.py",
+    ),
+    Mutant(
+        "control/matsuoka.py",
+        "(1 / 3) * (s1 + 2 * s2 + s3 - start)",
+        "(1 / 3) * (s1 + s2 + 2 * s3 - start)",
+        "control/test_matsuoka.py",
+    ),
+    Mutant(
+        "control/matsuoka.py",
+        "matrix[parent, child] = side * settings.child_weight",
+        "matrix[parent, child] = side * settings.parent_weight",
+        "control/test_matsuoka.py",
+    ),
+    Mutant(
+        "control/brain_cpg.py",
+        "- lift(self.centring, signal) * joint_angle",
+        "+ lift(self.centring, signal) * joint_angle",
+        "control/test_brain_cpg.py",
+    ),
+    Mutant(
+        "control/postures.py",
+        "2.0 ** np.arange(self.bits_per_joint)[::-1]",
+        "2.0 ** np.arange(self.bits_per_joint)",
+        "control/test_postures.py",
+    ),
+    Mutant(
+        "evolution/selection.py",
+        "jnp.argsort(-jnp.where(jnp.isnan(fitness), -jnp.inf, fitness)",
+        "jnp.argsort(-jnp.where(jnp.isnan(fitness), jnp.inf, fitness)",
+        "evolution/test_selection.py",
+    ),
+    Mutant(
+        "evolution/selection.py",
+        "np.maximum(parents - np.arange(count), 0.0)",
+        "np.maximum(parents - 1 - np.arange(count), 0.0)",
+        "evolution/test_selection.py evolution/test_generation.py",
+    ),
+    Mutant(
+        "evolution/generation.py",
+        "np.maximum(places - (best_copies - 1), 0)",
+        "np.maximum(places - best_copies, 0)",
+        "evolution/test_generation.py evolution/test_bits.py",
+    ),
+    Mutant(
+        "evolution/variation.py",
+        "(pairs,), 1, max(count, 2))",
+        "(pairs,), 0, max(count, 2))",
+        "evolution/test_variation.py",
+    ),
+    Mutant(
+        "evolution/variation.py",
+        "left_out = jnp.floor(",
+        "left_out = jnp.ceil(",
+        "evolution/test_variation.py",
+    ),
+    Mutant(
+        "evolution/bits.py",
+        "number_key, (individuals,), fewest, most + 1)",
+        "number_key, (individuals,), fewest, most)",
+        "evolution/test_bits.py",
+    ),
+    Mutant(
+        "evolution/bits.py",
+        "place = jnp.where(taken, last[i], drawn[i])",
+        "place = drawn[i]",
+        "evolution/test_bits.py",
+    ),
+)
+
+
+def main(chosen: list[int]) -> int:
+    """Try them; how many were not noticed.
+
+    Args:
+        chosen: numbers of mutants, from 0; none for all.
+    """
+    survivors = 0
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Path(folder) / "copy"
+        shutil.copytree(ROOT, copy, ignore=shutil.ignore_patterns(*_LEFT_OUT))
+        for number in chosen or range(len(MUTANTS)):
+            mutant = MUTANTS[number]
+            path = copy / "evo_cpg" / mutant.file
+            text = path.read_text()
+            path.write_text(mutated(mutant, text))
+            start = time.monotonic()
+            verdict = noticed(copy, mutant.tests.split())
+            path.write_text(text)
+            survivors += verdict.startswith("SURVIVED")
+            print(
+                f"{number:3d}  {verdict:<60}  {time.monotonic() - start:4.0f} s  "
+                f"{mutant.file}: {mutant.wrong.strip()}",
+                flush=True,
+            )
+    print(f"{survivors} survived")
+    return survivors
+
+
+def mutated(mutant: Mutant, text: str) -> str:
+    """The file with the mistake in it.
+
+    Raises:
+        ValueError: what was right is there no more, or several times.
+    """
+    count = text.count(mutant.right)
+    if count != 1:
+        raise ValueError(f"{mutant.file} has {count} times {mutant.right!r}; mend the mutant")
+    return text.replace(mutant.right, mutant.wrong)
+
+
+def noticed(copy: Path, tests: list[str]) -> str:
+    """Which test failed first in the copy, or that none did.
+
+    Raises:
+        RuntimeError: the tests could not be run.
+    """
+    options = ["-q", "-x", "-n", "0", "-p", "no:cacheprovider", "-rfE", "--tb=no"]
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", *options, *(f"tests/{name}" for name in tests)],
+        cwd=copy,
+        env=os.environ | {"PYTHONPATH": str(copy)},
+        capture_output=True,
+        text=True,
+    )
+    if done.returncode == _PASSED:
+        return f"SURVIVED {' '.join(tests)}"
+    failed = [line for line in done.stdout.splitlines() if line.startswith(("FAILED", "ERROR"))]
+    if done.returncode != _FAILED or not failed:
+        raise RuntimeError(done.stdout + done.stderr)
+    return "caught by " + failed[0].split(" - ")[0].split("::", 1)[-1]
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("numbers", nargs="*", type=int, help="of the mutants; all by default")
+    sys.exit(bool(main(parser.parse_args().numbers)))

@@ -1,0 +1,28 @@
+"""The mistakes that `make test-mutants` makes are still there to be made."""
+
+from pathlib import Path
+
+import pytest
+
+from benchmarks.mutants import MUTANTS, ROOT, Mutant, mutated
+
+
+@pytest.mark.parametrize("mutant", MUTANTS, ids=lambda one: f"{one.file}: {one.right.strip()}")
+def test_a_mutant_applies_and_its_tests_exist(mutant):
+    text = (ROOT / "evo_cpg" / mutant.file).read_text()
+    changed = mutated(mutant, text)
+    assert changed != text
+    compile(changed, mutant.file, "exec")
+    for name in mutant.tests.split():
+        assert (ROOT / "tests" / name).is_file()
+
+
+def test_what_is_there_no_more_is_told():
+    gone = Mutant("physics/step.py", "right", "wrong", "physics/test_water.py")
+    with pytest.raises(ValueError, match=r"physics/step.py has 0 times 'right'; mend the mutant"):
+        mutated(gone, "")
+
+
+def test_physics_control_and_evolution_have_thirty_at_least():
+    layers = {Path(mutant.file).parts[0] for mutant in MUTANTS}
+    assert layers == {"physics", "control", "evolution"} and len(MUTANTS) >= 30
