@@ -5,6 +5,7 @@ import dataclasses
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from creatures import quick_jit
 from evo_cpg.creature.creature import Body, Creature, Material
@@ -66,5 +67,6 @@ def recorder(world: World, steps: int, h: float = H):
 
 
 def record(world: World, state: State, steps: int, h: float = H):
-    """States and supports at every step."""
-    return recorder(world, steps, h)(state, jnp.asarray(world.footing.restitution))
+    """States and supports at every step, as NumPy arrays."""
+    run = recorder(world, steps, h)
+    return jax.tree.map(np.asarray, run(state, np.asarray(world.footing.restitution)))

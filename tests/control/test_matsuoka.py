@@ -428,10 +428,10 @@ def storm(network, tonic_inputs, gains):
 
 
 def test_batch_equals_single_and_vmap(chain):
-    network = build_network(chain(10, "xyz"), CpgSettings(time_scale=0.25))
+    network = build_network(chain(4, "xyz"), CpgSettings(time_scale=0.25))
     rng = np.random.default_rng(2)
-    u = jnp.asarray(rng.uniform(0, 1, (2, 27, 5)))
-    b = jnp.asarray(rng.uniform(1, 10, (27, 5)))
+    u = jnp.asarray(rng.uniform(0, 1, (2, 9, 5)))
+    b = jnp.asarray(rng.uniform(1, 10, (9, 5)))
     state = initial_state(network, (5,), float)
     batched = simulate(network, state, u, b, 1 / 60, 60)
     mapped = jax.vmap(
