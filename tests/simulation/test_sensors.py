@@ -168,8 +168,7 @@ def test_velocities_are_how_fast_the_bodies_get_on(x64):
     tree = build_tree(random_creature(rng, ((0, 2), (1, 1), (0, 3), (3, 1))))
     state, h = random_state(tree, rng, (4,)), 1e-6
 
-    @quick_jit
-    def poses(time):
+    def pose(time):
         v = state.velocity
         turned = integrate_quaternion(state.orientation, v[:3], time)
         place, q = state.position + time * v[3:], state.q + time * state.qd
@@ -179,7 +178,8 @@ def test_velocities_are_how_fast_the_bodies_get_on(x64):
         speeds = now.velocity, now.centre_of_mass_velocity, now.angular_velocity
         return now.position, now.centre_of_mass, now.rotation, speeds, read
 
-    now, later, before = (jax.tree.map(np.asarray, poses(time)) for time in (0.0, h, -h))
+    poses = quick_jit(lambda: [pose(time) for time in (0.0, h, -h)])()
+    now, later, before = jax.tree.map(np.asarray, poses)
     rate, centre, turn = (
         (ahead - behind) / (2 * h) for ahead, behind in zip(later[:3], before[:3], strict=True)
     )
