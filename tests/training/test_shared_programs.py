@@ -1,0 +1,28 @@
+"""What tests share is told apart by content."""
+
+from evo_cpg.training import loop, memetic
+from evo_cpg.training.devices import population_mesh
+from evo_cpg.training.experiment import Learning
+from trials import experiment
+
+MESH = population_mesh()
+
+
+def programs(made):
+    return loop.compile_trials(made.simulation, MESH), memetic.compile_ascent(made, MESH, 2)
+
+
+def test_equal_parts_share_programs_and_others_do_not():
+    first, again = programs(experiment(20)), programs(experiment(20))
+    assert first == again
+    # Neither the number of generations nor learning is part of a program.
+    later = experiment(20)._replace(generations=9, learning=Learning(2, 2, 4))
+    assert programs(later) == first
+    for other in (experiment(21), experiment(20, eyes=())):
+        assert not set(programs(other)) & set(first)
+
+
+def test_a_test_that_replaces_something_has_programs_of_its_own(monkeypatch):
+    del monkeypatch
+    first, again = programs(experiment(20)), programs(experiment(20))
+    assert not set(first) & set(again)
