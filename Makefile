@@ -24,7 +24,7 @@ swim: $(CORE) ## evolve the swimmer of Iwadate 2010 and film the best (RUN=folde
 test: $(DEV) ## run the fast tests
 	$(BIN)/pytest
 
-test-all: test-slow test-shapes test-jax ## run everything: fast and slow, shapes, and plain JAX; hours
+test-all: test-slow test-shapes test-jax ## run everything: fast and slow, shapes, and plain JAX; long
 
 test-slow: $(DEV) ## run the fast and the slow tests, all compiled as for users
 	EVO_CPG_TESTS_OPTIMISED=3 $(BIN)/pytest -m "slow or not slow"
