@@ -193,8 +193,8 @@ MUTANTS = (
     ),
     Mutant(
         "control/matsuoka.py",
-        "matrix[parent, child] = side * settings.child_weight",
-        "matrix[parent, child] = side * settings.parent_weight",
+        "weights[parent, child] = side * settings.child_weight",
+        "weights[parent, child] = side * settings.parent_weight",
         "control/test_matsuoka.py",
     ),
     Mutant(
