@@ -84,14 +84,7 @@ def chosen(choose: Callable[[], _T]) -> _T:
     Args:
         choose: gives a pytree; it is not called where numbers may be traced.
     """
-    present = _present.get()
-    if present.repeats:
-        return next(present.made)
-    with _in_present(_NOTHING):
-        choice = choose()
-    if present.noted is not None:
-        present.noted.made.append(choice)
-    return choice
+    return _noted_or_repeated("made", choose)
 
 
 def searched(search: Callable[[], _T]) -> _T:
@@ -103,11 +96,21 @@ def searched(search: Callable[[], _T]) -> _T:
     Args:
         search: gives a pytree of numbers; it is not called where numbers may be traced.
     """
+    return _noted_or_repeated("searched", search)
+
+
+def _noted_or_repeated(notes: str, make: Callable[[], _T]) -> _T:
+    """What a function gives, or gave when it was noted; what it chooses in turn is not noted.
+
+    Args:
+        notes: where among the choices.
+        make: is called with known numbers only.
+    """
     present = _present.get()
     if present.repeats:
-        return next(present.searched)
+        return next(getattr(present, notes))
     with _in_present(_NOTHING):
-        end = search()
+        given = make()
     if present.noted is not None:
-        present.noted.searched.append(end)
-    return end
+        getattr(present.noted, notes).append(given)
+    return given
