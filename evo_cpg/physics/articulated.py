@@ -32,8 +32,8 @@ from evo_cpg.physics.kinematics import Kinematics, take
 from evo_cpg.spatial.linear import (
     cross,
     dot,
+    expand_dims_like,
     inverse_symmetric,
-    lift,
     matmul,
     matmul_t,
     matvec,
@@ -220,7 +220,9 @@ def _motions(tree: Tree, kin: Kinematics, torque: Array, derivative: Array) -> l
             )
         else:
             identity = jnp.eye(axes_count, dtype=tau.dtype)
-            whole = _Motion(tau, lift(identity, tau, tau.ndim + 1) * diagonal[None], axes, None)
+            whole = _Motion(
+                tau, expand_dims_like(identity, tau, tau.ndim + 1) * diagonal[None], axes, None
+            )
         first = run[0].bodies.start
         for group in run:
             members = slice(group.bodies.start - first, group.bodies.stop - first)
@@ -276,7 +278,7 @@ def _eliminate_ball(
     )
     passed = Wrench(motion.torque - matvec(kept, u), bias.force + matvec_t(give, u))
     # G^-1 A = 1 - G^-1 T_w.
-    identity = lift(jnp.eye(_BALL_AXES, dtype=u.dtype), u, u.ndim + 1)
+    identity = expand_dims_like(jnp.eye(_BALL_AXES, dtype=u.dtype), u, u.ndim + 1)
     elimination = _Elimination(matvec(g_inverse, u), identity - transpose(kept), give)
     return elimination, reduced, passed
 

@@ -38,7 +38,7 @@ from evo_cpg.physics.footing import Footing, lowest_points
 from evo_cpg.physics.kinematics import Kinematics, take
 from evo_cpg.spatial.linear import (
     cross,
-    lift,
+    expand_dims_like,
     matmul,
     matmul_t,
     matvec,
@@ -121,7 +121,7 @@ def find_contacts(footing: Footing, kin: Kinematics, h: float) -> Contacts:
     approach = -velocity[2]
     push = jnp.clip(-_PUSH_SHARE / h * gap, 0.0, _PUSH_SPEED)
     share = jnp.clip(approach / _BOUNCE_SPEED - 1.0, 0.0, 1.0)
-    bounce = lift(footing.restitution, approach) * share * approach
+    bounce = expand_dims_like(footing.restitution, approach) * share * approach
     rest = jnp.where(gap > 0, -gap / h, push)
     bounces = (gap <= h * approach) & (bounce > 0)
     wanted = jnp.where(bounces, jnp.maximum(rest, bounce), rest)
@@ -140,7 +140,7 @@ def resting_stiffness(footing: Footing, h: float) -> Float[np.ndarray, " p"]:
 def first_law(gravity: ArrayLike, footing: Footing, contacts: Contacts, h: float) -> ContactLaw:
     """A guess: what lies on the ground stays and sticks there, what slides has no friction yet."""
     v = contacts.coasting
-    stiffness = lift(footing.stiffness / h, v[2])
+    stiffness = expand_dims_like(footing.stiffness / h, v[2])
     # What gravity adds in a step decides for those that rest.
     fall = 2 * h * gravity
     touches = contacts.wanted > v[2] - fall
@@ -159,11 +159,11 @@ def next_law(
 
     Tangents for the normal forces, secants for friction, under the normal forces found.
     """
-    stiffness = lift(footing.stiffness / h, law.normal)
+    stiffness = expand_dims_like(footing.stiffness / h, law.normal)
     short = contacts.wanted - velocity[2]
     speed = _length(velocity)
     static, dynamic = (
-        lift(mu, speed) for mu in (footing.static_friction, footing.dynamic_friction)
+        expand_dims_like(mu, speed) for mu in (footing.static_friction, footing.dynamic_friction)
     )
     ratio = speed / footing.ground.stribeck_speed
     friction = dynamic + (static - dynamic) / (1.0 + ratio * ratio)
@@ -186,7 +186,7 @@ def imposed_force(
     """The forces found last, cut back to what the ground can give, N."""
     force = line_force(contacts, law, velocity)
     support = jnp.maximum(force[2], 0.0)
-    limit = lift(footing.static_friction, support) * support
+    limit = expand_dims_like(footing.static_friction, support) * support
     share = jnp.minimum(limit / _length(force), 1.0)
     return jnp.stack([share * force[0], share * force[1], support])
 

@@ -23,7 +23,7 @@ from jaxtyping import Array, Float
 
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.state import State
-from evo_cpg.spatial.linear import cross, lift, matmul, matvec
+from evo_cpg.spatial.linear import cross, expand_dims_like, matmul, matvec
 from evo_cpg.spatial.rotation import axis_rotation, quaternion_to_matrix
 
 
@@ -68,7 +68,9 @@ def kinematics(tree: Tree, state: State) -> Kinematics:
         )
         local_frame = jnp.stack([local[i] for i in members], 2)
         rates = state.qd[group.dofs].reshape(len(members), group.axes, *batch)
-        offset = matvec(parent_rotation, lift(tree.joint_offset[:, group.bodies], parent.origin))
+        offset = matvec(
+            parent_rotation, expand_dims_like(tree.joint_offset[:, group.bodies], parent.origin)
+        )
         frame = matmul(parent_rotation, local_frame)
         rotation, group_axes = frame[:, :3], jnp.swapaxes(frame[:, 3:], 1, 2)
         motion = _across(parent, offset, *_joint_motion(group_axes * rates[None]))
@@ -124,7 +126,7 @@ def _local_frames(tree: Tree, q: Float[Array, "d *n"]) -> dict[int, Float[Array,
     frames = {}
     for bodies in alike.values():
         dof, count = first_dof[bodies[0]], axis_count[bodies[0]]
-        orientation = lift(tree.joint_orientation[:, :, bodies[0]], q, q.ndim + 2)
+        orientation = expand_dims_like(tree.joint_orientation[:, :, bodies[0]], q, q.ndim + 2)
         columns = [orientation[:, j] for j in range(3)]
         directions = []
         for k in range(count):
@@ -151,7 +153,7 @@ def _turn(
     if not isinstance(axis, np.ndarray) or np.count_nonzero(axis) > 1:
         frame = jnp.stack(jnp.broadcast_arrays(*columns), 1)
         turned = matmul(frame, axis_rotation(axis, sine, cosine))
-        return [turned[:, j] for j in range(3)], matvec(frame, lift(axis, frame[0]))
+        return [turned[:, j] for j in range(3)], matvec(frame, expand_dims_like(axis, frame[0]))
     along = int(np.abs(axis).argmax())
     i, j = (along + 1) % 3, (along + 2) % 3
     # A Python float takes the arrays' precision; a NumPy one would make float32 float64.
