@@ -46,7 +46,7 @@ from jaxtyping import Array, Float
 from evo_cpg.creature.creature import Creature
 from evo_cpg.creature.shapes import Cell, Profile
 from evo_cpg.creature.tree import Tree
-from evo_cpg.physics.kinematics import take
+from evo_cpg.physics.per_body import take
 from evo_cpg.spatial.linear import cross, dot, expand_dims_like, matmul_t
 
 # An edge of a box that lies level has w_i = 0, by which one cannot divide: every w_i is at least

@@ -33,9 +33,11 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from evo_cpg.fusion.fuse import symmetric
-from evo_cpg.physics.articulated import Accelerations, Inertia, Wrench, add_to_bodies
+from evo_cpg.physics.articulated import Accelerations
 from evo_cpg.physics.footing import Footing, lowest_points
-from evo_cpg.physics.kinematics import Kinematics, take
+from evo_cpg.physics.kinematics import Kinematics
+from evo_cpg.physics.per_body import PerBody, take
+from evo_cpg.physics.spatial_algebra import Inertia, Wrench
 from evo_cpg.spatial.linear import (
     cross,
     expand_dims_like,
@@ -223,12 +225,10 @@ def contact_equations(
     slope = symmetric(h * matmul_t(turn * diagonal[None], turn))
     shift = skew(contacts.arm)
     mixed = matmul(shift, slope)
-    blocks = symmetric(matmul_t(mixed, shift)), mixed, slope
+    blocks = Inertia(symmetric(matmul_t(mixed, shift)), mixed, slope)
     loaded = pressed(footing, contacts, line_force(contacts, law, contacts.coasting), bias)
-    totals = [list(jnp.unstack(whole, axis=2)) for whole in inertia]
-    for total, block in zip(totals, blocks, strict=True):
-        add_to_bodies(total, footing.bodies, block, 2)
-    return Inertia(*(jnp.stack(total, 2) for total in totals)), loaded
+    bodies = PerBody.of(inertia, slope.ndim - 3).plus(footing.bodies, blocks)
+    return bodies.stacked(), loaded
 
 
 def pressed(
@@ -236,13 +236,8 @@ def pressed(
 ) -> Wrench:
     """The bodies' bias wrenches with given contact forces (N, ground's frame)."""
     force = matvec_t(contacts.frame, force)
-    parts = cross(contacts.arm, force), force
-    wrench = []
-    for whole, part in zip(bias, parts, strict=True):
-        totals = list(jnp.unstack(whole, axis=1))
-        add_to_bodies(totals, footing.bodies, -part, 1)
-        wrench.append(jnp.stack(totals, 1))
-    return Wrench(*wrench)
+    load = Wrench(-cross(contacts.arm, force), -force)
+    return PerBody.of(bias, force.ndim - 2).plus(footing.bodies, load).stacked()
 
 
 def end_velocity(

@@ -17,7 +17,8 @@ from evo_cpg.creature.creature import Creature
 from evo_cpg.creature.mesh import ConvexMesh
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Sphere
 from evo_cpg.creature.tree import Tree
-from evo_cpg.physics.kinematics import Kinematics, take
+from evo_cpg.physics.kinematics import Kinematics
+from evo_cpg.physics.per_body import take
 from evo_cpg.physics.terrain import Part, Plane, nearest
 from evo_cpg.spatial.linear import cross, dot, expand_dims_like, matvec, matvec_t
 from evo_cpg.spatial.partly import PartlyTraced

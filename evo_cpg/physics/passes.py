@@ -21,7 +21,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from evo_cpg.fusion.converge import converge
-from evo_cpg.physics.articulated import Accelerations, Inertia, Wrench, solve
+from evo_cpg.physics.articulated import Accelerations, solve
 from evo_cpg.physics.contact import (
     ContactLaw,
     Contacts,
@@ -42,6 +42,7 @@ from evo_cpg.physics.joints import (
     servo_torque,
 )
 from evo_cpg.physics.kinematics import Kinematics, kinematics
+from evo_cpg.physics.spatial_algebra import Inertia, Wrench
 from evo_cpg.physics.state import State
 from evo_cpg.physics.world import World, body_equations
 from evo_cpg.spatial.linear import expand_dims_like, matvec_t

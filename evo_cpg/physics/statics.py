@@ -31,7 +31,8 @@ from evo_cpg.physics.buoyancy import displacement
 from evo_cpg.physics.contact import resting_stiffness
 from evo_cpg.physics.footing import Footing, lowest_points
 from evo_cpg.physics.joints import clamp_torque, passive_torque, servo_torque
-from evo_cpg.physics.kinematics import Kinematics, kinematics, take
+from evo_cpg.physics.kinematics import Kinematics, kinematics
+from evo_cpg.physics.per_body import take
 from evo_cpg.physics.state import State
 from evo_cpg.physics.world import World, weight
 from evo_cpg.spatial.linear import cross, dot, expand_dims_like, matvec, matvec_t

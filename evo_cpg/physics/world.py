@@ -6,14 +6,13 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.tree import Tree
-from evo_cpg.fusion.fuse import symmetric
 from evo_cpg.physics.added_mass import carried_water
-from evo_cpg.physics.articulated import Inertia, Wrench
 from evo_cpg.physics.buoyancy import Cells, Displacement, buoyancy, displacement
 from evo_cpg.physics.current import stream
 from evo_cpg.physics.fluid import Patch, Water, drag
 from evo_cpg.physics.footing import Footing, Ground
 from evo_cpg.physics.kinematics import Kinematics
+from evo_cpg.physics.spatial_algebra import Inertia, Wrench, make_inertia
 from evo_cpg.spatial.linear import (
     array_of,
     cross,
@@ -83,7 +82,7 @@ def body_equations(world: World, kin: Kinematics, h: float) -> tuple[Inertia, Wr
     force = cross(w, momentum[3:]) - wrench[3:]
 
     angular, mixed, linear = (matmul_t(matmul(rotation, block), rotation) for block in blocks)
-    inertia = Inertia(symmetric(angular), mixed, symmetric(linear))
+    inertia = make_inertia(angular, mixed, linear)
     bias = Wrench(
         matvec(rotation, moment)
         + matvec(inertia.angular, kin.bias_angular)

@@ -9,7 +9,8 @@ from jaxtyping import Array, Float
 
 from evo_cpg.creature.creature import Creature, DepthSensor, LightSensor
 from evo_cpg.creature.tree import Tree
-from evo_cpg.physics.kinematics import Kinematics, take
+from evo_cpg.physics.kinematics import Kinematics
+from evo_cpg.physics.per_body import take
 from evo_cpg.physics.world import World
 from evo_cpg.spatial.linear import dot, expand_dims_like, matvec
 from evo_cpg.spatial.partly import PartlyTraced

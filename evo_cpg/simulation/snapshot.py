@@ -15,7 +15,8 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from evo_cpg.physics.footing import lowest_points
-from evo_cpg.physics.kinematics import Kinematics, kinematics, take
+from evo_cpg.physics.kinematics import Kinematics, kinematics
+from evo_cpg.physics.per_body import take
 from evo_cpg.physics.state import State
 from evo_cpg.physics.world import World
 from evo_cpg.spatial.linear import cross, expand_dims_like, matvec
