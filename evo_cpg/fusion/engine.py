@@ -18,14 +18,11 @@ from typing import Any, Literal, NamedTuple
 
 import jax
 
-from evo_cpg.fusion import machine
+from evo_cpg.fusion import machine, machine_constants
 from evo_cpg.fusion.unsupported import Unsupported
 
 EngineName = Literal["auto", "native", "jax"]
 InstructionSet = Literal["host", "avx512", "avx2", "sse", "neon"]
-
-# A trial in a process of its own takes 2 s; one that hangs has failed.
-_LONGEST_TRIAL = 120.0
 
 
 class Engine(NamedTuple):
@@ -162,7 +159,11 @@ def _wrong(found: machine.Target) -> str:
     own = os.environ | {"JAX_PLATFORMS": "cpu", "JAX_TRACEBACK_FILTERING": "off"}
     try:
         trial = subprocess.run(
-            command, capture_output=True, text=True, timeout=_LONGEST_TRIAL, env=own
+            command,
+            capture_output=True,
+            text=True,
+            timeout=machine_constants.LONGEST_TRY,
+            env=own,
         )
     except (OSError, subprocess.SubprocessError) as error:
         return f"it could not be tried out ({error})"

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from against_jax import sample
 
-from evo_cpg.fusion import engine, machine, native
+from evo_cpg.fusion import engine, machine, machine_constants, native
 from evo_cpg.fusion.engine import Engine, EngineWarning, described, using
 from evo_cpg.fusion.fuse import fuse
 from evo_cpg.fusion.unsupported import Unsupported
@@ -193,7 +193,7 @@ def test_a_trial_that_finds_other_numbers(monkeypatch, tmp_path):
 
 def test_a_trial_that_never_ends(monkeypatch, tmp_path):
     trying(monkeypatch, tmp_path, "import time; time.sleep(60)")
-    monkeypatch.setattr(engine, "_LONGEST_TRIAL", 0.2)
+    monkeypatch.setattr(machine_constants, "LONGEST_TRY", 0.2)
     assert_falls_back("it could not be tried out")
 
 
