@@ -58,19 +58,19 @@ def llvm_version() -> str:
     return ".".join(map(str, _llvm().llvm_version_info))
 
 
-def was_tried(target: Target, version: str) -> bool:
-    """Whether code for a machine was tried out with a version of JAX."""
-    return _folder is not None and (_folder / _trial_name(target, version)).exists()
+def passed_self_test(target: Target, version: str) -> bool:
+    """Whether code for a machine has passed its self-test with a version of JAX."""
+    return _folder is not None and (_folder / _self_test_name(target, version)).exists()
 
 
-def remember_trial(target: Target, version: str) -> None:
-    """Note that it was."""
+def remember_self_test(target: Target, version: str) -> None:
+    """Note that it has."""
     if _folder is not None:
         with contextlib.suppress(OSError):
-            (_folder / _trial_name(target, version)).touch()
+            (_folder / _self_test_name(target, version)).touch()
 
 
-def _trial_name(target: Target, version: str) -> str:
+def _self_test_name(target: Target, version: str) -> str:
     import llvmlite
 
     text = "\n".join([version, llvmlite.__version__, sys.version, *map(str, target)])

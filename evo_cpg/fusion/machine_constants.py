@@ -66,5 +66,5 @@ MOST_OPERATIONS = 600_000
 LONGEST_LISTS = 1 << 14
 """A limit: scalars that a loop may hand out as lists; each is a row of memory for every vector."""
 
-LONGEST_TRY = 120.0
-"""A limit, s: a process that tries native code out takes 2 s, and one that hangs has failed."""
+LONGEST_SELF_TEST = 120.0
+"""A limit, s: the self-test of native code takes 2 s, and one that hangs has failed."""
