@@ -30,7 +30,7 @@ _ROUNDS = 21
 
 _NUMBA = """
 import numba
-from evo_cpg.fusion.trial import main
+from evo_cpg.fusion.self_test import main
 
 @numba.njit
 def total(count):

@@ -115,8 +115,8 @@ MUTANTS = (
     ),
     Mutant(
         "physics/joints.py",
-        "- lift(tree.damping, q) * qd",
-        "+ lift(tree.damping, q) * qd",
+        "- expand_dims_like(tree.damping, q) * qd",
+        "+ expand_dims_like(tree.damping, q) * qd",
         "physics/test_accelerations.py physics/test_motors_and_joints.py",
     ),
     Mutant(
@@ -133,8 +133,8 @@ MUTANTS = (
     ),
     Mutant(
         "physics/contact.py",
-        "limit = lift(footing.static_friction, support) * support",
-        "limit = 2.0 * lift(footing.static_friction, support) * support",
+        "limit = expand_dims_like(footing.static_friction, support) * support",
+        "limit = 2.0 * expand_dims_like(footing.static_friction, support) * support",
         "physics/test_contact.py physics/test_walker_contacts.py",
     ),
     Mutant(
@@ -145,8 +145,8 @@ MUTANTS = (
     ),
     Mutant(
         "physics/contact.py",
-        "bounce = lift(footing.restitution, approach) * share * approach",
-        "bounce = lift(footing.restitution, approach) * share * approach**2",
+        "bounce = expand_dims_like(footing.restitution, approach) * share * approach",
+        "bounce = expand_dims_like(footing.restitution, approach) * share * approach**2",
         "physics/test_contact.py",
     ),
     Mutant(
@@ -199,8 +199,8 @@ MUTANTS = (
     ),
     Mutant(
         "control/brain_cpg.py",
-        "- lift(self.centring, signal) * joint_angle",
-        "+ lift(self.centring, signal) * joint_angle",
+        "- expand_dims_like(self.centring, signal) * joint_angle",
+        "+ expand_dims_like(self.centring, signal) * joint_angle",
         "control/test_brain_cpg.py",
     ),
     Mutant(

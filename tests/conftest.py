@@ -41,7 +41,7 @@ jax.config.update("jax_compilation_cache_dir", _COMPILED.name)
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
 keep_code_in(Path(_COMPILED.name))
 
-# (3,) against (3, n) must not broadcast by accident: `lift` says which axis is meant.
+# (3,) against (3, n) must not broadcast by accident: `expand_dims_like` says which axis is meant.
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
 # Of what JAX and the traced programs keep there are millions of objects, hardly ever in a cycle.

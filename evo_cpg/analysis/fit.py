@@ -25,13 +25,12 @@ which the solver's derivatives and the covariance share.
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix
-from jax.scipy.special import betainc
 from jaxtyping import Array, Bool, Float, Int
 
 # Fits, each with the noise of the one before it.
@@ -159,7 +158,8 @@ def fit(
     # Data without noise.
     exact = (jnp.abs(step) <= _TOLERANCE * (1.0 + jnp.abs(theta))).all()
     errors = jnp.sqrt(jnp.diagonal(covariance))
-    reach = student_quantile(0.5 + CONFIDENCE / 2, freedom) * errors
+    quantiles = jnp.asarray(student_quantiles(0.5 + CONFIDENCE / 2, data.size), data.dtype)
+    reach = quantiles[jnp.maximum(freedom, 0).astype(int)] * errors
     return Fit(
         to_values(theta),
         errors,
@@ -196,21 +196,14 @@ def _with_slopes(
     return evaluate
 
 
-def student_quantile(probability: float, freedom: Array) -> Array:
-    """Quantile above the median of Student's t, by bisection of its distribution."""
-    tail = 2.0 * (1.0 - probability)
-    degrees = jnp.asarray(freedom, float)
+def student_quantiles(probability: float, most: int) -> Float[np.ndarray, " freedoms"]:
+    """Quantiles of Student's t with 0 (NaN), 1, ... degrees of freedom, to the most there may be.
 
-    def halve(_: Any, ends: tuple[Array, Array]) -> tuple[Array, Array]:
-        low, high = ends
-        middle = (low + high) / 2
-        beyond = betainc(degrees / 2, 0.5, degrees / (degrees + middle * middle)) > tail
-        return jnp.where(beyond, middle, low), jnp.where(beyond, high, middle)
+    A table, because how much of a recording is missing may be known to the compiled program only.
+    """
+    from scipy.special import stdtrit
 
-    # With one degree of freedom 0.975 is at 12.7.
-    ends = jnp.zeros_like(degrees), jnp.full_like(degrees, 1e3)
-    low, high = jax.lax.fori_loop(0, 60, halve, ends)
-    return (low + high) / 2
+    return stdtrit(np.arange(most + 1), probability)
 
 
 def doubts(keys: tuple[str, ...], positive: np.ndarray, result: Fit) -> list[str]:

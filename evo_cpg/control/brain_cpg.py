@@ -51,7 +51,7 @@ from evo_cpg.control.controller import Command, Controller, Observation, Origin
 from evo_cpg.control.couplings import axis_names, matching_bodies
 from evo_cpg.control.matsuoka import CpgSettings, MatsuokaNetwork, MatsuokaState, build_network
 from evo_cpg.creature.tree import Tree
-from evo_cpg.spatial.linear import lift
+from evo_cpg.spatial.linear import expand_dims_like
 from evo_cpg.spatial.numerics import Number, Numbers, xp
 
 CONTROL_STEP = 1 / 60  # s: Iwadate 2010, 2000 steps in 33.3 s.
@@ -201,7 +201,10 @@ class BrainCpg(Controller):
             self.network, state, tonic_input, adaptation_gain, self.control_step, self.substeps
         )
         signal = matsuoka.output(state)
-        rate = lift(self.rate_gain, signal) * signal - lift(self.centring, signal) * joint_angle
+        rate = (
+            expand_dims_like(self.rate_gain, signal) * signal
+            - expand_dims_like(self.centring, signal) * joint_angle
+        )
         limit = self.max_rate
         return state, Command(target_rate=jnp.clip(rate, -limit, limit), signal=signal)
 
@@ -237,7 +240,7 @@ class BrainCpg(Controller):
         count, source = max(self.source) + 1, np.array(self.source)
         tonic = self.max_tonic_input * outputs[:count][source]
         turn = (2 * outputs[count : 2 * count] - 1)[source]
-        steering = lift(self.steering_range, turn) * turn
+        steering = expand_dims_like(self.steering_range, turn) * turn
         sides = jnp.stack([tonic * (1 + steering), tonic * (1 - steering)])
         span = self.max_adaptation_gain - self.min_adaptation_gain
         adaptation_gain = self.min_adaptation_gain + span * outputs[2 * count :]

@@ -7,7 +7,7 @@ from jaxtyping import Array, Float, Int
 
 from evo_cpg.control.controller import Command, Controller, Observation
 from evo_cpg.creature.tree import Tree
-from evo_cpg.spatial.linear import array_of, lift
+from evo_cpg.spatial.linear import array_of, expand_dims_like
 
 
 class Commanded(Controller):
@@ -49,5 +49,5 @@ class Commanded(Controller):
         table = jnp.asarray(array_of(self.rates), still.dtype)
         # All individuals are at the same step.
         row = table[jnp.minimum(state.reshape(-1)[0], len(table) - 1)]
-        rate = jnp.broadcast_to(lift(row, still), still.shape)
+        rate = jnp.broadcast_to(expand_dims_like(row, still), still.shape)
         return state + 1, Command(rate, rate)

@@ -60,7 +60,7 @@ from evo_cpg.control.couplings import (
 from evo_cpg.creature.tree import Tree
 from evo_cpg.fusion.fuse import fuse
 from evo_cpg.spatial.choices import chosen
-from evo_cpg.spatial.linear import lift
+from evo_cpg.spatial.linear import expand_dims_like
 from evo_cpg.spatial.numerics import Number, Numbers, xp
 
 # (T_r, T_a) in s: Iwadate 2010, Table 3, exchanged and as it stands there.
@@ -311,7 +311,7 @@ def initial_state(
         dtype: floating-point type of the state.
     """
     rest = jnp.zeros((2, network.oscillator_count, *batch), dtype)
-    return MatsuokaState(rest + lift(network.initial_potential, rest), rest)
+    return MatsuokaState(rest + expand_dims_like(network.initial_potential, rest), rest)
 
 
 def advance(
@@ -394,7 +394,7 @@ def runge_kutta_step(
         other = zip(network.offsets, network.weights, strict=True)
         own = zip(network.own_offsets, network.own_weights, strict=True)
         inhibition = sum(
-            lift(weight[None], drive) * rows(side, offset)
+            expand_dims_like(weight[None], drive) * rows(side, offset)
             for side, diagonals in ((firing[::-1], other), (firing, own))
             for offset, weight in diagonals
         )

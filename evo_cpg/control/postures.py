@@ -38,7 +38,7 @@ from jaxtyping import Array, Float, Int
 from evo_cpg.control.controller import Command, Controller, Observation, Origin
 from evo_cpg.creature.tree import Tree
 from evo_cpg.spatial.choices import chosen
-from evo_cpg.spatial.linear import lift
+from evo_cpg.spatial.linear import expand_dims_like
 from evo_cpg.spatial.numerics import Number
 
 # Switches fall on the right control step for so many periods (and for ever, where that many hold a
@@ -138,7 +138,7 @@ class PostureController(Controller):
         self, decoded: Float[Array, "p d *n"], state: Int[Array, "*n"], observation: Observation
     ) -> tuple[Int[Array, "*n"], Command]:
         """Pull to the posture of the present time."""
-        numbers = lift(np.arange(self.postures), state, 1 + state.ndim)
+        numbers = expand_dims_like(np.arange(self.postures), state, 1 + state.ndim)
         present = (numbers == self.posture(state)[None])[:, None]
         angle = jnp.where(present, decoded, 0.0).sum(0)
         return state + 1, Command(
@@ -151,7 +151,7 @@ class PostureController(Controller):
         shape = self.postures, self.dof_count, self.bits_per_joint
         bits = shares.reshape(*shape, *genes.shape[1:])
         weights = 2.0 ** np.arange(self.bits_per_joint)[::-1]
-        number = (lift(weights[None, None], bits) * bits).sum(2)
+        number = (expand_dims_like(weights[None, None], bits) * bits).sum(2)
         return jnp.deg2rad(self.lowest_angle + self.angle_step * number)
 
     def posture(self, step: Int[Array, "*n"]) -> Int[Array, "*n"]:

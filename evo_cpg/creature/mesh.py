@@ -41,9 +41,6 @@ _LOST = 1e-4
 _SAME_PLANE = 1e-4
 # Of the smallest of three planes' spread at a corner; squared radians.
 _SPREAD = 1e-7
-# By which corners are moved to decide which of several coplanar triangles make up a face of the
-# hull, as a share of the longest side.
-_JIGGLE = 1e-7
 # Corners farther along a direction than all others but for this share of the reach share the lead.
 _EQUALLY_FAR = 1e-9
 # Steps after which the shares of the surface points no longer change much.
@@ -380,22 +377,13 @@ def _mass_properties(
 
 
 def _hull(corners: np.ndarray) -> np.ndarray:
-    """Triangles ``(f, 3)`` of the convex hull of points that are all corners of it.
+    """Triangles ``(f, 3)`` of the convex hull of points, counter-clockwise seen from outside."""
+    from scipy.spatial import ConvexHull
 
-    Three points make up a face where all others are on one side of them. Points are moved a little
-    outwards at random, so that a face of more corners, too, is cut into triangles that fit.
-    """
-    rng = np.random.default_rng(0)
-    points = corners * (1 + _JIGGLE * rng.uniform(size=(len(corners), 1)))
-    i, j, k = np.array(list(itertools.combinations(range(len(points)), 3))).T
-    normals = np.cross(points[j] - points[i], points[k] - points[i])
-    height = normals @ points.T - (normals * points[i]).sum(1)[:, None]
-    for own in (i, j, k):
-        height[np.arange(len(own)), own] = 0.0
-    outwards, inwards = (height <= 0).all(1), (height >= 0).all(1)
-    return np.concatenate(
-        [np.column_stack([i, j, k])[outwards], np.column_stack([i, k, j])[inwards]]
-    )
+    hull = ConvexHull(corners)
+    a, b, c = corners[hull.simplices].swapaxes(0, 1)
+    inwards = (np.cross(b - a, c - a) * hull.equations[:, :3]).sum(1) < 0
+    return np.where(inwards[:, None], hull.simplices[:, ::-1], hull.simplices)
 
 
 def _far_apart(points: np.ndarray, first: int, count: int) -> list[int]:

@@ -1,8 +1,8 @@
 """What computes fused programs: native code where this machine can, else JAX itself.
 
 The engine is chosen when a program is traced; what was compiled with one keeps it. Before native
-code is used for the first time with some versions of JAX and llvmlite, a process of its own tries
-it out: a mistake there could end the process, and no exception would tell.
+code is used for the first time with some versions of JAX and llvmlite, a process of its own tests
+it: a mistake there could end the process, and no exception would tell.
 """
 
 import contextlib
@@ -18,14 +18,11 @@ from typing import Any, Literal, NamedTuple
 
 import jax
 
-from evo_cpg.fusion import machine
+from evo_cpg.fusion import machine, machine_constants
 from evo_cpg.fusion.unsupported import Unsupported
 
 EngineName = Literal["auto", "native", "jax"]
 InstructionSet = Literal["host", "avx512", "avx2", "sse", "neon"]
-
-# A trial in a process of its own takes 2 s; one that hangs has failed.
-_LONGEST_TRIAL = 120.0
 
 
 class Engine(NamedTuple):
@@ -154,20 +151,24 @@ def _warn_once(message: str) -> None:
 
 @functools.cache
 def _wrong(found: machine.Target) -> str:
-    """What is wrong with native code here; nothing where it was tried and held."""
-    if machine.was_tried(found, jax.__version__):
+    """What is wrong with native code here; nothing where it passed its self-test."""
+    if machine.passed_self_test(found, jax.__version__):
         return ""
-    command = [sys.executable, "-m", "evo_cpg.fusion.trial", found.name]
+    command = [sys.executable, "-m", "evo_cpg.fusion.self_test", found.name]
     # Else the last line of an error is JAX's remark on how it shortened it.
     own = os.environ | {"JAX_PLATFORMS": "cpu", "JAX_TRACEBACK_FILTERING": "off"}
     try:
-        trial = subprocess.run(
-            command, capture_output=True, text=True, timeout=_LONGEST_TRIAL, env=own
+        test = subprocess.run(
+            command,
+            capture_output=True,
+            text=True,
+            timeout=machine_constants.LONGEST_SELF_TEST,
+            env=own,
         )
     except (OSError, subprocess.SubprocessError) as error:
-        return f"it could not be tried out ({error})"
-    if trial.returncode:
-        last = (trial.stderr.strip().splitlines() or ["no message"])[-1]
-        return f"it failed when it was tried out (exit status {trial.returncode}: {last})"
-    machine.remember_trial(found, jax.__version__)
+        return f"its self-test could not run ({error})"
+    if test.returncode:
+        last = (test.stderr.strip().splitlines() or ["no message"])[-1]
+        return f"it failed its self-test (exit status {test.returncode}: {last})"
+    machine.remember_self_test(found, jax.__version__)
     return ""

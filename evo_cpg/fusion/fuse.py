@@ -18,7 +18,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 
 from evo_cpg.fusion import engine
 from evo_cpg.fusion import jax_internals as internals
@@ -65,7 +64,7 @@ def _bind(function: Callable, args: tuple, batch_ndim: int, name: str) -> Any:
     ]
     with _within_a_program():
         closed, result = jax.make_jaxpr(function, return_shape=True)(*structure.unflatten(singles))
-    traced = [isinstance(value, Tracer) for value in closed.consts]
+    traced = [isinstance(value, internals.Tracer) for value in closed.consts]
     own = tuple(
         None if is_traced else np.asarray(value)
         for value, is_traced in zip(closed.consts, traced, strict=True)

@@ -16,7 +16,7 @@ in `jax.ffi.include_dir()`), on 64-bit machines:
 It reads nothing before it has checked that it is there: the sizes of the structures, the version of
 the interface, the number of arrays, and the type and shape of each. What does not fit becomes an
 error of XLA; where not even that can be told, because there is no `Error_Create`, the process ends,
-as the trial before native code is first used would find out (`evo_cpg.fusion.engine`).
+as the self-test before native code is first used would find out (`evo_cpg.fusion.engine`).
 """
 
 from collections.abc import Sequence

@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
+import jax.core
 from jax.extend.core import ClosedJaxpr, Jaxpr, Primitive, jaxpr_as_fun
 from jax.interpreters import ad, batching, mlir
 
@@ -13,6 +14,8 @@ from evo_cpg.fusion.unsupported import Unsupported
 
 Zero = ad.Zero
 instantiate_zeros = ad.instantiate_zeros
+
+Tracer = jax.core.Tracer
 
 try:
     from jax.core import ShapedArray

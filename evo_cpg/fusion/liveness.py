@@ -4,15 +4,13 @@ Nodes that nothing needs are left out, and so is what a loop carries for them. A
 between two ends of loops; a value that is used in another stretch than its own crosses memory.
 """
 
+from evo_cpg.fusion import machine_constants
 from evo_cpg.fusion.graph import Block, Node
 from evo_cpg.fusion.order import ordered, resolve
 from evo_cpg.fusion.unsupported import Unsupported
 
 _NO_CODE = {"input", "carried", "counter", "constant", "opaque"}
 _IN_MEMORY = {"carried", "counter", "result", "constant", "rows", "constants", "list", "loop"}
-
-# More would take minutes to compile and more memory than code should.
-MOST_OPERATIONS = 600_000
 
 
 class Plan:
@@ -32,8 +30,9 @@ class Plan:
         self._kept: dict[Node, list[int]] = {}
         self._loop_of: dict[Node, tuple[Node, int]] = {}
         needed = sorted(self._needed(wanted), key=_number)
-        if len(needed) > MOST_OPERATIONS:
-            raise Unsupported(f"it has more than {MOST_OPERATIONS} operations")
+        most = machine_constants.MOST_OPERATIONS
+        if len(needed) > most:
+            raise Unsupported(f"it has more than {most} operations")
         blocks: dict[Block, list[Node]] = {}
         for node in needed:
             if node.op not in _NO_CODE:

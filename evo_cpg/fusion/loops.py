@@ -9,13 +9,11 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from evo_cpg.fusion import jax_internals as internals
+from evo_cpg.fusion import machine_constants
 from evo_cpg.fusion.graph import Block, Graph, Loop, Node
 from evo_cpg.fusion.unsupported import Unsupported
 
 Trace = Callable[..., list[np.ndarray]]
-
-# Most scalars that a loop may hand out as lists: each is a row of memory for every vector.
-_LONGEST_LISTS = 1 << 14
 
 
 def _scan(graph: Graph, operands: list[np.ndarray], params: dict, trace: Trace) -> list[np.ndarray]:
@@ -28,7 +26,7 @@ def _scan(graph: Graph, operands: list[np.ndarray], params: dict, trace: Trace) 
     stacked = closed.out_avals[carry_count:]
     if length == 0:
         return [*start, *(np.empty((0, *aval.shape), object) for aval in stacked)]
-    if length * sum(aval.size for aval in stacked) > _LONGEST_LISTS:
+    if length * sum(aval.size for aval in stacked) > machine_constants.LONGEST_LISTS:
         raise Unsupported(f"a loop of {length} rounds stacks more than native code keeps")
 
     def one_round(place: Node, carried: list[np.ndarray]) -> list[np.ndarray]:

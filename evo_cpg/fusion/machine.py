@@ -14,25 +14,14 @@ import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from evo_cpg.fusion import machine_constants
 from evo_cpg.fusion.unsupported import Unsupported
 
 if TYPE_CHECKING:
     import llvmlite.binding as llvm
 
-# Bytes of a vector, how many registers hold one, and what the processor must have for it, by the
-# name of the set of instructions; the first that it has is taken.
-_SETS = {
-    "avx512": (64, 32, ("avx512f", "avx512vl", "avx512dq", "avx512bw", "fma")),
-    "avx2": (32, 16, ("avx2", "fma")),
-    "sse": (16, 16, ("sse2",)),
-    "neon": (16, 32, ("neon",)),
-}
-
 # What is left out where a smaller set is wanted.
 _LARGER = {"avx2": ("avx512",), "sse": ("avx", "fma", "f16c", "xop", "vaes", "vpclmul")}
-
-# LLVM's effort: 1 to 3 make the same code here, 0 makes it slow.
-_EFFORT = 2
 
 
 class Target(NamedTuple):
@@ -69,19 +58,19 @@ def llvm_version() -> str:
     return ".".join(map(str, _llvm().llvm_version_info))
 
 
-def was_tried(target: Target, version: str) -> bool:
-    """Whether code for a machine was tried out with a version of JAX."""
-    return _folder is not None and (_folder / _trial_name(target, version)).exists()
+def passed_self_test(target: Target, version: str) -> bool:
+    """Whether code for a machine has passed its self-test with a version of JAX."""
+    return _folder is not None and (_folder / _self_test_name(target, version)).exists()
 
 
-def remember_trial(target: Target, version: str) -> None:
-    """Note that it was."""
+def remember_self_test(target: Target, version: str) -> None:
+    """Note that it has."""
     if _folder is not None:
         with contextlib.suppress(OSError):
-            (_folder / _trial_name(target, version)).touch()
+            (_folder / _self_test_name(target, version)).touch()
 
 
-def _trial_name(target: Target, version: str) -> str:
+def _self_test_name(target: Target, version: str) -> str:
     import llvmlite
 
     text = "\n".join([version, llvmlite.__version__, sys.version, *map(str, target)])
@@ -102,7 +91,8 @@ def host(wanted: str | None = None) -> Target:
     has = {name for name, present in llvm.get_host_cpu_features().items() if present}
     if platform.machine().lower() in ("aarch64", "arm64"):
         has |= {"neon", "fma"}
-    names = [name for name, (*_, needs) in _SETS.items() if has.issuperset(needs)]
+    sets = machine_constants.INSTRUCTION_SETS
+    names = [name for name, each in sets.items() if has.issuperset(each.needs)]
     if not names:
         raise Unsupported(f"it knows no vectors of {platform.machine()}")
     if wanted is not None and wanted not in names:
@@ -113,7 +103,7 @@ def host(wanted: str | None = None) -> Target:
     flags = [f"{'+' if each in kept else '-'}{each}" for each in sorted(has - {"neon", "fma"})]
     if "fma" in has and name not in ("neon",):
         flags.append(f"{'+' if 'fma' in kept else '-'}fma")
-    size, registers, _ = _SETS[name]
+    size, registers, _ = sets[name]
     return Target(name, size, registers, "fma" in kept, llvm.get_host_cpu_name(), ",".join(flags))
 
 
@@ -124,7 +114,8 @@ def load(text: str, target: Target) -> tuple[str, int]:
         text: LLVM IR, which may be any module with that function.
         target: the machine.
     """
-    key = "\n".join([llvm_version(), platform.platform(), *map(str, target), str(_EFFORT), text])
+    effort = str(machine_constants.LLVM_EFFORT)
+    key = "\n".join([llvm_version(), platform.platform(), *map(str, target), effort, text])
     name = hashlib.sha256(key.encode()).hexdigest()[:32]
     return name, _load(name, text, target)
 
@@ -155,7 +146,7 @@ def _compile(name: str, text: str, target: Target) -> bytes:
     # looking for a better one takes longer than all the rest. The setting is the whole process's.
     llvm.set_option("", "-enable-misched=false")
     try:
-        code = _target_machine(target).emit_object(module)
+        code = _target_machine(target, machine_constants.LLVM_EFFORT).emit_object(module)
     finally:
         llvm.set_option("", "-enable-misched=true")
     _write(name, code)
@@ -163,12 +154,12 @@ def _compile(name: str, text: str, target: Target) -> bytes:
 
 
 @functools.cache
-def _target_machine(target: Target) -> "llvm.TargetMachine":
+def _target_machine(target: Target, effort: int) -> "llvm.TargetMachine":
     llvm = _llvm()
     return llvm.Target.from_default_triple().create_target_machine(
         cpu=target.processor,
         features=target.features,
-        opt=_EFFORT,
+        opt=effort,
         reloc="pic",
         codemodel="small",
     )
@@ -177,7 +168,9 @@ def _target_machine(target: Target) -> "llvm.TargetMachine":
 @functools.cache
 def _linker() -> "llvm.LLJIT":
     llvm = _llvm()
-    machine = llvm.Target.from_default_triple().create_target_machine(opt=_EFFORT, jit=True)
+    machine = llvm.Target.from_default_triple().create_target_machine(
+        opt=machine_constants.LLVM_EFFORT, jit=True
+    )
     return llvm.create_lljit_compiler(machine, use_jit_link=True)
 
 

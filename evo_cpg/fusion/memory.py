@@ -6,9 +6,8 @@ What is in registers is decided elsewhere (`evo_cpg.fusion.registers`), so every
 
 import numpy as np
 
+from evo_cpg.fusion import machine_constants
 from evo_cpg.fusion.ir import TYPES, Writer
-
-_LINE = 64  # bytes: places begin with a cache line
 
 _BOOL, _BYTE, _INDEX = np.dtype(bool), np.dtype(np.int8), np.dtype(np.int32)
 
@@ -34,7 +33,8 @@ class Memory:
     def room(self, size: int) -> int:
         """So many bytes of scratch memory for good; where they begin."""
         place = self.size
-        self.size += -(-size // _LINE) * _LINE
+        line = machine_constants.CACHE_LINE
+        self.size += -(-size // line) * line
         return place
 
     def borrow(self, size: int) -> int:

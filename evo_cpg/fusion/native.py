@@ -31,7 +31,7 @@ class Native(NamedTuple):
 # Bytes of a float32.
 _SINGLE = 4
 
-# Whether JAX computes what code cannot be made for; not while code is tried out.
+# Whether JAX computes what code cannot be made for; not in the self-test.
 FALLS_BACK = True
 
 _made: "weakref.WeakKeyDictionary[Program, dict]" = weakref.WeakKeyDictionary()

@@ -8,11 +8,9 @@ and finds nothing better.
 
 from collections.abc import Iterable, Sequence
 
+from evo_cpg.fusion import machine_constants
 from evo_cpg.fusion.graph import Node
 from evo_cpg.fusion.order import resolve
-
-# The others hold constants and what an operation needs on the way.
-_SHARE = 0.75
 
 # A value as a number for each individual, or once for all of them.
 Held = tuple[Node, bool]
@@ -26,7 +24,7 @@ class Registers:
     """
 
     def __init__(self, count: int):
-        self._limit = int(_SHARE * count)
+        self._limit = int(machine_constants.VALUE_REGISTERS * count)
         self._names: dict[Held, str] = {}
         self._next_use: dict[Held, int] = {}
         # Of each node all that is to come, the next one last.

@@ -46,8 +46,8 @@ from jaxtyping import Array, Float
 from evo_cpg.creature.creature import Creature
 from evo_cpg.creature.shapes import Cell, Profile
 from evo_cpg.creature.tree import Tree
-from evo_cpg.physics.kinematics import take
-from evo_cpg.spatial.linear import cross, dot, lift, matmul_t
+from evo_cpg.physics.per_body import take
+from evo_cpg.spatial.linear import cross, dot, expand_dims_like, matmul_t
 from evo_cpg.spatial.numerics import Numbers, xp
 
 # An edge of a box that lies level has w_i = 0, by which one cannot divide: every w_i is at least
@@ -142,7 +142,11 @@ def displacement(cells: tuple[Cells, ...], pose: Float[Array, "4 b *n"]) -> Disp
     for group in cells:
         bodies = np.array(group.bodies)
         own = take(pose, bodies)
-        up, centre, half_axes = own[:3], lift(group.centre, own), lift(group.half_axes, own)
+        up, centre, half_axes = (
+            own[:3],
+            expand_dims_like(group.centre, own),
+            expand_dims_like(group.half_axes, own),
+        )
         depth = -own[3] - dot(up, centre)
         if group.profile == "box":
             share, moment = _box(half_axes, up, depth)
@@ -152,7 +156,7 @@ def displacement(cells: tuple[Cells, ...], pose: Float[Array, "4 b *n"]) -> Disp
             share, moment = _round(_DENSITIES[group.profile], half_axes, up, depth)
         parts = jnp.concatenate([share[None], share[None] * centre + moment])
         owner = group.volume[None] * (bodies == np.arange(pose.shape[1])[:, None])
-        total = total + matmul_t(parts, lift(owner, parts, parts.ndim))
+        total = total + matmul_t(parts, expand_dims_like(owner, parts, parts.ndim))
     return Displacement(total[0], total[1:])
 
 
@@ -205,7 +209,7 @@ def _box(half_axes: Array, up: Array, depth: Array) -> tuple[Array, Array]:
     share = energy = jnp.zeros_like(depth)
     slope = jnp.zeros_like(reach)
     for corner in itertools.product((1.0, -1.0), repeat=3):
-        signs = lift(np.array(corner), reach)
+        signs = expand_dims_like(np.array(corner), reach)
         below = jnp.maximum(depth + dot(signs, reach), 0.0)
         cube = np.prod(corner) * below * below * below
         share, energy, slope = share + cube, energy + cube * below, slope + signs * cube[None]

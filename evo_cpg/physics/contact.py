@@ -33,12 +33,14 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from evo_cpg.fusion.fuse import symmetric
-from evo_cpg.physics.articulated import Accelerations, Inertia, Wrench, add_to_bodies
+from evo_cpg.physics.articulated import Accelerations
 from evo_cpg.physics.footing import Footing, lowest_points
-from evo_cpg.physics.kinematics import Kinematics, take
+from evo_cpg.physics.kinematics import Kinematics
+from evo_cpg.physics.per_body import PerBody, take
+from evo_cpg.physics.spatial_algebra import Inertia, Wrench
 from evo_cpg.spatial.linear import (
     cross,
-    lift,
+    expand_dims_like,
     matmul,
     matmul_t,
     matvec,
@@ -122,7 +124,7 @@ def find_contacts(footing: Footing, kin: Kinematics, h: float) -> Contacts:
     approach = -velocity[2]
     push = jnp.clip(-_PUSH_SHARE / h * gap, 0.0, _PUSH_SPEED)
     share = jnp.clip(approach / _BOUNCE_SPEED - 1.0, 0.0, 1.0)
-    bounce = lift(footing.restitution, approach) * share * approach
+    bounce = expand_dims_like(footing.restitution, approach) * share * approach
     rest = jnp.where(gap > 0, -gap / h, push)
     bounces = (gap <= h * approach) & (bounce > 0)
     wanted = jnp.where(bounces, jnp.maximum(rest, bounce), rest)
@@ -141,7 +143,7 @@ def resting_stiffness(footing: Footing, h: float) -> Float[Numbers, " p"]:
 def first_law(gravity: ArrayLike, footing: Footing, contacts: Contacts, h: float) -> ContactLaw:
     """A guess: what lies on the ground stays and sticks there, what slides has no friction yet."""
     v = contacts.coasting
-    stiffness = lift(footing.stiffness / h, v[2])
+    stiffness = expand_dims_like(footing.stiffness / h, v[2])
     # What gravity adds in a step decides for those that rest.
     fall = 2 * h * gravity
     touches = contacts.wanted > v[2] - fall
@@ -160,11 +162,11 @@ def next_law(
 
     Tangents for the normal forces, secants for friction, under the normal forces found.
     """
-    stiffness = lift(footing.stiffness / h, law.normal)
+    stiffness = expand_dims_like(footing.stiffness / h, law.normal)
     short = contacts.wanted - velocity[2]
     speed = _length(velocity)
     static, dynamic = (
-        lift(mu, speed) for mu in (footing.static_friction, footing.dynamic_friction)
+        expand_dims_like(mu, speed) for mu in (footing.static_friction, footing.dynamic_friction)
     )
     ratio = speed / footing.ground.stribeck_speed
     friction = dynamic + (static - dynamic) / (1.0 + ratio * ratio)
@@ -187,7 +189,7 @@ def imposed_force(
     """The forces found last, cut back to what the ground can give, N."""
     force = line_force(contacts, law, velocity)
     support = jnp.maximum(force[2], 0.0)
-    limit = lift(footing.static_friction, support) * support
+    limit = expand_dims_like(footing.static_friction, support) * support
     share = jnp.minimum(limit / _length(force), 1.0)
     return jnp.stack([share * force[0], share * force[1], support])
 
@@ -224,12 +226,10 @@ def contact_equations(
     slope = symmetric(h * matmul_t(turn * diagonal[None], turn))
     shift = skew(contacts.arm)
     mixed = matmul(shift, slope)
-    blocks = symmetric(matmul_t(mixed, shift)), mixed, slope
+    blocks = Inertia(symmetric(matmul_t(mixed, shift)), mixed, slope)
     loaded = pressed(footing, contacts, line_force(contacts, law, contacts.coasting), bias)
-    totals = [list(jnp.unstack(whole, axis=2)) for whole in inertia]
-    for total, block in zip(totals, blocks, strict=True):
-        add_to_bodies(total, footing.bodies, block, 2)
-    return Inertia(*(jnp.stack(total, 2) for total in totals)), loaded
+    bodies = PerBody.of(inertia, slope.ndim - 3).plus(footing.bodies, blocks)
+    return bodies.stacked(), loaded
 
 
 def pressed(
@@ -237,13 +237,8 @@ def pressed(
 ) -> Wrench:
     """The bodies' bias wrenches with given contact forces (N, ground's frame)."""
     force = matvec_t(contacts.frame, force)
-    parts = cross(contacts.arm, force), force
-    wrench = []
-    for whole, part in zip(bias, parts, strict=True):
-        totals = list(jnp.unstack(whole, axis=1))
-        add_to_bodies(totals, footing.bodies, -part, 1)
-        wrench.append(jnp.stack(totals, 1))
-    return Wrench(*wrench)
+    load = Wrench(-cross(contacts.arm, force), -force)
+    return PerBody.of(bias, force.ndim - 2).plus(footing.bodies, load).stacked()
 
 
 def end_velocity(

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from evo_cpg.spatial.linear import array_of, lift, matvec
+from evo_cpg.spatial.linear import array_of, expand_dims_like, matvec
 from evo_cpg.spatial.numerics import Number, Triple
 
 Gradient = tuple[Triple, Triple, Triple]
@@ -49,9 +49,11 @@ def stream(
         vortices: on top of that.
         places: in the world, m.
     """
-    velocity = lift(array_of(current), places)
+    velocity = expand_dims_like(array_of(current), places)
     if gradient is not None:
-        velocity = velocity + matvec(lift(array_of(gradient), places, places.ndim + 1), places)
+        velocity = velocity + matvec(
+            expand_dims_like(array_of(gradient), places, places.ndim + 1), places
+        )
     for vortex in vortices:
         x, y = places[0] - vortex.centre[0], places[1] - vortex.centre[1]
         rate = vortex.circulation / (2 * np.pi) / (x * x + y * y + vortex.core**2)

@@ -17,10 +17,11 @@ from evo_cpg.creature.creature import Creature
 from evo_cpg.creature.mesh import ConvexMesh
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Sphere
 from evo_cpg.creature.tree import Tree
-from evo_cpg.physics.kinematics import Kinematics, take
+from evo_cpg.physics.kinematics import Kinematics
+from evo_cpg.physics.per_body import take
 from evo_cpg.physics.terrain import Part, Plane, nearest
 from evo_cpg.spatial.choices import chosen
-from evo_cpg.spatial.linear import cross, dot, lift, matvec, matvec_t
+from evo_cpg.spatial.linear import cross, dot, expand_dims_like, matvec, matvec_t
 from evo_cpg.spatial.numerics import Number, Numbers, xp
 from evo_cpg.spatial.partly import PartlyTraced
 
@@ -209,7 +210,7 @@ def lowest_points(
     bodies = np.array(footing.bodies[:once])
     bodies = np.concatenate([bodies[: _CORNERS * angular : _CORNERS], bodies[_CORNERS * angular :]])
     rotation, origin = take(kin.rotation, bodies, 2), take(kin.origin, bodies)
-    centre = matvec(rotation, lift(footing.centre, rotation[0]))
+    centre = matvec(rotation, expand_dims_like(footing.centre, rotation[0]))
     found = []
     for parts in footing.ground.layers:
         above, up = _surface(parts, origin + centre)
@@ -230,12 +231,12 @@ def lowest_points(
             found.append((arm, arm, *_surface(parts, corner)))
         if balls:
             own = slice(angular, angular + balls)
-            radii = lift(footing.radii, above)
+            radii = expand_dims_like(footing.radii, above)
             arm = centre[:, own] - radii[None] * up[:, own]
             found.append((arm, centre[:, own], above[own] - radii, up[:, own]))
         if ellipsoids:
             own = slice(angular + balls, None)
-            turned, radii = rotation[:, :, own], lift(footing.semi_axes, centre)
+            turned, radii = rotation[:, :, own], expand_dims_like(footing.semi_axes, centre)
             stretched = radii * matvec_t(turned, up[:, own])
             length = jnp.sqrt(dot(stretched, stretched))
             arm = centre[:, own] - matvec(turned, radii * stretched / length[None])
@@ -262,7 +263,7 @@ def _lowest_corners(
     centre: Array,
 ) -> Float[Array, "3 c *n"]:
     """Corners, box by box, of the face on the end of the half edge that reaches down most."""
-    edges = rotation * lift(half_edges[None], rotation)
+    edges = rotation * expand_dims_like(half_edges[None], rotation)
     rise = [dot(edges[:, i], up) for i in range(3)]
     x, y, z = (jnp.abs(height) for height in rise)
     first = (x >= y) & (x >= z)
@@ -294,7 +295,7 @@ def _lowest_of_meshes(meshes: np.ndarray, up: Float[Array, "3 m *n"]) -> Float[A
     farthest from the first, third and fourth are farthest from their line on either side. Where
     none lies low enough, the first is taken again.
     """
-    corners = lift(meshes, up, up.ndim + 1)
+    corners = expand_dims_like(meshes, up, up.ndim + 1)
     rise = (corners * up[:, None]).sum(0)
     rise = (rise - rise.min(0, keepdims=True)) / _TILT
     table = jnp.asarray(np.swapaxes(meshes, 0, 2), up.dtype)

@@ -17,7 +17,7 @@ from jaxtyping import Array, Bool, Float
 
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.state import State
-from evo_cpg.spatial.linear import lift
+from evo_cpg.spatial.linear import expand_dims_like
 
 
 def passive_torque(
@@ -26,14 +26,17 @@ def passive_torque(
     """Torque (N m) and T (kg m^2) of springs, dampers and soft limits over a step of h (s)."""
     q, qd = state.q, state.qd
     ahead = q + h * qd
-    torque = -lift(tree.stiffness, q) * ahead - lift(tree.damping, q) * qd
-    derivative = lift(h * (tree.damping + h * tree.stiffness), q)
-    over = ahead - jnp.clip(ahead, lift(tree.lower, q), lift(tree.upper, q))
+    torque = -expand_dims_like(tree.stiffness, q) * ahead - expand_dims_like(tree.damping, q) * qd
+    derivative = expand_dims_like(h * (tree.damping + h * tree.stiffness), q)
+    over = ahead - jnp.clip(ahead, expand_dims_like(tree.lower, q), expand_dims_like(tree.upper, q))
     beyond = over != 0
     torque = torque - jnp.where(
-        beyond, lift(tree.limit_stiffness, q) * over + lift(tree.limit_damping, q) * qd, 0.0
+        beyond,
+        expand_dims_like(tree.limit_stiffness, q) * over
+        + expand_dims_like(tree.limit_damping, q) * qd,
+        0.0,
     )
-    limit = lift(h * (tree.limit_damping + h * tree.limit_stiffness), q)
+    limit = expand_dims_like(h * (tree.limit_damping + h * tree.limit_stiffness), q)
     return torque, derivative + jnp.where(beyond, limit, 0.0)
 
 
@@ -54,17 +57,17 @@ def servo_torque(
         h: step, s.
     """
     rates = state.qd
-    torque = lift(tree.servo_gain, rates) * (target_rate - rates)
+    torque = expand_dims_like(tree.servo_gain, rates) * (target_rate - rates)
     if not has_springs(tree):
         return torque
     ahead = state.q + h * rates
     error = -ahead if target_angle is None else target_angle - ahead
-    return torque + lift(tree.servo_stiffness, rates) * error
+    return torque + expand_dims_like(tree.servo_stiffness, rates) * error
 
 
 def servo_slope(tree: Tree, like: Array, h: float) -> Float[Array, "d *n"]:
     """Torque per end-of-step rate, ``g + h k_m`` (N m s/rad); never quite zero."""
-    slope = lift(tree.servo_gain + h * tree.servo_stiffness, like)
+    slope = expand_dims_like(tree.servo_gain + h * tree.servo_stiffness, like)
     return jnp.maximum(slope, jnp.finfo(like.dtype).tiny)
 
 
@@ -76,10 +79,10 @@ def has_springs(tree: Tree) -> bool:
 
 def overloaded(tree: Tree, torque: Float[Array, "d *n"]) -> Bool[Array, "d *n"]:
     """Axes whose servo asks for more than its limit."""
-    return jnp.abs(torque) > lift(tree.torque_limit, torque)
+    return jnp.abs(torque) > expand_dims_like(tree.torque_limit, torque)
 
 
 def clamp_torque(tree: Tree, torque: Float[Array, "d *n"]) -> Float[Array, "d *n"]:
     """The servo torque cut off at its limit, N m."""
-    limit = lift(tree.torque_limit, torque)
+    limit = expand_dims_like(tree.torque_limit, torque)
     return jnp.clip(torque, -limit, limit)

@@ -16,14 +16,14 @@ accelerations are zero |
 
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.tree import Tree
+from evo_cpg.physics.per_body import PerBody, in_dof_order, of_joints, take
 from evo_cpg.physics.state import State
-from evo_cpg.spatial.linear import cross, lift, matmul, matvec
+from evo_cpg.spatial.linear import cross, expand_dims_like, matmul, matvec
 from evo_cpg.spatial.rotation import axis_rotation, quaternion_to_matrix
 
 
@@ -40,9 +40,10 @@ class Kinematics(NamedTuple):
     bias_linear: Float[Array, "3 b *n"]
 
 
-class _Motion(NamedTuple):
+class _Body(NamedTuple):
     """Where one or several bodies are and how they move; see `Kinematics`."""
 
+    rotation: Array
     origin: Array
     angular: Array
     linear: Array
@@ -51,64 +52,44 @@ class _Motion(NamedTuple):
 
 
 def kinematics(tree: Tree, state: State) -> Kinematics:
-    """Forward kinematics, Featherstone 2008, section 5.3 (first pass)."""
-    rest, batch = jnp.zeros_like(state.position), state.q.shape[1:]
-    local = _local_frames(tree, state.q)
-    rotations = [quaternion_to_matrix(state.orientation)]
-    motions = [_Motion(state.position, state.velocity[:3], state.velocity[3:], rest, rest)]
-    offsets, axes = [rest[:, None]], [jnp.zeros((3, 0, *batch), rest.dtype)]
-    for group in tree.groups:
-        members = range(group.bodies.start, group.bodies.stop)
-        parent_rotation = jnp.stack([rotations[i] for i in group.parents], 2)
-        parent = _Motion(
-            *(
-                jnp.stack(parts, 1)
-                for parts in zip(*(motions[i] for i in group.parents), strict=True)
+    """Forward kinematics: the first pass of Featherstone 2008, table 7.1, and positions.
+
+    Each line holds for one body and for a group of like limbs side by side (`PerBody`).
+    """
+    batch_ndim = state.q.ndim - 1
+    rest, rotation = jnp.zeros_like(state.position), quaternion_to_matrix(state.orientation)
+    root = _Body(rotation, state.position, state.velocity[:3], state.velocity[3:], rest, rest)
+    bodies, local = PerBody([root], batch_ndim), _local_frames(tree, state.q)
+    offsets, axes = [rest[:, None]], [jnp.zeros((3, 0, *rest.shape[1:]), rest.dtype)]
+    for i in tree.groups:
+        parent = bodies[i.parents]
+        offset = matvec(
+            parent.rotation, expand_dims_like(tree.joint_offset[:, i.bodies], parent.origin)
+        )
+        # Columns: those of the body's rotation, and behind them the axes of its joint.
+        frame = matmul(parent.rotation, local[i.bodies])
+        rotation, S = frame[:, :3], frame[:, 3:]
+        spin, spin_rate = _joint_motion(S * of_joints(state.qd, i, batch_ndim)[None])
+        linear = parent.linear + cross(parent.angular, offset)
+        bodies = bodies.followed_by(
+            _Body(
+                rotation,
+                parent.origin + offset,
+                parent.angular + spin,
+                linear,
+                parent.bias_angular + cross(parent.angular, spin) + spin_rate,
+                parent.bias_linear + cross(parent.bias_angular, offset) + cross(linear, spin),
             )
         )
-        local_frame = jnp.stack([local[i] for i in members], 2)
-        rates = state.qd[group.dofs].reshape(len(members), group.axes, *batch)
-        offset = matvec(parent_rotation, lift(tree.joint_offset[:, group.bodies], parent.origin))
-        frame = matmul(parent_rotation, local_frame)
-        rotation, group_axes = frame[:, :3], jnp.swapaxes(frame[:, 3:], 1, 2)
-        motion = _across(parent, offset, *_joint_motion(group_axes * rates[None]))
-        rotations.extend(jnp.unstack(rotation, axis=2))
-        parts = (jnp.unstack(part, axis=1) for part in motion)
-        motions.extend(_Motion(*own) for own in zip(*parts, strict=True))
         offsets.append(offset)
-        axes.append(group_axes.reshape(3, -1, *batch))
-    whole = _Motion(*(jnp.stack(parts, 1) for parts in zip(*motions, strict=True)))
+        axes.append(in_dof_order(S, batch_ndim))
+    rotation, origin, *motion = bodies.stacked()
     return Kinematics(
-        jnp.stack(rotations, 2),
-        whole.origin,
-        jnp.concatenate(offsets, 1),
-        jnp.concatenate(axes, 1),
-        *whole[1:],
+        rotation, origin, jnp.concatenate(offsets, 1), jnp.concatenate(axes, 1), *motion
     )
 
 
-def _across(parent: _Motion, offset: Array, spin: Array, spin_rate: Array) -> _Motion:
-    """How bodies move that turn with ``spin`` against their parents, and ``offset`` from them."""
-    linear = parent.linear + cross(parent.angular, offset)
-    return _Motion(
-        parent.origin + offset,
-        parent.angular + spin,
-        linear,
-        parent.bias_angular + cross(parent.angular, spin) + spin_rate,
-        parent.bias_linear + cross(parent.bias_angular, offset) + cross(linear, spin),
-    )
-
-
-def take(x: Array, indices: np.ndarray, axis: int = 1) -> Array:
-    """Pick bodies by constant indices: slices where they run on, which XLA fuses, no gather."""
-    step = int(indices[1] - indices[0]) if len(indices) > 1 else 1
-    if len(indices) and step > 0 and (np.diff(indices) == step).all():
-        return jax.lax.slice_in_dim(x, int(indices[0]), int(indices[-1]) + 1, step, axis)
-    pieces = [jax.lax.slice_in_dim(x, int(i), int(i) + 1, axis=axis) for i in indices]
-    return jnp.concatenate(pieces, axis) if pieces else jax.lax.slice_in_dim(x, 0, 0, axis=axis)
-
-
-def _local_frames(tree: Tree, q: Float[Array, "d *n"]) -> dict[int, Float[Array, "3 c *n"]]:
+def _local_frames(tree: Tree, q: Float[Array, "d *n"]) -> PerBody[Float[Array, "3 c *n"]]:
     """Rotation of every body to its parent and, behind it, the joint axes in the parent's frame.
 
     Joints with the same axes are treated at once.
@@ -124,7 +105,7 @@ def _local_frames(tree: Tree, q: Float[Array, "d *n"]) -> dict[int, Float[Array,
     frames = {}
     for bodies in alike.values():
         dof, count = first_dof[bodies[0]], axis_count[bodies[0]]
-        orientation = lift(tree.joint_orientation[:, :, bodies[0]], q, q.ndim + 2)
+        orientation = expand_dims_like(tree.joint_orientation[:, :, bodies[0]], q, q.ndim + 2)
         columns = [orientation[:, j] for j in range(3)]
         directions = []
         for k in range(count):
@@ -136,7 +117,9 @@ def _local_frames(tree: Tree, q: Float[Array, "d *n"]) -> dict[int, Float[Array,
         shape = (3, len(bodies), *q.shape[1:])
         packed = jnp.stack([jnp.broadcast_to(c, shape) for c in columns + directions], 1)
         frames.update(zip(bodies, jnp.unstack(packed, axis=2), strict=True))
-    return frames
+    # The root has no joint, and its place is not looked at.
+    values: list[Any] = [None, *(frames[body] for body in range(1, tree.body_count))]
+    return PerBody(values, q.ndim - 1)
 
 
 def _key(values: Any, body: int) -> bytes | int:
@@ -151,7 +134,7 @@ def _turn(
     if not isinstance(axis, np.ndarray) or np.count_nonzero(axis) > 1:
         frame = jnp.stack(jnp.broadcast_arrays(*columns), 1)
         turned = matmul(frame, axis_rotation(axis, sine, cosine))
-        return [turned[:, j] for j in range(3)], matvec(frame, lift(axis, frame[0]))
+        return [turned[:, j] for j in range(3)], matvec(frame, expand_dims_like(axis, frame[0]))
     along = int(np.abs(axis).argmax())
     i, j = (along + 1) % 3, (along + 2) % 3
     # A Python float takes the arrays' precision; a NumPy one would make float32 float64.
@@ -163,15 +146,15 @@ def _turn(
     return turned, columns[along] * direction
 
 
-def _joint_motion(rates: Float[Array, "3 bodies axes *n"]) -> tuple[Array, Array]:
+def _joint_motion(rates: Float[Array, "3 axes bodies *n"]) -> tuple[Array, Array]:
     """Angular velocity across each joint, and its rate of change seen from the parent.
 
     Args:
         rates: of the joint's axes, each along its axis.
     """
-    spin = rates[:, :, 0]
+    spin = rates[:, 0]
     spin_rate = jnp.zeros_like(spin)
-    for k in range(1, rates.shape[2]):
-        spin_rate = spin_rate + cross(spin, rates[:, :, k])
-        spin = spin + rates[:, :, k]
+    for k in range(1, rates.shape[1]):
+        spin_rate = spin_rate + cross(spin, rates[:, k])
+        spin = spin + rates[:, k]
     return spin, spin_rate

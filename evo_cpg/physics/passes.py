@@ -21,7 +21,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from evo_cpg.fusion.converge import converge
-from evo_cpg.physics.articulated import Accelerations, Inertia, Wrench, solve
+from evo_cpg.physics.articulated import Accelerations, solve
 from evo_cpg.physics.contact import (
     ContactLaw,
     Contacts,
@@ -42,9 +42,10 @@ from evo_cpg.physics.joints import (
     servo_torque,
 )
 from evo_cpg.physics.kinematics import Kinematics, kinematics
+from evo_cpg.physics.spatial_algebra import Inertia, Wrench
 from evo_cpg.physics.state import State
 from evo_cpg.physics.world import World, body_equations
-from evo_cpg.spatial.linear import lift, matvec_t
+from evo_cpg.spatial.linear import expand_dims_like, matvec_t
 
 # Solves with lines before the forces are imposed. On the ground: of the points of tumbling
 # quadrupeds without motors, 1.2 % are more than 1 mm deep with 3, 0.75 % with 4. In water, for
@@ -117,7 +118,7 @@ def prepare(
     with jax.named_scope("forces"):
         inertia, bias = body_equations(world, kin, h)
         passive, derivative = passive_torque(tree, state, h)
-        derivative = derivative + lift(tree.armature, derivative)
+        derivative = derivative + expand_dims_like(tree.armature, derivative)
         wanted = servo_torque(tree, state, target_rate, target_angle, h)
         slope = jnp.broadcast_to(servo_slope(tree, wanted, h), wanted.shape)
         contacts = law = None

@@ -31,10 +31,11 @@ from evo_cpg.physics.buoyancy import displacement
 from evo_cpg.physics.contact import resting_stiffness
 from evo_cpg.physics.footing import Footing, lowest_points
 from evo_cpg.physics.joints import clamp_torque, passive_torque, servo_torque
-from evo_cpg.physics.kinematics import Kinematics, kinematics, take
+from evo_cpg.physics.kinematics import Kinematics, kinematics
+from evo_cpg.physics.per_body import take
 from evo_cpg.physics.state import State
 from evo_cpg.physics.world import World, weight
-from evo_cpg.spatial.linear import cross, dot, lift, matvec, matvec_t
+from evo_cpg.spatial.linear import cross, dot, expand_dims_like, matvec, matvec_t
 from evo_cpg.spatial.rotation import integrate_quaternion
 
 # A place that slides less far than this keeps the direction of its friction, m.
@@ -143,8 +144,8 @@ def next_grip(footing: Footing, h: float, grip: Grip, touch: Touch) -> Grip:
         grip: before.
         touch: what the ground does at the end of the way.
     """
-    stiffness = lift(resting_stiffness(footing, h), grip.held)
-    limit = lift(footing.static_friction, grip.held) * touch.support
+    stiffness = expand_dims_like(resting_stiffness(footing, h), grip.held)
+    limit = expand_dims_like(footing.static_friction, grip.held) * touch.support
     pull = -stiffness[None] * touch.slip
     size = jnp.sqrt(dot(pull, pull))
     sticks = grip.held > 0
@@ -199,7 +200,7 @@ def _ground(
 ) -> tuple[Float[Array, "3 p"], Touch]:
     """Force on every place, N, and what the ground does."""
     bodies = np.array(footing.bodies)
-    stiffness = lift(resting_stiffness(footing, h), grip.held)
+    stiffness = expand_dims_like(resting_stiffness(footing, h), grip.held)
     arm, _, gap, normal = lowest_points(footing, kin)
     point, place = _on_body(footing, kin, arm)
     support = stiffness * jnp.maximum(-gap, 0.0)

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from evo_cpg.spatial.linear import array_of, cosine_sine, dot, lift
+from evo_cpg.spatial.linear import array_of, cosine_sine, dot, expand_dims_like
 from evo_cpg.spatial.numerics import Number, Triple, xp
 
 # Squared length (m^2) added under roots so that they have gradients on the spot.
@@ -50,7 +50,7 @@ class Plane(Part):
     def distance(self, point: Array) -> tuple[Array, Array]:
         """As in `Part`."""
         normal = array_of(self.normal)
-        normal = lift(normal / xp.linalg.norm(normal), point)
+        normal = expand_dims_like(normal / xp.linalg.norm(normal), point)
         return dot(normal, point) - self.height, normal
 
 
@@ -136,7 +136,7 @@ class Boulder(Part):
 
     def distance(self, point: Array) -> tuple[Array, Array]:
         """As in `Part`."""
-        away = point - lift(array_of(self.centre), point)
+        away = point - expand_dims_like(array_of(self.centre), point)
         length = jnp.sqrt(dot(away, away) + _FLOOR)
         return length - self.radius, away / length[None]
 
@@ -156,10 +156,10 @@ class Block(Part):
 
     def distance(self, point: Array) -> tuple[Array, Array]:
         """As in `Part`."""
-        away = point - lift(array_of(self.centre), point)
+        away = point - expand_dims_like(array_of(self.centre), point)
         c, s = cosine_sine(self.heading)
         own = jnp.stack([c * away[0] + s * away[1], c * away[1] - s * away[0], away[2]])
-        beyond = jnp.abs(own) - lift(array_of(self.half_extents), own)
+        beyond = jnp.abs(own) - expand_dims_like(array_of(self.half_extents), own)
         deepest = beyond.max(0)
         outside = jnp.maximum(beyond, 0.0)
         length = jnp.sqrt(dot(outside, outside) + _FLOOR)

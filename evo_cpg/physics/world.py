@@ -5,15 +5,22 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.tree import Tree
-from evo_cpg.fusion.fuse import symmetric
 from evo_cpg.physics.added_mass import carried_water
-from evo_cpg.physics.articulated import Inertia, Wrench
 from evo_cpg.physics.buoyancy import Cells, Displacement, buoyancy, displacement
 from evo_cpg.physics.current import stream
 from evo_cpg.physics.fluid import Patch, Water, drag
 from evo_cpg.physics.footing import Footing, Ground
 from evo_cpg.physics.kinematics import Kinematics
-from evo_cpg.spatial.linear import array_of, cross, lift, matmul, matmul_t, matvec, matvec_t
+from evo_cpg.physics.spatial_algebra import Inertia, Wrench, make_inertia
+from evo_cpg.spatial.linear import (
+    array_of,
+    cross,
+    expand_dims_like,
+    matmul,
+    matmul_t,
+    matvec,
+    matvec_t,
+)
 from evo_cpg.spatial.numerics import Number, Numbers
 
 
@@ -57,7 +64,7 @@ def body_equations(world: World, kin: Kinematics, h: float) -> tuple[Inertia, Wr
         pose = jnp.concatenate([rotation[2], (kin.origin[2] - world.water.surface)[None]])
         displaced = displacement(world.cells, pose)
     wrench = weight(world, kin, displaced)
-    constant = lift(tree.inertia, velocity, velocity.ndim + 1)
+    constant = expand_dims_like(tree.inertia, velocity, velocity.ndim + 1)
     momentum = matvec(constant, velocity)
     blocks = _blocks(constant)
     if world.water is not None:
@@ -67,7 +74,7 @@ def body_equations(world: World, kin: Kinematics, h: float) -> tuple[Inertia, Wr
         wrench = wrench + resistance
         blocks = blocks + h * derivative
         if world.added_inertia is not None:
-            added = lift(world.added_inertia, velocity, velocity.ndim + 1)
+            added = expand_dims_like(world.added_inertia, velocity, velocity.ndim + 1)
             push, carried = _carried(world, kin, velocity, added, current, h, pose, displaced)
             wrench, blocks = wrench + push, blocks + carried
     w, v = velocity[:3], velocity[3:]
@@ -75,7 +82,7 @@ def body_equations(world: World, kin: Kinematics, h: float) -> tuple[Inertia, Wr
     force = cross(w, momentum[3:]) - wrench[3:]
 
     angular, mixed, linear = (matmul_t(matmul(rotation, block), rotation) for block in blocks)
-    inertia = Inertia(symmetric(angular), mixed, symmetric(linear))
+    inertia = make_inertia(angular, mixed, linear)
     bias = Wrench(
         matvec(rotation, moment)
         + matvec(inertia.angular, kin.bias_angular)
@@ -101,8 +108,8 @@ def weight(
     tree, water = world.tree, world.water
     under = water.density * tree.volume if water is not None and displaced is None else 0.0
     up = kin.rotation[2]
-    force = lift((under - tree.mass) * world.gravity, up[0])[None] * up
-    wrench = jnp.concatenate([cross(lift(tree.com, up), force), force])
+    force = expand_dims_like((under - tree.mass) * world.gravity, up[0])[None] * up
+    wrench = jnp.concatenate([cross(expand_dims_like(tree.com, up), force), force])
     if water is None or displaced is None:
         return wrench
     return wrench + buoyancy(displaced, up, water.density * world.gravity)
@@ -111,8 +118,8 @@ def weight(
 def _stream(water: Water, tree: Tree, kin: Kinematics) -> Float[Array, "3 b *#n"]:
     """Velocity of the water at the bodies' centres of mass, in world axes."""
     if water.gradient is None and not water.vortices:
-        return lift(array_of(water.current), kin.linear)
-    centres = kin.origin + matvec(kin.rotation, lift(tree.com, kin.origin))
+        return expand_dims_like(array_of(water.current), kin.linear)
+    centres = kin.origin + matvec(kin.rotation, expand_dims_like(tree.com, kin.origin))
     return stream(water.current, water.gradient, water.vortices, centres)
 
 
@@ -135,7 +142,7 @@ def _carried(
         return carried_water(added, velocity, current), _blocks(added)
     sinking = h * jnp.concatenate([cross(pose[:3], velocity[:3]), kin.linear[2:]])
     ahead = displacement(world.cells, pose + sinking).volume
-    volume = lift(world.tree.volume, ahead)
+    volume = expand_dims_like(world.tree.volume, ahead)
     gained = jnp.maximum(ahead - displaced.volume, 0.0) / volume
     entering = added * gained[None, None]
     relative = jnp.concatenate([velocity[:3], velocity[3:] - current])

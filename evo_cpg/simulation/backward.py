@@ -23,13 +23,11 @@ from jax.extend.core import Literal
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
+from evo_cpg.fusion import machine_constants
 from evo_cpg.physics.state import State
 
 Carry = TypeVar("Carry")
 Values = TypeVar("Values")
-
-# What may be kept of all control steps together, bytes; else segments are computed again.
-_KEPT_AT_MOST = 256 * 2**20
 
 # What of a slope fades, beside nerves. On rough ways the height is one of them, and together they
 # are at most so many times as large (in SI units) as what the slope says of the place.
@@ -72,7 +70,7 @@ class Backward(NamedTuple):
             return advance(carry, number)[0], None
 
         kept = _kept_bytes(step, carry)
-        if self.copies * steps * kept <= _KEPT_AT_MOST:
+        if self.copies * steps * kept <= machine_constants.KEPT_FOR_THE_WAY_BACK:
             return segment(steps)(carry, 0)[0]
         # The least memory for the states between segments and for one segment together.
         length = max(1, math.isqrt(steps * _bytes(jax.tree.leaves(carry)) // kept))

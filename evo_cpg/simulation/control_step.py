@@ -21,7 +21,7 @@ from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.situation import light_places, starting_state
 from evo_cpg.simulation.snapshot import Forces, Snapshot
 from evo_cpg.simulation.task import Transition
-from evo_cpg.spatial.linear import lift
+from evo_cpg.spatial.linear import expand_dims_like
 
 
 class Animal(NamedTuple):
@@ -222,7 +222,7 @@ def snapshot_of(simulation: Simulation, life: Life, state: State) -> Snapshot:
 def _light_of(life: Life, own: Array | None, position: Array) -> Array | None:
     """Where the light is, with axes of individuals."""
     place = life.common_light if own is None else own
-    return None if place is None else lift(place, position)
+    return None if place is None else expand_dims_like(place, position)
 
 
 def no_forces(simulation: Simulation, state: State) -> Forces:

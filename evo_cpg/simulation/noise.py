@@ -17,7 +17,7 @@ from jaxtyping import Array, Float, Shaped, UInt32
 
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.state import State
-from evo_cpg.spatial.linear import lift
+from evo_cpg.spatial.linear import expand_dims_like
 from evo_cpg.spatial.numerics import is_traced
 from evo_cpg.spatial.rotation import integrate_quaternion
 
@@ -61,7 +61,7 @@ def disturb_start(
     turn, bend = jnp.split(_normals(keys, _START, 2 + tree.dof_count), [2])
     # The rotation vector as a rate that is held for a second.
     tilt = noise.tilt * jnp.concatenate([turn, jnp.zeros_like(turn[:1])])
-    lower, upper = (lift(limit, state.q) for limit in (tree.lower, tree.upper))
+    lower, upper = (expand_dims_like(limit, state.q) for limit in (tree.lower, tree.upper))
     return State(
         state.position,
         state.orientation

@@ -23,7 +23,7 @@ from evo_cpg.simulation.control_step import Animal, Effects, begin_life, control
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.task import Task
-from evo_cpg.spatial.linear import lift
+from evo_cpg.spatial.linear import expand_dims_like
 
 # Beyond these rates (rad/s) and speeds (m/s) a trial counts as diverged: no animal of metre size
 # moves like that, and the step no longer resolves it.
@@ -205,7 +205,7 @@ def _trial(
 def _frame(tree: Tree, effects: Effects) -> dict[str, Array]:
     """What is recorded of one control step."""
     kin = kinematics(tree, effects.before)
-    com = lift(tree.com, kin.origin)
+    com = expand_dims_like(tree.com, kin.origin)
     return {
         "position": kin.origin + (kin.rotation * com[None]).sum(1),
         "rotation": kin.rotation,

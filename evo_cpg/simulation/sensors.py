@@ -9,9 +9,10 @@ from jaxtyping import Array, Float
 
 from evo_cpg.creature.creature import Creature, DepthSensor, LightSensor
 from evo_cpg.creature.tree import Tree
-from evo_cpg.physics.kinematics import Kinematics, take
+from evo_cpg.physics.kinematics import Kinematics
+from evo_cpg.physics.per_body import take
 from evo_cpg.physics.world import World
-from evo_cpg.spatial.linear import dot, lift, matvec
+from evo_cpg.spatial.linear import dot, expand_dims_like, matvec
 from evo_cpg.spatial.numerics import Numbers, xp
 from evo_cpg.spatial.partly import PartlyTraced
 
@@ -94,7 +95,7 @@ def feel(
     pressing = jnp.zeros_like(force)
     if world.water is not None and world.water.surface is not None:
         depth = _depth(world.water.surface, kin, bodies, world.tree.com[:, bodies])
-        area = lift(world.tree.volume[bodies] ** (2 / 3), depth)
+        area = expand_dims_like(world.tree.volume[bodies] ** (2 / 3), depth)
         pressing = world.water.density * world.gravity * jnp.maximum(depth, 0.0) * area
     return (force > pressing).astype(force.dtype)
 
@@ -109,7 +110,7 @@ def fathom(sensors: Sensors, world: World, kin: Kinematics) -> Float[Array, "k *
     if not len(bodies) or world.water is None or world.water.surface is None:
         return jnp.zeros((len(bodies), *kin.origin.shape[2:]), kin.origin.dtype)
     depth = _depth(world.water.surface, kin, bodies, sensors.depth_positions)
-    return jnp.clip(depth / lift(sensors.depth_scales, depth), 0.0, 1.0)
+    return jnp.clip(depth / expand_dims_like(sensors.depth_scales, depth), 0.0, 1.0)
 
 
 def _depth(
@@ -120,7 +121,7 @@ def _depth(
 ) -> Float[Array, "k *n"]:
     """How far places of bodies are under the water's surface, m; negative above it."""
     own = take(kin.origin[2], bodies, 0)
-    lever = take(kin.rotation[2], bodies) * lift(places, own, own.ndim + 1)
+    lever = take(kin.rotation[2], bodies) * expand_dims_like(places, own, own.ndim + 1)
     return jnp.asarray(surface - own - lever.sum(0))
 
 
@@ -152,14 +153,16 @@ def see(
         return none, none, none
     rotation = jnp.stack([kin.rotation[:, :, i] for i in bodies], 2)
     origin = jnp.stack([kin.origin[:, i] for i in bodies], 1)
-    axis = matvec(rotation, lift(sensors.eye_axes, origin))
+    axis = matvec(rotation, expand_dims_like(sensors.eye_axes, origin))
     cosine = axis[2]
     sine = jnp.sqrt(jnp.maximum(1.0 - cosine * cosine, 0.0) + _DISTANCE_FLOOR)
     if light is None or sensors.blind:
         return jnp.zeros_like(cosine), cosine, sine
-    to_light = light[:, None] - origin - matvec(rotation, lift(sensors.eye_positions, origin))
+    to_light = (
+        light[:, None] - origin - matvec(rotation, expand_dims_like(sensors.eye_positions, origin))
+    )
     distance = jnp.sqrt(dot(to_light, to_light) + _DISTANCE_FLOOR)
     strength = light_strength(
-        dot(axis, to_light) / distance, lift(sensors.fields_of_view, distance)
+        dot(axis, to_light) / distance, expand_dims_like(sensors.fields_of_view, distance)
     )
     return strength, cosine, sine

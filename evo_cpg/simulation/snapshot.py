@@ -15,10 +15,11 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from evo_cpg.physics.footing import lowest_points
-from evo_cpg.physics.kinematics import Kinematics, kinematics, take
+from evo_cpg.physics.kinematics import Kinematics, kinematics
+from evo_cpg.physics.per_body import take
 from evo_cpg.physics.state import State
 from evo_cpg.physics.world import World
-from evo_cpg.spatial.linear import cross, lift, matvec
+from evo_cpg.spatial.linear import cross, expand_dims_like, matvec
 
 
 class Forces(NamedTuple):
@@ -139,7 +140,7 @@ class Snapshot:
     @property
     def _lever(self) -> Array:
         """From the bodies' origins to their centres of mass, world axes."""
-        return matvec(self.rotation, lift(self.world.tree.com, self.kinematics.origin))
+        return matvec(self.rotation, expand_dims_like(self.world.tree.com, self.kinematics.origin))
 
     @functools.cached_property
     def _lowest(self) -> tuple[Array, Array]:
@@ -152,7 +153,7 @@ class Snapshot:
 
     def _mean(self, of_bodies: Float[Array, "3 b *n"]) -> Float[Array, "3 *n"]:
         """Over the mass."""
-        mass = lift(self.world.tree.mass, of_bodies[0])
+        mass = expand_dims_like(self.world.tree.mass, of_bodies[0])
         return (of_bodies * mass[None]).sum(1) / mass.sum()
 
 

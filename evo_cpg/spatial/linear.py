@@ -20,7 +20,7 @@ _NEXT = np.array([1, 2, 0])
 _AFTER_NEXT = np.array([2, 0, 1])
 
 
-def lift(
+def expand_dims_like(
     constant: np.ndarray | Array | PartlyTraced, like: Array, rank: int | None = None
 ) -> Array:
     """Append unit axes to a constant so that it broadcasts against an array.

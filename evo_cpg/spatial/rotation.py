@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from evo_cpg.spatial.linear import array_of, lift
+from evo_cpg.spatial.linear import array_of, expand_dims_like
 from evo_cpg.spatial.numerics import Number, Numbers, xp
 
 # Below this squared angle (rad^2) sin(x)/x is taken from its series: the next term of the
@@ -79,9 +79,9 @@ def axis_rotation(
     along = axis[:, None] * axis[None]
     rank = sine.ndim + 2
     return (
-        lift(along, sine, rank)
-        + lift(np.eye(3) - along, sine, rank) * cosine[None, None]
-        + lift(cross_matrix, sine, rank) * sine[None, None]
+        expand_dims_like(along, sine, rank)
+        + expand_dims_like(np.eye(3) - along, sine, rank) * cosine[None, None]
+        + expand_dims_like(cross_matrix, sine, rank) * sine[None, None]
     )
 
 

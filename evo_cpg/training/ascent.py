@@ -19,9 +19,10 @@ from jax.sharding import Mesh
 from jaxtyping import Array, Float, Int, UInt32
 
 from evo_cpg.evolution.generation import RealGenetics
+from evo_cpg.fusion.machine_constants import LANES
 from evo_cpg.simulation.backward import Backward, retention
 from evo_cpg.simulation.rollout import Simulation, rollout
-from evo_cpg.training.devices import LANES, Layout, run_in_blocks, sharded
+from evo_cpg.training.devices import Layout, run_in_blocks, sharded
 from evo_cpg.training.experiment import Experiment, judge, situation_numbers
 
 # Adam's memory of the slope and of its square; the second is short, for a climb has few steps.

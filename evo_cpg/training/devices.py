@@ -19,18 +19,14 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Int
 
+from evo_cpg.fusion import machine_constants
+from evo_cpg.fusion.machine_constants import LANES
 from evo_cpg.training.compile_cache import keep_compiled_programs
 
 Tree = TypeVar("Tree")
 
 # The name of the mesh axis that carries the population.
 POPULATION_AXIS = "population"
-
-# Individuals per device are rounded up to this many: what the widest vectors hold.
-LANES = 16
-
-# Vectors of the widest chunk: some seconds of work, so that progress shows and memory stays flat.
-_WIDEST = 32
 
 
 def use_cores(count: int | None = None) -> int:
@@ -100,7 +96,7 @@ def chunk_width(count: int, devices: int) -> int:
         devices: that share them; those that stay idle make no difference.
     """
     share = -(-count // (devices * LANES))
-    chunks = -(-share // _WIDEST) if jax.default_backend() == "cpu" else 1
+    chunks = -(-share // machine_constants.WIDEST_CHUNK) if jax.default_backend() == "cpu" else 1
     return LANES * -(-share // chunks)
 
 

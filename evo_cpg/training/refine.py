@@ -16,9 +16,10 @@ import numpy as np
 from jax.sharding import Mesh
 from jaxtyping import Float
 
+from evo_cpg.fusion.machine_constants import LANES
 from evo_cpg.training.ascent import Free, compile_ascent, draw_ways, log_uniform, reach
 from evo_cpg.training.checkpoint import Champion
-from evo_cpg.training.devices import LANES, chunk_width, population_mesh
+from evo_cpg.training.devices import chunk_width, population_mesh
 from evo_cpg.training.experiment import (
     Experiment,
     champion_keys,

@@ -8,7 +8,7 @@ import pytest
 from scipy import optimize, stats
 
 from creatures import quick_jit
-from evo_cpg.analysis.fit import doubts, fit, student_quantile
+from evo_cpg.analysis.fit import doubts, fit
 from evo_cpg.config.load import check_config, load_config
 from evo_cpg.config.parameters import parametrise
 from evo_cpg.control.commanded import Commanded
@@ -26,13 +26,6 @@ def one_kind(model, data, start, positive, noise=None):
     columns = data.shape[1]
     kinds, wrapped = np.zeros(columns, int), np.zeros(columns, bool)
     return fit(model, data, start, np.array(positive), kinds, wrapped, noise)
-
-
-def test_quantiles_are_those_of_students_t():
-    freedom = np.array([1.0, 2.0, 5.0, 30.0, 1e4])
-    np.testing.assert_allclose(
-        student_quantile(0.975, jnp.asarray(freedom)), stats.t.ppf(0.975, freedom), rtol=1e-9
-    )
 
 
 def test_a_line_is_that_of_linear_regression():

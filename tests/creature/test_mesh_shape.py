@@ -181,12 +181,15 @@ def test_corners_are_few_and_far_apart():
 
 
 @each_mesh
-def test_hull_is_that_of_qhull(mesh):
-    """Volume and area, and twice as many triangles as corners but for four."""
+def test_hull_is_closed_and_looks_outwards(mesh):
+    """Twice as many triangles as corners but for four; each edge once in either direction."""
     corners = mesh.corners
-    triangles = corners[_hull(corners)]
+    faces = _hull(corners)
+    triangles = corners[faces]
     reference = scipy.spatial.ConvexHull(corners)
     assert len(triangles) == 2 * len(corners) - 4
+    edges = {(int(face[k]), int(face[k - 1])) for face in faces for k in range(3)}
+    assert len(edges) == 3 * len(faces) and edges == {(b, a) for a, b in edges}
     found = trimesh.Trimesh(triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3))
     assert found.volume == pytest.approx(reference.volume, rel=1e-9)
     assert found.area == pytest.approx(reference.area, rel=1e-9)

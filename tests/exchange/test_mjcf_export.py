@@ -21,7 +21,7 @@ from evo_cpg.physics.joints import clamp_torque, passive_torque, servo_torque
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.terrain import Block, Boulder, Part, Plane, Relief, Shore
 from evo_cpg.physics.world import body_equations
-from evo_cpg.spatial.linear import lift
+from evo_cpg.spatial.linear import expand_dims_like
 
 GRAVITY = 9.81
 STATES = 5
@@ -82,7 +82,7 @@ def test_it_accelerates_as_in_mujoco(compiled, number, kind):
         inertia, bias = body_equations(world, kin, 0.0)
         passive, derivative = passive_torque(tree, state, 0.0)
         motor = clamp_torque(tree, servo_torque(tree, state, rate, angle, 0.0))
-        rotor = derivative + lift(tree.armature, tau)
+        rotor = derivative + expand_dims_like(tree.armature, tau)
         found = solve(tree, kin, inertia, bias, tau + passive + motor, rotor)
         linear = found.root[3:] + jnp.cross(state.velocity[:3], state.velocity[3:])
         return jnp.concatenate([found.root[:3], linear, found.qdd]), motor

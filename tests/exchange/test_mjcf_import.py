@@ -24,7 +24,7 @@ from evo_cpg.physics.joints import passive_torque
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import resting_state
 from evo_cpg.physics.world import World, body_equations
-from evo_cpg.spatial.linear import lift
+from evo_cpg.spatial.linear import expand_dims_like
 from tiny_run import REPOSITORY
 
 CONFIGS = sorted((REPOSITORY / "configs").glob("*.yaml"))
@@ -179,7 +179,7 @@ def test_a_model_of_somebody_elses_moves_as_in_mujoco(read):
         kin = kinematics(tree, state)
         inertia, bias = body_equations(World(tree, 3.7), kin, 0.0)
         torque, derivative = passive_torque(tree, state, 0.0)
-        rotor = derivative + lift(tree.armature, torque)
+        rotor = derivative + expand_dims_like(tree.armature, torque)
         return solve(tree, kin, inertia, bias, torque, rotor).qdd
 
     for _ in range(5):

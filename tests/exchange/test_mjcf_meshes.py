@@ -22,7 +22,7 @@ from evo_cpg.exchange.mjcf_import import read_mjcf
 from evo_cpg.physics.articulated import solve
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.world import World, body_equations
-from evo_cpg.spatial.linear import lift
+from evo_cpg.spatial.linear import expand_dims_like
 from evo_cpg.spatial.rotation import euler_to_matrix
 from polyhedra import tetrahedron, wedge
 
@@ -82,8 +82,11 @@ def test_it_accelerates_as_in_mujoco(compiled):
     def ours(state):
         kin = kinematics(tree, state)
         inertia, bias = body_equations(World(tree, GRAVITY), kin, 0.0)
-        torque = -lift(tree.stiffness, state.q) * state.q - lift(tree.damping, state.q) * state.qd
-        found = solve(tree, kin, inertia, bias, torque, lift(tree.armature, torque))
+        torque = (
+            -expand_dims_like(tree.stiffness, state.q) * state.q
+            - expand_dims_like(tree.damping, state.q) * state.qd
+        )
+        found = solve(tree, kin, inertia, bias, torque, expand_dims_like(tree.armature, torque))
         linear = found.root[3:] + jnp.cross(state.velocity[:3], state.velocity[3:])
         return jnp.concatenate([found.root[:3], linear, found.qdd])
 

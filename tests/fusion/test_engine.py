@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from against_jax import sample
 
-from evo_cpg.fusion import engine, machine, native
+from evo_cpg.fusion import engine, machine, machine_constants, native
 from evo_cpg.fusion.engine import Engine, EngineWarning, described, using
 from evo_cpg.fusion.fuse import fuse
 from evo_cpg.fusion.unsupported import Unsupported
@@ -167,7 +167,7 @@ def test_a_set_of_instructions_that_the_processor_lacks():
 
 
 def trying(monkeypatch, tmp_path, code):
-    """Instead of the trial another program is run; the list of how often."""
+    """Instead of the self-test another program is run; the list of how often."""
     machine.keep_code_in(tmp_path)
     run, runs = subprocess.run, []
 
@@ -180,34 +180,34 @@ def trying(monkeypatch, tmp_path, code):
     return runs
 
 
-def test_a_trial_that_ends_its_process(monkeypatch, tmp_path):
+def test_a_self_test_that_ends_its_process(monkeypatch, tmp_path):
     runs = trying(monkeypatch, tmp_path, "import os; os.abort()")
-    assert_falls_back("it failed when it was tried out")
+    assert_falls_back("it failed its self-test")
     assert len(runs) == 1 and not list(tmp_path.glob("native-tried-*"))
 
 
-def test_a_trial_that_finds_other_numbers(monkeypatch, tmp_path):
+def test_a_self_test_that_finds_other_numbers(monkeypatch, tmp_path):
     trying(monkeypatch, tmp_path, "raise ArithmeticError('native code and JAX differ')")
     assert_falls_back("exit status 1: ArithmeticError: native code and JAX differ")
 
 
-def test_a_trial_that_never_ends(monkeypatch, tmp_path):
+def test_a_self_test_that_never_ends(monkeypatch, tmp_path):
     trying(monkeypatch, tmp_path, "import time; time.sleep(60)")
-    monkeypatch.setattr(engine, "_LONGEST_TRIAL", 0.2)
-    assert_falls_back("it could not be tried out")
+    monkeypatch.setattr(machine_constants, "LONGEST_SELF_TEST", 0.2)
+    assert_falls_back("its self-test could not run")
 
 
-def test_one_trial_for_each_version(monkeypatch, tmp_path):
+def test_one_self_test_for_each_version(monkeypatch, tmp_path):
     runs = trying(monkeypatch, tmp_path, "")
     own = engine.target()
-    assert len(runs) == 1 and runs[0][1:] == ["-m", "evo_cpg.fusion.trial", own.name]
-    assert machine.was_tried(own, jax.__version__)
-    assert not machine.was_tried(own, "another") and not machine.was_tried(
+    assert len(runs) == 1 and runs[0][1:] == ["-m", "evo_cpg.fusion.self_test", own.name]
+    assert machine.passed_self_test(own, jax.__version__)
+    assert not machine.passed_self_test(own, "another") and not machine.passed_self_test(
         own._replace(name="other"), jax.__version__
     )
     engine._wrong.cache_clear()
     assert engine.target() == own and len(runs) == 1
-    # Where nothing is kept, every process tries.
+    # Where nothing is kept, every process tests.
     machine.keep_code_in(None)
     engine._wrong.cache_clear()
     assert engine.target() == own and len(runs) == 2

@@ -10,7 +10,7 @@ from against_jax import assert_agrees, fused, plain, sample
 
 from evo_cpg.fusion.fuse import fuse, symmetric
 from evo_cpg.fusion.graph import Graph
-from evo_cpg.spatial.linear import cross, inverse_symmetric, lift, matmul, matvec
+from evo_cpg.spatial.linear import cross, expand_dims_like, inverse_symmetric, matmul, matvec
 
 LEGS = 4
 
@@ -18,7 +18,7 @@ LEGS = 4
 def body(m, v):
     """Linear algebra like that of an articulated body."""
     for _ in range(2):
-        spd = matmul(m, jnp.swapaxes(m, 0, 1)) + lift(np.eye(3), m, m.ndim)
+        spd = matmul(m, jnp.swapaxes(m, 0, 1)) + expand_dims_like(np.eye(3), m, m.ndim)
         m = 0.3 * matmul(inverse_symmetric(spd), m)
         v = cross(matvec(m, v), v) + 0.1 * jnp.sin(v)
     return m, v
@@ -33,9 +33,9 @@ def limbs(hip, turn, trunk):
         trunk: ``(3, ...)``.
     """
     places = np.random.default_rng(5).normal(size=(3, LEGS)) * [[1.0], [0.0], [1.0]]
-    arm = trunk[:, None] + jnp.sin(hip) + lift(places, hip)
+    arm = trunk[:, None] + jnp.sin(hip) + expand_dims_like(places, hip)
     spread = matmul(turn, jnp.swapaxes(turn, 0, 1)) + 0.1 * arm[:, None] * arm[None]
-    inverse = inverse_symmetric(symmetric(spread) + 3.0 * lift(np.eye(3), spread))
+    inverse = inverse_symmetric(symmetric(spread) + 3.0 * expand_dims_like(np.eye(3), spread))
     force = matvec(inverse, cross(arm, hip))
     force = jnp.where((arm[2] > trunk[2][None])[None], force, 0.5 * force)
     trunk = trunk + 0.3 * force.sum(1) / (1.0 + (abs(arm[0]) * force[1]).max(0))[None]
@@ -175,7 +175,7 @@ def test_parts_are_fused_with_what_is_around_them():
 
 def of_each(row):
     """Of ``(3, ...)``, with a constant that is not the same for all rows."""
-    return row * lift(np.arange(1.0, 4.0), row) + row.sum(0)[None], row[0] > 0
+    return row * expand_dims_like(np.arange(1.0, 4.0), row) + row.sum(0)[None], row[0] > 0
 
 
 @pytest.mark.parametrize("legs", [(3,), (2, 2)])

@@ -19,7 +19,7 @@ from evo_cpg.physics.joints import passive_torque
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import State
 from evo_cpg.physics.world import World, body_equations
-from evo_cpg.spatial.linear import lift
+from evo_cpg.spatial.linear import expand_dims_like
 
 GRAVITY = 9.81
 TREES_PER_STRUCTURE = 9
@@ -48,7 +48,9 @@ def dry_accelerations(tree: Tree, state: State, tau) -> jax.Array:
     kin = kinematics(tree, state)
     inertia, bias = body_equations(World(tree, GRAVITY), kin, 0.0)
     passive, derivative = passive_torque(tree, state, 0.0)
-    result = solve(tree, kin, inertia, bias, tau + passive, derivative + lift(tree.armature, tau))
+    result = solve(
+        tree, kin, inertia, bias, tau + passive, derivative + expand_dims_like(tree.armature, tau)
+    )
     linear = result.root[3:] + jnp.cross(state.velocity[:3], state.velocity[3:])
     return jnp.concatenate([result.root[:3], linear, result.qdd])
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from creatures import quick_jit
+from evo_cpg.fusion import machine_constants
 from evo_cpg.physics.state import State
-from evo_cpg.simulation import backward
 from evo_cpg.simulation.backward import Backward, retention
 from evo_cpg.simulation.rollout import rollout, score
 from trials import experiment
@@ -42,7 +42,7 @@ def end_position(push, decay: float, how: Backward, steps: int = STEPS):
 @pytest.mark.parametrize("budget", [2**20, 0], ids=["one level", "segments"])
 def test_a_faded_slope_is_that_of_a_system_that_forgets(kept, budget, monkeypatch):
     # What the position says is never forgotten, so the slope is a sum of the decay's powers.
-    monkeypatch.setattr(backward, "_KEPT_AT_MOST", budget)
+    monkeypatch.setattr(machine_constants, "KEPT_FOR_THE_WAY_BACK", budget)
     decay = 0.97
     value, slope = jax.value_and_grad(end_position)(2.0, decay, Backward(kept))
     assert float(value) == pytest.approx(float(end_position(2.0, decay, Backward())), rel=1e-12)
@@ -110,7 +110,7 @@ def plain():
 
 @pytest.mark.parametrize("budget", [2**30, 0], ids=["one level", "segments"])
 def test_a_trial_has_the_slopes_that_it_has_with_everything_kept(budget, plain, monkeypatch):
-    monkeypatch.setattr(backward, "_KEPT_AT_MOST", budget)
+    monkeypatch.setattr(machine_constants, "KEPT_FOR_THE_WAY_BACK", budget)
     frugal = slopes(Backward(jnp.ones(2)))
     assert np.abs(plain).min() > 1e-5
     np.testing.assert_allclose(frugal, plain, rtol=1e-4)
@@ -121,7 +121,7 @@ def test_segments_take_less_memory_in_long_trials(monkeypatch):
     genes = jnp.ones((2, 16))
 
     def gradient(budget: int, copies: int = 1):
-        monkeypatch.setattr(backward, "_KEPT_AT_MOST", budget)
+        monkeypatch.setattr(machine_constants, "KEPT_FOR_THE_WAY_BACK", budget)
 
         def fitness(genes):
             outcome = rollout(made, genes, backward=Backward(copies=copies))

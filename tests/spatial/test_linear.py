@@ -76,7 +76,7 @@ def test_inverse_of_other_sizes_is_refused():
 def test_lift_lines_up_the_first_axes():
     """(3,) against (3, 2, 5): element i meets element i of the first axis, in its precision."""
     x = np.ones((3, 2, 5), np.float32)
-    lifted = linear.lift(np.array([1.0, 2.0, 3.0]), jnp.asarray(x))
+    lifted = linear.expand_dims_like(np.array([1.0, 2.0, 3.0]), jnp.asarray(x))
     assert lifted.shape == (3, 1, 1)
     assert lifted.dtype == np.float32
     np.testing.assert_array_equal((lifted * x)[:, 1, 4], [1, 2, 3])

@@ -6,11 +6,12 @@ import jax
 import numpy as np
 import pytest
 
+from evo_cpg.fusion import machine_constants
+from evo_cpg.fusion.machine_constants import LANES
 from evo_cpg.simulation.noise import Noise
-from evo_cpg.training import devices, loop
 from evo_cpg.training import experiment as training_experiment
+from evo_cpg.training import loop
 from evo_cpg.training.devices import (
-    LANES,
     Layout,
     chunk_width,
     layout,
@@ -37,7 +38,7 @@ def crowd():
 @pytest.fixture
 def narrow(monkeypatch):
     """No chunk is wider than one vector."""
-    monkeypatch.setattr(devices, "_WIDEST", 1)
+    monkeypatch.setattr(machine_constants, "WIDEST_CHUNK", 1)
 
 
 def idle(count, devices):
@@ -48,7 +49,7 @@ def idle(count, devices):
 
 @pytest.mark.parametrize("count", [1, 2, 3, 8, 64])
 def test_chunks_are_of_full_vectors_and_not_too_wide(count):
-    widest = devices._WIDEST * LANES
+    widest = machine_constants.WIDEST_CHUNK * LANES
     for population in COUNTS:
         width = chunk_width(population, count)
         assert width % LANES == 0 and 0 < width <= widest

@@ -1,4 +1,4 @@
-"""Try native code out: ``python -m evo_cpg.fusion.trial avx2`` ends with 0 where it holds."""
+"""Test native code: ``python -m evo_cpg.fusion.self_test avx2`` ends with 0 where it holds."""
 
 import functools
 import sys
@@ -17,7 +17,7 @@ def main(instructions: str) -> None:
     Raises:
         ArithmeticError: they differ.
     """
-    # Whoever tries must not ask whether it was tried.
+    # Who tests must not ask for the test.
     engine._wrong = lambda found: ""
     native.FALLS_BACK = False
 

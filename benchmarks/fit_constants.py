@@ -1,0 +1,169 @@
+"""What the fitted constants of `evo_cpg.fusion.machine_constants` should be on this machine.
+
+    python -m benchmarks.fit_constants [NAME ...] [--rounds 7]
+
+tries candidates for each of them and prints how long the work takes with them, relative to the
+value that it has now, and how long compiling took. Candidates take turns (`benchmarks.timing`), so
+that a slow moment of the machine meets all. Nothing is changed: what wins clearly is to be written
+into the file by hand, with the figures. On one core, in float32.
+"""
+
+import argparse
+import dataclasses
+import functools
+import time
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks.animals import ANIMALS
+from benchmarks.ours import compile_motion, full_lanes
+from benchmarks.plan import experiment_of, random_genes
+from benchmarks.timing import Contender, race, ratio_quartiles, seconds
+from evo_cpg.fusion import machine_constants
+from evo_cpg.simulation.backward import Backward
+from evo_cpg.simulation.rollout import rollout
+from evo_cpg.training.devices import population_mesh, use_cores
+from evo_cpg.training.experiment import compile_trials
+
+# A call of a physics program has so many steps, for seven vectors of individuals.
+_STEPS, _INDIVIDUALS = 400, 112
+# A trial of so many control steps, for more individuals than the widest chunk that is tried.
+_CONTROL_STEPS, _CROWD = 30, 2048
+# Gradients of trials of so many control steps, of one vector of individuals.
+_SLOPE_STEPS = 120
+
+Call = Callable[[], object]
+
+
+class Constant(NamedTuple):
+    """A constant that can be fitted.
+
+    Attributes:
+        candidates: values to try beside the present one.
+        works: what to time, by name: each compiles a program with the values of the moment, and
+            gives a call of it.
+    """
+
+    candidates: Sequence[Any]
+    works: dict[str, Callable[[], Call]]
+
+
+def _physics(animal: str) -> Call:
+    exercise, mesh = ANIMALS[animal]().exercise, population_mesh(1)
+    program = compile_motion(exercise, exercise.lanes(full_lanes(_INDIVIDUALS, mesh)), mesh)
+    return functools.partial(program.run, _STEPS)
+
+
+def _crowd() -> Call:
+    simulation = experiment_of("iwadate2010_swimmer").simulation
+    simulation = dataclasses.replace(simulation, steps=_CONTROL_STEPS)
+    genes = random_genes(simulation, _CROWD)
+    return functools.partial(compile_trials(simulation, population_mesh(1)), genes)
+
+
+def _slopes() -> Call:
+    simulation = experiment_of("iwadate2010_swimmer").simulation
+    simulation = dataclasses.replace(simulation, steps=_SLOPE_STEPS)
+    genes = jnp.asarray(random_genes(simulation, machine_constants.LANES))
+
+    def distance(genes: jax.Array) -> jax.Array:
+        return rollout(simulation, genes, backward=Backward()).terms["distance"].sum()
+
+    slope = jax.jit(jax.grad(distance))
+    return lambda: jax.block_until_ready(slope(genes))
+
+
+_PHYSICS = {
+    f"physics of the {name}": functools.partial(_physics, name) for name in ("swimmer", "quadruped")
+}
+
+CONSTANTS = {
+    "VALUE_REGISTERS": Constant((0.5, 0.625, 0.6875, 0.8125, 0.875), _PHYSICS),
+    "LLVM_EFFORT": Constant((0, 1, 3), _PHYSICS),
+    "WIDEST_CHUNK": Constant((1, 4, 16, 128), {"trials of swimmers": _crowd}),
+    "KEPT_FOR_THE_WAY_BACK": Constant((0,), {"slopes of swimmers": _slopes}),
+}
+
+
+class Found(NamedTuple):
+    """What a candidate came to.
+
+    Attributes:
+        value: of the constant.
+        compile_seconds: until the first call had ended, without the time of another, s.
+        time: of the work relative to the present value's: lower quartile, median, upper quartile.
+    """
+
+    value: Any
+    compile_seconds: float
+    time: tuple[float, float, float]
+
+
+def compare(name: str, constant: Constant, work: str, rounds: int) -> list[Found]:
+    """One work with each of a constant's candidates, the present value first."""
+    present = getattr(machine_constants, name)
+    values = [present, *(value for value in constant.candidates if value != present)]
+    contenders, compiling = [], {}
+    try:
+        for value in values:
+            setattr(machine_constants, name, value)
+            start = time.perf_counter()
+            call = constant.works[work]()
+            call()
+            whole = time.perf_counter() - start
+            compiling[value] = max(whole - seconds(call), 0.0)
+            # Chunks are cut at every call.
+            contenders.append(Contender(str(value), 1.0, _with(name, value, call)))
+    finally:
+        setattr(machine_constants, name, present)
+    rates = race(contenders, rounds)
+    return [
+        Found(value, compiling[value], ratio_quartiles(rates, str(present), str(value)))
+        for value in values
+    ]
+
+
+def _with(name: str, value: Any, call: Call) -> Call:
+    def timed() -> None:
+        before = getattr(machine_constants, name)
+        setattr(machine_constants, name, value)
+        try:
+            call()
+        finally:
+            setattr(machine_constants, name, before)
+
+    return timed
+
+
+def main(names: Sequence[str], rounds: int) -> None:
+    """Fit and print."""
+    use_cores(1)
+    jax.config.update("jax_enable_compilation_cache", False)
+    console = Console()
+    for name in names or CONSTANTS:
+        for work in CONSTANTS[name].works:
+            table = Table("value", "time", "quartiles", "compile, s", title=f"{name}: {work}")
+            for found in compare(name, CONSTANTS[name], work, rounds):
+                low, middle, high = found.time
+                table.add_row(
+                    str(found.value),
+                    f"{middle:.2f}",
+                    f"{low:.2f} to {high:.2f}",
+                    f"{found.compile_seconds:.1f}",
+                )
+            console.print(table)
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=str(__doc__).split("\n", 1)[0])
+    parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(CONSTANTS))
+    parser.add_argument("--rounds", type=int, default=7)
+    arguments = parser.parse_args()
+    if unknown := set(arguments.names) - set(CONSTANTS):
+        parser.error(f"no such constant: {', '.join(unknown)}; there are {', '.join(CONSTANTS)}")
+    main(arguments.names, arguments.rounds)

@@ -1,0 +1,70 @@
+"""Every number that is right for one kind of machine and may be wrong for the next.
+
+What a trial comes to does not depend on them: they trade time against memory. Those that are
+"fitted" are what
+
+    python -m benchmarks.fit_constants
+
+measures on the machine at hand; the others are facts, or limits that keep a mistake from taking
+minutes. Modules read them when they need them.
+"""
+
+from typing import NamedTuple
+
+
+class InstructionSet(NamedTuple):
+    """What a processor's vectors are.
+
+    Attributes:
+        bytes: of a vector.
+        registers: that hold one.
+        needs: LLVM's names of what the processor must have for it.
+    """
+
+    bytes: int
+    registers: int
+    needs: tuple[str, ...]
+
+
+INSTRUCTION_SETS = {
+    "avx512": InstructionSet(64, 32, ("avx512f", "avx512vl", "avx512dq", "avx512bw", "fma")),
+    "avx2": InstructionSet(32, 16, ("avx2", "fma")),
+    "sse": InstructionSet(16, 16, ("sse2",)),
+    "neon": InstructionSet(16, 32, ("neon",)),
+}
+"""A fact. By name; the first that a processor has is taken."""
+
+LANES = 16
+"""A fact: float32 numbers in the widest vector. Individuals per device are rounded up to it."""
+
+CACHE_LINE = 64
+"""A fact, bytes: places in scratch memory begin with a line."""
+
+VALUE_REGISTERS = 0.75
+"""Fitted: share of the registers that hold values; the others hold constants and what an operation
+needs on the way. Hardly sensitive: from 1/2 to 7/8 a step of swimmer and quadruped takes as long
+but for the scatter of a busy machine; on a quieter one 7/8 took 1.0 to 1.3 times as long, for LLVM
+then spills the others."""
+
+LLVM_EFFORT = 2
+"""Fitted: 1 to 3 make the same code, for its order and registers are settled before; with 0 a step
+takes 2.3 (quadruped) to 3.3 times (swimmer) as long, and compiling no less."""
+
+WIDEST_CHUNK = 32
+"""Fitted: vectors of individuals that a device computes at a time. Trials of 30 control steps of
+2048 swimmers take 1.9 times as long with 1, 1.3 times with 4 and 0.94 times with 128. What speaks
+against more is that progress shows, and memory stays flat, only from chunk to chunk."""
+
+KEPT_FOR_THE_WAY_BACK = 256 * 2**20
+"""Fitted, bytes: what may be kept of all control steps of a trial on a device, for its gradient;
+beyond that parts are computed again: with 0, gradients of 16 swimmers take 1.4 times as long. To be
+raised where there is memory."""
+
+MOST_OPERATIONS = 600_000
+"""A limit: more would take minutes to compile, and more memory than code should."""
+
+LONGEST_LISTS = 1 << 14
+"""A limit: scalars that a loop may hand out as lists; each is a row of memory for every vector."""
+
+LONGEST_SELF_TEST = 120.0
+"""A limit, s: the self-test of native code takes 2 s, and one that hangs has failed."""

@@ -1,0 +1,136 @@
+"""A quantity of every body, for recursions that are written for one body and run for like limbs.
+
+The equations of a recursion are the same for a body and for a whole `evo_cpg.creature.tree.Group`
+of them side by side, on the axis in front of the individuals: all that tells them apart is where
+the parents' values come from and go to. That is kept here.
+
+The native back end makes the same code of either, body by body or group by group: it sees scalars.
+But JAX traces, and XLA compiles, one operation after the other: body by body a step of the
+quadruped takes 1.3 times as long to become native code, and 1.65 times as long on plain JAX.
+"""
+
+from collections.abc import Sequence
+from typing import Generic, TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from evo_cpg.creature.tree import Group
+
+Value = TypeVar("Value")
+
+
+class PerBody(Generic[Value]):
+    """One value for each body: a pytree of arrays, without an axis of bodies.
+
+    ``x[bodies]`` are the values of some bodies, stacked on the axis in front of the individuals.
+    Nothing is changed in place: `plus` and `followed_by` give a new one.
+
+    Args:
+        values: of the bodies in the order of the tree.
+        batch_ndim: number of axes of individuals, the last ones.
+    """
+
+    def __init__(self, values: Sequence[Value], batch_ndim: int):
+        self._values = tuple(values)
+        self._batch_ndim = batch_ndim
+
+    @classmethod
+    def of(cls, stacked: Value, batch_ndim: int) -> "PerBody[Value]":
+        """Of a pytree of arrays that have the bodies on the axis in front of the individuals."""
+        return cls(_unstacked(stacked, batch_ndim), batch_ndim)
+
+    def __getitem__(self, bodies: slice | Sequence[int]) -> Value:
+        chosen = range(len(self._values))[bodies] if isinstance(bodies, slice) else bodies
+        return self._stacked([self._values[body] for body in chosen])
+
+    def root(self) -> Value:
+        """Of the first body, without an axis of bodies."""
+        return self._values[0]
+
+    def stacked(self) -> Value:
+        """Of all bodies."""
+        return self._stacked(self._values)
+
+    def followed_by(self, stacked: Value) -> "PerBody[Value]":
+        """With the values of further bodies, behind those that are there."""
+        more = _unstacked(stacked, self._batch_ndim)
+        return PerBody((*self._values, *more), self._batch_ndim)
+
+    def plus(self, bodies: Sequence[int], stacked: Value) -> "PerBody[Value]":
+        """With something added to some bodies, as ``x.at[bodies].add(stacked)`` does to an array.
+
+        Args:
+            bodies: to which each part belongs; one may occur more than once.
+            stacked: the parts.
+        """
+        axis, structure = -self._batch_ndim - 1, jax.tree.structure(stacked)
+        columns = [
+            _added([jax.tree.leaves(value)[k] for value in self._values], bodies, part, axis)
+            for k, part in enumerate(jax.tree.leaves(stacked))
+        ]
+        values = [structure.unflatten(leaves) for leaves in zip(*columns, strict=True)]
+        return PerBody(values, self._batch_ndim)
+
+    def _stacked(self, values: Sequence[Value]) -> Value:
+        axis = -self._batch_ndim - 1
+        return jax.tree.map(lambda *parts: jnp.stack(parts, axis), *values)
+
+
+def of_joints(x: Array, group: Group, batch_ndim: int) -> Array:
+    """The part of a group in what every degree of freedom has.
+
+    Args:
+        x: ``(..., d, *n)``.
+        group: whose joints.
+        batch_ndim: number of axes of individuals.
+
+    Returns:
+        ``(..., axes of a joint, bodies, *n)``.
+    """
+    axis = x.ndim - batch_ndim - 1
+    own = jax.lax.slice_in_dim(x, group.dofs.start, group.dofs.stop, axis=axis)
+    bodies = len(group.parents)
+    own = own.reshape(*x.shape[:axis], bodies, group.axes, *x.shape[axis + 1 :])
+    return jnp.swapaxes(own, axis, axis + 1)
+
+
+def in_dof_order(x: Array, batch_ndim: int) -> Array:
+    """The joints of ``(..., axes of a joint, bodies, *n)`` in a row, ``(..., d, *n)``."""
+    axis = x.ndim - batch_ndim - 2
+    return jnp.swapaxes(x, axis, axis + 1).reshape(*x.shape[:axis], -1, *x.shape[axis + 2 :])
+
+
+def take(x: Array, indices: np.ndarray, axis: int = 1) -> Array:
+    """Pick bodies by constant indices: slices where they run on, which XLA fuses, no gather."""
+    step = int(indices[1] - indices[0]) if len(indices) > 1 else 1
+    if len(indices) and step > 0 and (np.diff(indices) == step).all():
+        return jax.lax.slice_in_dim(x, int(indices[0]), int(indices[-1]) + 1, step, axis)
+    pieces = [jax.lax.slice_in_dim(x, int(i), int(i) + 1, axis=axis) for i in indices]
+    return jnp.concatenate(pieces, axis) if pieces else jax.lax.slice_in_dim(x, 0, 0, axis=axis)
+
+
+def _unstacked(stacked: Value, batch_ndim: int) -> list[Value]:
+    leaves, structure = jax.tree.flatten(stacked)
+    columns = [jnp.unstack(leaf, axis=-batch_ndim - 1) for leaf in leaves]
+    return [structure.unflatten(own) for own in zip(*columns, strict=True)]
+
+
+def _added(totals: list[Array], bodies: Sequence[int], parts: Array, axis: int) -> list[Array]:
+    totals = list(totals)
+    if len(set(bodies)) == 1:
+        totals[bodies[0]] = totals[bodies[0]] + parts.sum(axis)
+        return totals
+    waiting = list(range(len(bodies)))
+    while waiting:
+        # Every body once, so that what is alike in several is added in one operation.
+        now = [
+            j for k, j in enumerate(waiting) if bodies[j] not in {bodies[i] for i in waiting[:k]}
+        ]
+        sums = jnp.stack([totals[bodies[j]] for j in now], axis) + take(parts, np.array(now), axis)
+        for j, total in zip(now, jnp.unstack(sums, axis=axis), strict=True):
+            totals[bodies[j]] = total
+        waiting = [j for j in waiting if j not in now]
+    return totals

@@ -1,0 +1,93 @@
+"""Spatial vectors and inertias by their blocks of three (Featherstone 2008, chapter 2).
+
+All have world axes and refer to the origin of a body. From parent to child one then only moves by
+an ``offset`` r, and the book's transforms are
+
+| transform | function |
+|---|---|
+| ``m_i = X m_p`` | `motion_at_child` |
+| ``f_p = X^T f_i`` | `wrench_at_parent` |
+| ``I_p = X^T I_i X`` | `inertia_at_parent` |
+
+The arrays are ``(components, ...)``; what stands behind broadcasts.
+"""
+
+from typing import NamedTuple
+
+from jaxtyping import Array, Float
+
+from evo_cpg.fusion.fuse import symmetric
+from evo_cpg.spatial.linear import (
+    cross,
+    inverse_symmetric,
+    matmul,
+    matmul_t,
+    matvec,
+    matvec_t,
+    skew,
+    t_matmul,
+)
+
+
+class Motion(NamedTuple):
+    """A velocity or acceleration: of turning (rad/s, rad/s^2), and of the origin (m/s, m/s^2)."""
+
+    angular: Float[Array, "3 *rest"]
+    linear: Float[Array, "3 *rest"]
+
+
+class Wrench(NamedTuple):
+    """Moment (N m) and force (N)."""
+
+    moment: Float[Array, "3 *rest"]
+    force: Float[Array, "3 *rest"]
+
+
+class Inertia(NamedTuple):
+    """Symmetric 6x6 matrices by their 3x3 blocks, ``[[angular, mixed], [mixed^T, linear]]``."""
+
+    angular: Float[Array, "3 3 *rest"]
+    mixed: Float[Array, "3 3 *rest"]
+    linear: Float[Array, "3 3 *rest"]
+
+
+def make_inertia(
+    angular: Float[Array, "3 3 *rest"],
+    mixed: Float[Array, "3 3 *rest"],
+    linear: Float[Array, "3 3 *rest"],
+) -> Inertia:
+    """An inertia of blocks that are symmetric up to rounding, or of which the upper half counts."""
+    return Inertia(symmetric(angular), mixed, symmetric(linear))
+
+
+def turned(inertia: Inertia, axes: Float[Array, "3 k *rest"]) -> Wrench:
+    """``I S`` for motions S that turn about axes through the origin: k wrenches."""
+    return Wrench(matmul(inertia.angular, axes), t_matmul(inertia.mixed, axes))
+
+
+def motion_at_child(motion: Motion, offset: Float[Array, "3 *#rest"]) -> Motion:
+    """The same motion, of a point that is ``offset`` away."""
+    return Motion(motion.angular, motion.linear + cross(motion.angular, offset))
+
+
+def wrench_at_parent(wrench: Wrench, offset: Float[Array, "3 *#rest"]) -> Wrench:
+    """The same wrench, about a point that is ``-offset`` away."""
+    return Wrench(wrench.moment + cross(offset, wrench.force), wrench.force)
+
+
+def inertia_at_parent(inertia: Inertia, offset: Float[Array, "3 *#rest"]) -> Inertia:
+    """The same inertia, about a point that is ``-offset`` away."""
+    shift = skew(offset)
+    mixed = inertia.mixed + matmul(shift, inertia.linear)
+    angular = inertia.angular + matmul_t(shift, inertia.mixed) - matmul(mixed, shift)
+    return Inertia(symmetric(angular), mixed, inertia.linear)
+
+
+def acceleration_of_free_body(inertia: Inertia, bias: Wrench) -> Motion:
+    """``-I^-1 p``, by eliminating the linear part."""
+    linear_inverse = inverse_symmetric(inertia.linear)
+    coupling = matmul(inertia.mixed, linear_inverse)
+    schur = symmetric(inertia.angular - matmul_t(coupling, inertia.mixed))
+    angular = matvec(inverse_symmetric(schur), matvec(coupling, bias.force) - bias.moment)
+    linear = matvec(linear_inverse, -bias.force - matvec_t(inertia.mixed, angular))
+    return Motion(angular, linear)

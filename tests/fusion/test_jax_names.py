@@ -1,0 +1,72 @@
+"""Private names of JAX are used in one file only.
+
+Deprecated ones warn where they are used, which fails whatever test gets there.
+"""
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+# What JAX does not promise to keep; `jax.core` has a few public names, and those move.
+PRIVATE = "jax.core", "jax.interpreters", "jax.lib", "jaxlib"
+
+
+def dotted(node):
+    """The path of an attribute, such as ``jax.lax.scan``; empty where it begins with no name."""
+    if isinstance(node, ast.Name):
+        return node.id
+    before = dotted(node.value) if isinstance(node, ast.Attribute) else ""
+    return f"{before}.{node.attr}" if before else ""
+
+
+def paths(tree):
+    """All that a module imports, and all paths of attributes in it."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (each.name for each in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            yield from (f"{node.module}.{each.name}" for each in node.names)
+        elif isinstance(node, ast.Attribute):
+            yield dotted(node)
+        # Programs that tests run in a process of their own.
+        elif isinstance(node, ast.Constant) and "jax._src" in str(node.value):
+            yield "jax._src"
+
+
+def private_names(source):
+    def is_private(path):
+        inside = any(path == name or path.startswith(f"{name}.") for name in PRIVATE)
+        hidden = path.startswith("jax.") and any(
+            re.match("_[^_]", part) for part in path.split(".")
+        )
+        return inside or hidden
+
+    return sorted({path for path in paths(ast.parse(source)) if is_private(path)})
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        "from jax._src import core",
+        "import jax\njax._src.core.Jaxpr",
+        "import jax.interpreters.mlir",
+        "from jax.core import Tracer",
+        "import jaxlib",
+        "import jax\njax.interpreters.ad",
+    ],
+)
+def test_it_is_noticed(source):
+    assert private_names(source)
+
+
+def test_in_no_file_but_one():
+    found = {}
+    for folder in ("evo_cpg", "benchmarks", "tests"):
+        for path in (ROOT / folder).rglob("*.py"):
+            if names := private_names(path.read_text(encoding="utf-8")):
+                found[str(path.relative_to(ROOT))] = names
+    del found["tests/fusion/test_jax_names.py"]
+    assert list(found) == ["evo_cpg/fusion/jax_internals.py"], found
