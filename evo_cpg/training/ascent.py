@@ -1,4 +1,4 @@
-"""Climbing along the slope of the fitness: Adam as an optimistix solver, many individuals at once.
+"""Climbing along the slope of the fitness: optax's Adam in an optimistix solver, many at once.
 
 The fitness of a whole trial is rough: over a hundredth of a gene's range its slope may turn round.
 A solver that insists on getting better at every step (tried was L-BFGS with a line search) soon
@@ -14,6 +14,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optax
 import optimistix
 from jax.sharding import Mesh
 from jaxtyping import Array, Float, Int, UInt32
@@ -24,10 +25,6 @@ from evo_cpg.simulation.backward import Backward, retention
 from evo_cpg.simulation.rollout import Simulation, rollout
 from evo_cpg.training.devices import Layout, run_in_blocks, sharded
 from evo_cpg.training.experiment import Experiment, judge, situation_numbers
-
-# Adam's memory of the slope and of its square; the second is short, for a climb has few steps.
-_MEAN_DECAY, _SQUARE_DECAY = 0.9, 0.99
-_TINY = 1e-12
 
 # Step sizes in water are drawn from this range, in units of genes, evenly on a logarithmic scale.
 _STEP_SIZES = 3e-4, 1e-2
@@ -43,64 +40,84 @@ _LONGEST = 10.0
 _LENGTH_DECAY = 0.9
 
 
-class _Moments(eqx.Module):
-    """What `Adam` remembers: the best place, means of the slope, its square and its length; steps.
+class SlopeLengths(NamedTuple):
+    """State of `cut_long_slopes`.
 
-    ``finite`` counts those whose slope was a number.
+    Attributes:
+        mean: length of a slope, a mean that forgets; 0 before the first.
+        finite: slopes that were numbers.
+    """
+
+    mean: Float[Array, ""]
+    finite: Int[Array, ""]
+
+
+def cut_long_slopes() -> optax.GradientTransformation:
+    """A guard against slopes that explode, which would fill Adam's memory.
+
+    A slope that is not finite counts as none; one much longer than those before is cut.
+    (`optax.adaptive_grad_clip` compares with the parameters, which says nothing of a cliff.)
+    """
+
+    def init(params: Any) -> SlopeLengths:
+        del params
+        return SlopeLengths(jnp.zeros(()), jnp.zeros((), jnp.int32))
+
+    def update(updates: Any, state: Any, params: Any = None) -> tuple[Any, SlopeLengths]:
+        del params
+        length = optax.tree.norm(updates)
+        finite = jnp.isfinite(length)
+        first = state.mean == 0
+        longest = jnp.where(first, length, _LONGEST * state.mean)
+        share = jnp.minimum(1.0, longest / jnp.maximum(length, jnp.finfo(length.dtype).tiny))
+        kept = jax.tree.map(lambda x: jnp.where(finite, share * x, 0.0), updates)
+        usual = _LENGTH_DECAY * state.mean + (1 - _LENGTH_DECAY) * share * length
+        mean = jnp.where(finite, jnp.where(first, length, usual), state.mean)
+        return kept, SlopeLengths(mean, state.finite + finite)
+
+    return optax.GradientTransformation(init, update)
+
+
+# The mean of squares forgets sooner than usual, for a climb has few steps.
+_ADAM = optax.scale_by_adam(b1=0.9, b2=0.99, eps=1e-12)
+_GUARDED_ADAM = optax.chain(cut_long_slopes(), _ADAM, optax.scale(-1.0))
+
+
+class _Descended(eqx.Module):
+    """What `GuardedAdam` remembers.
+
+    Attributes:
+        best: the best place.
+        least: what is minimised there.
+        transformed: state of the guard and of Adam, in this order.
+        move: the next, for steps of size 1.
     """
 
     best: Any
     least: Array
-    mean: Any
-    square: Any
-    length: Array
-    count: Array
-    finite: Array
+    transformed: Any
+    move: Any
 
 
-class Adam(optimistix.AbstractDescent):
-    """Kingma and Ba's (2015) direction of descent, guarded against slopes that explode.
+class GuardedAdam(optimistix.AbstractDescent):
+    """The direction of descent of Kingma and Ba (2015), by optax, behind `cut_long_slopes`."""
 
-    A slope that is not finite counts as none; one much longer than those before is cut.
-    """
-
-    def init(self, y: Any, f_info_struct: Any) -> _Moments:
+    def init(self, y: Any, f_info_struct: Any) -> _Descended:
         """Nothing seen yet, so there is no loss that is not less."""
         del f_info_struct
-        none = jax.tree.map(jnp.zeros_like, y)
-        zero = jnp.zeros((), jnp.int32)
-        return _Moments(y, jnp.full((), jnp.inf), none, none, jnp.zeros(()), zero, zero)
+        move = jax.tree.map(jnp.zeros_like, y)
+        return _Descended(y, jnp.full((), jnp.inf), _GUARDED_ADAM.init(y), move)
 
-    def query(self, y: Any, f_info: Any, state: _Moments) -> _Moments:
+    def query(self, y: Any, f_info: Any, state: _Descended) -> _Descended:
         """Take in the value and the slope at ``y``."""
+        move, transformed = _GUARDED_ADAM.update(f_info.grad, state.transformed, y)
         better = f_info.f < state.least
-        length = optimistix.two_norm(f_info.grad)
-        finite = jnp.isfinite(length)
-        first = state.length == 0
-        most = jnp.where(first, length, _LONGEST * state.length)
-        share = jnp.minimum(1.0, most / jnp.maximum(length, _TINY))
-        slope = jax.tree.map(lambda x: jnp.where(finite, share * x, 0.0), f_info.grad)
-        usual = jnp.where(first, length, _mix(_LENGTH_DECAY, state.length, share * length))
-        return _Moments(
-            jax.tree.map(lambda new, old: jnp.where(better, new, old), y, state.best),
-            jnp.where(better, f_info.f, state.least),
-            jax.tree.map(lambda m, g: _mix(_MEAN_DECAY, m, g), state.mean, slope),
-            jax.tree.map(lambda s, g: _mix(_SQUARE_DECAY, s, g * g), state.square, slope),
-            jnp.where(finite, usual, state.length),
-            state.count + 1,
-            state.finite + finite,
-        )
+        best = jax.tree.map(lambda new, old: jnp.where(better, new, old), y, state.best)
+        return _Descended(best, jnp.where(better, f_info.f, state.least), transformed, move)
 
-    def step(self, step_size: Array, state: _Moments) -> tuple[Any, optimistix.RESULTS]:
+    def step(self, step_size: Array, state: _Descended) -> tuple[Any, optimistix.RESULTS]:
         """The next move, about ``step_size`` for every parameter whose slope keeps its sign."""
-        # Both means start at 0 and are short of the truth at first.
-        mean, square = (1 - decay**state.count for decay in (_MEAN_DECAY, _SQUARE_DECAY))
-        move = jax.tree.map(
-            lambda m, s: -step_size * (m / mean) / (jnp.sqrt(s / square) + _TINY),
-            state.mean,
-            state.square,
-        )
-        return move, optimistix.RESULTS.successful
+        return jax.tree.map(lambda x: step_size * x, state.move), optimistix.RESULTS.successful
 
 
 class Climber(optimistix.AbstractGradientDescent):
@@ -111,7 +128,7 @@ class Climber(optimistix.AbstractGradientDescent):
     """
 
     search: optimistix.LearningRate
-    descent: Adam = Adam()
+    descent: GuardedAdam = GuardedAdam()
     rtol: float = 0.0
     atol: float = 0.0
     norm: Callable = optimistix.max_norm
@@ -253,7 +270,8 @@ def compile_ascent(
             throw=False,
         )
         memory = solution.state.descent_state
-        return memory.best, -memory.least, memory.finite
+        lengths, *_ = memory.transformed
+        return memory.best, -memory.least, lengths.finite
 
     def climb_all(*lanes: Any) -> tuple[Array, Array, Array]:
         best, value, finite = jax.vmap(climb, in_axes=-1, out_axes=-1)(*lanes)
@@ -284,7 +302,3 @@ def compile_ascent(
 def _is_rough(simulation: Simulation) -> bool:
     """Whether slopes lead over ground (see `evo_cpg.simulation.backward`)."""
     return simulation.world.footing is not None
-
-
-def _mix(decay: float, old: Array, new: Array) -> Array:
-    return decay * old + (1 - decay) * new
