@@ -14,11 +14,13 @@ from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.config.schema.task import DEFAULT_LIGHT, ReachLightConfig
 from evo_cpg.config.schema.trial import SituationConfig
 from evo_cpg.creature.creature import Creature, lowest_along, lowest_height, neutral_pose
+from evo_cpg.fusion.jax_internals import quick_jit
 from evo_cpg.physics.footing import clearance
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import resting_state
 from evo_cpg.physics.terrain import Plane, nearest
 from evo_cpg.physics.world import World
+from evo_cpg.simulation.plans import Programs
 from evo_cpg.simulation.settle import NoRestError, Settling, settled
 from evo_cpg.simulation.situation import Situation
 from evo_cpg.simulation.task import Task
@@ -179,32 +181,40 @@ def _start_height(
         rise = start_clearance - lowest_along(creature, seen) + floor.height
         return (rise - normal[0] * x - normal[1] * y) / normal[2]
 
-    def gap(height: Array) -> Array:
-        turn = Situation((x, y, 0.0), heading).orientation
-        state = resting_state(world.tree, (), height.dtype, (x, y, height), turn)
-        return clearance(footing, kinematics(world.tree, state)).min()
-
-    @jax.jit
-    def look(height: Number) -> tuple[Array, Array]:
-        height = jnp.asarray(height, float)
-        return jax.jvp(gap, (height,), (jnp.ones_like(height),))
-
-    def follow(near: float) -> Array:
-        # A step of Newton's.
-        reached, rise = look(near)
-        return near + (start_clearance - reached) / jax.lax.stop_gradient(rise)
-
     def search() -> float | None:
+        gap, numbers = _gaps.of(world)
         here = height
         # Raising it by its missing clearance raises it less than enough, but for level ground.
         for _ in range(_START_STEPS):
-            missing = start_clearance - float(look(here)[0])
+            reached, rise = gap(numbers, x, y, heading, here)
+            missing = start_clearance - float(reached)
             if abs(missing) < _START_ACCURACY:
-                return float(follow(here))
+                return here + missing / float(rise)
             here += missing
         return None
 
     found = searched(search)
     if found is None or not is_traced(world, x, y, heading, start_clearance):
         return found
-    return follow(found)
+    # A step of Newton's.
+    reached, rise = _gap(world, x, y, heading, found)
+    return found + (start_clearance - reached) / jax.lax.stop_gradient(rise)
+
+
+def _gap(
+    world: World, x: Number, y: Number, heading: Number, height: Number
+) -> tuple[Array, Array]:
+    """Of an animal in its neutral pose over the ground, m, and its slope by the height."""
+    footing = world.footing
+    assert footing is not None
+
+    def gap(height: Array) -> Array:
+        turn = Situation((x, y, 0.0), heading).orientation
+        state = resting_state(world.tree, (), height.dtype, (x, y, height), turn)
+        return clearance(footing, kinematics(world.tree, state)).min()
+
+    height = jnp.asarray(height, float)
+    return jax.jvp(gap, (height,), (jnp.ones_like(height),))
+
+
+_gaps = Programs(lambda plan: quick_jit(lambda numbers, *where: _gap(plan.world(numbers), *where)))

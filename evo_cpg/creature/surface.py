@@ -85,14 +85,14 @@ def _exposed(creature: Creature, surfaces: tuple[Surface, ...]) -> list[np.ndarr
     reach = _SHELTER_GAPS * _largest_gap(creature, centres, rotations)
     found = []
     for i, surface in enumerate(surfaces):
-        exposed = np.ones(len(surface.areas), bool)
-        for fraction in _PROBES:
-            local = surface.points + fraction * reach * surface.normals
-            world = local @ rotations[i].T + centres[i]
-            for j, other in enumerate(creature.bodies):
-                if j != i:
-                    exposed &= other.shape.distance((world - centres[j]) @ rotations[j]) > 0
-        found.append(np.flatnonzero(exposed))
+        probes = reach * np.array(_PROBES)[:, None, None]
+        world = (surface.points + probes * surface.normals) @ rotations[i].T + centres[i]
+        exposed = np.ones(world.shape[:-1], bool)
+        for j, other in enumerate(creature.bodies):
+            if j != i:
+                local = (world - centres[j]) @ rotations[j]
+                exposed &= (other.shape.distance(local.reshape(-1, 3)) > 0).reshape(exposed.shape)
+        found.append(np.flatnonzero(exposed.all(0)))
     return found
 
 

@@ -160,7 +160,7 @@ def _cut_backward(_: None, slope: State) -> tuple[State]:
     share = jnp.where(jnp.isfinite(size), share, 0.0)
 
     def shrink(x: Array) -> Array:
-        return jnp.where(share > 0, share * x, 0.0)
+        return jnp.where(share[None] > 0, share[None] * x, 0.0)
 
     place = jnp.where(jnp.isfinite(place), place, 0.0)
     cut = {name: shrink(x) for name, x in moving.items()}

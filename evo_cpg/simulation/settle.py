@@ -18,7 +18,7 @@ All is done in float64, and nothing of that is left behind.
 import dataclasses
 import functools
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -31,9 +31,10 @@ from evo_cpg.fusion.jax_internals import quick_jit
 from evo_cpg.physics.state import State, resting_state
 from evo_cpg.physics.statics import Grip, Touch, moved, next_grip, radius_of_gyration, static_forces
 from evo_cpg.physics.world import World
+from evo_cpg.simulation.plans import Plan, Programs
 from evo_cpg.simulation.situation import Situation
 from evo_cpg.spatial.choices import chosen, searched
-from evo_cpg.spatial.numerics import TABLES, is_number, is_traced
+from evo_cpg.spatial.numerics import is_traced
 from evo_cpg.spatial.rotation import axis_rotation, integrate_quaternion, quaternion_to_matrix
 
 # Steps downhill, and saddles that are left, before it is given up.
@@ -65,10 +66,6 @@ _KICK = 0.02
 
 # Of the root at most, rad: beyond it, an animal has fallen over and not settled.
 _LARGEST_TILT = np.deg2rad(60.0)
-
-
-# Programs that are kept.
-_MOST_PROGRAMS = 8
 
 
 class NoRestError(ValueError):
@@ -151,11 +148,11 @@ class Settling:
         self.stay = np.where(np.isin(self.free, (0, 1, 5)), _STAY, 0.0)
         self.farthest = _FARTHEST if world.footing is None else _FARTHEST_ON_GROUND
         moment = self.weight * self.size
-        programs = _programs(world, self.free, h)
-        numbers = programs.numbers(world), self.scale, moment
-        self._look = functools.partial(programs.look, numbers)
-        self._go = functools.partial(programs.go, numbers)
-        self._chord = functools.partial(programs.chord, numbers)
+        search, numbers = _searches.of(world, self.free, h)
+        given = numbers, self.scale, moment
+        self._look = functools.partial(search.look, given)
+        self._go = functools.partial(search.go, given)
+        self._chord = functools.partial(search.chord, given)
 
     def settle(self, situation: Situation) -> "_Settled":
         """The pose in which the creature rests.
@@ -295,33 +292,23 @@ class Settling:
             )
 
 
-class _Programs:
-    """Compiled for all worlds that differ in numbers alone.
+class _Search:
+    """The steps of a search for rest, compiled for all animals of a plan.
 
     Args:
-        world: one of them.
+        plan: of the animals.
         free: the coordinates that are searched.
         h: step of the simulation, s.
     """
 
-    def __init__(self, world: World, free: Int[np.ndarray, " k"], h: float):
-        leaves, self.layout = jax.tree_util.tree_flatten_with_path(world)
-        self.free, self.h = free, h
-        # Everything that is no number stays as it is.
-        self.fixed = {i: leaf for i, (path, leaf) in enumerate(leaves) if not _varies(path, leaf)}
-        count = world.tree.dof_count
-
-        def restore(numbers: list[Array]) -> World:
-            others = iter(numbers)
-            every = [self.fixed[i] if i in self.fixed else next(others) for i in range(len(leaves))]
-            return jax.tree.unflatten(self.layout, every)
-
+    def __init__(self, plan: Plan, free: Int[np.ndarray, " k"], h: float):
         def force(
             y: Array, given: tuple, base: State, grip: Grip
         ) -> tuple[Array, tuple[Array, Array, Touch]]:
             numbers, length, moment = given
-            x = jnp.zeros(6 + count).at[free].set(length * y)
-            total, touch = static_forces(restore(numbers), h, base, grip, x)
+            world = plan.world(numbers)
+            x = jnp.zeros(6 + world.tree.dof_count).at[free].set(length * y)
+            total, touch = static_forces(world, h, base, grip, x)
             scaled = total[free] * length / moment
             return scaled, (scaled, total, touch)
 
@@ -330,10 +317,11 @@ class _Programs:
 
         def go(given: tuple, y: Array, base: State, grip: Grip, touch: Touch) -> tuple[State, Grip]:
             numbers, length, _ = given
-            footing = restore(numbers).footing
-            if footing is not None:
-                grip = next_grip(footing, h, grip, touch)
-            return moved(base, jnp.zeros(6 + count).at[free].set(length * y)), grip
+            world = plan.world(numbers)
+            if world.footing is not None:
+                grip = next_grip(world.footing, h, grip, touch)
+            x = jnp.zeros(6 + world.tree.dof_count).at[free].set(length * y)
+            return moved(base, x), grip
 
         def chord(given: tuple, base: State, grip: Grip, give: Array) -> Array:
             return optimistix.fixed_point(
@@ -346,40 +334,8 @@ class _Programs:
 
         self.look, self.go, self.chord = quick_jit(look), quick_jit(go), quick_jit(chord)
 
-    def numbers(self, world: World) -> list[Any]:
-        """What the programs take of a world."""
-        leaves = jax.tree.leaves(world)
-        return [leaf for i, leaf in enumerate(leaves) if i not in self.fixed]
 
-    def serve(self, world: World, free: Int[np.ndarray, " k"], h: float) -> bool:
-        """Whether they are for this world, too."""
-        leaves, layout = jax.tree_util.tree_flatten_with_path(world)
-        return (
-            layout == self.layout
-            and np.array_equal(free, self.free)
-            and h == self.h
-            and all(
-                np.array_equal(self.fixed[i], leaf) if i in self.fixed else _varies(path, leaf)
-                for i, (path, leaf) in enumerate(leaves)
-            )
-        )
-
-
-# Those that were used last.
-_compiled: list[_Programs] = []
-
-
-def _programs(world: World, free: Int[np.ndarray, " k"], h: float) -> _Programs:
-    found = next((one for one in _compiled if one.serve(world, free, h)), None)
-    if found is None:
-        found = _Programs(world, free, h)
-        _compiled.append(found)
-        del _compiled[:-_MOST_PROGRAMS]
-    return found
-
-
-def _varies(path: tuple[Any, ...], leaf: Any) -> bool:
-    return is_number(leaf) and getattr(path[-1], "name", None) not in TABLES
+_searches = Programs(_Search)
 
 
 def settled(

@@ -8,13 +8,17 @@ import yaml
 
 from creatures import quick_jit
 from evo_cpg.config.build import build_simulation
+from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.load import check_config, load_config
 from evo_cpg.config.parameters import all_parameters, parametrise
 from tiny_run import CONFIG, REPOSITORY, TINY
 
 # Shares of a value at which is built anew: errors of fourth order are below rounding.
 STEP = 1e-4
-STENCIL = {-1.0: 1 / 6, -0.5: -8 / 6, 0.5: 8 / 6, 1.0: -1 / 6}
+CENTRAL = {-1.0: 1 / 6, -0.5: -8 / 6, 0.5: 8 / 6, 1.0: -1 / 6}
+# Where values end, as at a stiffness of 0.
+FORWARD = {0.0: -25 / 3, 0.25: 16.0, 0.5: -12.0, 0.75: 16 / 3, 1.0: -1.0}
+BACKWARD = {-share: -weight for share, weight in FORWARD.items()}
 
 
 def check_elements(config, keys, accuracy=1e-14):
@@ -36,19 +40,28 @@ def check_elements(config, keys, accuracy=1e-14):
         apart = parameters.building.apart
         return inputs.of(build_simulation(parameters.config_at(values), CONFIG, apart)[1])
 
+    def allowed(values):
+        try:
+            parameters.config_at(values)
+        except ConfigError:
+            return False
+        return True
+
     both = quick_jit(lambda values: (jax.jacfwd(traced)(values), traced(values)))
     slopes, here = both(jnp.asarray(values))
     same = inputs.of(parameters.experiment.simulation)
     for found, own in zip(here, same, strict=True):
         np.testing.assert_allclose(found, own, rtol=1e-12, atol=accuracy)
     for i, value in enumerate(values):
-        step = STEP * (abs(value) or 1.0)
-        only = np.arange(len(values)) == i
-        others = {share: known(values + share * step * only) for share in STENCIL}
+        step = STEP * (abs(value) or 1.0) * (np.arange(len(values)) == i)
+        for stencil in (CENTRAL, FORWARD, BACKWARD):
+            if all(allowed(values + share * step) for share in stencil):
+                break
+        others = {share: known(values + share * step) for share in stencil}
         for place, slope in enumerate(slopes):
-            each = np.array([weight * others[share][place] for share, weight in STENCIL.items()])
-            difference = each.sum(0) / step
-            rounding = accuracy * max(1.0, np.abs(each).max()) / step
+            each = np.array([weight * others[share][place] for share, weight in stencil.items()])
+            difference = each.sum(0) / step[i]
+            rounding = accuracy * max(1.0, np.abs(each).max()) / step[i]
             slack = 1e-6 * np.abs(difference).max() + rounding
             np.testing.assert_allclose(slope[:, i], difference, rtol=1e-6, atol=slack)
     return parameters

@@ -65,9 +65,9 @@ def test_animals_that_differ_in_numbers_alone_share_what_is_compiled():
             in_water(alone(Box((0.7, 0.5, 0.1)), 1000 * share), surface=0.2), (0, 0, 0.5)
         )
 
-    first, compiled = floating(0.5), list(settle._compiled)
+    first, compiled = floating(0.5), list(settle._searches.kept)
     second = floating(0.8)
-    assert settle._compiled == compiled
+    assert settle._searches.kept == compiled
     sank = first.start_position[2] - second.start_position[2]
     # Of a level box the share of its height that is under water.
     assert sank == pytest.approx(0.3 * 0.1, abs=1e-7)
