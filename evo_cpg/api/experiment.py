@@ -6,24 +6,27 @@ turned round.
 
 import dataclasses
 import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
+from evo_cpg.api.bodies import Bodies, Numbers
 from evo_cpg.api.environment import Environment
+from evo_cpg.api.fitness import JudgedBy, fitness_function
 from evo_cpg.api.record import Record, as_record
+from evo_cpg.config.build import build_experiment
+from evo_cpg.config.numbers import number_at, with_numbers
+from evo_cpg.config.parameters import parametrise
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.creature.creature import Creature
 from evo_cpg.physics.world import World
-from evo_cpg.simulation.backward import Backward, retention
-from evo_cpg.simulation.rollout import Outcome, as_recording, record, rollout
+from evo_cpg.simulation.rollout import Outcome, as_recording, record
 from evo_cpg.simulation.task import Task
 from evo_cpg.training import experiment as training
 from evo_cpg.training.devices import population_mesh
@@ -126,42 +129,53 @@ class Experiment:
         controller, shape = self.parts.simulation.controller, (count or self.population,)
         return np.asarray(controller.random_genes(_key(key), shape, jnp.float32)).T.copy()
 
-    def rollout(self, key: ArrayLike, genomes: ArrayLike) -> Trials:
+    def rollout(self, key: ArrayLike, genomes: ArrayLike, bodies: Numbers | None = None) -> Trials:
         """Let every individual live through its trials.
 
         Args:
             key: of the noise in the trials, if there is any: a number, or a key of JAX.
             genomes: ``(n, genes)``.
+            bodies: numbers of the configuration in which individuals differ, such as sizes and
+                densities: by their keys, ``(n,)``. Every body is built by itself, which takes some
+                10 to 50 ms; a program serves all populations with the same keys.
 
         Returns:
             Terms and survival, ``(n, trials)``.
 
         Raises:
-            ValueError: the genomes are not of that shape.
+            ValueError: the genomes, or the numbers of the bodies, are not of that shape.
+            ConfigError: numbers that are none of the configuration, that are not allowed, or that
+                change more than numbers of the simulation.
         """
         genes = self._genes(genomes)
         count, trials = genes.shape[1], self.trials
         numbers = training.situation_numbers(self.parts)
-        outcome = self._run_trials(
+        given = (
             genes,
             jax.device_get(self._noise(_key(key), count)),
             None if numbers is None else np.tile(numbers, count),
             trials,
         )
+        own = self._bodies.trials(bodies, count) if bodies else None
+        outcome = own[0](*given, own[1]) if own else self._run_trials(*given)
         shaped = jax.tree.map(lambda x: x.reshape(count, trials), outcome)
         return Trials(shaped.terms, shaped.alive)
 
-    def evaluate(self, key: ArrayLike, genomes: ArrayLike) -> Evaluation:
+    def evaluate(
+        self, key: ArrayLike, genomes: ArrayLike, bodies: Numbers | None = None
+    ) -> Evaluation:
         """Fitness, terms and descriptors of a population, on all cores.
 
         Args:
-            key: of the noise in the trials, if there is any: a number, or a key of JAX.
-            genomes: ``(n, genes)``.
+            key: as for `rollout`.
+            genomes: likewise.
+            bodies: likewise.
 
         Raises:
-            ValueError: the genomes are not of that shape.
+            ValueError: as `rollout` does.
+            ConfigError: likewise.
         """
-        trials = self.rollout(key, genomes)
+        trials = self.rollout(key, genomes, bodies)
         outcome = Outcome(*jax.tree.map(jnp.asarray, (trials.terms, trials.alive)))
         fitness, mean = self._judge(outcome, self.scales)
         terms = {name: np.asarray(term) for name, term in mean.terms.items()}
@@ -190,8 +204,8 @@ class Experiment:
         return self.task.scales(jax.tree.map(jnp.asarray, terms))
 
     def fitness_function(
-        self, key: ArrayLike = 0, horizon: float | None = None
-    ) -> Callable[[ArrayLike], Float[Array, ""]]:
+        self, key: ArrayLike = 0, horizon: float | None = None, numbers: Sequence[str] = ()
+    ) -> Callable[..., Float[Array, ""]]:
         """The fitness of one genome, for `jax.grad`, `jax.jit` and `jax.vmap`.
 
         Args:
@@ -199,25 +213,17 @@ class Experiment:
             horizon: let slopes fade to 1/e within so many seconds, which helps where the motion is
                 chaotic (see docs/models/gradients.md); None for exact slopes in water. On the
                 ground slopes are cut as well.
+            numbers: keys of numbers of the configuration, such as sizes and densities, whose values
+                the function takes as its second argument: building the animal is then a part of it,
+                and as differentiable.
+
+        Raises:
+            ConfigError: numbers that are none of the configuration, or have no derivative.
         """
-        simulation, count = self.parts.simulation, self.gene_count
-        numbers: Any = training.situation_numbers(self.parts)
-        kept = None
-        if horizon is not None:
-            kept = float(retention(np.array([horizon]), simulation.control_rate)[0])
-        backward = Backward(kept, rough=simulation.world.footing is not None)
-        keys: Any = self._noise(_key(key), 1)
-        scales = self.scales
-
-        def fitness(genome: ArrayLike) -> Float[Array, ""]:
-            genome = jnp.asarray(genome)
-            if genome.shape != (count,):
-                raise ValueError(f"genome must have the shape ({count},), got {genome.shape}")
-            crowd = jnp.broadcast_to(genome[:, None], (count, self.trials))
-            outcome = rollout(simulation, crowd, keys, numbers, backward)
-            return training.judge(simulation.task, outcome, scales)[0]
-
-        return fitness
+        own_task = self.task if "task" in self.replaced else None
+        parameters = parametrise(self.config, self.source, numbers) if numbers else None
+        noise = self._noise(_key(key), 1)
+        return fitness_function(self.parts, self.scales, noise, horizon, parameters, own_task)
 
     def record(self, key: ArrayLike, genome: ArrayLike, trial: int = 0) -> Record:
         """One trial of one individual, step by step, in named columns.
@@ -255,6 +261,22 @@ class Experiment:
             raise ValueError(f"trial must be from 0 to {self.trials - 1}, got {trial}")
         return Environment(self.parts.simulation, self.scales, actions, trial)
 
+    def with_numbers(self, numbers: Mapping[str, float]) -> "Experiment":
+        """The same with other numbers in its configuration, built anew.
+
+        Args:
+            numbers: by their keys, such as ``creature.bodies.1.shape.size.0``.
+
+        Raises:
+            ConfigError: numbers that are none of the configuration, or are not allowed.
+        """
+        for key in numbers:
+            number_at(self.config, key, self.source)
+        values = {key: float(value) for key, value in numbers.items()}
+        config = with_numbers(self.config, values, self.source)
+        changed = Experiment(build_experiment(config, self.source), config, self.source)
+        return changed.with_task(self.task) if "task" in self.replaced else changed
+
     def with_task(self, task: Task) -> "Experiment":
         """The same with another task."""
         simulation = dataclasses.replace(self.parts.simulation, task=task)
@@ -268,11 +290,15 @@ class Experiment:
         Args:
             fitness: a JAX function of the terms by name; it is maximised.
         """
-        return self.with_task(_Judged(self.task.light, self.task, fitness))
+        return self.with_task(JudgedBy(self.task.light, self.task, fitness))
 
     @functools.cached_property
     def _run_trials(self) -> Callable[..., Outcome]:
         return training.compile_trials(self.parts.simulation, population_mesh())
+
+    @functools.cached_property
+    def _bodies(self) -> Bodies:
+        return Bodies(self.parts, self.config, self.source)
 
     @functools.cached_property
     def _judge(self) -> Callable:
@@ -312,41 +338,6 @@ class Experiment:
             )
 
         return jax.vmap(of_trial, out_axes=1)(individual, trial)
-
-
-class _Judged(Task):
-    """A task whose terms something else makes a fitness of.
-
-    Attributes:
-        light: the task's.
-        task: whose terms they are.
-        function: of the terms.
-    """
-
-    light: tuple[float, float, float] | None
-    task: Task
-    function: Callable = eqx.field(static=True)
-
-    def begin(self, batch, dtype, steps):
-        """See `Task.begin`."""
-        return self.task.begin(batch, dtype, steps)
-
-    def update(self, tally, transition, steps):
-        """See `Task.update`."""
-        return self.task.update(tally, transition, steps)
-
-    def terms(self, tally, steps):
-        """See `Task.terms`."""
-        return self.task.terms(tally, steps)
-
-    def descriptors(self, terms):
-        """See `Task.descriptors`."""
-        return self.task.descriptors(terms)
-
-    def fitness(self, terms, scales):
-        """That of the function."""
-        del scales
-        return self.function(terms)
 
 
 def _key(key: ArrayLike) -> Array:

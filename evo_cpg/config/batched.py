@@ -1,5 +1,6 @@
 """Different bodies from one configuration: the same but for some numbers."""
 
+import dataclasses
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
@@ -11,6 +12,8 @@ from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.numbers import number_at, with_numbers
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.simulation.batched import BatchedSimulation, LayoutError, batch
+from evo_cpg.simulation.simulation import Simulation
+from evo_cpg.simulation.task import Task
 
 
 def build_batch(
@@ -19,10 +22,12 @@ def build_batch(
     numbers: Mapping[str, Float[np.ndarray, " n"]],
     folders: Iterable[Path] = (),
     like: BatchedSimulation | None = None,
+    task: Task | None = None,
 ) -> BatchedSimulation:
     """What a configuration describes with some of its numbers different for each individual.
 
-    Each is built alone, in NumPy, as if it were the only one.
+    Each is built alone, in NumPy, as if it were the only one. What they have in common is the
+    simulation that the configuration describes as it stands.
 
     Args:
         config: the configuration.
@@ -30,10 +35,12 @@ def build_batch(
         numbers: their values by key, such as ``creature.bodies.1.shape.size.0``.
         folders: see `evo_cpg.config.build.build_experiment`.
         like: see `evo_cpg.simulation.batched.batch`.
+        task: instead of the configuration's.
 
     Raises:
         ConfigError: a key that does not exist or is no real number, a value that is not allowed,
-            numbers that change how the simulation is laid out.
+            numbers that change how the simulation is laid out, or nothing.
+        ValueError: not one value for each individual.
     """
     folders = tuple(folders)
     for key in numbers:
@@ -49,14 +56,19 @@ def build_batch(
     problem = ""
     # Bodies with surfaces that are alike may come to differ, and are then treated one by one.
     for apart in (False, True):
-        simulations = [
-            build_experiment(each, source, folders, apart).simulation for each in configs
-        ]
+        common, *simulations = (
+            _with_task(build_experiment(each, source, folders, apart).simulation, task)
+            for each in (config, *configs)
+        )
         try:
-            return batch(simulations, like)
+            return batch(common, simulations, like)
         except LayoutError as error:
             problem = str(error)
         except ValueError as error:
             problem = str(error)
             break
     raise ConfigError(source, (), f"{', '.join(numbers)}: {problem}")
+
+
+def _with_task(simulation: Simulation, task: Task | None) -> Simulation:
+    return dataclasses.replace(simulation, task=task) if task else simulation

@@ -71,7 +71,7 @@ class BatchedSimulation(NamedTuple):
     """Simulations that differ in some numbers, one for each individual.
 
     Attributes:
-        common: what they have in common; one of them.
+        common: what they have in common, a simulation of the same plan.
         inputs: the numbers in which they differ.
         values: of these numbers, leaf by leaf, with the individuals on the last axis.
     """
@@ -98,11 +98,12 @@ class BatchedSimulation(NamedTuple):
 
 
 def batch(
-    simulations: Sequence[Simulation], like: BatchedSimulation | None = None
+    common: Simulation, simulations: Sequence[Simulation], like: BatchedSimulation | None = None
 ) -> BatchedSimulation:
     """Simulations as a batch.
 
     Args:
+        common: one of the same plan.
         simulations: at least one; bodies of one plan in worlds of one kind.
         like: a batch for which a program was compiled that is to serve these as well: they have
             the same in common, and may differ in the same numbers.
@@ -111,7 +112,7 @@ def batch(
         LayoutError: they differ in more than numbers.
         ValueError: they differ in other numbers than ``like``, or in none.
     """
-    every = [like.common, *simulations] if like else simulations
+    every = [like.common if like else common, *simulations]
     (first, structure), *others = map(jax.tree.flatten, every)
     paths = jax.tree_util.tree_leaves_with_path(every[0])
     names = [jax.tree_util.keystr(path)[1:] for path, _ in paths]
@@ -131,7 +132,7 @@ def batch(
                 raise ValueError(f"{names[place]} is no real number, and differs")
             differing[place] = np.flatnonzero(moves)
     if not (like or differing):
-        raise ValueError("the simulations are all the same")
+        raise ValueError("the simulations are all as the configuration has it")
     inputs = like.inputs if like else Inputs(tuple(differing), tuple(differing.values()))
     allowed = dict(zip(inputs.places, inputs.elements, strict=True))
     for place, elements in differing.items():

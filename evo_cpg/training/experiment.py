@@ -8,7 +8,7 @@ the random numbers that a lone run with the seed ``seed + r`` would draw.
 
 import functools
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -19,6 +19,7 @@ from jaxtyping import Array, Bool, Float, Int, Shaped, UInt32
 
 from evo_cpg.creature.creature import Creature
 from evo_cpg.evolution.generation import Genetics
+from evo_cpg.simulation.batched import Inputs, rollout_batched
 from evo_cpg.simulation.rollout import Outcome, Simulation, rollout, rollout_and_record, score
 from evo_cpg.simulation.task import Task
 from evo_cpg.training.checkpoint import Champion
@@ -151,7 +152,7 @@ def situation_numbers(experiment: Experiment) -> Int[np.ndarray, " trials"] | No
 
 
 def compile_trials(
-    simulation: Simulation, mesh: Mesh, width: int | None = None
+    simulation: Simulation, mesh: Mesh, width: int | None = None, inputs: Inputs | None = None
 ) -> Callable[..., Outcome]:
     """One trial of every individual of a population, in chunks on the devices of the mesh.
 
@@ -167,26 +168,37 @@ def compile_trials(
         simulation: the trial.
         mesh: the devices.
         width: individuals in a chunk; None for what suits the population.
+        inputs: numbers of the simulation in which individuals differ.
 
     Returns:
-        A function of the host arrays that `rollout` takes, compiled at its first call. Its last
-        argument is the number of trials of each individual; the keys and numbers are then those of
-        trials, of which an individual's are neighbours, and so are the results.
+        A function of the host arrays that `rollout` takes, compiled at its first call. Next comes
+        the number of trials of each individual; the keys and numbers are then those of trials, of
+        which an individual's are neighbours, and so are the results. The last are the values of
+        the inputs.
     """
+
+    def live(values: Any, genes: Array, keys: Array | None, trial: Array | None) -> Outcome:
+        if inputs is None:
+            return rollout(simulation, genes, keys, trial)
+        return rollout_batched(simulation, inputs, values, genes, keys, trial)
 
     @functools.cache
     def program(busy: Mesh) -> Callable[..., Outcome]:
-        return sharded(functools.partial(rollout, simulation), busy, (2, 2, 1), 1)
+        return sharded(live, busy, (2, 2, 2, 1), 1)
 
     def run(
         genes: Float[np.ndarray, "g individuals"],
         keys: UInt32[np.ndarray, "w n"] | None = None,
         trial: Int[np.ndarray, " n"] | None = None,
         trials: int = 1,
+        values: tuple[Float[np.ndarray, "_ individuals"], ...] | None = None,
     ) -> Outcome:
+        # Not in the precision that the host has them in.
+        own = jax.tree.map(lambda x: x.astype(genes.dtype), values)
+
         def pick(numbers: Int[np.ndarray, " block"]) -> tuple:
-            of_trials = jax.tree.map(lambda x: x[..., numbers], (keys, trial))
-            return genes[:, numbers // trials], *of_trials
+            of_individuals = jax.tree.map(lambda x: x[:, numbers // trials], (own, genes))
+            return *of_individuals, *jax.tree.map(lambda x: x[..., numbers], (keys, trial))
 
         count = genes.shape[1] * trials
         spread = Layout(mesh, width) if width else layout(count, mesh)

@@ -114,5 +114,5 @@ def test_the_number_that_may_not_differ_is_named():
         build_batch(config, path, {"world.water.from_drag": np.ones(2)})
     with pytest.raises(ConfigError, match="greater than 0"):
         build_batch(config, path, {keys[0]: np.array([1000.0, -1.0])})
-    with pytest.raises(ConfigError, match="all the same"):
+    with pytest.raises(ConfigError, match="all as the configuration has it"):
         build_batch(config, path, {keys[0]: np.full(2, 1000.0)})

@@ -1,0 +1,81 @@
+"""Individuals with bodies of their own, and the fitness as a function of a body's numbers."""
+
+import jax
+import numpy as np
+import pytest
+
+import evo_cpg as evo
+from tiny_run import CONFIG, TINY
+
+DENSITY, LENGTH = "creature.materials.body.density", "creature.bodies.1.shape.size.0"
+
+
+@pytest.fixture(scope="module")
+def experiment():
+    jax.devices()
+    loaded = evo.load(CONFIG, [*TINY, "simulation.steps=30"])
+    return loaded.with_fitness(lambda terms: terms["energy"])
+
+
+@pytest.fixture(scope="module")
+def genomes(experiment):
+    return experiment.random_genomes(0, 3)
+
+
+@pytest.fixture(scope="module")
+def numbers(experiment):
+    """Of three bodies; the second has those of the configuration."""
+    own = {DENSITY: 1000.0, LENGTH: experiment.config.creature.bodies[1].shape.size[0]}
+    return {key: value * np.array([0.8, 1.0, 1.3]) for key, value in own.items()}
+
+
+def test_each_does_what_it_does_in_an_experiment_with_its_numbers(experiment, genomes, numbers):
+    together = experiment.evaluate(0, genomes, numbers)
+    for i in range(3):
+        body = experiment.with_numbers({key: values[i] for key, values in numbers.items()})
+        alone = body.evaluate(0, genomes[i : i + 1])
+        np.testing.assert_allclose(together.fitness[i], alone.fitness[0], rtol=1e-4)
+    same = experiment.evaluate(0, genomes)
+    np.testing.assert_allclose(together.fitness[1], same.fitness[1], rtol=1e-4)
+    assert np.abs(together.fitness / same.fitness - 1)[[0, 2]].min() > 1e-2
+
+
+def test_one_program_serves_all_populations(experiment, genomes, numbers):
+    first, _ = experiment._bodies.trials(numbers, 3)
+    others = {key: values[::-1] * 1.01 for key, values in numbers.items()}
+    again, _ = experiment._bodies.trials(others, 3)
+    assert again is first
+    assert experiment._bodies.trials({DENSITY: np.full(3, 1000.0)}, 3) is None
+
+
+def test_what_is_wrong_is_said(experiment, genomes, numbers):
+    with pytest.raises(ValueError, match=r"each of the 3 individuals, got the shape \(2,\)"):
+        experiment.evaluate(0, genomes, {DENSITY: [1000.0, 900.0]})
+    with pytest.raises(evo.ConfigError, match=r"did you mean creature\.materials\.body\.density"):
+        experiment.evaluate(0, genomes, {"creature.materials.body.densty": [1.0, 2.0, 3.0]})
+    with pytest.raises(evo.ConfigError, match="greater than 0"):
+        experiment.evaluate(0, genomes, {DENSITY: [1000.0, 900.0, -1.0]})
+    with pytest.raises(evo.ConfigError, match=r"did you mean"):
+        experiment.with_numbers({"creature.materials.body.densty": 1.0})
+    fitness = experiment.fitness_function(numbers=[DENSITY])
+    with pytest.raises(ValueError, match=r"values must have the shape \(1,\), got none"):
+        fitness(genomes[0])
+
+
+@pytest.mark.usefixtures("x64")
+def test_the_slope_by_a_bodys_numbers_is_that_of_experiments_built_anew():
+    loaded = evo.load(CONFIG, [*TINY, "simulation.steps=8"])
+    experiment = loaded.with_fitness(lambda terms: terms["energy"])
+    genome = experiment.random_genomes(0, 1)[0].astype(np.float64)
+    values = np.array([900.0, 0.2])
+    fitness = experiment.fitness_function(numbers=[DENSITY, LENGTH])
+    value, slope = jax.jit(jax.value_and_grad(fitness, 1))(genome, values)
+
+    def rebuilt(density, length):
+        body = experiment.with_numbers({DENSITY: density, LENGTH: length})
+        return float(jax.jit(body.fitness_function())(genome))
+
+    assert float(value) == pytest.approx(rebuilt(*values), rel=1e-9)
+    shift = np.array([1.0, -3e-4])
+    difference = (rebuilt(*(values + shift)) - rebuilt(*(values - shift))) / 2
+    assert float(slope @ shift) == pytest.approx(difference, rel=1e-5)
