@@ -193,16 +193,17 @@ def all_parameters(
     wet = {i for i, (path, _) in enumerate(paths) if path[:2] == _PATCHES}
     for apart in (False, True) if surfaces else (False,):
         building = _Building(config, source, apart)
+        changes = {}
         for key in number_keys(config):
             if key in found:
                 continue
             try:
-                changes = building.changes(config, key)
-                building.require_followed(config, {key: changes})
+                change = building.changes(config, key)
             except ConfigError:
                 continue
-            if surfaces or not wet & set(changes):
-                found.append(key)
+            if surfaces or not wet & set(change):
+                changes[key] = change
+        found += building.followed(config, changes)
     return tuple(key for key in number_keys(config) if key in found)
 
 
@@ -337,6 +338,32 @@ class _Building:
         Raises:
             ConfigError: it does not.
         """
+        if not self._hindrance(config, changes):
+            return
+        # Which one it is.
+        for key, change in changes.items():
+            problem = self._hindrance(config, {key: change})
+            if problem:
+                raise ConfigError(
+                    self.source, key.split("."), f"{problem}, so it has no derivative"
+                )
+
+    def followed(
+        self, config: ExperimentConfig, changes: dict[str, dict[int, np.ndarray]]
+    ) -> list[str]:
+        """The keys of those numbers that the traced building follows; see `require_followed`."""
+        if not changes or not self._hindrance(config, changes):
+            return list(changes)
+        if len(changes) == 1:
+            return []
+        pairs, middle = list(changes.items()), len(changes) // 2
+        halves = dict(pairs[:middle]), dict(pairs[middle:])
+        return [key for half in halves for key in self.followed(config, half)]
+
+    def _hindrance(
+        self, config: ExperimentConfig, changes: dict[str, dict[int, np.ndarray]]
+    ) -> str:
+        """Why the traced building does not follow some numbers; nothing where it does."""
         places = sorted({place for change in changes.values() for place in change})
         constant: list[int] = []
 
@@ -344,22 +371,14 @@ class _Building:
             leaves = self.traced(config, dict(zip(changes, numbers, strict=True)))
             constant.extend(place for place in places if not is_traced(leaves[place]))
 
-        problem = ""
         try:
             jax.eval_shape(trace, [jnp.zeros(())] * len(changes))
         except (jax.errors.JAXTypeError, TypeError, ValueError) as error:
-            problem = f"cannot be traced by JAX: {str(error).partition(chr(10))[0]}"
-        if constant:
-            names = ", ".join(f"`{self._name(place)}`" for place in constant)
-            problem = f"changes {names} in a way that JAX cannot trace"
-        if not problem:
-            return
-        if len(changes) == 1:
-            (key,) = changes
-            raise ConfigError(self.source, key.split("."), f"{problem}, so it has no derivative")
-        # Which one it is.
-        for key, change in changes.items():
-            self.require_followed(config, {key: change})
+            return f"cannot be traced by JAX: {str(error).partition(chr(10))[0]}"
+        if not constant:
+            return ""
+        names = ", ".join(f"`{self._name(place)}`" for place in constant)
+        return f"changes {names} in a way that JAX cannot trace"
 
     def _is_searched(self, place: int) -> bool:
         """Whether a search takes part in a leaf."""
