@@ -294,7 +294,8 @@ class _Building:
                     self.source,
                     where,
                     "changes more than numbers (which parts there are, how they are joined or "
-                    "grouped, steps of time), so there is no derivative by it",
+                    "grouped, which of several is the largest, steps of time), so there is no "
+                    "derivative by it",
                 )
             both = shares is _BOTH_SIDES
             break

@@ -51,6 +51,7 @@ from evo_cpg.control.controller import Command, Controller, Observation, Origin
 from evo_cpg.control.couplings import axis_names, matching_bodies
 from evo_cpg.control.matsuoka import CpgSettings, MatsuokaNetwork, MatsuokaState, build_network
 from evo_cpg.creature.tree import Tree
+from evo_cpg.spatial.choices import chosen
 from evo_cpg.spatial.linear import expand_dims_like
 from evo_cpg.spatial.numerics import Number, Numbers, xp
 
@@ -320,7 +321,9 @@ def max_amplitude(settings: BrainCpgSettings) -> Number:
     """A_max: the output of an oscillator never exceeds it, in units of the tonic input."""
     cpg = settings.cpg
     ranges = [_or(axis.steering_range, 0.0) for axis in settings.axes.values()]
-    steering = xp.max(xp.array([settings.steering_range, *ranges]))
+    every = xp.array([settings.steering_range, *ranges])
+    # Of equal ones the first: raising another one would make that the largest.
+    steering = every[chosen(lambda: int(np.argmax(every)))]
     return cpg.max_tonic_input * (1 + steering) + xp.maximum(cpg.sensory_feedback, 0.0)
 
 
