@@ -40,6 +40,7 @@ def noisy(made):
 
 
 PAIR = alone(SEED)._replace(runs=2)
+REAL, BITS = PAIR.genetics, BitGenetics(SIZE, 2, 1, (0.6, 0.4), 0.5, 1, 2)
 # Every individual of two noisy runs lives twice.
 NOISY = noisy(PAIR)._replace(trials=2, generations=2)
 
@@ -76,9 +77,14 @@ def test_first_genomes_are_those_of_the_lone_runs():
     )
 
 
-@pytest.mark.parametrize("trials", [1, 3])
 @pytest.mark.parametrize(
-    "genetics", [PAIR.genetics, BitGenetics(SIZE, 2, 1, (0.6, 0.4), 0.5, 1, 2)]
+    ("genetics", "trials"),
+    [
+        pytest.param(REAL, 1, marks=pytest.mark.slow),
+        (REAL, 3),
+        (BITS, 1),
+        pytest.param(BITS, 3, marks=pytest.mark.slow),
+    ],
 )
 def test_runs_are_bred_as_if_each_were_alone(genetics, trials):
     rng = np.random.default_rng(0)
