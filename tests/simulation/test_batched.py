@@ -44,7 +44,7 @@ CASES = {
         ),
     ),
 }
-# The walker's torso on the upper half of one leg, which does not lower as slowly as nine bodies.
+# The walker's torso with the upper half of one leg: two bodies to compile, not nine.
 CASES["hopper"] = (
     WALKER,
     ("simulation.steps=6", "evolution.mutated_genes=[2,20]"),
