@@ -63,8 +63,13 @@ def test_what_is_wrong_is_said(experiment, genomes, numbers):
 
 
 @pytest.mark.usefixtures("x64")
-def test_the_slope_by_a_bodys_numbers_is_that_of_experiments_built_anew():
-    loaded = evo.load(CONFIG, [*TINY, "simulation.steps=8"])
+@pytest.mark.parametrize(
+    "overrides",
+    [["creature.bodies.1.repeat=1"], pytest.param([], marks=pytest.mark.slow)],
+    ids=["two bodies", "three bodies"],
+)
+def test_the_slope_by_a_bodys_numbers_is_that_of_experiments_built_anew(overrides):
+    loaded = evo.load(CONFIG, [*TINY, *overrides, "simulation.steps=8"])
     experiment = loaded.with_fitness(lambda terms: terms["energy"])
     genome = experiment.random_genomes(0, 1)[0].astype(np.float64)
     values = np.array([900.0, 0.2])

@@ -20,7 +20,7 @@ def programs(page: str) -> list[str]:
     """The Python blocks of a page, with shorter trials and fewer individuals."""
     found = re.findall(r"```python\n(.+?)```", (ROOT / page).read_text(), re.S)
     short = [one.replace('"simulation.steps": 300', '"simulation.steps": 10') for one in found]
-    return [one.replace("(0, 64)", "(0, 8)") for one in short]
+    return [re.sub(r"\b(32|64)\b", "8", one) for one in short]
 
 
 def run(program: str, names: dict) -> None:
@@ -29,10 +29,10 @@ def run(program: str, names: dict) -> None:
 
 @pytest.fixture
 def here(tmp_path, monkeypatch):
-    """A working folder with the configurations in it, the swimmer of three bodies, not ten."""
+    """A working folder with the configurations in it, the swimmer of two bodies, not ten."""
     shutil.copytree(ROOT / "configs", tmp_path / "configs")
     for name, old, new in (
-        ("creatures/swimmer10.yaml", "repeat: 9 ", "repeat: 2 "),
+        ("creatures/swimmer10.yaml", "repeat: 9 ", "repeat: 1 "),
         ("iwadate2010_swimmer.yaml", "points: quadrature ", "form_resolution: 1 "),
         ("iwadate2010_swimmer.yaml", "hidden: [16] ", "hidden: [4] "),
     ):
@@ -77,7 +77,7 @@ def test_the_notebook_runs_in_order(here, monkeypatch, capsys):
         stand_in.CMA_ES = BetterHalf  # pyright: ignore
         monkeypatch.setitem(sys.modules, "evosax", types.ModuleType("evosax"))
         monkeypatch.setitem(sys.modules, "evosax.algorithms", stand_in)
-    run(search.replace("population_size=32", "population_size=8"), {})
+    run(search, {})
     for program in others:
         run(program, names)
     assert (here / "motion.csv").is_file()

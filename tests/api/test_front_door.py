@@ -13,7 +13,10 @@ import evo_cpg as evo
 from evo_cpg.cli import training
 from evo_cpg.cli.main import main
 from evo_cpg.training.run_folder import RunFolder
+from shared_programs import programs_of_its_own, remember_programs
 from tiny_run import CONFIG, REPOSITORY, TINY, environment
+
+__all__ = ["programs_of_its_own", "remember_programs"]
 
 COUNT = 5
 
@@ -75,22 +78,20 @@ def test_fitness_of_a_population_is_that_of_each_alone(experiment, genomes, eval
     np.testing.assert_allclose(evaluation.fitness, expected, rtol=1e-6)
 
 
-@pytest.fixture
-def shell(monkeypatch):
-    """Call `evo-cpg` on the devices of this process; its exit code."""
+def shell(*arguments: object) -> object:
+    """Call `evo-cpg` on the devices of this process; its exit code.
+
+    What is replaced is no part of any program, so those of other tests serve here as well.
+    """
     devices = len(jax.devices())
-    monkeypatch.setattr(training, "use_cores", lambda count=None: devices)
-
-    def call(*arguments: object) -> object:
-        monkeypatch.setattr(sys, "argv", ["evo-cpg", *map(str, arguments)])
-        with pytest.raises(SystemExit) as stopped:
-            main()
-        return stopped.value.code
-
-    return call
+    with pytest.MonkeyPatch.context() as patch, pytest.raises(SystemExit) as stopped:
+        patch.setattr(training, "use_cores", lambda count=None: devices)
+        patch.setattr(sys, "argv", ["evo-cpg", *map(str, arguments)])
+        main()
+    return stopped.value.code
 
 
-def test_it_evolves_what_the_command_does(experiment, tmp_path, shell):
+def test_it_evolves_what_the_command_does(experiment, tmp_path):
     seen = []
     trained = evo.train(experiment, tmp_path / "python", seen.extend)
     assert shell("train", CONFIG, *TINY, "--out", tmp_path / "shell") == 0
@@ -104,7 +105,7 @@ def test_it_evolves_what_the_command_does(experiment, tmp_path, shell):
     assert float(again.fitness[0]) == pytest.approx(trained.fitness, rel=1e-5)
 
 
-def test_a_run_with_a_fitness_of_its_own_is_not_resumed_as_another(tmp_path, capsys, shell):
+def test_a_run_with_a_fitness_of_its_own_is_not_resumed_as_another(tmp_path, capsys):
     mine = evo.load(CONFIG, (*TINY, "evolution.generations=1"))
     mine = mine.with_fitness(lambda terms: terms["energy"])
     trained = evo.train(mine, tmp_path / "mine")

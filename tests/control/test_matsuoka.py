@@ -207,8 +207,9 @@ def reference(gains, times, count):
     return firing[:, 0] - firing[:, 1]
 
 
-def test_whole_trial_agrees_with_diffrax(chain):
-    h, steps, gains = 1 / 60, 2000, [5.0, 20.0]
+@pytest.mark.parametrize("steps", [500, pytest.param(2000, marks=pytest.mark.slow)])
+def test_whole_trial_agrees_with_diffrax(chain, steps):
+    h, gains = 1 / 60, [5.0, 20.0]
     exact = reference(np.array(gains), h * np.arange(1, steps + 1), 9)
     found = run(chain(10, "z"), CpgSettings(), gains, steps * h)
     errors = np.sqrt(np.mean((found - exact) ** 2, axis=(0, 1)) / np.mean(exact**2, axis=(0, 1)))

@@ -23,23 +23,32 @@ POPULATION, ELITES, GENES = 15, 7, 192
 RANKS = np.array([0.30, 0.20, 0.20, 0.10, 0.10, 0.05, 0.03, 0.02])
 SEEDS = st.integers(0, 2**31 - 1)
 STILL = {"mutation_probability": 0.0}
+CHANGED = {"mutation_probability": 1.0, "mutation": "flip"}
+ONE_AND_TWO_COPIES = (CHANGED, {"best_copies": 2, **CHANGED})
 
 # The last individual is the best.
 FITNESS = np.arange(POPULATION)
 
 
 @functools.cache
-def compiled(changes: tuple):
-    """The generation step under these settings."""
-    return quick_jit(BitGenetics(**dict(changes)).next_generation)
+def compiled(*settings: tuple):
+    """The generation step under each of these settings, one program: they draw the same numbers."""
+    steps = [BitGenetics(**dict(changes)).next_generation for changes in settings]
+    return quick_jit(lambda *given: [step(*given) for step in steps])
+
+
+def bred_under(settings, genes, fitness=FITNESS, seed: int = 0) -> list[np.ndarray]:
+    """The next generation under each of some settings."""
+    breed = compiled(*(tuple(changes.items()) for changes in settings))
+    generations = breed(jax.random.key(seed), genes, jnp.asarray(fitness, jnp.float32))
+    for children in generations:
+        assert children.shape == genes.shape and children.dtype == genes.dtype
+    return [np.asarray(children) for children in generations]
 
 
 def bred(genes, fitness=FITNESS, seed: int = 0, **changes) -> np.ndarray:
     """The next generation."""
-    breed = compiled(tuple(changes.items()))
-    children = breed(jax.random.key(seed), genes, jnp.asarray(fitness, jnp.float32))
-    assert children.shape == genes.shape and children.dtype == genes.dtype
-    return np.asarray(children)
+    return bred_under([changes], genes, fitness, seed)[0]
 
 
 def bits(seed: int = 99, dtype=jnp.float32) -> jax.Array:
@@ -89,30 +98,33 @@ def test_four_pairs_have_two_complementary_children_each(seed):
 
 @given(st.permutations(range(POPULATION)), SEEDS)
 def test_the_best_seven_are_kept_bit_for_bit_best_first(fitness, seed):
-    genes = bits()
+    genes = np.asarray(bits())
     children = bred(genes, fitness, seed)
     best = sorted(range(POPULATION), key=lambda i: -fitness[i])[:ELITES]
     np.testing.assert_array_equal(children[:, :ELITES], genes[:, best])
 
 
-@pytest.mark.parametrize("copies", [1, 3, 7])
-def test_copies_of_the_best_take_kept_places_from_the_worst_kept(copies):
-    children = bred(ranks(), best_copies=copies, **STILL)
-    kept = [0] * copies + list(range(1, 1 + ELITES - copies))
-    np.testing.assert_array_equal(children[:, :ELITES], np.tile(np.float32(kept), (GENES, 1)))
-    np.testing.assert_array_equal(children[:, ELITES:], bred(ranks(), **STILL)[:, ELITES:])
+def test_copies_of_the_best_take_kept_places_from_the_worst_kept():
+    numbers = (1, 3, 7)
+    settings = [STILL] + [{"best_copies": copies, **STILL} for copies in numbers]
+    plain, *generations = bred_under(settings, ranks())
+    for copies, children in zip(numbers, generations, strict=True):
+        kept = [0] * copies + list(range(1, 1 + ELITES - copies))
+        np.testing.assert_array_equal(children[:, :ELITES], np.tile(np.float32(kept), (GENES, 1)))
+        np.testing.assert_array_equal(children[:, ELITES:], plain[:, ELITES:])
 
 
-@pytest.mark.parametrize("elites", [0, 5, 6, 14])
-def test_children_of_whole_pairs_fill_all_places_that_are_not_kept(elites):
+def test_children_of_whole_pairs_fill_all_places_that_are_not_kept():
     # Only the best is a parent, so its copies are the children; mutation tells them from it.
-    changes = {"rank_probabilities": (1.0,), "mutation_probability": 1.0, "mutation": "flip"}
-    genes = bits()
-    children = bred(genes, elite_count=elites, **changes)
-    np.testing.assert_array_equal(children[:, :elites], genes[:, ::-1][:, :elites])
-    changed = (children != genes[:, -1:]).sum(0)[elites:]
-    assert len(changed) == POPULATION - elites
-    assert changed.min() >= 2 and changed.max() <= 30
+    changes = {"rank_probabilities": (1.0,), **CHANGED}
+    genes = np.asarray(bits())
+    numbers = (0, 5, 6, 14)
+    generations = bred_under([{"elite_count": n, **changes} for n in numbers], genes)
+    for elites, children in zip(numbers, generations, strict=True):
+        np.testing.assert_array_equal(children[:, :elites], genes[:, ::-1][:, :elites])
+        changed = (children != genes[:, -1:]).sum(0)[elites:]
+        assert len(changed) == POPULATION - elites
+        assert changed.min() >= 2 and changed.max() <= 30
 
 
 @pytest.mark.parametrize("dead", [-np.inf, np.nan])
@@ -120,7 +132,7 @@ def test_the_diverged_are_not_kept_while_others_live(dead):
     genes = np.asarray(bits())
     fitness = np.full(POPULATION, dead)
     fitness[[4, 11]] = -1.0, -0.5
-    children = bred(genes, fitness, mutation_probability=1.0, mutation="flip", best_copies=2)
+    _, children = bred_under(ONE_AND_TWO_COPIES, genes, fitness)
     np.testing.assert_array_equal(children[:, :3], genes[:, [11, 11, 4]])
     for child in children[:, 3:].T:
         assert not (child == genes.T).all(1).any()
@@ -128,22 +140,25 @@ def test_the_diverged_are_not_kept_while_others_live(dead):
 
 def test_when_all_diverged_every_place_goes_to_a_child():
     genes = np.asarray(bits())
-    children = bred(genes, np.full(POPULATION, np.nan), mutation_probability=1.0, mutation="flip")
-    for child in children.T:
-        assert not (child == genes.T).all(1).any()
+    for children in bred_under(ONE_AND_TWO_COPIES, genes, np.full(POPULATION, np.nan)):
+        for child in children.T:
+            assert not (child == genes.T).all(1).any()
 
 
-@pytest.mark.parametrize("mutation", MUTATIONS)
 @pytest.mark.parametrize("dtype", [jnp.float16, jnp.float32])
-def test_genes_stay_bits_in_their_own_type(mutation, dtype):
-    genes = bits(dtype=dtype)
+def test_genes_stay_bits_in_their_own_type(dtype):
+    settings = [{"mutation": mutation} for mutation in MUTATIONS]
+    lines = [bits(dtype=dtype)] * len(settings)
     for seed in range(20):
-        genes = bred(jnp.asarray(genes), seed=seed, mutation=mutation)
-        assert np.isin(genes, [0.0, 1.0]).all()
-    assert genes.dtype == dtype
+        # Each line of descent goes on with the children of its own mutation.
+        lines = [
+            bred_under(settings, jnp.asarray(genes), seed=seed)[i] for i, genes in enumerate(lines)
+        ]
+        assert np.isin(lines, [0.0, 1.0]).all()
+    assert all(genes.dtype == dtype for genes in lines)
 
 
-mutate = quick_jit(bit_mutation, static_argnums=(2, 3, 4, 5))
+mutate = quick_jit(bit_mutation, static_argnums=(4, 5))
 
 
 def mutant(seed: int, genes, probability: float, fewest: int, most: int, mutation: str):
@@ -151,12 +166,19 @@ def mutant(seed: int, genes, probability: float, fewest: int, most: int, mutatio
     return np.asarray(mutate(jax.random.key(seed), genes, probability, fewest, most, mutation))
 
 
+@functools.partial(quick_jit, static_argnums=2)
+def genes_changed(seed: int, fewest: int, most: int) -> list[jax.Array]:
+    """In how many genes each individual differs after either mutation of 9."""
+    key = jax.random.key(seed)
+    genes = random_bits(key, 9, 40, jnp.float32)
+    mutants = [bit_mutation(key, genes, 1.0, fewest, most, kind) for kind in ("flip", "redraw")]
+    return [(mutated != genes).sum(0) for mutated in mutants]
+
+
 @given(SEEDS, st.sampled_from([(1, 1), (2, 5), (1, 9), (9, 9)]))
 def test_a_flip_changes_so_many_different_genes(seed, bounds):
-    genes = random_bits(jax.random.key(seed), 9, 40, jnp.float32)
-    changed = (mutant(seed, genes, 1.0, *bounds, "flip") != genes).sum(0)
+    changed, redrawn = map(np.asarray, genes_changed(seed, *bounds))
     assert bounds[0] <= changed.min() and changed.max() <= bounds[1]
-    redrawn = (mutant(seed, genes, 1.0, *bounds, "redraw") != genes).sum(0)
     # The same genes, and each of them stays as it is half of the time.
     assert (redrawn <= changed).all()
 
@@ -228,8 +250,14 @@ def test_runs_side_by_side_are_those_of_each_alone():
     for seed in seeds:
         alone = bred(genes[seed], fitness[seed], seed)
         np.testing.assert_array_equal(together[seed], alone)
-        uncompiled = BitGenetics().next_generation(keys[seed], genes[seed], fitness[seed])
-        np.testing.assert_array_equal(uncompiled, alone)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(3))
+def test_what_is_not_compiled_breeds_the_same(seed):
+    fitness = jnp.roll(jnp.asarray(FITNESS, jnp.float32), seed)
+    uncompiled = BitGenetics().next_generation(jax.random.key(seed), bits(seed), fitness)
+    np.testing.assert_array_equal(uncompiled, bred(bits(seed), fitness, seed))
 
 
 @pytest.mark.parametrize(

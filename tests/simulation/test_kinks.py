@@ -6,7 +6,9 @@ differ: by a kink, or by a jump, which no gradient tells of.
 """
 
 import dataclasses
+import functools
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -22,13 +24,12 @@ from evo_cpg.creature.shapes import Sphere
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.physics.state import resting_state
 from evo_cpg.physics.step import step
-from evo_cpg.physics.world import World
 from evo_cpg.simulation.sensors import light_strength
 from on_ground import GRAVITY, H, alone, released
 
 pytestmark = pytest.mark.usefixtures("x64")
 
-RADIUS = 0.1
+RADIUS, FRICTION = 0.1, 0.5
 # What gravity adds to a speed in a step, m/s.
 FALL = GRAVITY * H
 # The ground's stiffness on a lone body is so many times its mass over h, and a push at the rim of
@@ -37,7 +38,18 @@ STIFF = 60.0
 RIM = 3.5
 
 
-def both_sides(outcome, places, scales) -> tuple[np.ndarray, np.ndarray]:
+@functools.cache
+def graded(outcome):
+    """Values and slopes of an outcome by its first argument, compiled."""
+
+    def total(x, *given):
+        values = outcome(x, *given)
+        return values.sum(), values
+
+    return quick_jit(jax.value_and_grad(total, has_aux=True))
+
+
+def both_sides(outcome, places, scales, *given) -> tuple[np.ndarray, np.ndarray]:
     """Values and slopes just below (first) and just above places ``(k,)``.
 
     The slopes are gradients, which have to equal central differences that do not reach the place.
@@ -46,47 +58,46 @@ def both_sides(outcome, places, scales) -> tuple[np.ndarray, np.ndarray]:
         outcome: of numbers ``(6 k,)``, one by one; places alternate.
         places: between the sides.
         scales: over which the outcome changes; the sides lie a ten-thousandth of it away.
+        given: what else the outcome takes.
     """
     places, scales = np.atleast_1d(places), np.atleast_1d(scales)
     away = 1e-4 * scales
     points = places + away * np.array([[-1.0], [1.0]])
     reach = away / 2
-
-    def total(x):
-        values = outcome(x)
-        return values.sum(), values
-
-    arguments = jnp.asarray(np.stack([points, points + reach, points - reach]).ravel())
-    (_, values), slopes = quick_jit(jax.value_and_grad(total, has_aux=True))(arguments)
+    arguments = np.stack([points, points + reach, points - reach]).ravel()
+    (_, values), slopes = graded(outcome)(arguments, *given)
     here, up, down = np.asarray(values).reshape(3, *points.shape)
     slopes = np.asarray(slopes).reshape(3, *points.shape)[0]
     np.testing.assert_allclose(slopes, (up - down) / (2 * reach), rtol=1e-6, atol=1e-7)
     return here.squeeze(), slopes.squeeze()
 
 
-def after_a_step(world: World, axis: int, position, velocity, vary: str):
-    """What a lone body's ``vary`` along an axis is after a step, by what it is before."""
+# Of position and velocity, angular first, of a lone ball.
+X_SPEED, Z = np.eye(9)[[6, 2]]
 
-    def outcome(x):
-        places, speeds = (
-            jnp.broadcast_to(jnp.asarray(values, x.dtype)[:, None], (len(values), len(x)))
-            for values in (position, velocity)
-        )
-        if vary == "position":
-            places = places.at[axis].set(x)
-        else:
-            speeds = speeds.at[axis].set(x)
-        start = released(world, places, speeds)
-        return getattr(step(world, start, jnp.zeros((0, len(x))), H)[0], vary)[axis]
 
-    return outcome
+def after_a_step(x, start, along, restitution):
+    """What a lone ball's position or velocity is after a step, by what it is before.
+
+    Args:
+        x: of the one that varies.
+        start: position and velocity (9,), 0 for the one that varies.
+        along: which one varies and is told, 1 among zeros (9,).
+        restitution: of the ball.
+    """
+    world = alone(Sphere(RADIUS), static=FRICTION, dynamic=FRICTION)
+    given_back = jnp.broadcast_to(restitution, world.footing.restitution.shape)
+    world = eqx.tree_at(lambda w: w.footing, world, world.footing._replace(restitution=given_back))
+    both = start[:, None] + along[:, None] * x[None]
+    after = step(world, released(world, both[:3], both[3:]), jnp.zeros((0, len(x))), H)[0]
+    return along @ jnp.concatenate([after.position, after.velocity])
 
 
 def test_the_first_touch_is_a_kink():
     """Above, the height before counts in full; below, the ground takes all but one part in 61."""
-    outcome = after_a_step(alone(Sphere(RADIUS)), 2, [0, 0, 0], [0, 0, 0, 0, 0, -1.0], "position")
+    start = np.array([0.0, 0, 0, 0, 0, 0, 0, 0, -1])
     # What would else be below the ground at the end of the step is held.
-    values, slopes = both_sides(outcome, RADIUS + H * (1.0 + FALL), H)
+    values, slopes = both_sides(after_a_step, RADIUS + H * (1.0 + FALL), H, start, Z, 0.0)
     np.testing.assert_allclose(slopes, [1 / (1 + STIFF), 1.0], rtol=1e-9)
     assert np.ptp(values) < 2e-4 * H
 
@@ -94,9 +105,8 @@ def test_the_first_touch_is_a_kink():
 def test_a_bounce_begins_with_a_jump():
     """A ball bounces in the step in which it would hit at its present speed, and not before."""
     speed, restitution = 1.0, 0.5
-    world = alone(Sphere(RADIUS), restitution)
-    outcome = after_a_step(world, 2, [0, 0, 0], [0, 0, 0, 0, 0, -speed], "position")
-    values, slopes = both_sides(outcome, RADIUS + H * speed, H)
+    start = np.array([0.0, 0, 0, 0, 0, 0, 0, 0, -speed])
+    values, slopes = both_sides(after_a_step, RADIUS + H * speed, H, start, Z, restitution)
     jump = (1 + restitution) * speed * STIFF / (1 + STIFF) * H
     assert values[0] - values[1] == pytest.approx(jump, rel=1e-3)
     # Where it bounces, the height before counts; where not yet, it is led down to the ground.
@@ -105,13 +115,11 @@ def test_a_bounce_begins_with_a_jump():
 
 def test_slipping_begins_with_a_kink():
     """A ball that lies on the ground is pushed: it sticks, but for one part in 211, or slides."""
-    friction = 0.5
-    world = alone(Sphere(RADIUS), static=friction, dynamic=friction)
-    outcome = after_a_step(world, 3, [0, 0, RADIUS], [0.0] * 6, "velocity")
+    start = np.array([0.0, 0, RADIUS, 0, 0, 0, 0, 0, 0])
     support = FALL * STIFF / (1 + STIFF)
     held = 1 + RIM * STIFF
-    place = friction * support * held / STIFF
-    values, slopes = both_sides(outcome, place, place)
+    place = FRICTION * support * held / STIFF
+    values, slopes = both_sides(after_a_step, place, place, start, X_SPEED, 0.0)
     # The rim keeps 1 / held of its speed, the centre loses what the friction takes.
     assert slopes[0] == pytest.approx(1 - STIFF / held, rel=1e-9)
     assert slopes[1] > slopes[0] + 0.01

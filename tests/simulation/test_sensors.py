@@ -51,14 +51,15 @@ def test_eyes_see_by_where_they_are_and_where_they_look(x64, light):
     root = np.asarray(euler_to_matrix(*turn))
     place = np.array([0.2, -0.1, 0.3])
     state = State(
-        position=jnp.asarray(place),
-        orientation=jnp.asarray(quaternion(root)),
-        velocity=jnp.zeros(6),
-        q=jnp.array([bend]),
-        qd=jnp.zeros(1),
+        position=place,
+        orientation=np.asarray(quaternion(root)),
+        velocity=np.zeros(6),
+        q=np.array([bend]),
+        qd=np.zeros(1),
     )
     sensors = place_sensors(creature, tree)
-    strength, cosine, sine = see(sensors, kinematics(tree, state), jnp.asarray(light))
+    seen = quick_jit(lambda state, light: see(sensors, kinematics(tree, state), light))
+    strength, cosine, sine = map(np.asarray, seen(state, np.array(light)))
     tail = root @ np.asarray(euler_to_matrix(0.0, 0.0, bend))
     joint = place + root @ [-0.11, 0, 0]
     positions = [place + root @ [0.1, 0, 0], joint + tail @ [-0.21, 0, 0.02]]
@@ -91,8 +92,13 @@ def test_eyes_in_the_dark_feel_only_the_vertical(x64):
     tree = build_tree(swimmer(EYES))
     sensors = place_sensors(swimmer(EYES), tree)
     turned = tuple(map(float, quaternion(np.asarray(euler_to_matrix(0.4, -0.3, 1.1)))))
-    kin = kinematics(tree, resting_state(tree, dtype=jnp.float64, orientation=turned))
-    lit, dark = see(sensors, kin, jnp.array([3.0, 1.0, 0.5])), see(sensors, kin, None)
+
+    @quick_jit
+    def seen(light):
+        kin = kinematics(tree, resting_state(tree, dtype=jnp.float64, orientation=turned))
+        return see(sensors, kin, light), see(sensors, kin, None)
+
+    lit, dark = jax.device_get(seen(np.array([3.0, 1.0, 0.5])))
     assert float(lit[0].max()) > 0.5
     np.testing.assert_array_equal(dark[0], [0.0, 0.0])
     np.testing.assert_array_equal(dark[1], lit[1])
@@ -148,6 +154,8 @@ def test_depth_gauges_read_the_depth_of_their_own_place(x64):
     pitch = np.asarray(euler_to_matrix(0.0, 0.3, 0.0))
     down = tuple(map(float, quaternion(pitch)))
     own = -0.5 + pitch[2] @ [0.1, 0.0, 0.02]
+    start = resting_state(tree, dtype=jnp.float64, position=(0.0, 0.0, -0.5), orientation=down)
+    kin = quick_jit(lambda start: kinematics(tree, start))(start)
     for surface, expected in (
         (0.0, [-own / 2.0, 1.0, 1.0]),
         (-0.3, [(-0.3 - own) / 2.0, 1.0, 0.4]),
@@ -155,10 +163,6 @@ def test_depth_gauges_read_the_depth_of_their_own_place(x64):
         (None, [0.0, 0.0, 0.0]),
     ):
         world = World(tree, 9.81, Water(1000.0, 1.0, 0.02, surface=surface), ())
-        kin = kinematics(
-            tree,
-            resting_state(tree, dtype=jnp.float64, position=(0.0, 0.0, -0.5), orientation=down),
-        )
         np.testing.assert_allclose(fathom(sensors, world, kin), expected, rtol=0, atol=1e-9)
 
 

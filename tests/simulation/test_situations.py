@@ -45,7 +45,7 @@ def live(simulation, trial=None, keys=None):
         frames = record(simulation, genes, len(TRIAL), keys, trial)
         return rollout(simulation, genes, keys, trial), frames
 
-    return quick_jit(run)(GENES, keys, trial)
+    return jax.device_get(quick_jit(run)(GENES, keys, trial))
 
 
 @pytest.fixture(scope="module")

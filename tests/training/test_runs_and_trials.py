@@ -40,6 +40,7 @@ def noisy(made):
 
 
 PAIR = alone(SEED)._replace(runs=2)
+REAL, BITS = PAIR.genetics, BitGenetics(SIZE, 2, 1, (0.6, 0.4), 0.5, 1, 2)
 # Every individual of two noisy runs lives twice.
 NOISY = noisy(PAIR)._replace(trials=2, generations=2)
 
@@ -76,9 +77,14 @@ def test_first_genomes_are_those_of_the_lone_runs():
     )
 
 
-@pytest.mark.parametrize("trials", [1, 3])
 @pytest.mark.parametrize(
-    "genetics", [PAIR.genetics, BitGenetics(SIZE, 2, 1, (0.6, 0.4), 0.5, 1, 2)]
+    ("genetics", "trials"),
+    [
+        pytest.param(REAL, 1, marks=pytest.mark.slow),
+        (REAL, 3),
+        (BITS, 1),
+        pytest.param(BITS, 3, marks=pytest.mark.slow),
+    ],
 )
 def test_runs_are_bred_as_if_each_were_alone(genetics, trials):
     rng = np.random.default_rng(0)
@@ -202,12 +208,20 @@ def test_fitness_and_terms_are_means_and_who_dies_once_is_dead():
     alive = np.ones((4, 3), bool)
     alive[1, 2] = False
     terms["light"][2, 0] = np.nan
-    outcome = Outcome(jax.tree.map(jnp.asarray, terms), jnp.asarray(alive))
-    fitness, mean = judge(task, outcome, scales)
+    outcome = Outcome(terms, alive)
+
+    @quick_jit
+    def judged(outcome):
+        first = jax.tree.map(lambda x: x[:, :1], outcome)
+        return (
+            *judge(task, outcome, scales),
+            score(task, outcome, scales),
+            judge(task, first, scales)[0],
+        )
+
+    fitness, mean, single, of_the_first = jax.device_get(judged(outcome))
     assert np.isneginf(fitness).tolist() == [False, True, True, False]
     assert np.asarray(mean.alive).tolist() == [True, False, True, True]
-    single = np.asarray(score(task, outcome, scales))
     np.testing.assert_allclose(np.asarray(fitness)[[0, 3]], single[[0, 3]].mean(1), rtol=1e-6)
     np.testing.assert_allclose(mean.terms["energy"], terms["energy"].mean(1), rtol=1e-6)
-    first = jax.tree.map(lambda x: x[:, :1], outcome)
-    np.testing.assert_array_equal(judge(task, first, scales)[0], single[:, 0])
+    np.testing.assert_array_equal(of_the_first, single[:, 0])
