@@ -177,14 +177,14 @@ def compile_trials(
         the inputs.
     """
 
-    def live(values: Any, genes: Array, keys: Array | None, trial: Array | None) -> Outcome:
+    def rollouts(values: Any, genes: Array, keys: Array | None, trial: Array | None) -> Outcome:
         if inputs is None:
             return rollout(simulation, genes, keys, trial)
         return rollout_batched(simulation, inputs, values, genes, keys, trial)
 
     @functools.cache
     def program(busy: Mesh) -> Callable[..., Outcome]:
-        return sharded(live, busy, (2, 2, 2, 1), 1)
+        return sharded(rollouts, busy, (2, 2, 2, 1), 1)
 
     def run(
         genes: Float[np.ndarray, "g individuals"],
