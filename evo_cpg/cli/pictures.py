@@ -5,11 +5,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from evo_cpg.analysis.chains import chains
-from evo_cpg.cli.building import build, read_config
+from evo_cpg.cli.building import read_config
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.progress import working
 from evo_cpg.cli.training import champion_motion
-from evo_cpg.config.build import build_creature
+from evo_cpg.config.build import build_creature, build_experiment
 from evo_cpg.config.schema.ground import GroundConfig, PlaneConfig
 from evo_cpg.control.brain_cpg import BrainCpg
 from evo_cpg.control.controller import Controller
@@ -87,15 +87,16 @@ def preview_config(
     pose, ground = None, config.world.ground is not None
     if config.simulation.start_pose == "settled" or _has_shape(config.world.ground):
         # As it starts, among what stands around.
-        simulation = build(config, path).simulation
         names = [body.name for body in creature.bodies]
-        pose = starting_pose(simulation.situations[0], simulation.world.tree, names)
+        with working("finding how it starts"):
+            simulation = build_experiment(config, path).simulation
+            pose = starting_pose(simulation.situations[0], simulation.world.tree, names)
         footing = simulation.world.footing
         ground = footing.ground if footing is not None else False
-    from evo_cpg.view.preview import preview
-
     place = output or Path(f"{creature.name}.png")
     with working("drawing"):
+        from evo_cpg.view.preview import preview
+
         made = preview(creature, place, pixels, ground=ground, pose=pose)
     print(made)
 
