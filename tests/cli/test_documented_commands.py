@@ -10,7 +10,7 @@ import pytest
 import typer
 
 from evo_cpg.cli.main import app
-from tiny_run import TINY
+from tiny_run import PAIR
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *(p for p in (ROOT / "docs").rglob("*.md") if "_build" not in p.parts)]
@@ -18,7 +18,7 @@ PAGES = [ROOT / "README.md", *(p for p in (ROOT / "docs").rglob("*.md") if "_bui
 PROMPTS = (r"^\$ (.+)$", r"^# {3}((?:evo-cpg|make) .+)$")
 
 # What a run of the README's session is cut down to.
-SMALL = (*TINY, "evolution.generations=2")
+SMALL = (*PAIR, "evolution.generations=2")
 
 
 def commands() -> list[tuple[str, list[str]]]:

@@ -2,7 +2,7 @@
 
 import pytest
 
-from tiny_run import CONFIG, REPOSITORY, TINY
+from tiny_run import CONFIG, PAIR, REPOSITORY
 
 GRAMS = "creature.materials.body.density=1"
 RADIANS = "task.light.bearing_deg=0.524"
@@ -58,7 +58,7 @@ def test_train_and_preview_warn_and_go_on(cli, tmp_path):
     assert "evo-cpg: warning: " in err and "densities of bodies are 20" in err
     assert (tmp_path / "body.png").is_file()
     run = tmp_path / "run"
-    code, _, err = cli("train", CONFIG, *TINY, "evolution.generations=1", RADIANS, "--out", run)
+    code, _, err = cli("train", CONFIG, *PAIR, "evolution.generations=1", RADIANS, "--out", run)
     assert code == 0
     assert "task.light.bearing_deg: 0.524: in degrees this is hardly a turn; as radians" in err
     assert (run / "champion.npz").is_file()

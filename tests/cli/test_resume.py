@@ -1,4 +1,8 @@
-"""A run that was stopped and resumed is the run that went through, bit for bit."""
+"""A run that was stopped and resumed is the run that went through, bit for bit.
+
+What is stopped is a process. One of those who go on is another; the others are this one, which
+compiles once for all.
+"""
 
 import csv
 import shutil
@@ -61,13 +65,13 @@ def stop(start, folder: Path, how: signal.Signals) -> tuple[int, str]:
     return process.returncode, err
 
 
-def test_an_interrupted_run_says_how_to_go_on_and_does(finished_run, start, finish, tmp_path):
+def test_an_interrupted_run_says_how_to_go_on_and_does(finished_run, start, cli, tmp_path):
     folder = tmp_path / "run"
     code, err = stop(start, folder, signal.SIGINT)
     assert code == 130
     assert err.endswith(f"interrupted; go on with `evo-cpg resume {folder}`\n")
     assert "Traceback" not in err
-    code, out, err = finish("resume", folder)
+    code, out, err = cli("resume", folder)
     assert (code, out) == (0, f"{folder}\n"), err
     assert_same_run(folder, finished_run)
 
@@ -85,21 +89,21 @@ def test_a_killed_run_goes_on(finished_run, start, finish, tmp_path):
     assert_same_run(folder, finished_run)
 
 
-def test_a_run_killed_before_its_first_checkpoint_begins_anew(finished_run, finish, tmp_path):
+def test_a_run_killed_before_its_first_checkpoint_begins_anew(finished_run, cli, tmp_path):
     folder = tmp_path / "run"
     folder.mkdir()
     shutil.copy(finished_run / "config.yaml", folder)
-    code, _, err = finish("resume", folder, "--cores", 2)
+    code, _, err = cli("resume", folder, "--cores", 2)
     assert code == 0, err
     assert_same_run(folder, finished_run)
 
 
-def test_what_a_kill_at_the_very_end_cost_is_written_anew(finished_run, finish, tmp_path):
+def test_what_a_kill_at_the_very_end_cost_is_written_anew(finished_run, cli, tmp_path):
     folder = tmp_path / "run"
     shutil.copytree(finished_run, folder)
     for lost in ("champion.npz", "metrics.csv", "meta.json"):
         (folder / lost).unlink()
-    code, _, err = finish("resume", folder, "--cores", 2)
+    code, _, err = cli("resume", folder, "--cores", 2)
     assert code == 0, err
     assert_same_run(folder, finished_run)
 

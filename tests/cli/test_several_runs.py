@@ -6,7 +6,7 @@ import shutil
 import pytest
 
 from evo_cpg.training.run_folder import RunFolder
-from tiny_run import CONFIG, TINY
+from tiny_run import CONFIG, PAIR
 
 NOISY = (
     "runs=2",
@@ -21,7 +21,7 @@ NOISY = (
 @pytest.fixture(scope="module")
 def noisy_run(cli, tmp_path_factory):
     folder = tmp_path_factory.mktemp("several") / "run"
-    overrides = (*TINY, *NOISY, "evolution.generations=2")
+    overrides = (*PAIR, *NOISY, "evolution.generations=2")
     code, _, err = cli("train", CONFIG, *overrides, "--out", folder, "--cores", 2)
     assert code == 0, err
     assert "generation    2/2  best of 2 runs" in err and "  median" in err

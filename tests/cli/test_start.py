@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 import evo_cpg
-from tiny_run import CONFIG, REPOSITORY, TINY, environment
+from tiny_run import CONFIG, LONG, REPOSITORY, environment
 
 IMPORT_EVERYTHING = """
 import importlib, pkgutil, jax
@@ -82,7 +82,7 @@ def test_training_never_loads_vtk(finished_run, compiled, tmp_path):
         TRAIN,
         "train",
         CONFIG,
-        *TINY,
+        *LONG,
         "evolution.generations=1",
         "--out",
         tmp_path / "run",

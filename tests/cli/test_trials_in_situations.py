@@ -8,7 +8,7 @@ from evo_cpg.cli import training
 from evo_cpg.cli.pictures import plot_run
 from evo_cpg.training import loop
 from evo_cpg.training.run_folder import RunFolder
-from tiny_run import CONFIG, TINY
+from tiny_run import CONFIG, PAIR
 
 TRIALS = (
     "[{light: {bearing_deg: -60}}, {light: {bearing_deg: 60, distance: 5}}, "
@@ -19,7 +19,7 @@ TRIALS = (
 @pytest.fixture(scope="module")
 def situated_run(cli, tmp_path_factory):
     folder = tmp_path_factory.mktemp("situated") / "run"
-    overrides = (*TINY, f"simulation.trials={TRIALS}", "evolution.generations=2")
+    overrides = (*PAIR, f"simulation.trials={TRIALS}", "evolution.generations=2")
     code, _, err = cli("train", CONFIG, *overrides, "--out", folder, "--cores", 2)
     assert code == 0, err
     return folder
@@ -76,8 +76,7 @@ def test_a_trial_that_is_not_there_is_refused(situated_run, cli, command):
 def test_a_run_over_uneven_ground_trains_and_verifies(cli, finish, tmp_path):
     """Its start and its light are looked at before training, which must not fix the cores."""
     folder, floor = tmp_path / "run", "{type: plane, slope_deg: 5, height: -3}"
-    small = "creature.bodies.1.repeat=1", "evolution.generations=1"
-    overrides = (*TINY, *small, f"world.ground.floor={floor}")
+    overrides = (*PAIR, "evolution.generations=1", f"world.ground.floor={floor}")
     code, _, err = finish("train", CONFIG, *overrides, "--out", folder, "--cores", 2)
     assert code == 0, err
     code, out, err = cli("verify", folder)
