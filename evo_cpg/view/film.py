@@ -343,8 +343,10 @@ def _set_scene(
     )
     plotter.camera.view_angle = camera.view_angle
     plotter.camera.up = (0.0, 0.0, 1.0)
-    # Renders once, which makes the window; without it VTK resets the camera later.
+    # Makes the window, in which nothing need be drawn yet; without it VTK resets the camera later.
+    plotter.renderer.SetDraw(False)
     plotter.show(auto_close=False, interactive=False)
+    plotter.renderer.SetDraw(True)
 
     def show(frame: int) -> None:
         plotter.camera.position = camera.position[frame]

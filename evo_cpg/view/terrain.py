@@ -6,9 +6,10 @@ towards the horizon; they run along the creases of the ground, where it has any.
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 
 from evo_cpg.physics.terrain import Part, Plane, Relief, Shore
 
@@ -16,6 +17,10 @@ from evo_cpg.physics.terrain import Part, Plane, Relief, Shore
 # the animal; most lines of that kind; growth of their distance further out. A frame of 960 x 540
 # with 100,000 crossings took 126 ms on one core of a software renderer.
 _STEP, _NEAR, _LINES, _GROWTH = 0.08, 5.0, 150, 1.18
+
+# Places whose heights are asked for at once: a mesh has tens of thousands, the camera's way some
+# hundreds, and each number of them would be a program of its own to compile.
+_BLOCK = 4096
 
 
 class Terrain(NamedTuple):
@@ -81,10 +86,11 @@ def heights(floor: Part, place: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, 
             f"no heights for a {type(floor).__name__}; a floor is a Plane, a Shore or a Relief"
         )
     flat = np.asarray(place, float).reshape(-1, 2)
-    point = jnp.asarray(np.stack([flat[:, 0], flat[:, 1], np.zeros(len(flat))]))
-    gap, normal = floor.distance(point)
-    high = -np.asarray(gap, float) / np.asarray(normal, float)[2]
-    return np.broadcast_to(high, len(flat)).reshape(place.shape[:-1])
+    filled = np.zeros((3, -(-len(flat) // _BLOCK) * _BLOCK), np.float32)
+    filled[:2, : len(flat)] = flat.T
+    blocks = np.split(filled, filled.shape[1] // _BLOCK, axis=1)
+    high = np.concatenate([np.asarray(_heights(floor, block), float) for block in blocks])
+    return high[: len(flat)].reshape(place.shape[:-1])
 
 
 def make_terrain(floor: Part, path: Float[np.ndarray, "n 2"], radius: float, far: float) -> Terrain:
@@ -100,6 +106,12 @@ def make_terrain(floor: Part, path: Float[np.ndarray, "n 2"], radius: float, far
     step = max(_STEP * radius, float((high - low).max()) / _LINES)
     x, y = (_lines(low[i], high[i], far, step, _creases(floor, "xy"[i])) for i in (0, 1))
     return Terrain(x, y, heights(floor, np.stack(np.meshgrid(x, y, indexing="ij"), -1)))
+
+
+@jax.jit
+def _heights(floor: Part, point: Float[Array, "3 n"]) -> Float[Array, " n"]:
+    gap, normal = floor.distance(point)
+    return jnp.broadcast_to(-gap / normal[2], gap.shape)
 
 
 def _lines(
