@@ -33,8 +33,9 @@ def recording():
 
 @pytest.fixture(scope="module")
 def stills(creature, recording, tmp_path_factory):
-    """A function that renders a still; settings and scenery left out go by name."""
+    """A function that renders a still, each only once; scenery left out goes by name."""
     folder = tmp_path_factory.mktemp("stills")
+    painted = {}
 
     def still(motion=recording, without="", **settings):
         settings = {
@@ -43,12 +44,15 @@ def stills(creature, recording, tmp_path_factory):
             "title": "",
             "seconds": INSTANT,
         } | settings
-        path = folder / "still.png"
-        with pytest.MonkeyPatch.context() as patch:
-            if without:
-                patch.setattr(f"evo_cpg.view.film.{without}", lambda *_: lambda *_: None)
-            film(creature, motion, path, size=SIZE, **settings)
-        return synthetic.read(path)
+        key = motion.position.tobytes(), without, repr(settings)
+        if key not in painted:
+            path = folder / "still.png"
+            with pytest.MonkeyPatch.context() as patch:
+                if without:
+                    patch.setattr(f"evo_cpg.view.film.{without}", lambda *_: lambda *_: None)
+                film(creature, motion, path, size=SIZE, **settings)
+            painted[key] = synthetic.read(path)
+        return painted[key]
 
     return still
 
