@@ -1,7 +1,7 @@
 """Programs of training that tests share: what is built anew from equal parts is compiled once.
 
 Training, resuming, replaying and refining each compile an experiment's programs from the parts that
-they are given. Tests do that dozens of times with the same parts. Here the three functions that
+they are given. Tests do that dozens of times with the same parts. Here the four functions that
 make these programs remember what they made, by the content of what they were given.
 
 A test that replaces something by `monkeypatch` gets programs of its own, for what it replaced may
@@ -25,11 +25,15 @@ from evo_cpg.training import ascent, experiment, loop
 _OWN = {"monkeypatch", "lowered"}
 
 # The last so many are kept; each may hold hundreds of thousands of objects.
-_KEPT = 12
+_KEPT = 16
 
 
 def _trials(simulation, mesh, width=None):
     return simulation, mesh, width
+
+
+def _evolution(made):
+    return (made._replace(generations=0, learning=None),)
 
 
 def _replay(made, devices, recorded=0):
@@ -43,6 +47,7 @@ def _ascent(made, mesh, steps, free=None):
 
 _MAKERS: dict[Callable, Callable[..., tuple | None]] = {
     experiment.compile_trials: _trials,
+    loop.compile_evolution: _evolution,
     loop.compile_replay: _replay,
     ascent.compile_ascent: _ascent,
 }

@@ -3,11 +3,13 @@
 import functools
 import time
 from collections.abc import Callable
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh
+from jaxtyping import Array
 
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.simulation.rollout import as_recording
@@ -35,6 +37,20 @@ Replayed = tuple[float, dict[str, float], Recording]
 TIMING_COLUMNS = ("seconds", "steps_per_second")
 
 
+class Evolution(NamedTuple):
+    """What a run computes besides its trials: functions that are compiled at their first call.
+
+    Attributes:
+        first_population: as of that name, of nothing.
+        keys: `generation_keys` of the number of a generation.
+        breed: as of that name, without the experiment.
+    """
+
+    first_population: Callable[..., Array]
+    keys: Callable[..., Array | None]
+    breed: Callable[..., Generation]
+
+
 def train(
     experiment: Experiment,
     folder: RunFolder,
@@ -57,9 +73,10 @@ def train(
         The state after the last generation.
     """
     mesh = mesh or population_mesh()
+    programs = compile_evolution(experiment)
     checkpoint = folder.load()
     if checkpoint is None:
-        genes = jax.jit(lambda: first_population(experiment))()
+        genes = programs.first_population()
         nobody = (None,) * experiment.runs
         checkpoint = Checkpoint(0, np.asarray(genes), nobody, [], _no_scales(experiment))
     elif checkpoint.history:
@@ -68,21 +85,19 @@ def train(
     run_trials = compile_trials(experiment.simulation, mesh)
     everybody = experiment.runs * experiment.genetics.population
     numbers = jax.tree.map(lambda x: np.tile(x, everybody), situation_numbers(experiment))
-    run_breeding = jax.jit(functools.partial(breed, experiment))
     learn = compile_learning(experiment, mesh) if experiment.learning else None
-    draw_keys = jax.jit(functools.partial(generation_keys, experiment))
     first = checkpoint.generation
     while checkpoint.generation < experiment.generations:
         start = time.perf_counter()
         index = np.int32(checkpoint.generation)
-        keys = jax.device_get(draw_keys(index))
+        keys = jax.device_get(programs.keys(index))
         outcome = run_trials(checkpoint.genes, keys, numbers, experiment.trials)
         if checkpoint.generation == first:
             on_compiled()
         yardsticks = {
             name: np.array(values, np.float32) for name, values in checkpoint.scales.items()
         }
-        result = jax.device_get(run_breeding(checkpoint.genes, outcome, index, yardsticks))
+        result = jax.device_get(programs.breed(checkpoint.genes, outcome, index, yardsticks))
         done = checkpoint.generation + 1
         scales = {name: tuple(values.tolist()) for name, values in result.scales.items()}
         population = np.asarray(result.next_genes)
@@ -101,6 +116,12 @@ def train(
         folder.save(checkpoint)
         on_generation(rows)
     return checkpoint
+
+
+def compile_evolution(experiment: Experiment) -> Evolution:
+    """Compile what a run computes besides its trials, whatever the number of its generations."""
+    functions = first_population, generation_keys, breed
+    return Evolution(*(jax.jit(functools.partial(one, experiment)) for one in functions))
 
 
 def replay_champion(

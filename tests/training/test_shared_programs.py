@@ -9,7 +9,11 @@ MESH = population_mesh()
 
 
 def programs(made):
-    return loop.compile_trials(made.simulation, MESH), memetic.compile_ascent(made, MESH, 2)
+    return (
+        loop.compile_trials(made.simulation, MESH),
+        loop.compile_evolution(made),
+        memetic.compile_ascent(made, MESH, 2),
+    )
 
 
 def test_equal_parts_share_programs_and_others_do_not():
