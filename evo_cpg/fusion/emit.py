@@ -4,26 +4,31 @@ The program runs over the individuals a *vector* at a time: every scalar of the 
 instruction on a register that holds it for 16 individuals (or 8, 4, 1: the machine's width). All
 that lies between two ends of loops is one *stretch* without branches, a function; what crosses from
 one to another has a *slot* in scratch memory, a number for each individual of the vector, and so
-has what leaves the registers for a while. A *driver* loops and calls them. The last vector overlaps
-the one before it where the individuals do not come out even; where there are fewer than one vector
-holds, rows are read and written with a mask.
+has what leaves the registers for a while. A *driver* loops and calls them, for one vector, or for
+several in turn where loops end at different rounds for each individual (`evo_cpg.fusion.packing`).
+The last vector overlaps the one before it where the individuals do not come out even; where there
+are fewer than one vector holds, rows are read and written with a mask.
 
 No instruction carries a fast-math flag, and which products are fused with sums is decided before
 (`evo_cpg.fusion.sums`): the bits of an individual's results do not depend on the vector's width.
 """
 
-from collections.abc import Sequence
+import functools
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from evo_cpg.fusion import machine_constants
 from evo_cpg.fusion.graph import Block, Loop, Node
 from evo_cpg.fusion.ir import TYPES, Writer, number
 from evo_cpg.fusion.liveness import Plan, home
 from evo_cpg.fusion.memory import Memory
 from evo_cpg.fusion.operations import write
 from evo_cpg.fusion.order import resolve
+from evo_cpg.fusion.packing import DECLARED, Gang, Place, each_vector, packed_loop
 from evo_cpg.fusion.registers import Registers
+from evo_cpg.fusion.unsupported import Unsupported
 
 
 class Buffer(NamedTuple):
@@ -89,11 +94,21 @@ def emit(
     return _Emitter(arguments, results, variant, plan).emit(top)
 
 
+class _Packed:
+    """A loop that is packed: what its rounds read from memory, and what they have written there."""
+
+    def __init__(self):
+        self.read: dict[Node, None] = {}
+        self.tables: dict[Node, None] = {}
+        self.written: set[Node] = set()
+
+
 class _Emitter:
     """Writes the functions, one for each stretch, and the driver that calls them.
 
     Of the attributes ``w`` has the lines of the stretch that is being written, ``registers`` and
-    ``names`` where its values are.
+    ``names`` where its values are. With a gang, the driver's calls are for all of its vectors, but
+    for those in ``packed``, the loop whose functions are being written.
     """
 
     def __init__(self, arguments, results, variant: Variant, plan: Plan):
@@ -110,6 +125,10 @@ class _Emitter:
         self.slots: dict[Node, int] = {}
         self.spilled: dict[Node, int] = {}
         self.tables: dict[Node, int | str] = {}
+        self.ganged = variant.width > 1 and not variant.masked and plan.loops_with_conditions
+        self.packed: _Packed | None = None
+        # What is written once it is known how much memory a vector needs.
+        self.late: list[Callable[[Gang], str]] = []
         self._begin()
 
     def emit(self, top: Block) -> Code:
@@ -122,7 +141,7 @@ class _Emitter:
         self._block(top, [node for _, nodes in self.results for node in nodes])
         self._write_results()
         self._end()
-        return Code(self._text(), self.memory.size)
+        return Code(*self._text())
 
     def _begin(self) -> None:
         """A new stretch, in which nothing is known yet."""
@@ -131,24 +150,27 @@ class _Emitter:
         self.names: dict[Node, str] = {}
         self.memory.buffers = {}
 
-    def _end(self, result: str = "") -> str:
+    def _end(self, result: str = "", kind: str = "i1") -> str:
         """The stretch as a function of its own, called by the driver; the name of its result."""
         if not self.w.lines and not result:
             return ""
-        name = f"@stretch{len(self.functions)}"
-        kind = "i1" if result else "void"
-        parameters = [f"ptr noalias {buffer}" for buffer in self.memory.buffers]
-        parameters += ["ptr noalias %scratch", "i64 %n", "i64 %first"]
-        body = [*self._valid(), *self.w.lines, f"ret {kind} {result}"]
+        name, kind = f"stretch{len(self.functions)}", kind if result else "void"
+        buffers = [f"ptr noalias {buffer}, " for buffer in self.memory.buffers]
+        body = ["entry:", *self._valid(), *self.w.lines, f"ret {kind} {result}"]
         # Not inlined: within the driver's loops LLVM would take constants out of them, thousands,
         # and spill each as a whole vector.
         self.functions.append(
-            f"define internal {kind} {name}({', '.join(parameters)}) noinline #0 {{\n"
-            + "\n".join(body)
-            + "\n}"
+            f"define internal {kind} @{name}({''.join(buffers)}ptr noalias %scratch, i64 %n, "
+            f"i64 %first) noinline #0 {{\n" + "\n".join(body) + "\n}"
         )
-        given = ", ".join(each.replace(" noalias", "") for each in parameters)
-        call = f"call {kind} {name}({given})"
+        given = "".join(buffers).replace(" noalias", "")
+        if self.ganged and self.packed is None:
+            self.late.append(functools.partial(each_vector, name, given, given))
+            self.driver.append(
+                f"call void @{name}.gang({given}ptr %scratch, i64 %n, i64 %first, i64 %count)"
+            )
+            return ""
+        call = f"call {kind} @{name}({given}ptr %scratch, i64 %n, i64 %first)"
         found = f"%found{len(self.functions)}" if result else ""
         self.driver.append(f"{found} = {call}" if result else call)
         return found
@@ -176,6 +198,11 @@ class _Emitter:
             self._hold(node, not node.uniform, name)
             if node in self.slots:
                 self._store(name, node, self.slots[node])
+                self._wrote(node)
+
+    def _wrote(self, node: Node) -> None:
+        if self.packed is not None:
+            self.packed.written.add(node)
 
     def _write(self, node: Node) -> str:
         return write(self.w, node, [self._ref(one, node.uniform) for one in node.operands])
@@ -234,23 +261,22 @@ class _Emitter:
 
     def _copy_rows(self, run: list[Node], start: int, size: int) -> None:
         dtype, (number, row) = run[0].dtype, run[0].detail
-        k = self.w.count
-        before, head, self.label = self.label, f"copy{k}", f"copied{k}"
-        source = self.w.let(f"add i64 %i{k}, {row}")
+        source = self.w.let(f"add i64 %i, {row}")
         value = self.memory.load_row(f"%b{number}", source, dtype, False)
-        place = self.w.let(f"mul i64 %i{k}, {size}")
+        place = self.w.let(f"mul i64 %i, {size}")
         place = self.w.let(f"add i64 {place}, {start}")
         self.memory.store(value, dtype, self.memory.at(place))
-        self.driver += [
-            f"br label %{head}",
-            f"{head}:",
-            f"%i{k} = phi i64 [ 0, %{before} ], [ %j{k}, %{head} ]",
+        self.w.lines = [
+            "br label %head",
+            "head:",
+            "%i = phi i64 [ 0, %entry ], [ %j, %head ]",
             *self.w.lines,
-            f"%j{k} = add i64 %i{k}, 1",
-            f"%more{k} = icmp slt i64 %j{k}, {len(run)}",
-            f"br i1 %more{k}, label %{head}, label %{self.label}",
-            f"{self.label}:",
+            "%j = add i64 %i, 1",
+            f"%more = icmp slt i64 %j, {len(run)}",
+            "br i1 %more, label %head, label %copied",
+            "copied:",
         ]
+        self._end()
         self._begin()
 
     def _rows(self, node: Node) -> None:
@@ -259,6 +285,7 @@ class _Emitter:
         start = self.tables[node] = self.memory.room(size * len(node.operands))
         for i, operand in enumerate(node.operands):
             self._store(self._ref(operand, node.uniform), node, start + i * size)
+        self._wrote(node)
 
     def _constants(self, node: Node) -> None:
         values = node.detail.values
@@ -270,6 +297,8 @@ class _Emitter:
     def _lookup(self, node: Node) -> str:
         table, place = node.operands
         where = self.tables[table]
+        if self.packed is not None and not isinstance(where, str):
+            self.packed.tables[table] = None
         base = where if isinstance(where, str) else self.memory.at(where)
         index = self._ref(place, place.uniform)
         shared = table.op == "constants" or table.uniform
@@ -290,9 +319,14 @@ class _Emitter:
         for k in kept:
             self._store(self._ref(loop.start[k]), loop.carried[k], self.slots[loop.carried[k]])
             self._used()
+            self._wrote(loop.carried[k])
         for one in lists:
             self.tables[one] = self.memory.room(self._row_bytes(one) * (loop.count or 1))
+            self._wrote(one)
         self._end()
+        if self.ganged and self.packed is None and loop.condition is not None:
+            self._pack(node, loop, kept)
+            return
         number = self.w.count = self.w.count + 1
         counter, head, body, after = (
             f"{word}{number}" for word in ("round", "head", "body", "after")
@@ -309,11 +343,7 @@ class _Emitter:
         self.driver += [f"br i1 {more}, label %{body}, label %{after}", f"{body}:"]
         self.label = body
         if loop.counter in self.slots:
-            place = f"%place{number}"
-            self.driver.append(
-                f"{place} = getelementptr i8, ptr %scratch, i64 {self.slots[loop.counter]}"
-            )
-            self.driver.append(f"store i32 %{counter}, ptr {place}")
+            self._count(loop, f"%{counter}")
         self._begin()
         self._round(loop, kept, lists)
         self._end()
@@ -324,8 +354,40 @@ class _Emitter:
         self.label = after
         self._begin()
 
+    def _count(self, loop: Loop, counter: str) -> None:
+        """Put the number of the round where it is read."""
+        self._wrote(loop.counter)
+        slot, number = self.slots[loop.counter], len(self.functions)
+        if self.ganged and self.packed is None:
+            name = f"count{number}"
+            self.functions.append(
+                f"define internal void @{name}"
+                "(i32 %round, ptr %scratch, i64 %n, i64 %first) #0 {\n"
+                f"%place = getelementptr i8, ptr %scratch, i64 {slot}\n"
+                "store i32 %round, ptr %place\nret void\n}"
+            )
+            round_ = "i32 %round, "
+            self.late.append(functools.partial(each_vector, name, round_, round_))
+            self.driver.append(
+                f"call void @{name}.gang(i32 {counter}, ptr %scratch, i64 %n, i64 %first, "
+                "i64 %count)"
+            )
+            return
+        place = f"%place{self.w.count}"
+        self.driver.append(f"{place} = getelementptr i8, ptr %scratch, i64 {slot}")
+        self.driver.append(f"store i32 {counter}, ptr {place}")
+
     def _test(self, loop: Loop) -> str:
         """Whether any individual wants another round."""
+        active, flag = self._wanting(loop)
+        if self.width == 1:
+            return self._end(active)
+        name = f"llvm.vector.reduce.or.v{self.width}i1"
+        self.w.declared[name] = f"declare i1 @{name}({flag})"
+        return self._end(self.w.let(f"call i1 @{name}({flag} {active})"))
+
+    def _wanting(self, loop: Loop) -> tuple[str, str]:
+        """Who wants another round, and the type of that."""
         self._begin()
         condition = loop.condition
         assert condition is not None
@@ -333,11 +395,64 @@ class _Emitter:
         active, flag = self._ref(condition), self.w.type_of(np.dtype(bool), False)
         if self.masked:
             active = self.w.let(f"and {flag} {active}, %valid")
-        if self.width == 1:
-            return self._end(active)
-        name = f"llvm.vector.reduce.or.v{self.width}i1"
-        self.w.declared[name] = f"declare i1 @{name}({flag})"
-        return self._end(self.w.let(f"call i1 @{name}({flag} {active})"))
+        return active, flag
+
+    def _pack(self, node: Node, loop: Loop, kept: list[int]) -> None:
+        """A loop whose individuals are packed together; its functions are of one vector."""
+        packed = self.packed = _Packed()
+        name, outside, label = f"loop{len(self.functions)}", self.driver, self.label
+        parameters = self._buffers()
+        whole = f"{parameters}ptr %scratch, i64 %n, i64 %first"
+
+        self.driver, self.label = [], "entry"
+        active, flag = self._wanting(loop)
+        bits = self.w.let(f"bitcast {flag} {active} to i{self.width}")
+        mask = self._end(self.w.let(f"zext i{self.width} {bits} to i32"), "i32")
+        test = "\n".join([*self.driver, f"ret i32 {mask}"])
+        self.functions.append(
+            f"define internal i32 @{name}.test({whole}) #0 {{\nentry:\n{test}\n}}"
+        )
+
+        self.driver, self.label = [], "entry"
+        if loop.counter in self.slots:
+            raise Unsupported("a loop with a condition that reads the number of its round")
+        self._begin()
+        self._round(loop, kept, self.plan.lists(node))
+        self._end()
+        lines = "\n".join([*self.driver, "ret void"])
+        self.functions.append(
+            f"define internal void @{name}.round({whole}) #0 {{\nentry:\n{lines}\n}}"
+        )
+
+        self.packed, self.driver, self.label = None, outside, label
+        carries = [self._place(loop.carried[k]) for k in kept]
+        reads = [self._place(one) for one in packed.read if one not in packed.written]
+        for table in packed.tables:
+            if table not in packed.written:
+                reads += self._rows_of(table)
+        self.late.append(
+            lambda gang: packed_loop(name, parameters, parameters, gang, reads, carries)
+        )
+        self.w.declared.update(DECLARED)
+        self.driver.append(f"call void @{name}.gang({parameters}ptr %scratch, i64 %n, i64 %count)")
+        self._begin()
+
+    def _place(self, node: Node) -> Place:
+        return Place(self.slots[node], node.dtype.itemsize, node.uniform)
+
+    def _rows_of(self, table: Node) -> list[Place]:
+        """The places of a table in scratch memory."""
+        start, size = self.tables[table], self._row_bytes(table)
+        assert isinstance(start, int)
+        rows = len(table.operands)
+        if table.op == "list":
+            rows = table.operands[0].detail.count or 1
+        return [Place(start + i * size, table.dtype.itemsize, table.uniform) for i in range(rows)]
+
+    def _buffers(self) -> str:
+        """All buffers as parameters, with a comma behind."""
+        count = len(self.arguments) + len(self.results)
+        return "".join(f"ptr %b{k}, " for k in range(count))
 
     def _round(self, loop: Loop, kept: list[int], lists: list[Node]) -> None:
         # What goes from one place to another is read before any is written.
@@ -413,6 +528,8 @@ class _Emitter:
             number, row = node.detail
             name = self.memory.load_row(f"%b{number}", row, node.dtype, node.uniform)
         else:
+            if self.packed is not None:
+                self.packed.read[home(node)] = None
             name = self.memory.load(node.dtype, self.slots[home(node)], node.uniform)
         self._hold(node, not node.uniform, name)
         return name
@@ -436,27 +553,44 @@ class _Emitter:
             f"%valid = icmp ult {wide} <{lanes}>, %all",
         ]
 
-    def _text(self) -> str:
-        buffers = len(self.arguments) + len(self.results)
-        parameters = ", ".join([*(f"ptr %b{k}" for k in range(buffers)), "ptr %scratch", "i64 %n"])
+    def _text(self) -> tuple[str, int]:
+        """The IR of the whole program, and the scratch memory that it needs."""
+        size = self.memory.size
+        # An odd number of lines: the same place of different vectors is not in the same set.
+        line = machine_constants.CACHE_LINE
+        gang = Gang(machine_constants.GANG, self.width, (size // line | 1) * line + line)
         driver = [
-            f"define internal void @program({parameters}) #0 {{",
+            f"define internal void @program({self._buffers()}ptr %scratch, i64 %n) #0 {{",
             "entry:",
             "br label %vector",
             "vector:",
             f"%first = phi i64 [ 0, %entry ], [ %next, %{self.label} ]",
-            *self._valid(),
-            *self.driver,
-            # The last vector ends with the last individual.
-            f"%stop = add i64 %first, {self.width}",
-            f"%left = sub i64 %n, {self.width}",
-            "%within = icmp slt i64 %stop, %left",
-            "%next = select i1 %within, i64 %stop, i64 %left",
-            "%more = icmp slt i64 %stop, %n",
-            "br i1 %more, label %vector, label %done",
-            "done:",
-            "ret void",
-            "}",
         ]
+        if self.ganged:
+            size = (gang.vectors + 1) * gang.stride
+            driver += [
+                "%left = sub i64 %n, %first",
+                f"%begun = add i64 %left, {self.width - 1}",
+                f"%whole = udiv i64 %begun, {self.width}",
+                f"%fewer = icmp ult i64 %whole, {gang.vectors}",
+                f"%count = select i1 %fewer, i64 %whole, i64 {gang.vectors}",
+                *self.driver,
+                f"%next = add i64 %first, {gang.vectors * self.width}",
+                "%more = icmp slt i64 %next, %n",
+            ]
+        else:
+            driver += [
+                *self._valid(),
+                *self.driver,
+                # The last vector ends with the last individual.
+                f"%stop = add i64 %first, {self.width}",
+                f"%left = sub i64 %n, {self.width}",
+                "%within = icmp slt i64 %stop, %left",
+                "%next = select i1 %within, i64 %stop, i64 %left",
+                "%more = icmp slt i64 %stop, %n",
+            ]
+        driver += ["br i1 %more, label %vector, label %done", "done:", "ret void", "}"]
         declared = self.w.declared.values()
-        return "\n".join([*self.globals, *declared, *self.functions, *driver])
+        late = [finish(gang) for finish in self.late]
+        text = "\n".join([*self.globals, *declared, *self.functions, *late, *driver])
+        return text, size

@@ -21,6 +21,7 @@ class Plan:
         carried: placeholders of what loops carry, each of which has a place in memory.
         counters: numbers of rounds that are read, likewise.
         crossing: values that are used in other stretches of code than their own.
+        loops_with_conditions: whether there are loops that end when all individuals are done.
 
     Raises:
         Unsupported: there are more operations than code is made of.
@@ -43,6 +44,7 @@ class Plan:
             node.detail.carried[k] for node, kept in self._kept.items() for k in sorted(kept)
         ]
         self._lists: dict[Node, list[Node]] = {node: [] for node in self._kept}
+        self.loops_with_conditions = any(node.detail.condition is not None for node in self._kept)
         self.counters = [node for node in needed if node.op == "counter"]
         for node in needed:
             if node.op == "list":

@@ -55,6 +55,10 @@ WIDEST_CHUNK = 32
 2048 swimmers take 1.9 times as long with 1, 1.3 times with 4 and 0.94 times with 128. What speaks
 against more is that progress shows, and memory stays flat, only from chunk to chunk."""
 
+GANG = 16
+"""Fitted: vectors that come to a loop together, if it ends at different rounds for each individual;
+those that go on are packed (`evo_cpg.fusion.packing`)."""
+
 KEPT_FOR_THE_WAY_BACK = 256 * 2**20
 """Fitted, bytes: what may be kept of all control steps of a trial on a device, for its gradient;
 beyond that parts are computed again: with 0, gradients of 16 swimmers take 1.4 times as long. To be

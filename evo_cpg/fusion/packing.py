@@ -1,0 +1,273 @@
+"""Loops of which individuals need different numbers of rounds: who goes on is packed together.
+
+A vector would go round until its last individual is done, and do the work of all for one. So
+several vectors, a *gang*, come to such a loop together. Each goes round by itself while many of its
+individuals want to. The others are then moved, one by one, into a vector of their own in scratch
+memory, from which whoever is done makes room for the next. What is moved is what the loop reads;
+what it carries is moved back. An individual's numbers are the same wherever they lie,
+so its bits do not depend on who its neighbours are.
+"""
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+DECLARED = {
+    "llvm.ctpop.i32": "declare i32 @llvm.ctpop.i32(i32)",
+    "llvm.cttz.i32": "declare i32 @llvm.cttz.i32(i32, i1)",
+}
+
+# A vector goes round by itself with more individuals than this share of it. Fitted: a round of the
+# quadruped's contact costs as much as moving eight individuals in and out.
+_CROWDED = 3 / 8
+
+# IR types by bytes of a number.
+_WORDS = {1: "i8", 2: "i16", 4: "i32", 8: "i64"}
+
+
+class Place(NamedTuple):
+    """A place in scratch memory.
+
+    Attributes:
+        start: bytes.
+        size: bytes of one individual's number.
+        shared: one number for all individuals.
+    """
+
+    start: int
+    size: int
+    shared: bool = False
+
+
+class Gang(NamedTuple):
+    """The vectors that run together.
+
+    Attributes:
+        vectors: at most.
+        width: individuals of each.
+        stride: bytes of scratch memory of each; behind those of the last lies the packed vector's.
+    """
+
+    vectors: int
+    width: int
+    stride: int
+
+
+def packed_loop(
+    name: str, parameters: str, given: str, gang: Gang, reads: Iterable[Place], carries: list[Place]
+) -> str:
+    """The function ``@name.gang``, which runs a loop for all vectors of a gang.
+
+    It calls ``@name.test``, whose result has a bit for each individual that wants another round,
+    and ``@name.round``, each of one vector.
+
+    Args:
+        name: of the loop.
+        parameters: of both before the scratch memory, with their types, and a comma behind.
+        given: the same as arguments.
+        gang: the vectors.
+        reads: all that the loop reads.
+        carries: what of it changes.
+    """
+    reads = list(reads)
+    own = sorted({place for place in reads if not place.shared} | set(carries))
+    shared = sorted({place for place in reads if place.shared})
+    width, stride, most = gang.width, gang.stride, gang.vectors * gang.width
+    alike = [
+        line
+        for i, place in enumerate(shared)
+        for line in (
+            f"%from{i} = getelementptr i8, ptr %scratch, i64 {place.start}",
+            f"%to{i} = getelementptr i8, ptr %pack, i64 {place.start}",
+            f"%shared{i} = load {_WORDS[place.size]}, ptr %from{i}",
+            f"store {_WORDS[place.size]} %shared{i}, ptr %to{i}",
+        )
+    ]
+    call = f"{given}ptr %{{}}, i64 %n, i64 0"
+    body = f"""
+define internal void @{name}.gang({parameters}ptr %scratch, i64 %n, i64 %count) noinline #0 {{
+entry:
+  %queue = alloca [{most} x i64]
+  %owner = alloca [{width} x i64]
+  %pack = getelementptr i8, ptr %scratch, i64 {gang.vectors * stride}
+  %alone = icmp eq i64 %count, 1
+  %enough = select i1 %alone, i32 0, i32 {int(_CROWDED * width)}
+  br label %vector
+vector:
+  %v = phi i64 [ 0, %entry ], [ %v_next, %vector_done ]
+  %waiting = phi i64 [ 0, %entry ], [ %waiting_now, %vector_done ]
+  %offset = mul i64 %v, {stride}
+  %base = getelementptr i8, ptr %scratch, i64 %offset
+  br label %own_test
+own_test:
+  %wants = call i32 @{name}.test({call.format("base")})
+  %crowd = call i32 @llvm.ctpop.i32(i32 %wants)
+  %goes_on = icmp ugt i32 %crowd, %enough
+  br i1 %goes_on, label %own_round, label %leave
+own_round:
+  call void @{name}.round({call.format("base")})
+  br label %own_test
+leave:
+  %rest = phi i32 [ %wants, %own_test ], [ %rest_next, %enqueue ]
+  %waiting_now = phi i64 [ %waiting, %own_test ], [ %waiting_next, %enqueue ]
+  %none_left = icmp eq i32 %rest, 0
+  br i1 %none_left, label %vector_done, label %enqueue
+enqueue:
+  %which = call i32 @llvm.cttz.i32(i32 %rest, i1 true)
+  %which_wide = zext i32 %which to i64
+  %first_of = mul i64 %v, {width}
+  %who = add i64 %first_of, %which_wide
+  %entry_of = getelementptr i64, ptr %queue, i64 %waiting_now
+  store i64 %who, ptr %entry_of
+  %waiting_next = add i64 %waiting_now, 1
+  %rest_less = sub i32 %rest, 1
+  %rest_next = and i32 %rest, %rest_less
+  br label %leave
+vector_done:
+  %v_next = add i64 %v, 1
+  %more_vectors = icmp ult i64 %v_next, %count
+  br i1 %more_vectors, label %vector, label %packing
+packing:
+  %any = icmp ne i64 %waiting_now, 0
+  br i1 %any, label %fill, label %done
+fill:
+{_lines(alike)}
+  br label %seat
+seat:
+  %s = phi i64 [ 0, %fill ], [ %s_next, %seat ]
+  %seats = phi i32 [ 0, %fill ], [ %seats_next, %seat ]
+  %taken = icmp ult i64 %s, %waiting_now
+  ; Whose seat is left over is filled like the first: no number in it may be without meaning.
+  %turn = select i1 %taken, i64 %s, i64 0
+  %turn_entry = getelementptr i64, ptr %queue, i64 %turn
+  %newcomer = load i64, ptr %turn_entry
+  %seat_owner = getelementptr i64, ptr %owner, i64 %s
+  store i64 %newcomer, ptr %seat_owner
+  call void @{name}.in(ptr %scratch, ptr %pack, i64 %newcomer, i64 %s)
+  %s_narrow = trunc i64 %s to i32
+  %seat_bit = shl i32 1, %s_narrow
+  %seats_more = or i32 %seats, %seat_bit
+  %seats_next = select i1 %taken, i32 %seats_more, i32 %seats
+  %s_next = add i64 %s, 1
+  %more_seats = icmp ult i64 %s_next, {width}
+  br i1 %more_seats, label %seat, label %seated
+seated:
+  %many = icmp ugt i64 %waiting_now, {width}
+  %begun = select i1 %many, i64 {width}, i64 %waiting_now
+  br label %packed_round
+packed_round:
+  %occupied = phi i32 [ %seats_next, %seated ], [ %occupied_now, %settled ]
+  %called = phi i64 [ %begun, %seated ], [ %called_now, %settled ]
+  call void @{name}.round({call.format("pack")})
+  %still = call i32 @{name}.test({call.format("pack")})
+  %keep_on = and i32 %still, %occupied
+  %finished = xor i32 %keep_on, %occupied
+  br label %unseat
+unseat:
+  %leaving = phi i32 [ %finished, %packed_round ], [ %leaving_next, %next_leaves ]
+  %occupied_now = phi i32 [ %occupied, %packed_round ], [ %occupied_next, %next_leaves ]
+  %called_now = phi i64 [ %called, %packed_round ], [ %called_next, %next_leaves ]
+  %nobody = icmp eq i32 %leaving, 0
+  br i1 %nobody, label %settled, label %one_leaves
+settled:
+  %empty = icmp eq i32 %occupied_now, 0
+  br i1 %empty, label %done, label %packed_round
+one_leaves:
+  %seat_left = call i32 @llvm.cttz.i32(i32 %leaving, i1 true)
+  %seat_wide = zext i32 %seat_left to i64
+  %left_entry = getelementptr i64, ptr %owner, i64 %seat_wide
+  %leaver = load i64, ptr %left_entry
+  call void @{name}.out(ptr %scratch, ptr %pack, i64 %leaver, i64 %seat_wide)
+  %leaving_less = sub i32 %leaving, 1
+  %leaving_next = and i32 %leaving, %leaving_less
+  %someone = icmp ult i64 %called_now, %waiting_now
+  br i1 %someone, label %refill, label %vacate
+refill:
+  %call_entry = getelementptr i64, ptr %queue, i64 %called_now
+  %next_one = load i64, ptr %call_entry
+  store i64 %next_one, ptr %left_entry
+  call void @{name}.in(ptr %scratch, ptr %pack, i64 %next_one, i64 %seat_wide)
+  %called_more = add i64 %called_now, 1
+  br label %next_leaves
+vacate:
+  %bit_left = shl i32 1, %seat_left
+  %without = xor i32 %occupied_now, %bit_left
+  br label %next_leaves
+next_leaves:
+  %occupied_next = phi i32 [ %occupied_now, %refill ], [ %without, %vacate ]
+  %called_next = phi i64 [ %called_more, %refill ], [ %called_now, %vacate ]
+  br label %unseat
+done:
+  ret void
+}}"""
+    moves = [
+        _move(f"@{name}.in", own, gang, "far", "near"),
+        _move(f"@{name}.out", sorted(carries), gang, "near", "far"),
+    ]
+    return "\n".join([*moves, body])
+
+
+def _move(name: str, places: list[Place], gang: Gang, source: str, target: str) -> str:
+    """A function that moves an individual's numbers into a seat of the packed vector, or back.
+
+    Without a loop: what is moved lies far apart, and so the processor fetches many at a time.
+    """
+    lines = []
+    for size in sorted({place.size for place in places}):
+        lines += [
+            f"%far_lane{size} = mul i64 %lane, {size}",
+            f"%near_lane{size} = mul i64 %seat, {size}",
+            f"%far{size} = getelementptr i8, ptr %base, i64 %far_lane{size}",
+            f"%near{size} = getelementptr i8, ptr %pack, i64 %near_lane{size}",
+        ]
+    for i, (start, size, _) in enumerate(places):
+        lines += [
+            f"%from{i} = getelementptr i8, ptr %{source}{size}, i64 {start}",
+            f"%to{i} = getelementptr i8, ptr %{target}{size}, i64 {start}",
+            f"%value{i} = load volatile {_WORDS[size]}, ptr %from{i}",
+            f"store volatile {_WORDS[size]} %value{i}, ptr %to{i}",
+        ]
+    return f"""
+define internal void {name}(ptr %scratch, ptr %pack, i64 %who, i64 %seat) noinline #0 {{
+entry:
+  %vector = udiv i64 %who, {gang.width}
+  %lane = urem i64 %who, {gang.width}
+  %offset = mul i64 %vector, {gang.stride}
+  %base = getelementptr i8, ptr %scratch, i64 %offset
+{_lines(lines)}
+  ret void
+}}"""
+
+
+def _lines(lines: list[str]) -> str:
+    return "\n".join(f"  {line}" for line in lines)
+
+
+def each_vector(name: str, parameters: str, given: str, gang: Gang) -> str:
+    """The function ``@name.gang``, which calls ``@name`` for every vector of a gang.
+
+    Args:
+        name: of a function of one vector.
+        parameters: before its scratch memory, with their types, and a comma behind.
+        given: the same as arguments.
+        gang: the vectors.
+    """
+    return f"""
+define internal void @{name}.gang({parameters}ptr %scratch, i64 %n, i64 %first, i64 %count) #0 {{
+entry:
+  %last = sub i64 %n, {gang.width}
+  br label %vector
+vector:
+  %v = phi i64 [ 0, %entry ], [ %next, %vector ]
+  %offset = mul i64 %v, {gang.stride}
+  %base = getelementptr i8, ptr %scratch, i64 %offset
+  %before = mul i64 %v, {gang.width}
+  %here = add i64 %first, %before
+  %within = icmp slt i64 %here, %last
+  %start = select i1 %within, i64 %here, i64 %last
+  call void @{name}({given}ptr %base, i64 %n, i64 %start)
+  %next = add i64 %v, 1
+  %more = icmp ult i64 %next, %count
+  br i1 %more, label %vector, label %done
+done:
+  ret void
+}}"""
