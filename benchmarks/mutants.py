@@ -115,14 +115,14 @@ MUTANTS = (
     ),
     Mutant(
         "physics/joints.py",
-        "- expand_dims_like(tree.damping, q) * qd",
-        "+ expand_dims_like(tree.damping, q) * qd",
+        "- damping * state.qd",
+        "+ damping * state.qd",
         "physics/test_accelerations.py physics/test_motors_and_joints.py",
     ),
     Mutant(
         "physics/joints.py",
-        "h * (tree.damping + h * tree.stiffness)",
-        "h * (tree.damping + tree.stiffness)",
+        "return torque, h * (damping + h * stiffness)",
+        "return torque, h * (damping + stiffness)",
         "physics/test_implicit_step.py physics/test_motors_and_joints.py",
     ),
     Mutant(
@@ -133,9 +133,9 @@ MUTANTS = (
     ),
     Mutant(
         "physics/contact.py",
-        "limit = expand_dims_like(footing.static_friction, support) * support",
-        "limit = 2.0 * expand_dims_like(footing.static_friction, support) * support",
-        "physics/test_contact.py physics/test_walker_contacts.py",
+        "mean = 0.5 * (contacts.before + velocity)",
+        "mean = contacts.before",
+        "physics/test_walker_contacts.py",
     ),
     Mutant(
         "physics/contact.py",
@@ -151,8 +151,8 @@ MUTANTS = (
     ),
     Mutant(
         "physics/contact.py",
-        "support = jnp.maximum(force[2], 0.0)",
-        "support = force[2]",
+        "support = stiffness * jnp.maximum(short, 0.0)",
+        "support = stiffness * short",
         "physics/test_contact.py physics/test_walker_contacts.py",
     ),
     Mutant(

@@ -11,7 +11,7 @@ from jax import Array
 from jax.sharding import Mesh
 
 from benchmarks.exercise import Exercise
-from evo_cpg.physics.step import step
+from evo_cpg.physics.step import first_warmstart, step
 from evo_cpg.simulation.situation import starting_state
 from evo_cpg.training.devices import layout, run_in_blocks, sharded
 
@@ -82,14 +82,17 @@ def compile_motion(exercise: Exercise, lanes: np.ndarray, mesh: Mesh, finer: int
     def move(count: Array, lanes: Array) -> Array:
         told = exercise.prepare(lanes)
 
-        def advance(index, state):
+        def advance(index, carry):
+            state, warmstart = carry
             rate, angle = exercise.command(told, index // finer)
-            return step(world, state, rate, h, angle)[0]
+            state, effort = step(world, state, rate, h, angle, warmstart)
+            return state, effort.warmstart
 
         start = starting_state(
             simulation.situations, None, world.tree, lanes.shape[1:], lanes.dtype
         )
+        begin = start, first_warmstart(world, lanes.shape[1:], lanes.dtype)
         # The number of steps is an argument: one program for calls of every length.
-        return jax.lax.fori_loop(np.int32(0), count, advance, start).position
+        return jax.lax.fori_loop(np.int32(0), count, advance, begin)[0].position
 
     return compile_for_all(move, lanes, mesh)

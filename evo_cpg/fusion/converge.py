@@ -1,11 +1,8 @@
-"""A loop that ends when nothing changes any more, and has derivatives.
+"""Searches in a loop that ends when every individual has found its answer, and their derivatives.
 
-It finds x = f(p, x). JAX has no reverse mode through such a loop, but the implicit function theorem
-gives it: with A and B the derivatives of f with respect to x and p,
-
-    dx = A dx + B dp,      and backwards    l = g + A^T l,    dp* = B^T l,
-
-which are found like x itself, by going round (Christianson 1994): nothing of the way to x is kept.
+JAX has no reverse mode through such a loop, and how an answer was found is nothing to its
+derivative. By the implicit function theorem that is the derivative of one more step of Newton's
+method from there, which goes nowhere; JAX differentiates that.
 """
 
 import functools
@@ -15,71 +12,61 @@ from typing import Any, TypeVar
 import jax
 import jax.numpy as jnp
 
-from evo_cpg.fusion.primitives import Arrays, linear_map
-
 Value = TypeVar("Value")
 
 
-def converge(function: Callable[[Value], Value], x: Value, at_most: int) -> Value:
-    """``x = function(x)``, by going round until no number of any individual changes.
+def while_each(
+    goes_on: Callable[[Value], jax.Array], advance: Callable[[Value], Value], x: Value
+) -> Value:
+    """``jax.lax.while_loop`` for every individual by itself.
 
     Args:
-        function: of a pytree of arrays, to one like it.
+        goes_on: whether each individual does, ``(*n)``.
+        advance: of a pytree of arrays with the individuals on their last axes, to one like it.
         x: where it starts.
-        at_most: rounds, where it does not settle.
     """
-    pure, closed = jax.closure_convert(function, x)
-    return _converge(pure, at_most, x, closed)
+
+    def step(x: Value) -> Value:
+        going, new = goes_on(x), advance(x)
+        if not going.ndim:
+            return new
+        return jax.tree.map(
+            lambda new, old: jnp.where(
+                jnp.expand_dims(going, tuple(range(new.ndim - going.ndim))), new, old
+            ),
+            new,
+            x,
+        )
+
+    return jax.lax.while_loop(lambda x: jnp.any(goes_on(x)), step, x)
+
+
+def implicit(
+    search: Callable[[Value], tuple[Any, Any]], replay: Callable[[Any], Any], x: Value, like: Any
+) -> Any:
+    """The first of ``search(x)``, with the derivatives of what ``replay`` gives.
+
+    Args:
+        search: gives an answer, and notes on how it came about.
+        replay: of the notes; the same answer by steps that JAX can differentiate. It is not
+            computed where no derivative is asked for.
+        x: where the search starts, by which there is no derivative.
+        like: notes of the same shape.
+    """
+    found, found_closed = jax.closure_convert(search, x)
+    again, again_closed = jax.closure_convert(replay, like)
+    return _implicit(found, again, x, found_closed, again_closed)
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0, 1))
-def _converge(pure: Callable, at_most: int, x: Value, closed: list) -> Value:
-    def advance(carry: tuple) -> tuple:
-        x, _, count = carry
-        new = pure(x, *closed)
-        pairs = zip(jax.tree.leaves(x), jax.tree.leaves(new), strict=True)
-        changed = [jnp.any(a != b) for a, b in pairs]
-        return new, functools.reduce(jnp.logical_or, changed), count + 1
-
-    def goes_on(carry: tuple) -> jax.Array:
-        _, changed, count = carry
-        return changed & (count < at_most)
-
-    return jax.lax.while_loop(goes_on, advance, (x, jnp.asarray(True), jnp.int32(0)))[0]
+def _implicit(search: Callable, replay: Callable, x: Any, closed: list, replayed: list) -> Any:
+    del replay, replayed
+    return search(x, *closed)[0]
 
 
-@_converge.defjvp
-def _converge_jvp(pure: Callable, at_most: int, primals: tuple, tangents: tuple) -> tuple[Any, Any]:
-    """By the implicit function theorem; where it started makes no difference."""
-    _, change = tangents
-    found = _converge(pure, at_most, *primals)
-    leaves, structure = jax.tree.flatten(found)
-    given, count = list(primals[1]), len(leaves)
-
-    def once(x: list, p: list) -> list:
-        return jax.tree.leaves(pure(structure.unflatten(x), *p))
-
-    def forward(fixed: Arrays, change: Arrays) -> list:
-        x, p = list(fixed[:count]), list(fixed[count:])
-        start = jax.jvp(lambda p: once(x, p), (p,), (list(change),))[1]
-
-        def advance(d: list, _: None) -> tuple[list, None]:
-            step = jax.jvp(lambda x: once(x, p), (x,), (d,))[1]
-            return [a + b for a, b in zip(start, step, strict=True)], None
-
-        return jax.lax.scan(advance, start, None, length=at_most)[0]
-
-    def backward(fixed: Arrays, slope: Arrays) -> list:
-        x, p = list(fixed[:count]), list(fixed[count:])
-        pull = jax.vjp(lambda x: once(x, p), x)[1]
-
-        def advance(d: list, _: None) -> tuple[list, None]:
-            (step,) = pull(d)
-            return [a + b for a, b in zip(slope, step, strict=True)], None
-
-        total, _ = jax.lax.scan(advance, list(slope), None, length=at_most)
-        (result,) = jax.vjp(lambda p: once(x, p), p)[1](total)
-        return result
-
-    changes = linear_map(forward, backward, [*leaves, *given], list(change), leaves)
-    return found, structure.unflatten(changes)
+@_implicit.defjvp
+def _implicit_jvp(search: Callable, replay: Callable, primals: tuple, tangents: tuple) -> Any:
+    x, closed, replayed = primals
+    found, notes = search(x, *closed)
+    *_, changes = tangents
+    return found, jax.jvp(lambda p: replay(notes, *p), (replayed,), (changes,))[1]

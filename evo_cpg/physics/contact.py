@@ -16,11 +16,13 @@ would hit within the step. Friction falls from static to dynamic with the slidin
 Differs from a spring and damper under each point, of which a step of 1/240 s cannot return more
 than 0.68 of the speed: here the step is told the velocity at its end.
 
-The laws have kinks; `evo_cpg.physics.passes` finds the motion that obeys them, with lines in their
-place (a `ContactLaw` holds their slopes). What is imposed in the end has ``f_n >= 0`` and
-``|f_t| <= mu_s f_n``: no contact ever pulls and no friction leaves its cone, converged or not. The
-contact of an edge or a face is that of its corners. Bodies of one creature do not touch each other,
-nor do creatures.
+Restitution point by point (Newton's hypothesis) can add energy to a tree. Where the forces of a
+step with impacts would do work, ``v_bounce`` of all points of that animal is taken less, and at
+last not at all (`contact_work`, `bounded`).
+
+The laws have kinks; `evo_cpg.physics.newton` finds the motion that obeys them, with lines in their
+place (`ContactLines`). The contact of an edge or a face is that of its corners. Bodies of one
+creature do not touch each other, nor do creatures.
 
 Vectors of the laws are in the ground's own frame: two tangents, then the normal.
 """
@@ -29,7 +31,6 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from evo_cpg.fusion.fuse import symmetric
@@ -50,10 +51,12 @@ from evo_cpg.spatial.linear import (
 )
 from evo_cpg.spatial.numerics import Numbers
 
-# Share of a penetration that is undone in a step, and the fastest way out (m/s).
+# Baumgarte stabilisation: share of a penetration that is undone in a step, and the fastest way out
+# (m/s).
 _PUSH_SHARE, _PUSH_SPEED = 0.2, 0.5
 
-# Below the first speed of approach (m/s) nothing bounces, above twice that everything does.
+# Restitution threshold: below this speed of approach (m/s) nothing bounces, above twice that
+# everything does.
 _BOUNCE_SPEED = 0.1
 
 # v* of a point that is not to be held, m/s; infinity would spoil gradients.
@@ -65,10 +68,6 @@ _CEILING = 1e-2
 # Squared speed (m^2/s^2) and force (N^2) added under roots so that they have gradients at rest.
 _FLOOR = 1e-20
 
-# Work of all contact forces (W) that counts as none. Gradients divide by its square, which must not
-# vanish in float32.
-_NO_WORK = 1e-15
-
 
 class Contacts(NamedTuple):
     """Where the places touch, or would, and what holds throughout one step.
@@ -77,28 +76,36 @@ class Contacts(NamedTuple):
 
     Attributes:
         arm: from the body's origin to the lowest point, world axes, m.
+        before: at the start of the step.
         coasting: their mean over the step, if the recursion's accelerations were zero.
         wanted: v*; far below any velocity where the point is out of reach.
         push: the part of it that lifts a point out of the ground.
+        bounce: v_bounce of points that hit the ground within the step; 0 of all others.
         frame: rows are two tangents and the normal of the ground at every place.
     """
 
     arm: Float[Array, "3 p *n"]
+    before: Float[Array, "3 p *n"]
     coasting: Float[Array, "3 p *n"]
     wanted: Float[Array, "p *n"]
     push: Float[Array, "p *n"]
+    bounce: Float[Array, "p *n"]
     frame: Float[Array, "3 3 p *n"]
 
 
-class ContactLaw(NamedTuple):
-    """Lines in the place of the laws: ``f_t = -s_t v_t`` and ``f_n = s_n (v* - v_n)``.
+class ContactLines(NamedTuple):
+    """Lines in the place of the laws: ``f = force - K (v - velocity)``, tangents at a velocity.
 
     Attributes:
-        tangential: s_t, N s/m.
-        normal: s_n, N s/m; 0 where the point does not touch.
+        velocity: at which they are, m/s.
+        force: there, N.
+        tangential: xx, xy and yy of K, N s/m.
+        normal: zz of K, N s/m.
     """
 
-    tangential: Float[Array, "p *n"]
+    velocity: Float[Array, "3 p *n"]
+    force: Float[Array, "3 p *n"]
+    tangential: Float[Array, "3 p *n"]
     normal: Float[Array, "p *n"]
 
 
@@ -112,24 +119,48 @@ def find_contacts(footing: Footing, kin: Kinematics, h: float) -> Contacts:
     """
     bodies = np.array(footing.bodies)
     ground = footing.ground
-    arm, spoke, gap, normal = lowest_points(footing, kin)
+    arm, spoke, gap, normal, bend = lowest_points(footing, kin, h)
     frame = _frame(normal)
     angular, linear = take(kin.angular, bodies), take(kin.linear, bodies)
     velocity = linear + cross(angular, arm)
-    # A ball's lowest point keeps below its centre: only the centre's way round is centripetal.
-    turning = cross(angular, linear + cross(angular, spoke))
+    turning = cross(angular, linear + cross(angular, spoke)) + bend[None] * normal
     drift = take(kin.bias_linear, bodies) + cross(take(kin.bias_angular, bodies), arm) + turning
 
-    velocity, coasting = (matvec(frame, v) for v in (velocity, velocity + 0.5 * h * drift))
-    approach = -velocity[2]
+    before, coasting = (matvec(frame, v) for v in (velocity, velocity + 0.5 * h * drift))
+    approach = -before[2]
     push = jnp.clip(-_PUSH_SHARE / h * gap, 0.0, _PUSH_SPEED)
     share = jnp.clip(approach / _BOUNCE_SPEED - 1.0, 0.0, 1.0)
     bounce = expand_dims_like(footing.restitution, approach) * share * approach
     rest = jnp.where(gap > 0, -gap / h, push)
-    bounces = (gap <= h * approach) & (bounce > 0)
-    wanted = jnp.where(bounces, jnp.maximum(rest, bounce), rest)
-    wanted = jnp.where(gap < ground.margin, wanted, _OUT_OF_REACH)
-    return Contacts(arm, coasting, wanted, push, frame)
+    near = gap < ground.margin
+    bounce = jnp.where(near & (gap <= h * approach), bounce, 0.0)
+    rest = jnp.where(near, rest, _OUT_OF_REACH)
+    return Contacts(arm, before, coasting, rest, push, bounce, frame)
+
+
+def bounded(contacts: Contacts, share: Float[Array, "*n"]) -> Contacts:
+    """The contacts of a step in which each individual has a share (0 to 1) of its restitution."""
+    bounce = jnp.expand_dims(share, 0) * contacts.bounce
+    wanted = jnp.where(bounce > 0, jnp.maximum(contacts.wanted, bounce), contacts.wanted)
+    return contacts._replace(wanted=wanted)
+
+
+def contact_work(
+    contacts: Contacts, velocity: Float[Array, "3 p *n"], force: Float[Array, "3 p *n"], h: float
+) -> Float[Array, "*n"]:
+    """Kinetic energy that contact forces give a creature in a step, J.
+
+    By the mean of the points' velocities at its start and end; lifting points out of the ground
+    does not count.
+
+    Args:
+        contacts: of this step.
+        velocity: at its end, m/s.
+        force: N, ground's frame.
+        h: s.
+    """
+    mean = 0.5 * (contacts.before + velocity)
+    return h * ((mean * force).sum(0) - contacts.push * force[2]).sum(0)
 
 
 def resting_stiffness(footing: Footing, h: float) -> Float[Numbers, " p"]:
@@ -140,94 +171,80 @@ def resting_stiffness(footing: Footing, h: float) -> Float[Numbers, " p"]:
     return footing.stiffness * _PUSH_SHARE / h**2
 
 
-def first_law(gravity: ArrayLike, footing: Footing, contacts: Contacts, h: float) -> ContactLaw:
-    """A guess: what lies on the ground stays and sticks there, what slides has no friction yet."""
-    v = contacts.coasting
-    stiffness = expand_dims_like(footing.stiffness / h, v[2])
-    # What gravity adds in a step decides for those that rest.
-    fall = 2 * h * gravity
-    touches = contacts.wanted > v[2] - fall
-    sticks = touches & (v[0] * v[0] + v[1] * v[1] < fall * fall)
-    return ContactLaw(jnp.where(sticks, stiffness, 0.0), jnp.where(touches, stiffness, 0.0))
+def friction_limit(
+    footing: Footing, contacts: Contacts, velocity: Float[Array, "3 p *n"], h: float
+) -> Float[Array, "p *n"]:
+    """Largest tangential force of every point, ``mu(|v_t|) f_n``, N."""
+    stiffness = expand_dims_like(footing.stiffness / h, velocity[2])
+    support = stiffness * jnp.maximum(contacts.wanted - velocity[2], 0.0)
+    static, dynamic = (
+        expand_dims_like(mu, support) for mu in (footing.static_friction, footing.dynamic_friction)
+    )
+    ratio = _length(velocity) / footing.ground.stribeck_speed
+    return (dynamic + (static - dynamic) / (1.0 + ratio * ratio)) * support
 
 
-def next_law(
+def contact_lines(
     footing: Footing,
     contacts: Contacts,
-    law: ContactLaw,
+    limit: Float[Array, "p *n"],
     velocity: Float[Array, "3 p *n"],
     h: float,
-) -> ContactLaw:
-    """Lines that meet the laws at the velocity found with the last ones.
-
-    Tangents for the normal forces, secants for friction, under the normal forces found.
-    """
-    stiffness = expand_dims_like(footing.stiffness / h, law.normal)
-    short = contacts.wanted - velocity[2]
-    speed = _length(velocity)
-    static, dynamic = (
-        expand_dims_like(mu, speed) for mu in (footing.static_friction, footing.dynamic_friction)
-    )
-    ratio = speed / footing.ground.stribeck_speed
-    friction = dynamic + (static - dynamic) / (1.0 + ratio * ratio)
-    limit = jnp.where(law.normal > 0, friction * law.normal * jnp.maximum(short, 0.0), 0.0)
-    return ContactLaw(jnp.minimum(stiffness, limit / speed), jnp.where(short > 0, stiffness, 0.0))
-
-
-def line_force(
-    contacts: Contacts, law: ContactLaw, velocity: Float[Array, "3 p *n"]
-) -> Float[Array, "3 p *n"]:
-    """What the lines give at some velocity, N."""
-    touches = law.normal > 0
-    support = jnp.where(touches, law.normal * (contacts.wanted - velocity[2]), 0.0)
-    return jnp.stack([-law.tangential * velocity[0], -law.tangential * velocity[1], support])
-
-
-def imposed_force(
-    footing: Footing, contacts: Contacts, law: ContactLaw, velocity: Float[Array, "3 p *n"]
-) -> Float[Array, "3 p *n"]:
-    """The forces found last, cut back to what the ground can give, N."""
-    force = line_force(contacts, law, velocity)
-    support = jnp.maximum(force[2], 0.0)
-    limit = expand_dims_like(footing.static_friction, support) * support
-    share = jnp.minimum(limit / _length(force), 1.0)
-    return jnp.stack([share * force[0], share * force[1], support])
-
-
-def work_share(
-    contacts: Contacts,
-    force: Float[Array, "3 p *n"],
-    velocity: Float[Array, "3 p *n"],
-    without: Float[Array, "3 p *n"],
-) -> Float[Array, "*n"]:
-    """Share of imposed forces with which the ground does no work on the creature.
-
-    Ground that rests cannot. Contact forces F that change the points' velocities at the end of the
-    step from v_0 to v_1 add ``h F . (v_0 + v_1) / 2`` to the kinetic energy. Lifting points out of
-    the ground is allowed for.
+) -> ContactLines:
+    """The tangents of the laws at some velocity.
 
     Args:
+        footing: the places.
         contacts: of this step.
-        force: imposed on the points, N.
-        velocity: of the points at the end of the step under them.
-        without: the same without contact forces.
+        limit: of friction, N.
+        velocity: m/s.
+        h: s.
     """
-    lost = 2.0 * (force[2] * contacts.push - (force * without).sum(0)).sum(0)
-    growth = (force * (velocity - without)).sum((0, 1))
-    return jnp.clip(lost / jnp.maximum(growth, _NO_WORK), 0.0, 1.0)
+    stiffness = expand_dims_like(footing.stiffness / h, limit)
+    speed = _length(velocity)
+    short = contacts.wanted - velocity[2]
+    sticks = stiffness * speed <= limit
+    share = jnp.where(sticks, stiffness, limit / speed)
+    support = stiffness * jnp.maximum(short, 0.0)
+    force = jnp.stack([-share * velocity[0], -share * velocity[1], support])
+    # Sliding friction keeps its size and turns with the velocity.
+    along = jnp.where(sticks, 0.0, share / (speed * speed))
+    x, y, _ = velocity
+    tangential = jnp.stack([share - along * x * x, -along * x * y, share - along * y * y])
+    return ContactLines(velocity, force, tangential, jnp.where(short > 0, stiffness, 0.0))
+
+
+def line_force(lines: ContactLines, velocity: Float[Array, "3 p *n"]) -> Float[Array, "3 p *n"]:
+    """What the lines give at some velocity, N."""
+    x, y, z = velocity - lines.velocity
+    xx, xy, yy = lines.tangential
+    return lines.force - jnp.stack([xx * x + xy * y, xy * x + yy * y, lines.normal * z])
 
 
 def contact_equations(
-    footing: Footing, contacts: Contacts, law: ContactLaw, inertia: Inertia, bias: Wrench, h: float
+    footing: Footing,
+    contacts: Contacts,
+    lines: ContactLines,
+    inertia: Inertia,
+    bias: Wrench,
+    h: float,
 ) -> tuple[Inertia, Wrench]:
     """The equations of the bodies with the contacts' lines in them."""
     turn = transpose(contacts.frame)
-    diagonal = jnp.stack([law.tangential, law.tangential, law.normal])
-    slope = symmetric(h * matmul_t(turn * diagonal[None], turn))
+    xx, xy, yy = lines.tangential
+    none = jnp.zeros_like(xx)
+    K = jnp.stack(
+        [
+            jnp.stack([xx, xy, none]),
+            jnp.stack([xy, yy, none]),
+            jnp.stack([none, none, lines.normal]),
+        ]
+    )
+    slope = symmetric(h * matmul(turn, matmul_t(K, turn)))
     shift = skew(contacts.arm)
     mixed = matmul(shift, slope)
     blocks = Inertia(symmetric(matmul_t(mixed, shift)), mixed, slope)
-    loaded = pressed(footing, contacts, line_force(contacts, law, contacts.coasting), bias)
+    loaded = pressed(footing, contacts, line_force(lines, contacts.coasting), bias)
     bodies = PerBody.of(inertia, slope.ndim - 3).plus(footing.bodies, blocks)
     return bodies.stacked(), loaded
 

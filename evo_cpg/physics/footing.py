@@ -187,19 +187,35 @@ def combine(rule: Combination, first: Number, second: Number) -> Number:
 
 def clearance(footing: Footing, kin: Kinematics) -> Float[Array, "p *n"]:
     """Distance of every place from the ground, m; negative inside of it."""
-    return lowest_points(footing, kin)[2]
+    return lowest_points(footing, kin).gap
 
 
-def lowest_points(
-    footing: Footing, kin: Kinematics
-) -> tuple[
-    Float[Array, "3 p *n"], Float[Array, "3 p *n"], Float[Array, "p *n"], Float[Array, "3 p *n"]
-]:
+class LowestPoints(NamedTuple):
     """The point of each place that is lowest as the ground lies below its centre.
 
-    Returns:
-        From the body's origin to the point and to the place's centre, world axes; the point's
-        distance from the ground; the ground's normal.
+    Attributes:
+        arm: from the body's origin to the point, world axes, m.
+        spoke: from the body's origin to what turns with the body there: a ball's lowest point
+            keeps below its centre, all others' are points of the body.
+        gap: the point's distance from the ground, m.
+        normal: of the ground.
+        bend: normal acceleration of the lowest point because it moves along the surface, m/s^2.
+    """
+
+    arm: Float[Array, "3 p *n"]
+    spoke: Float[Array, "3 p *n"]
+    gap: Float[Array, "p *n"]
+    normal: Float[Array, "3 p *n"]
+    bend: Float[Array, "p *n"]
+
+
+def lowest_points(footing: Footing, kin: Kinematics, h: float = 0.0) -> LowestPoints:
+    """See `LowestPoints`.
+
+    Args:
+        footing: the places.
+        kin: kinematics of the creature.
+        h: corners are those that will be lowest after so many seconds.
     """
     boxes, meshes, balls, ellipsoids = (
         part.shape[-1] for part in (footing.boxes, footing.meshes, footing.radii, footing.semi_axes)
@@ -211,43 +227,60 @@ def lowest_points(
     bodies = np.concatenate([bodies[: _CORNERS * angular : _CORNERS], bodies[_CORNERS * angular :]])
     rotation, origin = take(kin.rotation, bodies, 2), take(kin.origin, bodies)
     centre = matvec(rotation, expand_dims_like(footing.centre, rotation[0]))
+    spin = take(kin.angular, bodies)
     found = []
     for parts in footing.ground.layers:
         above, up = _surface(parts, origin + centre)
+        # As a body sees it h later; d(e . up)/dt = e . (up x w).
+        later = up + h * cross(up, spin)
         if boxes:
             own = slice(boxes)
-            arm = _lowest_corners(up[:, own], footing.boxes, rotation[:, :, own], centre[:, own])
+            arm = _lowest_corners(later[:, own], footing.boxes, rotation[:, :, own], centre[:, own])
             corner = jnp.repeat(origin[:, own], _CORNERS, 1) + arm
-            found.append((arm, arm, *_surface(parts, corner)))
+            found.append(_points(arm, arm, *_surface(parts, corner)))
         if meshes:
             own = slice(boxes, angular)
             turned = rotation[:, :, own]
-            inward = matvec_t(turned, up[:, own])
+            inward = matvec_t(turned, later[:, own])
             lowest = _lowest_of_meshes(footing.meshes, inward)
             arm = jnp.repeat(centre[:, own], _CORNERS, 1) + matvec(
                 jnp.repeat(turned, _CORNERS, 2), lowest
             )
             corner = jnp.repeat(origin[:, own], _CORNERS, 1) + arm
-            found.append((arm, arm, *_surface(parts, corner)))
+            found.append(_points(arm, arm, *_surface(parts, corner)))
         if balls:
             own = slice(angular, angular + balls)
             radii = expand_dims_like(footing.radii, above)
             arm = centre[:, own] - radii[None] * up[:, own]
-            found.append((arm, centre[:, own], above[own] - radii, up[:, own]))
+            found.append(_points(arm, centre[:, own], above[own] - radii, up[:, own]))
         if ellipsoids:
             own = slice(angular + balls, None)
             turned, radii = rotation[:, :, own], expand_dims_like(footing.semi_axes, centre)
             stretched = radii * matvec_t(turned, up[:, own])
             length = jnp.sqrt(dot(stretched, stretched))
-            arm = centre[:, own] - matvec(turned, radii * stretched / length[None])
-            found.append((arm, centre[:, own], *_surface(parts, origin[:, own] + arm)))
-    arm, spoke, gap, normal = zip(*found, strict=True)
-    return (
+            spoke = -matvec(turned, radii * stretched / length[None])
+            arm = centre[:, own] + spoke
+            gap, normal = _surface(parts, origin[:, own] + arm)
+            # Its height over the lowest point is s = |A R^T n|, and s'' that of a point of the body
+            # and k . B k - s'^2, over s, with k = n x w and B = R A^2 R^T.
+            slide = cross(up[:, own], spin[:, own])
+            across = radii * matvec_t(turned, slide)
+            rate = dot(slide, spoke)
+            bend = (rate * rate - dot(across, across)) / length
+            found.append(LowestPoints(arm, arm, gap, normal, bend))
+    arm, spoke, gap, normal, bend = zip(*found, strict=True)
+    return LowestPoints(
         jnp.concatenate(arm, 1),
         jnp.concatenate(spoke, 1),
         jnp.concatenate(gap),
         jnp.concatenate(normal, 1),
+        jnp.concatenate(bend),
     )
+
+
+def _points(arm: Array, spoke: Array, gap: Array, normal: Array) -> LowestPoints:
+    """Corners and balls: what is lowest there moves with the body, or with its centre."""
+    return LowestPoints(arm, spoke, gap, normal, jnp.zeros_like(gap))
 
 
 def _surface(parts: tuple[Part, ...], point: Float[Array, "3 p *n"]) -> tuple[Array, Array]:

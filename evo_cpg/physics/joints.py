@@ -4,7 +4,10 @@ Each law is stated as its torque at the present rates and its derivative: the im
 uses ``tau_end = tau - T qdd`` with the diagonal T below.
 
 - Passive: ``-k (q + h qd) - c qd``, T = h (c + h k).
-- Limit: the same spring and damper about the limit, only beyond it.
+- Limit: a one-sided spring and damper, ``-K max(0, qd_end - v*)`` with ``K = c + h k``: v* brings
+  the joint just to its limit at the end of the step, or, from beyond, back as the spring asks for.
+  It never holds a joint back that returns. Where one solve has to do (without ground and limits of
+  motors), a spring and damper about the limit if the joint would be beyond it at its present rate.
 - Motor: ``g (rate* - qd) + k_m (angle* - q - h qd)``, T = h (g + h k_m), up to a limit that holds
   for the torque at the *end* of the step. Deciding it on the torque before the step makes the motor
   chatter and exceed its limit threefold. With k_m = 0 it is a velocity servo (Iwadate 2010:
@@ -23,21 +26,52 @@ from evo_cpg.spatial.linear import expand_dims_like
 def passive_torque(
     tree: Tree, state: State, h: float
 ) -> tuple[Float[Array, "d *n"], Float[Array, "d *n"]]:
-    """Torque (N m) and T (kg m^2) of springs, dampers and soft limits over a step of h (s)."""
-    q, qd = state.q, state.qd
-    ahead = q + h * qd
-    torque = -expand_dims_like(tree.stiffness, q) * ahead - expand_dims_like(tree.damping, q) * qd
-    derivative = expand_dims_like(h * (tree.damping + h * tree.stiffness), q)
-    over = ahead - jnp.clip(ahead, expand_dims_like(tree.lower, q), expand_dims_like(tree.upper, q))
-    beyond = over != 0
-    torque = torque - jnp.where(
-        beyond,
-        expand_dims_like(tree.limit_stiffness, q) * over
-        + expand_dims_like(tree.limit_damping, q) * qd,
-        0.0,
+    """Torque (N m) and T (kg m^2) of springs and dampers over a step of h (s)."""
+    stiffness, damping = (expand_dims_like(x, state.q) for x in (tree.stiffness, tree.damping))
+    torque = -stiffness * (state.q + h * state.qd) - damping * state.qd
+    return torque, h * (damping + h * stiffness)
+
+
+def limit_torque(
+    tree: Tree, q: Float[Array, "d *n"], rate: Float[Array, "d *n"], h: float
+) -> tuple[Float[Array, "d *n"], Float[Array, "d *n"]]:
+    """Torque of the soft limits (N m), and how much of it is lost per rate (N m s/rad).
+
+    Args:
+        tree: the creature.
+        q: joint angles at the start of the step, rad.
+        rate: joint rates at its end, rad/s.
+        h: s; 0 for the law itself, without a step.
+    """
+    stiffness, damping, lower, upper = (
+        expand_dims_like(x, q)
+        for x in (tree.limit_stiffness, tree.limit_damping, tree.lower, tree.upper)
     )
-    limit = expand_dims_like(h * (tree.limit_damping + h * tree.limit_stiffness), q)
-    return torque, derivative + jnp.where(beyond, limit, 0.0)
+    slope = damping + h * stiffness
+
+    def miss(beyond: Array, outwards: Array) -> Array:
+        """By how much a rate towards a limit is above v*, times K."""
+        back = slope * outwards + stiffness * beyond
+        ahead = slope * (outwards + beyond / h) if h else jnp.zeros_like(back)
+        return jnp.maximum(jnp.where(beyond > 0, back, ahead), 0.0)
+
+    above, below = miss(q - upper, rate), miss(lower - q, -rate)
+    return below - above, jnp.where((above > 0) | (below > 0), slope, 0.0)
+
+
+def expected_limit_torque(
+    tree: Tree, state: State, h: float
+) -> tuple[Float[Array, "d *n"], Float[Array, "d *n"]]:
+    """The same at the present rates, for a step of one solve."""
+    q, rate = state.q, state.qd
+    ahead = q + h * rate
+    over = ahead - jnp.clip(ahead, expand_dims_like(tree.lower, q), expand_dims_like(tree.upper, q))
+    stiffness, damping = (
+        expand_dims_like(x, q) for x in (tree.limit_stiffness, tree.limit_damping)
+    )
+    beyond = over != 0
+    torque = jnp.where(beyond, -stiffness * over - damping * rate, 0.0)
+    return torque, jnp.where(beyond, damping + h * stiffness, 0.0)
 
 
 def servo_torque(

@@ -30,7 +30,7 @@ from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.buoyancy import displacement
 from evo_cpg.physics.contact import resting_stiffness
 from evo_cpg.physics.footing import Footing, lowest_points
-from evo_cpg.physics.joints import clamp_torque, passive_torque, servo_torque
+from evo_cpg.physics.joints import clamp_torque, limit_torque, passive_torque, servo_torque
 from evo_cpg.physics.kinematics import Kinematics, kinematics
 from evo_cpg.physics.per_body import take
 from evo_cpg.physics.state import State
@@ -168,9 +168,8 @@ def joint_torque(tree: Tree, q: Float[Array, " d"]) -> Float[Array, " d"]:
     """Of springs, soft limits and motors that hold the neutral angle, at rest, N m."""
     zero = jnp.zeros_like(q)
     state = State(jnp.zeros(3), jnp.array([1.0, 0.0, 0.0, 0.0]), jnp.zeros(6), q, zero)
-    return passive_torque(tree, state, 0.0)[0] + clamp_torque(
-        tree, servo_torque(tree, state, zero, None, 0.0)
-    )
+    motor = clamp_torque(tree, servo_torque(tree, state, zero, None, 0.0))
+    return passive_torque(tree, state, 0.0)[0] + limit_torque(tree, q, zero, 0.0)[0] + motor
 
 
 def radius_of_gyration(tree: Tree) -> float:
@@ -201,7 +200,7 @@ def _ground(
     """Force on every place, N, and what the ground does."""
     bodies = np.array(footing.bodies)
     stiffness = expand_dims_like(resting_stiffness(footing, h), grip.held)
-    arm, _, gap, normal = lowest_points(footing, kin)
+    arm, _, gap, normal, _ = lowest_points(footing, kin)
     point, place = _on_body(footing, kin, arm)
     support = stiffness * jnp.maximum(-gap, 0.0)
     way = take(kin.origin, bodies) + matvec(take(kin.rotation, bodies, 2), grip.point) - grip.place

@@ -1,7 +1,7 @@
 """One step of the world: forces, the implicit solve, integration.
 
 Semi-implicit Euler: the velocities at the end of the step move the positions. Without motor limits
-and ground one solve gives them; with either, `evo_cpg.physics.passes` does.
+and ground one solve gives them; with either, `evo_cpg.physics.newton` does.
 """
 
 import functools
@@ -14,8 +14,16 @@ from jaxtyping import Array, Float
 
 from evo_cpg.creature.tree import Tree
 from evo_cpg.fusion.fuse import fuse
-from evo_cpg.physics.articulated import Accelerations
-from evo_cpg.physics.passes import Imposed, prepare, search, solve_with
+from evo_cpg.physics.equations import (
+    Imposed,
+    Residual,
+    Warmstart,
+    expected_lines,
+    prepare,
+    solve_with,
+)
+from evo_cpg.physics.joints import servo_slope
+from evo_cpg.physics.newton import coldstart, search
 from evo_cpg.physics.state import State
 from evo_cpg.physics.world import World
 from evo_cpg.spatial.linear import cross
@@ -31,12 +39,16 @@ class Effort(NamedTuple):
         support: force of the ground on every place of the footing, in the ground's frame (two
             tangents, then the normal), N; None without ground.
         contact_force: the same in world axes.
+        residual: of the step's equations; None where one solve is exact.
+        warmstart: for the next step; likewise.
     """
 
     torque: Float[Array, "d *n"]
     energy: Float[Array, " *n"]
     support: Float[Array, "3 p *n"] | None = None
     contact_force: Float[Array, "3 p *n"] | None = None
+    residual: Residual | None = None
+    warmstart: Warmstart | None = None
 
 
 def step(
@@ -45,6 +57,7 @@ def step(
     target_rate: Float[Array, "d *n"],
     h: float,
     target_angle: Float[Array, "d *n"] | None = None,
+    warmstart: Warmstart | None = None,
 ) -> tuple[State, Effort]:
     """Advance the world by ``h`` seconds.
 
@@ -54,28 +67,48 @@ def step(
         target_rate: for the motors to follow, rad/s, held over the step.
         h: s.
         target_angle: for the motors' springs to pull to, rad; None for the neutral pose.
+        warmstart: what the step before came to, with which fewer iterations are needed; None for a
+            first step. What is found is the same but for the solver's tolerance.
     """
     whole = functools.partial(_whole_step, world, h)
-    return fuse(whole, state, target_rate, target_angle, batch_ndim=state.q.ndim - 1)
+    given = state, target_rate, target_angle, warmstart
+    return fuse(whole, *given, batch_ndim=state.q.ndim - 1)
+
+
+def first_warmstart(world: World, batch: tuple[int, ...], dtype: jnp.dtype) -> Warmstart | None:
+    """For the first step of a trial; None where one solve is exact."""
+    return coldstart(world, batch, dtype) if _searches(world) else None
+
+
+def _searches(world: World) -> bool:
+    return world.footing is not None or _can_overload(world.tree)
 
 
 def _whole_step(
-    world: World, h: float, state: State, target_rate: Array, target_angle: Array | None
+    world: World,
+    h: float,
+    state: State,
+    target_rate: Array,
+    target_angle: Array | None,
+    warmstart: Warmstart | None,
 ) -> tuple[State, Effort]:
-    if world.footing is not None or _can_overload(world.tree):
-        return _finish(h, state, search(world, h, state, target_rate, target_angle))
-    equations, laws = prepare(world, h, state, target_rate, target_angle)
+    if _searches(world):
+        found = search(world, h, state, target_rate, target_angle, warmstart)
+        return _finish(h, state, found)
+    equations = prepare(world, h, state, target_rate, target_angle)
     with jax.named_scope("solve"):
-        found = solve_with(world, h, equations, laws)
-    return _finish(h, state, Imposed(found, laws.torque - h * laws.slope * found.qdd))
+        found = solve_with(world, h, equations, expected_lines(world, h, equations))
+    motor = equations.wanted - h * servo_slope(world.tree, equations.wanted, h) * found.qdd
+    return _finish(h, state, Imposed(found.root, found.qdd, motor))
 
 
 def _finish(h: float, state: State, imposed: Imposed) -> tuple[State, Effort]:
     """Move, and note what the motors did."""
     with jax.named_scope("integrate"):
-        new_state = integrate(state, imposed.accelerations, h)
+        new_state = integrate(state, imposed.root, imposed.qdd, h)
     energy = h * jnp.abs(imposed.torque * 0.5 * (state.qd + new_state.qd)).sum(0)
-    return new_state, Effort(imposed.torque, energy, imposed.support, imposed.contact_force)
+    forces = (None, None) if imposed.contact is None else imposed.contact
+    return new_state, Effort(imposed.torque, energy, *forces, imposed.residual, imposed.warmstart)
 
 
 def _can_overload(tree: Tree) -> bool:
@@ -90,14 +123,16 @@ def _can_overload(tree: Tree) -> bool:
     return bool(np.isfinite(tree.torque_limit[driven]).any())
 
 
-def integrate(state: State, acceleration: Accelerations, h: float) -> State:
+def integrate(
+    state: State, root: Float[Array, "6 *n"], qdd: Float[Array, "d *n"], h: float
+) -> State:
     """Semi-implicit Euler: new velocities first, and they move the positions."""
     angular, linear = state.velocity[:3], state.velocity[3:]
     # The recursion's root acceleration is spatial; a material point's has w x v on top.
-    change = acceleration.root[3:] + cross(angular, linear)
-    new_angular = angular + h * acceleration.root[:3]
+    change = root[3:] + cross(angular, linear)
+    new_angular = angular + h * root[:3]
     new_linear = linear + h * change
-    qd = state.qd + h * acceleration.qdd
+    qd = state.qd + h * qdd
     return State(
         position=state.position + h * new_linear,
         orientation=integrate_quaternion(state.orientation, new_angular, h),

@@ -54,7 +54,7 @@ class World(eqx.Module):
 def body_equations(world: World, kin: Kinematics, h: float) -> tuple[Inertia, Wrench]:
     """Inertia ``I + h D`` and bias wrench of every body, in world axes.
 
-    With drag, weight and buoyancy; contacts join later (`evo_cpg.physics.passes`).
+    With drag, weight and buoyancy; contacts join later (`evo_cpg.physics.newton`).
     """
     tree = world.tree
     rotation = kin.rotation

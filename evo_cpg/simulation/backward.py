@@ -80,7 +80,12 @@ class Backward(NamedTuple):
         return segment(rest)(carry, count * length)[0] if rest else carry
 
     def forget(self, state: State, nerves: Any) -> tuple[State, Any]:
-        """Body and nerves as they are; slopes that come back through here fade and are cut."""
+        """Body and nerves as they are; slopes that come back through here fade and are cut.
+
+        Args:
+            state: of the body.
+            nerves: whatever else goes on from step to step.
+        """
         if self.retention is not None:
             kept = jnp.asarray(self.retention, state.q.dtype)
             moving = {name: getattr(state, name) for name in _FADING}

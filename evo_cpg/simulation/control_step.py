@@ -12,9 +12,10 @@ from jaxtyping import Array, Float, PyTree
 
 from evo_cpg.control.controller import Command, Observation
 from evo_cpg.fusion.fuse import fuse
+from evo_cpg.physics.equations import Warmstart
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import State
-from evo_cpg.physics.step import Effort, step
+from evo_cpg.physics.step import Effort, first_warmstart, step
 from evo_cpg.simulation.noise import disturb_motion, disturb_start
 from evo_cpg.simulation.sensors import fathom, feel, see
 from evo_cpg.simulation.simulation import Simulation
@@ -32,12 +33,14 @@ class Animal(NamedTuple):
         nerves: of the controller.
         pressure: what the skin felt last.
         forces: of the last control step; None unless a sensor may ask for them.
+        warmstart: of the physics; None where a step needs none.
     """
 
     state: State
     nerves: Any
     pressure: Float[Array, "s *n"]
     forces: Forces | None = None
+    warmstart: Warmstart | None = None
 
 
 class Life(NamedTuple):
@@ -109,6 +112,7 @@ def starting_animal(
         simulation.controller.initial_state(batch, dtype),
         jnp.zeros((len(simulation.sensors.pressure_bodies), *batch), dtype),
         no_forces(simulation, rest) if simulation.extra_sensors else None,
+        first_warmstart(simulation.world, batch, dtype),
     )
 
 
@@ -182,16 +186,18 @@ def move(
     batch = state.position.shape[1:]
 
     def advance(carry, _):
-        state, energy, airborne, forces, support = carry
-        state, effort = step(world, state, command.target_rate, h, command.target_angle)
+        state, warmstart, energy, airborne, forces, support = carry
+        told = command.target_rate, h, command.target_angle
+        state, effort = step(world, state, *told, warmstart)
         support = support if effort.support is None else effort.support
         airborne = airborne + _is_airborne(effort) / simulation.substeps
         forces = _add_share(forces, effort, 1.0 / simulation.substeps)
-        return (state, energy + effort.energy, airborne, forces, support), None
+        energy = energy + effort.energy
+        return (state, effort.warmstart, energy, airborne, forces, support), None
 
     none, still = jnp.zeros(batch, state.q.dtype), no_forces(simulation, state)
-    start = state, none, none, still, still.contact_force
-    (moved, energy, airborne, forces, support), _ = jax.lax.scan(
+    start = state, animal.warmstart, none, none, still, still.contact_force
+    (moved, warmstart, energy, airborne, forces, support), _ = jax.lax.scan(
         advance, start, None, length=simulation.substeps
     )
 
@@ -201,7 +207,8 @@ def move(
     pressure = animal.pressure
     if world.footing is not None and simulation.sensors.pressure_bodies:
         pressure = fuse(touch, moved, support, batch_ndim=len(batch), name="sensors")
-    after = Animal(moved, animal.nerves, pressure, forces if animal.forces else None)
+    kept = forces if animal.forces else None
+    after = Animal(moved, animal.nerves, pressure, kept, warmstart)
     return after, Effects(state, moved, observation, command, forces, energy, airborne)
 
 

@@ -172,8 +172,9 @@ def _trial(
     def advance(carry, index):
         animal, tally, alive = carry
         if backward is not None:
-            state, nerves = backward.forget(animal.state, animal.nerves)
-            animal = animal._replace(state=state, nerves=nerves)
+            inner = animal.nerves, animal.warmstart
+            state, (nerves, warmstart) = backward.forget(animal.state, inner)
+            animal = animal._replace(state=state, nerves=nerves, warmstart=warmstart)
         animal, effects = control_step(simulation, life, animal, index)
 
         def update(tally: Any, effects: Effects, light: Array | None) -> Any:

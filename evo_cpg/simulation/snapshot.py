@@ -148,7 +148,7 @@ class Snapshot:
         if self.world.footing is None:
             origin = self.kinematics.origin
             return origin[:, :0], origin[0, :0]
-        arm, _, gap, _ = lowest_points(self.world.footing, self.kinematics)
+        arm, _, gap, *_ = lowest_points(self.world.footing, self.kinematics)
         return arm, gap
 
     def _mean(self, of_bodies: Float[Array, "3 b *n"]) -> Float[Array, "3 *n"]:

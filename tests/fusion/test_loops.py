@@ -9,7 +9,7 @@ import pytest
 from against_jax import assert_agrees, fused, sample
 from jax import lax
 
-from evo_cpg.fusion.converge import converge
+from evo_cpg.fusion.converge import implicit, while_each
 from evo_cpg.fusion.fuse import fuse
 from evo_cpg.fusion.graph import Graph
 from evo_cpg.fusion.liveness import Plan
@@ -43,6 +43,35 @@ def test_counted_loops(length, reverse):
 @pytest.mark.parametrize("count", COUNTS)
 def test_loops_of_any_number_of_individuals(count):
     assert_agrees(lambda x: decay(x, 4), sample((3, count)))
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+@pytest.mark.parametrize("count", [17, 40, 301])
+def test_loops_that_end_at_different_rounds_for_each(count, dtype):
+    """From 0 to 60 rounds, again and again, with tables, truth values, and loops within."""
+    with jax.enable_x64(dtype is np.float64):
+        x = sample((3, count), dtype=dtype)
+        rounds = np.random.default_rng(1).geometric(0.2, (4, count)) % 61
+        rounds[:, : count // 3] = 0
+        rounds[:, count // 3] = 60
+
+        def whole(x, rounds):
+            table = jnp.stack([x[0] * k for k in range(5)])
+
+            def turn(total, mine):
+                def advance(state):
+                    place, number, up, count = state
+                    number = jnp.where(up, 1, -1) * table[number % 5] * 0.1 + jnp.sin(place)
+                    smaller = lax.while_loop(lambda v: jnp.abs(v) > 0.3, lambda v: 0.5 * v, number)
+                    return place + smaller, count, smaller > x[1], count + 1
+
+                start = total, jnp.int32(0), jnp.bool_(True), jnp.int32(0)
+                place, *_, up, count = lax.while_loop(lambda s: s[3] < mine, advance, start)
+                return place + up, (place, count)
+
+            return lax.scan(turn, x[2], rounds)
+
+        assert_agrees(whole, x, jnp.asarray(rounds, jnp.int32), rtol=1e-5, atol=1e-5)
 
 
 def test_loops_within_loops():
@@ -143,9 +172,25 @@ def test_branches_that_do_not(place):
 
 
 def kepler(given):
-    """Angle of a planet, from the eccentricity and the mean angle."""
-    eccentricity, mean = given
-    return converge(lambda angle: mean + eccentricity * jnp.sin(angle), mean, 100)
+    """Angle of a planet, from the eccentricity and the mean angle, by Newton's method."""
+
+    def closer(angle):
+        eccentricity, mean = given
+        miss = angle - eccentricity * jnp.sin(angle) - mean
+        return angle - miss / (1 - eccentricity * jnp.cos(angle)), jnp.abs(miss)
+
+    def search(angle):
+        def goes_on(state):
+            return (state[1] > 1e-15) & (state[2] < 20)
+
+        def advance(state):
+            return *closer(state[0]), state[2] + 1
+
+        count = jnp.zeros(angle.shape, jnp.int32)
+        found, _, _ = while_each(goes_on, advance, (angle, jnp.ones_like(angle), count))
+        return found, found
+
+    return implicit(search, lambda angle: closer(angle)[0], given[1], given[1])
 
 
 PLANETS = jnp.stack([jnp.linspace(0.01, 0.4, 11), jnp.linspace(-2.0, 3.0, 11)])
@@ -157,14 +202,14 @@ def slopes(given):
     return jnp.stack([jnp.sin(angle), jnp.ones_like(angle)]) / (1 - given[0] * jnp.cos(angle))[None]
 
 
-def test_fixed_points(x64):
+def test_searches(x64):
     given = PLANETS.astype("float64")
     (angle,) = fused(kepler, given)
     np.testing.assert_allclose(angle - given[0] * np.sin(angle), given[1], atol=1e-14)
     assert_agrees(kepler, given, rtol=1e-13)
 
 
-def test_derivatives_of_fixed_points(x64):
+def test_derivatives_of_searches(x64):
     """Forwards and backwards, of JAX and fused, differentiated outside and within."""
     given = PLANETS.astype("float64")
     wanted = slopes(given)
@@ -181,15 +226,24 @@ def test_derivatives_of_fixed_points(x64):
         np.testing.assert_allclose(within, wanted, rtol=1e-11)
 
 
-def test_derivatives_of_fixed_points_of_several_numbers(x64):
-    """A pytree, with a parameter that all share, against finite differences."""
+def test_derivatives_of_a_search_by_what_all_share(x64):
+    """Of a pytree, against finite differences."""
 
     def settle(gain, x):
-        def advance(state):
-            a, (b,) = state
-            return jnp.tanh(gain * b + x[0]), (0.4 * a * jnp.cos(b) + x[1],)
+        def closer(state):
+            # One step of Newton's method for a = tanh(gain b + x0), b = 0.4 a + x1.
+            _, (b,) = state
+            tangent = jnp.tanh(gain * b + x[0])
+            slope = gain * (1 - tangent * tangent)
+            new = (tangent + slope * (x[1] - b)) / (1 - 0.4 * slope)
+            return new, (0.4 * new + x[1],)
 
-        a, (b,) = converge(advance, (x[0], (x[1],)), 200)
+        def search(state):
+            state = lax.fori_loop(0, 30, lambda _, state: closer(state), state)
+            return state, state
+
+        start = x[0], (x[1],)
+        a, (b,) = implicit(search, closer, start, start)
         return a * b
 
     x = sample((2, 7), dtype=np.float64)
@@ -207,11 +261,6 @@ def test_derivatives_of_fixed_points_of_several_numbers(x64):
     for i in range(2):
         moved = [total(0.3, x.at[i, 4].add(sign * step)) for sign in (1, -1)]
         assert by_x[i, 4] == pytest.approx(float(moved[0] - moved[1]) / 2e-6, rel=1e-7)
-
-
-def test_it_stops_where_it_does_not_settle():
-    (got,) = fused(lambda x: converge(lambda y: 1 - y, x, 7), jnp.arange(4.0))
-    np.testing.assert_array_equal(got, 1 - np.arange(4.0))
 
 
 def planned(function, *values):

@@ -63,7 +63,9 @@ def point_drag(world: World, surface, centre, velocity) -> Drag:
     return Drag(wrench, derivative)
 
 
-def dense_accelerations(creature: Creature, world: World, state: State, torque, motor_derivative):
+def dense_accelerations(
+    creature: Creature, world: World, state: State, torque, motor_derivative, ends=None
+):
     """Root (angular, linear of its centre) and joint accelerations by a dense solve.
 
     Args:
@@ -72,6 +74,7 @@ def dense_accelerations(creature: Creature, world: World, state: State, torque, 
         state: of one individual.
         torque: of the motors at the present rates.
         motor_derivative: what the motors add to T.
+        ends: the joints' rates at the end of the step, where a search finds them.
     """
     tree = world.tree
     model = mujoco_model(creature, {"gravity": f"0 0 {-world.gravity}"})
@@ -89,13 +92,13 @@ def dense_accelerations(creature: Creature, world: World, state: State, torque, 
     for i, name in enumerate(tree.names):
         body = model.body(name).id
         rotation, origin = data.xmat[body].reshape(3, 3), data.xpos[body]
-        jacobian, rate = np.zeros((6, model.nv)), np.zeros((6, model.nv))
+        jacobian, change = np.zeros((6, model.nv)), np.zeros((6, model.nv))
         mujoco.mj_jac(model, data, jacobian[3:], jacobian[:3], origin, body)
-        mujoco.mj_jacDot(model, data, rate[3:], rate[:3], origin, body)
+        mujoco.mj_jacDot(model, data, change[3:], change[:3], origin, body)
         to_body = np.kron(np.eye(2), rotation.T)
         velocity = jacobian @ data.qvel
         # A spatial acceleration lacks the w x v of a material point's.
-        bias = rate @ data.qvel - np.concatenate(
+        bias = change @ data.qvel - np.concatenate(
             [np.zeros(3), np.cross(velocity[:3], velocity[3:])]
         )
         relative = velocity - np.concatenate([np.zeros(3), world.water.current])
@@ -107,18 +110,19 @@ def dense_accelerations(creature: Creature, world: World, state: State, torque, 
         mass += H * jacobian.T @ derivative @ jacobian
 
     q, qd = np.asarray(state.q), np.asarray(state.qd)
-    ahead = q + H * qd
-    joint = torque - tree.stiffness * ahead - tree.damping * qd
+    joint = torque - tree.stiffness * (q + H * qd) - tree.damping * qd
     diagonal = motor_derivative + H * (tree.damping + H * tree.stiffness)
-    for k in range(tree.dof_count):
-        for limit, beyond in (
-            (tree.lower[k], ahead[k] < tree.lower[k]),
-            (tree.upper[k], ahead[k] > tree.upper[k]),
-        ):
-            if beyond:
-                joint[k] -= tree.limit_stiffness[k] * (ahead[k] - limit)
-                joint[k] -= tree.limit_damping[k] * qd[k]
-                diagonal[k] += H * (tree.limit_damping[k] + H * tree.limit_stiffness[k])
+    ahead = q + H * qd
+    slope = tree.limit_damping + H * tree.limit_stiffness
+    for sign, limit in ((1, tree.upper), (-1, tree.lower)):
+        # At the rates of the end it stops what moves faster than to the limit, or back to it.
+        beyond = sign * (q - limit)
+        back = np.where(beyond > 0, -tree.limit_stiffness * beyond / slope, -beyond / H)
+        stops = sign * ends > back if ends is not None else sign * (ahead - limit) > 0
+        if ends is None:
+            back = -tree.limit_stiffness * beyond / slope
+        joint -= np.where(stops, slope * (qd - sign * back), 0.0)
+        diagonal += np.where(stops, H * slope, 0.0)
     right[6 + order] += joint
     mass[6 + order, 6 + order] += diagonal
     qacc = np.linalg.solve(mass, right)
@@ -155,10 +159,11 @@ def worst_error(number: int, torque_limit: float, law: str = "normal") -> tuple[
         wanted = motor_law(n, np.asarray(state.qd))
         implicit = np.full_like(wanted, H * (motor.gain + H * motor.stiffness))
         applied = np.asarray(effort.torque[:, n])
+        ends = np.asarray(new.qd[:, n]) if np.isfinite(torque_limit) else None
         if (np.abs(applied) >= torque_limit).any():
             saturated += int((np.abs(applied) >= torque_limit).sum())
             wanted, implicit = applied, np.zeros_like(implicit)
-        theirs = dense_accelerations(creature, world, state, wanted, implicit)
+        theirs = dense_accelerations(creature, world, state, wanted, implicit, ends)
         worst = max(worst, np.abs(ours[:, n] - theirs).max() / np.abs(theirs).max())
         # Free motors end the step with the torque of their end-of-step rate.
         end = motor_law(n, np.asarray(new.qd[:, n]))

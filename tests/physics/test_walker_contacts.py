@@ -16,11 +16,11 @@ from evo_cpg.creature.creature import Body, Creature, Joint, Material
 from evo_cpg.creature.shapes import Box
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.physics.contact import find_contacts
-from evo_cpg.physics.footing import Ground, make_footing
+from evo_cpg.physics.footing import Ground, clearance, make_footing
 from evo_cpg.physics.kinematics import kinematics
-from evo_cpg.physics.passes import search
+from evo_cpg.physics.newton import search
 from evo_cpg.physics.state import State, resting_state
-from evo_cpg.physics.step import integrate, step
+from evo_cpg.physics.step import Effort, integrate, step
 from evo_cpg.physics.world import World
 
 H = 1 / 240
@@ -57,6 +57,28 @@ def depths(world: World, states: State) -> np.ndarray:
 
     over_time = jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), states)
     return -np.moveaxis(np.asarray(gaps(over_time)), -1, 0)
+
+
+def pressed(world: World, effort: Effort) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Normal and tangential forces ``(steps, places, n)``, and mu_s times the normal ones.
+
+    The problem is solved to 1e-3 of what the ground carries in all steps, Coulomb's law holds to
+    1e-2 in 99 % of the contact steps, and to 1 in all; no normal force is negative, and friction is
+    within its cone but for the residual of the law.
+    """
+    support = np.asarray(effort.support, float)
+    across, along = support[:, 2], np.hypot(support[:, 0], support[:, 1])
+    limit = world.footing.static_friction[:, None] * across
+    touches = (across > 0).any(1)
+    solved, coulomb = (np.asarray(x, float) for x in effort.residual)
+    assert solved.max() <= 1.01e-3
+    assert (coulomb[touches] > 1e-2).mean() < 0.01
+    assert coulomb.max() < 1.0
+    assert across.min() >= 0
+    load = np.maximum(across.sum(1), world.gravity * world.tree.mass.sum())
+    missed = np.sqrt(2) * (solved + coulomb) * load
+    assert (along <= limit + 1.01 * missed[:, None]).all()
+    return across, along, limit
 
 
 @pytest.fixture(scope="module")
@@ -104,11 +126,7 @@ def walk():
 def test_the_ground_pushes_and_motors_keep_their_limits(walk):
     """No support is negative, no friction beyond mu_s times it, no torque above 40 N m."""
     world, states, effort = walk
-    support = np.asarray(effort.support, float)
-    across, along = support[:, 2], np.hypot(support[:, 0], support[:, 1])
-    limit = world.footing.static_friction[:, None] * across
-    assert across.min() >= 0
-    assert (along <= (1 + 1e-5) * limit).all()
+    across, along, limit = pressed(world, effort)
     torque = np.abs(np.asarray(effort.torque))
     assert (torque <= world.tree.torque_limit[:, None].astype(np.float32)).all()
     for part in jax.tree.leaves(states):
@@ -147,14 +165,11 @@ def test_a_standing_animal(walk):
 
 @pytest.mark.slow
 def test_walking_feet_stay_on_the_ground(walk):
-    """Of all places at all times 99.8 % are less than 1 mm deep, and the rest is bounded.
-
-    The bound is what the fastest point moves in a step at 12 m/s.
-    """
+    """Of all places at all times 99.99 % are less than 1 mm deep, and none is deeper than 3 mm."""
     world, states, _ = walk
     deep = depths(world, states)
-    assert (deep > 1e-3).mean() < 0.002
-    assert deep.max() < 12.0 * H
+    assert (deep > 1e-3).mean() < 1e-4
+    assert deep.max() < 3e-3
 
 
 def legged(legs, segments: int) -> World:
@@ -243,11 +258,8 @@ def tumbling():
 def test_a_small_animal_is_pushed_within_friction_and_by_as_much_as_it_gains(tumbling):
     """No support is negative, none beyond the cone; its impulse is the change of momentum."""
     world, start, states, effort = tumbling
+    across, along, limit = pressed(world, effort)
     support = np.asarray(effort.support, float)
-    across, along = support[:, 2], np.hypot(support[:, 0], support[:, 1])
-    limit = world.footing.static_friction[:, None] * across
-    assert across.min() >= 0
-    assert (along <= (1 + 1e-5) * limit).all()
     assert (along > 0.99 * limit)[across > 0].mean() > 0.05
     seconds = len(across) * H
     total = support.sum((0, 2)) * H / world.tree.mass.sum()
@@ -266,9 +278,43 @@ def test_a_small_animal_only_loses_energy_and_stays_on_the_ground(tumbling):
     assert (energy < 1.01 * first[:, None]).all()
     assert rise.max() < 0.01
     deep = depths(world, states)
-    # The bound is what the fastest point moves in a step at 12 m/s.
-    assert deep.max() < 12.0 * H
+    assert (deep > 1e-3).mean() < 1e-3
+    assert deep.max() < 5e-3
     assert 0.02 < (deep > -1e-3).mean() < 0.5
+
+
+def test_an_impact_of_many_limbs_adds_no_energy():
+    """Tripods that hit the ground at 10 m/s while their legs swing at some 10 rad/s.
+
+    The step is so short that nothing but the impact does work. Where a chain of bodies hits with
+    one point, Newton's restitution alone returns more than there was.
+    """
+    world = legged([(0.2, 0.0), (-0.2, 0.0)], segments=2)
+    state, rng, h = thrown(world, 64, 1.0), np.random.default_rng(3), 1e-6
+    velocity = np.asarray(state.velocity) - np.array([0, 0, 0, 0, 0, 10.0])[:, None]
+    rates = 10 * rng.normal(size=state.qd.shape)
+    state = dataclasses.replace(state, velocity=jnp.asarray(velocity), qd=jnp.asarray(rates))
+    gap = quick_jit(lambda s: clearance(world.footing, kinematics(world.tree, s)))(state)
+    down = np.asarray(state.position) - np.array([0, 0, 1.0])[:, None] * np.asarray(gap).min(0)
+    state = dataclasses.replace(state, position=jnp.asarray(down))
+    _, before = mechanics(world, state)
+
+    @quick_jit
+    def hit(state, restitution):
+        like = jnp.full(len(world.footing.bodies), restitution)
+        own = dataclasses.replace(world, footing=world.footing._replace(restitution=like))
+        new, effort = step(own, state, jnp.zeros_like(state.qd), h)
+        return new, effort.support[2].sum(0)
+
+    dull = np.asarray(hit(state, 0.0)[1])
+    hits = dull > 0
+    assert hits.mean() > 0.8
+    for restitution in (0.3, 1.0):
+        new, force = hit(state, restitution)
+        _, after = mechanics(world, new)
+        assert (after <= (1 + 1e-4) * before).all()
+        # It is not that nothing bounces.
+        assert np.median(np.asarray(force)[hits] / dull[hits]) > 1 + 0.5 * restitution
 
 
 @pytest.fixture(scope="module")
@@ -280,7 +326,8 @@ def touching():
         still = jnp.zeros(world.tree.dof_count)
 
         def alone(state):
-            return integrate(state, search(world, H, state, still, None).accelerations, H)
+            found = search(world, H, state, still, None)
+            return integrate(state, found.root, found.qdd, H)
 
         yield world, state, jax.vmap(alone, -1, -1)
 

@@ -146,18 +146,21 @@ def test_cost_of_transport_and_slip_follow_from_the_recording(trial, individual)
     cost = energy / (mass.sum() * GRAVITY * way)
     assert found["cost_of_transport"] == pytest.approx(cost, rel=5e-3, abs=1e-3)
 
-    slip, lift = 0.0, 0.0
+    # A foot that carries is held at the ground, to a hundredth of a millimetre where it carries
+    # next to nothing; one that has let go is above it.
+    least, most, lift = 0.0, 0.0, 0.0
     for name in FEET:
         i = [body.name for body in WALKER.bodies].index(name)
         velocity = np.diff(position[:, i], axis=0) * RATE
         turn = Rotation.from_matrix(motion.rotation[:, i])
         spin = (turn[1:] * turn[:-1].inv()).as_rotvec() * RATE
         sole = velocity + np.cross(spin, [0, 0, -RADIUS])
-        # A foot that carries is held at the ground; one that has let go is above it.
         height = position[1:, i, 2] - RADIUS
-        slip += np.hypot(*sole[height < 1e-6, :2].T).sum() / RATE
+        least += np.hypot(*sole[height < -1e-6, :2].T).sum() / RATE
+        most += np.hypot(*sole[height < 1e-5, :2].T).sum() / RATE
         lift = max(lift, height.max())
-    assert found["slip"] == pytest.approx(slip, rel=0.05, abs=2e-3)
+    assert 0.95 * least - 2e-3 < found["slip"] < 1.05 * most + 2e-3
+    assert most < 1.1 * least + 2e-3
     assert found["lift"] == pytest.approx(lift, abs=1e-4)
 
     # Newton: what ground and gravity gave is the momentum at the end, from the last two poses.

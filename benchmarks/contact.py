@@ -1,0 +1,182 @@
+"""How well contact is solved: `python -m benchmarks.contact [ANIMAL ...] [--count 64]`.
+
+Animals that thrash about on their own ground, with the commands of the benchmark's exercises. Of
+every physics step: the residual of the problem that is solved and of Coulomb's law with the normal
+forces of that step, as shares of what the ground carries; how deep every contact point is after it;
+and in float64, by how much a disturbance of 1e-9 grows within 0.1 s. The table is that of
+docs/models/contact.md.
+"""
+
+import argparse
+import functools
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from rich.console import Console
+from rich.progress import track
+
+from benchmarks.animals import ANIMALS
+from benchmarks.exercise import Exercise
+from evo_cpg.physics.footing import clearance
+from evo_cpg.physics.kinematics import kinematics
+from evo_cpg.physics.state import State, resting_state
+from evo_cpg.physics.step import first_warmstart, step
+
+# Growth is that of a disturbance of so much (the norm of the state) within so long a window.
+DISTURBANCE, WINDOW = 1e-9, 0.1
+
+_ON_LAND = ("quadruped", "salamander-land")
+
+
+class Thrashing(NamedTuple):
+    """What happened in every physics step.
+
+    Attributes:
+        touches: whether anything carried weight.
+        solved: residual of the problem that was solved.
+        coulomb: residual of Coulomb's law.
+        depth: of every contact point, m.
+        growth: of a disturbance in every window; empty in float32.
+    """
+
+    touches: Float[np.ndarray, "t n"]
+    solved: Float[np.ndarray, "t n"]
+    coulomb: Float[np.ndarray, "t n"]
+    depth: Float[np.ndarray, "t p n"]
+    growth: Float[np.ndarray, "w n"]
+
+
+def thrash(exercise: Exercise, count: int, seconds: float, dtype: type) -> Thrashing:
+    """Let a population thrash about.
+
+    Args:
+        exercise: tells them what to do.
+        count: individuals.
+        seconds: how long.
+        dtype: of all numbers; in float64 every other individual is the disturbed one.
+    """
+    simulation = exercise.experiment.simulation
+    world, h = simulation.world, simulation.step_length
+    footing = world.footing
+    assert footing is not None
+    pairs = dtype is np.float64
+    lanes = np.asarray(exercise.lanes(count), dtype)
+    lanes = np.concatenate([lanes, lanes], 1) if pairs else lanes
+    told = exercise.prepare(jnp.asarray(lanes))
+    place = simulation.situations[0].start_position
+    state = resting_state(world.tree, lanes.shape[1:], dtype, position=place)
+    warmstart = first_warmstart(world, lanes.shape[1:], lanes.dtype)
+
+    def advance(carry: tuple, index: Array) -> tuple[tuple, tuple]:
+        state, warmstart = carry
+        new, effort = step(world, state, *_both(exercise.command(told, index), h), warmstart)
+        gap = clearance(footing, kinematics(world.tree, new))
+        assert effort.support is not None and effort.residual is not None
+        touches = (effort.support[2] > 0).any(0)
+        seen = touches, *effort.residual, -gap
+        return (new, effort.warmstart), jax.tree.map(lambda x: x[..., :count], seen)
+
+    size = round(WINDOW / h)
+    window = jax.jit(lambda carry, first: jax.lax.scan(advance, carry, first + jnp.arange(size)))
+    rng = np.random.default_rng(0)
+    found, growth = [], []
+    windows = range(round(seconds / WINDOW))
+    for i in track(windows, "thrashing", transient=True, console=Console(stderr=True)):
+        if pairs:
+            state = _disturbed(state, count, rng)
+            # A disturbed twin begins like the other one.
+            warmstart = jax.tree.map(_twice(count), warmstart)
+            before = _distance(state, count)
+        (state, warmstart), seen = window((state, warmstart), jnp.int32(i * size))
+        if pairs:
+            growth.append(_distance(state, count) / before)
+        found.append(jax.tree.map(np.asarray, seen))
+    touches, solved, coulomb, depth = (np.concatenate(x) for x in zip(*found, strict=True))
+    return Thrashing(touches, solved, coulomb, depth, np.array(growth))
+
+
+def _twice(count: int) -> Callable[[Array], Array]:
+    """Of an array the first individuals, and these again."""
+    return lambda x: jnp.concatenate([x[..., :count], x[..., :count]], -1)
+
+
+def _both(command: tuple[Array, Array | None], h: float) -> tuple[Array, float, Array | None]:
+    """What `step` takes after the state."""
+    rate, angle = command
+    return rate, h, angle
+
+
+def _disturbed(state: State, count: int, rng: np.random.Generator) -> State:
+    """The first individuals, and the same beside themselves."""
+    parts = [np.asarray(part)[..., :count] for part in jax.tree.leaves(state)]
+    ways = [rng.normal(size=part.shape) for part in parts]
+    norm = np.sqrt(sum((way**2).sum(0) for way in ways))
+    moved = [part + DISTURBANCE * way / norm for part, way in zip(parts, ways, strict=True)]
+    both = [np.concatenate(pair, -1) for pair in zip(parts, moved, strict=True)]
+    return jax.tree.unflatten(jax.tree.structure(state), [jnp.asarray(part) for part in both])
+
+
+def _distance(state: State, count: int) -> Float[np.ndarray, " n"]:
+    """Of each individual from its twin."""
+    apart = [
+        np.asarray(x)[..., count:] - np.asarray(x)[..., :count] for x in jax.tree.leaves(state)
+    ]
+    return np.sqrt(sum((x**2).sum(0) for x in apart))
+
+
+def row(animal: str, dtype: type, found: Thrashing) -> str:
+    """Of the table; shares are of contact steps, or of all points at all times."""
+    share = functools.partial(_share, found.touches)
+    growth = (
+        ""
+        if not found.growth.size
+        else " / ".join(
+            f"{x:.2g}" for x in [*np.quantile(found.growth, [0.5, 0.99]), found.growth.max()]
+        )
+    )
+    cells = [
+        animal,
+        np.dtype(dtype).name,
+        f"{found.touches.mean():.0%}",
+        f"{share(found.solved, 1e-3):.3g}",
+        f"{share(found.coulomb, 1e-2):.3g} / {share(found.coulomb, 1.0):.3g}",
+        f"{100 * (found.depth > 1e-3).mean():.2g} / {100 * (found.depth > 3e-3).mean():.2g}",
+        f"{1e3 * found.depth.max():.2g}",
+        growth,
+    ]
+    return "| " + " | ".join(cells) + " |"
+
+
+HEADER = """\
+| animal | numbers | steps in contact | residual > 1e-3, % | Coulomb > 1e-2 / > 1, % | \
+deeper than 1 / 3 mm, % | deepest, mm | growth: median / 99 % / most |
+|---|---|---|---|---|---|---|---|"""
+
+
+def _share(touches: np.ndarray, residual: np.ndarray, bound: float) -> float:
+    """Per cent of contact steps with a larger residual."""
+    return 100 * float((residual[touches] > bound).mean())
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=str(__doc__).split("\n", 1)[0])
+    parser.add_argument("animals", nargs="*", metavar="ANIMAL", default=_ON_LAND)
+    parser.add_argument("--count", type=int, default=64, help="individuals")
+    parser.add_argument("--seconds", type=float, default=20.0)
+    given = parser.parse_args()
+    console = Console()
+    console.print(HEADER, soft_wrap=True)
+    for animal in given.animals or _ON_LAND:
+        for dtype in (np.float32, np.float64):
+            with jax.enable_x64(dtype is np.float64):
+                found = thrash(ANIMALS[animal]().exercise, given.count, given.seconds, dtype)
+            console.print(row(animal, dtype, found), soft_wrap=True)
+
+
+if __name__ == "__main__":
+    main()

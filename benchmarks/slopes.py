@@ -1,0 +1,213 @@
+"""How steep a slope animals stand on: `python -m benchmarks.slopes [CONFIG ...]`.
+
+With motors that hold the neutral pose, and weight that comes on slowly. Beside it the limit of
+statics for the pose that an animal then has: the steepest slope on which forces within the friction
+cones of the points that touch balance its weight, by a linear program. The table is that of
+docs/models/contact.md.
+"""
+
+import argparse
+import dataclasses
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Float
+from rich.console import Console
+from scipy.optimize import linprog
+
+from benchmarks.plan import experiment_of
+from evo_cpg.physics.contact import find_contacts
+from evo_cpg.physics.footing import Footing, clearance
+from evo_cpg.physics.kinematics import kinematics
+from evo_cpg.physics.state import State, resting_state
+from evo_cpg.physics.step import first_warmstart, step
+from evo_cpg.physics.terrain import Plane
+from evo_cpg.physics.world import World
+from evo_cpg.spatial.linear import matvec
+
+CONFIGS = (
+    "fukui2003_model1",
+    "fukui2003_model2",
+    "fukui2003_model3",
+    "hexapod",
+    "iwadate2010_salamander_land",
+    "starfish_land",
+)
+
+# Weight comes on within the first, s; the last second tells whether the animal stands.
+LOADING, SETTLING = 3.0, 3.0
+
+# An animal slides, and does not creep, if it moves faster than that in the last second, m/s.
+SLIDES = 0.01
+
+# Edges of the cones of the linear program: it is 0.2 % short of the round one at most.
+_EDGES = 48
+
+
+class Standing(NamedTuple):
+    """How an animal stands on a slope.
+
+    Attributes:
+        creep: of its root in the last second, m/s.
+        points: that carry it, in the slope's frame (x down the slope, z off it), m.
+        friction: static, of each.
+        centre: of mass, likewise, m.
+    """
+
+    creep: float
+    points: Float[np.ndarray, "p 3"]
+    friction: Float[np.ndarray, " p"]
+    centre: Float[np.ndarray, "3"]
+
+
+def stander(world: World, h: float) -> Callable[[float], Standing]:
+    """A function of the slope, degrees, that lets an animal stand on it with a step of h (s)."""
+    footing = world.footing
+    assert footing is not None
+    friction, dtype = np.asarray(footing.static_friction), np.dtype(np.float32)
+    second = round(1 / h)
+
+    @jax.jit
+    def stand(angle: Array) -> tuple[Array, Array, Array, Array]:
+        slope, start = _on_slope(world, angle)
+        warmstart = first_warmstart(slope, (1,), dtype)
+        still = jnp.zeros_like(start.q)
+
+        def advance(carry: tuple, index: Array) -> tuple[tuple, tuple]:
+            state, warmstart = carry
+            share = jnp.minimum((index + 1) * h / LOADING, 1.0)
+            loaded = dataclasses.replace(slope, gravity=world.gravity * share)
+            state, effort = step(loaded, state, still, h, still, warmstart)
+            assert effort.support is not None
+            return (state, effort.warmstart), (state.position[:, 0], effort.support[2, :, 0])
+
+        steps = jnp.arange(round((LOADING + SETTLING) / h))
+        (end, _), (way, support) = jax.lax.scan(advance, (start, warmstart), steps)
+        kin = kinematics(slope.tree, end)
+        places = kin.origin[:, np.array(footing.bodies)]
+        places = places + find_contacts(_sloping(footing, angle), kin, h).arm
+        creep = jnp.linalg.norm(way[-1] - way[-1 - second])
+        return creep, support[-1], places[..., 0], _centre(slope, end)
+
+    def of(degrees: float) -> Standing:
+        angle = np.deg2rad(degrees)
+        creep, support, places, centre = map(np.asarray, stand(jnp.asarray(angle, dtype)))
+        cosine, sine = np.cos(angle), np.sin(angle)
+        turn = np.array([[cosine, 0, -sine], [0, 1, 0], [sine, 0, cosine]])
+        carries = support > 1e-3 * support.max(initial=0.0)
+        return Standing(
+            float(creep), places[:, carries].T @ turn.T, friction[carries], turn @ centre
+        )
+
+    return of
+
+
+def _centre(world: World, state: State) -> Float[Array, "3"]:
+    """Of mass."""
+    kin, tree = kinematics(world.tree, state), world.tree
+    places = kin.origin + matvec(kin.rotation, jnp.asarray(tree.com, state.q.dtype)[..., None])
+    return places[..., 0] @ jnp.asarray(tree.mass / tree.mass.sum(), state.q.dtype)
+
+
+def _on_slope(world: World, angle: Array) -> tuple[World, State]:
+    """Dry and bare ground that falls towards x, and the animal with its lowest point on it."""
+    assert world.footing is not None
+    footing, none = _sloping(world.footing, angle), jnp.zeros_like(angle)
+    slope = dataclasses.replace(
+        world, footing=footing, water=None, patches=(), cells=(), added_inertia=None
+    )
+    half = jnp.stack([jnp.cos(angle / 2), none, jnp.sin(angle / 2), none])
+    state = resting_state(world.tree, (1,), angle.dtype)
+    state = dataclasses.replace(state, orientation=half[:, None])
+    gap = clearance(footing, kinematics(slope.tree, state)).min(0)
+    down = jnp.stack([jnp.sin(angle), none, jnp.cos(angle)])[:, None] * gap[None]
+    return slope, dataclasses.replace(state, position=state.position - down)
+
+
+def _sloping(footing: Footing, angle: Array) -> Footing:
+    """On a plane."""
+    floor = Plane((jnp.sin(angle), 0.0, jnp.cos(angle)))
+    return footing._replace(ground=dataclasses.replace(footing.ground, floor=floor, obstacles=()))
+
+
+def limit_of_statics(standing: Standing) -> float:
+    """Steepest slope, degrees to 0.1, on which such points can hold such a centre of mass."""
+    turns = 2 * np.pi * np.arange(_EDGES) / _EDGES
+    edges = np.stack([np.cos(turns), np.sin(turns), np.zeros(_EDGES)])
+    columns = []
+    for point, friction in zip(standing.points, standing.friction, strict=True):
+        forces = friction * edges + np.array([0, 0, 1.0])[:, None]
+        moments = np.cross(point - standing.centre, forces, axisb=0, axisc=0)
+        columns.append(np.concatenate([forces, moments]))
+    if not columns:
+        return 0.0
+    cone = np.concatenate(columns, 1)
+
+    def holds(degrees: float) -> bool:
+        angle = np.deg2rad(degrees)
+        needed = np.array([-np.sin(angle), 0, np.cos(angle), 0, 0, 0])
+        found = linprog(np.zeros(cone.shape[1]), A_eq=cone, b_eq=needed, method="highs")
+        return found.status == 0
+
+    low, high = 0.0, 80.0
+    while high - low > 0.1:
+        middle = (low + high) / 2
+        low, high = (middle, high) if holds(middle) else (low, middle)
+    return low
+
+
+def steepest(stand: Callable[[float], Standing]) -> tuple[float, float, Standing]:
+    """The steepest slope a degree or more below the limit of statics for the pose on it.
+
+    An animal that slides or falls before that does not stand on steeper slopes: the limit on the
+    slope that is found is then more than a degree above.
+
+    Returns:
+        The limit and the slope, degrees, and how the animal stands there.
+    """
+    level = stand(0.0)
+    low, high = (0.0, level), 60.0
+    while high - low[0] > 0.2:
+        middle = (low[0] + high) / 2
+        standing = stand(middle)
+        if stands(standing, level) and limit_of_statics(standing) - 1 >= middle:
+            low = middle, standing
+        else:
+            high = middle
+    slope, standing = low
+    return limit_of_statics(standing), slope, standing
+
+
+def stands(standing: Standing, level: Standing) -> bool:
+    """Whether an animal neither slides nor lies lower than two thirds of that on the level."""
+    return standing.creep < SLIDES and standing.centre[2] > 2 / 3 * level.centre[2]
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=str(__doc__).split("\n", 1)[0])
+    parser.add_argument("configs", nargs="*", metavar="CONFIG", default=CONFIGS)
+    console = Console()
+    console.print(
+        "| animal | step, s | limit of statics | stands at | creeps, mm/s | at 2 degrees more |\n"
+        "|---|---|---|---|---|---|",
+        soft_wrap=True,
+    )
+    for name in parser.parse_args().configs:
+        simulation = experiment_of(name).simulation
+        stand = stander(simulation.world, simulation.step_length)
+        limit, slope, standing = steepest(stand)
+        beyond = stand(slope + 2).creep
+        console.print(
+            f"| {name} | 1/{round(1 / simulation.step_length)} | {limit:.1f} | {slope:.1f} | "
+            f"{1e3 * standing.creep:.2f} | {1e3 * beyond:.3g} mm/s |",
+            soft_wrap=True,
+        )
+
+
+if __name__ == "__main__":
+    main()

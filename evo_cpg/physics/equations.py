@@ -1,0 +1,153 @@
+"""The equations of one step: inertias, bias forces, contacts; the motion under given lines."""
+
+from typing import NamedTuple
+
+import jax
+from jaxtyping import Array, Float
+
+from evo_cpg.physics.articulated import Accelerations, solve
+from evo_cpg.physics.contact import (
+    ContactLines,
+    Contacts,
+    contact_equations,
+    find_contacts,
+)
+from evo_cpg.physics.joints import (
+    expected_limit_torque,
+    passive_torque,
+    servo_slope,
+    servo_torque,
+)
+from evo_cpg.physics.kinematics import Kinematics, kinematics
+from evo_cpg.physics.spatial_algebra import Inertia, Wrench
+from evo_cpg.physics.state import State
+from evo_cpg.physics.world import World, body_equations
+from evo_cpg.spatial.linear import expand_dims_like
+
+
+class Equations(NamedTuple):
+    """What stays the same throughout the search of a step.
+
+    Attributes:
+        state: at the start of the step.
+        kin, inertia, bias, passive, derivative: as `solve` takes them, without motors, limits of
+            joints and ground.
+        wanted: motor torques at the present rates, N m.
+        contacts: None without ground.
+    """
+
+    state: State
+    kin: Kinematics
+    inertia: Inertia
+    bias: Wrench
+    passive: Array
+    derivative: Array
+    wanted: Array
+    contacts: Contacts | None
+
+
+class Lines(NamedTuple):
+    """Lines in the place of the laws.
+
+    Attributes:
+        torque: of motors and limits of joints at the present rates, N m.
+        slope: torque lost per end-of-step rate, N m s/rad.
+        contact: None without ground.
+    """
+
+    torque: Array
+    slope: Array
+    contact: ContactLines | None
+
+
+class ContactForces(NamedTuple):
+    """Forces of the ground.
+
+    Attributes:
+        support: on every place, in the ground's frame (two tangents, then the normal), N.
+        world: the same in world axes.
+    """
+
+    support: Float[Array, "3 p *n"]
+    world: Float[Array, "3 p *n"]
+
+
+class Residual(NamedTuple):
+    """By how much forces miss their laws, as a share of all normal forces, or of the weight.
+
+    Attributes:
+        solved: with the limits of friction under which the motion was found.
+        coulomb: with those that its own normal forces give.
+    """
+
+    solved: Float[Array, "*n"]
+    coulomb: Float[Array, "*n"]
+
+
+class Warmstart(NamedTuple):
+    """What a step came to, with which the next begins its search.
+
+    Attributes:
+        qdd: joint accelerations, rad/s^2.
+        velocity: of the contact points, m/s; None without ground.
+        limit: of their friction, N.
+    """
+
+    qdd: Float[Array, "d *n"]
+    velocity: Float[Array, "3 p *n"] | None
+    limit: Float[Array, "p *n"]
+
+
+class Imposed(NamedTuple):
+    """What a step came to.
+
+    Attributes:
+        root: spatial acceleration of the root, as in `Accelerations`.
+        qdd: joint accelerations.
+        torque: that the motors applied, N m.
+        contact: what the ground did; None without ground.
+        residual: see `evo_cpg.physics.newton`; None where one solve is exact.
+        warmstart: for the next step; likewise.
+    """
+
+    root: Float[Array, "6 *n"]
+    qdd: Float[Array, "d *n"]
+    torque: Float[Array, "d *n"]
+    contact: ContactForces | None = None
+    residual: Residual | None = None
+    warmstart: Warmstart | None = None
+
+
+def prepare(
+    world: World, h: float, state: State, target_rate: Array, target_angle: Array | None
+) -> Equations:
+    """The equations of motion of a step."""
+    tree = world.tree
+    with jax.named_scope("kinematics"):
+        kin = kinematics(tree, state)
+    with jax.named_scope("forces"):
+        inertia, bias = body_equations(world, kin, h)
+        passive, derivative = passive_torque(tree, state, h)
+        derivative = derivative + expand_dims_like(tree.armature, derivative)
+        wanted = servo_torque(tree, state, target_rate, target_angle, h)
+        contacts = None if world.footing is None else find_contacts(world.footing, kin, h)
+    return Equations(state, kin, inertia, bias, passive, derivative, wanted, contacts)
+
+
+def expected_lines(world: World, h: float, equations: Equations) -> Lines:
+    """Those of a step without ground whose motors have no limits: one solve has to do."""
+    wanted = equations.wanted
+    stop, stop_slope = expected_limit_torque(world.tree, equations.state, h)
+    return Lines(wanted + stop, servo_slope(world.tree, wanted, h) + stop_slope, None)
+
+
+def solve_with(world: World, h: float, equations: Equations, lines: Lines) -> Accelerations:
+    """The motion under given lines."""
+    inertia, bias = equations.inertia, equations.bias
+    if world.footing is not None and equations.contacts is not None and lines.contact is not None:
+        inertia, bias = contact_equations(
+            world.footing, equations.contacts, lines.contact, inertia, bias, h
+        )
+    torque = equations.passive + lines.torque
+    derivative = equations.derivative + h * lines.slope
+    return solve(world.tree, equations.kin, inertia, bias, torque, derivative)
