@@ -204,7 +204,7 @@ def contact_lines(
     speed = _length(velocity)
     short = contacts.wanted - velocity[2]
     sticks = stiffness * speed <= limit
-    share = jnp.where(sticks, stiffness, limit / speed)
+    share = _resistance(stiffness, limit, speed)
     support = stiffness * jnp.maximum(short, 0.0)
     force = jnp.stack([-share * velocity[0], -share * velocity[1], support])
     # Sliding friction keeps its size and turns with the velocity.
@@ -212,6 +212,24 @@ def contact_lines(
     x, y, _ = velocity
     tangential = jnp.stack([share - along * x * x, -along * x * y, share - along * y * y])
     return ContactLines(velocity, force, tangential, jnp.where(short > 0, stiffness, 0.0))
+
+
+def friction_change(
+    footing: Footing,
+    limit: Float[Array, "p *n"],
+    other: Float[Array, "p *n"],
+    velocity: Float[Array, "3 p *n"],
+    h: float,
+) -> Float[Array, "p *n"]:
+    """By how much tangential forces at some velocity differ under two limits of friction, N."""
+    stiffness, speed = expand_dims_like(footing.stiffness / h, limit), _length(velocity)
+    change = _resistance(stiffness, other, speed) - _resistance(stiffness, limit, speed)
+    return change * speed
+
+
+def _resistance(stiffness: Array, limit: Array, speed: Array) -> Array:
+    """Tangential force per speed, N s/m."""
+    return jnp.where(stiffness * speed <= limit, stiffness, limit / speed)
 
 
 def line_force(lines: ContactLines, velocity: Float[Array, "3 p *n"]) -> Float[Array, "3 p *n"]:

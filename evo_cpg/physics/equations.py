@@ -73,11 +73,13 @@ class ContactForces(NamedTuple):
 
 
 class Residual(NamedTuple):
-    """By how much forces miss their laws, as a share of all normal forces, or of the weight.
+    """Norm of what forces miss their laws by, as a share of all normal forces, or of the weight.
+
+    Torques count as shares of their limits.
 
     Attributes:
         solved: with the limits of friction under which the motion was found.
-        coulomb: with those that its own normal forces give.
+        coulomb: with those that its own normal forces give, at most.
     """
 
     solved: Float[Array, "*n"]

@@ -39,6 +39,7 @@ from evo_cpg.physics.contact import (
     contact_lines,
     contact_work,
     end_velocity,
+    friction_change,
     friction_limit,
     line_force,
 )
@@ -184,16 +185,18 @@ def coldstart(world: World, batch: tuple[int, ...], dtype: jnp.dtype) -> Warmsta
 
 def _imposed(problem: "_Problem", limit: Float[Array, "p *n"], iterate: Iterate) -> Imposed:
     """A motion, and the forces in it by the laws, with the limits of friction that it has."""
-    solved = problem.tangents_at(limit, iterate)
-    coulomb = problem.tangents_at(problem.limit(iterate), iterate)
+    lines, found = problem.tangents_at(limit, iterate), problem.limit(iterate)
     contacts, forces = problem.equations.contacts, None
-    if contacts is not None and solved.contact is not None:
-        support = solved.contact.force
+    if contacts is not None and lines.contact is not None:
+        support = lines.contact.force
         forces = ContactForces(support, matvec_t(contacts.frame, support))
-    residuals = (jax.lax.stop_gradient(problem.residual(iterate, x)) for x in (solved, coulomb))
-    warmstart = Warmstart(iterate.qdd, iterate.velocity, problem.limit(iterate))
+    solved = jax.lax.stop_gradient(problem.residual(iterate, lines))
+    friction = jax.lax.stop_gradient(problem.beyond_coulomb(limit, found, iterate, lines))
+    warmstart = Warmstart(iterate.qdd, iterate.velocity, found)
     motor = clamp_torque(problem.world.tree, problem.asked(iterate.qdd))
-    return Imposed(iterate.root, iterate.qdd, motor, forces, Residual(*residuals), warmstart)
+    return Imposed(
+        iterate.root, iterate.qdd, motor, forces, Residual(solved, solved + friction), warmstart
+    )
 
 
 class _Problem(NamedTuple):
@@ -279,17 +282,43 @@ class _Problem(NamedTuple):
         return torque, iterate.force - lines.contact.force
 
     def residual(self, iterate: Iterate, lines: Lines) -> Float[Array, "*n"]:
-        """By how much the laws are missed: the worst of all, as a share of the limit or load."""
+        """Norm of what the laws are missed by, as shares of motors' limits and of the load."""
         torque, force = self.missed(iterate, lines)
         limit = self.world.tree.torque_limit
         most = expand_dims_like(xp.where(xp.isfinite(limit), limit, 0.0), torque)
         most = jnp.maximum(jnp.maximum(most, jnp.abs(iterate.torque)), _SLOW * lines.slope)
-        worst = (jnp.abs(torque) / jnp.maximum(most, _NONE)).max(0, initial=0.0)
-        if force is None or lines.contact is None:
-            return worst
+        shares = torque / jnp.maximum(most, _NONE)
+        total = (shares * shares).sum(0)
+        if force is not None:
+            total = total + (force * force).sum((0, 1)) / self.load(lines) ** 2
+        return jnp.sqrt(total)
+
+    def beyond_coulomb(
+        self,
+        limit: Float[Array, "p *n"],
+        found: Float[Array, "p *n"],
+        iterate: Iterate,
+        lines: Lines,
+    ) -> Float[Array, "*n"]:
+        """Norm of what friction misses its law by with a limit, as a share of the load.
+
+        Args:
+            limit: that the iterate was found with.
+            found: the one that its own normal forces give.
+            iterate: some motion.
+            lines: tangents there.
+        """
+        footing = self.world.footing
+        if footing is None or iterate.velocity is None:
+            return jnp.zeros(iterate.qdd.shape[1:], iterate.qdd.dtype)
+        change = friction_change(footing, limit, found, iterate.velocity, self.h)
+        return jnp.sqrt((change * change).sum(0)) / self.load(lines)
+
+    def load(self, lines: Lines) -> Float[Array, "*n"]:
+        """What the ground carries, or the weight if that is more, N."""
         weight = self.world.gravity * self.world.tree.mass.sum()
-        load = jnp.maximum(lines.contact.force[2].sum(0), weight)
-        return jnp.maximum(worst, jnp.abs(force).max((0, 1)) / load)
+        assert lines.contact is not None
+        return jnp.maximum(lines.contact.force[2].sum(0), weight)
 
 
 def _descend(
@@ -300,9 +329,9 @@ def _descend(
     early = first.qdd.dtype != jnp.float64
     whole = jnp.ones(first.qdd.shape[1:], first.qdd.dtype)
     start = problem.bounded(whole)
-    holds = early & (start.residual(first, start.tangents_at(limit, first)) <= exact)
-    found = start.tangents_at(start.limit(first), first)
-    holds &= start.residual(first, found) <= _COULOMB
+    lines, found = start.tangents_at(limit, first), start.limit(first)
+    holds = early & (start.residual(first, lines) <= exact)
+    holds &= start.beyond_coulomb(limit, found, first, lines) <= _COULOMB
     none = jnp.zeros(holds.shape, jnp.int32)
     count = problem.limits
 
@@ -312,7 +341,7 @@ def _descend(
         ahead = now.motion(lines)
         iterate, lines = _line_search(now, limit, search.iterate, lines, ahead)
         found, residual = now.limit(iterate), now.residual(iterate, lines)
-        coulomb = now.residual(iterate, now.tangents_at(found, iterate)) <= _COULOMB
+        coulomb = now.beyond_coulomb(limit, found, iterate, lines) <= _COULOMB
         last = search.limits + 1 >= count
         settled = residual <= jnp.where(last, exact, rough)
         # The first limit has none before it.

@@ -6,6 +6,7 @@ M, the bias, J and J-dot come from MuJoCo; drag, its derivative, buoyancy and th
 summed point by point in NumPy from the formulas in the documentation.
 """
 
+import dataclasses
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -17,6 +18,9 @@ from benchmarks.mujoco_model import dof_order, load_state, mujoco_model
 from creatures import STRUCTURES, in_water, quick_jit, random_creature, random_state
 from evo_cpg.creature.creature import Actuator, Creature
 from evo_cpg.creature.surface import outer_surfaces
+from evo_cpg.physics.contact import find_contacts
+from evo_cpg.physics.footing import Ground, clearance, make_footing
+from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import State
 from evo_cpg.physics.step import step
 from evo_cpg.physics.world import World
@@ -64,7 +68,7 @@ def point_drag(world: World, surface, centre, velocity) -> Drag:
 
 
 def dense_accelerations(
-    creature: Creature, world: World, state: State, torque, motor_derivative, ends=None
+    creature: Creature, world: World, state: State, torque, motor_derivative, ends=None, pushes=()
 ):
     """Root (angular, linear of its centre) and joint accelerations by a dense solve.
 
@@ -75,6 +79,7 @@ def dense_accelerations(
         torque: of the motors at the present rates.
         motor_derivative: what the motors add to T.
         ends: the joints' rates at the end of the step, where a search finds them.
+        pushes: of the ground: number of the body, place and force in the world.
     """
     tree = world.tree
     model = mujoco_model(creature, {"gravity": f"0 0 {-world.gravity}"})
@@ -108,6 +113,11 @@ def dense_accelerations(
         buoyancy = np.concatenate([np.cross(rotation @ tree.com[:, i], lift), lift])
         right += jacobian.T @ (to_body.T @ drag.wrench + buoyancy - H * derivative @ bias)
         mass += H * jacobian.T @ derivative @ jacobian
+
+    for i, place, force in pushes:
+        jacobian = np.zeros((3, model.nv))
+        mujoco.mj_jac(model, data, jacobian, None, place, model.body(tree.names[i]).id)
+        right += jacobian.T @ force
 
     q, qd = np.asarray(state.q), np.asarray(state.qd)
     joint = torque - tree.stiffness * (q + H * qd) - tree.damping * qd
@@ -188,3 +198,62 @@ def test_accelerations_belong_to_the_limited_torques():
     worst, saturated = worst_error(1, 1.0)
     assert saturated > STATES
     assert worst < 1e-9
+
+
+def test_motors_contacts_limits_and_water_together():
+    """Animals with weak motors on a floor under water move as the reported forces make them.
+
+    These obey their laws: no point is pulled down, friction is within its cone and against the
+    motion of the point, motors give what they can, and whoever is pressed comes to the floor.
+    """
+    rng, friction = np.random.default_rng(5), 0.6
+    creature = random_creature(
+        rng, STRUCTURES[1], limits=0.7, motor=Actuator(2.0, 1.0), axes_seed=1
+    )
+    world = in_water(creature, current=CURRENT)
+    tree = world.tree
+    floor = Ground(1.0, friction, friction, friction_rule="min")
+    world = dataclasses.replace(world, footing=make_footing(creature, tree, floor))
+    footing, states = world.footing, random_state(tree, rng, (STATES,))
+    gaps = quick_jit(lambda s: clearance(footing, kinematics(tree, s)))
+    up = np.array([0, 0, 1.0])[:, None]
+    states = dataclasses.replace(
+        states,
+        position=states.position - up * np.asarray(gaps(states)).min(0),
+        velocity=states.velocity.at[5].add(-3.0),
+    )
+    target = jnp.asarray(rng.normal(scale=3.0, size=(tree.dof_count, STATES)))
+    new, effort = quick_jit(lambda s, t: step(world, s, t, H))(states, target)
+
+    @quick_jit
+    def touching(state):
+        kin = kinematics(tree, state)
+        origin = kin.origin[:, np.array(footing.bodies)]
+        return origin + find_contacts(footing, kin, H).arm
+
+    places, after = np.asarray(touching(states)), np.asarray(gaps(new))
+    force, torque = np.asarray(effort.contact_force), np.asarray(effort.torque)
+    coulomb = np.asarray(effort.residual.coulomb)
+    assert (np.asarray(effort.residual.solved) < 1e-9).all()
+    change = ((new.velocity - states.velocity) / H, (new.qd - states.qd) / H)
+    ours = np.concatenate([np.asarray(part) for part in change])
+    pressed, saturated = 0, 0
+    for n in range(STATES):
+        state = State(*(part[..., n] for part in vars(states).values()))
+        pushes = [(i, places[:, k, n], force[:, k, n]) for k, i in enumerate(footing.bodies)]
+        ends = np.asarray(new.qd[:, n])
+        none = np.zeros(tree.dof_count)
+        theirs = dense_accelerations(creature, world, state, torque[:, n], none, ends, pushes)
+        assert np.abs(ours[:, n] - theirs).max() < 1e-7 * np.abs(theirs).max()
+        law = np.clip(2.0 * (np.asarray(target[:, n]) - ends), -1.0, 1.0)
+        np.testing.assert_allclose(torque[:, n], law, atol=1e-8)
+        saturated += int((np.abs(law) == 1.0).sum())
+        up, along = force[2, :, n], np.hypot(*force[:2, :, n])
+        load = max(up.sum(), 9.81 * tree.mass.sum())
+        assert up.min() >= 0
+        assert (along <= friction * up + (coulomb[n] + 1e-9) * load).all()
+        pressed += int((up > 0).sum())
+        # The way of a corner that turns by 0.1 rad in the step bends.
+        ends = after[up > 0, n]
+        assert ends.min(initial=0.0) > -3e-3 and ends.max(initial=0.0) < 2e-2
+    assert pressed > STATES and saturated > STATES
