@@ -76,4 +76,7 @@ def as_record(simulation: Simulation, frames: Mapping[str, Array], recording: Re
         add(f"{dof}.torque", "N m", recording.torque[:, j])
         add(f"{dof}.signal", "1", recording.cpg_output[:, j])
     add("energy", "J", np.asarray(frames["energy"])[:, 0])
+    for name in ("solved_residual", "coulomb_residual"):
+        if name in frames:
+            add(name, "1", np.asarray(frames[name])[:, 0])
     return Record(columns, units, recording)

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, PyTree
 
 from evo_cpg.control.controller import Command, Observation
 from evo_cpg.fusion.fuse import fuse
-from evo_cpg.physics.equations import Warmstart
+from evo_cpg.physics.equations import Residual, Warmstart
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import State
 from evo_cpg.physics.step import Effort, first_warmstart, step
@@ -70,6 +70,7 @@ class Effects(NamedTuple):
         forces: of motors and ground.
         energy: spent by all motors, J.
         airborne: share of the time off the ground.
+        residual: of the physics, the largest of its steps; None where one solve is exact.
     """
 
     before: State
@@ -79,6 +80,7 @@ class Effects(NamedTuple):
     forces: Forces
     energy: Float[Array, " *n"]
     airborne: Float[Array, " *n"]
+    residual: Residual | None = None
 
 
 def begin_life(
@@ -186,18 +188,20 @@ def move(
     batch = state.position.shape[1:]
 
     def advance(carry, _):
-        state, warmstart, energy, airborne, forces, support = carry
+        state, warmstart, energy, airborne, forces, support, residual = carry
         told = command.target_rate, h, command.target_angle
         state, effort = step(world, state, *told, warmstart)
         support = support if effort.support is None else effort.support
         airborne = airborne + _is_airborne(effort) / simulation.substeps
         forces = _add_share(forces, effort, 1.0 / simulation.substeps)
         energy = energy + effort.energy
-        return (state, effort.warmstart, energy, airborne, forces, support), None
+        residual = jax.tree.map(jnp.maximum, residual, effort.residual)
+        return (state, effort.warmstart, energy, airborne, forces, support, residual), None
 
     none, still = jnp.zeros(batch, state.q.dtype), no_forces(simulation, state)
-    start = state, animal.warmstart, none, none, still, still.contact_force
-    (moved, warmstart, energy, airborne, forces, support), _ = jax.lax.scan(
+    exact = None if animal.warmstart is None else Residual(none, none)
+    start = state, animal.warmstart, none, none, still, still.contact_force, exact
+    (moved, warmstart, energy, airborne, forces, support, residual), _ = jax.lax.scan(
         advance, start, None, length=simulation.substeps
     )
 
@@ -209,7 +213,8 @@ def move(
         pressure = fuse(touch, moved, support, batch_ndim=len(batch), name="sensors")
     kept = forces if animal.forces else None
     after = Animal(moved, animal.nerves, pressure, kept, warmstart)
-    return after, Effects(state, moved, observation, command, forces, energy, airborne)
+    told = observation, command, forces, energy, airborne
+    return after, Effects(state, moved, *told, residual)
 
 
 def transition(simulation: Simulation, life: Life, effects: Effects, index: Array) -> Transition:
@@ -217,7 +222,7 @@ def transition(simulation: Simulation, life: Life, effects: Effects, index: Arra
     before, after = (
         snapshot_of(simulation, life, state) for state in (effects.before, effects.after)
     )
-    return Transition(index, before, after, *effects[2:])
+    return Transition(index, before, after, *effects[2:-1])
 
 
 def snapshot_of(simulation: Simulation, life: Life, state: State) -> Snapshot:

@@ -207,6 +207,7 @@ def _frame(tree: Tree, effects: Effects) -> dict[str, Array]:
     """What is recorded of one control step."""
     kin = kinematics(tree, effects.before)
     com = expand_dims_like(tree.com, kin.origin)
+    residual = {} if effects.residual is None else effects.residual._asdict()
     return {
         "position": kin.origin + (kin.rotation * com[None]).sum(1),
         "rotation": kin.rotation,
@@ -216,6 +217,7 @@ def _frame(tree: Tree, effects: Effects) -> dict[str, Array]:
         "torque": effects.forces.torque,
         "contact_force": effects.forces.contact_force,
         "energy": effects.energy,
+        **{f"{name}_residual": values for name, values in residual.items()},
     }
 
 
