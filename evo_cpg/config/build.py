@@ -32,6 +32,7 @@ from evo_cpg.physics.buoyancy import make_cells
 from evo_cpg.physics.current import Vortex
 from evo_cpg.physics.fluid import Patch, Water, make_patches
 from evo_cpg.physics.footing import make_footing
+from evo_cpg.physics.pairs import make_pairs
 from evo_cpg.physics.world import World
 from evo_cpg.simulation.noise import Noise
 from evo_cpg.simulation.reach_light import ReachLight
@@ -192,6 +193,7 @@ def build_creature(config: ExperimentConfig, source: Path | str) -> Creature:
 def _build_world(config: ExperimentConfig, creature: Creature, tree: Tree, apart: bool) -> World:
     water = config.world.water
     ground = config.world.ground and build_ground(config.world.ground)
+    wanted = config.creature.build_self_collision(on_ground=ground is not None)
     return World(
         tree=tree,
         gravity=config.world.gravity,
@@ -202,6 +204,7 @@ def _build_world(config: ExperimentConfig, creature: Creature, tree: Tree, apart
         added_inertia=added_inertia(creature, tree, water.density)
         if water and water.added_mass
         else None,
+        pairs=wanted and make_pairs(creature, tree, wanted),
     )
 
 

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from typing_extensions import override
 
-from evo_cpg.creature.shapes import Cell, Shape, Surface
+from evo_cpg.creature.shapes import Cell, RoundedBox, Shape, Surface
 from evo_cpg.spatial.choices import chosen
 from evo_cpg.spatial.numerics import Number, Numbers, xp
 
@@ -88,6 +88,12 @@ class ConvexMesh(Shape):
     @override
     def half_extents(self) -> np.ndarray:
         return np.ptp(self.points, axis=0) / 2
+
+    @property
+    @override
+    def rounded_box(self) -> RoundedBox:
+        low, high = self.points.min(0), self.points.max(0)
+        return RoundedBox((low + high) / 2, (high - low) / 2, 0.0)
 
     @property
     @override

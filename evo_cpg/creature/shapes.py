@@ -51,6 +51,20 @@ class Cell(NamedTuple):
     triangles: Numbers | None = None
 
 
+class RoundedBox(NamedTuple):
+    """All points within some distance of a box, which may be a rectangle, a line or a point.
+
+    Attributes:
+        centre: of the box in the shape's frame, m.
+        half_extents: its half edges along x, y and z, m.
+        radius: the distance, m.
+    """
+
+    centre: Numbers
+    half_extents: Numbers
+    radius: Number
+
+
 class Shape(abc.ABC):
     """A convex rigid shape, centred on its own frame."""
 
@@ -81,6 +95,11 @@ class Shape(abc.ABC):
     def stretch(self) -> tuple[Numbers, Numbers]:
         """Half lengths ``(3,)`` along its principal axes, m, and the axes as columns ``(3, 3)``."""
         return self.half_extents, xp.eye(3)
+
+    @property
+    def rounded_box(self) -> "RoundedBox":
+        """A box swept by a ball that holds the shape, and is it but for ellipsoids and meshes."""
+        return RoundedBox(np.zeros(3), self.half_extents, 0.0)
 
     @abc.abstractmethod
     def distance(self, points: Numbers) -> Numbers:
@@ -171,6 +190,12 @@ class Ellipsoid(Shape):
     def half_extents(self) -> Numbers:
         return xp.array(self.radii, float)
 
+    @property
+    @override
+    def rounded_box(self) -> RoundedBox:
+        radius = xp.min(self.half_extents)
+        return RoundedBox(np.zeros(3), self.half_extents - radius, radius)
+
     @override
     def inertia(self, mass: Number) -> Numbers:
         squares = xp.square(xp.array(self.radii))
@@ -240,6 +265,11 @@ class Capsule(Shape):
     @override
     def half_extents(self) -> Numbers:
         return xp.array([self.length / 2 + self.radius, self.radius, self.radius])
+
+    @property
+    @override
+    def rounded_box(self) -> RoundedBox:
+        return RoundedBox(np.zeros(3), xp.array([self.length / 2, 0.0, 0.0]), self.radius)
 
     @override
     def inertia(self, mass: Number) -> Numbers:

@@ -49,6 +49,8 @@ LIBRARY = {
     "tanh": "tanh",
 }  # fmt: skip
 
+_LINEAR_SOLVE = "custom_linear_solve"
+
 Rule = Callable[[Graph, list[np.ndarray], dict], list[np.ndarray]]
 
 
@@ -123,7 +125,7 @@ def constants(graph: Graph, values: np.ndarray) -> np.ndarray:
 
 def is_supported(name: str) -> bool:
     """Whether there is a rule for a primitive, whatever it is applied to."""
-    known = (_CALLS, _SCALAR, LOOPS, _RULES, FLOAT32, LIBRARY, {linear_map_p.name})
+    known = (_CALLS, _SCALAR, LOOPS, _RULES, FLOAT32, LIBRARY, {linear_map_p.name, _LINEAR_SOLVE})
     return internals.is_random(name) or any(name in names for names in known)
 
 
@@ -164,6 +166,8 @@ def _equation(graph: Graph, equation, operands: list[np.ndarray]) -> list[np.nda
         return [_map(functools.partial(graph.apply, name), *operands)]
     if name in LOOPS:
         return LOOPS[name](graph, operands, params, trace_closed)
+    if name == _LINEAR_SOLVE:
+        return _solve_linear(graph, operands, params)
     if name in _RULES:
         return _RULES[name](graph, operands, params)
     if name in FLOAT32 or name in LIBRARY:
@@ -173,6 +177,14 @@ def _equation(graph: Graph, equation, operands: list[np.ndarray]) -> list[np.nda
     if all(node.value is not None for operand in operands for node in operand.flat):
         return _evaluate(graph, equation, operands)
     raise Unsupported(f"it has no rule for {name}")
+
+
+def _solve_linear(graph: Graph, operands: list[np.ndarray], params: dict) -> list[np.ndarray]:
+    """What a linear system's own solver does; its other programs are for derivatives."""
+    counts, jaxprs = params["const_lengths"], params["jaxprs"]
+    before = counts.matvec + counts.vecmat
+    given = operands[sum(counts) :]
+    return trace_closed(graph, jaxprs.solve, [*operands[before : before + counts.solve], *given])
 
 
 def _type(atom) -> np.dtype:

@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from evo_cpg.physics.articulated import Accelerations, solve
@@ -12,6 +13,7 @@ from evo_cpg.physics.contact import (
     contact_equations,
     find_contacts,
 )
+from evo_cpg.physics.coupling import couple
 from evo_cpg.physics.joints import (
     expected_limit_torque,
     passive_torque,
@@ -19,6 +21,7 @@ from evo_cpg.physics.joints import (
     servo_torque,
 )
 from evo_cpg.physics.kinematics import Kinematics, kinematics
+from evo_cpg.physics.pairs import PairContacts, PairLines, find_pair_contacts, pushing_torque
 from evo_cpg.physics.spatial_algebra import Inertia, Wrench
 from evo_cpg.physics.state import State
 from evo_cpg.physics.world import World, body_equations
@@ -34,6 +37,7 @@ class Equations(NamedTuple):
             joints and ground.
         wanted: motor torques at the present rates, N m.
         contacts: None without ground.
+        pairs: bodies that may touch each other; None where none can.
     """
 
     state: State
@@ -44,6 +48,7 @@ class Equations(NamedTuple):
     derivative: Array
     wanted: Array
     contacts: Contacts | None
+    pairs: PairContacts | None
 
 
 class Lines(NamedTuple):
@@ -53,11 +58,13 @@ class Lines(NamedTuple):
         torque: of motors and limits of joints at the present rates, N m.
         slope: torque lost per end-of-step rate, N m s/rad.
         contact: None without ground.
+        pairs: None where none can touch.
     """
 
     torque: Array
     slope: Array
     contact: ContactLines | None
+    pairs: PairLines | None
 
 
 class ContactForces(NamedTuple):
@@ -108,6 +115,7 @@ class Imposed(NamedTuple):
         qdd: joint accelerations.
         torque: that the motors applied, N m.
         contact: what the ground did; None without ground.
+        pairs: with which pairs of bodies push each other, N; None where none can touch.
         residual: see `evo_cpg.physics.newton`; None where one solve is exact.
         warmstart: for the next step; likewise.
     """
@@ -116,6 +124,7 @@ class Imposed(NamedTuple):
     qdd: Float[Array, "d *n"]
     torque: Float[Array, "d *n"]
     contact: ContactForces | None = None
+    pairs: Float[Array, "k *n"] | None = None
     residual: Residual | None = None
     warmstart: Warmstart | None = None
 
@@ -133,18 +142,22 @@ def prepare(
         derivative = derivative + expand_dims_like(tree.armature, derivative)
         wanted = servo_torque(tree, state, target_rate, target_angle, h)
         contacts = None if world.footing is None else find_contacts(world.footing, kin, h)
-    return Equations(state, kin, inertia, bias, passive, derivative, wanted, contacts)
+        pairs = None if world.pairs is None else find_pair_contacts(tree, world.pairs, kin, h)
+    return Equations(state, kin, inertia, bias, passive, derivative, wanted, contacts, pairs)
 
 
 def expected_lines(world: World, h: float, equations: Equations) -> Lines:
-    """Those of a step without ground whose motors have no limits: one solve has to do."""
+    """Those of a step without contact whose motors have no limits: one solve has to do."""
     wanted = equations.wanted
     stop, stop_slope = expected_limit_torque(world.tree, equations.state, h)
-    return Lines(wanted + stop, servo_slope(world.tree, wanted, h) + stop_slope, None)
+    return Lines(wanted + stop, servo_slope(world.tree, wanted, h) + stop_slope, None, None)
 
 
-def solve_with(world: World, h: float, equations: Equations, lines: Lines) -> Accelerations:
-    """The motion under given lines."""
+def solve_with(
+    world: World, h: float, equations: Equations, lines: Lines
+) -> tuple[Accelerations, Float[Array, "k *n"] | None]:
+    """The motion under given lines, and the forces of pairs of bodies in it, N."""
+    tree, kin = world.tree, equations.kin
     inertia, bias = equations.inertia, equations.bias
     if world.footing is not None and equations.contacts is not None and lines.contact is not None:
         inertia, bias = contact_equations(
@@ -152,4 +165,14 @@ def solve_with(world: World, h: float, equations: Equations, lines: Lines) -> Ac
         )
     torque = equations.passive + lines.torque
     derivative = equations.derivative + h * lines.slope
-    return solve(world.tree, equations.kin, inertia, bias, torque, derivative)
+    free = solve(tree, kin, inertia, bias, torque, derivative)
+    pairs, contacts = world.pairs, equations.pairs
+    if pairs is None or contacts is None or lines.pairs is None:
+        return free, None
+
+    still = jax.tree.map(jnp.zeros_like, bias)
+
+    def respond(force: Array) -> Accelerations:
+        return solve(tree, kin, inertia, still, pushing_torque(contacts, force), derivative)
+
+    return couple(contacts, lines.pairs, free, respond, h)

@@ -54,6 +54,7 @@ from evo_cpg.physics.equations import (
     solve_with,
 )
 from evo_cpg.physics.joints import clamp_torque, limit_torque, overloaded, servo_slope
+from evo_cpg.physics.pairs import pair_lines, parting_change, parting_velocity
 from evo_cpg.physics.state import State
 from evo_cpg.physics.world import World
 from evo_cpg.spatial.linear import expand_dims_like, matvec_t
@@ -92,6 +93,7 @@ class Iterate(NamedTuple):
         torque: of motors and limits of joints, N m.
         velocity: of the contact points at the end of the step, m/s; None without ground.
         force: on them, N; likewise.
+        push: of pairs of bodies, N; None where none can touch.
     """
 
     root: Float[Array, "6 *n"]
@@ -99,6 +101,21 @@ class Iterate(NamedTuple):
     torque: Float[Array, "d *n"]
     velocity: Float[Array, "3 p *n"] | None = None
     force: Float[Array, "3 p *n"] | None = None
+    push: Float[Array, "k *n"] | None = None
+
+
+class Missed(NamedTuple):
+    """What an iterate has beyond the laws.
+
+    Attributes:
+        torque: of motors and limits of joints, N m.
+        force: at the contact points, N; None without ground.
+        push: of pairs of bodies, N; None where none can touch.
+    """
+
+    torque: Float[Array, "d *n"]
+    force: Float[Array, "3 p *n"] | None
+    push: Float[Array, "k *n"] | None
 
 
 class _Search(NamedTuple):
@@ -192,11 +209,11 @@ def _imposed(problem: "_Problem", limit: Float[Array, "p *n"], iterate: Iterate)
         forces = ContactForces(support, matvec_t(contacts.frame, support))
     solved = jax.lax.stop_gradient(problem.residual(iterate, lines))
     friction = jax.lax.stop_gradient(problem.beyond_coulomb(limit, found, iterate, lines))
-    warmstart = Warmstart(iterate.qdd, iterate.velocity, found)
     motor = clamp_torque(problem.world.tree, problem.asked(iterate.qdd))
-    return Imposed(
-        iterate.root, iterate.qdd, motor, forces, Residual(solved, solved + friction), warmstart
-    )
+    push = None if lines.pairs is None else lines.pairs.force
+    warmstart = Warmstart(iterate.qdd, iterate.velocity, found)
+    residual = Residual(solved, solved + friction)
+    return Imposed(iterate.root, iterate.qdd, motor, forces, push, residual, warmstart)
 
 
 class _Problem(NamedTuple):
@@ -213,14 +230,15 @@ class _Problem(NamedTuple):
 
     def motion(self, lines: Lines) -> Iterate:
         """The motion under lines, and what they give there."""
-        found = solve_with(self.world, self.h, self.equations, lines)
-        torque = lines.torque - self.h * lines.slope * found.qdd
-        footing, contacts = self.world.footing, self.equations.contacts
-        if footing is None or contacts is None or lines.contact is None:
-            return Iterate(found.root, found.qdd, torque)
-        velocity = end_velocity(footing, contacts, found, self.h)
-        force = line_force(lines.contact, velocity)
-        return Iterate(found.root, found.qdd, torque, velocity, force)
+        equations, h = self.equations, self.h
+        found, push = solve_with(self.world, h, equations, lines)
+        torque = lines.torque - h * lines.slope * found.qdd
+        velocity = force = None
+        footing, contacts = self.world.footing, equations.contacts
+        if footing is not None and contacts is not None and lines.contact is not None:
+            velocity = end_velocity(footing, contacts, found, h)
+            force = line_force(lines.contact, velocity)
+        return Iterate(found.root, found.qdd, torque, velocity, force, push)
 
     def bounded(self, restitution: Float[Array, "*n"]) -> "_Problem":
         """The problem with what is left of restitution."""
@@ -272,18 +290,24 @@ class _Problem(NamedTuple):
         footing, contacts, lines = self.world.footing, self.equations.contacts, None
         if footing is not None and contacts is not None and velocity is not None:
             lines = contact_lines(footing, contacts, limit, velocity, self.h)
-        return Lines(torque, slope, lines)
+        pairs, apart, pushes = self.world.pairs, self.equations.pairs, None
+        if pairs is not None and apart is not None:
+            pushes = pair_lines(pairs, apart, parting_velocity(apart, qdd, self.h), self.h)
+        return Lines(torque, slope, lines, pushes)
 
-    def missed(self, iterate: Iterate, lines: Lines) -> tuple[Array, Array | None]:
+    def missed(self, iterate: Iterate, lines: Lines) -> Missed:
         """What an iterate's torques and forces have beyond the laws', whose tangents are given."""
         torque = iterate.torque - (lines.torque - self.h * lines.slope * iterate.qdd)
-        if iterate.force is None or lines.contact is None:
-            return torque, None
-        return torque, iterate.force - lines.contact.force
+        force = push = None
+        if iterate.force is not None and lines.contact is not None:
+            force = iterate.force - lines.contact.force
+        if iterate.push is not None and lines.pairs is not None:
+            push = iterate.push - lines.pairs.force
+        return Missed(torque, force, push)
 
     def residual(self, iterate: Iterate, lines: Lines) -> Float[Array, "*n"]:
         """Norm of what the laws are missed by, as shares of motors' limits and of the load."""
-        torque, force = self.missed(iterate, lines)
+        torque, force, push = self.missed(iterate, lines)
         limit = self.world.tree.torque_limit
         most = expand_dims_like(xp.where(xp.isfinite(limit), limit, 0.0), torque)
         most = jnp.maximum(jnp.maximum(most, jnp.abs(iterate.torque)), _SLOW * lines.slope)
@@ -291,6 +315,8 @@ class _Problem(NamedTuple):
         total = (shares * shares).sum(0)
         if force is not None:
             total = total + (force * force).sum((0, 1)) / self.load(lines) ** 2
+        if push is not None:
+            total = total + (push * push).sum(0) / self.load(lines) ** 2
         return jnp.sqrt(total)
 
     def beyond_coulomb(
@@ -315,10 +341,14 @@ class _Problem(NamedTuple):
         return jnp.sqrt((change * change).sum(0)) / self.load(lines)
 
     def load(self, lines: Lines) -> Float[Array, "*n"]:
-        """What the ground carries, or the weight if that is more, N."""
+        """What ground and pairs carry, or the weight if that is more, N."""
         weight = self.world.gravity * self.world.tree.mass.sum()
-        assert lines.contact is not None
-        return jnp.maximum(lines.contact.force[2].sum(0), weight)
+        carried = jnp.zeros_like(lines.torque[:0]).sum(0)
+        if lines.contact is not None:
+            carried = carried + lines.contact.force[2].sum(0)
+        if lines.pairs is not None:
+            carried = carried + lines.pairs.force.sum(0)
+        return jnp.maximum(carried, weight)
 
 
 def _descend(
@@ -437,9 +467,14 @@ def _line_search(
         return jax.tree.map(lambda x, d: x + _like(share, x) * d, start, way)
 
     def slope(here: Iterate, lines: Lines) -> Array:
-        torque, force = problem.missed(here, lines)
+        torque, force, push = problem.missed(here, lines)
         total = problem.h * (way.qdd * torque).sum(0)
-        return total if force is None else total + (way.velocity * force).sum((0, 1))
+        if force is not None:
+            total = total + (way.velocity * force).sum((0, 1))
+        pairs = problem.equations.pairs
+        if push is None or pairs is None:
+            return total
+        return total + (parting_change(pairs, way.qdd, problem.h) * push).sum(0)
 
     at_start, at_end = slope(start, lines), slope(end, problem.tangents_at(limit, end))
 

@@ -1,7 +1,7 @@
 """One step of the world: forces, the implicit solve, integration.
 
 Semi-implicit Euler: the velocities at the end of the step move the positions. Without motor limits
-and ground one solve gives them; with either, `evo_cpg.physics.newton` does.
+and contact one solve gives them; with either, `evo_cpg.physics.newton` does.
 """
 
 import functools
@@ -39,6 +39,8 @@ class Effort(NamedTuple):
         support: force of the ground on every place of the footing, in the ground's frame (two
             tangents, then the normal), N; None without ground.
         contact_force: the same in world axes.
+        pair_force: with which pairs of bodies push each other, in the order of `World.pairs`, N;
+            None where none can touch.
         residual: of the step's equations; None where one solve is exact.
         warmstart: for the next step; likewise.
     """
@@ -47,6 +49,7 @@ class Effort(NamedTuple):
     energy: Float[Array, " *n"]
     support: Float[Array, "3 p *n"] | None = None
     contact_force: Float[Array, "3 p *n"] | None = None
+    pair_force: Float[Array, "k *n"] | None = None
     residual: Residual | None = None
     warmstart: Warmstart | None = None
 
@@ -81,7 +84,8 @@ def first_warmstart(world: World, batch: tuple[int, ...], dtype: jnp.dtype) -> W
 
 
 def _searches(world: World) -> bool:
-    return world.footing is not None or _can_overload(world.tree)
+    contact = world.footing is not None or world.pairs is not None
+    return contact or _can_overload(world.tree)
 
 
 def _whole_step(
@@ -97,7 +101,7 @@ def _whole_step(
         return _finish(h, state, found)
     equations = prepare(world, h, state, target_rate, target_angle)
     with jax.named_scope("solve"):
-        found = solve_with(world, h, equations, expected_lines(world, h, equations))
+        found, _ = solve_with(world, h, equations, expected_lines(world, h, equations))
     motor = equations.wanted - h * servo_slope(world.tree, equations.wanted, h) * found.qdd
     return _finish(h, state, Imposed(found.root, found.qdd, motor))
 
@@ -108,7 +112,9 @@ def _finish(h: float, state: State, imposed: Imposed) -> tuple[State, Effort]:
         new_state = integrate(state, imposed.root, imposed.qdd, h)
     energy = h * jnp.abs(imposed.torque * 0.5 * (state.qd + new_state.qd)).sum(0)
     forces = (None, None) if imposed.contact is None else imposed.contact
-    return new_state, Effort(imposed.torque, energy, *forces, imposed.residual, imposed.warmstart)
+    return new_state, Effort(
+        imposed.torque, energy, *forces, imposed.pairs, imposed.residual, imposed.warmstart
+    )
 
 
 def _can_overload(tree: Tree) -> bool:

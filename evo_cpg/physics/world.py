@@ -11,6 +11,7 @@ from evo_cpg.physics.current import stream
 from evo_cpg.physics.fluid import Patch, Water, drag
 from evo_cpg.physics.footing import Footing, Ground
 from evo_cpg.physics.kinematics import Kinematics
+from evo_cpg.physics.pairs import Pairs
 from evo_cpg.physics.spatial_algebra import Inertia, Wrench, make_inertia
 from evo_cpg.spatial.linear import (
     array_of,
@@ -35,6 +36,7 @@ class World(eqx.Module):
         footing: the places that may touch the ground; None where there is nothing to stand on.
         cells: the bodies' volumes; none are needed where water is everywhere.
         added_inertia: of the water that the bodies carry; None to leave it out.
+        pairs: bodies that must not pass through each other; None where none can meet.
     """
 
     tree: Tree
@@ -44,6 +46,7 @@ class World(eqx.Module):
     footing: Footing | None = None
     cells: tuple[Cells, ...] = ()
     added_inertia: Float[Numbers, "6 6 b"] | None = None
+    pairs: Pairs | None = None
 
     @property
     def ground(self) -> Ground | None:

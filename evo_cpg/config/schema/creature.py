@@ -21,6 +21,7 @@ from evo_cpg.creature.creature import (
     topological_order,
 )
 from evo_cpg.creature.mesh import ConvexMesh, convex_mesh
+from evo_cpg.creature.self_collision import SelfCollision
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
 from evo_cpg.spatial.numerics import Number, Triple, as_vector, xp
 from evo_cpg.spatial.rotation import euler_to_matrix
@@ -356,6 +357,21 @@ class DepthSensorConfig(Section):
     full_scale: Positive = 1.0
 
 
+class SelfCollisionConfig(Section):
+    """What differs from the rule by which bodies of one creature are kept apart.
+
+    By the rule all are but neighbours at a joint and those that overlap in the neutral pose. A name
+    may have placeholders; ``all`` stands for every body.
+
+    Attributes:
+        exclude: pairs of names of bodies that may pass through each other.
+        include: of bodies that may not, although the rule would let them.
+    """
+
+    exclude: list[tuple[str, str]] = Field(default_factory=list)
+    include: list[tuple[str, str]] = Field(default_factory=list)
+
+
 class CreatureConfig(Section):
     """A creature; it may stand in a file of its own that several configs name.
 
@@ -367,6 +383,8 @@ class CreatureConfig(Section):
         pressure_sensors: ``all`` bodies, or a list of names.
         depth_sensors: its depth gauges.
         sensors: further ones, told apart by their ``type``.
+        self_collision: whether its bodies are kept from passing through each other, or in what that
+            differs from the rule; if left out, they are where there is ground.
     """
 
     name: str
@@ -376,6 +394,7 @@ class CreatureConfig(Section):
     pressure_sensors: Literal["all"] | list[str] = "all"
     depth_sensors: list[DepthSensorConfig] = Field(default_factory=list)
     sensors: list[SensorConfig] = Field(default_factory=list)
+    self_collision: bool | SelfCollisionConfig | None = None
 
     def build(self) -> Creature:
         """The creature.
@@ -429,6 +448,29 @@ class CreatureConfig(Section):
         topological_order(creature)
         return creature
 
+    def build_self_collision(self, on_ground: bool) -> SelfCollision | None:
+        """Which bodies are kept apart; None for none."""
+        given = self.self_collision
+        if given is None or isinstance(given, bool):
+            return SelfCollision() if (on_ground if given is None else given) else None
+        everything = self.copies()
+
+        def named(pairs: list[tuple[str, str]]) -> tuple[tuple[str, str], ...]:
+            bodies = {
+                name: everything if name == "all" else copies_named(name, everything)
+                for pair in pairs
+                for name in pair
+            }
+            return tuple(
+                (a.name, b.name)
+                for first, second in pairs
+                for a in bodies[first]
+                for b in bodies[second]
+                if a.name != b.name
+            )
+
+        return SelfCollision(named(given.exclude), named(given.include))
+
     def copies(self) -> list[Copy]:
         """All bodies that the entries stand for."""
         return copies([entry.entry for entry in self.bodies])
@@ -462,6 +504,12 @@ class CreatureConfig(Section):
         if self.pressure_sensors != "all":
             for i, name in enumerate(self.pressure_sensors):
                 refer(("pressure_sensors", i), name)
+        if isinstance(self.self_collision, SelfCollisionConfig):
+            for which in ("exclude", "include"):
+                for i, pair in enumerate(getattr(self.self_collision, which)):
+                    for k, name in enumerate(pair):
+                        if name != "all":
+                            refer(("self_collision", which, i, k), name)
         return found
 
     def _shape(self, copy: Copy) -> ShapeConfig:

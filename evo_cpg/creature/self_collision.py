@@ -1,0 +1,87 @@
+"""Which bodies of one creature are kept from passing through each other.
+
+All but neighbours at a joint, bodies that already overlap in the neutral pose, and those that can
+never meet (`evo_cpg.creature.reach`). Bodies count as their `RoundedBox`.
+"""
+
+import dataclasses
+import itertools
+
+import numpy as np
+
+from evo_cpg.creature.creature import Creature, neutral_pose
+from evo_cpg.creature.reach import can_meet
+from evo_cpg.creature.tree import Tree
+
+# Projections by which the nearest points of two boxes are found, and what they must come nearer
+# each other than to overlap, m.
+_PROJECTIONS, _TOUCH = 200, 1e-4
+
+
+@dataclasses.dataclass(frozen=True)
+class SelfCollision:
+    """What a user changes about the rule, by names of bodies.
+
+    Attributes:
+        exclude: pairs of bodies that may pass through each other.
+        include: pairs that may not, although they are neighbours or overlap in the neutral pose.
+    """
+
+    exclude: tuple[tuple[str, str], ...] = ()
+    include: tuple[tuple[str, str], ...] = ()
+
+
+def colliding_pairs(creature: Creature, tree: Tree, wanted: SelfCollision) -> list[tuple[int, int]]:
+    """Pairs of a tree's bodies that are to be kept apart.
+
+    Args:
+        creature: of known numbers.
+        tree: its bodies in order.
+        wanted: what differs from the rule; all names exist.
+    """
+    every = set(itertools.combinations(range(len(tree.names)), 2))
+    excluded, included = (_indices(tree.names, x) for x in (wanted.exclude, wanted.include))
+    joined = {(parent, body) for body, parent in enumerate(tree.parents) if parent >= 0}
+    boxes = [creature.bodies[creature.body_index(name)].shape.rounded_box for name in tree.names]
+    centre = tree.com + np.array([box.centre for box in boxes]).T
+    half = np.array([box.half_extents + box.radius for box in boxes]).T
+    candidates = [
+        pair
+        for pair in sorted((every - joined - excluded) | included)
+        if can_meet(tree, *pair, (centre, half))
+    ]
+    overlapping = _overlapping(creature, tree, candidates)
+    return [pair for pair in candidates if pair in included or pair not in overlapping]
+
+
+def _indices(names: tuple[str, ...], given: tuple[tuple[str, str], ...]) -> set[tuple[int, int]]:
+    """Pairs of indices, the lower one first."""
+    found = [sorted(map(names.index, pair)) for pair in given]
+    return {(first, second) for first, second in found}
+
+
+def _overlapping(
+    creature: Creature, tree: Tree, pairs: list[tuple[int, int]]
+) -> set[tuple[int, int]]:
+    """Those of some pairs that touch in the neutral pose, by projections onto either in turn."""
+    centres, rotations = neutral_pose(creature)
+    bodies = np.array([creature.body_index(name) for name in tree.names])
+    boxes = [creature.bodies[i].shape.rounded_box for i in bodies]
+    half = np.array([box.half_extents for box in boxes])
+    radius = np.array([box.radius for box in boxes])
+    turned = rotations[bodies]
+    middle = centres[bodies] + np.einsum("bij,bj->bi", turned, [box.centre for box in boxes])
+    first, second = np.array(pairs, int).reshape(-1, 2).T
+
+    def project(point: np.ndarray, body: np.ndarray) -> np.ndarray:
+        own = np.einsum("pij,pi->pj", turned[body], point - middle[body])
+        return middle[body] + np.einsum(
+            "pij,pj->pi", turned[body], np.clip(own, -half[body], half[body])
+        )
+
+    there = middle[second]
+    for _ in range(_PROJECTIONS):
+        here = project(there, first)
+        there = project(here, second)
+    gap = np.linalg.norm(there - here, axis=1) - radius[first] - radius[second]
+    return {pair for pair, distance in zip(pairs, gap, strict=True) if distance < _TOUCH}

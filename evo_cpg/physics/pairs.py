@@ -1,0 +1,316 @@
+"""Bodies of one creature that must not pass through each other.
+
+The law of a pair is that of a point on the ground (`evo_cpg.physics.contact`) without friction and
+restitution: with the velocity v_n at which the nearest points part after the forces have acted,
+
+    f_n = max(0, c (v* - v_n)),      v* = -gap / h, or a slow way out of an overlap.
+
+A pair couples branches of the tree, so one articulated-body solve no longer is a step of Newton's
+method. `evo_cpg.physics.coupling` finds the forces of pairs within a step.
+"""
+
+import itertools
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from evo_cpg.creature.creature import Creature, neutral_pose
+from evo_cpg.creature.reach import chain_to_root
+from evo_cpg.creature.self_collision import SelfCollision, colliding_pairs
+from evo_cpg.creature.shapes import RoundedBox
+from evo_cpg.creature.tree import Tree
+from evo_cpg.physics.kinematics import Kinematics
+from evo_cpg.physics.per_body import take
+from evo_cpg.physics.separation import (
+    RoundedBoxes,
+    Separation,
+    separation_of_boxes,
+    separation_of_flat,
+    separation_of_lines,
+    separation_of_rounded,
+)
+from evo_cpg.spatial.choices import chosen
+from evo_cpg.spatial.linear import cross, dot, expand_dims_like, matvec
+from evo_cpg.spatial.numerics import Numbers, xp
+
+# c h of a pair: so many times the geometric mean of the two masses.
+_STIFFNESS = 60.0
+
+# Share of an overlap that is undone in a step, and the fastest way out, m/s.
+_PUSH_SHARE, _PUSH_SPEED = 0.2, 0.5
+
+# How pairs are treated, and how many points each of them has then.
+_KINDS = {
+    "lines": (separation_of_lines, 2),
+    "flat": (separation_of_flat, 2),
+    "boxes": (separation_of_boxes, 3),
+    "rounded": (separation_of_rounded, 1),
+}
+
+# Sine of the angle between axes that are parallel.
+_PARALLEL = 1e-9
+
+
+class Alike(NamedTuple):
+    """Pairs that are treated in the same way.
+
+    Attributes:
+        kind: how (see `_KINDS`).
+        turned: which axes of the first and the second body count as x, y and z.
+        count: how many pairs.
+    """
+
+    kind: str
+    turned: tuple[tuple[int, int, int], tuple[int, int, int]]
+    count: int
+
+
+class Pairs(eqx.Module):
+    """The pairs of bodies that may touch, and the rounded boxes that they count as.
+
+    Attributes:
+        first: index in the tree of one body of each pair.
+        second: of the other.
+        runs: of pairs in a row that are treated in the same way.
+        centre: of every body's box in its working frame, m.
+        half_extents: m.
+        radius: m.
+        stiffness: c h, kg.
+    """
+
+    first: tuple[int, ...] = eqx.field(static=True)
+    second: tuple[int, ...] = eqx.field(static=True)
+    runs: tuple[Alike, ...] = eqx.field(static=True)
+    centre: Float[Numbers, "3 b"]
+    half_extents: Float[Numbers, "3 b"]
+    radius: Float[Numbers, " b"]
+    stiffness: Float[Numbers, " p"]
+
+    @property
+    def owners(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        """The bodies of every point: of a run the first points of all pairs, then the next."""
+        return _owners(self.first, self.second, self.runs)
+
+
+class PairContacts(NamedTuple):
+    """Where pairs are nearest, and what holds throughout one step.
+
+    Two bodies of one tree part only as the joints between them turn: along the normal of a point at
+    ``J qd``, and a force f of the pair is felt by these joints as the torques ``J^T f``.
+
+    Attributes:
+        gap: m.
+        jacobian: J; zeros of joints that are not between the bodies, m.
+        coasting: velocity if all joint accelerations were zero, mean over the step, m/s.
+        wanted: v*.
+    """
+
+    gap: Float[Array, "p *n"]
+    jacobian: Float[Array, "p d *n"]
+    coasting: Float[Array, "p *n"]
+    wanted: Float[Array, "p *n"]
+
+
+class PairLines(NamedTuple):
+    """Lines in the place of the laws: ``f = force - slope (v - velocity)``.
+
+    Attributes:
+        velocity: m/s.
+        force: there, N.
+        slope: N s/m.
+    """
+
+    velocity: Float[Array, "p *n"]
+    force: Float[Array, "p *n"]
+    slope: Float[Array, "p *n"]
+
+
+def make_pairs(creature: Creature, tree: Tree, wanted: SelfCollision) -> Pairs | None:
+    """The pairs of a creature that may touch; None where there are none."""
+    boxes = [creature.bodies[creature.body_index(name)].shape.rounded_box for name in tree.names]
+
+    def choose() -> tuple[tuple[int, ...], tuple[int, ...], tuple[Alike, ...]]:
+        found = colliding_pairs(creature, tree, wanted)
+        rotations = neutral_pose(creature)[1]
+        turned = np.array([rotations[creature.body_index(name)] for name in tree.names])
+        ways = [(*_way(tree, turned, boxes, *pair), pair) for pair in found]
+        ways.sort()
+        first, second = zip(*(pair for *_, pair in ways), strict=True) if ways else ((), ())
+        groups = itertools.groupby(ways, lambda way: way[:2])
+        return first, second, tuple(Alike(*way, len(list(same))) for way, same in groups)
+
+    first, second, runs = chosen(choose)
+    if not first:
+        return None
+    one, two = (tree.mass[np.array(bodies)] for bodies in _owners(first, second, runs))
+    return Pairs(
+        first,
+        second,
+        runs,
+        tree.com + xp.array([box.centre for box in boxes]).T,
+        xp.array([box.half_extents for box in boxes]).T,
+        xp.array([box.radius for box in boxes]),
+        _STIFFNESS * xp.sqrt(one * two),
+    )
+
+
+def _owners(
+    first: tuple[int, ...], second: tuple[int, ...], runs: tuple[Alike, ...]
+) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """See `Pairs.owners`."""
+    sides, start = ((), ()), 0
+    for run in runs:
+        own = slice(start, start + run.count)
+        points = _KINDS[run.kind][1]
+        sides = tuple(x + y[own] * points for x, y in zip(sides, (first, second), strict=True))
+        start += run.count
+    return sides
+
+
+def _way(
+    tree: Tree, turned: np.ndarray, boxes: list[RoundedBox], first: int, second: int
+) -> tuple[str, tuple[tuple[int, int, int], tuple[int, int, int]]]:
+    """How a pair is treated.
+
+    Args:
+        tree: the creature, of known numbers.
+        turned: rotations ``(b, 3, 3)`` of its bodies in the neutral pose.
+        boxes: of its bodies.
+        first: a body.
+        second: another.
+    """
+    plain = (0, 1, 2)
+    both = boxes[first], boxes[second]
+    if any(box.radius > 0 for box in both):
+        lines = not any(box.half_extents[1:].any() for box in both)
+        return ("lines" if lines else "rounded"), (plain, plain)
+    chains = [set(chain_to_root(tree, body)) for body in (first, second)]
+    dofs = [i for i, body in enumerate(tree.dof_bodies) if body in chains[0] ^ chains[1]]
+    axes = np.array([turned[tree.dof_bodies[i]] @ tree.joint_axes[:, i] for i in dofs])
+    common = [
+        np.flatnonzero(np.linalg.norm(np.cross(turned[body].T, axes[:1]), axis=1) < _PARALLEL)
+        for body in (first, second)
+    ]
+    if np.linalg.norm(np.cross(axes, axes[0]), axis=1).max() > _PARALLEL or not all(
+        map(len, common)
+    ):
+        return "boxes", (plain, plain)
+    one, two = (((z + 1) % 3, (z + 2) % 3, z) for (z,) in map(np.ndarray.tolist, common))
+    return "flat", (one, two)
+
+
+def separations(pairs: Pairs, kin: Kinematics) -> Separation:
+    """Of all points of all pairs; places are from the world's origin."""
+    centre = kin.origin + matvec(kin.rotation, expand_dims_like(pairs.centre, kin.origin))
+    half = expand_dims_like(pairs.half_extents, kin.origin)
+    radius = expand_dims_like(pairs.radius, kin.origin[0])
+    found, start = [], 0
+    for run in pairs.runs:
+        sides = []
+        for bodies, order in zip((pairs.first, pairs.second), run.turned, strict=True):
+            own, axes = np.array(bodies[start : start + run.count]), np.array(order)
+            sides.append(
+                RoundedBoxes(
+                    take(centre, own),
+                    take(take(kin.rotation, own, 2), axes),
+                    take(take(half, own), axes, 0),
+                    take(radius, own, 0),
+                )
+            )
+        find, _ = _KINDS[run.kind]
+        found += find(*sides)
+        start += run.count
+    axis = 1 - kin.origin.ndim
+    return jax.tree.map(lambda *parts: jnp.concatenate(parts, axis), *found)
+
+
+def find_pair_contacts(tree: Tree, pairs: Pairs, kin: Kinematics, h: float) -> PairContacts:
+    """Where pairs are nearest, and the velocity at which each is to part.
+
+    Args:
+        tree: the creature.
+        pairs: those of it.
+        kin: kinematics at the start of the step.
+        h: s.
+    """
+    gap, normal, *points, carried = separations(pairs, kin)
+    velocity, drift, turning = [], [], jnp.zeros_like(normal)
+    for bodies, point, share in zip(pairs.owners, points, carried, strict=True):
+        own = np.array(bodies)
+        arm = point - take(kin.origin, own)
+        angular, linear = take(kin.angular, own), take(kin.linear, own)
+        speed = linear + cross(angular, arm)
+        velocity.append(speed)
+        drift.append(
+            take(kin.bias_linear, own)
+            + cross(take(kin.bias_angular, own), arm)
+            + cross(angular, speed)
+        )
+        turning = turning + share[None] * angular
+    parting = velocity[1] - velocity[0]
+    # A normal that turns meets another part of what slides past it.
+    sweep = drift[1] - drift[0] - 2.0 * cross(turning, parting)
+    coasting = dot(normal, parting + 0.5 * h * sweep)
+    push = jnp.clip(-_PUSH_SHARE / h * gap, 0.0, _PUSH_SPEED)
+    wanted = jnp.where(gap > 0, -gap / h, push)
+    return PairContacts(gap, _jacobian(tree, pairs, kin, normal, points), coasting, wanted)
+
+
+def _jacobian(
+    tree: Tree, pairs: Pairs, kin: Kinematics, normal: Array, points: Sequence[Array]
+) -> Float[Array, "p d *n"]:
+    """J of `PairContacts`."""
+    joints = take(kin.origin, np.array(tree.dof_bodies, int))
+    ways = []
+    for point in points:
+        arm = point[:, :, None] - joints[:, None]
+        ways.append(
+            dot(kin.axes[:, None], cross(arm, jnp.broadcast_to(normal[:, :, None], arm.shape)))
+        )
+    between = [_between(tree, *pair) for pair in zip(*pairs.owners, strict=True)]
+    of_first, of_second = (
+        expand_dims_like(np.array([sides[k] for sides in between], float), ways[0])
+        for k in range(2)
+    )
+    return of_second * ways[1] - of_first * ways[0]
+
+
+def _between(tree: Tree, first: int, second: int) -> tuple[list[bool], list[bool]]:
+    """Of every degree of freedom, whether it moves only the first of two bodies, or the second."""
+    one, two = (set(chain_to_root(tree, body)) for body in (first, second))
+    return [body in one - two for body in tree.dof_bodies], [
+        body in two - one for body in tree.dof_bodies
+    ]
+
+
+def pair_lines(pairs: Pairs, contacts: PairContacts, velocity: Array, h: float) -> PairLines:
+    """The tangents of the laws at some velocities, m/s."""
+    stiffness = expand_dims_like(pairs.stiffness / h, velocity)
+    short = contacts.wanted - velocity
+    touches = short > 0
+    force = stiffness * jnp.maximum(short, 0.0)
+    return PairLines(velocity, force, jnp.where(touches, stiffness, 0.0))
+
+
+def parting_change(
+    contacts: PairContacts, qdd: Float[Array, "d *n"], h: float
+) -> Float[Array, "p *n"]:
+    """By how much joint accelerations change the velocities at which points part in a step, m/s."""
+    return h * (contacts.jacobian * qdd[None]).sum(1)
+
+
+def parting_velocity(
+    contacts: PairContacts, qdd: Float[Array, "d *n"], h: float
+) -> Float[Array, "p *n"]:
+    """At the end of the step, m/s."""
+    return contacts.coasting + parting_change(contacts, qdd, h)
+
+
+def pushing_torque(contacts: PairContacts, force: Float[Array, "p *n"]) -> Float[Array, "d *n"]:
+    """What forces of pairs (N) are to the joints, N m."""
+    return (contacts.jacobian * force[:, None]).sum(0)
