@@ -1,5 +1,6 @@
 """The same creature as a MuJoCo model: the tests' oracle and the benchmarks' peer."""
 
+from collections.abc import Sequence
 from xml.etree.ElementTree import Element
 
 import mujoco
@@ -22,6 +23,7 @@ def mujoco_model(
     limits: bool = False,
     ground: Ground | None = None,
     start: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    pairs: Sequence[tuple[str, str]] = (),
 ) -> mujoco.MjModel:
     """Compile a creature for MuJoCo.
 
@@ -31,10 +33,11 @@ def mujoco_model(
         fluid: the ``fluidshape`` of every geom; empty for MuJoCo's default, the inertia box.
         motors: let the motors work (see `motor_order`).
         limits: hold every joint within its limits, with MuJoCo's own soft constraint.
-        ground: that every body may touch, but no body another.
+        ground: that every body may touch.
         start: place of the root's centre at the start, m.
+        pairs: names of bodies that may touch each other.
     """
-    root = mjcf_model(creature, GRAVITY, ground, start=start)
+    root = mjcf_model(creature, GRAVITY, ground, start=start, pairs=pairs)
     for key, value in (options or {}).items():
         _part(root, "option").set(key, str(value))
     if fluid:
@@ -43,7 +46,7 @@ def mujoco_model(
     for off, flag in (
         (not motors, mujoco.mjtDisableBit.mjDSBL_ACTUATION),
         (not limits, mujoco.mjtDisableBit.mjDSBL_LIMIT),
-        (ground is None, mujoco.mjtDisableBit.mjDSBL_CONTACT),
+        (ground is None and not pairs, mujoco.mjtDisableBit.mjDSBL_CONTACT),
     ):
         if off:
             model.opt.disableflags |= flag

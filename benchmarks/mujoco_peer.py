@@ -76,6 +76,7 @@ def peer_model(
         limits=world.ground is not None,
         ground=world.ground,
         start=simulation.situations[0].start_position,
+        pairs=world.pair_names,
     )
 
 

@@ -28,6 +28,7 @@ def export_model(source: Path, output: Path, overwrite: bool) -> None:
         situation.start_position,
         situation.start_heading,
         simulation.step_length,
+        world.pair_names,
     )
     _write(output, mjcf_text(model))
     if world.water is not None:

@@ -10,6 +10,7 @@
 | motor without | ``velocity``: ``kv`` is its gain |
 | buoyancy | ``gravcomp``: density of the water over that of the body |
 | friction of a body on the ground | a ``pair`` of the two geoms |
+| bodies that are kept apart | a ``pair`` without friction (``condim`` 1) |
 
 Masses, inertias, springs, dampers, rotors, motors, gravity and buoyancy are the same on both sides.
 What MJCF has no words for stays behind: drag and added mass, the surface of the water, restitution,
@@ -17,6 +18,8 @@ static friction other than dynamic, sensors. How soft joint limits and contacts 
 affair, with its defaults.
 """
 
+import itertools
+from collections.abc import Sequence
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
@@ -43,17 +46,19 @@ def mjcf_model(
     start: tuple[float, float, float] = (0.0, 0.0, 0.0),
     heading: float = 0.0,
     time_step: float | None = None,
+    pairs: Sequence[tuple[str, str]] = (),
 ) -> Element:
     """The ``mujoco`` element of a creature in its world.
 
     Args:
         creature: the animal.
         gravity: m/s^2, pulling along -z.
-        ground: that every body may touch, but no body another.
+        ground: that every body may touch.
         water: whose buoyancy carries the bodies, unless it has a surface.
         start: place of the root's centre at the start, m.
         heading: by which it is turned about z there, rad.
         time_step: s; None for MuJoCo's own.
+        pairs: names of bodies that push each other apart, without friction.
 
     Raises:
         CreatureError: the bodies do not form one tree.
@@ -72,22 +77,23 @@ def mjcf_model(
     option.set("integrator", "implicitfast")
     if time_step is not None:
         option.set("timestep", number_text(time_step))
-    # A geom of the user's own collides with all of these, and they with none of each other.
+    # A geom of the user's own collides with all of these; they with each other as pairs alone.
     default = SubElement(root, "default")
     SubElement(default, "geom", contype="0", conaffinity="1", condim="3")
     _add_meshes(root, creature)
     place = SubElement(root, "worldbody")
     parts = add_ground(root, place, ground, names) if ground else []
     _add_bodies(place, creature, water, start, heading)
-    if ground:
+    if ground or pairs:
         contact = SubElement(root, "contact")
-        for part in parts:
-            for body in creature.bodies:
-                friction = combine(
-                    ground.friction_rule, body.material.dynamic_friction, ground.dynamic_friction
-                )
-                pair = SubElement(contact, "pair", geom1=part, geom2=body.name)
-                pair.set("friction", number_text(friction, friction))
+        for part, body in itertools.product(parts, creature.bodies):
+            friction = combine(
+                ground.friction_rule, body.material.dynamic_friction, ground.dynamic_friction
+            )
+            pair = SubElement(contact, "pair", geom1=part, geom2=body.name)
+            pair.set("friction", number_text(friction, friction))
+        for first, second in pairs:
+            SubElement(contact, "pair", geom1=first, geom2=second, condim="1")
     actuator = SubElement(root, "actuator")
     for body in creature.bodies:
         motor = body.joint and body.joint.actuator

@@ -20,6 +20,7 @@ from jaxtyping import Array, Float
 from evo_cpg.fusion.converge import implicit, while_each
 from evo_cpg.physics.articulated import Accelerations
 from evo_cpg.physics.pairs import PairContacts, PairLines, parting_change, parting_velocity
+from evo_cpg.spatial.linear import of_each
 
 # Share of the right-hand side's norm that may be left in float32, and in float64.
 _TOLERANCE, _EXACT = 1e-5, 1e-13
@@ -102,7 +103,7 @@ def couple(
             turn = square / jnp.maximum(here.square, _NONE)
             return _Descent(
                 here.force + share[None] * here.way,
-                jax.tree.map(lambda x, d: x + share[None] * d, here.motion, motion),
+                jax.tree.map(lambda x, d: x + of_each(share, d) * d, here.motion, motion),
                 left,
                 left + turn[None] * here.way,
                 square,

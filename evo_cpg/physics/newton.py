@@ -27,7 +27,7 @@ there goes nowhere, and its derivative is that of the answer.
 """
 
 import functools
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -57,7 +57,7 @@ from evo_cpg.physics.joints import clamp_torque, limit_torque, overloaded, servo
 from evo_cpg.physics.pairs import pair_lines, parting_change, parting_velocity
 from evo_cpg.physics.state import State
 from evo_cpg.physics.world import World
-from evo_cpg.spatial.linear import expand_dims_like, matvec_t
+from evo_cpg.spatial.linear import expand_dims_like, matvec_t, of_each, where_each
 from evo_cpg.spatial.numerics import xp
 
 # How many limits of friction are tried, and Newton steps with all of them at most.
@@ -383,20 +383,24 @@ def _descend(
         steps = search.steps + 1
         return _Search(
             iterate,
-            _where(changed, new, limit),
-            _where(changed, found, search.last_found),
-            _where(changed, found - limit, search.last_missed),
+            where_each(changed, new, limit),
+            where_each(changed, found, search.last_found),
+            where_each(changed, found - limit, search.last_missed),
             search.limits + changed,
             jnp.where(too_much, _less(search.restitution), search.restitution),
             steps,
             (ends & ~too_much) | (steps >= _STEPS),
-            tuple(_where(search.limits == k, iterate, old) for k, old in enumerate(search.reached)),
+            tuple(
+                where_each(search.limits == k, iterate, old) for k, old in enumerate(search.reached)
+            ),
         )
 
     done = holds & ~start.gains(first)
     begin = _Search(first, limit, limit, limit, none, whole, none, done, (first,) * count)
     end = while_each(lambda search: ~search.done, advance, begin)
-    reached = tuple(_where(end.limits < k, end.iterate, one) for k, one in enumerate(end.reached))
+    reached = tuple(
+        where_each(end.limits < k, end.iterate, one) for k, one in enumerate(end.reached)
+    )
     return _Answer(end.iterate, end.limit, end.restitution), (reached, end.restitution)
 
 
@@ -464,7 +468,7 @@ def _line_search(
     way = jax.tree.map(jnp.subtract, end, start)
 
     def at(share: Array) -> Iterate:
-        return jax.tree.map(lambda x, d: x + _like(share, x) * d, start, way)
+        return jax.tree.map(lambda x, d: x + of_each(share, x) * d, start, way)
 
     def slope(here: Iterate, lines: Lines) -> Array:
         torque, force, push = problem.missed(here, lines)
@@ -508,11 +512,3 @@ def _line_search(
 def _tolerances(like: Array) -> tuple[float, float]:
     """Of the answer, and of those under limits of friction that are not the last."""
     return (_EXACT, _EXACT) if like.dtype == jnp.float64 else (_TOLERANCE, _ROUGH)
-
-
-def _where(mask: Array, new: Any, old: Any) -> Any:
-    return jax.tree.map(lambda x, y: jnp.where(_like(mask, x), x, y), new, old)
-
-
-def _like(share: Array, x: Array) -> Array:
-    return jnp.expand_dims(share, tuple(range(x.ndim - share.ndim)))

@@ -13,11 +13,10 @@ one at the far end of the length that they have side by side.
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from evo_cpg.spatial.linear import cross, dot, matvec, matvec_t, t_matmul
+from evo_cpg.spatial.linear import cross, dot, matvec, matvec_t, t_matmul, where_each
 
 # Projections for boxes swept by balls: those of crossed limbs come within 1 % of the distance.
 _PROJECTIONS = 8
@@ -137,11 +136,7 @@ def separation_of_boxes(a: RoundedBoxes, b: RoundedBoxes) -> list[Separation]:
     gap, normal, of_b = _best_face(a, b, 3)
     edge, crossing = _best_edges(a, b, gap + _CLEARLY)
     face = _on_face(a, b, normal, of_b, 3)
-    first = jax.tree.map(
-        lambda x, y: jnp.where(edge if x.ndim == edge.ndim else edge[None], x, y),
-        crossing,
-        _at_corner(face, gap),
-    )
+    first = where_each(edge, crossing, _at_corner(face, gap))
     return [first, *(_unless(edge, _along_edge(face, gap, k)) for k in range(2))]
 
 
@@ -186,10 +181,7 @@ def _best_edges(a: RoundedBoxes, b: RoundedBoxes, least: Array) -> tuple[Array, 
             gap = scale * (jnp.abs(way) - covered)
             better = ~parallel & (gap > best)
             best, found = jnp.where(better, gap, best), better | found
-            edges = tuple(
-                jnp.where(better if x.ndim == better.ndim else better[None], x, old)
-                for x, old in zip((a.axes[:, i], b.axes[:, j], e[i], f[j]), edges, strict=True)
-            )
+            edges = where_each(better, (a.axes[:, i], b.axes[:, j], e[i], f[j]), edges)
     normal = cross(*edges[:2])
     normal = normal / jnp.sqrt(dot(normal, normal) + _FLOOR)[None]
     normal = jnp.where((dot(normal, away) < 0)[None], -normal, normal)
@@ -219,10 +211,7 @@ class _Face(NamedTuple):
 
 
 def _on_face(a: RoundedBoxes, b: RoundedBoxes, normal: Array, of_b: Array, axes: int) -> _Face:
-    def pick(x: Array, y: Array) -> Array:
-        return jnp.where(jnp.expand_dims(of_b, tuple(range(x.ndim - of_b.ndim))), x, y)
-
-    over, under = jax.tree.map(pick, a, b), jax.tree.map(pick, b, a)
+    over, under = where_each(of_b, a, b), where_each(of_b, b, a)
     normal = jnp.where(of_b[None], -normal, normal)
     corner = _corner(over, -normal)
     if axes < 3:

@@ -49,6 +49,16 @@ class World(eqx.Module):
     pairs: Pairs | None = None
 
     @property
+    def pair_names(self) -> list[tuple[str, str]]:
+        """Bodies that must not pass through each other."""
+        if self.pairs is None:
+            return []
+        names = self.tree.names
+        return [
+            (names[i], names[j]) for i, j in zip(self.pairs.first, self.pairs.second, strict=True)
+        ]
+
+    @property
     def ground(self) -> Ground | None:
         """None where there is nothing to stand on."""
         return None if self.footing is None else self.footing.ground
