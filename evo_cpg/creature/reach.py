@@ -6,7 +6,8 @@ start. What is found apart there never meets; what is not may or may not. Ranges
 pieces, because a box around all that a limb reaches is far larger than the limb.
 """
 
-import itertools
+import functools
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -21,25 +22,31 @@ _PIECES = 400
 Interval = tuple[np.ndarray, np.ndarray]
 
 
-def can_meet(tree: Tree, first: int, second: int, box: tuple[np.ndarray, np.ndarray]) -> bool:
-    """Whether two bodies may touch, as far as boxes around them tell.
+def pairs_that_can_meet(
+    tree: Tree, pairs: Iterable[tuple[int, int]], box: tuple[np.ndarray, np.ndarray]
+) -> list[tuple[int, int]]:
+    """Those of some pairs of bodies that may touch, as far as boxes around them tell.
 
     Args:
         tree: the creature, of known numbers.
-        first: index of one body.
-        second: of another.
+        pairs: indices of bodies.
         box: centres and half edges ``(3, b)`` of boxes around all bodies, in their working
             frames, m.
     """
-    chains = [chain_to_root(tree, body) for body in (first, second)]
-    common = max(set(chains[0]) & set(chains[1]))
-    ranges = []
-    for body, chain in zip((first, second), chains, strict=True):
+
+    @functools.cache
+    def swept(body: int, common: int) -> Interval:
+        chain = chain_to_root(tree, body)
         centre, half = (x[:, body] for x in box)
-        ranges.append(_swept(tree, chain[: chain.index(common)], (centre - half, centre + half)))
-    (low, high), (other_low, other_high) = ranges
-    apart = (low[:, :, None] > other_high[:, None]) | (other_low[:, None] > high[:, :, None])
-    return not apart.any(0).all()
+        return _swept(tree, chain[: chain.index(common)], (centre - half, centre + half))
+
+    def can_meet(first: int, second: int) -> bool:
+        common = max({*chain_to_root(tree, first)} & {*chain_to_root(tree, second)})
+        (low, high), (other_low, other_high) = (swept(body, common) for body in (first, second))
+        apart = (low[:, :, None] > other_high[:, None]) | (other_low[:, None] > high[:, :, None])
+        return not apart.any(0).all()
+
+    return [pair for pair in pairs if can_meet(*pair)]
 
 
 def chain_to_root(tree: Tree, body: int) -> list[int]:
@@ -59,39 +66,40 @@ def _swept(tree: Tree, chain: list[int], box: Interval) -> Interval:
         dofs = [i for i, owner in enumerate(tree.dof_bodies) if owner == body]
         for i in reversed(dofs):
             edges = np.linspace(tree.lower[i] - _GIVE, tree.upper[i] + _GIVE, pieces + 1)
-            turns = [_turn(tree.joint_axes[:, i], *range_) for range_ in itertools.pairwise(edges)]
-            parts = [_times(turn, (low, high)) for turn in turns]
-            low, high = (np.concatenate(sides, 1) for sides in zip(*parts, strict=True))
+            low, high = _times(_turns(tree.joint_axes[:, i], edges), (low, high))
         fixed = tree.joint_orientation[:, :, body]
-        low, high = _times((fixed, fixed), (low, high))
+        low, high = _times((fixed[..., None], fixed[..., None]), (low, high))
         offset = tree.joint_offset[:, body, None]
         low, high = low + offset, high + offset
     return low, high
 
 
-def _turn(axis: np.ndarray, least: float, most: float) -> Interval:
-    """Least and largest elements of rotations ``(3, 3)`` about an axis, by Rodrigues' formula."""
+def _turns(axis: np.ndarray, edges: np.ndarray) -> Interval:
+    """Ranges ``(3, 3, k)`` of rotations about an axis between k + 1 angles: Rodrigues' formula."""
     x, y, z = axis
-    along = np.outer(axis, axis)
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    cosines, sines = _range(np.cos, 0.0, least, most), _range(np.sin, np.pi / 2, least, most)
-    across = [(np.eye(3) - along) * c for c in cosines]
-    turning = [cross * s for s in sines]
+    along = np.outer(axis, axis)[..., None]
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])[..., None]
+    across = [(np.eye(3)[..., None] - along) * c for c in _range(np.cos, 0.0, edges)]
+    turning = [cross * s for s in _range(np.sin, np.pi / 2, edges)]
     return (
         along + np.minimum(*across) + np.minimum(*turning),
         along + np.maximum(*across) + np.maximum(*turning),
     )
 
 
-def _range(wave: np.ufunc, crest: float, least: float, most: float) -> tuple[float, float]:
-    """Range of a cosine or sine, whose crest lies at some angle, over a range of angles."""
-    ends = wave(least), wave(most)
-    high = any(least <= crest + 2 * np.pi * k <= most for k in (-1, 0, 1))
-    low = any(least <= crest + np.pi * k <= most for k in (-1, 1))
-    return (-1.0 if low else min(ends)), (1.0 if high else max(ends))
+def _range(wave: np.ufunc, crest: float, edges: np.ndarray) -> Interval:
+    """Ranges of a cosine or sine, whose crest lies at some angle, between angles."""
+    least, most = edges[:-1], edges[1:]
+    ends = np.sort([wave(least), wave(most)], 0)
+
+    def holds(angle: float) -> np.ndarray:
+        """Whether an angle, or one that is whole turns from it, lies between."""
+        return np.floor((most - angle) / (2 * np.pi)) > np.floor((least - angle) / (2 * np.pi))
+
+    return np.where(holds(crest + np.pi), -1.0, ends[0]), np.where(holds(crest), 1.0, ends[1])
 
 
 def _times(matrix: Interval, vector: Interval) -> Interval:
-    """A matrix ``(3, 3)`` times vectors ``(3, n)``, all of them ranges."""
-    products = [m[:, :, None] * v[None] for m in matrix for v in vector]
-    return np.min(products, 0).sum(1), np.max(products, 0).sum(1)
+    """Matrices ``(3, 3, k)`` times vectors ``(3, n)``, all of them ranges: ``(3, k n)``."""
+    products = [m[..., None] * v[None, :, None] for m in matrix for v in vector]
+    return tuple(end(products, 0).sum(1).reshape(3, -1) for end in (np.min, np.max))  # pyright: ignore

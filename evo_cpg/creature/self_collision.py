@@ -10,7 +10,7 @@ import itertools
 import numpy as np
 
 from evo_cpg.creature.creature import Creature, neutral_pose
-from evo_cpg.creature.reach import can_meet
+from evo_cpg.creature.reach import pairs_that_can_meet
 from evo_cpg.creature.tree import Tree
 
 # Projections by which the nearest points of two boxes are found, and what they must come nearer
@@ -45,11 +45,8 @@ def colliding_pairs(creature: Creature, tree: Tree, wanted: SelfCollision) -> li
     boxes = [creature.bodies[creature.body_index(name)].shape.rounded_box for name in tree.names]
     centre = tree.com + np.array([box.centre for box in boxes]).T
     half = np.array([box.half_extents + box.radius for box in boxes]).T
-    candidates = [
-        pair
-        for pair in sorted((every - joined - excluded) | included)
-        if can_meet(tree, *pair, (centre, half))
-    ]
+    wanted_pairs = sorted((every - joined - excluded) | included)
+    candidates = pairs_that_can_meet(tree, wanted_pairs, (centre, half))
     overlapping = _overlapping(creature, tree, candidates)
     return [pair for pair in candidates if pair in included or pair not in overlapping]
 

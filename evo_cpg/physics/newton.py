@@ -348,7 +348,7 @@ class _Problem(NamedTuple):
             carried = carried + lines.contact.force[2].sum(0)
         if lines.pairs is not None:
             carried = carried + lines.pairs.force.sum(0)
-        return jnp.maximum(carried, weight)
+        return jnp.maximum(carried, xp.maximum(weight, _NONE))
 
 
 def _descend(

@@ -49,7 +49,7 @@ _KINDS = {
     "lines": (separation_of_lines, 2),
     "flat": (separation_of_flat, 2),
     "boxes": (separation_of_boxes, 3),
-    "rounded": (separation_of_rounded, 1),
+    "rounded": (separation_of_rounded, 2),
 }
 
 # Sine of the angle between axes that are parallel.
@@ -188,7 +188,11 @@ def _way(
     both = boxes[first], boxes[second]
     if any(box.radius > 0 for box in both):
         lines = not any(box.half_extents[1:].any() for box in both)
-        return ("lines" if lines else "rounded"), (plain, plain)
+        if lines:
+            return "lines", (plain, plain)
+        longest = (int(np.argmax(box.half_extents)) for box in both)
+        one, two = ((x, (x + 1) % 3, (x + 2) % 3) for x in longest)
+        return "rounded", (one, two)
     chains = [set(chain_to_root(tree, body)) for body in (first, second)]
     dofs = [i for i, body in enumerate(tree.dof_bodies) if body in chains[0] ^ chains[1]]
     axes = np.array([turned[tree.dof_bodies[i]] @ tree.joint_axes[:, i] for i in dofs])

@@ -8,7 +8,7 @@ lines in closed form (Ericson 2005, 5.1.9), else by projections onto either in t
 
 One point does not hold a face or a side that comes down flat: what has stopped there turns about
 it. So faces of boxes have further points along the edges that lie on the other's face, and capsules
-one at the far end of the length that they have side by side.
+one at the far end of the length that they have side by side, as do all that are longest along x.
 """
 
 from typing import NamedTuple
@@ -18,11 +18,15 @@ from jaxtyping import Array, Float
 
 from evo_cpg.spatial.linear import cross, dot, matvec, matvec_t, t_matmul, where_each
 
-# Projections for boxes swept by balls: those of crossed limbs come within 1 % of the distance.
-_PROJECTIONS = 8
+# Projections for boxes swept by balls before they leap ahead, and the slowest that is believed of
+# them: of 100 pairs 95 come within 0.1 mm of the distance, 99 within 2 mm.
+_PROJECTIONS, _SHRINKING = 4, 0.97
 
 # 1 - cos^2 of the angle between edges below which they are parallel.
 _PARALLEL = 1e-4
+
+# The same below which the ends of lines count, and not the point where they cross: 5 degrees.
+_NEARLY_PARALLEL = 7.6e-3
 
 # Gap (m) of a further point that there is none of, and the least distance of it from the first.
 _NOWHERE, _SAME = 1.0, 5e-3
@@ -83,14 +87,34 @@ def separation_of_lines(a: RoundedBoxes, b: RoundedBoxes) -> list[Separation]:
     s = jnp.clip(s, -most, most)
     t = jnp.clip(both * s + other, -farthest, farthest)
     s = jnp.clip(both * t - own, -most, most)
-    near = _rounded(a, b, a.centre + s[None] * d, b.centre + t[None] * e)
+    end, s = _ends(s, -own, farthest * jnp.abs(both), most, sine)
 
-    reach = farthest * jnp.abs(both)
-    low, high = jnp.maximum(-own - reach, -most), jnp.minimum(-own + reach, most)
-    end = jnp.where(s - low > high - s, low, high)
-    t = jnp.clip(both * end + other, -farthest, farthest)
-    far = _rounded(a, b, a.centre + end[None] * d, b.centre + t[None] * e)
-    return [near, _unless((low > high) | (jnp.abs(end - s) < _SAME), far)]
+    def at(s: Array) -> Separation:
+        t = jnp.clip(both * s + other, -farthest, farthest)
+        return _rounded(a, b, a.centre + s[None] * d, b.centre + t[None] * e)
+
+    return [at(s), _unless(jnp.abs(end - s) < _SAME, at(end))]
+
+
+def _ends(
+    near: Array, middle: Array, reach: Array, most: Array, sine: Array
+) -> tuple[Array, Array]:
+    """The far end of what two bodies have side by side along the first's x axis, and the near one.
+
+    Unless they are nearly parallel the near one is where they are nearest.
+
+    Args:
+        near: where they are nearest, m from the middle of the first.
+        middle: where the second's middle is.
+        reach: how far it extends from there.
+        most: half of the first's length.
+        sine: squared, of the angle between them.
+    """
+    low = jnp.clip(middle - reach, -most, most)
+    high = jnp.clip(middle + reach, -most, most)
+    lower = near - low < high - near
+    near = jnp.where(sine < _NEARLY_PARALLEL, jnp.where(lower, low, high), near)
+    return jnp.where(lower, high, low), near
 
 
 def _unless(missing: Array, point: Separation) -> Separation:
@@ -99,15 +123,35 @@ def _unless(missing: Array, point: Separation) -> Separation:
 
 
 def separation_of_rounded(a: RoundedBoxes, b: RoundedBoxes) -> list[Separation]:
-    """Of boxes of which at least one of each pair has a radius: where they are nearest."""
+    """Of boxes, longest along x, of which at least one of each pair has a radius."""
     turn = t_matmul(a.axes, b.axes)
     away = matvec_t(a.axes, b.centre - a.centre)
-    x, y = jnp.zeros_like(away), jnp.zeros_like(away)
-    for _ in range(_PROJECTIONS):
+
+    def project(y: Array) -> tuple[Array, Array]:
         x = jnp.clip(away + matvec(turn, y), -a.half_extents, a.half_extents)
-        y = jnp.clip(matvec_t(turn, x - away), -b.half_extents, b.half_extents)
-    x = jnp.clip(away + matvec(turn, y), -a.half_extents, a.half_extents)
-    return [_rounded(a, b, a.centre + matvec(a.axes, x), b.centre + matvec(b.axes, y))]
+        return x, jnp.clip(matvec_t(turn, x - away), -b.half_extents, b.half_extents)
+
+    y = changed = jnp.zeros_like(away)
+    for _ in range(_PROJECTIONS):
+        before, last = changed, y
+        _, y = project(y)
+        changed = y - last
+    # Changes shrink by about the same share each time: to where they lead.
+    share = dot(before, changed) / jnp.maximum(dot(before, before), _FLOOR)
+    share = jnp.clip(share, 0.0, _SHRINKING)
+    y = y + (share / (1.0 - share))[None] * changed
+    x, _ = project(jnp.clip(y, -b.half_extents, b.half_extents))
+    reach = (b.half_extents * jnp.abs(turn[0])).sum(0)
+    parallel = 1.0 - turn[0, 0] * turn[0, 0]
+    end, near = _ends(x[0], away[0], reach, a.half_extents[0] + 0 * reach, parallel)
+
+    def at(s: Array) -> Separation:
+        here = jnp.concatenate([s[None], x[1:]])
+        there = matvec_t(turn, here - away)
+        there = jnp.clip(there, -b.half_extents, b.half_extents)
+        return _rounded(a, b, a.centre + matvec(a.axes, here), b.centre + matvec(b.axes, there))
+
+    return [at(near), _unless(jnp.abs(end - near) < _SAME, at(end))]
 
 
 def _rounded(a: RoundedBoxes, b: RoundedBoxes, first: Array, second: Array) -> Separation:
@@ -117,7 +161,7 @@ def _rounded(a: RoundedBoxes, b: RoundedBoxes, first: Array, second: Array) -> S
     # Boxes that overlap part along the line of their centres.
     apart = square > _FLOOR
     way = jnp.where(apart[None], way, centres)
-    length = jnp.sqrt(jnp.where(apart, square, dot(centres, centres)) + _FLOOR)
+    length = jnp.sqrt(jnp.where(apart, square, dot(centres, centres) + _FLOOR))
     normal = way / length[None]
     gap = jnp.where(apart, length, 0.0) - a.radius - b.radius
     touching = first + a.radius[None] * normal, second - b.radius[None] * normal
@@ -137,7 +181,8 @@ def separation_of_boxes(a: RoundedBoxes, b: RoundedBoxes) -> list[Separation]:
     edge, crossing = _best_edges(a, b, gap + _CLEARLY)
     face = _on_face(a, b, normal, of_b, 3)
     first = where_each(edge, crossing, _at_corner(face, gap))
-    return [first, *(_unless(edge, _along_edge(face, gap, k)) for k in range(2))]
+    crossed = edge & (crossing.gap > gap + _SAME)
+    return [first, *(_unless(crossed, _along_edge(face, gap, k)) for k in range(2))]
 
 
 def _best_face(a: RoundedBoxes, b: RoundedBoxes, axes: int) -> tuple[Array, Array, Array]:
@@ -261,6 +306,7 @@ def _along_edge(face: _Face, gap: Array, which: int) -> Separation:
         )
         normal = jnp.abs(dot(tangent, face.normal)) > 0.5
         length = jnp.where(normal, length, jnp.minimum(length, ahead))
+    length = jnp.maximum(length, 0.0)
     point = face.corner + length[None] * inward
     return _unless(length < _SAME, _on_plane(face, point, gap + length * jnp.abs(slope)))
 

@@ -1,0 +1,86 @@
+"""Which bodies of a creature are kept apart: against what random postures come to."""
+
+import dataclasses
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from creatures import quick_jit
+from evo_cpg.config.build import build_creature
+from evo_cpg.config.load import load_config
+from evo_cpg.creature.self_collision import SelfCollision, colliding_pairs
+from evo_cpg.creature.tree import build_tree
+from evo_cpg.physics.kinematics import kinematics
+from evo_cpg.physics.pairs import make_pairs, separations
+from evo_cpg.physics.state import resting_state
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+POSTURES = 4000
+
+
+def shipped(name):
+    path = CONFIGS / f"{name}.yaml"
+    creature = build_creature(load_config(path, []), path)
+    return creature, build_tree(creature)
+
+
+def gaps(creature, tree, pairs):
+    """Of all pairs in random postures within the limits, m, ``(points, postures)``."""
+    rng = np.random.default_rng(0)
+    q = rng.uniform(tree.lower[:, None], tree.upper[:, None], (tree.dof_count, POSTURES))
+    state = resting_state(tree, (POSTURES,), jnp.float32)
+    state = dataclasses.replace(state, q=jnp.asarray(q, jnp.float32))
+    found = quick_jit(lambda s: separations(pairs, kinematics(tree, s)).gap)(state)
+    return np.asarray(found)
+
+
+def names(tree, pairs):
+    return {frozenset((tree.names[i], tree.names[j])) for i, j in pairs}
+
+
+def test_a_quadrupeds_lower_legs_meet_the_torso_and_the_legs_before_and_behind():
+    creature, tree = shipped("fukui2003_model1")
+    found = names(tree, colliding_pairs(creature, tree, SelfCollision()))
+    legs = ("upper", "lower")
+    wanted = {frozenset(("torso", f"{end}_{side}_lower")) for end in ("front", "hind")
+              for side in ("left", "right")}  # fmt: skip
+    wanted |= {
+        frozenset((f"front_{side}_{one}", f"hind_{side}_{two}"))
+        for side in ("left", "right")
+        for one in legs
+        for two in legs
+        if "lower" in (one, two)
+    }
+    assert found == wanted
+
+
+@pytest.mark.parametrize("name", ["fukui2003_model3", "hexapod"])
+def test_what_is_left_out_never_meets(name):
+    """And what is not comes near, most of it."""
+    creature, tree = shipped(name)
+    kept = colliding_pairs(creature, tree, SelfCollision())
+    neighbours = {(parent, body) for body, parent in enumerate(tree.parents)}
+    count = tree.body_count
+    others = [(i, j) for j in range(count) for i in range(j)]
+    others = [pair for pair in others if pair not in neighbours and pair not in kept]
+    as_names = [(tree.names[i], tree.names[j]) for i, j in kept]
+    out = make_pairs(creature, tree, SelfCollision(exclude=tuple(as_names)))
+    assert out is None
+    every = SelfCollision(include=tuple((tree.names[i], tree.names[j]) for i, j in others))
+    pairs = make_pairs(creature, tree, every)
+    # Including what cannot meet changes nothing; neighbours would overlap.
+    assert len(pairs.first) == len(kept)
+    least = gaps(creature, tree, pairs).min(1)
+    assert (least < 0.02).mean() > 0.5
+
+
+def test_neighbours_only_where_they_are_asked_for():
+    creature, tree = shipped("fukui2003_model1")
+    plain = colliding_pairs(creature, tree, SelfCollision())
+    pair = ("torso", "front_left_upper")
+    more = colliding_pairs(creature, tree, SelfCollision(include=(pair,)))
+    assert names(tree, set(more) - set(plain)) == {frozenset(pair)}
+    less = colliding_pairs(creature, tree, SelfCollision(exclude=(("front_left_lower", "torso"),)))
+    assert names(tree, set(plain) - set(less)) == {frozenset(("front_left_lower", "torso"))}

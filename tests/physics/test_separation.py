@@ -1,0 +1,138 @@
+"""Gaps between rounded boxes against their distance by many projections, and their overlap."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from creatures import quick_jit
+from evo_cpg.physics.separation import (
+    RoundedBoxes,
+    separation_of_boxes,
+    separation_of_flat,
+    separation_of_lines,
+    separation_of_rounded,
+)
+from evo_cpg.spatial.rotation import euler_to_matrix
+
+COUNT = 400
+PROJECTIONS = 20_000
+
+
+def turned(rng, flat):
+    """Rotations of some boxes; flat ones turn about z alone."""
+    angles = rng.uniform(-np.pi, np.pi, (COUNT, 3)) * ([0, 0, 1] if flat else [1, 1, 1])
+    return np.array([euler_to_matrix(*angle) for angle in angles])
+
+
+def boxes(centre, rotation, half, radius):
+    half = np.tile(half, (COUNT, 1))
+    parts = centre.T, np.moveaxis(rotation, 0, -1), half.T, np.full(COUNT, radius)
+    return RoundedBoxes(*map(jnp.asarray, parts))
+
+
+def projected(box, point):
+    """The nearest point of a box without its radius."""
+    centre, half = np.asarray(box.centre).T, np.asarray(box.half_extents).T
+    axes = np.moveaxis(np.asarray(box.axes), -1, 0)
+    own = np.einsum("pij,pi->pj", axes, point - centre)
+    return centre + np.einsum("pij,pj->pi", axes, np.clip(own, -half, half))
+
+
+def distance(a, b):
+    """Of boxes without their radii."""
+    there = np.asarray(b.centre).T
+    for _ in range(PROJECTIONS):
+        here, before = projected(a, there), there
+        there = projected(b, here)
+        if np.abs(there - before).max() < 1e-10:
+            break
+    return np.linalg.norm(here - there, axis=1)
+
+
+CASES = {
+    "lines": (separation_of_lines, (0.14, 0, 0), 0.02, (0.1, 0, 0), 0.03),
+    "line and ellipsoid": (separation_of_rounded, (0.14, 0, 0), 0.02, (0.1, 0.05, 0), 0.05),
+    "line and box": (separation_of_rounded, (0.14, 0, 0), 0.02, (0.1, 0.05, 0.03), 0.0),
+    "boxes": (separation_of_boxes, (0.12, 0.04, 0.04), 0.0, (0.3, 0.15, 0.08), 0.0),
+    "flat boxes": (separation_of_flat, (0.12, 0.04, 0.04), 0.0, (0.3, 0.15, 0.08), 0.0),
+}
+
+
+@pytest.fixture(params=CASES)
+def case(request, x64):
+    find, half, radius, other_half, other_radius = CASES[request.param]
+    rng, flat = np.random.default_rng(3), request.param.startswith("flat")
+    away = rng.normal(scale=0.16, size=(COUNT, 3)) * ([1, 1, 0.2] if flat else [1, 1, 1])
+    a = boxes(np.zeros((COUNT, 3)), turned(rng, flat), half, radius)
+    b = boxes(away, turned(rng, flat), other_half, other_radius)
+    return request.param, a, b, quick_jit(find)(a, b)
+
+
+def test_gaps_are_distances(case):
+    """Exactly for lines; nearly for rounded boxes; between two corners less, never more."""
+    name, a, b, found = case
+    cores = distance(a, b)
+    true, apart = cores - np.asarray(a.radius + b.radius), cores > 1e-4
+    error = (np.asarray(found[0].gap) - true)[apart]
+    assert apart.sum() > COUNT / 20
+    if name == "lines":
+        assert np.abs(error).max() < 1e-8
+    elif "boxes" in name:
+        assert error.max() < 1e-8
+        assert np.mean(np.abs(error) < 1e-8) > 0.7
+    else:
+        assert error.min() > -1e-8
+        assert np.quantile(error, 0.95) < 2e-4
+
+
+def test_overlap_of_boxes_is_the_least_way_out(case):
+    """No other direction of many leads out of each other sooner."""
+    name, a, b, found = case
+    if "boxes" not in name:
+        return
+    first, gap = found[0], np.asarray(found[0].gap)
+    rng = np.random.default_rng(0)
+    ways = rng.normal(size=(4000, 3)) * ([1, 1, 0] if name == "flat boxes" else [1, 1, 1])
+    ways /= np.linalg.norm(ways, axis=1)[:, None]
+    reach = [
+        (np.abs(np.einsum("wi,ijp->wjp", ways, box.axes)) * np.asarray(box.half_extents)).sum(1)
+        for box in (a, b)
+    ]
+    out = sum(reach) - ways @ np.asarray(b.centre - a.centre)
+    overlap = gap < 0
+    assert overlap.sum() > COUNT / 10
+    assert (-gap <= out.min(0) + 1e-9)[overlap].all()
+    # Along its own normal the overlap is what it says.
+    normal = np.asarray(first.normal)
+    own = sum(
+        (np.abs(np.einsum("ip,ijp->jp", normal, box.axes)) * np.asarray(box.half_extents)).sum(0)
+        for box in (a, b)
+    )
+    along = own - (normal * np.asarray(b.centre - a.centre)).sum(0)
+    np.testing.assert_allclose(-gap[overlap], along[overlap], atol=1e-9)
+
+
+def test_points_lie_a_gap_apart_along_the_normal(case):
+    *_, found = case
+    for point in found:
+        there = np.asarray(point.gap) < 0.9
+        way = np.asarray(point.second - point.first)
+        normal = np.asarray(point.normal)
+        assert there.any()
+        np.testing.assert_allclose(np.linalg.norm(normal[:, there], axis=0), 1.0, atol=1e-5)
+        gap = (way * normal).sum(0)
+        np.testing.assert_allclose(gap[there], np.asarray(point.gap)[there], atol=1e-6)
+
+
+def test_points_lie_on_the_bodies(case):
+    """On the surface of one of the two; where there is an overlap at most so far from the other."""
+    _, a, b, found = case
+    for point in found:
+        gap = np.asarray(point.gap)
+        there = (gap < 0.9) & (gap > -0.01)
+        beyond = []
+        for box, place in ((a, point.first), (b, point.second)):
+            place = np.asarray(place).T
+            beyond.append(np.linalg.norm(place - projected(box, place), axis=1) - box.radius)
+        nearer = np.minimum(*map(np.asarray, beyond))[there]
+        assert nearer.max() < 1e-5
