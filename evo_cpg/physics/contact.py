@@ -22,7 +22,7 @@ last not at all (`contact_work`, `bounded`).
 
 The laws have kinks; `evo_cpg.physics.newton` finds the motion that obeys them, with lines in their
 place (`ContactLines`). The contact of an edge or a face is that of its corners. Bodies of one
-creature do not touch each other, nor do creatures.
+creature that meet are in `evo_cpg.physics.pairs`.
 
 Vectors of the laws are in the ground's own frame: two tangents, then the normal.
 """

@@ -115,6 +115,11 @@ def test_shipped_configs_build_and_survive_being_written_and_read(path, tmp_path
             "controller.brain.hiden: unknown key; did you mean 'hidden'?",
         ),
         ("controller__drives", 1, "controller.drives: unknown key; did you mean 'drive'?"),
+        (
+            "creature__self_collision",
+            {"exclude": [["head", "tial"]]},
+            "creature.self_collision.exclude.0.1: 'tial' does not exist",
+        ),
         ("task__light__bearing", 1, "task.light.bearing: unknown key; did you mean 'bearing_deg'?"),
         (
             "creature__bodies__1__shape__sise",

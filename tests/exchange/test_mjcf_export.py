@@ -10,7 +10,7 @@ import pytest
 
 from benchmarks.mujoco_model import dof_order, load_state, motor_order
 from creatures import STRUCTURES, in_water, quick_jit, random_creature, random_state
-from evo_cpg.creature.creature import Actuator, Body, Creature, CreatureError, Material
+from evo_cpg.creature.creature import Actuator, Body, Creature, CreatureError, Joint, Material
 from evo_cpg.creature.shapes import Box, Shape, Sphere
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.exchange.errors import ExchangeError
@@ -217,3 +217,23 @@ def test_what_mjcf_cannot_hold_is_refused_by_name():
         mjcf_model(ball(), GRAVITY, Ground(floor=Mud()))
     with pytest.raises(CreatureError, match="two bodies are called 'ball'"):
         mjcf_model(Creature("x", ball().bodies * 2), GRAVITY)
+
+
+def test_bodies_that_are_kept_apart_collide_without_friction(compiled):
+    """Two balls at the ends of a trunk that overlap when it bends; MuJoCo finds their contact."""
+    material = Material(1000.0)
+    arm = {"axes": ((0.0, 0.0, 1.0),), "lower": (-2.0,), "upper": (2.0,)}
+    bodies = [Body("trunk", Box((0.1, 0.1, 0.1)), material)]
+    for name, side in (("left", 1.0), ("right", -1.0)):
+        joint = Joint("trunk", (0.0, side * 0.2, 0.0), (-0.3, 0.0, 0.0), **arm)
+        bodies.append(Body(name, Sphere(0.1), material, joint))
+    creature = Creature("pair", tuple(bodies))
+    model = compiled(creature, GRAVITY, pairs=[("left", "right")])
+    data = mujoco.MjData(model)
+    found = []
+    for bend in (0.0, 0.5):
+        data.qpos[7:] = -bend, bend
+        mujoco.mj_forward(model, data)
+        found.append(data.ncon)
+    assert found == [0, 1]
+    assert data.contact[0].dim == 1
