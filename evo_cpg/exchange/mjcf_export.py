@@ -84,16 +84,17 @@ def mjcf_model(
     place = SubElement(root, "worldbody")
     parts = add_ground(root, place, ground, names) if ground else []
     _add_bodies(place, creature, water, start, heading)
-    if ground or pairs:
-        contact = SubElement(root, "contact")
+    contact = SubElement(root, "contact") if ground or pairs else None
+    if ground and contact is not None:
         for part, body in itertools.product(parts, creature.bodies):
             friction = combine(
                 ground.friction_rule, body.material.dynamic_friction, ground.dynamic_friction
             )
             pair = SubElement(contact, "pair", geom1=part, geom2=body.name)
             pair.set("friction", number_text(friction, friction))
-        for first, second in pairs:
-            SubElement(contact, "pair", geom1=first, geom2=second, condim="1")
+    for first, second in pairs:
+        assert contact is not None
+        SubElement(contact, "pair", geom1=first, geom2=second, condim="1")
     actuator = SubElement(root, "actuator")
     for body in creature.bodies:
         motor = body.joint and body.joint.actuator

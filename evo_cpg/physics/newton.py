@@ -6,10 +6,10 @@ At the end of the step it minimises
     + h times one convex potential for every contact point, motor and limit of a joint,
 
 whose derivatives are their laws: a one-sided spring along the normal, friction as Huber's function
-(it sticks up to its limit, and slides under it), pushes of bodies on each other and limits of joints
-as one-sided springs, motors up to their torque. The problem is strictly convex and has one answer. Newton's method finds it: each
-step replaces the laws by their tangents, which one articulated-body solve takes (and one more for every
-pair that touches), and goes as far
+(it sticks up to its limit, and slides under it), pushes of bodies on each other and limits of
+joints as one-sided springs, motors up to their torque. The problem is strictly convex and has one
+answer. Newton's method finds it: each step replaces the laws by their tangents, which one
+articulated-body solve takes (and one more for every pair of bodies that touch), and goes as far
 along the way to that answer as the potential falls (an exact line search). It ends when the laws
 hold.
 

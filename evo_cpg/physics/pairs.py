@@ -163,13 +163,15 @@ def _owners(
     first: tuple[int, ...], second: tuple[int, ...], runs: tuple[Alike, ...]
 ) -> tuple[tuple[int, ...], tuple[int, ...]]:
     """See `Pairs.owners`."""
-    sides, start = ((), ()), 0
-    for run in runs:
-        own = slice(start, start + run.count)
-        points = _KINDS[run.kind][1]
-        sides = tuple(x + y[own] * points for x, y in zip(sides, (first, second), strict=True))
-        start += run.count
-    return sides
+
+    def repeated(bodies: tuple[int, ...]) -> tuple[int, ...]:
+        found, start = (), 0
+        for run in runs:
+            found += bodies[start : start + run.count] * _KINDS[run.kind][1]
+            start += run.count
+        return found
+
+    return repeated(first), repeated(second)
 
 
 def _way(
