@@ -2,9 +2,9 @@
 
 Animals that thrash about on their own ground, with the commands of the benchmark's exercises. Of
 every physics step: the residual of the problem that is solved and of Coulomb's law with the normal
-forces of that step, as shares of what the ground carries; how deep every contact point is after it;
-and in float64, by how much a disturbance of 1e-9 grows within 0.1 s. The table is that of
-docs/models/contact.md.
+forces of that step, as shares of what the ground carries; how deep every contact point is after
+it, and bodies of one animal are in each other; and in float64, by how much a disturbance of 1e-9
+grows within 0.1 s. The table is that of docs/models/contact.md.
 """
 
 import argparse
@@ -23,6 +23,7 @@ from benchmarks.animals import ANIMALS
 from benchmarks.exercise import Exercise
 from evo_cpg.physics.footing import clearance
 from evo_cpg.physics.kinematics import kinematics
+from evo_cpg.physics.pairs import separations
 from evo_cpg.physics.state import State, resting_state
 from evo_cpg.physics.step import first_warmstart, step
 
@@ -40,6 +41,7 @@ class Thrashing(NamedTuple):
         solved: residual of the problem that was solved.
         coulomb: residual of Coulomb's law.
         depth: of every contact point, m.
+        overlap: of bodies of one animal, the deepest, m; 0 where none are kept apart.
         growth: of a disturbance in every window; empty in float32.
     """
 
@@ -47,6 +49,7 @@ class Thrashing(NamedTuple):
     solved: Float[np.ndarray, "t n"]
     coulomb: Float[np.ndarray, "t n"]
     depth: Float[np.ndarray, "t p n"]
+    overlap: Float[np.ndarray, "t n"]
     growth: Float[np.ndarray, "w n"]
 
 
@@ -74,10 +77,13 @@ def thrash(exercise: Exercise, count: int, seconds: float, dtype: type) -> Thras
     def advance(carry: tuple, index: Array) -> tuple[tuple, tuple]:
         state, warmstart = carry
         new, effort = step(world, state, *_both(exercise.command(told, index), h), warmstart)
-        gap = clearance(footing, kinematics(world.tree, new))
+        kin = kinematics(world.tree, new)
         assert effort.support is not None and effort.residual is not None
         touches = (effort.support[2] > 0).any(0)
-        seen = touches, *effort.residual, -gap
+        overlap = jnp.zeros_like(effort.energy)
+        if world.pairs is not None:
+            overlap = jnp.maximum(-separations(world.pairs, kin).gap.min(0), 0.0)
+        seen = touches, *effort.residual, -clearance(footing, kin), overlap
         return (new, effort.warmstart), jax.tree.map(lambda x: x[..., :count], seen)
 
     size = round(WINDOW / h)
@@ -95,8 +101,8 @@ def thrash(exercise: Exercise, count: int, seconds: float, dtype: type) -> Thras
         if pairs:
             growth.append(_distance(state, count) / before)
         found.append(jax.tree.map(np.asarray, seen))
-    touches, solved, coulomb, depth = (np.concatenate(x) for x in zip(*found, strict=True))
-    return Thrashing(touches, solved, coulomb, depth, np.array(growth))
+    parts = [np.concatenate(part) for part in zip(*found, strict=True)]
+    return Thrashing(*parts, growth=np.array(growth))  # pyright: ignore[reportCallIssue]
 
 
 def _twice(count: int) -> Callable[[Array], Array]:
@@ -146,6 +152,7 @@ def row(animal: str, dtype: type, found: Thrashing) -> str:
         f"{share(found.coulomb, 1e-2):.3g} / {share(found.coulomb, 1.0):.3g}",
         f"{100 * (found.depth > 1e-3).mean():.2g} / {100 * (found.depth > 3e-3).mean():.2g}",
         f"{1e3 * found.depth.max():.2g}",
+        f"{100 * (found.overlap > 3e-3).mean():.2g}, {1e3 * found.overlap.max():.2g}",
         growth,
     ]
     return "| " + " | ".join(cells) + " |"
@@ -153,8 +160,9 @@ def row(animal: str, dtype: type, found: Thrashing) -> str:
 
 HEADER = """\
 | animal | numbers | steps in contact | residual > 1e-3, % | Coulomb > 1e-2 / > 1, % | \
-deeper than 1 / 3 mm, % | deepest, mm | growth: median / 99 % / most |
-|---|---|---|---|---|---|---|---|"""
+deeper than 1 / 3 mm, % | deepest, mm | limbs deeper than 3 mm, % of steps; deepest, mm | \
+growth: median / 99 % / most |
+|---|---|---|---|---|---|---|---|---|"""
 
 
 def _share(touches: np.ndarray, residual: np.ndarray, bound: float) -> float:

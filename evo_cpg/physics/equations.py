@@ -142,7 +142,9 @@ def prepare(
         derivative = derivative + expand_dims_like(tree.armature, derivative)
         wanted = servo_torque(tree, state, target_rate, target_angle, h)
         contacts = None if world.footing is None else find_contacts(world.footing, kin, h)
-        pairs = None if world.pairs is None else find_pair_contacts(tree, world.pairs, kin, h)
+        pairs = (
+            None if world.pairs is None else find_pair_contacts(tree, world.pairs, kin, state.qd, h)
+        )
     return Equations(state, kin, inertia, bias, passive, derivative, wanted, contacts, pairs)
 
 

@@ -31,11 +31,12 @@ from evo_cpg.physics.separation import (
     Separation,
     separation_of_boxes,
     separation_of_flat,
+    separation_of_line_and_box,
     separation_of_lines,
     separation_of_rounded,
 )
 from evo_cpg.spatial.choices import chosen
-from evo_cpg.spatial.linear import cross, dot, expand_dims_like, matvec
+from evo_cpg.spatial.linear import cross, dot, expand_dims_like, matvec, skew
 from evo_cpg.spatial.numerics import Numbers, xp
 
 # c h of a pair: so many times the geometric mean of the two masses.
@@ -49,6 +50,7 @@ _KINDS = {
     "lines": (separation_of_lines, 2),
     "flat": (separation_of_flat, 2),
     "boxes": (separation_of_boxes, 3),
+    "line and box": (separation_of_line_and_box, 2),
     "rounded": (separation_of_rounded, 2),
 }
 
@@ -134,12 +136,16 @@ def make_pairs(creature: Creature, tree: Tree, wanted: SelfCollision) -> Pairs |
     """The pairs of a creature that may touch; None where there are none."""
     boxes = [creature.bodies[creature.body_index(name)].shape.rounded_box for name in tree.names]
 
+    def in_order(pair: tuple[int, int]) -> tuple[int, int]:
+        """Lines first."""
+        first, second = pair
+        return (second, first) if _is_line(boxes[second]) else pair
+
     def choose() -> tuple[tuple[int, ...], tuple[int, ...], tuple[Alike, ...]]:
         found = colliding_pairs(creature, tree, wanted)
         rotations = neutral_pose(creature)[1]
         turned = np.array([rotations[creature.body_index(name)] for name in tree.names])
-        ways = [(*_way(tree, turned, boxes, *pair), pair) for pair in found]
-        ways.sort()
+        ways = sorted((*_way(tree, turned, boxes, *pair), pair) for pair in map(in_order, found))
         first, second = zip(*(pair for *_, pair in ways), strict=True) if ways else ((), ())
         groups = itertools.groupby(ways, lambda way: way[:2])
         return first, second, tuple(Alike(*way, len(list(same))) for way, same in groups)
@@ -174,6 +180,11 @@ def _owners(
     return repeated(first), repeated(second)
 
 
+def _is_line(box: RoundedBox) -> bool:
+    """Whether it extends along x alone, or not at all."""
+    return not box.half_extents[1:].any()
+
+
 def _way(
     tree: Tree, turned: np.ndarray, boxes: list[RoundedBox], first: int, second: int
 ) -> tuple[str, tuple[tuple[int, int, int], tuple[int, int, int]]]:
@@ -189,9 +200,8 @@ def _way(
     plain = (0, 1, 2)
     both = boxes[first], boxes[second]
     if any(box.radius > 0 for box in both):
-        lines = not any(box.half_extents[1:].any() for box in both)
-        if lines:
-            return "lines", (plain, plain)
+        if _is_line(both[0]):
+            return ("lines" if _is_line(both[1]) else "line and box"), (plain, plain)
         longest = (int(np.argmax(box.half_extents)) for box in both)
         one, two = ((x, (x + 1) % 3, (x + 2) % 3) for x in longest)
         return "rounded", (one, two)
@@ -235,36 +245,39 @@ def separations(pairs: Pairs, kin: Kinematics) -> Separation:
     return jax.tree.map(lambda *parts: jnp.concatenate(parts, axis), *found)
 
 
-def find_pair_contacts(tree: Tree, pairs: Pairs, kin: Kinematics, h: float) -> PairContacts:
+def find_pair_contacts(
+    tree: Tree, pairs: Pairs, kin: Kinematics, qd: Float[Array, "d *n"], h: float
+) -> PairContacts:
     """Where pairs are nearest, and the velocity at which each is to part.
 
     Args:
         tree: the creature.
         pairs: those of it.
         kin: kinematics at the start of the step.
+        qd: joint rates there, rad/s.
         h: s.
     """
     gap, normal, *points, carried = separations(pairs, kin)
+    # Of a body's point at the arm r: velocity v + w x r, drift a + A r.
+    spin, square = kin.angular, dot(kin.angular, kin.angular)
+    a = kin.bias_linear + cross(spin, kin.linear)
+    A = skew(kin.bias_angular) + spin[:, None] * spin[None]
+    A = A - square[None, None] * expand_dims_like(np.eye(3), A)
     velocity, drift, turning = [], [], jnp.zeros_like(normal)
     for bodies, point, share in zip(pairs.owners, points, carried, strict=True):
         own = np.array(bodies)
-        arm = point - take(kin.origin, own)
-        angular, linear = take(kin.angular, own), take(kin.linear, own)
-        speed = linear + cross(angular, arm)
-        velocity.append(speed)
-        drift.append(
-            take(kin.bias_linear, own)
-            + cross(take(kin.bias_angular, own), arm)
-            + cross(angular, speed)
-        )
+        arm, angular = point - take(kin.origin, own), take(spin, own)
+        velocity.append(take(kin.linear, own) + cross(angular, arm))
+        drift.append(take(a, own) + matvec(take(A, own, 2), arm))
         turning = turning + share[None] * angular
     parting = velocity[1] - velocity[0]
     # A normal that turns meets another part of what slides past it.
-    sweep = drift[1] - drift[0] - 2.0 * cross(turning, parting)
-    coasting = dot(normal, parting + 0.5 * h * sweep)
+    sweep = dot(normal, drift[1] - drift[0]) - 2.0 * dot(cross(normal, turning), parting)
     push = jnp.clip(-_PUSH_SHARE / h * gap, 0.0, _PUSH_SPEED)
     wanted = jnp.where(gap > 0, -gap / h, push)
-    return PairContacts(gap, _jacobian(tree, pairs, kin, normal, points), coasting, wanted)
+    jacobian = _jacobian(tree, pairs, kin, normal, points)
+    coasting = (jacobian * qd[None]).sum(1) + 0.5 * h * sweep
+    return PairContacts(gap, jacobian, coasting, wanted)
 
 
 def _jacobian(

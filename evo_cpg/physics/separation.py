@@ -4,7 +4,8 @@ For boxes with sharp edges the gap is the largest of those along the directions 
 be separated (Gottschalk et al. 1996): the faces' normals of either, and the cross products of their
 edges. It is exact where they overlap, and where a face or an edge is nearest; between two corners
 it is less than the distance. For all others it is the distance of the boxes, less the radii: for
-lines in closed form (Ericson 2005, 5.1.9), else by projections onto either in turn.
+two lines in closed form (Ericson 2005, 5.1.9), for a line and a box by Newton's method, else by
+projections onto either in turn.
 
 One point does not hold a face or a side that comes down flat: what has stopped there turns about
 it. So faces of boxes have further points along the edges that lie on the other's face, and capsules
@@ -19,8 +20,11 @@ from jaxtyping import Array, Float
 from evo_cpg.spatial.linear import cross, dot, matvec, matvec_t, t_matmul, where_each
 
 # Projections for boxes swept by balls before they leap ahead, and the slowest that is believed of
-# them: of 100 pairs 95 come within 0.1 mm of the distance, 99 within 2 mm.
+# them: of 100 pairs 95 come within 0.3 mm of the distance, 99 within 3 mm.
 _PROJECTIONS, _SHRINKING = 4, 0.97
+
+# Of the search along a line for the point nearest a box: of 100 pairs 98 are found exactly.
+_NEWTON_STEPS = 4
 
 # 1 - cos^2 of the angle between edges below which they are parallel.
 _PARALLEL = 1e-4
@@ -122,8 +126,38 @@ def _unless(missing: Array, point: Separation) -> Separation:
     return point._replace(gap=jnp.where(missing, _NOWHERE, point.gap))
 
 
+def separation_of_line_and_box(a: RoundedBoxes, b: RoundedBoxes) -> list[Separation]:
+    """Of a capsule or ball, and a box with or without radius.
+
+    The squared distance of the line's points from the box is convex and piecewise quadratic;
+    Newton's method finds its minimum.
+    """
+    middle, way = (matvec_t(b.axes, x) for x in (a.centre - b.centre, a.axes[:, 0]))
+    most, extent = a.half_extents[0] + 0 * middle[0], b.half_extents
+
+    def nearest(s: Array) -> tuple[Array, Array]:
+        """A point of the line, and the nearest one of the box."""
+        point = middle + s[None] * way
+        return point, jnp.clip(point, -extent, extent)
+
+    s = jnp.clip(-dot(middle, way), -most, most)
+    for _ in range(_NEWTON_STEPS):
+        point, inside = nearest(s)
+        beyond = point - inside
+        curvature = jnp.where(beyond == 0, 0.0, way * way).sum(0)
+        s = jnp.clip(s - dot(beyond, way) / jnp.maximum(curvature, _FLOOR), -most, most)
+    reach = (extent * jnp.abs(way)).sum(0)
+    end, near = _ends(s, -dot(middle, way), reach, most, 1.0 - (way * way).max(0))
+
+    def at(s: Array) -> Separation:
+        point, inside = (b.centre + matvec(b.axes, x) for x in nearest(s))
+        return _rounded(a, b, point, inside)
+
+    return [at(near), _unless(jnp.abs(end - near) < _SAME, at(end))]
+
+
 def separation_of_rounded(a: RoundedBoxes, b: RoundedBoxes) -> list[Separation]:
-    """Of boxes, longest along x, of which at least one of each pair has a radius."""
+    """Of boxes of which at least one of each pair has a radius, longest along x."""
     turn = t_matmul(a.axes, b.axes)
     away = matvec_t(a.axes, b.centre - a.centre)
 

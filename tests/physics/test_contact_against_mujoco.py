@@ -1,0 +1,154 @@
+"""Contact beside MuJoCo's, where the two models should agree: stiff, without restitution.
+
+MuJoCo's contacts are springs that give way, and its friction lets everything creep; both are made
+stiff here, with short steps on both sides.
+"""
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+from benchmarks.mujoco_model import dof_order, load_state, mujoco_model
+from creatures import quick_jit
+from evo_cpg.creature.creature import Body, Creature, Joint, Material
+from evo_cpg.creature.shapes import Box, Capsule
+from evo_cpg.creature.tree import build_tree
+from evo_cpg.physics.contact import find_contacts
+from evo_cpg.physics.footing import Ground, make_footing
+from evo_cpg.physics.kinematics import kinematics
+from evo_cpg.physics.state import State, resting_state
+from evo_cpg.physics.step import first_warmstart, step
+from evo_cpg.physics.terrain import Block, Plane
+from evo_cpg.physics.world import World
+from on_ground import GRAVITY
+
+H = 1 / 1000
+STIFF = {"timestep": 1 / 4000, "cone": "elliptic", "impratio": 100, "integrator": "implicitfast"}
+
+
+def both(creature: Creature, ground: Ground, state: dict, seconds: float):
+    """Our states, supports and the contact points' arms along x; MuJoCo's model and data."""
+    tree = build_tree(creature)
+    world = World(tree, GRAVITY, footing=make_footing(creature, tree, ground))
+    start = resting_state(tree, (1,), jnp.float64, position=state["position"])
+    turn = state.get("orientation", (1.0, 0.0, 0.0, 0.0))
+    start = State(
+        start.position,
+        jnp.asarray(turn, jnp.float64)[:, None],
+        jnp.asarray(state.get("velocity", np.zeros(6)), jnp.float64)[:, None],
+        jnp.asarray(state.get("q", np.zeros(tree.dof_count)), jnp.float64)[:, None],
+        jnp.asarray(state.get("qd", np.zeros(tree.dof_count)), jnp.float64)[:, None],
+    )
+
+    @quick_jit
+    def run(state):
+        def advance(carry, _):
+            now, warmstart = carry
+            arm = find_contacts(world.footing, kinematics(tree, now), H).arm[0]
+            now, effort = step(world, now, jnp.zeros_like(now.qd), H, warmstart=warmstart)
+            return (now, effort.warmstart), (now, effort.support, arm)
+
+        begin = state, first_warmstart(world, (1,), state.q.dtype)
+        return jax.lax.scan(advance, begin, length=round(seconds / H))[1]
+
+    states, support, arm = jax.tree.map(lambda x: np.asarray(x)[..., 0], run(start))
+    model = mujoco_model(creature, STIFF, ground=ground)
+    model.pair_solref[:] = 0.001, 1.0
+    model.pair_solimp[:] = 0.99, 0.999, 1e-4, 0.5, 2.0
+    data = mujoco.MjData(model)
+    load_state(model, data, tree, jax.tree.map(lambda x: np.asarray(x)[..., 0], start))
+    for _ in range(round(seconds / STIFF["timestep"])):
+        mujoco.mj_step(model, data)
+    return tree, (states, support, arm), model, data
+
+
+def block(size, friction):
+    material = Material(500.0, 0.0, friction, friction)
+    return Creature("block", (Body("block", Box(size), material),))
+
+
+@pytest.mark.parametrize("friction", [0.2, 0.5])
+def test_a_block_slides_as_far(x64, friction):
+    """v^2 / (2 mu g), within 1 %; MuJoCo's within 2 %."""
+    ground = Ground(0.0, friction, friction)
+    state = {"position": (0.0, 0.0, 0.05), "velocity": (0, 0, 0, 2.0, 0, 0)}
+    _, (states, *_), _, data = both(block((0.3, 0.2, 0.1), friction), ground, state, 1.2)
+    wanted = 2.0**2 / (2 * friction * GRAVITY)
+    assert states.position[-1, 0] == pytest.approx(wanted, rel=0.01)
+    assert data.qpos[0] == pytest.approx(wanted, rel=0.02)
+
+
+@pytest.mark.parametrize(("degrees", "stands"), [(17.4, True), (19.5, False)])
+def test_a_tall_block_tips_over_at_the_same_slope(x64, degrees, stands):
+    """At atan(1/3) = 18.4 degrees, where its weight comes over its lower edge."""
+    angle = np.deg2rad(degrees)
+    normal = (float(np.sin(angle)), 0.0, float(np.cos(angle)))
+    ground = Ground(0.0, 1.0, 1.0, floor=Plane(normal))
+    turn = (np.cos(angle / 2), 0.0, np.sin(angle / 2), 0.0)
+    state = {"position": tuple(0.15 * np.array(normal)), "orientation": turn}
+    _, (states, *_), _, data = both(block((0.1, 0.1, 0.3), 1.0), ground, state, 1.5)
+    ours, theirs = states.orientation[-1], data.qpos[3:7]
+    tilts = [2 * np.arccos(min(1.0, abs(float(np.dot(q, turn))))) for q in (ours, theirs)]
+    assert [tilt < np.deg2rad(1.0) for tilt in tilts] == [stands, stands]
+
+
+def test_a_stack_carries_its_load_where_it_lies(x64):
+    """A plate with a weight on one side, on a block: the lever's shares, here and there, to 1 %."""
+    joint = Joint(
+        "plate", (0.08, 0.0, 0.05), (0.0, 0.0, -0.05), ((0.0, 1.0, 0.0),), (-0.5,), (0.5,),
+        stiffness=2000.0, damping=20.0,
+    )  # fmt: skip
+    bodies = (
+        Body("plate", Box((0.3, 0.3, 0.1)), Material(500.0)),
+        Body("weight", Box((0.1, 0.1, 0.1)), Material(4000.0), joint),
+    )
+    ground = Ground(0.0, obstacles=(Block((0.0, 0.0, 0.1), (0.2, 0.2, 0.1)),))
+    tree, (states, support, arm), model, data = both(
+        Creature("stack", bodies), ground, {"position": (0.0, 0.0, 0.25)}, 1.0
+    )
+    assert np.abs(states.velocity[-1]).max() < 1e-3
+    assert abs(states.position[-1, 2] - 0.25) < 1e-3
+    total = tree.mass.sum() * GRAVITY
+    lever = 0.5 + 0.08 * tree.mass[1] / tree.mass.sum() / 0.3
+    ours, theirs = {}, {1: 0.0, -1: 0.0}
+    for side in (1, -1):
+        ours[side] = support[-1, 2][np.sign(arm[-1]) == side].sum()
+    force = np.zeros(6)
+    for k in range(data.ncon):
+        mujoco.mj_contactForce(model, data, k, force)
+        theirs[1 if data.contact[k].pos[0] > 0 else -1] += force[0]
+    for found in (ours, theirs):
+        assert sum(found.values()) == pytest.approx(total, rel=0.01)
+        assert found[1] / total == pytest.approx(lever, rel=0.01)
+
+
+def test_a_swinging_leg_hits_the_ground(x64):
+    """A trunk falls on a leg that swings; 0.1 s later both move as in MuJoCo, within 3 %."""
+    material = Material(500.0, 0.0, 0.8, 0.8)
+    joint = Joint(
+        "trunk", (0.1, 0.0, -0.1), (-0.2, 0.0, 0.0), ((0.0, 1.0, 0.0),), (-2.5,), (2.5,),
+        orientation=((0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (-1.0, 0.0, 0.0)), damping=0.5,
+    )  # fmt: skip
+    bodies = (
+        Body("trunk", Box((0.5, 0.3, 0.2)), material),
+        Body("leg", Capsule(0.03, 0.34), material, joint),
+    )
+    creature = Creature("swing", bodies)
+    ground = Ground(0.0, 0.8, 0.8)
+    state = {
+        "position": (0.0, 0.0, 0.47),
+        "velocity": (0.0, 0.0, 0.0, 0.5, 0.0, -1.0),
+        "q": np.array([0.5]),
+        "qd": np.array([-3.0]),
+    }
+    tree, (states, support, _), model, data = both(creature, ground, state, 0.1)
+    assert (support[:, 2] > 0).any()
+    order = dof_order(model, tree)
+    # The trunk turns about y alone, which is the same in its own axes.
+    theirs = np.concatenate([data.qvel[:3], data.qvel[4:5], data.qvel[6 + order]])
+    ours = np.concatenate([states.velocity[-1, 3:], states.velocity[-1, 1:2], states.qd[-1]])
+    np.testing.assert_allclose(ours, theirs, rtol=0.03, atol=1e-6)
+    # Without the ground it would be another motion.
+    assert abs(ours[2] - (-1.0 - GRAVITY * 0.1)) > 0.3
