@@ -41,15 +41,21 @@ def test_the_model_has_the_animals_masses_motors_and_limits(quadruped, model):
     assert model.jnt_limited[1:].all()
 
 
-def test_bodies_touch_the_floor_alone(model):
-    """Folded up in the floor, every contact has the plane on one side."""
+def test_bodies_touch_the_floor_and_those_that_ours_keep_apart(quadruped, model):
+    """Folded up in the floor: with friction there, without between limbs."""
     data = mujoco.MjData(model)
     data.qpos[2], data.qpos[7:] = 0.0, 2.5
     mujoco.mj_forward(model, data)
-    floor = np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE)
-    assert data.ncon > 4
-    assert np.isin(data.contact.geom, floor).sum(1).tolist() == [1] * data.ncon
-    np.testing.assert_allclose(data.contact.friction[:, 0], 0.8)
+    (floor,) = np.flatnonzero(model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE)
+    on_floor = (data.contact.geom == floor).any(1)
+    assert on_floor.sum() > 4 and (~on_floor).sum() > 4
+    np.testing.assert_allclose(data.contact.friction[on_floor, 0], 0.8)
+    np.testing.assert_array_equal(data.contact.dim, np.where(on_floor, 3, 1))
+    limbs = {
+        frozenset(model.geom(number).name for number in pair)
+        for pair in data.contact.geom[~on_floor]
+    }
+    assert limbs <= set(map(frozenset, quadruped.simulation.world.pair_names))
 
 
 def walk(experiment, steps):
@@ -60,9 +66,13 @@ def walk(experiment, steps):
 
 
 def test_mujoco_takes_the_postures_of_the_controller(quadruped):
-    """In free fall nothing keeps a joint from where its spring pulls: 1/3 s is 17 of k/c."""
+    """In free fall nothing keeps a joint from where its spring pulls: 1/3 s is 17 of k/c.
+
+    But other limbs, which pass through each other here.
+    """
     aloft = (Situation((0.0, 0.0, 20.0)),)
-    simulation = dataclasses.replace(quadruped.simulation, situations=aloft)
+    ghost = dataclasses.replace(quadruped.simulation.world, pairs=None)
+    simulation = dataclasses.replace(quadruped.simulation, situations=aloft, world=ghost)
     world, h, steps = simulation.world, simulation.step_length, 160
     exercise = Postures(quadruped)
     assert exercise.numbers(np.arange(steps + 1)).tolist() == [0] * 80 + [1] * 80 + [2]
