@@ -1,0 +1,95 @@
+"""How deep walkers' limbs are in each other: `python -m benchmarks.limbs RUN [RUN ...]`.
+
+Of champions of posture controllers (`evo-cpg train configs/fukui2003_model1.yaml`), over their
+whole trials, in every physics step. The table is that of docs/models/contact.md.
+"""
+
+import argparse
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float
+from rich.console import Console
+
+from evo_cpg.cli.training import open_champion
+from evo_cpg.control.postures import PostureController
+from evo_cpg.physics.kinematics import kinematics
+from evo_cpg.physics.pairs import separations
+from evo_cpg.physics.state import resting_state
+from evo_cpg.physics.step import first_warmstart, step
+from evo_cpg.simulation.simulation import Simulation
+
+HEADER = """\
+| run | generation | goes, m | limbs touch, % of steps | deepest, mm |
+|---|---|---|---|---|"""
+
+
+class Limbs(NamedTuple):
+    """What happened in every physics step.
+
+    Attributes:
+        overlap: the deepest, m.
+        touches: whether limbs pushed each other.
+        way: from start to end, m.
+    """
+
+    overlap: Float[np.ndarray, " t"]
+    touches: Bool[np.ndarray, " t"]
+    way: float
+
+
+def walk(simulation: Simulation, genes: Float[np.ndarray, " g"]) -> Limbs:
+    """A walker's trial.
+
+    Raises:
+        TypeError: its controller has no postures, or nothing of it can touch itself.
+    """
+    controller, world, h = simulation.controller, simulation.world, simulation.step_length
+    pairs = world.pairs
+    if not isinstance(controller, PostureController) or pairs is None:
+        raise TypeError("only walkers with postures and limbs that can meet")
+    postures = controller.decode(jnp.asarray(genes, jnp.float32)[:, None])
+    count = simulation.steps * simulation.substeps
+    numbers = [int(controller.posture(jnp.int32(i // simulation.substeps))) for i in range(count)]
+    place = simulation.situations[0].start_position
+    start = resting_state(world.tree, (1,), jnp.float32, position=place)
+    none = jnp.zeros_like(start.qd)
+
+    def advance(carry: tuple, number: jax.Array) -> tuple[tuple, tuple]:
+        state, warmstart = carry
+        state, effort = step(world, state, none, h, postures[number], warmstart)
+        assert effort.pair_force is not None
+        gap = separations(pairs, kinematics(world.tree, state)).gap.min()
+        return (state, effort.warmstart), (gap, (effort.pair_force > 0).any())
+
+    begin = start, first_warmstart(world, (1,), start.q.dtype)
+    run = jax.jit(lambda begin: jax.lax.scan(advance, begin, jnp.asarray(numbers)))
+    (end, _), (gap, touches) = run(begin)
+    way = float(np.hypot(*np.asarray(end.position)[:2, 0]))
+    return Limbs(np.maximum(-np.asarray(gap), 0.0), np.asarray(touches), way)
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=str(__doc__).split("\n", 1)[0])
+    parser.add_argument("runs", nargs="+", metavar="RUN", type=Path)
+    console = Console()
+    console.print(HEADER, soft_wrap=True)
+    for run in parser.parse_args().runs:
+        experiment, champion, _, _ = open_champion(run)
+        found = walk(experiment.simulation, champion.genes)
+        cells = (
+            experiment.name,
+            f"{champion.generation}",
+            f"{found.way:.2f}",
+            f"{100 * found.touches.mean():.0f}",
+            f"{1e3 * found.overlap.max():.1f}",
+        )
+        console.print("| " + " | ".join(cells) + " |", soft_wrap=True)
+
+
+if __name__ == "__main__":
+    main()
