@@ -24,13 +24,12 @@ from evo_cpg.creature.reach import chain_to_root
 from evo_cpg.creature.self_collision import SelfCollision, colliding_pairs
 from evo_cpg.creature.shapes import RoundedBox
 from evo_cpg.creature.tree import Tree
+from evo_cpg.physics.box_separation import separation_of_boxes, separation_of_flat
 from evo_cpg.physics.kinematics import Kinematics
 from evo_cpg.physics.per_body import take
 from evo_cpg.physics.separation import (
     RoundedBoxes,
     Separation,
-    separation_of_boxes,
-    separation_of_flat,
     separation_of_line_and_box,
     separation_of_lines,
     separation_of_rounded,

@@ -5,10 +5,9 @@ import numpy as np
 import pytest
 
 from creatures import quick_jit
+from evo_cpg.physics.box_separation import separation_of_boxes, separation_of_flat
 from evo_cpg.physics.separation import (
     RoundedBoxes,
-    separation_of_boxes,
-    separation_of_flat,
     separation_of_line_and_box,
     separation_of_lines,
     separation_of_rounded,
@@ -139,3 +138,30 @@ def test_points_lie_on_the_bodies(case):
             beyond.append(np.linalg.norm(place - projected(box, place), axis=1) - box.radius)
         nearer = np.minimum(*map(np.asarray, beyond))[there]
         assert nearer.max() < 1e-5
+
+
+@pytest.mark.parametrize("find", [separation_of_boxes, separation_of_flat])
+def test_boxes_that_overhang_touch_where_both_are(find, x64):
+    """Parallel ones, whose lowest corner rounding picks: a bar across a beam, and over its end."""
+    rng = np.random.default_rng(4)
+    none = np.tile(np.eye(3), (COUNT, 1, 1))
+    half = np.array([0.3, 0.1, 0.05])
+    other = np.array([0.1, 0.3, 0.05])
+    # Flat boxes lie side by side and overlap along z.
+    up = 2 if find is separation_of_boxes else 1
+    aside = rng.uniform(-0.9, 0.9, (COUNT, 3)) * (half + other)
+    aside[:, up] = rng.choice([-1.0, 1.0], COUNT) * ((half + other)[up] - 1e-3)
+    a, b = boxes(np.zeros((COUNT, 3)), none, half, 0.0), boxes(aside, none, other, 0.0)
+    overlap = np.abs(aside) - half - other
+    least = overlap.argmax(1) == up
+    found = quick_jit(find)(a, b)
+    np.testing.assert_allclose(np.asarray(found[0].gap)[least], -1e-3, atol=1e-9)
+    for point in found:
+        there = least & (np.asarray(point.gap) < 0.9)
+        for box, place in ((a, point.first), (b, point.second)):
+            place = np.asarray(place).T[there]
+            inside = np.abs(place - np.asarray(box.centre).T[there]) - half * (box is a)
+            inside = inside - other * (box is b)
+            assert inside.max() < 1e-3 + 1e-9
+    # They hold both ways across: what they have side by side there, from end to end.
+    assert (np.asarray(found[1].gap)[least] < 0.9).mean() > 0.9
