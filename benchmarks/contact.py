@@ -21,7 +21,7 @@ from rich.progress import track
 
 from benchmarks.animals import ANIMALS
 from benchmarks.exercise import Exercise
-from evo_cpg.physics.footing import clearance
+from evo_cpg.physics.contact_points import clearance
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.pairs import separations
 from evo_cpg.physics.state import State, resting_state

@@ -21,7 +21,8 @@ from scipy.optimize import linprog
 
 from benchmarks.plan import experiment_of
 from evo_cpg.physics.contact import find_contacts
-from evo_cpg.physics.footing import Footing, clearance
+from evo_cpg.physics.contact_points import clearance
+from evo_cpg.physics.footing import Footing
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import State, resting_state
 from evo_cpg.physics.step import first_warmstart, step

@@ -15,7 +15,7 @@ from evo_cpg.config.schema.task import DEFAULT_LIGHT, ReachLightConfig
 from evo_cpg.config.schema.trial import SituationConfig
 from evo_cpg.creature.creature import Creature, lowest_along, lowest_height, neutral_pose
 from evo_cpg.fusion.jax_internals import quick_jit
-from evo_cpg.physics.footing import clearance
+from evo_cpg.physics.contact_points import clearance
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import resting_state
 from evo_cpg.physics.terrain import Plane, nearest

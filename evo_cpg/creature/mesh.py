@@ -117,6 +117,18 @@ class ConvexMesh(Shape):
         return np.sqrt(3 * moments), turn
 
     @functools.cached_property
+    def inner_ellipsoid(self) -> tuple[np.ndarray, np.ndarray]:
+        """The largest ellipsoid within it about its centre with the shape of its second moments.
+
+        Returns:
+            Semi-axes, m, and its axes as columns.
+        """
+        half, turn = self.stretch
+        normals, _ = self.planes
+        reach = np.linalg.norm(half * (normals @ turn), axis=1)
+        return half * ((normals * self.broad[:, 0]).sum(1) / reach).min(), turn
+
+    @functools.cached_property
     def _mass_properties(self) -> tuple[float, np.ndarray, np.ndarray]:
         return _mass_properties(self.triangles)
 

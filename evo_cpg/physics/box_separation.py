@@ -32,17 +32,24 @@ def separation_of_flat(a: RoundedBoxes, b: RoundedBoxes) -> list[Separation]:
     """Of boxes without radius whose z axes stay parallel, and which overlap along them."""
     gap, normal, of_b = _best_face(a, b, 2)
     face = _on_face(a, b, normal, of_b, 2)
-    return [_at_corner(face, gap), _along_edge(face, gap, 0)]
+    return [_at_corner(face, gap), _along_edges(face, gap, (0,))]
 
 
-def separation_of_boxes(a: RoundedBoxes, b: RoundedBoxes) -> list[Separation]:
-    """Of boxes without radius."""
+def separation_of_boxes(a: RoundedBoxes, b: RoundedBoxes, corners: int = 3) -> list[Separation]:
+    """Of boxes without radius.
+
+    Args:
+        a: some boxes.
+        b: others.
+        corners: of a face that lies on another's, 3 or 4.
+    """
     gap, normal, of_b = _best_face(a, b, 3)
     edge, crossing = _best_edges(a, b, gap + _CLEARLY)
     face = _on_face(a, b, normal, of_b, 3)
     first = where_each(edge, crossing, _at_corner(face, gap))
+    ways = (0,), (1,), (0, 1)
     crossed = edge & (crossing.gap > gap + SAME)
-    return [first, *(unless(crossed, _along_edge(face, gap, k)) for k in range(2))]
+    return [first, *(unless(crossed, _along_edges(face, gap, k)) for k in ways[: corners - 1])]
 
 
 def _best_face(a: RoundedBoxes, b: RoundedBoxes, axes: int) -> tuple[Array, Array, Array]:
@@ -156,34 +163,26 @@ def _at_corner(face: _Face, gap: Array) -> Separation:
     return _on_plane(face, face.corner, gap)
 
 
-def _along_edge(face: _Face, gap: Array, which: int) -> Separation:
-    """At the far end of an edge from the corner, or the place near it that lies over the face.
+def _along_edges(face: _Face, gap: Array, which: tuple[int, ...]) -> Separation:
+    """At the far end of edges from the corner, or the place near it that lies over the face.
 
     Args:
         face: and what is over it.
         gap: of the corner, m.
-        which: of the edges, of which the steepest does not count.
+        which: of the edges, of which the steepest does not count; both lead across the face.
     """
     axes, count = face.over.axes[:, : face.axes], face.axes
     rise = matvec_t(axes, face.normal)
     steep = jnp.argmax(jnp.abs(rise), 0)
-
-    def pick(x: Array) -> Array:
-        """Of what every axis has, the one wanted."""
-        chosen = x[which + 1 if count > 2 else 1]
-        for k in range(1, count):
-            own = x[(k + 1 + which) % count]
-            chosen = jnp.where(
-                (steep == k) if own.ndim == steep.ndim else (steep == k)[None], own, chosen
-            )
-        return chosen
-
-    slope = pick(rise)
-    inward = pick(jnp.swapaxes(axes, 0, 1))
-    inward = jnp.where((slope <= 0)[None], -inward, inward)
     own = matvec_t(axes, face.corner - face.over.centre)
-    length = pick(face.over.half_extents[:count] - jnp.where(rise <= 0, -own, own))
-    point = face.corner + length[None] * inward
+    side = jnp.where(rise <= 0, -1.0, 1.0)
+    inward = side[None] * axes
+    left = face.over.half_extents[:count] - side * own
+    point = face.corner
+    for one in which:
+        # The axis that is so many after the steepest.
+        after = [jnp.where(steep == (k - 1 - one) % count, left[k], 0.0) for k in range(count)]
+        point = point + matvec(inward, jnp.stack(after))
     point = _over_both(face.normal, face.under, face.over, point, count)
     way = point - face.corner
     return unless(dot(way, way) < SAME**2, _on_plane(face, point, gap + dot(face.normal, way)))

@@ -35,7 +35,8 @@ from jaxtyping import Array, Float
 
 from evo_cpg.fusion.fuse import symmetric
 from evo_cpg.physics.articulated import Accelerations
-from evo_cpg.physics.footing import Footing, lowest_points
+from evo_cpg.physics.contact_points import contact_points
+from evo_cpg.physics.footing import Footing
 from evo_cpg.physics.kinematics import Kinematics
 from evo_cpg.physics.per_body import PerBody, take
 from evo_cpg.physics.spatial_algebra import Inertia, Wrench
@@ -119,7 +120,7 @@ def find_contacts(footing: Footing, kin: Kinematics, h: float) -> Contacts:
     """
     bodies = np.array(footing.bodies)
     ground = footing.ground
-    arm, spoke, gap, normal, bend = lowest_points(footing, kin, h)
+    arm, spoke, gap, normal, bend = contact_points(footing, kin, h)
     frame = _frame(normal)
     angular, linear = take(kin.angular, bodies), take(kin.linear, bodies)
     velocity = linear + cross(angular, arm)

@@ -29,7 +29,8 @@ from jaxtyping import Array, Float
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.buoyancy import displacement
 from evo_cpg.physics.contact import resting_stiffness
-from evo_cpg.physics.footing import Footing, lowest_points
+from evo_cpg.physics.contact_points import contact_points
+from evo_cpg.physics.footing import Footing
 from evo_cpg.physics.joints import clamp_torque, limit_torque, passive_torque, servo_torque
 from evo_cpg.physics.kinematics import Kinematics, kinematics
 from evo_cpg.physics.per_body import take
@@ -200,7 +201,7 @@ def _ground(
     """Force on every place, N, and what the ground does."""
     bodies = np.array(footing.bodies)
     stiffness = expand_dims_like(resting_stiffness(footing, h), grip.held)
-    arm, _, gap, normal, _ = lowest_points(footing, kin)
+    arm, _, gap, normal, _ = contact_points(footing, kin)
     point, place = _on_body(footing, kin, arm)
     support = stiffness * jnp.maximum(-gap, 0.0)
     way = take(kin.origin, bodies) + matvec(take(kin.rotation, bodies, 2), grip.point) - grip.place

@@ -171,6 +171,9 @@ class Block(Part):
         return jnp.where(deepest > 0, length, deepest), normal
 
 
+Obstacle = Block | Boulder
+
+
 def nearest(
     parts: tuple[Part, ...], point: Float[Array, "3 *rest"]
 ) -> tuple[Float[Array, "*rest"], Float[Array, "3 *#rest"]]:

@@ -10,6 +10,7 @@ from evo_cpg.physics.buoyancy import Cells, Displacement, buoyancy, displacement
 from evo_cpg.physics.current import stream
 from evo_cpg.physics.fluid import Patch, Water, drag
 from evo_cpg.physics.footing import Footing, Ground
+from evo_cpg.physics.gyroscopic import gyroscopic_change
 from evo_cpg.physics.kinematics import Kinematics
 from evo_cpg.physics.pairs import Pairs
 from evo_cpg.physics.spatial_algebra import Inertia, Wrench, make_inertia
@@ -59,6 +60,11 @@ class World(eqx.Module):
         ]
 
     @property
+    def submerged(self) -> bool:
+        """Whether the creature is in deep water, always and everywhere."""
+        return self.water is not None and self.water.surface is None and self.footing is None
+
+    @property
     def ground(self) -> Ground | None:
         """None where there is nothing to stand on."""
         return None if self.footing is None else self.footing.ground
@@ -93,6 +99,9 @@ def body_equations(world: World, kin: Kinematics, h: float) -> tuple[Inertia, Wr
     w, v = velocity[:3], velocity[3:]
     moment = cross(w, momentum[:3]) + cross(v, momentum[3:]) - wrench[:3]
     force = cross(w, momentum[3:]) - wrench[3:]
+    if not world.submerged:
+        # In water drag holds spins back.
+        moment = moment + gyroscopic_change(tree, w, h)
 
     angular, mixed, linear = (matmul_t(matmul(rotation, block), rotation) for block in blocks)
     inertia = make_inertia(angular, mixed, linear)

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from evo_cpg.physics.footing import lowest_points
+from evo_cpg.physics.contact_points import contact_points
 from evo_cpg.physics.kinematics import Kinematics, kinematics
 from evo_cpg.physics.per_body import take
 from evo_cpg.physics.state import State
@@ -148,7 +148,7 @@ class Snapshot:
         if self.world.footing is None:
             origin = self.kinematics.origin
             return origin[:, :0], origin[0, :0]
-        arm, _, gap, *_ = lowest_points(self.world.footing, self.kinematics)
+        arm, _, gap, *_ = contact_points(self.world.footing, self.kinematics)
         return arm, gap
 
     def _mean(self, of_bodies: Float[Array, "3 b *n"]) -> Float[Array, "3 *n"]:

@@ -21,7 +21,8 @@ from evo_cpg.creature.creature import Actuator, Creature
 from evo_cpg.creature.self_collision import SelfCollision
 from evo_cpg.creature.surface import outer_surfaces
 from evo_cpg.physics.contact import find_contacts
-from evo_cpg.physics.footing import Ground, clearance, make_footing
+from evo_cpg.physics.contact_points import clearance
+from evo_cpg.physics.footing import Ground, make_footing
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.pairs import make_pairs, separations
 from evo_cpg.physics.state import State
@@ -70,6 +71,17 @@ def point_drag(world: World, surface, centre, velocity) -> Drag:
     return Drag(wrench, derivative)
 
 
+def gyroscopic_change(inertia, spin):
+    """Mean of w x I w by Kahan's method over a step, less that at its start."""
+
+    def of(first, second):
+        return (np.cross(first, inertia @ second) + np.cross(second, inertia @ first)) / 2
+
+    slope = np.array([2 * of(spin, unit) for unit in np.eye(3)]).T
+    change = np.linalg.solve(inertia + H / 2 * slope, -H * of(spin, spin))
+    return of(spin, spin + change) - of(spin, spin)
+
+
 def dense_accelerations(
     creature: Creature, world: World, state: State, torque, motor_derivative, ends=None, pushes=()
 ):
@@ -116,6 +128,10 @@ def dense_accelerations(
         buoyancy = np.concatenate([np.cross(rotation @ tree.com[:, i], lift), lift])
         right += jacobian.T @ (to_body.T @ drag.wrench + buoyancy - H * derivative @ bias)
         mass += H * jacobian.T @ derivative @ jacobian
+        if world.footing is not None:
+            frame = data.ximat[body].reshape(3, 3)
+            inertia = frame @ np.diag(model.body_inertia[body]) @ frame.T
+            right -= jacobian[:3].T @ gyroscopic_change(inertia, velocity[:3])
 
     for i, place, force in pushes:
         jacobian = np.zeros((3, model.nv))

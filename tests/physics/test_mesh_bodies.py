@@ -16,8 +16,9 @@ from evo_cpg.creature.tree import build_tree
 from evo_cpg.fusion.fuse import fuse
 from evo_cpg.physics.added_mass import added_inertia
 from evo_cpg.physics.buoyancy import displacement, make_cells
+from evo_cpg.physics.contact_points import clearance
 from evo_cpg.physics.fluid import drag
-from evo_cpg.physics.footing import clearance, make_footing
+from evo_cpg.physics.footing import make_footing
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import resting_state
 from evo_cpg.physics.step import step
@@ -244,10 +245,10 @@ def test_a_ball_rolls_to_rest_without_sinking():
 
 
 def test_on_a_block_and_the_floor():
-    """Where there are obstacles every place counts twice: a box laid on a block rests on it."""
+    """Where there are obstacles corners count twice, and an ellipsoid: a box rests on a block."""
     block = Block((0.0, 0.0, 0.1), (1.0, 1.0, 0.1), 0.0)
     world = alone(box_mesh(SIZE), obstacles=(block,))
-    assert len(world.footing.bodies) == 8
+    assert len(world.footing.bodies) == 9
     state = released(world, [[0.0], [0.0], [0.25]])
     states, _ = record(world, state, 120)
     np.testing.assert_allclose(np.asarray(states.position)[-1, :, 0], [0, 0, 0.25], atol=1e-4)

@@ -16,7 +16,8 @@ from evo_cpg.creature.creature import Body, Creature, Joint, Material
 from evo_cpg.creature.shapes import Box
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.physics.contact import find_contacts
-from evo_cpg.physics.footing import Ground, clearance, make_footing
+from evo_cpg.physics.contact_points import clearance
+from evo_cpg.physics.footing import Ground, make_footing
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.newton import search
 from evo_cpg.physics.state import State, resting_state

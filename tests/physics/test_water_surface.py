@@ -15,8 +15,10 @@ from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.physics.buoyancy import displacement, make_cells
 from evo_cpg.physics.fluid import drag
+from evo_cpg.physics.footing import Ground, make_footing
 from evo_cpg.physics.state import State, resting_state
 from evo_cpg.physics.step import step
+from evo_cpg.physics.terrain import Plane
 from evo_cpg.physics.world import World
 from evo_cpg.spatial.rotation import quaternion_to_matrix
 
@@ -129,15 +131,18 @@ def test_sphere_displaces_its_cap():
 def test_far_from_the_surface_there_is_none():
     """A step deep down equals one in water without a surface, one high up a step on dry land.
 
-    But for rounding, and the floor of 1e-6 m/s under the tangential speed.
+    But for rounding, and the floor of 1e-6 m/s under the tangential speed. All have ground far
+    below, for what is in deep water for good has no mean torques of its spin.
     """
     creature = random_creature(np.random.default_rng(3), STRUCTURES[0])
+    ground = Ground(floor=Plane(height=-1e3))
     everywhere = in_water(creature, 1, current=(0.3, 0.1, 0.2))
     surfacing = in_water(creature, 1, current=(0.3, 0.1, 0.2), surface=20.0)
     state = random_state(everywhere.tree, np.random.default_rng(4), (3,))
     above = dataclasses.replace(state, position=state.position.at[2].add(40.0))
 
     def advance(world, state):
+        world = dataclasses.replace(world, footing=make_footing(creature, world.tree, ground))
         target = jnp.zeros_like(state.qd)
         return quick_jit(lambda s: step(world, s, target, H)[0])(state)
 

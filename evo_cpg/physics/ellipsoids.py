@@ -1,0 +1,139 @@
+"""Where ellipsoids are nearest to balls and boxes, or deepest in them.
+
+A plane parts an ellipsoid with the centre c, axes R and semi-axes A from what lies beyond it: with
+the normal n, towards the ellipsoid, through the point q,
+
+    gap = n . (c - q) - |A R^T n|.
+
+To a ball the nearest point is the root of one equation (Eberly 2013). Of a box q is the point that
+is least as the ellipsoid measures lengths, where |A^-1 R^T (q - c)| is 1 on its surface: there the
+box lies behind the tangent plane of a grown ellipsoid. That gap is exact where they touch, and
+never more than the distance.
+"""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from evo_cpg.physics.separation import RoundedBoxes
+from evo_cpg.spatial.linear import dot, matmul, matvec, matvec_t, t_matmul
+
+# Newton steps for the nearest point to a ball's centre: from the surface to 30 semi-axes away it is
+# exact to 1e-7 of them.
+_ROOT_STEPS = 5
+
+# Rounds for the point of a box: after one 1 of 2000 random pairs was wrong, after two none.
+_ROUNDS = 2
+
+# Squared length (m^2), and what else is divided by, that is added where it might be zero.
+_FLOOR = 1e-20
+
+# Squared length, measured in semi-axes, of what is at the centre.
+_AT_CENTRE = 1e-4
+
+
+def nearest_to_ball(
+    centre: Float[Array, "3 p *n"],
+    axes: Float[Array, "3 3 p *n"],
+    semi_axes: Float[Array, "3 p *#n"],
+    ball: Float[Array, "3 p *n"],
+    radius: Float[Array, "p *#n"],
+) -> tuple[Array, Array]:
+    """Gap to balls, m, and the unit vector from a ball to the ellipsoid.
+
+    Args:
+        centre: of the ellipsoids, m.
+        axes: theirs, as columns.
+        semi_axes: m.
+        ball: centres of the balls, outside of the ellipsoids, m.
+        radius: m.
+    """
+    own = matvec_t(axes, ball - centre)
+    square = semi_axes * semi_axes
+    scaled = semi_axes * own
+    t = 0.0 * own[0]
+    for _ in range(_ROOT_STEPS):
+        # Of |p(t)| = 1 with p = A y / (t + A^2), by the secular equation 1 / |p| = 1.
+        p = scaled / (t[None] + square)
+        length = dot(p, p) + _FLOOR
+        slope = (p * p / (t[None] + square)).sum(0) + _FLOOR
+        t = jnp.maximum(t + (jnp.sqrt(length) - 1.0) * length / slope, 0.0)
+    way = square * own / (t[None] + square) - own
+    apart = jnp.sqrt(dot(way, way) + _FLOOR)
+    return apart - radius, matvec(axes, way / apart[None])
+
+
+def nearest_to_box(
+    centre: Float[Array, "3 p *n"],
+    axes: Float[Array, "3 3 p *n"],
+    semi_axes: Float[Array, "3 p *#n"],
+    box: RoundedBoxes,
+) -> tuple[Array, Array]:
+    """Gap to boxes without radius, m, and the unit vector from a box to the ellipsoid.
+
+    Args:
+        centre: of the ellipsoids, m.
+        axes: theirs, as columns.
+        semi_axes: m.
+        box: the boxes.
+    """
+    turned = t_matmul(axes, box.axes) / semi_axes[:, None]
+    metric = t_matmul(turned, turned)
+    here = matvec_t(box.axes, centre - box.centre)
+    inside = jnp.abs(here) - box.half_extents
+    point = _least(metric, here, box.half_extents)
+    way = here - point
+    pull = matvec(metric, way)
+    # With the centre inside, the nearest face leads out.
+    face = jnp.where(inside >= inside.max(0)[None], jnp.where(here < 0, -1.0, 1.0), 0.0)
+    buried = dot(way, pull) < _AT_CENTRE
+    point = jnp.where(buried[None], face * box.half_extents, point)
+    pull = jnp.where(buried[None], face, pull)
+    normal = pull / jnp.sqrt(dot(pull, pull) + _FLOOR)[None]
+    reach = semi_axes * matvec(matmul(jnp.swapaxes(axes, 0, 1), box.axes), normal)
+    gap = dot(normal, here - point) - jnp.sqrt(dot(reach, reach) + _FLOOR)
+    return gap, matvec(box.axes, normal)
+
+
+def _least(metric: Array, here: Array, extent: Array) -> Array:
+    """The point of a box with the least ``(x - here) . metric (x - here)``.
+
+    Coordinate descent tells which coordinates are held at a face, elimination finds the others.
+    """
+    x = jnp.clip(here, -extent, extent)
+    diagonal = jnp.stack([metric[i, i] for i in range(3)])
+
+    def descend(x: Array) -> Array:
+        for i in range(3):
+            slope = dot(metric[i], x - here)
+            moved = jnp.clip(x[i] - slope / diagonal[i], -extent[i], extent[i])
+            x = jnp.stack([moved if k == i else x[k] for k in range(3)])
+        return x
+
+    for _ in range(_ROUNDS):
+        x = descend(x)
+        held = (jnp.abs(x) >= extent) & (matvec(metric, x - here) * x < 0)
+        for _ in range(3):
+            # What would leave the box is held at the face, and the others are solved for anew.
+            ahead = x - _solve_free(metric, matvec(metric, x - here), held)
+            x = jnp.clip(jnp.where(held, x, ahead), -extent, extent)
+            held = held | (jnp.abs(ahead) > extent)
+    return x
+
+
+def _solve_free(metric: Array, slope: Array, held: Array) -> Array:
+    """The step to the least value with some coordinates held, by elimination."""
+    free = jnp.where(held, 0.0, 1.0)
+    slope = free * slope
+
+    def entry(i: int, k: int) -> Array:
+        own = free[i] * metric[i, k] * free[k]
+        return own + (1.0 - free[i]) * metric[i, i] if i == k else own
+
+    a, b, c = entry(0, 0), entry(0, 1), entry(0, 2)
+    d, e, f = entry(1, 1), entry(1, 2), entry(2, 2)
+    ratio, other = b / a, c / a
+    d, e, f = d - ratio * b, e - ratio * c, f - other * c
+    second, third = slope[1] - ratio * slope[0], slope[2] - other * slope[0]
+    z = (third - e / d * second) / (f - e * e / d)
+    y = (second - e * z) / d
+    return jnp.stack([(slope[0] - b * y - c * z) / a, y, z])

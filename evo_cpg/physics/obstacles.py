@@ -1,0 +1,235 @@
+"""Where a creature touches blocks and boulders: with edges and sides as well as corners and ends.
+
+Blocks are boxes and boulders are balls, so nearest points are found as those of two bodies of a
+creature are (`evo_cpg.physics.separation`). Of the obstacles of each kind the two that are nearest
+to a part's centre count, and of the points that it has with them the deepest few.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from evo_cpg.physics.box_separation import separation_of_boxes
+from evo_cpg.physics.ellipsoids import nearest_to_ball, nearest_to_box
+from evo_cpg.physics.footing import NEAREST, ContactPoints, Parts, Solids
+from evo_cpg.physics.kinematics import Kinematics
+from evo_cpg.physics.per_body import take
+from evo_cpg.physics.separation import (
+    RoundedBoxes,
+    Separation,
+    separation_of_line_and_box,
+    separation_of_lines,
+)
+from evo_cpg.physics.terrain import Block, Boulder, Obstacle
+from evo_cpg.spatial.linear import (
+    array_of,
+    cosine_sine,
+    cross,
+    dot,
+    expand_dims_like,
+    matmul,
+    matvec,
+    matvec_t,
+    where_each,
+)
+
+# By so much (m) each further point with one obstacle counts as less deep, so that a part that lies
+# on two has points with both.
+_BEHIND = 1e-3
+
+# Squared length (m^2) added under a root so that it has a gradient at zero.
+_FLOOR = 1e-20
+
+
+class _Placed(NamedTuple):
+    """Parts of a creature as they are now.
+
+    Attributes:
+        at: the same as rounded boxes.
+        origin: of their bodies, m.
+        linear: velocity of that, m/s.
+        angular: rad/s.
+    """
+
+    at: RoundedBoxes
+    origin: Float[Array, "3 p *n"]
+    linear: Float[Array, "3 p *n"]
+    angular: Float[Array, "3 p *n"]
+
+
+def obstacle_points(
+    solids: Solids, obstacles: tuple[Obstacle, ...], kin: Kinematics
+) -> list[ContactPoints]:
+    """The points at which parts of a creature may touch obstacles, in the order of their places.
+
+    Args:
+        solids: the parts.
+        obstacles: at least one.
+        kin: kinematics of the creature.
+    """
+    blocks = tuple(x for x in obstacles if isinstance(x, Block))
+    boulders = tuple(x for x in obstacles if isinstance(x, Boulder))
+    found = []
+    for parts, places, on_block, on_boulder in (
+        (solids.boxes, solids.places[0], _box_on_block, _box_on_boulder),
+        (solids.lines, solids.places[1], _line_on_block, _line_on_boulder),
+        (solids.balls, solids.places[2], _ball_on_block, _line_on_boulder),
+        (solids.ellipsoids, solids.places[3], _ellipsoid_on_block, _ellipsoid_on_boulder),
+    ):
+        if parts.bodies:
+            placed = _place(parts, kin)
+            candidates = [
+                (point.gap + rank * _BEHIND, point)
+                for kind, touch in ((blocks, on_block), (boulders, on_boulder))
+                for obstacle in _nearest(kind, placed.at.centre)
+                for rank, point in enumerate(touch(placed, obstacle))
+            ]
+            found += _first(candidates, places)
+    return found
+
+
+def _place(parts: Parts, kin: Kinematics) -> _Placed:
+    bodies = np.array(parts.bodies)
+    rotation, origin = take(kin.rotation, bodies, 2), take(kin.origin, bodies)
+    centre = origin + matvec(rotation, expand_dims_like(parts.centre, origin))
+    axes = rotation
+    if parts.axes is not None:
+        axes = matmul(rotation, expand_dims_like(parts.axes, rotation))
+    half = expand_dims_like(parts.half_extents, origin) + 0 * centre
+    radius = expand_dims_like(parts.radius, origin[0]) + 0 * centre[0]
+    speeds = take(kin.linear, bodies), take(kin.angular, bodies)
+    return _Placed(RoundedBoxes(centre, axes, half, radius), origin, *speeds)
+
+
+def _nearest(obstacles: tuple[Obstacle, ...], point: Float[Array, "3 p *n"]) -> list[RoundedBoxes]:
+    """Of each point the nearest obstacles, the first of them first, all of one kind."""
+    best: list[tuple[Array, RoundedBoxes]] = []
+    for obstacle in obstacles:
+        new = obstacle.distance(point)[0], _as_box(obstacle, point)
+        for k, old in enumerate(best):
+            closer = new[0] < old[0]
+            best[k], new = where_each(closer, new, old), where_each(closer, old, new)
+        if len(best) < NEAREST:
+            best.append(new)
+    return [box for _, box in best]
+
+
+def _as_box(obstacle: Obstacle, like: Float[Array, "3 p *n"]) -> RoundedBoxes:
+    """A block without radius, or a boulder without extent."""
+    none = jnp.zeros_like(like[0])
+
+    def spread(values: object) -> Array:
+        return expand_dims_like(array_of(values), like) + 0 * like
+
+    one = none + 1.0
+    if isinstance(obstacle, Block):
+        c, s = (expand_dims_like(array_of(x), none) + none for x in cosine_sine(obstacle.heading))
+        half, radius = spread(obstacle.half_extents), none
+    else:
+        c, s, half = one, none, jnp.zeros_like(like)
+        radius = expand_dims_like(array_of(obstacle.radius), none) + none
+    rows = [[c, -s, none], [s, c, none], [none, none, one]]
+    axes = jnp.stack([jnp.stack(row) for row in rows])
+    return RoundedBoxes(spread(obstacle.centre), axes, half, radius)
+
+
+def _first(candidates: list[tuple[Array, ContactPoints]], count: int) -> list[ContactPoints]:
+    """Of every part the points with the smallest keys."""
+    best: list[tuple[Array, ContactPoints]] = candidates[:0]
+    for new in candidates:
+        for k, old in enumerate(best) if len(candidates) > count else ():
+            better = new[0] < old[0]
+            best[k], new = where_each(better, new, old), where_each(better, old, new)
+        if len(best) < count:
+            best.append(new)
+    return [point for _, point in best]
+
+
+def _box_on_block(parts: _Placed, block: RoundedBoxes) -> list[ContactPoints]:
+    corner, *beside, across = separation_of_boxes(block, parts.at, corners=4)
+    return [_point(parts, x) for x in (corner, across, *beside)]
+
+
+def _box_on_boulder(parts: _Placed, boulder: RoundedBoxes) -> list[ContactPoints]:
+    return [_point(parts, separation_of_line_and_box(boulder, parts.at)[0], 1.0)]
+
+
+def _line_on_block(parts: _Placed, block: RoundedBoxes) -> list[ContactPoints]:
+    found = separation_of_line_and_box(parts.at, block)
+    return [_point(parts, _turned_round(x)) for x in found]
+
+
+def _ball_on_block(parts: _Placed, block: RoundedBoxes) -> list[ContactPoints]:
+    return _line_on_block(parts, block)[:1]
+
+
+def _line_on_boulder(parts: _Placed, boulder: RoundedBoxes) -> list[ContactPoints]:
+    return [_point(parts, separation_of_lines(boulder, parts.at)[0])]
+
+
+def _ellipsoid_on_block(parts: _Placed, block: RoundedBoxes) -> list[ContactPoints]:
+    return [_on_ellipsoid(parts, *nearest_to_box(*parts.at[:3], block))]
+
+
+def _ellipsoid_on_boulder(parts: _Placed, boulder: RoundedBoxes) -> list[ContactPoints]:
+    found = nearest_to_ball(*parts.at[:3], boulder.centre, boulder.radius)
+    return [_on_ellipsoid(parts, *found)]
+
+
+def _turned_round(found: Separation) -> Separation:
+    """From the second body to the first."""
+    gap, normal, first, second, carried = found
+    return Separation(gap, -normal, second, first, carried[::-1])
+
+
+def _point(parts: _Placed, found: Separation, carried: float | None = None) -> ContactPoints:
+    """A point of separations from obstacles to parts.
+
+    Args:
+        parts: of the creature.
+        found: what is nearest.
+        carried: share of the normal that turns with the part, instead of the separation's.
+    """
+    arm = found.second - parts.origin
+    share = found.carried[1] if carried is None else carried * jnp.ones_like(found.gap)
+    velocity = parts.linear + cross(parts.angular, arm)
+    turning = share[None] * parts.angular
+    # A normal that turns meets another part of what slides past it.
+    bend = -2.0 * dot(cross(found.normal, turning), velocity)
+    return ContactPoints(
+        arm, arm + parts.at.radius[None] * found.normal, found.gap, found.normal, bend
+    )
+
+
+def _on_ellipsoid(parts: _Placed, gap: Array, normal: Array) -> ContactPoints:
+    at = parts.at
+    spoke, bend = tangent_point(at.axes, at.half_extents, normal, parts.angular)
+    arm = at.centre + spoke - parts.origin
+    return ContactPoints(arm, arm, gap, normal, bend)
+
+
+def tangent_point(
+    axes: Float[Array, "3 3 p *n"],
+    semi_axes: Float[Array, "3 p *#n"],
+    normal: Float[Array, "3 p *n"],
+    angular: Float[Array, "3 p *n"],
+) -> tuple[Float[Array, "3 p *n"], Float[Array, "p *n"]]:
+    """From an ellipsoid's centre to where a plane touches it, m, and the `bend` there.
+
+    Args:
+        axes: of the ellipsoid, as columns.
+        semi_axes: m.
+        normal: of the plane, towards the ellipsoid.
+        angular: rad/s.
+    """
+    stretched = semi_axes * matvec_t(axes, normal)
+    length = jnp.sqrt(dot(stretched, stretched) + _FLOOR)
+    spoke = -matvec(axes, semi_axes * stretched / length[None])
+    # The centre's height over the plane is s = |A R^T n|, and s'' that of a point of the body and
+    # k . B k - s'^2, over s, with k = n x w and B = R A^2 R^T.
+    slide = cross(normal, angular)
+    across = semi_axes * matvec_t(axes, slide)
+    rate = dot(slide, spoke)
+    return spoke, (rate * rate - dot(across, across)) / length

@@ -1,0 +1,180 @@
+"""Bodies among blocks and boulders: nothing passes through an edge, by points of both surfaces."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+
+from creatures import quick_jit
+from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Sphere
+from evo_cpg.physics.ellipsoids import nearest_to_ball, nearest_to_box
+from evo_cpg.physics.separation import RoundedBoxes
+from evo_cpg.physics.step import step
+from evo_cpg.physics.terrain import Block, Boulder, Plane
+from evo_cpg.spatial.rotation import euler_to_matrix, quaternion_to_matrix
+from on_ground import H, alone, record, released
+
+COUNT, STEPS = 24, 120
+SHAPES = {
+    "box": Box((0.3, 0.12, 0.06)),
+    "capsule": Capsule(0.03, 0.3),
+    "ball": Sphere(0.08),
+    "ellipsoid": Ellipsoid((0.15, 0.06, 0.03)),
+}
+RUBBLE = (
+    Block((0.0, 0.0, 0.0), (0.1, 0.4, 0.1), 0.3),
+    Block((0.35, 0.0, 0.0), (0.1, 0.4, 0.1)),
+    Boulder((0.15, 0.3, 0.0), 0.15),
+    Boulder((0.1, -0.4, 0.0), 0.15),
+)
+
+
+def surface(shape, count=400):
+    """Points all over it, and those along the edges of a box."""
+    rng = np.random.default_rng(0)
+    ways = rng.normal(size=(count, 3))
+    ways /= np.linalg.norm(ways, axis=1)[:, None]
+    if isinstance(shape, Box):
+        signs = rng.choice([-1.0, 1.0], (count, 3))
+        on_edges = np.where(np.arange(3) == rng.integers(0, 3, count)[:, None], ways, signs)
+        return np.concatenate([ways / np.abs(ways).max(1)[:, None], on_edges]) * shape.half_extents
+    if isinstance(shape, Capsule):
+        along = rng.uniform(-0.5, 0.5, count) * shape.length
+        return ways * shape.radius + along[:, None] * [1.0, 0.0, 0.0]
+    return ways * shape.half_extents
+
+
+def surface_of(obstacle):
+    if isinstance(obstacle, Boulder):
+        return surface(Sphere(obstacle.radius)) + obstacle.centre
+    turn = euler_to_matrix(0.0, 0.0, obstacle.heading)
+    size = 2 * np.array(obstacle.half_extents)
+    return surface(Box(tuple(size))) @ turn.T + obstacle.centre
+
+
+def overlap(shape, position, orientation):
+    """How deep a body is in the rubble, or the rubble in it, m, ``(individuals,)``."""
+    turn = np.asarray(quaternion_to_matrix(jnp.asarray(orientation)))
+    own = np.einsum("ijn,pj->ipn", turn, surface(shape)) + position[:, None]
+    gap = [np.asarray(part.distance(own)[0]).min(0) for part in RUBBLE]
+    theirs = np.concatenate([surface_of(part) for part in RUBBLE]).T
+    inside = np.einsum("jin,jpn->npi", turn, theirs[:, :, None] - position[:, None])
+    # `Shape.distance` of an ellipsoid is not exact, but near its surface.
+    gap += [np.array([shape.distance(points).min() for points in inside])]
+    return np.maximum(-np.min(gap, 0), 0.0)
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_nothing_that_is_thrown_passes_through(x64, name):
+    shape = SHAPES[name]
+    world = alone(shape, restitution=0.3, obstacles=RUBBLE, floor=Plane((0.0, 0.0, 1.0), -0.1))
+    rng = np.random.default_rng(5)
+    place = rng.uniform([[-0.2], [-0.4], [0.3]], [[0.5], [0.4], [0.5]], (3, COUNT))
+    speed = np.concatenate([rng.normal(0, 3, (3, COUNT)), rng.normal(0, 0.5, (3, COUNT))])
+    speed[5] -= 3.0
+    turns = rng.normal(size=(4, COUNT))
+    start = released(world, place, speed)
+    turns = jnp.asarray(turns / np.linalg.norm(turns, axis=0))
+    start = dataclasses.replace(start, orientation=turns)
+
+    def advance(state, _):
+        state, effort = step(world, state, jnp.zeros_like(state.q), H)
+        return state, (state, effort.residual.solved, effort.support)
+
+    whole = quick_jit(lambda s: jax.lax.scan(advance, s, length=STEPS)[1])
+    states, residual, support = jax.tree.map(np.asarray, whole(start))
+    on_floor = {"box": 4, "capsule": 2}.get(name, 1)
+    assert (support[:, 2, on_floor:] > 0).any((0, 1)).mean() > 0.8
+    assert residual.max() < 1e-9
+    pairs = zip(states.position[::4], states.orientation[::4], strict=True)
+    deep = np.array([overlap(shape, *pair) for pair in pairs])
+    assert np.quantile(deep, 0.99) < 1e-3
+    assert deep.max() < 8e-3
+
+
+def test_a_beam_bridges_two_blocks_and_lies_across_an_edge(x64):
+    """A box and a capsule whose ends are in the air rest with their sides on the edges."""
+    gap = Block((-0.3, 0.0, 0.1), (0.1, 0.3, 0.1)), Block((0.3, 0.0, 0.1), (0.1, 0.3, 0.1))
+    for shape, half in ((Box((1.0, 0.1, 0.06)), 0.03), (Capsule(0.03, 1.0), 0.03)):
+        world = alone(shape, obstacles=gap)
+        states, _ = record(world, released(world, [[0.05], [0.0], [0.2 + half]]), 240)
+        assert float(states.position[-1, 2, 0]) == pytest.approx(0.2 + half, abs=1e-4)
+        assert np.abs(np.asarray(states.velocity)[-1]).max() < 1e-3
+
+
+def test_a_box_lies_on_a_boulders_top(x64):
+    """Its corners are far from it: the ball's top holds its lower face."""
+    world = alone(Box((1.0, 1.0, 0.1)), static=0.8, obstacles=(Boulder((0.0, 0.0, 0.0), 0.3),))
+    states, _ = record(world, released(world, [[0.0], [0.0], [0.36]]), 60)
+    assert float(states.position[-1, 2, 0]) == pytest.approx(0.35, abs=1e-3)
+
+
+SEMI_AXES = np.array([0.15, 0.06, 0.02])
+
+
+def placed(rng, count):
+    axes = np.array([euler_to_matrix(*rng.uniform(-np.pi, np.pi, 3)) for _ in range(count)])
+    ways = rng.normal(size=(count, 3))
+    ways /= np.linalg.norm(ways, axis=1)[:, None]
+    return axes, ways
+
+
+def columns(values):
+    return jnp.asarray(np.moveaxis(np.asarray(values), 0, -1))
+
+
+def test_an_ellipsoid_is_as_far_from_a_ball_as_a_search_finds(x64):
+    count = 60
+    axes, ways = placed(np.random.default_rng(2), count)
+    centre = np.random.default_rng(3).uniform(0.25, 0.6, count)[:, None] * ways
+    radius = np.full(count, 0.1)
+    semi = np.tile(SEMI_AXES, (count, 1))
+    gap, normal = quick_jit(nearest_to_ball)(
+        columns(centre), columns(axes), columns(semi), jnp.zeros((3, count)), jnp.asarray(radius)
+    )
+    for n in range(count):
+
+        def distance(angles, n=n):
+            c, s = np.cos(angles), np.sin(angles)
+            point = np.array([c[0] * c[1], s[0] * c[1], s[1]])
+            return np.linalg.norm(centre[n] + axes[n] @ (SEMI_AXES * point))
+
+        tries = [(a, b) for a in np.arange(-3, 3.1, 1.0) for b in (-1.0, 0.0, 1.0)]
+        best = min(tries, key=lambda t: distance(np.array(t)))
+        exact = {"xatol": 1e-10, "fatol": 1e-14, "maxiter": 2000}
+        found = minimize(distance, best, method="Nelder-Mead", options=exact).fun
+        assert float(gap[n]) == pytest.approx(found - 0.1, abs=1e-6)
+    np.testing.assert_allclose(np.linalg.norm(normal, axis=0), 1.0, atol=1e-9)
+
+
+def test_an_ellipsoid_touches_a_box_where_a_plane_parts_them(x64):
+    """Moved by its gap along the normal it touches, and not before: by points of the box."""
+    count, rng = 200, np.random.default_rng(4)
+    axes, ways = placed(rng, count)
+    half = np.array([0.25, 0.1, 0.2])
+    centre = ways / np.abs(ways / half).max(1)[:, None] * rng.uniform(1.0, 1.3, (count, 1))
+    semi = np.tile(SEMI_AXES, (count, 1))
+    straight = np.tile(np.eye(3), (count, 1, 1))
+    box = RoundedBoxes(
+        jnp.zeros((3, count)),
+        columns(straight),
+        columns(np.tile(half, (count, 1))),
+        jnp.zeros(count),
+    )
+    gap, normal = map(
+        np.asarray, quick_jit(nearest_to_box)(columns(centre), columns(axes), columns(semi), box)
+    )
+    np.testing.assert_allclose(np.linalg.norm(normal, axis=0), 1.0, atol=1e-6)
+    moved = centre - (gap * normal).T
+    points = surface(Box(tuple(2 * half)), 20_000)
+    near = 0
+    for n in range(count):
+        own = (points - moved[n]) @ axes[n] / SEMI_AXES
+        least = np.sqrt((own * own).sum(1).min())
+        # It may be less far from the box than it was before by its gap, never deeper.
+        assert least > 0.98
+        near += least < 1.1
+    assert near > 0.5 * count

@@ -1,0 +1,43 @@
+"""Bodies that spin fast in free flight keep energy and momentum, at any step."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from creatures import quick_jit
+from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid
+from evo_cpg.physics.step import step
+from evo_cpg.spatial.rotation import quaternion_to_matrix
+from on_ground import alone, released
+
+
+@pytest.mark.parametrize("h", [1 / 240, 1 / 60])
+@pytest.mark.parametrize(
+    "shape", [Capsule(0.03, 0.3), Ellipsoid((0.15, 0.06, 0.03)), Box((0.3, 0.12, 0.06))]
+)
+def test_a_tumbling_body_keeps_its_energy_and_momentum(x64, shape, h):
+    """Their size; the direction of the momentum drifts, as positions follow the new velocity."""
+    world, count = alone(shape), 12
+    rng = np.random.default_rng(0)
+    spin = rng.normal(size=(3, count))
+    spin *= np.array([5.0, 20.0, 40.0])[np.arange(count) % 3] / np.linalg.norm(spin, axis=0)
+    start = released(world, np.full((3, count), 50.0), np.concatenate([spin, 0 * spin]))
+
+    def advance(state, _):
+        state, _ = step(world, state, jnp.zeros_like(state.q), h)
+        return state, (state.orientation, state.velocity)
+
+    steps = round(2 / h)
+    orientation, velocity = quick_jit(lambda s: jax.lax.scan(advance, s, length=steps)[1])(start)
+    turn = np.asarray(quaternion_to_matrix(jnp.moveaxis(orientation, 1, 0)))
+    own = np.einsum("ijtn,tin->jtn", turn, np.asarray(velocity)[:, :3])
+    momentum = np.einsum("ij,jtn->itn", world.tree.inertia[:3, :3, 0], own)
+    energy, size = (own * momentum).sum(0), np.linalg.norm(momentum, axis=0)
+    wobble = 0.3 if h > 1 / 100 else 0.02
+    assert (energy.max(0) / energy[0]).max() < 1 + wobble
+    assert (energy.min(0) / energy[0]).min() > 1 - wobble
+    assert (size.max(0) / size.min(0)).max() < 1 + wobble
+    # Nothing grows from one half of the time to the other.
+    first, second = np.split(energy, 2)
+    assert (second.max(0) / first.max(0)).max() < 1.01
