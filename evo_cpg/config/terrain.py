@@ -16,7 +16,7 @@ from evo_cpg.config.schema.ground import (
     ShoreConfig,
 )
 from evo_cpg.physics.footing import Ground
-from evo_cpg.physics.terrain import Block, Boulder, Part, Plane, Relief, Shore
+from evo_cpg.physics.terrain import Block, Boulder, Obstacle, Part, Plane, Relief, Shore
 from evo_cpg.spatial.numerics import xp
 
 _FLOOR = ("world", "ground", "floor")
@@ -49,7 +49,7 @@ def _floor(config: PlaneConfig | ShoreConfig | HillsConfig | ReliefConfig) -> Pa
     return Relief(heights, corner, config.spacing)
 
 
-def _obstacle(config: BoulderConfig | BlockConfig) -> Part:
+def _obstacle(config: BoulderConfig | BlockConfig) -> Obstacle:
     if isinstance(config, BoulderConfig):
         return Boulder(config.centre, config.radius)
     x, y, z = config.size

@@ -36,7 +36,7 @@ def contact_points(footing: Footing, kin: Kinematics, h: float = 0.0) -> Contact
     """
     ground = footing.ground
     found = _lowest(footing, kin, (ground.floor,), h)
-    if ground.obstacles:
+    if footing.solids is not None:
         # A mesh meets them with its corners and with an ellipsoid within it.
         found += _lowest(footing, kin, ground.obstacles, h, meshes_only=True)
         found += obstacle_points(footing.solids, ground.obstacles, kin)

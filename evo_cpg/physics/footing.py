@@ -139,7 +139,7 @@ class Footing(NamedTuple):
         meshes: corners of each mesh, m; meshes with fewer have the last one several times.
         radii: of the balls, m.
         semi_axes: of the ellipsoids, m.
-        solids: what may touch obstacles.
+        solids: what may touch obstacles; None where there are none.
         centre: of each box and mesh (once), ball and ellipsoid in the body's working frame, m.
         restitution: of the body on this ground, for every place.
         static_friction: likewise.
@@ -153,7 +153,7 @@ class Footing(NamedTuple):
     meshes: Float[np.ndarray, "3 corners meshes"]
     radii: Float[np.ndarray, " balls"]
     semi_axes: Float[np.ndarray, "3 ellipsoids"]
-    solids: Solids
+    solids: Solids | None
     centre: Float[np.ndarray, "3 parts"]
     restitution: Float[np.ndarray, " p"]
     static_friction: Float[np.ndarray, " p"]
@@ -205,8 +205,9 @@ def make_footing(creature: Creature, tree: Tree, ground: Ground) -> Footing:
     corners = [i for i, *_ in boxes for _ in range(CORNERS)]
     of_meshes = [i for i, *_ in meshes for _ in range(CORNERS)]
     bodies = corners + of_meshes + [i for i, *_ in balls + ellipsoids]
-    solids = _make_solids(creature, tree, ground.obstacles)
+    solids = None
     if ground.obstacles:
+        solids = _make_solids(creature, tree, ground.obstacles)
         bodies += [*of_meshes, *solids.bodies]
     materials = [creature.bodies[creature.body_index(tree.names[i])].material for i in bodies]
 
@@ -245,22 +246,21 @@ def combine(rule: Combination, first: Number, second: Number) -> Number:
 
 
 def _make_solids(creature: Creature, tree: Tree, obstacles: tuple[Obstacle, ...]) -> Solids:
-    kinds: tuple[list, ...] = ([], [], [], [])
+    boxes, lines, balls, ellipsoids = [], [], [], []
     for i, name in enumerate(tree.names):
         shape = creature.bodies[creature.body_index(name)].shape
-        box, none, axes = shape.rounded_box, np.zeros(3), None
+        box, none = shape.rounded_box, np.zeros(3)
         if isinstance(shape, ConvexMesh):
             semi_axes, axes = shape.inner_ellipsoid
-            kinds[3].append((i, none, axes, semi_axes, 0.0))
+            ellipsoids.append((i, none, axes, semi_axes, 0.0))
         elif isinstance(shape, Ellipsoid):
-            kinds[3].append((i, none, axes, shape.half_extents, 0.0))
+            ellipsoids.append((i, none, None, shape.half_extents, 0.0))
         else:
-            kind = 0 if isinstance(shape, Box) else 1 if isinstance(shape, Capsule) else 2
-            kinds[kind].append((i, box.centre, axes, box.half_extents, box.radius))
+            kind = {Box: boxes, Capsule: lines}.get(type(shape), balls)
+            kind.append((i, box.centre, None, box.half_extents, box.radius))
 
     def parts(found: list) -> Parts:
-        bodies = tuple(i for i, *_ in found)
-        _, centre, axes, half, radius = zip(*found, strict=True) if found else ((),) * 5
+        bodies, centre, axes, half, radius = zip(*found, strict=True) if found else ((),) * 5
         return Parts(
             bodies,
             tree.com[:, np.array(bodies, int)] + xp.array(centre, float).reshape(-1, 3).T,
@@ -272,10 +272,11 @@ def _make_solids(creature: Creature, tree: Tree, obstacles: tuple[Obstacle, ...]
     blocks, boulders = (
         min(NEAREST, sum(isinstance(x, kind) for x in obstacles)) for kind in (Block, Boulder)
     )
-    boxes, lines, balls, ellipsoids = (
+    of_box, of_line, of_ball, of_ellipsoid = (
         min(most, blocks * each + boulders) for most, each in zip(_PLACES, _ON_BLOCK, strict=True)
     )
-    return Solids(*map(parts, kinds), (boxes, lines, balls, ellipsoids))
+    places = of_box, of_line, of_ball, of_ellipsoid
+    return Solids(parts(boxes), parts(lines), parts(balls), parts(ellipsoids), places)
 
 
 def _turned(axes: np.ndarray | None) -> np.ndarray:
