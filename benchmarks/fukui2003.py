@@ -8,8 +8,9 @@ proposes for a walk. Noise and walk get half of the generations. Beside them: an
 posture, and random search.
 
 What is done already in OUT is taken from there; with the NAMEs of experiments, only these are
-evolved and nothing is reported. OUT/study.json, OUT/*.png and the run folders under OUT hold the
-results; docs/reproduction/fukui2003.md reports them.
+evolved, and only which model goes farthest is reported, if all three are among them.
+OUT/models.json, OUT/study.json, OUT/*.png and the run folders under OUT hold the results;
+docs/reproduction/fukui2003.md reports them.
 """
 
 import json
@@ -54,10 +55,8 @@ EXPERIMENTS = {
 MODELS = ("model1", "model2", "model3")
 WALKS = {model: f"{model}, walk" for model in MODELS}
 NOISES = [name for name in EXPERIMENTS if name.startswith("noise")]
-PAIRS = (
-    ("model2", "model3"),
-    ("model3", "model1"),
-    ("model2", "model1"),
+MODEL_PAIRS = (("model2", "model3"), ("model3", "model1"), ("model2", "model1"))
+NOISE_PAIRS = (
     ("model1", "noise, 7 kept"),
     ("noise, 7 kept", "noise, 5 kept"),
     ("noise, 7 kept", "noise, 3 copies"),
@@ -226,14 +225,34 @@ def draw_run_or_walk(champions: dict[str, dict[str, dict]], path: Path) -> None:
     figure.savefig(path, dpi=130)
 
 
-def compare(experiments: dict[str, dict], value: str) -> dict[str, float]:
-    """Whether a value differs from the runs of one experiment to another's: p, two-sided."""
+def compare(
+    experiments: dict[str, dict], pairs: Sequence[tuple[str, str]]
+) -> dict[str, dict[str, float]]:
+    """Whether values differ from the runs of one experiment to another's: p, two-sided."""
     return {
-        f"{first} / {second}": float(
-            stats.mannwhitneyu(experiments[first][value], experiments[second][value]).pvalue
-        )
-        for first, second in PAIRS
+        value: {
+            f"{first} / {second}": float(
+                stats.mannwhitneyu(experiments[first][value], experiments[second][value]).pvalue
+            )
+            for first, second in pairs
+        }
+        for value in ("champions_m", "last_tenth_median_m")
     }
+
+
+def report_models(out: Path, generations: int, runs: dict[str, Checkpoint]) -> None:
+    """Which of the three models goes farthest."""
+    bests = {model: best_distances(runs[model], generations) for model in MODELS}
+    experiments = {model: summary(best) for model, best in bests.items()}
+    farthest = [experiments[model]["champions_m"] for model in MODELS]
+    found = {
+        "generations": generations,
+        "experiments": experiments,
+        "kruskal_models_p": float(stats.kruskal(*farthest).pvalue),
+        "mann_whitney_p": compare(experiments, MODEL_PAIRS),
+    }
+    (out / "models.json").write_text(json.dumps(found, indent=1))
+    draw(bests, out / "fukui2003_models.png", single_runs=True)
 
 
 def main(out: Path, generations: int, names: Sequence[str] = ()) -> None:
@@ -243,13 +262,13 @@ def main(out: Path, generations: int, names: Sequence[str] = ()) -> None:
     for name in names or EXPERIMENTS:
         runs[name] = evolve(out, name, generation_count(name, generations), devices)
         print(f"{name}: done", flush=True)
+    if set(MODELS) <= set(runs):
+        report_models(out, generations, runs)
     if names:
         return
     bests = {
-        name: best_distances(runs[name], generation_count(name, generations))
-        for name in (*MODELS, *NOISES)
+        name: best_distances(runs[name], generation_count(name, generations)) for name in NOISES
     }
-    experiments = {name: summary(best) for name, best in bests.items()}
     measured = {
         model: measure(
             out,
@@ -259,22 +278,17 @@ def main(out: Path, generations: int, names: Sequence[str] = ()) -> None:
         )
         for model in MODELS
     }
+    without = best_distances(runs["model1"], generations)
+    experiments = {name: summary(best) for name, best in ({"model1": without} | bests).items()}
     study = {
         "generations": generations,
         "experiments": experiments,
         "measured": measured,
-        "kruskal_models_p": float(
-            stats.kruskal(*(experiments[model]["champions_m"] for model in MODELS)).pvalue
-        ),
-        "mann_whitney_p": {
-            value: compare(experiments, value) for value in ("champions_m", "last_tenth_median_m")
-        },
+        "mann_whitney_p": compare(experiments, NOISE_PAIRS),
     }
     (out / "study.json").write_text(json.dumps(study, indent=1))
-    draw({model: bests[model] for model in MODELS}, out / "fukui2003_models.png", single_runs=True)
     draw(
-        {"no noise": bests["model1"][: generation_count(NOISES[0], generations)]}
-        | {name: bests[name] for name in NOISES},
+        {"no noise": without[: generation_count(NOISES[0], generations)]} | bests,
         out / "fukui2003_noise.png",
         single_runs=False,
     )
