@@ -17,8 +17,8 @@ from jaxtyping import Array, Float
 from evo_cpg.physics.separation import RoundedBoxes
 from evo_cpg.spatial.linear import dot, matmul, matvec, matvec_t, t_matmul
 
-# Newton steps for the nearest point to a ball's centre: from the surface to 30 semi-axes away it is
-# exact to 1e-7 of them.
+# Newton steps for the nearest point to a ball's centre: of 6000 from the surface to 30 semi-axes
+# away the worst gap was wrong by 2e-7 m, for an ellipsoid of 0.15, 0.06 and 0.02 m.
 _ROOT_STEPS = 5
 
 # Rounds for the point of a box: after one 1 of 2000 random pairs was wrong, after two none.

@@ -216,7 +216,7 @@ def tangent_point(
     normal: Float[Array, "3 p *n"],
     angular: Float[Array, "3 p *n"],
 ) -> tuple[Float[Array, "3 p *n"], Float[Array, "p *n"]]:
-    """From an ellipsoid's centre to where a plane touches it, m, and the `bend` there.
+    """Where a plane touches an ellipsoid, from its centre, m, and `ContactPoints.bend`, m/s^2.
 
     Args:
         axes: of the ellipsoid, as columns.

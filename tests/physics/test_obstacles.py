@@ -69,6 +69,10 @@ def overlap(shape, position, orientation):
 
 @pytest.mark.parametrize("name", SHAPES)
 def test_nothing_that_is_thrown_passes_through(x64, name):
+    """The bound is half of the way that the fastest of their points go in a step, at 4 m/s.
+
+    The deepest was a capsule, by 5.1 mm; in 99 % of the steps looked at they are less than 1 mm deep.
+    """
     shape = SHAPES[name]
     world = alone(shape, restitution=0.3, obstacles=RUBBLE, floor=Plane((0.0, 0.0, 1.0), -0.1))
     rng = np.random.default_rng(5)
@@ -92,7 +96,7 @@ def test_nothing_that_is_thrown_passes_through(x64, name):
     pairs = zip(states.position[::4], states.orientation[::4], strict=True)
     deep = np.array([overlap(shape, *pair) for pair in pairs])
     assert np.quantile(deep, 0.99) < 1e-3
-    assert deep.max() < 8e-3
+    assert deep.max() < 0.5 * 4.0 * H
 
 
 def test_a_beam_bridges_two_blocks_and_lies_across_an_edge(x64):
