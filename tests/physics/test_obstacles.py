@@ -71,7 +71,7 @@ def overlap(shape, position, orientation):
 def test_nothing_that_is_thrown_passes_through(x64, name):
     """The bound is half of the way that the fastest of their points go in a step, at 4 m/s.
 
-    The deepest was a capsule, by 5.1 mm; in 99 % of the steps looked at they are less than 1 mm deep.
+    The deepest was a capsule, by 5.1 mm; in 99 % of the steps looked at nothing is 1 mm deep.
     """
     shape = SHAPES[name]
     world = alone(shape, restitution=0.3, obstacles=RUBBLE, floor=Plane((0.0, 0.0, 1.0), -0.1))
