@@ -78,8 +78,8 @@ def thrash(exercise: Exercise, count: int, seconds: float, dtype: type) -> Thras
         state, warmstart = carry
         new, effort = step(world, state, *_both(exercise.command(told, index), h), warmstart)
         kin = kinematics(world.tree, new)
-        assert effort.support is not None and effort.residual is not None
-        touches = (effort.support[2] > 0).any(0)
+        assert effort.contact_frame_force is not None and effort.residual is not None
+        touches = (effort.contact_frame_force[2] > 0).any(0)
         overlap = jnp.zeros_like(effort.energy)
         if world.pairs is not None:
             overlap = jnp.maximum(-separations(world.pairs, kin).gap.min(0), 0.0)

@@ -151,8 +151,8 @@ MUTANTS = (
     ),
     Mutant(
         "physics/contact.py",
-        "support = stiffness * jnp.maximum(short, 0.0)",
-        "support = stiffness * short",
+        "normal_force = stiffness * jnp.maximum(short, 0.0)",
+        "normal_force = stiffness * short",
         "physics/test_contact.py physics/test_walker_contacts.py",
     ),
     Mutant(

@@ -83,8 +83,11 @@ def stander(world: World, h: float) -> Callable[[float], Standing]:
             share = jnp.minimum((index + 1) * h / LOADING, 1.0)
             loaded = dataclasses.replace(slope, gravity=world.gravity * share)
             state, effort = step(loaded, state, still, h, still, warmstart)
-            assert effort.support is not None
-            return (state, effort.warmstart), (state.position[:, 0], effort.support[2, :, 0])
+            assert effort.contact_frame_force is not None
+            return (state, effort.warmstart), (
+                state.position[:, 0],
+                effort.contact_frame_force[2, :, 0],
+            )
 
         steps = jnp.arange(round((LOADING + SETTLING) / h))
         (end, _), (way, support) = jax.lax.scan(advance, (start, warmstart), steps)

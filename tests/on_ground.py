@@ -59,7 +59,7 @@ def recorder(world: World, steps: int, h: float = H):
 
         def advance(s, _):
             s, effort = step(changed, s, jnp.zeros_like(s.q), h)
-            return s, (s, effort.support)
+            return s, (s, effort.contact_frame_force)
 
         return jax.lax.scan(advance, state, None, steps)[1]
 

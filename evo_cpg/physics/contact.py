@@ -20,11 +20,11 @@ Restitution point by point (Newton's hypothesis) can add energy to a tree. Where
 step with impacts would do work, ``v_bounce`` of all points of that animal is taken less, and at
 last not at all (`contact_work`, `bounded`).
 
-The laws have kinks; `evo_cpg.physics.newton` finds the motion that obeys them, with lines in their
-place (`ContactLines`). The contact of an edge or a face is that of its corners. Bodies of one
-creature that meet are in `evo_cpg.physics.pairs`.
+The laws have kinks; `evo_cpg.physics.newton` finds the motion that obeys them, linearizing them as
+it goes (`ContactLinearization`). The contact of an edge or a face with the floor is that of its
+corners. Bodies of one creature that meet are in `evo_cpg.physics.pairs`.
 
-Vectors of the laws are in the ground's own frame: two tangents, then the normal.
+Vectors of the laws are in the contact frame: two tangents, then the normal.
 """
 
 from typing import NamedTuple
@@ -54,11 +54,11 @@ from evo_cpg.spatial.numerics import Numbers
 
 # Baumgarte stabilisation: share of a penetration that is undone in a step, and the fastest way out
 # (m/s).
-_PUSH_SHARE, _PUSH_SPEED = 0.2, 0.5
+BAUMGARTE_SHARE, BAUMGARTE_SPEED = 0.2, 0.5
 
 # Restitution threshold: below this speed of approach (m/s) nothing bounces, above twice that
 # everything does.
-_BOUNCE_SPEED = 0.1
+_RESTITUTION_THRESHOLD = 0.1
 
 # v* of a point that is not to be held, m/s; infinity would spoil gradients.
 _OUT_OF_REACH = -1e4
@@ -71,9 +71,9 @@ _FLOOR = 1e-20
 
 
 class Contacts(NamedTuple):
-    """Where the places touch, or would, and what holds throughout one step.
+    """Where points touch, or would, and what holds throughout one step.
 
-    Velocities are those of the lowest points, in the ground's frame, in m/s.
+    Velocities are those of the lowest points, in the contact frame, in m/s.
 
     Attributes:
         arm: from the body's origin to the lowest point, world axes, m.
@@ -82,7 +82,7 @@ class Contacts(NamedTuple):
         wanted: v*; far below any velocity where the point is out of reach.
         push: the part of it that lifts a point out of the ground.
         bounce: v_bounce of points that hit the ground within the step; 0 of all others.
-        frame: rows are two tangents and the normal of the ground at every place.
+        frame: rows are two tangents and the normal of the ground at every contact point.
     """
 
     arm: Float[Array, "3 p *n"]
@@ -94,8 +94,8 @@ class Contacts(NamedTuple):
     frame: Float[Array, "3 3 p *n"]
 
 
-class ContactLines(NamedTuple):
-    """Lines in the place of the laws: ``f = force - K (v - velocity)``, tangents at a velocity.
+class ContactLinearization(NamedTuple):
+    """The laws linearized at a velocity: ``f = force - K (v - velocity)``.
 
     Attributes:
         velocity: at which they are, m/s.
@@ -111,10 +111,10 @@ class ContactLines(NamedTuple):
 
 
 def find_contacts(footing: Footing, kin: Kinematics, h: float) -> Contacts:
-    """The lowest point of every place, and the normal velocity that it should come to.
+    """The lowest point of every part, and the normal velocity that it should come to.
 
     Args:
-        footing: the places.
+        footing: what may touch.
         kin: kinematics of the creature at the start of the step.
         h: s.
     """
@@ -129,8 +129,8 @@ def find_contacts(footing: Footing, kin: Kinematics, h: float) -> Contacts:
 
     before, coasting = (matvec(frame, v) for v in (velocity, velocity + 0.5 * h * drift))
     approach = -before[2]
-    push = jnp.clip(-_PUSH_SHARE / h * gap, 0.0, _PUSH_SPEED)
-    share = jnp.clip(approach / _BOUNCE_SPEED - 1.0, 0.0, 1.0)
+    push = jnp.clip(-BAUMGARTE_SHARE / h * gap, 0.0, BAUMGARTE_SPEED)
+    share = jnp.clip(approach / _RESTITUTION_THRESHOLD - 1.0, 0.0, 1.0)
     bounce = expand_dims_like(footing.restitution, approach) * share * approach
     rest = jnp.where(gap > 0, -gap / h, push)
     near = gap < ground.margin
@@ -157,7 +157,7 @@ def contact_work(
     Args:
         contacts: of this step.
         velocity: at its end, m/s.
-        force: N, ground's frame.
+        force: N, contact frame.
         h: s.
     """
     mean = 0.5 * (contacts.before + velocity)
@@ -165,105 +165,108 @@ def contact_work(
 
 
 def resting_stiffness(footing: Footing, h: float) -> Float[Numbers, " p"]:
-    """Normal force on a place that rests per depth, N/m: there ``v* = v_n + f_n / c`` lifts it.
+    """Normal force on a point that rests per depth, N/m: there ``v* = v_n + f_n / c`` lifts it.
 
     It holds up to the depth from which the way out is no faster, ``5/2 h`` m/s.
     """
-    return footing.stiffness * _PUSH_SHARE / h**2
+    return footing.stiffness * BAUMGARTE_SHARE / h**2
 
 
-def friction_limit(
+def cone_radius(
     footing: Footing, contacts: Contacts, velocity: Float[Array, "3 p *n"], h: float
 ) -> Float[Array, "p *n"]:
-    """Largest tangential force of every point, ``mu(|v_t|) f_n``, N."""
+    """Radius of the friction cone of every point, ``mu(|v_t|) f_n``, N."""
     stiffness = expand_dims_like(footing.stiffness / h, velocity[2])
-    support = stiffness * jnp.maximum(contacts.wanted - velocity[2], 0.0)
+    normal_force = stiffness * jnp.maximum(contacts.wanted - velocity[2], 0.0)
     static, dynamic = (
-        expand_dims_like(mu, support) for mu in (footing.static_friction, footing.dynamic_friction)
+        expand_dims_like(mu, normal_force)
+        for mu in (footing.static_friction, footing.dynamic_friction)
     )
     ratio = _length(velocity) / footing.ground.stribeck_speed
-    return (dynamic + (static - dynamic) / (1.0 + ratio * ratio)) * support
+    return (dynamic + (static - dynamic) / (1.0 + ratio * ratio)) * normal_force
 
 
-def contact_lines(
+def linearize_contacts(
     footing: Footing,
     contacts: Contacts,
-    limit: Float[Array, "p *n"],
+    radius: Float[Array, "p *n"],
     velocity: Float[Array, "3 p *n"],
     h: float,
-) -> ContactLines:
-    """The tangents of the laws at some velocity.
+) -> ContactLinearization:
+    """The laws linearized at some velocity.
 
     Args:
-        footing: the places.
+        footing: what may touch.
         contacts: of this step.
-        limit: of friction, N.
+        radius: of the friction cones, N.
         velocity: m/s.
         h: s.
     """
-    stiffness = expand_dims_like(footing.stiffness / h, limit)
+    stiffness = expand_dims_like(footing.stiffness / h, radius)
     speed = _length(velocity)
     short = contacts.wanted - velocity[2]
-    sticks = stiffness * speed <= limit
-    share = _resistance(stiffness, limit, speed)
-    support = stiffness * jnp.maximum(short, 0.0)
-    force = jnp.stack([-share * velocity[0], -share * velocity[1], support])
+    sticks = stiffness * speed <= radius
+    share = _resistance(stiffness, radius, speed)
+    normal_force = stiffness * jnp.maximum(short, 0.0)
+    force = jnp.stack([-share * velocity[0], -share * velocity[1], normal_force])
     # Sliding friction keeps its size and turns with the velocity.
     along = jnp.where(sticks, 0.0, share / (speed * speed))
     x, y, _ = velocity
     tangential = jnp.stack([share - along * x * x, -along * x * y, share - along * y * y])
-    return ContactLines(velocity, force, tangential, jnp.where(short > 0, stiffness, 0.0))
+    return ContactLinearization(velocity, force, tangential, jnp.where(short > 0, stiffness, 0.0))
 
 
 def friction_change(
     footing: Footing,
-    limit: Float[Array, "p *n"],
+    radius: Float[Array, "p *n"],
     other: Float[Array, "p *n"],
     velocity: Float[Array, "3 p *n"],
     h: float,
 ) -> Float[Array, "p *n"]:
-    """By how much tangential forces at some velocity differ under two limits of friction, N."""
-    stiffness, speed = expand_dims_like(footing.stiffness / h, limit), _length(velocity)
-    change = _resistance(stiffness, other, speed) - _resistance(stiffness, limit, speed)
+    """By how much tangential forces (N) at some velocity differ under two friction cones."""
+    stiffness, speed = expand_dims_like(footing.stiffness / h, radius), _length(velocity)
+    change = _resistance(stiffness, other, speed) - _resistance(stiffness, radius, speed)
     return change * speed
 
 
-def _resistance(stiffness: Array, limit: Array, speed: Array) -> Array:
+def _resistance(stiffness: Array, radius: Array, speed: Array) -> Array:
     """Tangential force per speed, N s/m."""
-    return jnp.where(stiffness * speed <= limit, stiffness, limit / speed)
+    return jnp.where(stiffness * speed <= radius, stiffness, radius / speed)
 
 
-def line_force(lines: ContactLines, velocity: Float[Array, "3 p *n"]) -> Float[Array, "3 p *n"]:
-    """What the lines give at some velocity, N."""
-    x, y, z = velocity - lines.velocity
-    xx, xy, yy = lines.tangential
-    return lines.force - jnp.stack([xx * x + xy * y, xy * x + yy * y, lines.normal * z])
+def linearized_force(
+    linear: ContactLinearization, velocity: Float[Array, "3 p *n"]
+) -> Float[Array, "3 p *n"]:
+    """What linearized laws give at some velocity, N."""
+    x, y, z = velocity - linear.velocity
+    xx, xy, yy = linear.tangential
+    return linear.force - jnp.stack([xx * x + xy * y, xy * x + yy * y, linear.normal * z])
 
 
 def contact_equations(
     footing: Footing,
     contacts: Contacts,
-    lines: ContactLines,
+    linear: ContactLinearization,
     inertia: Inertia,
     bias: Wrench,
     h: float,
 ) -> tuple[Inertia, Wrench]:
-    """The equations of the bodies with the contacts' lines in them."""
+    """The equations of the bodies with the contacts linearized."""
     turn = transpose(contacts.frame)
-    xx, xy, yy = lines.tangential
+    xx, xy, yy = linear.tangential
     none = jnp.zeros_like(xx)
     K = jnp.stack(
         [
             jnp.stack([xx, xy, none]),
             jnp.stack([xy, yy, none]),
-            jnp.stack([none, none, lines.normal]),
+            jnp.stack([none, none, linear.normal]),
         ]
     )
     slope = symmetric(h * matmul(turn, matmul_t(K, turn)))
     shift = skew(contacts.arm)
     mixed = matmul(shift, slope)
     blocks = Inertia(symmetric(matmul_t(mixed, shift)), mixed, slope)
-    loaded = pressed(footing, contacts, line_force(lines, contacts.coasting), bias)
+    loaded = pressed(footing, contacts, linearized_force(linear, contacts.coasting), bias)
     bodies = PerBody.of(inertia, slope.ndim - 3).plus(footing.bodies, blocks)
     return bodies.stacked(), loaded
 
@@ -271,7 +274,7 @@ def contact_equations(
 def pressed(
     footing: Footing, contacts: Contacts, force: Float[Array, "3 p *n"], bias: Wrench
 ) -> Wrench:
-    """The bodies' bias wrenches with given contact forces (N, ground's frame)."""
+    """The bodies' bias wrenches with given contact forces (N, contact frame)."""
     force = matvec_t(contacts.frame, force)
     load = Wrench(-cross(contacts.arm, force), -force)
     return PerBody.of(bias, force.ndim - 2).plus(footing.bodies, load).stacked()
@@ -280,7 +283,7 @@ def pressed(
 def end_velocity(
     footing: Footing, contacts: Contacts, found: Accelerations, h: float
 ) -> Float[Array, "3 p *n"]:
-    """Velocity of every place at the end of the step, ground's frame, m/s."""
+    """Velocity of every contact point at the end of the step, contact frame, m/s."""
     bodies = np.array(footing.bodies)
     change = take(found.linear, bodies) + cross(take(found.angular, bodies), contacts.arm)
     return contacts.coasting + h * matvec(contacts.frame, change)

@@ -1,6 +1,6 @@
 """The points of a creature that are nearest to the ground, or deepest in it.
 
-Of every body a few places count: the corners of a box or a mesh that lie lowest, the ends of a
+Of every body a few points count: the corners of a box or a mesh that lie lowest, the ends of a
 capsule, the lowest point of a ball or an ellipsoid; and where there are obstacles, those of
 `evo_cpg.physics.obstacles`. What holds there is in `evo_cpg.physics.contact`.
 """
@@ -30,7 +30,7 @@ def contact_points(footing: Footing, kin: Kinematics, h: float = 0.0) -> Contact
     """See `ContactPoints`.
 
     Args:
-        footing: the places.
+        footing: what may touch.
         kin: kinematics of the creature.
         h: corners are those that will be lowest after so many seconds.
     """
@@ -61,7 +61,7 @@ def _lowest(
     boxes, meshes, balls, ellipsoids = (
         part.shape[-1] for part in (footing.boxes, footing.meshes, footing.radii, footing.semi_axes)
     )
-    # A box and a mesh have several places, all others one.
+    # A box and a mesh have several contact points, all others one.
     angular = boxes + meshes
     once = CORNERS * angular + balls + ellipsoids
     bodies = np.array(footing.bodies[:once])
@@ -114,7 +114,7 @@ def _material(arm: Array, gap: Array, normal: Array, spoke: Array | None = None)
 
 
 def clearance(footing: Footing, kin: Kinematics) -> Float[Array, "p *n"]:
-    """Distance of every place from the ground, m; negative inside of it."""
+    """Distance of every contact point from the ground, m; negative inside of it."""
     return contact_points(footing, kin).gap
 
 

@@ -1,4 +1,4 @@
-"""The motion under lines for contacts, motors and pairs of bodies.
+"""The motion under linearized laws of contacts, motors and pairs of bodies.
 
 Without pairs one articulated-body solve gives it. Pairs join branches of the tree: with the
 response ``W = J M^-1 J^T`` of their velocities to forces on them, their forces p solve
@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 
 from evo_cpg.fusion.converge import implicit, while_each
 from evo_cpg.physics.articulated import Accelerations
-from evo_cpg.physics.pairs import PairContacts, PairLines, parting_change, parting_velocity
+from evo_cpg.physics.pairs import PairContacts, PairLinearization, parting_change, parting_velocity
 from evo_cpg.spatial.linear import of_each
 
 # Share of the right-hand side's norm that may be left in float32, and in float64.
@@ -56,22 +56,22 @@ class _Descent(NamedTuple):
 
 def couple(
     contacts: PairContacts,
-    lines: PairLines,
+    linear: PairLinearization,
     free: Accelerations,
     respond: Respond,
     h: float,
 ) -> tuple[Accelerations, Float[Array, "p *n"]]:
-    """The motion with pairs that push as their lines say, and their forces, N.
+    """The motion with pairs that push as their linearized laws say, and their forces, N.
 
     Args:
         contacts: of this step.
-        lines: in the place of their laws.
+        linear: their laws, linearized.
         free: the motion without them.
         respond: the motion under forces of pairs alone.
         h: s.
     """
-    touches = jnp.where(lines.slope > 0, 1.0, 0.0).astype(lines.slope.dtype)
-    give = touches / jnp.maximum(lines.slope, _NONE)
+    touches = jnp.where(linear.slope > 0, 1.0, 0.0).astype(linear.slope.dtype)
+    give = touches / jnp.maximum(linear.slope, _NONE)
 
     def part(motion: Accelerations) -> Array:
         return parting_change(contacts, motion.qdd, h)
@@ -83,7 +83,7 @@ def couple(
 
     def wanted() -> Array:
         start = parting_velocity(contacts, free.qdd, h)
-        return give * lines.force + touches * (lines.velocity - start)
+        return give * linear.force + touches * (linear.velocity - start)
 
     def gradients(given: Array) -> _Descent:
         none = jax.tree.map(jnp.zeros_like, free)
@@ -126,4 +126,4 @@ def couple(
         force = force + jax.lax.custom_linear_solve(product, left, solve, symmetric=True)
         return jax.tree.map(jnp.add, free, respond(force)), force
 
-    return implicit(search, replay, lines.force, lines.force)
+    return implicit(search, replay, linear.force, linear.force)

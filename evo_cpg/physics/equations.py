@@ -1,4 +1,4 @@
-"""The equations of one step: inertias, bias forces, contacts; the motion under given lines."""
+"""The equations of one step: inertias, bias forces, contacts; the motion under linearized laws."""
 
 from typing import NamedTuple
 
@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 
 from evo_cpg.physics.articulated import Accelerations, solve
 from evo_cpg.physics.contact import (
-    ContactLines,
+    ContactLinearization,
     Contacts,
     contact_equations,
     find_contacts,
@@ -21,7 +21,12 @@ from evo_cpg.physics.joints import (
     servo_torque,
 )
 from evo_cpg.physics.kinematics import Kinematics, kinematics
-from evo_cpg.physics.pairs import PairContacts, PairLines, find_pair_contacts, pushing_torque
+from evo_cpg.physics.pairs import (
+    PairContacts,
+    PairLinearization,
+    find_pair_contacts,
+    pushing_torque,
+)
 from evo_cpg.physics.spatial_algebra import Inertia, Wrench
 from evo_cpg.physics.state import State
 from evo_cpg.physics.world import World, body_equations
@@ -51,8 +56,8 @@ class Equations(NamedTuple):
     pairs: PairContacts | None
 
 
-class Lines(NamedTuple):
-    """Lines in the place of the laws.
+class Linearization(NamedTuple):
+    """The laws of motors, limits of joints, contacts and pairs, linearized.
 
     Attributes:
         torque: of motors and limits of joints at the present rates, N m.
@@ -63,19 +68,19 @@ class Lines(NamedTuple):
 
     torque: Array
     slope: Array
-    contact: ContactLines | None
-    pairs: PairLines | None
+    contact: ContactLinearization | None
+    pairs: PairLinearization | None
 
 
 class ContactForces(NamedTuple):
     """Forces of the ground.
 
     Attributes:
-        support: on every place, in the ground's frame (two tangents, then the normal), N.
+        local: on every contact point, in its contact frame (two tangents, then the normal), N.
         world: the same in world axes.
     """
 
-    support: Float[Array, "3 p *n"]
+    local: Float[Array, "3 p *n"]
     world: Float[Array, "3 p *n"]
 
 
@@ -85,7 +90,7 @@ class Residual(NamedTuple):
     Torques count as shares of their limits.
 
     Attributes:
-        solved: with the limits of friction under which the motion was found.
+        solved: with the friction cones under which the motion was found.
         coulomb: with those that its own normal forces give, at most.
     """
 
@@ -99,12 +104,12 @@ class Warmstart(NamedTuple):
     Attributes:
         qdd: joint accelerations, rad/s^2.
         velocity: of the contact points, m/s; None without ground.
-        limit: of their friction, N.
+        radius: of their friction cones, N.
     """
 
     qdd: Float[Array, "d *n"]
     velocity: Float[Array, "3 p *n"] | None
-    limit: Float[Array, "p *n"]
+    radius: Float[Array, "p *n"]
 
 
 class Imposed(NamedTuple):
@@ -148,28 +153,28 @@ def prepare(
     return Equations(state, kin, inertia, bias, passive, derivative, wanted, contacts, pairs)
 
 
-def expected_lines(world: World, h: float, equations: Equations) -> Lines:
+def expected_linearization(world: World, h: float, equations: Equations) -> Linearization:
     """Those of a step without contact whose motors have no limits: one solve has to do."""
     wanted = equations.wanted
     stop, stop_slope = expected_limit_torque(world.tree, equations.state, h)
-    return Lines(wanted + stop, servo_slope(world.tree, wanted, h) + stop_slope, None, None)
+    return Linearization(wanted + stop, servo_slope(world.tree, wanted, h) + stop_slope, None, None)
 
 
 def solve_with(
-    world: World, h: float, equations: Equations, lines: Lines
+    world: World, h: float, equations: Equations, linear: Linearization
 ) -> tuple[Accelerations, Float[Array, "k *n"] | None]:
-    """The motion under given lines, and the forces of pairs of bodies in it, N."""
+    """The motion under linearized laws, and the forces of pairs of bodies in it, N."""
     tree, kin = world.tree, equations.kin
     inertia, bias = equations.inertia, equations.bias
-    if world.footing is not None and equations.contacts is not None and lines.contact is not None:
+    if world.footing is not None and equations.contacts is not None and linear.contact is not None:
         inertia, bias = contact_equations(
-            world.footing, equations.contacts, lines.contact, inertia, bias, h
+            world.footing, equations.contacts, linear.contact, inertia, bias, h
         )
-    torque = equations.passive + lines.torque
-    derivative = equations.derivative + h * lines.slope
+    torque = equations.passive + linear.torque
+    derivative = equations.derivative + h * linear.slope
     free = solve(tree, kin, inertia, bias, torque, derivative)
     pairs, contacts = world.pairs, equations.pairs
-    if pairs is None or contacts is None or lines.pairs is None:
+    if pairs is None or contacts is None or linear.pairs is None:
         return free, None
 
     still = jax.tree.map(jnp.zeros_like, bias)
@@ -177,4 +182,4 @@ def solve_with(
     def respond(force: Array) -> Accelerations:
         return solve(tree, kin, inertia, still, pushing_torque(contacts, force), derivative)
 
-    return couple(contacts, lines.pairs, free, respond, h)
+    return couple(contacts, linear.pairs, free, respond, h)

@@ -1,4 +1,4 @@
-"""The ground, and the places of a creature that may touch it.
+"""The ground, and the contact points of a creature: those that may touch it.
 
 Where they are is found in `evo_cpg.physics.contact_points`, what holds there in
 `evo_cpg.physics.contact`.
@@ -36,7 +36,7 @@ NEAREST = 2
 
 # Points that a box, a line, a ball and an ellipsoid may touch obstacles with at the same time, and
 # those that each has with one block; with one boulder it has one.
-_PLACES, _ON_BLOCK = (4, 2, 2, 2), (4, 2, 1, 1)
+_POINTS, _ON_BLOCK = (4, 2, 2, 2), (4, 2, 1, 1)
 
 _UP = (0.0, 0.0, 1.0)
 
@@ -98,33 +98,33 @@ class Parts(NamedTuple):
 class Solids(NamedTuple):
     """A creature as obstacles meet it: with edges and sides.
 
-    A mesh is an ellipsoid that lies within it; its corners are places of their own.
+    A mesh is an ellipsoid that lies within it; its corners are contact points of their own.
 
     Attributes:
         boxes: with sharp edges.
         lines: of capsules.
         balls: spheres.
         ellipsoids: of bodies, and within meshes.
-        places: how many points each of a kind may touch obstacles with at the same time.
+        points: how many points each of a kind may touch obstacles with at the same time.
     """
 
     boxes: Parts
     lines: Parts
     balls: Parts
     ellipsoids: Parts
-    places: tuple[int, int, int, int]
+    points: tuple[int, int, int, int]
 
     @property
     def bodies(self) -> tuple[int, ...]:
-        """Of every place: of a kind the first places of all parts, then the next."""
+        """Of every contact point: of a kind the first points of all parts, then the next."""
         found = ()
-        for parts, count in zip(self[:4], self.places, strict=True):
+        for parts, count in zip(self[:4], self.points, strict=True):
             found += count * parts.bodies
         return found
 
 
 class Footing(NamedTuple):
-    """The places of a creature that may touch the ground, and what holds for each of them.
+    """The contact points of a creature, and what holds for each of them.
 
     Of a box only the four corners of the face that looks down most count: the other four are at
     least a third of the box's height above them. They come first, then four corners of each mesh
@@ -134,14 +134,14 @@ class Footing(NamedTuple):
 
     Attributes:
         ground: that they may touch.
-        bodies: index in the tree of the body that each place belongs to.
-        boxes: half edges, m, one column for the four places of each box.
+        bodies: index in the tree of the body that each contact point belongs to.
+        boxes: half edges, m, one column for the four contact points of each box.
         meshes: corners of each mesh, m; meshes with fewer have the last one several times.
         radii: of the balls, m.
         semi_axes: of the ellipsoids, m.
         solids: what may touch obstacles; None where there are none.
         centre: of each box and mesh (once), ball and ellipsoid in the body's working frame, m.
-        restitution: of the body on this ground, for every place.
+        restitution: of the body on this ground, for every contact point.
         static_friction: likewise.
         dynamic_friction: likewise.
         stiffness: c h, kg.
@@ -162,7 +162,7 @@ class Footing(NamedTuple):
 
 
 class ContactPoints(NamedTuple):
-    """The point of each place that is nearest to the ground, or deepest in it.
+    """Where the contact points are now: what is nearest to the ground, or deepest in it.
 
     Attributes:
         arm: from the body's origin to the point, world axes, m.
@@ -181,10 +181,10 @@ class ContactPoints(NamedTuple):
 
 
 def make_footing(creature: Creature, tree: Tree, ground: Ground) -> Footing:
-    """Find the places of a creature that may touch the ground.
+    """Find the contact points of a creature.
 
     Raises:
-        TypeError: a body has a shape without places.
+        TypeError: a body has a shape without contact points.
     """
     boxes, meshes, balls, ellipsoids = [], [], [], []
     for i, name in enumerate(tree.names):
@@ -273,10 +273,10 @@ def _make_solids(creature: Creature, tree: Tree, obstacles: tuple[Obstacle, ...]
         min(NEAREST, sum(isinstance(x, kind) for x in obstacles)) for kind in (Block, Boulder)
     )
     of_box, of_line, of_ball, of_ellipsoid = (
-        min(most, blocks * each + boulders) for most, each in zip(_PLACES, _ON_BLOCK, strict=True)
+        min(most, blocks * each + boulders) for most, each in zip(_POINTS, _ON_BLOCK, strict=True)
     )
-    places = of_box, of_line, of_ball, of_ellipsoid
-    return Solids(parts(boxes), parts(lines), parts(balls), parts(ellipsoids), places)
+    points = of_box, of_line, of_ball, of_ellipsoid
+    return Solids(parts(boxes), parts(lines), parts(balls), parts(ellipsoids), points)
 
 
 def _turned(axes: np.ndarray | None) -> np.ndarray:

@@ -62,7 +62,7 @@ class _Placed(NamedTuple):
 def obstacle_points(
     solids: Solids, obstacles: tuple[Obstacle, ...], kin: Kinematics
 ) -> list[ContactPoints]:
-    """The points at which parts of a creature may touch obstacles, in the order of their places.
+    """The points at which parts of a creature may touch obstacles, in the order of `Solids.bodies`.
 
     Args:
         solids: the parts.
@@ -72,11 +72,11 @@ def obstacle_points(
     blocks = tuple(x for x in obstacles if isinstance(x, Block))
     boulders = tuple(x for x in obstacles if isinstance(x, Boulder))
     found = []
-    for parts, places, on_block, on_boulder in (
-        (solids.boxes, solids.places[0], _box_on_block, _box_on_boulder),
-        (solids.lines, solids.places[1], _line_on_block, _line_on_boulder),
-        (solids.balls, solids.places[2], _ball_on_block, _line_on_boulder),
-        (solids.ellipsoids, solids.places[3], _ellipsoid_on_block, _ellipsoid_on_boulder),
+    for parts, most, on_block, on_boulder in (
+        (solids.boxes, solids.points[0], _box_on_block, _box_on_boulder),
+        (solids.lines, solids.points[1], _line_on_block, _line_on_boulder),
+        (solids.balls, solids.points[2], _ball_on_block, _line_on_boulder),
+        (solids.ellipsoids, solids.points[3], _ellipsoid_on_block, _ellipsoid_on_boulder),
     ):
         if parts.bodies:
             placed = _place(parts, kin)
@@ -86,7 +86,7 @@ def obstacle_points(
                 for obstacle in _nearest(kind, placed.at.centre)
                 for rank, point in enumerate(touch(placed, obstacle))
             ]
-            found += _first(candidates, places)
+            found += _first(candidates, most)
     return found
 
 

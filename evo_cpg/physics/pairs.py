@@ -25,6 +25,7 @@ from evo_cpg.creature.self_collision import SelfCollision, colliding_pairs
 from evo_cpg.creature.shapes import RoundedBox
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.box_separation import separation_of_boxes, separation_of_flat
+from evo_cpg.physics.contact import BAUMGARTE_SHARE, BAUMGARTE_SPEED
 from evo_cpg.physics.kinematics import Kinematics
 from evo_cpg.physics.per_body import take
 from evo_cpg.physics.separation import (
@@ -40,9 +41,6 @@ from evo_cpg.spatial.numerics import Numbers, xp
 
 # c h of a pair: so many times the geometric mean of the two masses.
 _STIFFNESS = 60.0
-
-# Share of an overlap that is undone in a step, and the fastest way out, m/s.
-_PUSH_SHARE, _PUSH_SPEED = 0.2, 0.5
 
 # How pairs are treated, and how many points each of them has then.
 _KINDS = {
@@ -117,8 +115,8 @@ class PairContacts(NamedTuple):
     wanted: Float[Array, "p *n"]
 
 
-class PairLines(NamedTuple):
-    """Lines in the place of the laws: ``f = force - slope (v - velocity)``.
+class PairLinearization(NamedTuple):
+    """The laws linearized at a velocity: ``f = force - slope (v - velocity)``.
 
     Attributes:
         velocity: m/s.
@@ -272,7 +270,7 @@ def find_pair_contacts(
     parting = velocity[1] - velocity[0]
     # A normal that turns meets another part of what slides past it.
     sweep = dot(normal, drift[1] - drift[0]) - 2.0 * dot(cross(normal, turning), parting)
-    push = jnp.clip(-_PUSH_SHARE / h * gap, 0.0, _PUSH_SPEED)
+    push = jnp.clip(-BAUMGARTE_SHARE / h * gap, 0.0, BAUMGARTE_SPEED)
     wanted = jnp.where(gap > 0, -gap / h, push)
     jacobian = _jacobian(tree, pairs, kin, normal, points)
     coasting = (jacobian * qd[None]).sum(1) + 0.5 * h * sweep
@@ -306,13 +304,15 @@ def _between(tree: Tree, first: int, second: int) -> tuple[list[bool], list[bool
     ]
 
 
-def pair_lines(pairs: Pairs, contacts: PairContacts, velocity: Array, h: float) -> PairLines:
-    """The tangents of the laws at some velocities, m/s."""
+def linearize_pairs(
+    pairs: Pairs, contacts: PairContacts, velocity: Array, h: float
+) -> PairLinearization:
+    """The laws linearized at some velocities, m/s."""
     stiffness = expand_dims_like(pairs.stiffness / h, velocity)
     short = contacts.wanted - velocity
     touches = short > 0
     force = stiffness * jnp.maximum(short, 0.0)
-    return PairLines(velocity, force, jnp.where(touches, stiffness, 0.0))
+    return PairLinearization(velocity, force, jnp.where(touches, stiffness, 0.0))
 
 
 def parting_change(

@@ -12,11 +12,11 @@ their joints at the neutral angle, and the ground. They vanish at an equilibrium
 its stiffness.
 
 The ground pushes as it does on what rests in a step of the simulation (`resting_stiffness`), so a
-pose found here is one in which that step finds no motion. Friction is that of Coulomb: a place
+pose found here is one in which that step finds no motion. Friction is that of Coulomb: a point
 that sticks is held by a spring of the same stiffness at the point where it touched down, up to the
 cone, beyond which it slides under a constant force.
 
-Differs from the simulation, whose friction is a velocity law: a place that carries the tangential
+Differs from the simulation, whose friction is a velocity law: a point that carries the tangential
 force f creeps there at ``f / c`` (see `evo_cpg.physics.contact`), here it stays.
 """
 
@@ -39,12 +39,12 @@ from evo_cpg.physics.world import World, weight
 from evo_cpg.spatial.linear import cross, dot, expand_dims_like, matvec, matvec_t
 from evo_cpg.spatial.rotation import integrate_quaternion
 
-# A place that slides less far than this keeps the direction of its friction, m.
+# A point that slides less far than this keeps the direction of its friction, m.
 _LEAST_WAY = 1e-12
 
 
 class Grip(NamedTuple):
-    """What friction remembers of every place.
+    """What friction remembers of every contact point.
 
     Attributes:
         point: of the body, in its own axes, that is lowest at the base, m.
@@ -62,19 +62,19 @@ class Grip(NamedTuple):
 
 
 class Touch(NamedTuple):
-    """What goes on at every place in a pose.
+    """What goes on at every contact point in a pose.
 
     Attributes:
         point: of the body that is lowest there, as `Grip.point`.
         place: where that is, m.
-        support: normal force, N.
+        normal_force: N.
         slip: as `Grip.slip`, there.
         way: tangential way from the base, m.
     """
 
     point: Float[Array, "3 p"]
     place: Float[Array, "3 p"]
-    support: Float[Array, " p"]
+    normal_force: Float[Array, " p"]
     slip: Float[Array, "3 p"]
     way: Float[Array, "3 p"]
 
@@ -137,16 +137,16 @@ def _carried(tree: Tree) -> Float[np.ndarray, "b d"]:
 def next_grip(footing: Footing, h: float, grip: Grip, touch: Touch) -> Grip:
     """What friction remembers after a way: Coulomb's law with static friction alone.
 
-    A place that friction cannot hold slides, and one that turns back sticks again.
+    A point that friction cannot hold slides, and one that turns back sticks again.
 
     Args:
-        footing: the places.
+        footing: what may touch.
         h: step of the simulation, s.
         grip: before.
         touch: what the ground does at the end of the way.
     """
     stiffness = expand_dims_like(resting_stiffness(footing, h), grip.held)
-    limit = expand_dims_like(footing.static_friction, grip.held) * touch.support
+    limit = expand_dims_like(footing.static_friction, grip.held) * touch.normal_force
     pull = -stiffness[None] * touch.slip
     size = jnp.sqrt(dot(pull, pull))
     sticks = grip.held > 0
@@ -158,9 +158,9 @@ def next_grip(footing: Footing, h: float, grip: Grip, touch: Touch) -> Grip:
     along = jnp.where(onward[None], -touch.way, jnp.where(sticks[None], pull, grip.drag))
     norm = jnp.sqrt(dot(along, along))
     drag = (limit / jnp.where(norm > 0, norm, 1.0))[None] * along
-    held = ((sticks & ~over) | back) & (touch.support > 0) | (touch.support <= 0)
+    held = ((sticks & ~over) | back) & (touch.normal_force > 0) | (touch.normal_force <= 0)
     slip = jnp.where((sticks & ~over)[None], touch.slip, -drag / stiffness[None])
-    slip = jnp.where(touch.support[None] > 0, slip, 0.0)
+    slip = jnp.where(touch.normal_force[None] > 0, slip, 0.0)
     drag = jnp.where(held[None], 0.0, drag)
     return Grip(touch.point, touch.place, slip, held.astype(slip.dtype), drag)
 
@@ -198,18 +198,18 @@ def _weight(world: World, kin: Kinematics) -> Float[Array, "6 b"]:
 def _ground(
     footing: Footing, h: float, kin: Kinematics, grip: Grip
 ) -> tuple[Float[Array, "3 p"], Touch]:
-    """Force on every place, N, and what the ground does."""
+    """Force on every contact point, N, and what the ground does."""
     bodies = np.array(footing.bodies)
     stiffness = expand_dims_like(resting_stiffness(footing, h), grip.held)
     arm, _, gap, normal, _ = contact_points(footing, kin)
     point, place = _on_body(footing, kin, arm)
-    support = stiffness * jnp.maximum(-gap, 0.0)
+    normal_force = stiffness * jnp.maximum(-gap, 0.0)
     way = take(kin.origin, bodies) + matvec(take(kin.rotation, bodies, 2), grip.point) - grip.place
     way = way - dot(way, normal)[None] * normal
     slip = grip.slip + way
     friction = jnp.where(grip.held[None] > 0, -stiffness[None] * slip, grip.drag)
-    push = support[None] * normal + jnp.where(support[None] > 0, friction, 0.0)
-    return push, Touch(point, place, support, slip, way)
+    push = normal_force[None] * normal + jnp.where(normal_force[None] > 0, friction, 0.0)
+    return push, Touch(point, place, normal_force, slip, way)
 
 
 def _on_body(

@@ -18,7 +18,7 @@ from evo_cpg.physics.equations import (
     Imposed,
     Residual,
     Warmstart,
-    expected_lines,
+    expected_linearization,
     prepare,
     solve_with,
 )
@@ -36,7 +36,7 @@ class Effort(NamedTuple):
     Attributes:
         torque: applied on each axis at the end of the step, N m.
         energy: spent by all motors, the sum of |torque x rate| over the step, J.
-        support: force of the ground on every place of the footing, in the ground's frame (two
+        contact_frame_force: of the ground on every contact point, in its contact frame (two
             tangents, then the normal), N; None without ground.
         contact_force: the same in world axes.
         pair_force: with which pairs of bodies push each other, in the order of `World.pairs`, N;
@@ -47,7 +47,7 @@ class Effort(NamedTuple):
 
     torque: Float[Array, "d *n"]
     energy: Float[Array, " *n"]
-    support: Float[Array, "3 p *n"] | None = None
+    contact_frame_force: Float[Array, "3 p *n"] | None = None
     contact_force: Float[Array, "3 p *n"] | None = None
     pair_force: Float[Array, "k *n"] | None = None
     residual: Residual | None = None
@@ -101,7 +101,7 @@ def _whole_step(
         return _finish(h, state, found)
     equations = prepare(world, h, state, target_rate, target_angle)
     with jax.named_scope("solve"):
-        found, _ = solve_with(world, h, equations, expected_lines(world, h, equations))
+        found, _ = solve_with(world, h, equations, expected_linearization(world, h, equations))
     motor = equations.wanted - h * servo_slope(world.tree, equations.wanted, h) * found.qdd
     return _finish(h, state, Imposed(found.root, found.qdd, motor))
 

@@ -34,7 +34,7 @@ class World(eqx.Module):
         gravity: m/s^2, pulling along -z.
         water: None on dry land.
         patches: the surface points that meet the water.
-        footing: the places that may touch the ground; None where there is nothing to stand on.
+        footing: the contact points; None where there is nothing to stand on.
         cells: the bodies' volumes; none are needed where water is everywhere.
         added_inertia: of the water that the bodies carry; None to leave it out.
         pairs: bodies that must not pass through each other; None where none can meet.

@@ -188,29 +188,30 @@ def move(
     batch = state.position.shape[1:]
 
     def advance(carry, _):
-        state, warmstart, energy, airborne, forces, support, residual = carry
+        state, warmstart, energy, airborne, forces, ground_force, residual = carry
         told = command.target_rate, h, command.target_angle
         state, effort = step(world, state, *told, warmstart)
-        support = support if effort.support is None else effort.support
+        if effort.contact_frame_force is not None:
+            ground_force = effort.contact_frame_force
         airborne = airborne + _is_airborne(effort) / simulation.substeps
         forces = _add_share(forces, effort, 1.0 / simulation.substeps)
         energy = energy + effort.energy
         residual = jax.tree.map(jnp.maximum, residual, effort.residual)
-        return (state, effort.warmstart, energy, airborne, forces, support, residual), None
+        return (state, effort.warmstart, energy, airborne, forces, ground_force, residual), None
 
     none, still = jnp.zeros(batch, state.q.dtype), no_forces(simulation, state)
     exact = None if animal.warmstart is None else Residual(none, none)
     start = state, animal.warmstart, none, none, still, still.contact_force, exact
-    (moved, warmstart, energy, airborne, forces, support, residual), _ = jax.lax.scan(
+    (moved, warmstart, energy, airborne, forces, ground_force, residual), _ = jax.lax.scan(
         advance, start, None, length=simulation.substeps
     )
 
-    def touch(state: State, support: Array) -> Array:
-        return feel(simulation.sensors, world, kinematics(world.tree, state), support)
+    def touch(state: State, ground_force: Array) -> Array:
+        return feel(simulation.sensors, world, kinematics(world.tree, state), ground_force)
 
     pressure = animal.pressure
     if world.footing is not None and simulation.sensors.pressure_bodies:
-        pressure = fuse(touch, moved, support, batch_ndim=len(batch), name="sensors")
+        pressure = fuse(touch, moved, ground_force, batch_ndim=len(batch), name="sensors")
     kept = forces if animal.forces else None
     after = Animal(moved, animal.nerves, pressure, kept, warmstart)
     told = observation, command, forces, energy, airborne
@@ -255,6 +256,6 @@ def _add_share(forces: Forces, effort: Effort, share: float) -> Forces:
 
 def _is_airborne(effort: Effort) -> Float[Array, " *n"]:
     """1 where nothing touched the ground in a physics step, else 0; 1 without ground."""
-    if effort.support is None:
+    if effort.contact_frame_force is None:
         return jnp.ones_like(effort.energy)
-    return jnp.all(effort.support[2] <= 0, axis=0).astype(effort.energy.dtype)
+    return jnp.all(effort.contact_frame_force[2] <= 0, axis=0).astype(effort.energy.dtype)

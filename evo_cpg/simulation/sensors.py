@@ -72,7 +72,7 @@ def place_sensors(creature: Creature, tree: Tree) -> Sensors:
 
 
 def feel(
-    sensors: Sensors, world: World, kin: Kinematics, support: Float[Array, "3 p *n"] | None
+    sensors: Sensors, world: World, kin: Kinematics, force: Float[Array, "3 p *n"] | None
 ) -> Float[Array, "s *n"]:
     """What the skin tells: 1 where something solid presses harder than the water there, else 0.
 
@@ -85,19 +85,19 @@ def feel(
         sensors: where they sit.
         world: the animal's surroundings.
         kin: its present pose.
-        support: force of the ground on every place of the footing, N; None without ground.
+        force: of the ground on every contact point, contact frame, N; None without ground.
     """
     bodies = np.array(sensors.pressure_bodies, int)
-    if support is None or world.footing is None or not len(bodies):
+    if force is None or world.footing is None or not len(bodies):
         return jnp.zeros((len(bodies), *kin.origin.shape[2:]), kin.origin.dtype)
-    places = np.array(world.footing.bodies)
-    force = jnp.stack([take(support[2], np.flatnonzero(places == i), 0).sum(0) for i in bodies])
-    pressing = jnp.zeros_like(force)
+    owners = np.array(world.footing.bodies)
+    normal = jnp.stack([take(force[2], np.flatnonzero(owners == i), 0).sum(0) for i in bodies])
+    pressing = jnp.zeros_like(normal)
     if world.water is not None and world.water.surface is not None:
         depth = _depth(world.water.surface, kin, bodies, world.tree.com[:, bodies])
         area = expand_dims_like(world.tree.volume[bodies] ** (2 / 3), depth)
         pressing = world.water.density * world.gravity * jnp.maximum(depth, 0.0) * area
-    return (force > pressing).astype(force.dtype)
+    return (normal > pressing).astype(normal.dtype)
 
 
 def fathom(sensors: Sensors, world: World, kin: Kinematics) -> Float[Array, "k *n"]:

@@ -77,7 +77,7 @@ class Rest(NamedTuple):
 
     Attributes:
         state: the pose, in float64.
-        support: normal force of the ground on every place of the footing, N.
+        normal_force: of the ground on every contact point, N.
         stiffness: eigenvalues of the stiffness in units of weight over radius of gyration, the
             smallest first; angles count by the radius of gyration.
         grip: what friction remembers there.
@@ -86,7 +86,7 @@ class Rest(NamedTuple):
     """
 
     state: State
-    support: Float[np.ndarray, " p"]
+    normal_force: Float[np.ndarray, " p"]
     stiffness: Float[np.ndarray, " k"]
     grip: Grip
     give: Float[np.ndarray, "k k"]
@@ -209,7 +209,7 @@ class Settling:
             raise NoRestError(
                 f"it falls over: it would come to rest turned by {np.rad2deg(tilt):.0f} degrees"
             )
-        return Rest(state, np.asarray(here.touch.support), values, grip, give)
+        return Rest(state, np.asarray(here.touch.normal_force), values, grip, give)
 
     def _at(self, y: np.ndarray, state: State, grip: Grip) -> _Here:
         """All about the pose with the coordinates y."""

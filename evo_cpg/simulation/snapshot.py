@@ -2,7 +2,7 @@
 
 What follows from the state is computed when it is asked for, and what nobody asks for costs
 nothing. Bodies and degrees of freedom are in the order of the tree (`Snapshot.body`,
-`Snapshot.dof` find them by name), contact places in that of the footing; trailing axes are
+`Snapshot.dof` find them by name), contact points in that of the footing; trailing axes are
 individuals.
 """
 
@@ -27,7 +27,7 @@ class Forces(NamedTuple):
 
     Attributes:
         torque: of the motors, N m.
-        contact_force: of the ground on every contact place, world axes, N; no places where there
+        contact_force: of the ground on every contact point, world axes, N; no points where there
             is no ground.
     """
 
@@ -89,7 +89,7 @@ class Snapshot:
 
     @property
     def contact_bodies(self) -> Int[np.ndarray, " p"]:
-        """Index of the body that each contact place belongs to."""
+        """Index of the body that each contact point belongs to."""
         footing = self.world.footing
         return np.array(() if footing is None else footing.bodies, int)
 
@@ -130,7 +130,7 @@ class Snapshot:
         return _index(self.world.tree.dof_names, name, "degree of freedom")
 
     def contacts_of(self, names: Sequence[str]) -> Int[np.ndarray, " k"]:
-        """Indices of the contact places of some bodies.
+        """Indices of the contact points of some bodies.
 
         Raises:
             ValueError: there is no body of that name.

@@ -48,7 +48,7 @@ def both(creature: Creature, ground: Ground, state: dict, seconds: float):
             now, warmstart = carry
             arm = find_contacts(world.footing, kinematics(tree, now), H).arm[0]
             now, effort = step(world, now, jnp.zeros_like(now.qd), H, warmstart=warmstart)
-            return (now, effort.warmstart), (now, effort.support, arm)
+            return (now, effort.warmstart), (now, effort.contact_frame_force, arm)
 
         begin = state, first_warmstart(world, (1,), state.q.dtype)
         return jax.lax.scan(advance, begin, length=round(seconds / H))[1]

@@ -122,7 +122,7 @@ def test_a_gradient_through_contact_of_two_balls_equals_central_differences():
         def advance(state, _):
             still = jnp.zeros_like(state.q)
             state, effort = step(world, state, still, 1 / 240, still + angle)
-            return state, effort.support[2].max()
+            return state, effort.contact_frame_force[2].max()
 
         state, support = jax.lax.scan(advance, state, length=40)
         return state.position @ jnp.array([1.0, 0.7, 0.4]), support.max()
@@ -154,7 +154,7 @@ def test_a_gradient_through_contact_equals_equals_central_differences():
     def walk(angles):
         def advance(state, _):
             state, effort = step(world, state, jnp.zeros_like(angles), h, angles)
-            return state, effort.support[2].max()
+            return state, effort.contact_frame_force[2].max()
 
         state, support = jax.lax.scan(advance, start, length=60)
         return state.position @ jnp.array([1.0, 0.7, 0.4]), support.max()

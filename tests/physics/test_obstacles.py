@@ -86,7 +86,7 @@ def test_nothing_that_is_thrown_passes_through(x64, name):
 
     def advance(state, _):
         state, effort = step(world, state, jnp.zeros_like(state.q), H)
-        return state, (state, effort.residual.solved, effort.support)
+        return state, (state, effort.residual.solved, effort.contact_frame_force)
 
     whole = quick_jit(lambda s: jax.lax.scan(advance, s, length=STEPS)[1])
     states, residual, support = jax.tree.map(np.asarray, whole(start))

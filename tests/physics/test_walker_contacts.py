@@ -67,7 +67,7 @@ def pressed(world: World, effort: Effort) -> tuple[np.ndarray, np.ndarray, np.nd
     1e-2 in 99 % of the contact steps, and to 1 in all; no normal force is negative, and friction is
     within its cone but for the residual of the law.
     """
-    support = np.asarray(effort.support, float)
+    support = np.asarray(effort.contact_frame_force, float)
     across, along = support[:, 2], np.hypot(support[:, 0], support[:, 1])
     limit = world.footing.static_friction[:, None] * across
     touches = (across > 0).any(1)
@@ -145,7 +145,7 @@ def test_support_is_weight_and_change_of_momentum(walk):
     Within 1 % of the latter, g t: the joints' motion keeps momentum at first order in h only.
     """
     world, states, effort = walk
-    total = np.asarray(effort.support, float).sum((0, 2)) * H / world.tree.mass.sum()
+    total = np.asarray(effort.contact_frame_force, float).sum((0, 2)) * H / world.tree.mass.sum()
     gained = total - np.array([[0], [0], [world.gravity * SECONDS]])
     velocity, _ = mechanics(world, jax.tree.map(lambda x: x[-1], states))
     assert np.abs(gained - velocity).max() < 0.01 * world.gravity * SECONDS
@@ -155,7 +155,7 @@ def test_support_is_weight_and_change_of_momentum(walk):
 def test_a_standing_animal(walk):
     """Its feet carry its weight within 2 % (0.1 % on average), and are under 2 mm deep."""
     world, states, effort = walk
-    support = np.asarray(effort.support, float)[:, 2, :, 0].sum(1)
+    support = np.asarray(effort.contact_frame_force, float)[:, 2, :, 0].sum(1)
     weight = world.gravity * world.tree.mass.sum()
     np.testing.assert_allclose(support[-480:], weight, rtol=0.02)
     assert support.mean() == pytest.approx(weight, rel=1e-3)
@@ -260,7 +260,7 @@ def test_a_small_animal_is_pushed_within_friction_and_by_as_much_as_it_gains(tum
     """No support is negative, none beyond the cone; its impulse is the change of momentum."""
     world, start, states, effort = tumbling
     across, along, limit = pressed(world, effort)
-    support = np.asarray(effort.support, float)
+    support = np.asarray(effort.contact_frame_force, float)
     assert (along > 0.99 * limit)[across > 0].mean() > 0.05
     seconds = len(across) * H
     total = support.sum((0, 2)) * H / world.tree.mass.sum()
@@ -305,7 +305,7 @@ def test_an_impact_of_many_limbs_adds_no_energy():
         like = jnp.full(len(world.footing.bodies), restitution)
         own = dataclasses.replace(world, footing=world.footing._replace(restitution=like))
         new, effort = step(own, state, jnp.zeros_like(state.qd), h)
-        return new, effort.support[2].sum(0)
+        return new, effort.contact_frame_force[2].sum(0)
 
     dull = np.asarray(hit(state, 0.0)[1])
     hits = dull > 0
@@ -337,7 +337,7 @@ def test_a_fused_step_equals_the_unfused_one(touching):
     """To 1e-9, between a contact or none and several."""
     world, state, plain = touching
     fused, effort = quick_jit(lambda s: step(world, s, jnp.zeros_like(s.q), H))(state)
-    touches = (np.asarray(effort.support)[2] > 0).any(0)
+    touches = (np.asarray(effort.contact_frame_force)[2] > 0).any(0)
     assert 2 < touches.sum() < 12
     for got, wanted in zip(
         jax.tree.leaves(fused), jax.tree.leaves(quick_jit(plain)(state)), strict=True

@@ -138,7 +138,7 @@ def test_a_box_lies_on_ground_and_on_a_slope_that_friction_can_hold(slope):
     start = resting_state(world.tree, (), jnp.float64, position=(0.0, 0.0, 0.2))
     rest = Settling(world, H).rest(start)
     load = creature.mass * 9.81 * np.cos(a)
-    assert rest.support.sum() == pytest.approx(load, rel=1e-3)
+    assert rest.normal_force.sum() == pytest.approx(load, rel=1e-3)
     away = np.array(rest.state.position) @ normal
     assert away == pytest.approx(0.05, abs=1e-4)
     up = np.asarray(quaternion_to_matrix(rest.state.orientation))[:, 2]
@@ -177,7 +177,7 @@ def test_four_legs_stand_and_carry_the_weight():
     world = on_ground(creature)
     start = resting_state(world.tree, (), jnp.float64, position=(0.3, -0.2, 0.4))
     rest = Settling(world, H).rest(start)
-    assert rest.support.sum() == pytest.approx(creature.mass * 9.81, rel=1e-3)
+    assert rest.normal_force.sum() == pytest.approx(creature.mass * 9.81, rel=1e-3)
     np.testing.assert_allclose(rest.state.position[:2], (0.3, -0.2), atol=1e-12)
     both = jax.tree.map(lambda *parts: jnp.stack(parts, -1), rest.state, start)
     motion = coast(world, both, 0.5, H)
