@@ -239,19 +239,24 @@ def _light_of(life: Life, own: Array | None, position: Array) -> Array | None:
 
 
 def no_forces(simulation: Simulation, state: State) -> Forces:
-    """Those of motors that do nothing, off the ground."""
-    footing = simulation.world.footing
-    places = 0 if footing is None else len(footing.bodies)
-    batch = state.position.shape[1:]
-    return Forces(jnp.zeros_like(state.q), jnp.zeros((3, places, *batch), state.q.dtype))
+    """Those of motors that do nothing, off the ground, of limbs apart."""
+    footing, pairs = simulation.world.footing, simulation.world.pairs
+    points = 0 if footing is None else len(footing.bodies)
+    meeting = 0 if pairs is None else len(pairs.owners[0])
+    batch, dtype = state.position.shape[1:], state.q.dtype
+    none = (jnp.zeros((*shape, *batch), dtype) for shape in ((3, points), (meeting,)))
+    return Forces(jnp.zeros_like(state.q), *none)
 
 
 def _add_share(forces: Forces, effort: Effort, share: float) -> Forces:
     """The means so far, with those of one more physics step."""
-    contact_force = forces.contact_force
-    if effort.contact_force is not None:
-        contact_force = contact_force + share * effort.contact_force
-    return Forces(forces.torque + share * effort.torque, contact_force)
+    of_step = effort.torque, effort.contact_force, effort.pair_force
+    return Forces(
+        *(
+            mean if force is None else mean + share * force
+            for mean, force in zip(forces, of_step, strict=True)
+        )
+    )
 
 
 def _is_airborne(effort: Effort) -> Float[Array, " *n"]:

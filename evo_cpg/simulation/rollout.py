@@ -216,6 +216,7 @@ def _frame(tree: Tree, effects: Effects) -> dict[str, Array]:
         "cpg_output": effects.command.signal,
         "torque": effects.forces.torque,
         "contact_force": effects.forces.contact_force,
+        "pair_force": effects.forces.pair_force,
         "energy": effects.energy,
         **{f"{name}_residual": values for name, values in residual.items()},
     }

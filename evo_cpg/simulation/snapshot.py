@@ -29,10 +29,13 @@ class Forces(NamedTuple):
         torque: of the motors, N m.
         contact_force: of the ground on every contact point, world axes, N; no points where there
             is no ground.
+        pair_force: with which limbs that meet push each other, at every point of the pairs in
+            ``world.pairs`` (`Pairs.owners`), N; no points where none can meet.
     """
 
     torque: Float[Array, "d *n"]
     contact_force: Float[Array, "3 p *n"]
+    pair_force: Float[Array, "k *n"]
 
 
 @dataclasses.dataclass(frozen=True)

@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 
 from creatures import quick_jit
+from evo_cpg.api.record import as_record
+from evo_cpg.control.controller import Command
 from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, Material
 from evo_cpg.creature.self_collision import SelfCollision
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid
@@ -21,6 +23,13 @@ from evo_cpg.physics.pairs import make_pairs, separations
 from evo_cpg.physics.state import resting_state
 from evo_cpg.physics.step import step
 from evo_cpg.physics.world import World
+from evo_cpg.simulation.rollout import as_recording, record
+from evo_cpg.simulation.sensors import place_sensors
+from evo_cpg.simulation.simulation import Simulation
+from evo_cpg.simulation.situation import Situation
+from evo_cpg.simulation.walk import Distance
+from evo_cpg.spatial.linear import expand_dims_like
+from trials import SineController
 
 H = 1 / 240
 STEPS, COUNT = 240, 8
@@ -53,6 +62,11 @@ def clapper(shape, axes, motor=None):
     return Creature("clapper", tuple(bodies))
 
 
+def inwards(tree):
+    """Of every degree of freedom, the sign with which it turns its limb inwards, about z."""
+    return np.array([-1.0 if name.startswith("left") else 1.0 for name in tree.dof_names])
+
+
 def floating(shape, axes, motor=None):
     creature = clapper(shape, axes, motor)
     tree = build_tree(creature)
@@ -64,9 +78,8 @@ def claps(world, kick, dtype=jnp.float64):
     tree = world.tree
     state = resting_state(tree, (COUNT,), dtype)
     rng = np.random.default_rng(1)
-    sides = [-1.0 if tree.names[body].startswith("left") else 1.0 for body in tree.dof_bodies]
-    inwards = np.array(sides) * [name.endswith("z") for name in tree.dof_names]
-    qd = kick * inwards[:, None] * rng.uniform(0.5, 1.5, (tree.dof_count, COUNT))
+    about_z = np.array([name.endswith("z") for name in tree.dof_names])
+    qd = kick * (inwards(tree) * about_z)[:, None] * rng.uniform(0.5, 1.5, (tree.dof_count, COUNT))
     qd = qd + 0.3 * rng.normal(size=qd.shape)
     return dataclasses.replace(state, qd=jnp.asarray(qd, dtype))
 
@@ -104,6 +117,76 @@ def test_limbs_clap_without_passing_through(x64, shape, axes):
     assert np.asarray(gap).min() > (-8e-3 if shape == "ellipsoids" else -3e-3)
     energy = kinetic_energy(world, states)
     assert (energy.max(-1) / energy[..., 0]).max() < 1.01
+
+
+class Clap(SineController):
+    """The limbs of a tree all turn inwards, and back."""
+
+    signs: tuple[float, ...] = ()
+
+    def act(self, decoded, state, observation):
+        state, command = super().act(decoded, state, observation)
+        signs = expand_dims_like(np.array(self.signs), command.target_rate)
+        rate = signs * command.target_rate
+        return state, Command(rate, command.signal)
+
+
+def test_a_record_has_the_mean_push_of_every_pair(x64):
+    """Over the physics steps of each control step, of all points of a pair."""
+    world, substeps = floating(SHAPES["boxes"], "z", Actuator(0.5, 2.0)), 2
+    creature = clapper(SHAPES["boxes"], "z")
+    place, pairs, signs = Situation((0.0, 0.0, 0.0)), world.pairs, inwards(world.tree)
+    trial = Simulation(
+        world=world,
+        sensors=place_sensors(creature, world.tree),
+        controller=Clap(signs=tuple(signs)),
+        task=Distance(),
+        control_rate=120.0,
+        substeps=substeps,
+        steps=60,
+        situations=(place,),
+    )
+    genes = np.array([[4.0], [1.0]])
+    frames = quick_jit(lambda g: record(trial, g, 1))(genes)
+    found = as_record(trial, frames, as_recording(trial, frames, [*world.tree.names]))
+
+    def advance(state, k):
+        wave = genes[0] * jnp.sin(2 * np.pi * genes[1] * (k // substeps) / 60)
+        new, effort = step(world, state, signs[:, None] * wave[None], H)
+        return new, effort.pair_force
+
+    state = resting_state(world.tree, (1,), jnp.float64)
+    _, force = quick_jit(lambda s: jax.lax.scan(advance, s, jnp.arange(60 * substeps)))(state)
+    mean = np.asarray(force)[..., 0].reshape(60, substeps, -1).mean(1)
+    owners = np.array(pairs.owners).T
+    for first, second in zip(pairs.first, pairs.second, strict=True):
+        name = f"{world.tree.names[first]}-{world.tree.names[second]}.push"
+        own = (owners == (first, second)).all(1)
+        np.testing.assert_allclose(found[name], mean[:, own].sum(1), atol=1e-6)
+        assert found.units[name] == "N"
+    assert mean.max() > 0.1
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_limbs_that_overlap_part_no_faster_than_the_way_out(x64, shape):
+    """What lifts them out of each other does little work, however deep they are: 0.5 m/s."""
+    world = floating(SHAPES[shape], "z")
+    tree, state = world.tree, resting_state(world.tree, (COUNT,), jnp.float64)
+    arms = inwards(tree) * [name.split(".")[0].endswith("arm") for name in tree.dof_names]
+    angle = arms[:, None] * np.linspace(0.16, 0.18, COUNT)
+    start = dataclasses.replace(state, q=jnp.asarray(angle))
+
+    def advance(state, _):
+        new, effort = step(world, state, jnp.zeros_like(state.qd), H)
+        gap = separations(world.pairs, kinematics(world.tree, new)).gap.min(0)
+        return new, (new, gap, effort.residual.solved)
+
+    states, gap, residual = quick_jit(lambda s: jax.lax.scan(advance, s, length=STEPS)[1])(start)
+    assert np.asarray(residual).max() < 1e-9
+    assert np.asarray(gap)[0].min() < -0.02
+    assert np.asarray(gap)[-1].min() > -1e-4
+    most = 0.5 * world.tree.mass.sum() * 0.5**2
+    assert kinetic_energy(world, states).max() < most
 
 
 @pytest.mark.parametrize("engine", ["native", pytest.param("jax", marks=pytest.mark.slow)])

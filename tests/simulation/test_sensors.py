@@ -177,7 +177,7 @@ def test_velocities_are_how_fast_the_bodies_get_on(x64):
         turned = integrate_quaternion(state.orientation, v[:3], time)
         place, q = state.position + time * v[3:], state.q + time * state.qd
         now = Snapshot(World(tree, 9.81), 1 / 60, State(place, turned, v, q, state.qd))
-        none = Forces(jnp.zeros_like(state.q), jnp.zeros((3, 0, 4)))
+        none = Forces(jnp.zeros_like(state.q), jnp.zeros((3, 0, 4)), jnp.zeros((0, 4)))
         read = [VelocitySensor("b3", largest).sense(now, none) for largest in (100.0, 1e-3)]
         speeds = now.velocity, now.centre_of_mass_velocity, now.angular_velocity
         return now.position, now.centre_of_mass, now.rotation, speeds, read

@@ -45,7 +45,7 @@ def taken(step, place, turn, airborne):
     world = World(build_tree(BOX), 9.81)
     before = Snapshot(world, 1 / 60, State(place, turn, still, none, none))
     unseen = Observation(*[none] * 7)
-    forces = Forces(none, jnp.zeros((3, 0, *place.shape[1:])))
+    forces = Forces(none, jnp.zeros((3, 0, *place.shape[1:])), none[:0])
     energy = jnp.zeros(place.shape[1:])
     command = Command(none, none)
     return Transition(step, before, before, unseen, command, forces, energy, airborne)
