@@ -1,19 +1,24 @@
 """Different bodies from one configuration: the same but for some numbers."""
 
 import dataclasses
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
-from evo_cpg.config.build import build_experiment
+from evo_cpg.config.build import build_creature, build_experiment
 from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.numbers import number_at, with_numbers
 from evo_cpg.config.schema.experiment import ExperimentConfig
+from evo_cpg.creature.self_collision import SelfCollision, colliding_pairs_of_all
+from evo_cpg.creature.tree import build_tree
 from evo_cpg.simulation.batched import BatchedSimulation, LayoutError, batch
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.task import Task
+
+# Names of bodies.
+Pairs = tuple[tuple[str, str], ...]
 
 
 def build_batch(
@@ -53,13 +58,21 @@ def build_batch(
         with_numbers(config, dict(zip(numbers, row, strict=True)), source)
         for row in zip(*columns, strict=True)
     ]
-    problem = ""
+    problem, pairs = "", _pairs(like.common) if like else None
     # Bodies with surfaces that are alike may come to differ, and are then treated one by one.
     for apart in (False, True):
-        common, *simulations = (
-            _with_task(build_experiment(each, source, folders, apart).simulation, task)
-            for each in (config, *configs)
-        )
+
+        def build(pairs: Pairs | None, apart: bool = apart) -> list[Simulation]:
+            return [
+                _with_task(build_experiment(each, source, folders, apart, pairs).simulation, task)
+                for each in (config, *configs)
+            ]
+
+        common, *simulations = build(pairs)
+        if len({_pairs(each) for each in (common, *simulations)}) > 1:
+            # Longer limbs meet others.
+            pairs = _pairs_of_all((config, *configs), source)
+            common, *simulations = build(pairs)
         try:
             return batch(common, simulations, like)
         except LayoutError as error:
@@ -68,6 +81,24 @@ def build_batch(
             problem = str(error)
             break
     raise ConfigError(source, (), f"{', '.join(numbers)}: {problem}")
+
+
+def _pairs(simulation: Simulation) -> Pairs:
+    """Names of the bodies that are kept from passing through each other."""
+    pairs, names = simulation.world.pairs, simulation.world.tree.names
+    if pairs is None:
+        return ()
+    both = zip(pairs.first, pairs.second, strict=True)
+    return tuple(sorted((names[min(pair)], names[max(pair)]) for pair in both))
+
+
+def _pairs_of_all(configs: Sequence[ExperimentConfig], source: Path | str) -> Pairs:
+    """Those of creatures of one plan, of which limbs can meet."""
+    first = configs[0]
+    wanted = first.creature.build_self_collision(on_ground=first.world.ground is not None)
+    creatures = (build_creature(each, source) for each in configs)
+    every = ((creature, build_tree(creature)) for creature in creatures)
+    return colliding_pairs_of_all(every, wanted or SelfCollision())
 
 
 def _with_task(simulation: Simulation, task: Task | None) -> Simulation:

@@ -1,5 +1,6 @@
 """From a checked configuration to an experiment."""
 
+import dataclasses
 import sys
 from collections.abc import Iterable
 from pathlib import Path
@@ -58,6 +59,7 @@ def build_experiment(
     source: Path | str,
     folders: Iterable[Path] = (),
     apart: bool = False,
+    pairs: tuple[tuple[str, str], ...] | None = None,
 ) -> Experiment:
     """Build what a configuration describes.
 
@@ -66,6 +68,8 @@ def build_experiment(
         source: file it came from, for messages; a user's own classes are looked for beside it.
         folders: where else to look for them, before the working folder.
         apart: leave surfaces ungrouped that are alike, so that they may come to differ.
+        pairs: names of the bodies that are kept from passing through each other, instead of what
+            the creature's own numbers make of it; None for that.
 
     Raises:
         ConfigError: parts that do not fit together.
@@ -73,7 +77,7 @@ def build_experiment(
     for folder in (Path(source).parent, *folders, Path.cwd()):
         if str(folder.resolve()) not in sys.path:
             sys.path.append(str(folder.resolve()))
-    creature, simulation = build_simulation(config, source, apart)
+    creature, simulation = build_simulation(config, source, apart, pairs)
     genetics = config.evolution
     gene_count = simulation.controller.gene_count
     if isinstance(genetics, BitEvolutionConfig):
@@ -112,7 +116,10 @@ def build_experiment(
 
 
 def build_simulation(
-    config: ExperimentConfig, source: Path | str, apart: bool = False
+    config: ExperimentConfig,
+    source: Path | str,
+    apart: bool = False,
+    pairs: tuple[tuple[str, str], ...] | None = None,
 ) -> tuple[Creature, Simulation]:
     """The creature that a configuration describes, and what its trials are made of.
 
@@ -123,6 +130,7 @@ def build_simulation(
         config: the configuration; a user's own classes can be imported.
         source: file it came from, for messages.
         apart: see `build_experiment`.
+        pairs: likewise.
 
     Raises:
         ConfigError: parts that do not fit together.
@@ -130,7 +138,7 @@ def build_simulation(
     engine = _choose_engine(config, source)
     creature = build_creature(config, source)
     tree = build_tree(creature)
-    world = _build_world(config, creature, tree, apart)
+    world = _build_world(config, creature, tree, apart, pairs)
     extra_sensors = _build_sensors(config, tree, source)
     custom = sum(sensor.count for sensor in extra_sensors)
     controller = _build_controller(config, creature, tree, custom, source)
@@ -190,10 +198,18 @@ def build_creature(config: ExperimentConfig, source: Path | str) -> Creature:
         raise ConfigError(source, ("creature", *where), str(error)) from None
 
 
-def _build_world(config: ExperimentConfig, creature: Creature, tree: Tree, apart: bool) -> World:
+def _build_world(
+    config: ExperimentConfig,
+    creature: Creature,
+    tree: Tree,
+    apart: bool,
+    pairs: tuple[tuple[str, str], ...] | None,
+) -> World:
     water = config.world.water
     ground = config.world.ground and build_ground(config.world.ground)
     wanted = config.creature.build_self_collision(on_ground=ground is not None)
+    if wanted:
+        wanted = dataclasses.replace(wanted, only=pairs)
     return World(
         tree=tree,
         gravity=config.world.gravity,

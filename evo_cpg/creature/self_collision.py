@@ -6,6 +6,7 @@ never meet (`evo_cpg.creature.reach`). Bodies count as their `RoundedBox`.
 
 import dataclasses
 import itertools
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -25,10 +26,12 @@ class SelfCollision:
     Attributes:
         exclude: pairs of bodies that may pass through each other.
         include: pairs that may not, although they are neighbours or overlap in the neutral pose.
+        only: instead of the rule, all pairs that may not.
     """
 
     exclude: tuple[tuple[str, str], ...] = ()
     include: tuple[tuple[str, str], ...] = ()
+    only: tuple[tuple[str, str], ...] | None = None
 
 
 def colliding_pairs(creature: Creature, tree: Tree, wanted: SelfCollision) -> list[tuple[int, int]]:
@@ -39,6 +42,36 @@ def colliding_pairs(creature: Creature, tree: Tree, wanted: SelfCollision) -> li
         tree: its bodies in order.
         wanted: what differs from the rule; all names exist.
     """
+    if wanted.only is not None:
+        return sorted(_indices(tree.names, wanted.only))
+    candidates, overlapping = _candidates(creature, tree, wanted)
+    return [pair for pair in candidates if pair not in overlapping]
+
+
+def colliding_pairs_of_all(
+    creatures: Iterable[tuple[Creature, Tree]], wanted: SelfCollision
+) -> tuple[tuple[str, str], ...]:
+    """Pairs of bodies that are to be kept apart in creatures of one plan, by names.
+
+    Those that may meet in any of them, without those that overlap in the neutral pose of any.
+
+    Args:
+        creatures: of known numbers, and their trees.
+        wanted: what differs from the rule; all names exist.
+    """
+    meeting, passing, names = set(), set(), tuple[str, ...]()
+    for creature, tree in creatures:
+        candidates, overlapping = _candidates(creature, tree, wanted)
+        meeting.update(candidates)
+        passing |= overlapping
+        names = tree.names
+    return tuple((names[first], names[second]) for first, second in sorted(meeting - passing))
+
+
+def _candidates(
+    creature: Creature, tree: Tree, wanted: SelfCollision
+) -> tuple[list[tuple[int, int]], set[tuple[int, int]]]:
+    """Pairs that can meet, and those of them that pass because they overlap from the start."""
     every = set(itertools.combinations(range(len(tree.names)), 2))
     excluded, included = (_indices(tree.names, x) for x in (wanted.exclude, wanted.include))
     joined = {(parent, body) for body, parent in enumerate(tree.parents) if parent >= 0}
@@ -47,8 +80,7 @@ def colliding_pairs(creature: Creature, tree: Tree, wanted: SelfCollision) -> li
     half = np.array([box.half_extents + box.radius for box in boxes]).T
     wanted_pairs = sorted((every - joined - excluded) | included)
     candidates = pairs_that_can_meet(tree, wanted_pairs, (centre, half))
-    overlapping = _overlapping(creature, tree, candidates)
-    return [pair for pair in candidates if pair in included or pair not in overlapping]
+    return candidates, _overlapping(creature, tree, candidates) - included
 
 
 def _indices(names: tuple[str, ...], given: tuple[tuple[str, str], ...]) -> set[tuple[int, int]]:

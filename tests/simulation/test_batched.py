@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from evo_cpg.config.batched import build_batch
+from evo_cpg.config.build import build_experiment
 from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.load import load_config
-from evo_cpg.config.numbers import number_at
+from evo_cpg.config.numbers import number_at, with_numbers
 from evo_cpg.simulation.batched import rollout_batched
 from evo_cpg.simulation.rollout import rollout
 from tiny_run import REPOSITORY, TINY
@@ -118,6 +119,39 @@ def test_a_compiled_program_serves_other_bodies():
     alone = rollout(others[2], genes[:, 2:3])
     for name, term in found.terms.items():
         np.testing.assert_allclose(term[2], alone.terms[name][0], rtol=1e-5, atol=1e-5)
+
+
+def test_bodies_of_which_different_limbs_can_meet_share_the_pairs():
+    """Legs far apart cannot meet; thick ones overlap from the start; some of each, and neither."""
+    path, overrides, _ = CASES["walker"]
+    config = load_config(path, list(overrides))
+    names = [body.name for body in config.creature.bodies]
+    hips = [f"creature.bodies.{i}.joint.at.0" for i, name in enumerate(names) if "front" in name]
+    hips = [key for key in hips if number_at(config, key) > 0]
+    thickness = f"creature.bodies.{names.index('front_left_lower')}.shape.size.0"
+
+    def pairs(simulation):
+        found, of = simulation.world.pairs, simulation.world.tree.names
+        return {frozenset((of[i], of[j])) for i, j in zip(found.first, found.second, strict=True)}
+
+    given = {key: np.array([0.26, 1.2, 0.26]) for key in hips} | {
+        thickness: np.array([0.08, 0.08, 1.1])
+    }
+    alone = [
+        pairs(
+            build_experiment(
+                with_numbers(config, {k: v[i] for k, v in given.items()}, path), path
+            ).simulation
+        )
+        for i in range(3)
+    ]
+    batched = build_batch(config, path, given)
+    overlaps = alone[0] - alone[2]
+    assert alone[1] < alone[0] and overlaps - alone[1]
+    assert pairs(batched.common) == alone[0] - overlaps
+    assert all(pairs(batched[i]) == pairs(batched.common) for i in range(3))
+    again = build_batch(config, path, {k: v[:1] for k, v in given.items()}, like=batched)
+    assert pairs(again[0]) == pairs(batched.common)
 
 
 def test_the_number_that_may_not_differ_is_named():
