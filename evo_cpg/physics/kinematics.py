@@ -69,23 +69,58 @@ def kinematics(tree: Tree, state: State) -> Kinematics:
         # Columns: those of the body's rotation, and behind them the axes of its joint.
         frame = matmul(parent.rotation, local[i.bodies])
         rotation, S = frame[:, :3], frame[:, 3:]
-        spin, spin_rate = _joint_motion(S * of_joints(state.qd, i, batch_ndim)[None])
-        linear = parent.linear + cross(parent.angular, offset)
-        bodies = bodies.followed_by(
-            _Body(
-                rotation,
-                parent.origin + offset,
-                parent.angular + spin,
-                linear,
-                parent.bias_angular + cross(parent.angular, spin) + spin_rate,
-                parent.bias_linear + cross(parent.bias_angular, offset) + cross(linear, spin),
-            )
-        )
+        moves = _carried(parent, offset, S * of_joints(state.qd, i, batch_ndim)[None])
+        bodies = bodies.followed_by(_Body(rotation, parent.origin + offset, *moves))
         offsets.append(offset)
         axes.append(in_dof_order(S, batch_ndim))
     rotation, origin, *motion = bodies.stacked()
     return Kinematics(
         rotation, origin, jnp.concatenate(offsets, 1), jnp.concatenate(axes, 1), *motion
+    )
+
+
+class Motion(NamedTuple):
+    """How all bodies move; see `Kinematics`."""
+
+    angular: Float[Array, "3 b *n"]
+    linear: Float[Array, "3 b *n"]
+    bias_angular: Float[Array, "3 b *n"]
+    bias_linear: Float[Array, "3 b *n"]
+
+
+def motion_by_joints(tree: Tree, kin: Kinematics, qd: Float[Array, "d *n"]) -> Motion:
+    """How the bodies would move at some joint rates if the root lay still.
+
+    Args:
+        tree: the creature.
+        kin: where its bodies are.
+        qd: rad/s.
+    """
+    batch_ndim = qd.ndim - 1
+    none = jnp.zeros_like(kin.origin[:, 0])
+    bodies = PerBody([Motion(none, none, none, none)], batch_ndim)
+    for i in tree.groups:
+        parent, offset = bodies[i.parents], kin.offset[:, i.bodies]
+        rates = of_joints(kin.axes, i, batch_ndim) * of_joints(qd, i, batch_ndim)[None]
+        bodies = bodies.followed_by(_carried(parent, offset, rates))
+    return bodies.stacked()
+
+
+def _carried(parent: Any, offset: Array, rates: Array) -> Motion:
+    """How bodies move that their parents carry.
+
+    Args:
+        parent: of each, with the attributes of `Motion`.
+        offset: from the parents' origins, m.
+        rates: of the joint's axes, each along its axis.
+    """
+    spin, spin_rate = _joint_motion(rates)
+    linear = parent.linear + cross(parent.angular, offset)
+    return Motion(
+        parent.angular + spin,
+        linear,
+        parent.bias_angular + cross(parent.angular, spin) + spin_rate,
+        parent.bias_linear + cross(parent.bias_angular, offset) + cross(linear, spin),
     )
 
 

@@ -10,6 +10,10 @@ the problem is solved anew. So Coulomb's law holds but for what the last round w
 Restitution is likewise taken less, and the problem solved anew, where contact would give the
 creature energy.
 
+How far points of two limbs part within a step depends on how fast their joints turn at its end. So
+where limbs push each other, and would come elsewhere than they are to, the problem is solved anew
+with the motion that was found (`StepProblem.strays`).
+
 Derivatives follow by the implicit function theorem: where the laws hold, one more Newton step from
 there goes nowhere, and its derivative is that of the answer.
 """
@@ -33,6 +37,9 @@ from evo_cpg.spatial.linear import matvec_t, where_each
 # How many radii of the friction cone are tried, and Newton steps with all of them at most.
 _CONES, _STEPS = 8, 60
 
+# How many sweeps of pairs of bodies are tried.
+_SWEEPS = 3
+
 # What is left of restitution each time that it is taken less, and how often before it is left out.
 _LESS, _TRIES = 0.5, 2
 
@@ -55,9 +62,12 @@ class _Search(NamedTuple):
         last_missed: by how much that differed from that radius.
         cones: how many were left behind.
         restitution: what is left of it, as a share.
+        sweep: of pairs of bodies (`evo_cpg.physics.pairs`), m/s^2.
+        sweeps: how many were left behind.
+        first_cones: how many radii were, under the first sweep.
         steps: of Newton's.
         done: whether the laws hold.
-        reached: the motions under each radius.
+        reached: the motions under each radius, and then under each further sweep.
     """
 
     iterate: Iterate
@@ -66,6 +76,9 @@ class _Search(NamedTuple):
     last_missed: Float[Array, "p *n"]
     cones: Int[Array, "*n"]
     restitution: Float[Array, "*n"]
+    sweep: Float[Array, "k *n"]
+    sweeps: Int[Array, "*n"]
+    first_cones: Int[Array, "*n"]
     steps: Int[Array, "*n"]
     done: Bool[Array, "*n"]
     reached: tuple[Iterate, ...]
@@ -78,11 +91,27 @@ class _Answer(NamedTuple):
         iterate: the motion.
         radius: of the friction cone there, N.
         restitution: what was left of it, as a share.
+        sweep: of pairs of bodies there, m/s^2.
     """
 
     iterate: Iterate
     radius: Float[Array, "p *n"]
     restitution: Float[Array, "*n"]
+    sweep: Float[Array, "k *n"]
+
+
+class _Notes(NamedTuple):
+    """How an answer came about.
+
+    Attributes:
+        reached: see `_Search`.
+        restitution: what was left of it, as a share.
+        sweeps: how many were left behind.
+    """
+
+    reached: tuple[Iterate, ...]
+    restitution: Float[Array, "*n"]
+    sweeps: Int[Array, "*n"]
 
 
 def search(
@@ -109,14 +138,16 @@ def search(
     whole = jnp.ones(state.q.shape[1:], state.q.dtype)
     radius, start = warmstart.radius, problem.bounded(whole)
     first = start.motion(start.linearized(radius, warmstart.qdd, warmstart.velocity))
-    like = (first,) * _cone_count(problem), whole
+    rounds = _cone_count(problem) + _sweep_count(problem) - 1
+    like = _Notes((first,) * rounds, whole, jnp.zeros(whole.shape, jnp.int32))
     answer = implicit(
         functools.partial(_descend, problem, radius),
         functools.partial(_replay, problem, radius),
         first,
         like,
     )
-    return _imposed(problem.bounded(answer.restitution), answer.radius, answer.iterate)
+    end = problem.bounded(answer.restitution).swept(answer.sweep)
+    return _imposed(end, answer.radius, answer.iterate)
 
 
 def coldstart(world: World, batch: tuple[int, ...], dtype: jnp.dtype) -> Warmstart:
@@ -130,6 +161,11 @@ def coldstart(world: World, batch: tuple[int, ...], dtype: jnp.dtype) -> Warmsta
 def _cone_count(problem: StepProblem) -> int:
     """How many radii of the friction cone are tried."""
     return 1 if problem.world.footing is None else _CONES
+
+
+def _sweep_count(problem: StepProblem) -> int:
+    """How many sweeps of pairs of bodies are tried."""
+    return 1 if problem.world.pairs is None else _SWEEPS
 
 
 def _imposed(problem: StepProblem, radius: Float[Array, "p *n"], iterate: Iterate) -> Imposed:
@@ -150,8 +186,8 @@ def _imposed(problem: StepProblem, radius: Float[Array, "p *n"], iterate: Iterat
 
 def _descend(
     problem: StepProblem, radius: Float[Array, "p *n"], first: Iterate
-) -> tuple[_Answer, tuple[tuple[Iterate, ...], Array]]:
-    """The answer, and for `_replay` the answers under all radii and what restitution was left."""
+) -> tuple[_Answer, _Notes]:
+    """The answer, and what `_replay` needs."""
     exact, rough = _tolerances(first.qdd)
     early = first.qdd.dtype != jnp.float64
     whole = jnp.ones(first.qdd.shape[1:], first.qdd.dtype)
@@ -160,10 +196,10 @@ def _descend(
     holds = early & (start.residual(first, linear) <= exact)
     holds &= start.beyond_coulomb(radius, found, first, linear) <= _COULOMB
     none = jnp.zeros(holds.shape, jnp.int32)
-    count = _cone_count(problem)
+    count, most = _cone_count(problem), _sweep_count(problem)
 
     def advance(search: _Search) -> _Search:
-        now = problem.bounded(search.restitution)
+        now = problem.bounded(search.restitution).swept(search.sweep)
         radius, linear = search.radius, now.linearized_at(search.radius, search.iterate)
         ahead = now.motion(linear)
         iterate, linear = line_search(now, radius, search.iterate, linear, ahead)
@@ -177,7 +213,13 @@ def _descend(
         ends = (settled & last) | (early & coulomb & (residual <= exact))
         changed = settled & ~last & ~ends
         too_much = ends & now.gains(iterate) & (search.restitution > 0)
+        ends &= ~too_much
+        sweep, strays = search.sweep, jnp.zeros(ends.shape, bool)
+        if most > 1:
+            sweep = now.sweep(iterate)
+            strays = ends & (search.sweeps + 1 < most) & now.strays(iterate, sweep)
         steps = search.steps + 1
+        here = jnp.where(search.sweeps > 0, count - 1 + search.sweeps, search.cones)
         return _Search(
             iterate,
             where_each(changed, new, radius),
@@ -185,40 +227,49 @@ def _descend(
             where_each(changed, found - radius, search.last_missed),
             search.cones + changed,
             jnp.where(too_much, _less(search.restitution), search.restitution),
+            where_each(strays, sweep, search.sweep),
+            search.sweeps + strays,
+            jnp.where(search.sweeps > 0, search.first_cones, search.cones + changed),
             steps,
-            (ends & ~too_much) | (steps >= _STEPS),
-            tuple(
-                where_each(search.cones == k, iterate, old) for k, old in enumerate(search.reached)
-            ),
+            (ends & ~strays) | (steps >= _STEPS),
+            tuple(where_each(here == k, iterate, old) for k, old in enumerate(search.reached)),
         )
 
-    done = holds & ~start.gains(first)
-    begin = _Search(first, radius, radius, radius, none, whole, none, done, (first,) * count)
-    end = while_each(lambda search: ~search.done, advance, begin)
-    reached = tuple(
-        where_each(end.cones < k, end.iterate, one) for k, one in enumerate(end.reached)
+    done, sweep = holds & ~start.gains(first) & ~start.pushes(first), problem.own_sweep(first)
+    begin = _Search(
+        *(first, radius, radius, radius, none, whole, sweep, none, none, none, done),
+        (first,) * (count + most - 1),
     )
-    return _Answer(end.iterate, end.radius, end.restitution), (reached, end.restitution)
+    end = while_each(lambda search: ~search.done, advance, begin)
+    reached = [end.reached[0]]
+    for k, one in enumerate(end.reached[1:count], 1):
+        # Where radii were no longer tried, the last one stands for the rest.
+        reached.append(where_each(end.first_cones < k, reached[-1], one))
+    notes = _Notes((*reached, *end.reached[count:]), end.restitution, end.sweeps)
+    return _Answer(end.iterate, end.radius, end.restitution, end.sweep), notes
 
 
-def _replay(
-    problem: StepProblem,
-    radius: Float[Array, "p *n"],
-    notes: tuple[tuple[Iterate, ...], Float[Array, "*n"]],
-) -> _Answer:
-    """The same answer by one Newton step under each radius, for derivatives."""
-    reached, restitution = notes
+def _replay(problem: StepProblem, radius: Float[Array, "p *n"], notes: _Notes) -> _Answer:
+    """The same answer by one Newton step under each radius and sweep, for derivatives."""
+    restitution, count = notes.restitution, _cone_count(problem)
+    reached, further = notes.reached[:count], notes.reached[count:]
     start, end = problem.bounded(jnp.ones_like(restitution)), problem.bounded(restitution)
     found = missed = radius
-    now = end if len(reached) == 1 else start
+    now = end if count == 1 else start
     iterate = now.motion(now.linearized_at(radius, reached[0]))
     for k, point in enumerate(reached[1:]):
         before, found = found, start.cone_radius(iterate)
         missed_before, missed = missed, found - radius
         radius = _next_radius(radius, found, before, missed_before, jnp.asarray(k > 0))
-        now = end if k + 2 == len(reached) else start
+        now = end if k + 2 == count else start
         iterate = now.motion(now.linearized_at(radius, point))
-    return _Answer(iterate, radius, restitution)
+    sweep = problem.own_sweep(iterate)
+    for k, point in enumerate(further, 1):
+        new = problem.sweep(iterate)
+        now = end.swept(new)
+        there = now.motion(now.linearized_at(radius, point))
+        iterate, sweep = where_each(notes.sweeps >= k, (there, new), (iterate, sweep))
+    return _Answer(iterate, radius, restitution, sweep)
 
 
 def _less(restitution: Float[Array, "*n"]) -> Float[Array, "*n"]:

@@ -10,7 +10,6 @@ method. `evo_cpg.physics.coupling` finds the forces of pairs within a step.
 """
 
 import itertools
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -26,7 +25,7 @@ from evo_cpg.creature.shapes import RoundedBox
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.box_separation import separation_of_boxes, separation_of_flat
 from evo_cpg.physics.contact import BAUMGARTE_SHARE, BAUMGARTE_SPEED
-from evo_cpg.physics.kinematics import Kinematics
+from evo_cpg.physics.kinematics import Kinematics, Motion, motion_by_joints
 from evo_cpg.physics.per_body import take
 from evo_cpg.physics.separation import (
     RoundedBoxes,
@@ -107,12 +106,16 @@ class PairContacts(NamedTuple):
         jacobian: J; zeros of joints that are not between the bodies, m.
         coasting: velocity if all joint accelerations were zero, mean over the step, m/s.
         wanted: v*.
+        sweep: acceleration along the normal at constant joint rates, which is in `coasting`, m/s^2.
+        where: the nearest points.
     """
 
     gap: Float[Array, "p *n"]
     jacobian: Float[Array, "p d *n"]
     coasting: Float[Array, "p *n"]
     wanted: Float[Array, "p *n"]
+    sweep: Float[Array, "p *n"]
+    where: Separation
 
 
 class PairLinearization(NamedTuple):
@@ -254,33 +257,68 @@ def find_pair_contacts(
         qd: joint rates there, rad/s.
         h: s.
     """
-    gap, normal, *points, carried = separations(pairs, kin)
+    where = separations(pairs, kin)
+    push = jnp.clip(-BAUMGARTE_SHARE / h * where.gap, 0.0, BAUMGARTE_SPEED)
+    wanted = jnp.where(where.gap > 0, -where.gap / h, push)
+    sweep = _sweep(pairs, kin.origin, kin, where)
+    jacobian = _jacobian(tree, pairs, kin, where)
+    coasting = (jacobian * qd[None]).sum(1) + 0.5 * h * sweep
+    return PairContacts(where.gap, jacobian, coasting, wanted, sweep, where)
+
+
+def sweep_at(
+    tree: Tree, pairs: Pairs, kin: Kinematics, contacts: PairContacts, qd: Float[Array, "d *n"]
+) -> Float[Array, "p *n"]:
+    """The sweep at other joint rates, m/s^2.
+
+    Args:
+        tree: the creature.
+        pairs: those of it.
+        kin: kinematics at the start of the step.
+        contacts: of this step.
+        qd: rad/s.
+    """
+    return _sweep(pairs, kin.origin, motion_by_joints(tree, kin, qd), contacts.where)
+
+
+def swept(contacts: PairContacts, sweep: Float[Array, "p *n"], h: float) -> PairContacts:
+    """The contacts with another sweep (m/s^2) throughout the step."""
+    coasting = contacts.coasting + 0.5 * h * (sweep - contacts.sweep)
+    return contacts._replace(coasting=coasting, sweep=sweep)
+
+
+def _sweep(pairs: Pairs, origin: Array, motion: Kinematics | Motion, where: Separation) -> Array:
+    """Acceleration along the normals at constant joint rates.
+
+    Args:
+        pairs: of a creature.
+        origin: of its bodies, m.
+        motion: of them.
+        where: the nearest points.
+    """
+    _, normal, *points, carried = where
     # Of a body's point at the arm r: velocity v + w x r, drift a + A r.
-    spin, square = kin.angular, dot(kin.angular, kin.angular)
-    a = kin.bias_linear + cross(spin, kin.linear)
-    A = skew(kin.bias_angular) + spin[:, None] * spin[None]
+    spin, square = motion.angular, dot(motion.angular, motion.angular)
+    a = motion.bias_linear + cross(spin, motion.linear)
+    A = skew(motion.bias_angular) + spin[:, None] * spin[None]
     A = A - square[None, None] * expand_dims_like(np.eye(3), A)
     velocity, drift, turning = [], [], jnp.zeros_like(normal)
     for bodies, point, share in zip(pairs.owners, points, carried, strict=True):
         own = np.array(bodies)
-        arm, angular = point - take(kin.origin, own), take(spin, own)
-        velocity.append(take(kin.linear, own) + cross(angular, arm))
+        arm, angular = point - take(origin, own), take(spin, own)
+        velocity.append(take(motion.linear, own) + cross(angular, arm))
         drift.append(take(a, own) + matvec(take(A, own, 2), arm))
         turning = turning + share[None] * angular
     parting = velocity[1] - velocity[0]
     # A normal that turns meets another part of what slides past it.
-    sweep = dot(normal, drift[1] - drift[0]) - 2.0 * dot(cross(normal, turning), parting)
-    push = jnp.clip(-BAUMGARTE_SHARE / h * gap, 0.0, BAUMGARTE_SPEED)
-    wanted = jnp.where(gap > 0, -gap / h, push)
-    jacobian = _jacobian(tree, pairs, kin, normal, points)
-    coasting = (jacobian * qd[None]).sum(1) + 0.5 * h * sweep
-    return PairContacts(gap, jacobian, coasting, wanted)
+    return dot(normal, drift[1] - drift[0]) - 2.0 * dot(cross(normal, turning), parting)
 
 
 def _jacobian(
-    tree: Tree, pairs: Pairs, kin: Kinematics, normal: Array, points: Sequence[Array]
+    tree: Tree, pairs: Pairs, kin: Kinematics, where: Separation
 ) -> Float[Array, "p d *n"]:
     """J of `PairContacts`."""
+    _, normal, *points, _ = where
     joints = take(kin.origin, np.array(tree.dof_bodies, int))
     ways = []
     for point in points:

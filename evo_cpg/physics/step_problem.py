@@ -26,13 +26,16 @@ from evo_cpg.physics.contact import (
 )
 from evo_cpg.physics.equations import Equations, Linearization, solve_with
 from evo_cpg.physics.joints import clamp_torque, limit_torque, overloaded, servo_slope
-from evo_cpg.physics.pairs import linearize_pairs, parting_velocity
+from evo_cpg.physics.pairs import linearize_pairs, parting_velocity, sweep_at, swept
 from evo_cpg.physics.world import World
 from evo_cpg.spatial.linear import expand_dims_like
 from evo_cpg.spatial.numerics import xp
 
 # Rate (rad/s) whose torque by the slope of a joint's law is enough to measure what is missed by.
 _SLOW = 1e-2
+
+# By so much (m) a pair may come elsewhere within a step.
+_STRAY = 2e-4
 
 # Of forces (N) and torques (N m) that counts as none.
 _NONE = 1e-12
@@ -98,6 +101,44 @@ class StepProblem(NamedTuple):
             return self
         contacts = bounded(equations.contacts, restitution)
         return self._replace(equations=equations._replace(contacts=contacts))
+
+    def swept(self, sweep: Float[Array, "k *n"]) -> "StepProblem":
+        """The problem with another sweep of pairs of bodies (`evo_cpg.physics.pairs`), m/s^2."""
+        equations = self.equations
+        if equations.pairs is None:
+            return self
+        pairs = swept(equations.pairs, sweep, self.h)
+        return self._replace(equations=equations._replace(pairs=pairs))
+
+    def own_sweep(self, iterate: Iterate) -> Float[Array, "k *n"]:
+        """The sweep that this problem has; none where no bodies can touch."""
+        pairs = self.equations.pairs
+        return iterate.qdd[:0] if pairs is None else pairs.sweep
+
+    def sweep(self, iterate: Iterate) -> Float[Array, "k *n"]:
+        """Of pairs of bodies at the joint rates of an iterate, m/s^2."""
+        equations, pairs = self.equations, self.world.pairs
+        if pairs is None or equations.pairs is None:
+            return iterate.qdd[:0]
+        rates = equations.state.qd + self.h * iterate.qdd
+        return sweep_at(self.world.tree, pairs, equations.kin, equations.pairs, rates)
+
+    def pushes(self, iterate: Iterate) -> Bool[Array, "*n"]:
+        """Where pairs of bodies push each other, or should."""
+        contacts = self.equations.pairs
+        if contacts is None:
+            return jnp.zeros(iterate.qdd.shape[1:], bool)
+        return (contacts.wanted > parting_velocity(contacts, iterate.qdd, self.h)).any(0)
+
+    def strays(self, iterate: Iterate, sweep: Float[Array, "k *n"]) -> Bool[Array, "*n"]:
+        """Where pairs that push come elsewhere than they are to, for their sweep is another."""
+        contacts = self.equations.pairs
+        if contacts is None:
+            return jnp.zeros(iterate.qdd.shape[1:], bool)
+        velocity = parting_velocity(contacts, iterate.qdd, self.h)
+        other = parting_velocity(swept(contacts, sweep, self.h), iterate.qdd, self.h)
+        touches = (contacts.wanted > velocity) | (contacts.wanted > other)
+        return (touches & (self.h * jnp.abs(other - velocity) > _STRAY)).any(0)
 
     def gains(self, iterate: Iterate) -> Bool[Array, "*n"]:
         """Where bouncing contacts give the creature energy."""
