@@ -119,6 +119,8 @@ def _read_yaml(path: Path) -> dict[str, Any]:
         raise ConfigError(path, (), f"cannot be read ({error.strerror})") from None
     except UnicodeDecodeError as error:
         raise ConfigError(path, (), f"is not UTF-8 text (byte {error.start} is wrong)") from None
+    except ValueError:
+        raise ConfigError(path, (), "is no name of a file") from None
     try:
         data = _parse(text)
     except yaml.YAMLError as error:
@@ -139,9 +141,15 @@ def _parse(text: str) -> Any:
 
 def _read_files(data: dict[str, Any], path: Path) -> None:
     """Put the contents of other files in the place of their names, so that one file holds all."""
-    if isinstance(data.get("creature"), str):
-        folder = Path(data["creature"]).parent
-        data["creature"] = _read_yaml(path.parent / data["creature"])
+    creature = data.get("creature")
+    if isinstance(creature, str):
+        creature = {"file": creature}
+    if isinstance(creature, dict) and "file" in creature:
+        name, changes = creature["file"], {k: v for k, v in creature.items() if k != "file"}
+        if not isinstance(name, str):
+            raise ConfigError(path, ("creature", "file"), "must be the path of a creature's file")
+        folder = Path(name).parent
+        data["creature"] = _read_yaml(path.parent / name) | changes
         for _, entry in _mesh_entries(data):
             if isinstance(entry["shape"].get("file"), str):
                 entry["shape"] = entry["shape"] | {"file": str(folder / entry["shape"]["file"])}

@@ -566,6 +566,30 @@ def test_an_override_may_exchange_the_creature(tmp_path):
     assert config.creature.bodies[1].repeat == 3
 
 
+def test_a_config_may_change_parts_of_a_creatures_file(tmp_path):
+    path = tmp_path / "changed.yaml"
+    data = yaml.safe_load(CONFIG.read_text())
+    file = str(CONFIG.parent / data["creature"])
+
+    def changed(**creature):
+        path.write_text(yaml.safe_dump(data | {"creature": creature}))
+        return load_config(path)
+
+    gauge = {"body": "head", "position": [0, 0, 0], "full_scale": 0.2}
+    config, plain = changed(file=file, depth_sensors=[gauge]), load_config(CONFIG)
+    assert config.creature.depth_sensors[0].full_scale == 0.2
+    assert config.creature.bodies == plain.creature.bodies
+    with pytest.raises(ConfigError, match=r"creature\.file: must be the path"):
+        changed(file=3)
+    with pytest.raises(ConfigError, match="other.yaml"):
+        changed(file="other.yaml")
+    with pytest.raises(ConfigError, match="depth_sensors"):
+        changed(file=file, depth_sensor=[gauge])
+    for name in ("\0", "a" * 300):
+        with pytest.raises(ConfigError):
+            changed(file=name)
+
+
 @given(st.text(max_size=12), st.lists(st.text(min_size=1, max_size=12), min_size=1, max_size=6))
 def test_the_hint_always_lists_what_is_valid(word, valid):
     assert nearest(word, valid).endswith(f"valid here: {', '.join(sorted(valid))}")
