@@ -581,7 +581,7 @@ def test_a_config_may_change_parts_of_a_creatures_file(tmp_path):
     assert config.creature.bodies == plain.creature.bodies
     with pytest.raises(ConfigError, match=r"creature\.file: must be the path"):
         changed(file=3)
-    with pytest.raises(ConfigError, match="other.yaml"):
+    with pytest.raises(ConfigError, match=r"other\.yaml"):
         changed(file="other.yaml")
     with pytest.raises(ConfigError, match="depth_sensors"):
         changed(file=file, depth_sensor=[gauge])
