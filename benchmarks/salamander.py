@@ -8,6 +8,7 @@ under OUT hold the rest.
 
 import json
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -27,15 +28,28 @@ WORLDS = {
 SEEDS = range(5)
 
 
-def put(animals: dict[str, np.ndarray], world: Path) -> dict[str, list[float]]:
+def put(
+    animals: dict[str, np.ndarray], world: Path, overrides: Sequence[str] = ()
+) -> dict[str, list[float]]:
     """Share of the distance that each animal leaves in each of a world's situations."""
-    simulation = build_experiment(load_config(world), world).simulation
+    simulation = build_experiment(load_config(world, overrides), world).simulation
     count = len(simulation.situations)
     genes = np.stack(list(animals.values()), axis=1)
     numbers = np.tile(np.arange(count), len(animals)) if count > 1 else None
     outcome = compile_trials(simulation, population_mesh())(genes, None, numbers, count)
     shares = outcome.terms["distance"].reshape(-1, count)
     return {name: row.tolist() for name, row in zip(animals, shares, strict=True)}
+
+
+def put_all(animals: dict[str, np.ndarray], name: str) -> dict[str, list[float]]:
+    """Likewise for animals of all worlds, of which those of the shore alone have a depth gauge."""
+    if name != "shore":
+        return put(
+            {key: x for key, x in animals.items() if not key.startswith("shore")}, WORLDS[name]
+        )
+    native = {key: x for key, x in animals.items() if key.startswith("shore")}
+    others = {key: x for key, x in animals.items() if key not in native}
+    return put(native, WORLDS[name]) | put(others, WORLDS[name], ["creature.depth_sensors=[]"])
 
 
 def still() -> np.ndarray:
@@ -60,8 +74,8 @@ def main(out: Path) -> None:
             animals[f"{name} {seed}"] = champion.genes
             study[name]["runs"].append(measures)
             print(name, json.dumps(measures), flush=True)
-    for name, world in WORLDS.items():
-        study[name]["animals"] = put(animals, world)
+    for name in WORLDS:
+        study[name]["animals"] = put_all(animals, name)
         print(name, json.dumps(study[name]["animals"]), flush=True)
     for name, world in WORLDS.items():
         for seed in SEEDS:
