@@ -121,7 +121,7 @@ def test_limbs_clap_without_passing_through(x64, shape, axes):
 
 @pytest.mark.parametrize("shape", SHAPES)
 def test_limbs_that_turn_fast_meet_where_they_are_at_the_end_of_the_step(x64, shape):
-    """At 14 rad/s an arm bends its way by several millimetres in a step: they are 2 mm deep at most.
+    """At 14 rad/s the way of an arm bends by millimetres in a step: they are 2 mm deep at most.
 
     With the sweep of the step's start they were 2.3 (ellipsoids) to 3.6 mm (boxes) deep.
     """
