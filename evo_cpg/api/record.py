@@ -70,11 +70,12 @@ def as_record(simulation: Simulation, frames: Mapping[str, Array], recording: Re
                 add(f"{body}.rotation_{first}{second}", "1", rotation[:, row, column, i])
         for k, axis in enumerate(_AXES if footing is not None else ()):
             add(f"{body}.contact_force_{axis}", "N", force[:, k, owners == i].sum(1))
-    pushes = np.asarray(frames["pair_force"])[..., 0]
-    points = np.array([] if simulation.world.pairs is None else simulation.world.pairs.owners).T
-    for pair in np.unique(points, axis=0) if len(points) else ():
-        names = "-".join(tree.names[i] for i in pair)
-        add(f"{names}.push", "N", pushes[:, (points == pair).all(1)].sum(1))
+    pairs = simulation.world.pairs
+    if pairs is not None:
+        pushes, points = np.asarray(frames["pair_force"])[..., 0], np.array(pairs.owners)
+        for first, second in zip(pairs.first, pairs.second, strict=True):
+            own = (points[0] == first) & (points[1] == second)
+            add(f"{tree.names[first]}-{tree.names[second]}.push", "N", pushes[:, own].sum(1))
     for j, dof in enumerate(recording.dof_names):
         add(f"{dof}.angle", "rad", recording.joint_angle[:, j])
         add(f"{dof}.target_rate", "rad/s", recording.target_rate[:, j])

@@ -11,14 +11,11 @@ from evo_cpg.config.build import build_creature, build_experiment
 from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.numbers import number_at, with_numbers
 from evo_cpg.config.schema.experiment import ExperimentConfig
-from evo_cpg.creature.self_collision import SelfCollision, colliding_pairs_of_all
+from evo_cpg.creature.self_collision import PairNames, SelfCollision, colliding_pairs_of_all
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.simulation.batched import BatchedSimulation, LayoutError, batch
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.task import Task
-
-# Names of bodies.
-Pairs = tuple[tuple[str, str], ...]
 
 
 def build_batch(
@@ -62,7 +59,7 @@ def build_batch(
     # Bodies with surfaces that are alike may come to differ, and are then treated one by one.
     for apart in (False, True):
 
-        def build(pairs: Pairs | None, apart: bool = apart) -> list[Simulation]:
+        def build(pairs: PairNames | None, apart: bool = apart) -> list[Simulation]:
             return [
                 _with_task(build_experiment(each, source, folders, apart, pairs).simulation, task)
                 for each in (config, *configs)
@@ -83,7 +80,7 @@ def build_batch(
     raise ConfigError(source, (), f"{', '.join(numbers)}: {problem}")
 
 
-def _pairs(simulation: Simulation) -> Pairs:
+def _pairs(simulation: Simulation) -> PairNames:
     """Names of the bodies that are kept from passing through each other."""
     pairs, names = simulation.world.pairs, simulation.world.tree.names
     if pairs is None:
@@ -92,7 +89,7 @@ def _pairs(simulation: Simulation) -> Pairs:
     return tuple(sorted((names[min(pair)], names[max(pair)]) for pair in both))
 
 
-def _pairs_of_all(configs: Sequence[ExperimentConfig], source: Path | str) -> Pairs:
+def _pairs_of_all(configs: Sequence[ExperimentConfig], source: Path | str) -> PairNames:
     """Those of creatures of one plan, of which limbs can meet."""
     first = configs[0]
     wanted = first.creature.build_self_collision(on_ground=first.world.ground is not None)

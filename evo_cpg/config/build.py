@@ -23,6 +23,7 @@ from evo_cpg.control.controller import Controller
 from evo_cpg.control.couplings import CouplingError
 from evo_cpg.control.postures import PostureSettings, build_posture_controller
 from evo_cpg.creature.creature import Creature, CreatureError
+from evo_cpg.creature.self_collision import PairNames
 from evo_cpg.creature.shapes import Surface
 from evo_cpg.creature.surface import outer_surfaces, random_surfaces
 from evo_cpg.creature.tree import Tree, build_tree
@@ -59,7 +60,7 @@ def build_experiment(
     source: Path | str,
     folders: Iterable[Path] = (),
     apart: bool = False,
-    pairs: tuple[tuple[str, str], ...] | None = None,
+    pairs: PairNames | None = None,
 ) -> Experiment:
     """Build what a configuration describes.
 
@@ -119,7 +120,7 @@ def build_simulation(
     config: ExperimentConfig,
     source: Path | str,
     apart: bool = False,
-    pairs: tuple[tuple[str, str], ...] | None = None,
+    pairs: PairNames | None = None,
 ) -> tuple[Creature, Simulation]:
     """The creature that a configuration describes, and what its trials are made of.
 
@@ -203,7 +204,7 @@ def _build_world(
     creature: Creature,
     tree: Tree,
     apart: bool,
-    pairs: tuple[tuple[str, str], ...] | None,
+    pairs: PairNames | None,
 ) -> World:
     water = config.world.water
     ground = config.world.ground and build_ground(config.world.ground)

@@ -18,6 +18,9 @@ from evo_cpg.creature.tree import Tree
 # each other than to overlap, m.
 _PROJECTIONS, _TOUCH = 200, 1e-4
 
+# Names of two bodies each.
+PairNames = tuple[tuple[str, str], ...]
+
 
 @dataclasses.dataclass(frozen=True)
 class SelfCollision:
@@ -29,9 +32,9 @@ class SelfCollision:
         only: instead of the rule, all pairs that may not.
     """
 
-    exclude: tuple[tuple[str, str], ...] = ()
-    include: tuple[tuple[str, str], ...] = ()
-    only: tuple[tuple[str, str], ...] | None = None
+    exclude: PairNames = ()
+    include: PairNames = ()
+    only: PairNames | None = None
 
 
 def colliding_pairs(creature: Creature, tree: Tree, wanted: SelfCollision) -> list[tuple[int, int]]:
@@ -50,7 +53,7 @@ def colliding_pairs(creature: Creature, tree: Tree, wanted: SelfCollision) -> li
 
 def colliding_pairs_of_all(
     creatures: Iterable[tuple[Creature, Tree]], wanted: SelfCollision
-) -> tuple[tuple[str, str], ...]:
+) -> PairNames:
     """Pairs of bodies that are to be kept apart in creatures of one plan, by names.
 
     Those that may meet in any of them, without those that overlap in the neutral pose of any.
