@@ -56,11 +56,13 @@ class Block:
     Attributes:
         parent: the block around it; None for the program.
         depth: number of blocks around it.
+        active: whether an individual takes part, where some do not; else None.
     """
 
     def __init__(self, parent: "Block | None" = None):
         self.parent = parent
         self.depth: int = parent.depth + 1 if parent else 0
+        self.active: Node | None = parent.active if parent else None
 
 
 class Node:
