@@ -23,10 +23,10 @@ from evo_cpg.fusion import machine_constants
 from evo_cpg.fusion.graph import Block, Loop, Node
 from evo_cpg.fusion.ir import TYPES, Writer, number
 from evo_cpg.fusion.liveness import Plan, home
-from evo_cpg.fusion.memory import Memory
+from evo_cpg.fusion.memory import FRAME, FRAME_ORIGIN, Memory
 from evo_cpg.fusion.operations import write
 from evo_cpg.fusion.order import resolve
-from evo_cpg.fusion.packing import DECLARED, Gang, Place, each_vector, packed_loop
+from evo_cpg.fusion.packing import Gang, Place, declared, each_vector, packed_loop
 from evo_cpg.fusion.registers import Registers
 from evo_cpg.fusion.unsupported import Unsupported
 
@@ -53,12 +53,14 @@ class Variant(NamedTuple):
         masked: fewer individuals than that.
         fma: whether the processor multiplies and adds in one instruction.
         registers: for vectors, that it has.
+        compresses: whether it closes up the chosen numbers of a vector in one instruction.
     """
 
     width: int
     masked: bool
     fma: bool
     registers: int
+    compresses: bool
 
 
 class Code(NamedTuple):
@@ -114,6 +116,7 @@ class _Emitter:
     def __init__(self, arguments, results, variant: Variant, plan: Plan):
         self.arguments, self.results, self.plan = arguments, results, plan
         self.width, self.masked = variant.width, variant.masked
+        self.compresses = variant.compresses
         self.registers = Registers(variant.registers)
         self.w = Writer(variant.width, variant.fma)
         self.memory = Memory(self.w, variant.masked)
@@ -225,7 +228,8 @@ class _Emitter:
             kept = node in self.spilled or home(node) in self.slots
             if not kept and wide != node.uniform:
                 self.spilled[node] = place = self.memory.borrow(self._row_bytes(node))
-                self._store(name, node, place)
+                pointer = self.memory.borrowed(place)
+                self.memory.store(name, node.dtype, pointer, node.uniform)
 
     def _hold(self, node: Node, wide: bool, name: str) -> None:
         if node.dtype.kind == "f" or (wide and self.width > 1 and node.dtype.kind in "iu"):
@@ -401,7 +405,7 @@ class _Emitter:
         """A loop whose individuals are packed together; its functions are of one vector."""
         packed = self.packed = _Packed()
         name, outside, label = f"loop{len(self.functions)}", self.driver, self.label
-        parameters = self._buffers()
+        parameters = f"{self._buffers()}ptr {FRAME}, "
         whole = f"{parameters}ptr %scratch, i64 %n, i64 %first"
 
         self.driver, self.label = [], "entry"
@@ -433,7 +437,7 @@ class _Emitter:
         self.late.append(
             lambda gang: packed_loop(name, parameters, parameters, gang, reads, carries)
         )
-        self.w.declared.update(DECLARED)
+        self.w.declared.update(declared(self.width))
         self.driver.append(f"call void @{name}.gang({parameters}ptr %scratch, i64 %n, i64 %count)")
         self._begin()
 
@@ -523,7 +527,8 @@ class _Emitter:
     def _fetch(self, node: Node) -> str:
         """Read a value that is in memory."""
         if node in self.spilled:
-            name = self.memory.load(node.dtype, self.spilled[node], node.uniform)
+            pointer = self.memory.borrowed(self.spilled[node])
+            name = self.memory.load(node.dtype, pointer, node.uniform)
         elif node.op == "input" and node not in self.slots:
             number, row = node.detail
             name = self.memory.load_row(f"%b{number}", row, node.dtype, node.uniform)
@@ -558,16 +563,19 @@ class _Emitter:
         size = self.memory.size
         # An odd number of lines: the same place of different vectors is not in the same set.
         line = machine_constants.CACHE_LINE
-        gang = Gang(machine_constants.GANG, self.width, (size // line | 1) * line + line)
+        stride = (size // line | 1) * line + line
+        gang = Gang(machine_constants.GANG, self.width, stride, self.compresses)
+        own = (gang.vectors + 1) * gang.stride if self.ganged else size
         driver = [
             f"define internal void @program({self._buffers()}ptr %scratch, i64 %n) #0 {{",
             "entry:",
+            # Behind all that vectors have of their own.
+            f"{FRAME} = getelementptr i8, ptr %scratch, i64 {own + FRAME_ORIGIN}",
             "br label %vector",
             "vector:",
             f"%first = phi i64 [ 0, %entry ], [ %next, %{self.label} ]",
         ]
         if self.ganged:
-            size = (gang.vectors + 1) * gang.stride
             driver += [
                 "%left = sub i64 %n, %first",
                 f"%begun = add i64 %left, {self.width - 1}",
@@ -590,7 +598,7 @@ class _Emitter:
                 "%more = icmp slt i64 %stop, %n",
             ]
         driver += ["br i1 %more, label %vector, label %done", "done:", "ret void", "}"]
-        declared = self.w.declared.values()
+        declarations = self.w.declared.values()
         late = [finish(gang) for finish in self.late]
-        text = "\n".join([*self.globals, *declared, *self.functions, *late, *driver])
-        return text, size
+        text = "\n".join([*self.globals, *declarations, *self.functions, *late, *driver])
+        return text, own + self.memory.frame_size

@@ -9,6 +9,12 @@ import numpy as np
 from evo_cpg.fusion import machine_constants
 from evo_cpg.fusion.ir import TYPES, Writer
 
+FRAME = "%frame"
+"""Name of the pointer into the memory that is lent."""
+
+FRAME_ORIGIN = 8192
+"""Where it points to in it, bytes: AVX-512 tells offsets of up to 128 vectors in one byte."""
+
 _BOOL, _BYTE, _INDEX = np.dtype(bool), np.dtype(np.int8), np.dtype(np.int32)
 
 
@@ -21,26 +27,31 @@ class Memory:
 
     Attributes:
         size: bytes of scratch memory that are needed.
+        frame_size: of memory that is lent. Vectors that take turns share it, so that it stays in
+            the cache; what they keep is in scratch memory of their own.
         buffers: names of the arguments and results that were touched since it was last emptied.
     """
 
     def __init__(self, w: Writer, masked: bool):
         self._w, self._masked = w, masked
         self._free: dict[int, list[int]] = {}
-        self.size = 0
+        self.size = self.frame_size = 0
         self.buffers: dict[str, None] = {}
 
     def room(self, size: int) -> int:
         """So many bytes of scratch memory for good; where they begin."""
         place = self.size
-        line = machine_constants.CACHE_LINE
-        self.size += -(-size // line) * line
+        self.size += _lines(size)
         return place
 
     def borrow(self, size: int) -> int:
         """So many bytes until they are given back, such as are likely still in the cache."""
         free = self._free.get(size)
-        return free.pop() if free else self.room(size)
+        if free:
+            return free.pop()
+        place = self.frame_size
+        self.frame_size += _lines(size)
+        return place
 
     def give_back(self, size: int, place: int) -> None:
         """Borrowed memory may be used for something else."""
@@ -49,6 +60,11 @@ class Memory:
     def at(self, place: int | str) -> str:
         """A pointer to a place in scratch memory."""
         return self._w.let(f"getelementptr i8, ptr %scratch, i64 {place}")
+
+    def borrowed(self, place: int) -> str:
+        """A pointer to a place that was borrowed."""
+        self.buffers[FRAME] = None
+        return self._w.let(f"getelementptr i8, ptr {FRAME}, i64 {place - FRAME_ORIGIN}")
 
     def store(self, value: str, dtype: np.dtype, place: int | str, uniform: bool = False) -> None:
         """Write a value to a place in scratch memory or behind a pointer."""
@@ -146,3 +162,9 @@ def _kept_as(dtype: np.dtype) -> np.dtype:
 
 def _item(dtype: np.dtype) -> str:
     return TYPES[_kept_as(dtype).char]
+
+
+def _lines(size: int) -> int:
+    """So many bytes, rounded up to whole lines of the cache."""
+    line = machine_constants.CACHE_LINE
+    return -(-size // line) * line

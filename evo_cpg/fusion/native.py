@@ -85,9 +85,9 @@ def _native(program: Program, count: int) -> Native:
     width = 1 if count == 1 else target.bytes // widest
     key = target, width, count < width
     if key not in made:
-        made[key] = _make(
-            program, target, Variant(width, count < width, target.fma, target.registers)
-        )
+        compresses = target.name == "avx512"
+        variant = Variant(width, count < width, target.fma, target.registers, compresses)
+        made[key] = _make(program, target, variant)
     return made[key]
 
 

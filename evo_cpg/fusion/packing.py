@@ -4,14 +4,18 @@ A vector would go round until its last individual is done, and do the work of al
 several vectors, a *gang*, come to such a loop together. Each goes round by itself while many of its
 individuals want to. The others are then moved, one by one, into a vector of their own in scratch
 memory, from which whoever is done makes room for the next. What is moved is what the loop reads;
-what it carries is moved back. An individual's numbers are the same wherever they lie,
-so its bits do not depend on who its neighbours are.
+what it carries is moved back. Where the processor closes up the chosen numbers of a vector in one
+instruction (AVX-512), the first individuals take their seats vector by vector, not one by one.
+
+An individual's numbers are the same wherever they lie, so its bits do not depend on who its
+neighbours are.
 """
 
 from collections.abc import Iterable
 from typing import NamedTuple
 
-DECLARED = {
+_DECLARED = {
+    "llvm.ctlz.i32": "declare i32 @llvm.ctlz.i32(i32, i1)",
     "llvm.ctpop.i32": "declare i32 @llvm.ctpop.i32(i32)",
     "llvm.cttz.i32": "declare i32 @llvm.cttz.i32(i32, i1)",
 }
@@ -19,6 +23,10 @@ DECLARED = {
 # A vector goes round by itself with more individuals than this share of it. Fitted: a round of the
 # quadruped's contact costs as much as moving eight individuals in and out.
 _CROWDED = 3 / 8
+
+# AVX-512's instruction that closes up chosen numbers, the smallest that it is used for, and its
+# vector, bytes.
+_COMPRESS, _NARROWEST, _VECTOR = "llvm.x86.avx512.mask.compress", 4, 64
 
 # IR types by bytes of a number.
 _WORDS = {1: "i8", 2: "i16", 4: "i32", 8: "i64"}
@@ -45,11 +53,31 @@ class Gang(NamedTuple):
         vectors: at most.
         width: individuals of each.
         stride: bytes of scratch memory of each; behind those of the last lies the packed vector's.
+        compresses: whether the processor has AVX-512's instruction that closes up numbers.
     """
 
     vectors: int
     width: int
     stride: int
+    compresses: bool
+
+
+def declared(width: int) -> dict[str, str]:
+    """Declarations of what packed loops call, by name.
+
+    Args:
+        width: individuals in a vector.
+    """
+    found, flags = dict(_DECLARED), f"<{width} x i1>"
+    for size, word in _WORDS.items():
+        if size * width > _VECTOR:
+            continue
+        t, store = f"<{width} x {word}>", f"llvm.masked.store.v{width}{word}.p0"
+        found[store] = f"declare void @{store}({t}, ptr, i32, {flags})"
+        if size >= _NARROWEST:
+            close = f"{_COMPRESS}.v{width}{word}"
+            found[close] = f"declare {t} @{close}({t}, {t}, {flags})"
+    return found
 
 
 def packed_loop(
@@ -72,6 +100,7 @@ def packed_loop(
     own = sorted({place for place in reads if not place.shared} | set(carries))
     shared = sorted({place for place in reads if place.shared})
     width, stride, most = gang.width, gang.stride, gang.vectors * gang.width
+    together = gang.compresses and all(place.size * width <= _VECTOR for place in own)
     alike = [
         line
         for i, place in enumerate(shared)
@@ -87,6 +116,7 @@ def packed_loop(
 define internal void @{name}.gang({parameters}ptr %scratch, i64 %n, i64 %count) noinline #0 {{
 entry:
   %queue = alloca [{most} x i64]
+  %masks = alloca [{gang.vectors} x i32]
   %owner = alloca [{width} x i64]
   %pack = getelementptr i8, ptr %scratch, i64 {gang.vectors * stride}
   %alone = icmp eq i64 %count, 1
@@ -100,6 +130,8 @@ vector:
   br label %own_test
 own_test:
   %wants = call i32 @{name}.test({call.format("base")})
+  %mask_of = getelementptr i32, ptr %masks, i64 %v
+  store i32 %wants, ptr %mask_of
   %crowd = call i32 @llvm.ctpop.i32(i32 %wants)
   %goes_on = icmp ugt i32 %crowd, %enough
   br i1 %goes_on, label %own_round, label %leave
@@ -131,31 +163,13 @@ packing:
   br i1 %any, label %fill, label %done
 fill:
 {_lines(alike)}
-  br label %seat
-seat:
-  %s = phi i64 [ 0, %fill ], [ %s_next, %seat ]
-  %seats = phi i32 [ 0, %fill ], [ %seats_next, %seat ]
-  %taken = icmp ult i64 %s, %waiting_now
-  ; Whose seat is left over is filled like the first: no number in it may be without meaning.
-  %turn = select i1 %taken, i64 %s, i64 0
-  %turn_entry = getelementptr i64, ptr %queue, i64 %turn
-  %newcomer = load i64, ptr %turn_entry
-  %seat_owner = getelementptr i64, ptr %owner, i64 %s
-  store i64 %newcomer, ptr %seat_owner
-  call void @{name}.in(ptr %scratch, ptr %pack, i64 %newcomer, i64 %s)
-  %s_narrow = trunc i64 %s to i32
-  %seat_bit = shl i32 1, %s_narrow
-  %seats_more = or i32 %seats, %seat_bit
-  %seats_next = select i1 %taken, i32 %seats_more, i32 %seats
-  %s_next = add i64 %s, 1
-  %more_seats = icmp ult i64 %s_next, {width}
-  br i1 %more_seats, label %seat, label %seated
+{_closed_up(name, gang) if together else _one_by_one(name, gang)}
 seated:
   %many = icmp ugt i64 %waiting_now, {width}
   %begun = select i1 %many, i64 {width}, i64 %waiting_now
   br label %packed_round
 packed_round:
-  %occupied = phi i32 [ %seats_next, %seated ], [ %occupied_now, %settled ]
+  %occupied = phi i32 [ %seats, %seated ], [ %occupied_now, %settled ]
   %called = phi i64 [ %begun, %seated ], [ %called_now, %settled ]
   call void @{name}.round({call.format("pack")})
   %still = call i32 @{name}.test({call.format("pack")})
@@ -203,7 +217,81 @@ done:
         _move(f"@{name}.in", own, gang, "far", "near"),
         _move(f"@{name}.out", sorted(carries), gang, "near", "far"),
     ]
+    if together:
+        moves.append(_move_together(f"@{name}.in_together", own, gang))
     return "\n".join([*moves, body])
+
+
+def _one_by_one(name: str, gang: Gang) -> str:
+    """The first individuals take their seats."""
+    return f"""  br label %seat
+seat:
+  %s = phi i64 [ 0, %fill ], [ %s_next, %seat ]
+  %seats_before = phi i32 [ 0, %fill ], [ %seats, %seat ]
+  %taken = icmp ult i64 %s, %waiting_now
+  ; Whose seat is left over is filled like the first: no number in it may be without meaning.
+  %turn = select i1 %taken, i64 %s, i64 0
+  %turn_entry = getelementptr i64, ptr %queue, i64 %turn
+  %newcomer = load i64, ptr %turn_entry
+  %seat_owner = getelementptr i64, ptr %owner, i64 %s
+  store i64 %newcomer, ptr %seat_owner
+  call void @{name}.in(ptr %scratch, ptr %pack, i64 %newcomer, i64 %s)
+  %s_narrow = trunc i64 %s to i32
+  %seat_bit = shl i32 1, %s_narrow
+  %seats_more = or i32 %seats_before, %seat_bit
+  %seats = select i1 %taken, i32 %seats_more, i32 %seats_before
+  %s_next = add i64 %s, 1
+  %more_seats = icmp ult i64 %s_next, {gang.width}
+  br i1 %more_seats, label %seat, label %seated"""
+
+
+def _closed_up(name: str, gang: Gang) -> str:
+    """The same, those of a vector together; who has no seat any more is masked out."""
+    return f"""  br label %row
+row:
+  %r = phi i64 [ 0, %fill ], [ %r_next, %row_seated ]
+  %s = phi i64 [ 0, %fill ], [ %s_next, %row_seated ]
+  %row_mask = getelementptr i32, ptr %masks, i64 %r
+  %row_wants = load i32, ptr %row_mask
+  br label %fits
+fits:
+  %comes = phi i32 [ %row_wants, %row ], [ %comes_fewer, %too_many ]
+  %come = call i32 @llvm.ctpop.i32(i32 %comes)
+  %come_wide = zext i32 %come to i64
+  %s_next = add i64 %s, %come_wide
+  %too_full = icmp ugt i64 %s_next, {gang.width}
+  br i1 %too_full, label %too_many, label %anyone
+too_many:
+  %zeros = call i32 @llvm.ctlz.i32(i32 %comes, i1 true)
+  %highest = lshr i32 -2147483648, %zeros
+  %comes_fewer = xor i32 %comes, %highest
+  br label %fits
+anyone:
+  %no_one = icmp eq i32 %comes, 0
+  br i1 %no_one, label %row_seated, label %take_seats
+take_seats:
+  call void @{name}.in_together(ptr %scratch, ptr %pack, i64 %r, i64 %s, i32 %comes, i32 %come)
+  br label %row_seated
+row_seated:
+  %r_next = add i64 %r, 1
+  %more_rows = icmp ult i64 %r_next, %count
+  %more_room = icmp ult i64 %s_next, {gang.width}
+  %more_come = and i1 %more_rows, %more_room
+  br i1 %more_come, label %row, label %note
+note:
+  %o = phi i64 [ 0, %row_seated ], [ %o_next, %note ]
+  %o_entry = getelementptr i64, ptr %queue, i64 %o
+  %o_who = load i64, ptr %o_entry
+  %o_owner = getelementptr i64, ptr %owner, i64 %o
+  store i64 %o_who, ptr %o_owner
+  %o_next = add i64 %o, 1
+  %more_owners = icmp ult i64 %o_next, %s_next
+  br i1 %more_owners, label %note, label %noted
+noted:
+  %taken_seats = trunc i64 %s_next to i32
+  %free_seats = sub i32 32, %taken_seats
+  %seats = lshr i32 -1, %free_seats
+  br label %seated"""
 
 
 def _move(name: str, places: list[Place], gang: Gang, source: str, target: str) -> str:
@@ -233,6 +321,65 @@ entry:
   %lane = urem i64 %who, {gang.width}
   %offset = mul i64 %vector, {gang.stride}
   %base = getelementptr i8, ptr %scratch, i64 %offset
+{_lines(lines)}
+  ret void
+}}"""
+
+
+def _move_together(name: str, places: list[Place], gang: Gang) -> str:
+    """A function that moves the chosen individuals of a vector into seats that follow each other.
+
+    The first vector fills all seats, those left over like the first individual: no number in them
+    may be without meaning.
+    """
+    width = gang.width
+    bits, flags = f"i{width}", f"<{width} x i1>"
+    zeros = f"<{width} x i32> zeroinitializer"
+    lines = []
+    for size in sorted({place.size for place in places}):
+        lines += [f"%seat{size} = mul i64 %seat, {size}"]
+        lines += [f"%near{size} = getelementptr i8, ptr %pack, i64 %seat{size}"]
+    for i, (start, size, _) in enumerate(places):
+        kept, word = f"<{width} x {_WORDS[size]}>", _WORDS[max(size, _NARROWEST)]
+        t, suffix = f"<{width} x {word}>", f"v{width}{word}"
+        value = f"%value{i}"
+        lines += [
+            f"%from{i} = getelementptr i8, ptr %base, i64 {start}",
+            f"%to{i} = getelementptr i8, ptr %near{size}, i64 {start}",
+            f"{value} = load volatile {kept}, ptr %from{i}, align {size}",
+        ]
+        if size < _NARROWEST:
+            lines.append(f"%wide{i} = zext {kept} {value} to {t}")
+            value = f"%wide{i}"
+        lines += [
+            f"%close{i} = call {t} @{_COMPRESS}.{suffix}"
+            f"({t} {value}, {t} zeroinitializer, {flags} %chosen)",
+            f"%first{i} = shufflevector {t} %close{i}, {t} poison, {zeros}",
+            f"%all{i} = select {flags} %live, {t} %close{i}, {t} %first{i}",
+        ]
+        value = f"%all{i}"
+        if size < _NARROWEST:
+            lines.append(f"%narrow{i} = trunc {t} {value} to {kept}")
+            value = f"%narrow{i}"
+        store = f"llvm.masked.store.v{width}{_WORDS[size]}.p0"
+        lines.append(
+            f"call void @{store}({kept} {value}, ptr %to{i}, i32 {size}, {flags} %written)"
+        )
+    return f"""
+define internal void {name}(ptr %scratch, ptr %pack, i64 %vector, i64 %seat, i32 %which, \
+i32 %come) noinline #0 {{
+entry:
+  %offset = mul i64 %vector, {gang.stride}
+  %base = getelementptr i8, ptr %scratch, i64 %offset
+  %chosen_bits = trunc i32 %which to {bits}
+  %chosen = bitcast {bits} %chosen_bits to {flags}
+  %missing = sub i32 32, %come
+  %live_wide = lshr i32 -1, %missing
+  %live_bits = trunc i32 %live_wide to {bits}
+  %live = bitcast {bits} %live_bits to {flags}
+  %begins = icmp eq i64 %seat, 0
+  %written_bits = select i1 %begins, {bits} -1, {bits} %live_bits
+  %written = bitcast {bits} %written_bits to {flags}
 {_lines(lines)}
   ret void
 }}"""

@@ -300,3 +300,25 @@ def test_what_does_not_change_is_computed_before_the_loop():
     assert [node.op for node in before] == ["mul", "sqrt"]
     ((body, _),) = plan.runs(loop.detail.body)
     assert {node.op for node in body} == {"mul"}
+
+
+def test_a_loop_within_another_does_not_wait_for_who_is_done_there():
+    """Its condition, for as many rounds as the outer one wants of somebody, holds that one's."""
+
+    def function(x):
+        def inner(y):
+            return lax.while_loop(lambda y: y[0] > 1, lambda y: 0.5 * y, y)
+
+        def outer(state):
+            y, rounds = state
+            return inner(y) + x, rounds - 1
+
+        return lax.while_loop(lambda state: state[1] > 0, outer, (x, x[1]))[0]
+
+    plan, top = planned(function, np.ones(2, np.float32))
+    (_, outside), _ = plan.runs(top)
+    (_, inside), _ = plan.runs(outside.detail.body)
+    wants, condition = inside.detail.condition, outside.detail.condition
+    assert wants.op == "and" and condition.op == "gt"
+    assert {node.op for node in wants.operands} == {"gt"}
+    assert_agrees(function, jnp.abs(sample((2, 40))) * jnp.array([[20.0], [3.0]]))
