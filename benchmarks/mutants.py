@@ -132,15 +132,33 @@ MUTANTS = (
         "physics/test_implicit_step.py physics/test_motors_and_joints.py",
     ),
     Mutant(
-        "physics/contact.py",
-        "mean = 0.5 * (contacts.before + velocity)",
-        "mean = contacts.before",
+        "physics/step_problem.py",
+        "0.5 * (before + (velocity * force).sum((0, 1)))",
+        "before",
         "physics/test_walker_contacts.py",
     ),
     Mutant(
+        "physics/generalized.py",
+        "f, body = wrench_at_parent(f, take(kin.offset, body)), np.array(tree.parents)[body]",
+        "body = np.array(tree.parents)[body]",
+        "physics/test_generalized.py",
+    ),
+    Mutant(
+        "spatial/ldl.py",
+        "left = left[:k, :k] - scaled[:, None] * row[None]",
+        "left = left[:k, :k] - row[:, None] * row[None]",
+        "spatial/test_ldl.py",
+    ),
+    Mutant(
+        "physics/flat_separation.py",
+        "gap + (far - near) * climb",
+        "gap",
+        "physics/test_separation.py",
+    ),
+    Mutant(
         "physics/contact.py",
-        "dynamic + (static - dynamic) / (1.0 + ratio * ratio)",
-        "static + (dynamic - static) / (1.0 + ratio * ratio)",
+        "(dynamic + more * (1.0 / (1.0 + share)))",
+        "(dynamic + more * (1.0 - 1.0 / (1.0 + share)))",
         "physics/test_contact.py",
     ),
     Mutant(

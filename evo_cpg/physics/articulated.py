@@ -73,14 +73,10 @@ class Accelerations(NamedTuple):
     Attributes:
         root: spatial acceleration of the root, angular, then linear.
         qdd: joint accelerations.
-        angular: spatial acceleration of every body at its origin, world axes.
-        linear: its linear part.
     """
 
     root: Float[Array, "6 *n"]
     qdd: Float[Array, "d *n"]
-    angular: Float[Array, "3 b *n"]
-    linear: Float[Array, "3 b *n"]
 
 
 class _Joint(NamedTuple):
@@ -146,7 +142,7 @@ def solve(
         a = a.followed_by(a_i._replace(angular=a_i.angular + matvec(joint.axes, x)))
         x = x if joint.to_q is None else matvec(joint.to_q, x)
         qdd.append(in_dof_order(x, batch_ndim))
-    return Accelerations(jnp.concatenate(a.root()), jnp.concatenate(qdd), *a.stacked())
+    return Accelerations(jnp.concatenate(a.root()), jnp.concatenate(qdd))
 
 
 def _give_way(

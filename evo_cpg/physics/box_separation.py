@@ -28,13 +28,6 @@ _PROJECTIONS = 2
 _FLOOR = 1e-12
 
 
-def separation_of_flat(a: RoundedBoxes, b: RoundedBoxes) -> list[Separation]:
-    """Of boxes without radius whose z axes stay parallel, and which overlap along them."""
-    gap, normal, of_b = _best_face(a, b, 2)
-    face = _on_face(a, b, normal, of_b, 2)
-    return [_at_corner(face, gap), _along_edges(face, gap, (0,))]
-
-
 def separation_of_boxes(a: RoundedBoxes, b: RoundedBoxes, corners: int = 3) -> list[Separation]:
     """Of boxes without radius.
 
@@ -43,27 +36,19 @@ def separation_of_boxes(a: RoundedBoxes, b: RoundedBoxes, corners: int = 3) -> l
         b: others.
         corners: of a face that lies on another's, 3 or 4.
     """
-    gap, normal, of_b = _best_face(a, b, 3)
+    gap, normal, of_b = _best_face(a, b)
     edge, crossing = _best_edges(a, b, gap + _CLEARLY)
-    face = _on_face(a, b, normal, of_b, 3)
+    face = _on_face(a, b, normal, of_b)
     first = where_each(edge, crossing, _at_corner(face, gap))
     ways = (0,), (1,), (0, 1)
     crossed = edge & (crossing.gap > gap + SAME)
     return [first, *(unless(crossed, _along_edges(face, gap, k)) for k in ways[: corners - 1])]
 
 
-def _best_face(a: RoundedBoxes, b: RoundedBoxes, axes: int) -> tuple[Array, Array, Array]:
-    """The largest gap along a face's normal; that normal, from a to b; whether the face is b's.
-
-    Args:
-        a: some boxes.
-        b: others.
-        axes: how many of their axes count, the first ones.
-    """
-    away = b.centre - a.centre
-    ours, theirs = a.axes[:, :axes], b.axes[:, :axes]
-    size = jnp.abs(t_matmul(ours, theirs))
-    e, f = a.half_extents[:axes], b.half_extents[:axes]
+def _best_face(a: RoundedBoxes, b: RoundedBoxes) -> tuple[Array, Array, Array]:
+    """The largest gap along a face's normal; that normal, from a to b; whether the face is b's."""
+    away, ours, theirs = b.centre - a.centre, a.axes, b.axes
+    size, e, f = jnp.abs(t_matmul(ours, theirs)), a.half_extents, b.half_extents
     along, across = matvec_t(ours, away), matvec_t(theirs, away)
     gap, normal = _largest(jnp.abs(along) - e - matvec(size, f), _pointing(ours, along))
     other, its_normal = _largest(jnp.abs(across) - f - matvec_t(size, e), _pointing(theirs, across))
@@ -111,7 +96,6 @@ class _Face(NamedTuple):
         under: the box whose face it is.
         over: the other one.
         corner: of that, m; or the place beside it that lies over the face.
-        axes: how many axes of both count.
     """
 
     normal: Array
@@ -119,43 +103,33 @@ class _Face(NamedTuple):
     under: RoundedBoxes
     over: RoundedBoxes
     corner: Array
-    axes: int
 
 
-def _on_face(a: RoundedBoxes, b: RoundedBoxes, normal: Array, of_b: Array, axes: int) -> _Face:
+def _on_face(a: RoundedBoxes, b: RoundedBoxes, normal: Array, of_b: Array) -> _Face:
     over, under = where_each(of_b, a, b), where_each(of_b, b, a)
     normal = jnp.where(of_b[None], -normal, normal)
-    corner = _corner(over, -normal)
-    if axes < 3:
-        # In the middle of what they have side by side along z.
-        z, half, other = over.axes[:, 2], over.half_extents[2], under.half_extents[2]
-        aside = dot(z, under.centre - over.centre)
-        middle = 0.5 * (jnp.maximum(-half, aside - other) + jnp.minimum(half, aside + other))
-        corner = corner + (middle - dot(z, corner - over.centre))[None] * z
-    corner = _over_both(normal, under, over, corner, axes)
-    return _Face(normal, of_b, under, over, corner, axes)
+    corner = _over_both(normal, under, over, _corner(over, -normal))
+    return _Face(normal, of_b, under, over, corner)
 
 
-def _over_both(
-    normal: Array, under: RoundedBoxes, over: RoundedBoxes, corner: Array, axes: int
-) -> Array:
+def _over_both(normal: Array, under: RoundedBoxes, over: RoundedBoxes, corner: Array) -> Array:
     """The place on a box's lowest face, near a corner of it, that is over the other's face.
 
     Two boxes that overlap and are not parallel have such a corner; of parallel ones rounding picks
     it.
     """
-    upright = jnp.abs(matvec_t(under.axes[:, :axes], normal)) > 0.5
-    rise = jnp.abs(matvec_t(over.axes[:, :axes], normal))
+    upright = jnp.abs(matvec_t(under.axes, normal)) > 0.5
+    rise = jnp.abs(matvec_t(over.axes, normal))
     lowest = rise >= rise.max(0)[None]
-    start = matvec_t(over.axes[:, :axes], corner - over.centre)
+    start = matvec_t(over.axes, corner - over.centre)
     for _ in range(_PROJECTIONS):
         for box, kept, height in ((under, upright, None), (over, lowest, start)):
-            own_axes, extent = box.axes[:, :axes], box.half_extents[:axes]
-            own = matvec_t(own_axes, corner - box.centre)
+            own = matvec_t(box.axes, corner - box.centre)
+            extent = box.half_extents
             moved = jnp.where(
                 kept, own if height is None else height, jnp.clip(own, -extent, extent)
             )
-            corner = corner + matvec(own_axes, moved - own)
+            corner = corner + matvec(box.axes, moved - own)
     return corner
 
 
@@ -171,19 +145,19 @@ def _along_edges(face: _Face, gap: Array, which: tuple[int, ...]) -> Separation:
         gap: of the corner, m.
         which: of the edges, of which the steepest does not count; both lead across the face.
     """
-    axes, count = face.over.axes[:, : face.axes], face.axes
+    axes = face.over.axes
     rise = matvec_t(axes, face.normal)
     steep = jnp.argmax(jnp.abs(rise), 0)
     own = matvec_t(axes, face.corner - face.over.centre)
     side = jnp.where(rise <= 0, -1.0, 1.0)
     inward = side[None] * axes
-    left = face.over.half_extents[:count] - side * own
+    left = face.over.half_extents - side * own
     point = face.corner
     for one in which:
         # The axis that is so many after the steepest.
-        after = [jnp.where(steep == (k - 1 - one) % count, left[k], 0.0) for k in range(count)]
+        after = [jnp.where(steep == (k - 1 - one) % 3, left[k], 0.0) for k in range(3)]
         point = point + matvec(inward, jnp.stack(after))
-    point = _over_both(face.normal, face.under, face.over, point, count)
+    point = _over_both(face.normal, face.under, face.over, point)
     way = point - face.corner
     return unless(dot(way, way) < SAME**2, _on_plane(face, point, gap + dot(face.normal, way)))
 

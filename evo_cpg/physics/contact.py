@@ -18,7 +18,7 @@ than 0.68 of the speed: here the step is told the velocity at its end.
 
 Restitution point by point (Newton's hypothesis) can add energy to a tree. Where the forces of a
 step with impacts would do work, ``v_bounce`` of all points of that animal is taken less, and at
-last not at all (`contact_work`, `bounded`).
+last not at all (`StepProblem.gains`, `bounded`).
 
 The laws have kinks; `evo_cpg.physics.newton` finds the motion that obeys them, linearizing them as
 it goes (`ContactLinearization`). The contact of an edge or a face with the floor is that of its
@@ -29,19 +29,20 @@ Vectors of the laws are in the contact frame: two tangents, then the normal.
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.fusion.fuse import symmetric
-from evo_cpg.physics.articulated import Accelerations
 from evo_cpg.physics.contact_points import contact_points
 from evo_cpg.physics.footing import Footing
 from evo_cpg.physics.kinematics import Kinematics
 from evo_cpg.physics.per_body import PerBody, take
-from evo_cpg.physics.spatial_algebra import Inertia, Wrench
+from evo_cpg.physics.spatial_algebra import Inertia, Motion, Wrench
 from evo_cpg.spatial.linear import (
     cross,
+    dot,
     expand_dims_like,
     matmul,
     matmul_t,
@@ -77,19 +78,17 @@ class Contacts(NamedTuple):
 
     Attributes:
         arm: from the body's origin to the lowest point, world axes, m.
-        before: at the start of the step.
         coasting: their mean over the step, if the recursion's accelerations were zero.
         wanted: v*; far below any velocity where the point is out of reach.
-        push: the part of it that lifts a point out of the ground.
+        rest: the same without restitution; positive where it lifts a point out of the ground.
         bounce: v_bounce of points that hit the ground within the step; 0 of all others.
         frame: rows are two tangents and the normal of the ground at every contact point.
     """
 
     arm: Float[Array, "3 p *n"]
-    before: Float[Array, "3 p *n"]
     coasting: Float[Array, "3 p *n"]
     wanted: Float[Array, "p *n"]
-    push: Float[Array, "p *n"]
+    rest: Float[Array, "p *n"]
     bounce: Float[Array, "p *n"]
     frame: Float[Array, "3 3 p *n"]
 
@@ -127,41 +126,27 @@ def find_contacts(footing: Footing, kin: Kinematics, h: float) -> Contacts:
     turning = cross(angular, linear + cross(angular, spoke)) + bend[None] * normal
     drift = take(kin.bias_linear, bodies) + cross(take(kin.bias_angular, bodies), arm) + turning
 
-    before, coasting = (matvec(frame, v) for v in (velocity, velocity + 0.5 * h * drift))
-    approach = -before[2]
+    approach, coasting = -dot(normal, velocity), matvec(frame, velocity + 0.5 * h * drift)
     push = jnp.clip(-BAUMGARTE_SHARE / h * gap, 0.0, BAUMGARTE_SPEED)
-    share = jnp.clip(approach / _RESTITUTION_THRESHOLD - 1.0, 0.0, 1.0)
+    share = jnp.clip((1.0 / _RESTITUTION_THRESHOLD) * approach - 1.0, 0.0, 1.0)
     bounce = expand_dims_like(footing.restitution, approach) * share * approach
-    rest = jnp.where(gap > 0, -gap / h, push)
+    rest = jnp.where(gap > 0, (-1.0 / h) * gap, push)
     near = gap < ground.margin
     bounce = jnp.where(near & (gap <= h * approach), bounce, 0.0)
     rest = jnp.where(near, rest, _OUT_OF_REACH)
-    return Contacts(arm, before, coasting, rest, push, bounce, frame)
+    return Contacts(arm, coasting, rest, rest, bounce, frame)
 
 
 def bounded(contacts: Contacts, share: Float[Array, "*n"]) -> Contacts:
     """The contacts of a step in which each individual has a share (0 to 1) of its restitution."""
     bounce = jnp.expand_dims(share, 0) * contacts.bounce
-    wanted = jnp.where(bounce > 0, jnp.maximum(contacts.wanted, bounce), contacts.wanted)
+    wanted = jnp.where(bounce > 0, jnp.maximum(contacts.rest, bounce), contacts.rest)
     return contacts._replace(wanted=wanted)
 
 
-def contact_work(
-    contacts: Contacts, velocity: Float[Array, "3 p *n"], force: Float[Array, "3 p *n"], h: float
-) -> Float[Array, "*n"]:
-    """Kinetic energy that contact forces give a creature in a step, J.
-
-    By the mean of the points' velocities at its start and end; lifting points out of the ground
-    does not count.
-
-    Args:
-        contacts: of this step.
-        velocity: at its end, m/s.
-        force: N, contact frame.
-        h: s.
-    """
-    mean = 0.5 * (contacts.before + velocity)
-    return h * ((mean * force).sum(0) - contacts.push * force[2]).sum(0)
+def lifting_power(contacts: Contacts, force: Float[Array, "3 p *n"]) -> Float[Array, "*n"]:
+    """Of contact forces (N, contact frame) that lift points out of the ground, W."""
+    return jnp.maximum(contacts.rest * force[2], 0.0).sum(0)
 
 
 def resting_stiffness(footing: Footing, h: float) -> Float[Numbers, " p"]:
@@ -178,12 +163,12 @@ def cone_radius(
     """Radius of the friction cone of every point, ``mu(|v_t|) f_n``, N."""
     stiffness = expand_dims_like(footing.stiffness / h, velocity[2])
     normal_force = stiffness * jnp.maximum(contacts.wanted - velocity[2], 0.0)
-    static, dynamic = (
+    dynamic, more = (
         expand_dims_like(mu, normal_force)
-        for mu in (footing.static_friction, footing.dynamic_friction)
+        for mu in (footing.dynamic_friction, footing.static_friction - footing.dynamic_friction)
     )
-    ratio = _length(velocity) / footing.ground.stribeck_speed
-    return (dynamic + (static - dynamic) / (1.0 + ratio * ratio)) * normal_force
+    share = _square(velocity) * (1.0 / footing.ground.stribeck_speed**2)
+    return (dynamic + more * (1.0 / (1.0 + share))) * normal_force
 
 
 def linearize_contacts(
@@ -203,14 +188,14 @@ def linearize_contacts(
         h: s.
     """
     stiffness = expand_dims_like(footing.stiffness / h, radius)
-    speed = _length(velocity)
-    short = contacts.wanted - velocity[2]
-    sticks = stiffness * speed <= radius
-    share = _resistance(stiffness, radius, speed)
+    square, short = _square(velocity), contacts.wanted - velocity[2]
+    inverse = 1.0 / jnp.sqrt(square)
+    sticks = stiffness * square * inverse <= radius
+    share = jnp.where(sticks, stiffness, radius * inverse)
     normal_force = stiffness * jnp.maximum(short, 0.0)
     force = jnp.stack([-share * velocity[0], -share * velocity[1], normal_force])
     # Sliding friction keeps its size and turns with the velocity.
-    along = jnp.where(sticks, 0.0, share / (speed * speed))
+    along = jnp.where(sticks, 0.0, share * inverse * inverse)
     x, y, _ = velocity
     tangential = jnp.stack([share - along * x * x, -along * x * y, share - along * y * y])
     return ContactLinearization(velocity, force, tangential, jnp.where(short > 0, stiffness, 0.0))
@@ -224,14 +209,8 @@ def friction_change(
     h: float,
 ) -> Float[Array, "p *n"]:
     """By how much tangential forces (N) at some velocity differ under two friction cones."""
-    stiffness, speed = expand_dims_like(footing.stiffness / h, radius), _length(velocity)
-    change = _resistance(stiffness, other, speed) - _resistance(stiffness, radius, speed)
-    return change * speed
-
-
-def _resistance(stiffness: Array, radius: Array, speed: Array) -> Array:
-    """Tangential force per speed, N s/m."""
-    return jnp.where(stiffness * speed <= radius, stiffness, radius / speed)
+    sticking = expand_dims_like(footing.stiffness / h, radius) * jnp.sqrt(_square(velocity))
+    return jnp.minimum(sticking, other) - jnp.minimum(sticking, radius)
 
 
 def linearized_force(
@@ -243,15 +222,18 @@ def linearized_force(
     return linear.force - jnp.stack([xx * x + xy * y, xy * x + yy * y, linear.normal * z])
 
 
-def contact_equations(
-    footing: Footing,
-    contacts: Contacts,
-    linear: ContactLinearization,
-    inertia: Inertia,
-    bias: Wrench,
-    h: float,
-) -> tuple[Inertia, Wrench]:
-    """The equations of the bodies with the contacts linearized."""
+def contact_inertia(
+    footing: Footing, contacts: Contacts, linear: ContactLinearization, like: Inertia, h: float
+) -> Inertia:
+    """``h sum J^T K J`` of all points of every body: inertias that linearized contacts add to them.
+
+    Args:
+        footing: what may touch.
+        contacts: of this step.
+        linear: their laws, linearized.
+        like: inertias of the bodies.
+        h: s.
+    """
     turn = transpose(contacts.frame)
     xx, xy, yy = linear.tangential
     none = jnp.zeros_like(xx)
@@ -266,27 +248,34 @@ def contact_equations(
     shift = skew(contacts.arm)
     mixed = matmul(shift, slope)
     blocks = Inertia(symmetric(matmul_t(mixed, shift)), mixed, slope)
-    loaded = pressed(footing, contacts, linearized_force(linear, contacts.coasting), bias)
-    bodies = PerBody.of(inertia, slope.ndim - 3).plus(footing.bodies, blocks)
-    return bodies.stacked(), loaded
+    bodies = PerBody.of(jax.tree.map(jnp.zeros_like, like), slope.ndim - 3)
+    return bodies.plus(footing.bodies, blocks).stacked()
 
 
-def pressed(
-    footing: Footing, contacts: Contacts, force: Float[Array, "3 p *n"], bias: Wrench
+def contact_wrench(
+    footing: Footing, contacts: Contacts, force: Float[Array, "3 p *n"], like: Wrench
 ) -> Wrench:
-    """The bodies' bias wrenches with given contact forces (N, contact frame)."""
+    """The wrenches of contact forces (N, contact frame) on all bodies.
+
+    Args:
+        footing: what may touch.
+        contacts: of this step.
+        force: on every point.
+        like: wrenches of the bodies.
+    """
     force = matvec_t(contacts.frame, force)
-    load = Wrench(-cross(contacts.arm, force), -force)
-    return PerBody.of(bias, force.ndim - 2).plus(footing.bodies, load).stacked()
+    bodies = PerBody.of(jax.tree.map(jnp.zeros_like, like), force.ndim - 2)
+    return bodies.plus(footing.bodies, Wrench(cross(contacts.arm, force), force)).stacked()
 
 
-def end_velocity(
-    footing: Footing, contacts: Contacts, found: Accelerations, h: float
+def change_of_velocity(
+    footing: Footing, contacts: Contacts, accelerations: Motion, h: float
 ) -> Float[Array, "3 p *n"]:
-    """Velocity of every contact point at the end of the step, contact frame, m/s."""
+    """What accelerations of the bodies change at every contact point, contact frame, m/s."""
     bodies = np.array(footing.bodies)
-    change = take(found.linear, bodies) + cross(take(found.angular, bodies), contacts.arm)
-    return contacts.coasting + h * matvec(contacts.frame, change)
+    angular = take(accelerations.angular, bodies)
+    change = take(accelerations.linear, bodies) + cross(angular, contacts.arm)
+    return h * matvec(contacts.frame, change)
 
 
 def _frame(normal: Float[Array, "3 p *n"]) -> Float[Array, "3 3 p *n"]:
@@ -303,6 +292,6 @@ def _frame(normal: Float[Array, "3 p *n"]) -> Float[Array, "3 3 p *n"]:
     )
 
 
-def _length(vector: Float[Array, "3 p *n"]) -> Float[Array, "p *n"]:
-    """Of the tangential part."""
-    return jnp.sqrt(vector[0] * vector[0] + vector[1] * vector[1] + _FLOOR)
+def _square(vector: Float[Array, "3 p *n"]) -> Float[Array, "p *n"]:
+    """Of the length of the tangential part."""
+    return vector[0] * vector[0] + vector[1] * vector[1] + _FLOOR

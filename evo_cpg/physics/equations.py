@@ -1,19 +1,12 @@
-"""The equations of one step: inertias, bias forces, contacts; the motion under linearized laws."""
+"""The equations of one step: inertias, bias forces, torques, and where bodies touch."""
 
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from evo_cpg.physics.articulated import Accelerations, solve
-from evo_cpg.physics.contact import (
-    ContactLinearization,
-    Contacts,
-    contact_equations,
-    find_contacts,
-)
-from evo_cpg.physics.coupling import couple
+from evo_cpg.physics.contact import Contacts, find_contacts
 from evo_cpg.physics.joints import (
     expected_limit_torque,
     passive_torque,
@@ -21,12 +14,7 @@ from evo_cpg.physics.joints import (
     servo_torque,
 )
 from evo_cpg.physics.kinematics import Kinematics, kinematics
-from evo_cpg.physics.pairs import (
-    PairContacts,
-    PairLinearization,
-    find_pair_contacts,
-    pushing_torque,
-)
+from evo_cpg.physics.pairs import PairContacts, find_pair_contacts
 from evo_cpg.physics.spatial_algebra import Inertia, Wrench
 from evo_cpg.physics.state import State
 from evo_cpg.physics.world import World, body_equations
@@ -56,22 +44,6 @@ class Equations(NamedTuple):
     pairs: PairContacts | None
 
 
-class Linearization(NamedTuple):
-    """The laws of motors, limits of joints, contacts and pairs, linearized.
-
-    Attributes:
-        torque: of motors and limits of joints at the present rates, N m.
-        slope: torque lost per end-of-step rate, N m s/rad.
-        contact: None without ground.
-        pairs: None where none can touch.
-    """
-
-    torque: Array
-    slope: Array
-    contact: ContactLinearization | None
-    pairs: PairLinearization | None
-
-
 class ContactForces(NamedTuple):
     """Forces of the ground.
 
@@ -85,9 +57,7 @@ class ContactForces(NamedTuple):
 
 
 class Residual(NamedTuple):
-    """Norm of what forces miss their laws by, as a share of all normal forces, or of the weight.
-
-    Torques count as shares of their limits.
+    """What forces miss their laws by, as a share of those that there are (`StepProblem.residual`).
 
     Attributes:
         solved: with the friction cones under which the motion was found.
@@ -153,33 +123,11 @@ def prepare(
     return Equations(state, kin, inertia, bias, passive, derivative, wanted, contacts, pairs)
 
 
-def expected_linearization(world: World, h: float, equations: Equations) -> Linearization:
-    """Those of a step without contact whose motors have no limits: one solve has to do."""
-    wanted = equations.wanted
-    stop, stop_slope = expected_limit_torque(world.tree, equations.state, h)
-    return Linearization(wanted + stop, servo_slope(world.tree, wanted, h) + stop_slope, None, None)
-
-
-def solve_with(
-    world: World, h: float, equations: Equations, linear: Linearization
-) -> tuple[Accelerations, Float[Array, "k *n"] | None]:
-    """The motion under linearized laws, and the forces of pairs of bodies in it, N."""
-    tree, kin = world.tree, equations.kin
-    inertia, bias = equations.inertia, equations.bias
-    if world.footing is not None and equations.contacts is not None and linear.contact is not None:
-        inertia, bias = contact_equations(
-            world.footing, equations.contacts, linear.contact, inertia, bias, h
-        )
-    torque = equations.passive + linear.torque
-    derivative = equations.derivative + h * linear.slope
-    free = solve(tree, kin, inertia, bias, torque, derivative)
-    pairs, contacts = world.pairs, equations.pairs
-    if pairs is None or contacts is None or linear.pairs is None:
-        return free, None
-
-    still = jax.tree.map(jnp.zeros_like, bias)
-
-    def respond(force: Array) -> Accelerations:
-        return solve(tree, kin, inertia, still, pushing_torque(contacts, force), derivative)
-
-    return couple(contacts, linear.pairs, free, respond, h)
+def solve_at_once(world: World, h: float, equations: Equations) -> Accelerations:
+    """The motion of a step without contact whose motors have no limits: one solve gives it."""
+    tree, wanted = world.tree, equations.wanted
+    stop, stop_slope = expected_limit_torque(tree, equations.state, h)
+    torque = equations.passive + wanted + stop
+    derivative = equations.derivative + h * (servo_slope(tree, wanted, h) + stop_slope)
+    kin, inertia, bias = equations.kin, equations.inertia, equations.bias
+    return solve(tree, kin, inertia, bias, torque, derivative)

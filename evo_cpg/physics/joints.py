@@ -52,7 +52,7 @@ def limit_torque(
     def miss(beyond: Array, outwards: Array) -> Array:
         """By how much a rate towards a limit is above v*, times K."""
         back = slope * outwards + stiffness * beyond
-        ahead = slope * (outwards + beyond / h) if h else jnp.zeros_like(back)
+        ahead = slope * (outwards + (1.0 / h) * beyond) if h else jnp.zeros_like(back)
         return jnp.maximum(jnp.where(beyond > 0, back, ahead), 0.0)
 
     above, below = miss(q - upper, rate), miss(lower - q, -rate)

@@ -1,61 +1,66 @@
 """How far to go along a Newton step: where the potential of a step's motion is least.
 
-The exact line search needs no mass matrix. An iterate is the answer to the equations under certain
-forces ``f`` at the points (and torques), which need not obey the laws. Between two of them,
-everything is linear but the laws F, so along the way with the share a
+Along the way d from the accelerations y, with the share a of it, everything is linear but the laws
+F of the points, whose velocities change by dv, and those tau of the motors:
 
-    phi'(a) = sum dv . (f + a df - F(v + a dv)) + the same for the motors.
+    phi'(a) = h d . (M (y + a d) - M y_free - tau) - sum dv . F(v + a dv)
 """
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from evo_cpg.fusion.converge import while_each
-from evo_cpg.physics.equations import Linearization
+from evo_cpg.physics.generalized import ROOT_DOFS
 from evo_cpg.physics.pairs import parting_change
-from evo_cpg.physics.step_problem import Iterate, StepProblem
-from evo_cpg.spatial.linear import of_each
+from evo_cpg.physics.step_problem import StepProblem
+from evo_cpg.spatial.linear import dot, matvec
 
 # Slope at which a line search ends, as a share of that at its start; evaluations at most.
 _FLAT, _EVALUATIONS = 0.3, 30
-
-# Slope (W) that counts as none; quotients of smaller ones would be no numbers.
-_LEVEL = 1e-30
 
 
 def line_search(
     problem: StepProblem,
     radius: Float[Array, "p *n"],
-    start: Iterate,
-    linear: Linearization,
-    end: Iterate,
-) -> tuple[Iterate, Linearization]:
-    """The point with the least potential between two iterates, and the laws linearized there.
+    start: Float[Array, "v *n"],
+    velocity: Float[Array, "3 p *n"] | None,
+    end: Float[Array, "v *n"],
+    least: Float[Array, "*n"],
+) -> tuple[Float[Array, "v *n"], Float[Array, "3 p *n"] | None]:
+    """The motion with the least potential between two others, and the contact points' velocity.
 
     Args:
         problem: whose potential it is.
         radius: of the friction cones.
-        start: an iterate.
-        linear: the laws linearized there.
-        end: the motion under these.
+        start: a motion.
+        velocity: of the contact points in it.
+        end: the motion under the laws linearized there.
+        least: fall of the potential (W) from which on it is searched for.
     """
-    way = jax.tree.map(jnp.subtract, end, start)
+    way, h = end - start, problem.h
+    turn, pairs = way[ROOT_DOFS:], problem.equations.pairs
+    change = None if velocity is None else problem.change_of_velocity(way)
+    parting = None if pairs is None else parting_change(pairs, turn, h)
+    rest, bend = dot(way, problem.resistance(start)), dot(way, matvec(problem.mass, way))
 
-    def at(share: Array) -> Iterate:
-        return jax.tree.map(lambda x, d: x + of_each(share, x) * d, start, way)
+    def at(share: Array) -> tuple[Array, Array | None]:
+        now = start + share[None] * way
+        if velocity is None or change is None:
+            return now, None
+        return now, velocity + share[None, None] * change
 
-    def slope(here: Iterate, linear: Linearization) -> Array:
-        torque, force, push = problem.force_residual(here, linear)
-        total = problem.h * (way.qdd * torque).sum(0)
-        if force is not None:
-            total = total + (way.velocity * force).sum((0, 1))
-        pairs = problem.equations.pairs
-        if push is None or pairs is None:
-            return total
-        return total + (parting_change(pairs, way.qdd, problem.h) * push).sum(0)
+    def slope(share: Array) -> Array:
+        y, now = at(share)
+        there = problem.linearized(radius, y[ROOT_DOFS:], now)
+        total = h * (rest + share * bend - dot(turn, problem.torque(y, there)))
+        if change is not None and there.contact is not None:
+            total = total - (change * there.contact.force).sum((0, 1))
+        if parting is not None and there.pairs is not None:
+            total = total - dot(parting, there.pairs.force)
+        return total
 
-    at_start, at_end = slope(start, linear), slope(end, problem.linearized_at(radius, end))
+    one = jnp.ones_like(bend)
+    at_start, at_end = slope(0 * one), slope(one)
 
     def goes_on(given: tuple) -> Bool[Array, "*n"]:
         *_, here, _, count = given
@@ -71,14 +76,10 @@ def line_search(
         below = jnp.where(rises, jnp.where(again, 0.5 * below, below), here)
         above = jnp.where(rises, here, jnp.where(again, 0.5 * above, above))
         share = low - below * (high - low) / (above - below)
-        iterate = at(share)
-        here = slope(iterate, problem.linearized_at(radius, iterate))
-        return low, below, high, above, share, here, now, count + 1
+        return low, below, high, above, share, slope(share), now, count + 1
 
-    one = jnp.ones_like(at_start)
     none = jnp.zeros(at_start.shape, jnp.int32)
     # Where it no longer falls, but for rounding, the whole way is gone.
-    rises = (at_start < -_LEVEL) & (at_end > 0)
+    rises = (at_start < -least) & (at_end > 0)
     begin = 0 * one, at_start, one, at_end, one, jnp.where(rises, at_end, 0.0), none, none
-    found = at(while_each(goes_on, closer, begin)[4])
-    return found, problem.linearized_at(radius, found)
+    return at(while_each(goes_on, closer, begin)[4])

@@ -1,9 +1,8 @@
 """Newton's method for the motion of a step, with the friction cones found as it goes.
 
 What is minimised is in `evo_cpg.physics.step_problem`; it is strictly convex and has one answer.
-Each step linearizes the laws, which one articulated-body solve takes (and one more for every pair
-of bodies that touch), and goes as far along the way to that answer as the potential falls
-(`evo_cpg.physics.line_search`). It ends when the laws hold.
+Each step linearizes the laws, finds the motion under these, and goes as far along the way to it as
+the potential falls (`evo_cpg.physics.line_search`). It ends when the laws hold.
 
 The radius of the friction cone is ``mu f_n`` with the normal force that was found last; with it,
 the problem is solved anew. So Coulomb's law holds but for what the last round would have changed.
@@ -27,10 +26,11 @@ from jaxtyping import Array, Bool, Float, Int
 
 from evo_cpg.fusion.converge import implicit, while_each
 from evo_cpg.physics.equations import ContactForces, Imposed, Residual, Warmstart, prepare
+from evo_cpg.physics.generalized import ROOT_DOFS
 from evo_cpg.physics.joints import clamp_torque
 from evo_cpg.physics.line_search import line_search
 from evo_cpg.physics.state import State
-from evo_cpg.physics.step_problem import Iterate, StepProblem
+from evo_cpg.physics.step_problem import StepProblem
 from evo_cpg.physics.world import World
 from evo_cpg.spatial.linear import matvec_t, where_each
 
@@ -43,9 +43,9 @@ _SWEEPS = 3
 # What is left of restitution each time that it is taken less, and how often before it is left out.
 _LESS, _TRIES = 0.5, 2
 
-# A law holds when its force is missed by less than this share of all normal forces, or the weight;
-# while the friction cone is not yet the last one, the second will do, and the third for its radius.
-# In float64, as derivatives are checked in, the fourth.
+# The laws hold when they are missed by less than this (`StepProblem.residual`); while the friction
+# cone is not yet the last one, the second will do, and the third for its radius. In float64, as
+# derivatives are checked in, the fourth.
 _TOLERANCE, _ROUGH, _COULOMB, _EXACT = 1e-3, 0.05, 1e-2, 1e-10
 
 # Squared friction (N^2) that counts as none.
@@ -56,7 +56,7 @@ class _Search(NamedTuple):
     """How far a search has come.
 
     Attributes:
-        iterate: the motion found last.
+        y: the motion found last.
         radius: of the friction cone, N.
         last_found: what the normal forces under the radius before it allowed.
         last_missed: by how much that differed from that radius.
@@ -70,7 +70,7 @@ class _Search(NamedTuple):
         reached: the motions under each radius, and then under each further sweep.
     """
 
-    iterate: Iterate
+    y: Float[Array, "v *n"]
     radius: Float[Array, "p *n"]
     last_found: Float[Array, "p *n"]
     last_missed: Float[Array, "p *n"]
@@ -81,20 +81,20 @@ class _Search(NamedTuple):
     first_cones: Int[Array, "*n"]
     steps: Int[Array, "*n"]
     done: Bool[Array, "*n"]
-    reached: tuple[Iterate, ...]
+    reached: tuple[Float[Array, "v *n"], ...]
 
 
 class _Answer(NamedTuple):
     """Where a search ended.
 
     Attributes:
-        iterate: the motion.
+        y: the motion.
         radius: of the friction cone there, N.
         restitution: what was left of it, as a share.
         sweep: of pairs of bodies there, m/s^2.
     """
 
-    iterate: Iterate
+    y: Float[Array, "v *n"]
     radius: Float[Array, "p *n"]
     restitution: Float[Array, "*n"]
     sweep: Float[Array, "k *n"]
@@ -109,7 +109,7 @@ class _Notes(NamedTuple):
         sweeps: how many were left behind.
     """
 
-    reached: tuple[Iterate, ...]
+    reached: tuple[Float[Array, "v *n"], ...]
     restitution: Float[Array, "*n"]
     sweeps: Int[Array, "*n"]
 
@@ -132,7 +132,8 @@ def search(
         target_angle: likewise.
         warmstart: what the step before came to; None for a first step.
     """
-    problem = StepProblem(world, h, prepare(world, h, state, target_rate, target_angle))
+    equations = prepare(world, h, state, target_rate, target_angle)
+    problem = StepProblem.of(world, h, equations)
     if warmstart is None:
         warmstart = coldstart(world, state.q.shape[1:], state.q.dtype)
     whole = jnp.ones(state.q.shape[1:], state.q.dtype)
@@ -147,7 +148,7 @@ def search(
         like,
     )
     end = problem.bounded(answer.restitution).swept(answer.sweep)
-    return _imposed(end, answer.radius, answer.iterate)
+    return _imposed(end, answer.radius, answer.y)
 
 
 def coldstart(world: World, batch: tuple[int, ...], dtype: jnp.dtype) -> Warmstart:
@@ -168,85 +169,115 @@ def _sweep_count(problem: StepProblem) -> int:
     return 1 if problem.world.pairs is None else _SWEEPS
 
 
-def _imposed(problem: StepProblem, radius: Float[Array, "p *n"], iterate: Iterate) -> Imposed:
+def _imposed(
+    problem: StepProblem, radius: Float[Array, "p *n"], y: Float[Array, "v *n"]
+) -> Imposed:
     """A motion, and the forces in it by the laws, with the friction cones that it has."""
-    linear, found = problem.linearized_at(radius, iterate), problem.cone_radius(iterate)
+    qdd, velocity = y[ROOT_DOFS:], problem.velocity(y)
+    linear, found = problem.linearized(radius, qdd, velocity), problem.cone_radius(velocity)
     contacts, forces = problem.equations.contacts, None
     if contacts is not None and linear.contact is not None:
         local = linear.contact.force
         forces = ContactForces(local, matvec_t(contacts.frame, local))
-    solved = jax.lax.stop_gradient(problem.residual(iterate, linear))
-    friction = jax.lax.stop_gradient(problem.beyond_coulomb(radius, found, iterate, linear))
-    motor = clamp_torque(problem.world.tree, problem.asked(iterate.qdd))
+    solved = jax.lax.stop_gradient(problem.residual(y, linear))
+    friction = jax.lax.stop_gradient(problem.beyond_coulomb(radius, found, velocity, linear))
+    motor = clamp_torque(problem.world.tree, problem.asked(qdd))
     push = None if linear.pairs is None else linear.pairs.force
-    warmstart = Warmstart(iterate.qdd, iterate.velocity, found)
+    warmstart = Warmstart(qdd, velocity, found)
     residual = Residual(solved, solved + friction)
-    return Imposed(iterate.root, iterate.qdd, motor, forces, push, residual, warmstart)
+    return Imposed(y[:ROOT_DOFS], qdd, motor, forces, push, residual, warmstart)
+
+
+def _newton_step(
+    problem: StepProblem, radius: Float[Array, "p *n"], y: Float[Array, "v *n"]
+) -> Float[Array, "v *n"]:
+    """The motion under the laws linearized at another."""
+    return problem.motion(problem.linearized(radius, y[ROOT_DOFS:], problem.velocity(y)))
 
 
 def _descend(
-    problem: StepProblem, radius: Float[Array, "p *n"], first: Iterate
+    problem: StepProblem, radius: Float[Array, "p *n"], first: Float[Array, "v *n"]
 ) -> tuple[_Answer, _Notes]:
     """The answer, and what `_replay` needs."""
-    exact, rough = _tolerances(first.qdd)
-    early = first.qdd.dtype != jnp.float64
-    whole = jnp.ones(first.qdd.shape[1:], first.qdd.dtype)
-    start = problem.bounded(whole)
-    linear, found = start.linearized_at(radius, first), start.cone_radius(first)
-    holds = early & (start.residual(first, linear) <= exact)
-    holds &= start.beyond_coulomb(radius, found, first, linear) <= _COULOMB
-    none = jnp.zeros(holds.shape, jnp.int32)
     count, most = _cone_count(problem), _sweep_count(problem)
+    none = jnp.zeros(first.shape[1:], jnp.int32)
+    whole = jnp.ones(first.shape[1:], first.dtype)
+    begin = _Search(
+        *(first, radius, radius, radius, none, whole, problem.own_sweep(), none, none, none),
+        jnp.zeros(first.shape[1:], bool),
+        (first,) * (count + most - 1),
+    )
+    start = problem.bounded(whole)
+    begin = _judged(start, begin, first, start.velocity(first))
 
     def advance(search: _Search) -> _Search:
         now = problem.bounded(search.restitution).swept(search.sweep)
-        radius, linear = search.radius, now.linearized_at(search.radius, search.iterate)
+        radius, velocity = search.radius, now.velocity(search.y)
+        linear = now.linearized(radius, search.y[ROOT_DOFS:], velocity)
+        # Within the tolerance rounding would decide how far to go.
+        exact, _ = _tolerances(first)
+        least = problem.h * exact**2 * now.square_of_forces(search.y, linear)
         ahead = now.motion(linear)
-        iterate, linear = line_search(now, radius, search.iterate, linear, ahead)
-        found, residual = now.cone_radius(iterate), now.residual(iterate, linear)
-        coulomb = now.beyond_coulomb(radius, found, iterate, linear) <= _COULOMB
-        last = search.cones + 1 >= count
-        settled = residual <= jnp.where(last, exact, rough)
-        # The first radius has none before it.
-        compared = search.cones > 0
-        new = _next_radius(radius, found, search.last_found, search.last_missed, compared)
-        ends = (settled & last) | (early & coulomb & (residual <= exact))
-        changed = settled & ~last & ~ends
-        too_much = ends & now.gains(iterate) & (search.restitution > 0)
-        ends &= ~too_much
-        sweep, strays = search.sweep, jnp.zeros(ends.shape, bool)
-        if most > 1:
-            sweep = now.sweep(iterate)
-            strays = ends & (search.sweeps + 1 < most) & now.strays(iterate, sweep)
-        steps = search.steps + 1
-        here = jnp.where(search.sweeps > 0, count - 1 + search.sweeps, search.cones)
-        return _Search(
-            iterate,
-            where_each(changed, new, radius),
-            where_each(changed, found, search.last_found),
-            where_each(changed, found - radius, search.last_missed),
-            search.cones + changed,
-            jnp.where(too_much, _less(search.restitution), search.restitution),
-            where_each(strays, sweep, search.sweep),
-            search.sweeps + strays,
-            jnp.where(search.sweeps > 0, search.first_cones, search.cones + changed),
-            steps,
-            (ends & ~strays) | (steps >= _STEPS),
-            tuple(where_each(here == k, iterate, old) for k, old in enumerate(search.reached)),
-        )
+        y, velocity = line_search(now, radius, search.y, velocity, ahead, least)
+        return _judged(now, search._replace(steps=search.steps + 1), y, velocity)
 
-    done, sweep = holds & ~start.gains(first) & ~start.pushes(first), problem.own_sweep(first)
-    begin = _Search(
-        *(first, radius, radius, radius, none, whole, sweep, none, none, none, done),
-        (first,) * (count + most - 1),
-    )
     end = while_each(lambda search: ~search.done, advance, begin)
     reached = [end.reached[0]]
     for k, one in enumerate(end.reached[1:count], 1):
         # Where radii were no longer tried, the last one stands for the rest.
         reached.append(where_each(end.first_cones < k, reached[-1], one))
     notes = _Notes((*reached, *end.reached[count:]), end.restitution, end.sweeps)
-    return _Answer(end.iterate, end.radius, end.restitution, end.sweep), notes
+    return _Answer(end.y, end.radius, end.restitution, end.sweep), notes
+
+
+def _judged(
+    now: StepProblem,
+    search: _Search,
+    y: Float[Array, "v *n"],
+    velocity: Float[Array, "3 p *n"] | None,
+) -> _Search:
+    """The search with another motion: whether it is the answer, or else the next problem.
+
+    Args:
+        now: the problem with the restitution and the sweep of the search.
+        search: before.
+        y: the motion that was found.
+        velocity: of the contact points in it.
+    """
+    count, most = _cone_count(now), _sweep_count(now)
+    exact, rough = _tolerances(y)
+    early, radius, qdd = y.dtype != jnp.float64, search.radius, y[ROOT_DOFS:]
+    linear, found = now.linearized(radius, qdd, velocity), now.cone_radius(velocity)
+    residual = now.residual(y, linear)
+    coulomb = now.beyond_coulomb(radius, found, velocity, linear) <= _COULOMB
+    last = search.cones + 1 >= count
+    settled = residual <= jnp.where(last, exact, rough)
+    # The first radius has none before it.
+    compared = search.cones > 0
+    new = _next_radius(radius, found, search.last_found, search.last_missed, compared)
+    ends = (settled & last) | (early & coulomb & (residual <= exact))
+    changed = settled & ~last & ~ends
+    too_much = ends & now.gains(velocity, linear) & (search.restitution > 0)
+    ends &= ~too_much
+    sweep, strays = search.sweep, jnp.zeros(ends.shape, bool)
+    if most > 1:
+        sweep = now.sweep(qdd)
+        strays = ends & (search.sweeps + 1 < most) & now.strays(qdd, sweep)
+    here = jnp.where(search.sweeps > 0, count - 1 + search.sweeps, search.cones)
+    return _Search(
+        y,
+        where_each(changed, new, radius),
+        where_each(changed, found, search.last_found),
+        where_each(changed, found - radius, search.last_missed),
+        search.cones + changed,
+        jnp.where(too_much, _less(search.restitution), search.restitution),
+        where_each(strays, sweep, search.sweep),
+        search.sweeps + strays,
+        jnp.where(search.sweeps > 0, search.first_cones, search.cones + changed),
+        search.steps,
+        (ends & ~strays) | (search.steps >= _STEPS),
+        tuple(where_each(here == k, y, old) for k, old in enumerate(search.reached)),
+    )
 
 
 def _replay(problem: StepProblem, radius: Float[Array, "p *n"], notes: _Notes) -> _Answer:
@@ -255,21 +286,18 @@ def _replay(problem: StepProblem, radius: Float[Array, "p *n"], notes: _Notes) -
     reached, further = notes.reached[:count], notes.reached[count:]
     start, end = problem.bounded(jnp.ones_like(restitution)), problem.bounded(restitution)
     found = missed = radius
-    now = end if count == 1 else start
-    iterate = now.motion(now.linearized_at(radius, reached[0]))
+    y = _newton_step(end if count == 1 else start, radius, reached[0])
     for k, point in enumerate(reached[1:]):
-        before, found = found, start.cone_radius(iterate)
+        before, found = found, start.cone_radius(start.velocity(y))
         missed_before, missed = missed, found - radius
         radius = _next_radius(radius, found, before, missed_before, jnp.asarray(k > 0))
-        now = end if k + 2 == count else start
-        iterate = now.motion(now.linearized_at(radius, point))
-    sweep = problem.own_sweep(iterate)
+        y = _newton_step(end if k + 2 == count else start, radius, point)
+    sweep = problem.own_sweep()
     for k, point in enumerate(further, 1):
-        new = problem.sweep(iterate)
-        now = end.swept(new)
-        there = now.motion(now.linearized_at(radius, point))
-        iterate, sweep = where_each(notes.sweeps >= k, (there, new), (iterate, sweep))
-    return _Answer(iterate, radius, restitution, sweep)
+        new = problem.sweep(y[ROOT_DOFS:])
+        there = _newton_step(end.swept(new), radius, point)
+        y, sweep = where_each(notes.sweeps >= k, (there, new), (y, sweep))
+    return _Answer(y, radius, restitution, sweep)
 
 
 def _less(restitution: Float[Array, "*n"]) -> Float[Array, "*n"]:

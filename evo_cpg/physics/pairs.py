@@ -5,8 +5,8 @@ restitution: with the velocity v_n at which the nearest points part after the fo
 
     f_n = max(0, c (v* - v_n)),      v* = -gap / h, or a slow way out of an overlap.
 
-A pair couples branches of the tree, so one articulated-body solve no longer is a step of Newton's
-method. `evo_cpg.physics.coupling` finds the forces of pairs within a step.
+A pair couples branches of the tree; in generalized coordinates it is a few elements of the matrix
+(`evo_cpg.physics.step_problem`).
 """
 
 import itertools
@@ -23,8 +23,9 @@ from evo_cpg.creature.reach import chain_to_root
 from evo_cpg.creature.self_collision import SelfCollision, colliding_pairs
 from evo_cpg.creature.shapes import RoundedBox
 from evo_cpg.creature.tree import Tree
-from evo_cpg.physics.box_separation import separation_of_boxes, separation_of_flat
+from evo_cpg.physics.box_separation import separation_of_boxes
 from evo_cpg.physics.contact import BAUMGARTE_SHARE, BAUMGARTE_SPEED
+from evo_cpg.physics.flat_separation import separation_of_flat
 from evo_cpg.physics.kinematics import Kinematics, Motion, motion_by_joints
 from evo_cpg.physics.per_body import take
 from evo_cpg.physics.separation import (
@@ -259,7 +260,7 @@ def find_pair_contacts(
     """
     where = separations(pairs, kin)
     push = jnp.clip(-BAUMGARTE_SHARE / h * where.gap, 0.0, BAUMGARTE_SPEED)
-    wanted = jnp.where(where.gap > 0, -where.gap / h, push)
+    wanted = jnp.where(where.gap > 0, (-1.0 / h) * where.gap, push)
     sweep = _sweep(pairs, kin.origin, kin, where)
     jacobian = _jacobian(tree, pairs, kin, where)
     coasting = (jacobian * qd[None]).sum(1) + 0.5 * h * sweep

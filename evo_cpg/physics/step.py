@@ -18,9 +18,8 @@ from evo_cpg.physics.equations import (
     Imposed,
     Residual,
     Warmstart,
-    expected_linearization,
     prepare,
-    solve_with,
+    solve_at_once,
 )
 from evo_cpg.physics.joints import servo_slope
 from evo_cpg.physics.newton import coldstart, search
@@ -101,7 +100,7 @@ def _whole_step(
         return _finish(h, state, found)
     equations = prepare(world, h, state, target_rate, target_angle)
     with jax.named_scope("solve"):
-        found, _ = solve_with(world, h, equations, expected_linearization(world, h, equations))
+        found = solve_at_once(world, h, equations)
     motor = equations.wanted - h * servo_slope(world.tree, equations.wanted, h) * found.qdd
     return _finish(h, state, Imposed(found.root, found.qdd, motor))
 

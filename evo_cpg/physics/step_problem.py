@@ -1,98 +1,115 @@
 """What a step's motion minimises: its laws have kinks, motors with limits and contact.
 
-At the end of the step it minimises
+At the end of the step it minimises, over the accelerations y of the tree,
 
-    1/2 |x - x_free|^2 in the metric of the implicit mass matrix
-    + h times one convex potential for every contact point, pair, motor and limit of a joint,
+    1/2 (y - y_free)^T M (y - y_free)
+    + 1/h times one convex potential for every contact point, pair, motor and limit of a joint,
 
 whose derivatives are their laws: a one-sided spring along the normal, friction as Huber's function
 (it sticks up to the radius of the friction cone, and slides under that), pushes of bodies on each
-other and limits of joints as one-sided springs, motors up to their torque.
+other and limits of joints as one-sided springs, motors up to their torque. M is the implicit mass
+matrix, and M y_free the forces without these laws.
+
+All is in generalized coordinates (`evo_cpg.physics.generalized`), of which there are few. With the
+Jacobian J of the points, whose velocities are ``v = v_0 + h J y``, laws linearized as
+``f = F - K (v - v_k)`` give
+
+    (M + h J^T K J) y = M y_free + J^T (F + K (v_k - v_0)),
+
+solved by elimination from the tips to the root (`evo_cpg.spatial.ldl`).
 """
 
 from typing import NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from evo_cpg.physics.contact import (
+    ContactLinearization,
     bounded,
+    change_of_velocity,
     cone_radius,
-    contact_work,
-    end_velocity,
+    contact_inertia,
+    contact_wrench,
     friction_change,
+    lifting_power,
     linearize_contacts,
     linearized_force,
 )
-from evo_cpg.physics.equations import Equations, Linearization, solve_with
+from evo_cpg.physics.equations import Equations
+from evo_cpg.physics.generalized import (
+    ROOT_DOFS,
+    body_accelerations,
+    generalized_force,
+    mass_matrix,
+)
 from evo_cpg.physics.joints import clamp_torque, limit_torque, overloaded, servo_slope
-from evo_cpg.physics.pairs import linearize_pairs, parting_velocity, sweep_at, swept
+from evo_cpg.physics.pairs import (
+    PairLinearization,
+    linearize_pairs,
+    parting_velocity,
+    pushing_torque,
+    sweep_at,
+    swept,
+)
+from evo_cpg.physics.spatial_algebra import Wrench
 from evo_cpg.physics.world import World
-from evo_cpg.spatial.linear import expand_dims_like
+from evo_cpg.spatial.ldl import solve
+from evo_cpg.spatial.linear import dot, matvec, t_matmul
 from evo_cpg.spatial.numerics import xp
-
-# Rate (rad/s) whose torque by the slope of a joint's law is enough to measure what is missed by.
-_SLOW = 1e-2
 
 # By so much (m) a pair may come elsewhere within a step.
 _STRAY = 2e-4
 
-# Of forces (N) and torques (N m) that counts as none.
-_NONE = 1e-12
+# Share of the forces that no law is about which counts as the least that there is of others.
+_LEAST = 1e-3
+
+# Squares that count as none.
+_NONE = 1e-24
 
 
-class Iterate(NamedTuple):
-    """A motion, and under which forces the creature has it.
-
-    Attributes:
-        root: spatial acceleration of the root.
-        qdd: joint accelerations, rad/s^2.
-        torque: of motors and limits of joints, N m.
-        velocity: of the contact points at the end of the step, m/s; None without ground.
-        force: on them, N; likewise.
-        push: of pairs of bodies, N; None where none can touch.
-    """
-
-    root: Float[Array, "6 *n"]
-    qdd: Float[Array, "d *n"]
-    torque: Float[Array, "d *n"]
-    velocity: Float[Array, "3 p *n"] | None = None
-    force: Float[Array, "3 p *n"] | None = None
-    push: Float[Array, "k *n"] | None = None
-
-
-class ForceResidual(NamedTuple):
-    """What an iterate has beyond the laws.
+class Linearization(NamedTuple):
+    """The laws of motors, limits of joints, contacts and pairs, linearized.
 
     Attributes:
-        torque: of motors and limits of joints, N m.
-        force: at the contact points, N; None without ground.
-        push: of pairs of bodies, N; None where none can touch.
+        torque: of motors and limits of joints without joint accelerations, N m.
+        slope: torque lost per end-of-step rate, N m s/rad.
+        contact: None without ground.
+        pairs: None where none can touch.
     """
 
     torque: Float[Array, "d *n"]
-    force: Float[Array, "3 p *n"] | None
-    push: Float[Array, "k *n"] | None
+    slope: Float[Array, "d *n"]
+    contact: ContactLinearization | None
+    pairs: PairLinearization | None
 
 
 class StepProblem(NamedTuple):
-    """What is minimised in a step."""
+    """What is minimised in a step.
+
+    Attributes:
+        world: the creature and its surroundings.
+        h: s.
+        equations: of this step.
+        mass: M, ``(v, v, *n)``.
+        force: M y_free, N and N m.
+    """
 
     world: World
     h: float
     equations: Equations
+    mass: Float[Array, "v v *n"]
+    force: Float[Array, "v *n"]
 
-    def motion(self, linear: Linearization) -> Iterate:
-        """The motion under linear, and what they give there."""
-        equations, h = self.equations, self.h
-        found, push = solve_with(self.world, h, equations, linear)
-        torque = linear.torque - h * linear.slope * found.qdd
-        velocity = force = None
-        footing, contacts = self.world.footing, equations.contacts
-        if footing is not None and contacts is not None and linear.contact is not None:
-            velocity = end_velocity(footing, contacts, found, h)
-            force = linearized_force(linear.contact, velocity)
-        return Iterate(found.root, found.qdd, torque, velocity, force, push)
+    @classmethod
+    def of(cls, world: World, h: float, equations: Equations) -> "StepProblem":
+        """That of a step."""
+        tree, kin, bias = world.tree, equations.kin, equations.bias
+        mass = _plus_diagonal(mass_matrix(tree, kin, equations.inertia), equations.derivative)
+        force = generalized_force(tree, kin, Wrench(-bias.moment, -bias.force))
+        force = _plus_torque(force, equations.passive)
+        return cls(world, h, equations, mass, force)
 
     def bounded(self, restitution: Float[Array, "*n"]) -> "StepProblem":
         """The problem with what is left of restitution."""
@@ -110,59 +127,17 @@ class StepProblem(NamedTuple):
         pairs = swept(equations.pairs, sweep, self.h)
         return self._replace(equations=equations._replace(pairs=pairs))
 
-    def own_sweep(self, iterate: Iterate) -> Float[Array, "k *n"]:
-        """The sweep that this problem has; none where no bodies can touch."""
-        pairs = self.equations.pairs
-        return iterate.qdd[:0] if pairs is None else pairs.sweep
-
-    def sweep(self, iterate: Iterate) -> Float[Array, "k *n"]:
-        """Of pairs of bodies at the joint rates of an iterate, m/s^2."""
-        equations, pairs = self.equations, self.world.pairs
-        if pairs is None or equations.pairs is None:
-            return iterate.qdd[:0]
-        rates = equations.state.qd + self.h * iterate.qdd
-        return sweep_at(self.world.tree, pairs, equations.kin, equations.pairs, rates)
-
-    def pushes(self, iterate: Iterate) -> Bool[Array, "*n"]:
-        """Where pairs of bodies push each other, or should."""
-        contacts = self.equations.pairs
-        if contacts is None:
-            return jnp.zeros(iterate.qdd.shape[1:], bool)
-        return (contacts.wanted > parting_velocity(contacts, iterate.qdd, self.h)).any(0)
-
-    def strays(self, iterate: Iterate, sweep: Float[Array, "k *n"]) -> Bool[Array, "*n"]:
-        """Where pairs that push come elsewhere than they are to, for their sweep is another."""
-        contacts = self.equations.pairs
-        if contacts is None:
-            return jnp.zeros(iterate.qdd.shape[1:], bool)
-        velocity = parting_velocity(contacts, iterate.qdd, self.h)
-        other = parting_velocity(swept(contacts, sweep, self.h), iterate.qdd, self.h)
-        touches = (contacts.wanted > velocity) | (contacts.wanted > other)
-        return (touches & (self.h * jnp.abs(other - velocity) > _STRAY)).any(0)
-
-    def gains(self, iterate: Iterate) -> Bool[Array, "*n"]:
-        """Where bouncing contacts give the creature energy."""
+    def velocity(self, y: Float[Array, "v *n"]) -> Float[Array, "3 p *n"] | None:
+        """Of the contact points at the end of the step, contact frame, m/s; None without ground."""
         contacts = self.equations.contacts
-        if contacts is None or iterate.velocity is None or iterate.force is None:
-            return jnp.zeros(iterate.qdd.shape[1:], bool)
-        work = contact_work(contacts, iterate.velocity, iterate.force, self.h)
-        return (work > 0) & (contacts.bounce > 0).any(0)
+        return None if contacts is None else contacts.coasting + self.change_of_velocity(y)
 
-    def asked(self, qdd: Float[Array, "d *n"]) -> Float[Array, "d *n"]:
-        """Of the motors at the end of the step, N m."""
-        wanted = self.equations.wanted
-        return wanted - self.h * servo_slope(self.world.tree, wanted, self.h) * qdd
-
-    def cone_radius(self, iterate: Iterate) -> Float[Array, "p *n"]:
-        """Of the friction cones, under the normal forces of the laws at an iterate, N."""
+    def change_of_velocity(self, y: Float[Array, "v *n"]) -> Float[Array, "3 p *n"]:
+        """Of the contact points because of accelerations, m/s."""
         footing, contacts = self.world.footing, self.equations.contacts
-        if footing is None or contacts is None or iterate.velocity is None:
-            return iterate.qdd[:0]
-        return cone_radius(footing, contacts, iterate.velocity, self.h)
-
-    def linearized_at(self, radius: Float[Array, "p *n"], iterate: Iterate) -> Linearization:
-        """Of the laws at an iterate."""
-        return self.linearized(radius, iterate.qdd, iterate.velocity)
+        assert footing is not None and contacts is not None
+        accelerations = body_accelerations(self.world.tree, self.equations.kin, y)
+        return change_of_velocity(footing, contacts, accelerations, self.h)
 
     def linearized(
         self,
@@ -170,7 +145,13 @@ class StepProblem(NamedTuple):
         qdd: Float[Array, "d *n"],
         velocity: Float[Array, "3 p *n"] | None,
     ) -> Linearization:
-        """Of the laws at some motion."""
+        """Of the laws at some motion.
+
+        Args:
+            radius: of the friction cones, N.
+            qdd: joint accelerations, rad/s^2.
+            velocity: of the contact points, m/s; None without ground.
+        """
         tree, state, wanted = self.world.tree, self.equations.state, self.equations.wanted
         asked = self.asked(qdd)
         over = overloaded(tree, asked)
@@ -187,49 +168,80 @@ class StepProblem(NamedTuple):
             pushes = linearize_pairs(pairs, apart, parting_velocity(apart, qdd, self.h), self.h)
         return Linearization(torque, slope, linear, pushes)
 
-    def force_residual(self, iterate: Iterate, linear: Linearization) -> ForceResidual:
-        """What an iterate's torques and forces have beyond the laws', linearized there."""
-        torque = iterate.torque - (linear.torque - self.h * linear.slope * iterate.qdd)
-        force = push = None
-        if iterate.force is not None and linear.contact is not None:
-            force = iterate.force - linear.contact.force
-        if iterate.push is not None and linear.pairs is not None:
-            push = iterate.push - linear.pairs.force
-        return ForceResidual(torque, force, push)
+    def motion(self, linear: Linearization) -> Float[Array, "v *n"]:
+        """The accelerations under linearized laws."""
+        tree, equations, h = self.world.tree, self.equations, self.h
+        footing, contacts = self.world.footing, equations.contacts
+        matrix, force, torque = self.mass, self.force, linear.torque
+        if footing is not None and contacts is not None and linear.contact is not None:
+            blocks = contact_inertia(footing, contacts, linear.contact, equations.inertia, h)
+            matrix = matrix + mass_matrix(tree, equations.kin, blocks)
+            force = force + self._ground(linearized_force(linear.contact, contacts.coasting))
+        pairs = equations.pairs
+        matrix = _plus_diagonal(matrix, h * linear.slope)
+        if pairs is not None and linear.pairs is not None:
+            J, slope = pairs.jacobian, linear.pairs.slope
+            coasting = linear.pairs.force + slope * (linear.pairs.velocity - pairs.coasting)
+            torque = torque + pushing_torque(pairs, coasting)
+            matrix = _plus_joints(matrix, t_matmul(h * slope[:, None] * J, J))
+        return solve(matrix, _plus_torque(force, torque))
 
-    def residual(self, iterate: Iterate, linear: Linearization) -> Float[Array, "*n"]:
-        """Norm of what the laws are missed by, as shares of motors' limits and of the load."""
-        torque, force, push = self.force_residual(iterate, linear)
-        limit = self.world.tree.torque_limit
-        most = expand_dims_like(xp.where(xp.isfinite(limit), limit, 0.0), torque)
-        most = jnp.maximum(jnp.maximum(most, jnp.abs(iterate.torque)), _SLOW * linear.slope)
-        shares = torque / jnp.maximum(most, _NONE)
-        total = (shares * shares).sum(0)
-        if force is not None:
-            total = total + (force * force).sum((0, 1)) / self.load(linear) ** 2
-        if push is not None:
-            total = total + (push * push).sum(0) / self.load(linear) ** 2
-        return jnp.sqrt(total)
+    def residual(self, y: Float[Array, "v *n"], linear: Linearization) -> Float[Array, "*n"]:
+        """What the forces at a motion miss the laws by, as a share of the forces that there are.
+
+        Both are norms of generalized forces, each by the root of the inertia that it alone would
+        move, the diagonal of M: accelerations, weighted with masses.
+
+        Args:
+            y: a motion.
+            linear: the laws linearized there.
+        """
+        law = _plus_torque(jnp.zeros_like(self.force), self.torque(y, linear))
+        if linear.contact is not None:
+            law = law + self._ground(linear.contact.force)
+        if self.equations.pairs is not None and linear.pairs is not None:
+            law = _plus_torque(law, pushing_torque(self.equations.pairs, linear.pairs.force))
+        missed = self._square(self.resistance(y) - law)
+        return jnp.sqrt(missed / self.square_of_forces(y, linear))
+
+    def square_of_forces(
+        self, y: Float[Array, "v *n"], linear: Linearization
+    ) -> Float[Array, "*n"]:
+        """Of the forces that there are, in the norm of `residual`, N^2/kg.
+
+        The weight or what ground and pairs carry, as if it lifted the whole creature, and torques.
+        """
+        torque = _plus_torque(jnp.zeros_like(self.force), self.torque(y, linear))
+        total = self.load(linear) ** 2 / self.world.tree.mass.sum() + self._square(torque)
+        return total + _LEAST**2 * self._square(self.force) + _NONE
+
+    def resistance(self, y: Float[Array, "v *n"]) -> Float[Array, "v *n"]:
+        """What it takes of the laws to have the accelerations: M y less the other forces."""
+        return matvec(self.mass, y) - self.force
+
+    def torque(self, y: Float[Array, "v *n"], linear: Linearization) -> Float[Array, "d *n"]:
+        """Of motors and limits of joints under linearized laws, N m."""
+        return linear.torque - self.h * linear.slope * y[ROOT_DOFS:]
 
     def beyond_coulomb(
         self,
         radius: Float[Array, "p *n"],
         found: Float[Array, "p *n"],
-        iterate: Iterate,
+        velocity: Float[Array, "3 p *n"] | None,
         linear: Linearization,
     ) -> Float[Array, "*n"]:
         """Norm of what friction misses its law by with a cone, as a share of the load.
 
         Args:
-            radius: of the cone that the iterate was found with.
+            radius: of the cone that the motion was found with.
             found: the one that its own normal forces give.
-            iterate: some motion.
+            velocity: of the contact points in it.
             linear: the laws linearized there.
         """
         footing = self.world.footing
-        if footing is None or iterate.velocity is None:
-            return jnp.zeros(iterate.qdd.shape[1:], iterate.qdd.dtype)
-        change = friction_change(footing, radius, found, iterate.velocity, self.h)
+        if footing is None or velocity is None:
+            return jnp.zeros(linear.torque.shape[1:], linear.torque.dtype)
+        change = friction_change(footing, radius, found, velocity, self.h)
         return jnp.sqrt((change * change).sum(0)) / self.load(linear)
 
     def load(self, linear: Linearization) -> Float[Array, "*n"]:
@@ -241,3 +253,79 @@ class StepProblem(NamedTuple):
         if linear.pairs is not None:
             carried = carried + linear.pairs.force.sum(0)
         return jnp.maximum(carried, xp.maximum(weight, _NONE))
+
+    def cone_radius(self, velocity: Float[Array, "3 p *n"] | None) -> Float[Array, "p *n"]:
+        """Of the friction cones, under the normal forces of the laws at some velocity, N."""
+        footing, contacts = self.world.footing, self.equations.contacts
+        if footing is None or contacts is None or velocity is None:
+            return self.force[:0]
+        return cone_radius(footing, contacts, velocity, self.h)
+
+    def gains(
+        self, velocity: Float[Array, "3 p *n"] | None, linear: Linearization
+    ) -> Bool[Array, "*n"]:
+        """Where bouncing contacts give the creature energy, the laws being linearized there.
+
+        By the mean of velocities at the start and the end of the step; lifting points out of the
+        ground does not count.
+        """
+        contacts, state = self.equations.contacts, self.equations.state
+        if contacts is None or velocity is None or linear.contact is None:
+            return jnp.zeros(linear.torque.shape[1:], bool)
+        force = linear.contact.force
+        before = dot(jnp.concatenate([state.velocity, state.qd]), self._ground(force))
+        power = 0.5 * (before + (velocity * force).sum((0, 1))) - lifting_power(contacts, force)
+        return (power > 0) & (contacts.bounce > 0).any(0)
+
+    def asked(self, qdd: Float[Array, "d *n"]) -> Float[Array, "d *n"]:
+        """Of the motors at the end of the step, N m."""
+        wanted = self.equations.wanted
+        return wanted - self.h * servo_slope(self.world.tree, wanted, self.h) * qdd
+
+    def own_sweep(self) -> Float[Array, "k *n"]:
+        """The sweep that this problem has; none where no bodies can touch."""
+        pairs = self.equations.pairs
+        return self.force[:0] if pairs is None else pairs.sweep
+
+    def sweep(self, qdd: Float[Array, "d *n"]) -> Float[Array, "k *n"]:
+        """Of pairs of bodies at the joint rates that some accelerations lead to, m/s^2."""
+        equations, pairs = self.equations, self.world.pairs
+        if pairs is None or equations.pairs is None:
+            return self.force[:0]
+        rates = equations.state.qd + self.h * qdd
+        return sweep_at(self.world.tree, pairs, equations.kin, equations.pairs, rates)
+
+    def strays(self, qdd: Float[Array, "d *n"], sweep: Float[Array, "k *n"]) -> Bool[Array, "*n"]:
+        """Where pairs that push come elsewhere than they are to, for their sweep is another."""
+        contacts = self.equations.pairs
+        if contacts is None:
+            return jnp.zeros(qdd.shape[1:], bool)
+        velocity = parting_velocity(contacts, qdd, self.h)
+        other = parting_velocity(swept(contacts, sweep, self.h), qdd, self.h)
+        touches = (contacts.wanted > velocity) | (contacts.wanted > other)
+        return (touches & (self.h * jnp.abs(other - velocity) > _STRAY)).any(0)
+
+    def _square(self, force: Float[Array, "v *n"]) -> Float[Array, "*n"]:
+        """Of generalized forces, each by the inertia that it alone would move."""
+        own = np.arange(len(force))
+        return (force * force * (1.0 / self.mass[own, own])).sum(0)
+
+    def _ground(self, force: Float[Array, "3 p *n"]) -> Float[Array, "v *n"]:
+        """What forces on the contact points are to the root and the joints."""
+        footing, equations = self.world.footing, self.equations
+        assert footing is not None and equations.contacts is not None
+        wrench = contact_wrench(footing, equations.contacts, force, equations.bias)
+        return generalized_force(self.world.tree, equations.kin, wrench)
+
+
+def _plus_torque(force: Float[Array, "v *n"], torque: Float[Array, "d *n"]) -> Array:
+    return force.at[ROOT_DOFS:].add(torque)
+
+
+def _plus_joints(matrix: Float[Array, "v v *n"], block: Float[Array, "d d *n"]) -> Array:
+    return matrix.at[ROOT_DOFS:, ROOT_DOFS:].add(block)
+
+
+def _plus_diagonal(matrix: Float[Array, "v v *n"], diagonal: Float[Array, "d *n"]) -> Array:
+    joints = np.arange(ROOT_DOFS, len(matrix))
+    return matrix.at[joints, joints].add(diagonal)

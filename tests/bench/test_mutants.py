@@ -25,4 +25,4 @@ def test_what_is_there_no_more_is_told():
 
 def test_physics_control_and_evolution_have_thirty_at_least():
     layers = {Path(mutant.file).parts[0] for mutant in MUTANTS}
-    assert layers == {"physics", "control", "evolution"} and len(MUTANTS) >= 30
+    assert layers == {"physics", "control", "evolution", "spatial"} and len(MUTANTS) >= 30

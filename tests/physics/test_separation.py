@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from creatures import quick_jit
-from evo_cpg.physics.box_separation import separation_of_boxes, separation_of_flat
+from evo_cpg.physics.box_separation import separation_of_boxes
+from evo_cpg.physics.flat_separation import separation_of_flat
 from evo_cpg.physics.separation import (
     RoundedBoxes,
     separation_of_line_and_box,

@@ -1,0 +1,98 @@
+"""How far two boxes are apart, and where, if their z axes are parallel and they overlap along them.
+
+Joints between them turn about one common axis, so all happens in the plane across it: two
+rectangles, whose gap is the largest along the normals of their four sides. They touch along the
+other's lowest edge, as far as that lies over the side: at both its ends.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from evo_cpg.physics.separation import SAME, RoundedBoxes, Separation, unless
+from evo_cpg.spatial.linear import dot, matvec, matvec_t, of_each, t_matmul, transpose, where_each
+
+
+class _Plane(NamedTuple):
+    """A rectangle, and another one as it lies in the first one's frame.
+
+    Attributes:
+        box: the first.
+        place: of the other's centre, m.
+        turn: the other's x and y axes as columns.
+        other: half extents of that, m.
+        aside: of the other's centre along z, m.
+    """
+
+    box: RoundedBoxes
+    place: Array
+    turn: Array
+    other: Array
+    aside: Array
+
+
+def separation_of_flat(a: RoundedBoxes, b: RoundedBoxes) -> list[Separation]:
+    """Of boxes without radius: the lowest corner, and the other end of its edge."""
+    away, turn = b.centre - a.centre, t_matmul(a.axes[:, :2], b.axes[:, :2])
+    place, size = matvec_t(a.axes[:, :2], away), jnp.abs(turn)
+    back, e, f = matvec_t(turn, place), a.half_extents, b.half_extents
+    ours = jnp.abs(place) - e[:2] - matvec(size, f[:2])
+    theirs = jnp.abs(back) - f[:2] - matvec_t(size, e[:2])
+    of_b = theirs.max(0) > ours.max(0)
+    gaps = jnp.where(of_b[None], theirs, ours)
+    here = where_each(
+        of_b,
+        _Plane(b, -back, transpose(turn), a.half_extents, -dot(b.axes[:, 2], away)),
+        _Plane(a, place, turn, b.half_extents, dot(a.axes[:, 2], away)),
+    )
+
+    # The side's normal is the frame's first axis from here on, and leads to the other rectangle.
+    second = gaps[1] > gaps[0]
+    gap, rise, along = _swapped(second, gaps)[0], *_swapped(second, here.place)
+    up, across = _swapped(second, here.turn)
+    sign = jnp.where(rise < 0, -1.0, 1.0)
+    height, reach = _swapped(second, here.box.half_extents[:2])
+    up = sign[None] * up
+    corner = jnp.where(up < 0, 1.0, -1.0) * here.other[:2]
+    flat = jnp.abs(up[0]) < jnp.abs(up[1])
+    lowest = along + dot(across, corner)
+    edge = -2.0 * jnp.where(flat, across[0] * corner[0], across[1] * corner[1])
+    climb = -2.0 * jnp.where(flat, up[0] * corner[0], up[1] * corner[1])
+
+    def share(end: Array) -> Array:
+        """How far along the edge it lies over the side, towards one of its ends."""
+        wanted = jnp.clip(lowest + end * edge, -reach, reach)
+        return jnp.clip((wanted - lowest) / edge, 0.0, 1.0)
+
+    x_axis, y_axis, z_axis = (here.box.axes[:, k] for k in range(3))
+    normal, tangent = (
+        jnp.where(second[None], *ways) for ways in ((y_axis, x_axis), (x_axis, y_axis))
+    )
+    normal = sign[None] * normal
+    # In the middle of what they have side by side along z.
+    half, its_half = here.box.half_extents[2], here.other[2]
+    middle = 0.5 * (
+        jnp.maximum(-half, here.aside - its_half) + jnp.minimum(half, here.aside + its_half)
+    )
+    base = here.box.centre + middle[None] * z_axis
+
+    def at(share: Array, gap: Array) -> Separation:
+        below = base + height[None] * normal + (lowest + share * edge)[None] * tangent
+        above = below + gap[None] * normal
+        return Separation(
+            gap,
+            jnp.where(of_b[None], -normal, normal),
+            jnp.where(of_b[None], above, below),
+            jnp.where(of_b[None], below, above),
+            jnp.stack([jnp.where(of_b, own, 1.0 - own) for own in (0.0, 1.0)]),
+        )
+
+    near, far = share(jnp.zeros_like(gap)), share(jnp.ones_like(gap))
+    missing = jnp.abs((far - near) * edge) < SAME
+    return [at(near, gap), unless(missing, at(far, gap + (far - near) * climb))]
+
+
+def _swapped(second: Array, values: Array) -> Array:
+    """Two values, or the second one first."""
+    return jnp.where(of_each(second, values), values[::-1], values)

@@ -1,0 +1,115 @@
+"""A tree's equations in generalized coordinates: its accelerations, forces and mass matrix.
+
+The accelerations of a tree are one vector y: the spatial acceleration of the root (angular, then
+linear) and those of all joints in the order of the tree, ``(6 + d, *n)``. Forces that go with it
+are the root's wrench and the torques of the joints. With the Jacobian J_i of a body,
+
+| what | function |
+|---|---|
+| ``a_i = J_i y`` | `body_accelerations` |
+| ``sum J_i^T f_i`` | `generalized_force` |
+| ``sum J_i^T I_i J_i`` | `mass_matrix` |
+
+The last is the composite-rigid-body algorithm (Featherstone 2008, table 6.2). All is in world axes
+and refers to the bodies' origins, as in `evo_cpg.physics.articulated`. Any inertias and wrenches
+will do, those of contacts, too.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from evo_cpg.creature.tree import Tree
+from evo_cpg.physics.kinematics import Kinematics
+from evo_cpg.physics.per_body import PerBody, in_dof_order, of_joints, take
+from evo_cpg.physics.spatial_algebra import (
+    Inertia,
+    Motion,
+    Wrench,
+    inertia_at_parent,
+    motion_at_child,
+    turned,
+    wrench_at_parent,
+)
+from evo_cpg.spatial.linear import dot, matvec, matvec_t, transpose
+
+# Of the root.
+ROOT_DOFS = 6
+
+
+def body_accelerations(tree: Tree, kin: Kinematics, y: Float[Array, "v *n"]) -> Motion:
+    """Spatial accelerations ``(3, b, *n)`` of all bodies, on top of those in `Kinematics`."""
+    batch_ndim, qdd = y.ndim - 1, y[ROOT_DOFS:]
+    a = PerBody([Motion(y[:3], y[3:ROOT_DOFS])], batch_ndim)
+    for i in tree.groups:
+        a_i = motion_at_child(a[i.parents], kin.offset[:, i.bodies])
+        S, x = (of_joints(value, i, batch_ndim) for value in (kin.axes, qdd))
+        a = a.followed_by(a_i._replace(angular=a_i.angular + matvec(S, x)))
+    return a.stacked()
+
+
+def generalized_force(tree: Tree, kin: Kinematics, wrench: Wrench) -> Float[Array, "v *n"]:
+    """What wrenches ``(3, b, *n)`` on all bodies are to the root and the joints."""
+    batch_ndim = wrench.force.ndim - 2
+    f, torques = PerBody.of(wrench, batch_ndim), []
+    for i in reversed(tree.groups):
+        f_i = f[i.bodies]
+        torques.append(
+            in_dof_order(matvec_t(of_joints(kin.axes, i, batch_ndim), f_i.moment), batch_ndim)
+        )
+        f = f.plus(i.parents, wrench_at_parent(f_i, kin.offset[:, i.bodies]))
+    return jnp.concatenate([*f.root(), *reversed(torques)])
+
+
+def mass_matrix(tree: Tree, kin: Kinematics, inertia: Inertia) -> Float[Array, "v v *n"]:
+    """The matrix of inertias ``(3, 3, b, *n)`` of all bodies."""
+    I_c = PerBody.of(inertia, inertia.linear.ndim - 3)
+    for i in reversed(tree.groups):
+        I_c = I_c.plus(i.parents, inertia_at_parent(I_c[i.bodies], kin.offset[:, i.bodies]))
+    angular, mixed, linear = I_c.root()
+    root = [[angular, mixed], [transpose(mixed), linear]]
+    root = jnp.concatenate([jnp.concatenate(row, 1) for row in root])
+    size = ROOT_DOFS + tree.dof_count
+    H = jnp.zeros((size, size, *kin.axes.shape[2:]), root.dtype)
+    H = H.at[:ROOT_DOFS, :ROOT_DOFS].set(root)
+    if not tree.dof_count:
+        return H
+    places, values = _joint_elements(tree, kin, I_c.stacked())
+    rows, columns = places.T
+    return H.at[rows, columns].set(values).at[columns, rows].set(values)
+
+
+def _joint_elements(
+    tree: Tree, kin: Kinematics, composite: Inertia
+) -> tuple[np.ndarray, Float[Array, "m *n"]]:
+    """The elements of the mass matrix below its diagonal that have to do with joints.
+
+    ``f = I^c S`` of every degree of freedom is taken from body to body up to the root, and at each
+    of them meets the axes there.
+
+    Returns:
+        Rows and columns, ``(m, 2)``, and the elements.
+    """
+    body = np.array(tree.dof_bodies, int)
+    f = turned(jax.tree.map(lambda x: take(x, body, 2), composite), kin.axes[:, None])
+    f, dofs = Wrench(f.moment[:, 0], f.force[:, 0]), np.arange(tree.dof_count)
+    places, values = [], []
+    while len(dofs):
+        met = [
+            (one, other)
+            for one, dof in enumerate(dofs)
+            for other, owner in enumerate(tree.dof_bodies)
+            if owner == body[one] and other <= dof
+        ]
+        one, other = np.array(met, int).reshape(-1, 2).T
+        values.append(dot(take(kin.axes, other), take(f.moment, one)))
+        places.append(np.stack([dofs[one], other], 1) + ROOT_DOFS)
+        f, body = wrench_at_parent(f, take(kin.offset, body)), np.array(tree.parents)[body]
+        top, below = np.flatnonzero(body == 0), np.flatnonzero(body > 0)
+        for k, part in enumerate([*f.moment, *f.force]):
+            values.append(take(part, top, 0))
+            places.append(np.stack([ROOT_DOFS + dofs[top], np.full(len(top), k)], 1))
+        f = Wrench(take(f.moment, below), take(f.force, below))
+        body, dofs = body[below], dofs[below]
+    return np.concatenate(places), jnp.concatenate(values)

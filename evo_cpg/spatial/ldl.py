@@ -1,0 +1,61 @@
+"""Symmetric positive definite equations, eliminated from the last unknown to the first.
+
+``H = L^T D L`` with L lower triangular and ones on its diagonal (Featherstone 2008, 6.5). Where H
+is the mass matrix of a tree whose bodies come after their parents, elements that are zero stay so;
+in fused code they, and all that is computed from them, cost nothing.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+
+class Factors(NamedTuple):
+    """L and D of some matrices.
+
+    Attributes:
+        rows: of L, from the first, each up to its diagonal ``(k, *n)``.
+        inverse_pivots: the diagonal of D^-1, ``(v, *n)``.
+    """
+
+    rows: tuple[Float[Array, "_ *n"], ...]
+    inverse_pivots: Float[Array, "v *n"]
+
+
+def factorize(H: Float[Array, "v v *n"]) -> Factors:
+    """L and D; the lower triangle of H counts."""
+    rows, inverse_pivots, left = [], [], H
+    for k in reversed(range(len(H))):
+        row, inverse = left[k, :k], 1.0 / left[k, k]
+        scaled = row * inverse[None]
+        left = left[:k, :k] - scaled[:, None] * row[None]
+        rows.append(scaled)
+        inverse_pivots.append(inverse)
+    return Factors(tuple(reversed(rows)), jnp.stack(inverse_pivots[::-1]))
+
+
+def solve_factorized(factors: Factors, b: Float[Array, "v *n"]) -> Float[Array, "v *n"]:
+    """``H^-1 b``."""
+    z, left = [], b
+    for k in reversed(range(len(b))):
+        z.append(left[k])
+        left = left[:k] - factors.rows[k] * left[k][None]
+    halfway = jnp.stack(z[::-1]) * factors.inverse_pivots
+    x: list[Array] = []
+    for k, row in enumerate(factors.rows):
+        x.append(halfway[k] - (row * jnp.stack(x)).sum(0) if x else halfway[k])
+    return jnp.stack(x)
+
+
+def solve(H: Float[Array, "v v *n"], b: Float[Array, "v *n"]) -> Float[Array, "v *n"]:
+    """``H^-1 b``, whose derivative is the answer to further such equations."""
+
+    def product(x: Array) -> Array:
+        return (H * x[None]).sum(1)
+
+    def answer(_: object, b: Array) -> Array:
+        return solve_factorized(factorize(H), b)
+
+    return jax.lax.custom_linear_solve(product, b, answer, symmetric=True)

@@ -1,0 +1,66 @@
+"""Symmetric equations: NumPy's answers, their derivatives, and what they cost in fused code."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from creatures import quick_jit
+from evo_cpg.fusion.graph import Graph
+from evo_cpg.fusion.trace import trace_closed
+from evo_cpg.spatial.ldl import factorize, solve, solve_factorized
+
+
+def definite(count, seed=0):
+    """Symmetric positive definite matrices ``(5, 5, count)``."""
+    root = np.random.default_rng(seed).normal(size=(5, 5, count))
+    return np.einsum("ikn,jkn->ijn", root, root) + 0.1 * np.eye(5)[..., None]
+
+
+def test_answers_are_numpys(x64):
+    H, b = definite(7), np.random.default_rng(1).normal(size=(5, 7))
+    wanted = np.linalg.solve(np.moveaxis(H, -1, 0), b.T[..., None])[..., 0].T
+    for find in (solve, lambda H, b: solve_factorized(factorize(H), b)):
+        np.testing.assert_allclose(quick_jit(find)(H, b), wanted, rtol=1e-10, atol=1e-12)
+
+
+def test_the_factors_are_featherstones(x64):
+    """``L^T D L`` with ones on the diagonal of L, by the lower triangle alone."""
+    H = definite(1)[..., 0]
+    rows, inverse_pivots = factorize(jnp.asarray(np.tril(H)))
+    L = np.eye(5)
+    for k, row in enumerate(rows):
+        L[k, :k] = row
+    np.testing.assert_allclose(L.T @ np.diag(1 / inverse_pivots) @ L, H, rtol=1e-12, atol=1e-12)
+
+
+def test_derivatives_are_those_of_the_inverse(x64):
+    """``d(H^-1 b) = H^-1 (db - dH H^-1 b)``, forwards and backwards."""
+    H, b = definite(1)[..., 0], np.arange(5.0)
+    change, other = definite(1, 2)[..., 0], np.ones(5)
+    x = np.linalg.solve(H, b)
+    wanted = np.linalg.solve(H, other - change @ x)
+    moved = jax.jvp(solve, (H, b), (change, other))[1]
+    np.testing.assert_allclose(moved, wanted, rtol=1e-9)
+    weights = np.arange(1.0, 6.0)
+    by_H, by_b = jax.grad(lambda H, b: weights @ solve(H, b), (0, 1))(H, b)
+    assert (by_H * change).sum() + by_b @ other == pytest.approx(weights @ wanted, rel=1e-9)
+
+
+def test_zeros_between_limbs_cost_nothing():
+    """A root with two limbs that do not know of each other: no fill-in, and no operation on it."""
+
+    def limbs(x):
+        H = jnp.zeros((5, 5)).at[np.diag_indices(5)].set(10.0 + x[:5])
+        # Unknowns 1 and 2 hang on 0, and so do 3 and 4; 2 also on 1, 4 also on 3.
+        places = np.array([(1, 0), (2, 0), (2, 1), (3, 0), (4, 0), (4, 3)])
+        return factorize(H.at[tuple(places.T)].set(x[5:]))
+
+    graph = Graph()
+    inputs = np.empty(11, object)
+    inputs[:] = [graph.input((0, k), np.float32) for k in range(11)]
+    closed = jax.make_jaxpr(limbs)(np.zeros(11, np.float32))
+    rows = trace_closed(graph, closed, [inputs])[:5]
+    between = [rows[3][1], rows[3][2], rows[4][1], rows[4][2]]
+    assert [node.value for node in between] == [0, 0, 0, 0]
+    assert all(node.value is None for node in (*rows[2], rows[3][0], rows[4][0], rows[4][3]))
