@@ -1,4 +1,4 @@
-"""Whether the fast tests notice mistakes in physics, control and evolution: `make test-mutants`.
+"""Whether the fast tests notice mistakes in the mathematics: `make test-mutants`.
 
 Each mutant is one small change by hand: a sign, a factor, a term that is dropped, indices that are
 swapped. It is made in a copy of the repository, in which the tests of what was changed then run up

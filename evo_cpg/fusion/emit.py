@@ -3,10 +3,10 @@
 The program runs over the individuals a *vector* at a time: every scalar of the graph becomes one
 instruction on a register that holds it for 16 individuals (or 8, 4, 1: the machine's width). All
 that lies between two ends of loops is one *stretch* without branches, a function; what crosses from
-one to another has a *slot* in scratch memory, a number for each individual of the vector, and so
-has what leaves the registers for a while. A *driver* loops and calls them, for one vector, or for
-several in turn where loops end at different rounds for each individual (`evo_cpg.fusion.packing`).
-The last vector overlaps the one before it where the individuals do not come out even; where there
+one to another has a *slot* in scratch memory, a number for each individual of the vector. What
+leaves the registers for a while is in memory that all vectors share. A *driver* loops and calls
+them, for one vector, or for several in turn where loops end at different rounds for each individual
+(`evo_cpg.fusion.packing`). The last vector overlaps the one before it where the individuals do not come out even; where there
 are fewer than one vector holds, rows are read and written with a mask.
 
 No instruction carries a fast-math flag, and which products are fused with sums is decided before
@@ -416,6 +416,8 @@ class _Emitter:
         self.functions.append(
             f"define internal i32 @{name}.test({whole}) #0 {{\nentry:\n{test}\n}}"
         )
+        # Of who is moved the test was made before: a round comes first.
+        tested = set(packed.written)
 
         self.driver, self.label = [], "entry"
         if loop.counter in self.slots:
@@ -430,14 +432,14 @@ class _Emitter:
 
         self.packed, self.driver, self.label = None, outside, label
         carries = [self._place(loop.carried[k]) for k in kept]
-        reads = [self._place(one) for one in packed.read if one not in packed.written]
+        reads = [self._place(x) for x in packed.read if x in tested or x not in packed.written]
         for table in packed.tables:
             if table not in packed.written:
                 reads += self._rows_of(table)
         self.late.append(
             lambda gang: packed_loop(name, parameters, parameters, gang, reads, carries)
         )
-        self.w.declared.update(declared(self.width))
+        self.w.declared.update(declared(self.width, self.compresses))
         self.driver.append(f"call void @{name}.gang({parameters}ptr %scratch, i64 %n, i64 %count)")
         self._begin()
 

@@ -5,7 +5,6 @@ A branch that depends on the individual becomes both, of which one is chosen, as
 
 import functools
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -65,14 +64,17 @@ def _while(
     body = Block(test)
     carried = [_placeholders(graph, x, test) for x in start]
     with graph.within(test):
-        condition = _goes_on(graph, trace, params["cond_jaxpr"], [*test_consts, *carried])
+        (condition,) = trace(graph, params["cond_jaxpr"], [*test_consts, *carried])
+        condition, around = condition.item(), graph.block.active
+        if around is not None and not condition.uniform:
+            # A loop in another one does not wait for individuals that are done there.
+            condition = graph.apply("and", condition, around)
+    if not condition.uniform:
+        body.active = condition
     # What the test computes of them is computed before it is known whether there is a round.
     inside = np.frompyfunc(lambda node: graph.opaque(node, body), 1, 1)
     again = [np.asarray(inside(x), object) for x in carried]
     with graph.within(body):
-        # A loop in this one does not wait for individuals that are done here.
-        active = _goes_on(graph, trace, params["cond_jaxpr"], [*test_consts, *again])
-        body.active = None if active.uniform else active
         results = trace(graph, params["body_jaxpr"], [*body_consts, *again])
     counter = graph.placeholder("counter", np.int32, body, uniform=True)
     loop = Loop(
@@ -81,12 +83,6 @@ def _while(
     )  # fmt: skip
     ends, _ = graph.loop(loop)
     return _like(ends, start)
-
-
-def _goes_on(graph: Graph, trace: Trace, test: Any, operands: list[np.ndarray]) -> Node:
-    """Whether an individual wants another round, and takes part in what is around the loop."""
-    wants, active = trace(graph, test, operands)[0].item(), graph.block.active
-    return wants if active is None or wants.uniform else graph.apply("and", wants, active)
 
 
 def _cond(graph: Graph, operands: list[np.ndarray], params: dict, trace: Trace) -> list[np.ndarray]:

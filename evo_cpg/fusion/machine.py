@@ -32,6 +32,7 @@ class Target(NamedTuple):
         bytes: of a vector.
         registers: for vectors.
         fma: whether it multiplies and adds in one instruction.
+        compresses: whether one closes up the chosen numbers of a vector.
         processor: LLVM's name of it.
         features: LLVM's list of what it has.
     """
@@ -40,6 +41,7 @@ class Target(NamedTuple):
     bytes: int
     registers: int
     fma: bool
+    compresses: bool
     processor: str
     features: str
 
@@ -103,8 +105,9 @@ def host(wanted: str | None = None) -> Target:
     flags = [f"{'+' if each in kept else '-'}{each}" for each in sorted(has - {"neon", "fma"})]
     if "fma" in has and name not in ("neon",):
         flags.append(f"{'+' if 'fma' in kept else '-'}fma")
-    size, registers, _ = sets[name]
-    return Target(name, size, registers, "fma" in kept, llvm.get_host_cpu_name(), ",".join(flags))
+    size, registers, _, compresses = sets[name]
+    processor = llvm.get_host_cpu_name()
+    return Target(name, size, registers, "fma" in kept, compresses, processor, ",".join(flags))
 
 
 def load(text: str, target: Target) -> tuple[str, int]:

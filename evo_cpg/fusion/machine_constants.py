@@ -19,15 +19,17 @@ class InstructionSet(NamedTuple):
         bytes: of a vector.
         registers: that hold one.
         needs: LLVM's names of what the processor must have for it.
+        compresses: whether an instruction closes up the chosen numbers of a vector.
     """
 
     bytes: int
     registers: int
     needs: tuple[str, ...]
+    compresses: bool = False
 
 
 INSTRUCTION_SETS = {
-    "avx512": InstructionSet(64, 32, ("avx512f", "avx512vl", "avx512dq", "avx512bw", "fma")),
+    "avx512": InstructionSet(64, 32, ("avx512f", "avx512vl", "avx512dq", "avx512bw", "fma"), True),
     "avx2": InstructionSet(32, 16, ("avx2", "fma")),
     "sse": InstructionSet(16, 16, ("sse2",)),
     "neon": InstructionSet(16, 32, ("neon",)),

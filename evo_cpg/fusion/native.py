@@ -85,8 +85,7 @@ def _native(program: Program, count: int) -> Native:
     width = 1 if count == 1 else target.bytes // widest
     key = target, width, count < width
     if key not in made:
-        compresses = target.name == "avx512"
-        variant = Variant(width, count < width, target.fma, target.registers, compresses)
+        variant = Variant(width, count < width, target.fma, target.registers, target.compresses)
         made[key] = _make(program, target, variant)
     return made[key]
 

@@ -78,7 +78,7 @@ class Contacts(NamedTuple):
 
     Attributes:
         arm: from the body's origin to the lowest point, world axes, m.
-        coasting: their mean over the step, if the recursion's accelerations were zero.
+        coasting: their mean over the step, if the accelerations were those of `Kinematics` alone.
         wanted: v*; far below any velocity where the point is out of reach.
         rest: the same without restitution; positive where it lifts a point out of the ground.
         bounce: v_bounce of points that hit the ground within the step; 0 of all others.
@@ -130,6 +130,7 @@ def find_contacts(footing: Footing, kin: Kinematics, h: float) -> Contacts:
     push = jnp.clip(-BAUMGARTE_SHARE / h * gap, 0.0, BAUMGARTE_SPEED)
     share = jnp.clip((1.0 / _RESTITUTION_THRESHOLD) * approach - 1.0, 0.0, 1.0)
     bounce = expand_dims_like(footing.restitution, approach) * share * approach
+    # Times a reciprocal: a vector of quotients takes as long as ten products.
     rest = jnp.where(gap > 0, (-1.0 / h) * gap, push)
     near = gap < ground.margin
     bounce = jnp.where(near & (gap <= h * approach), bounce, 0.0)
@@ -231,7 +232,7 @@ def contact_inertia(
         footing: what may touch.
         contacts: of this step.
         linear: their laws, linearized.
-        like: inertias of the bodies.
+        like: inertias of the bodies, for their shapes and type.
         h: s.
     """
     turn = transpose(contacts.frame)
@@ -261,7 +262,7 @@ def contact_wrench(
         footing: what may touch.
         contacts: of this step.
         force: on every point.
-        like: wrenches of the bodies.
+        like: wrenches of the bodies, likewise.
     """
     force = matvec_t(contacts.frame, force)
     bodies = PerBody.of(jax.tree.map(jnp.zeros_like, like), force.ndim - 2)

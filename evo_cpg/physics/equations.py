@@ -57,7 +57,7 @@ class ContactForces(NamedTuple):
 
 
 class Residual(NamedTuple):
-    """What forces miss their laws by, as a share of those that there are (`StepProblem.residual`).
+    """What forces miss their laws by, as a share of those that there are (`StepProblem`).
 
     Attributes:
         solved: with the friction cones under which the motion was found.

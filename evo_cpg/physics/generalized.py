@@ -1,8 +1,9 @@
 """A tree's equations in generalized coordinates: its accelerations, forces and mass matrix.
 
-The accelerations of a tree are one vector y: the spatial acceleration of the root (angular, then
-linear) and those of all joints in the order of the tree, ``(6 + d, *n)``. Forces that go with it
-are the root's wrench and the torques of the joints. With the Jacobian J_i of a body,
+The accelerations of a tree are one vector y: the spatial acceleration of the root (angular, rad/s^2,
+then linear, m/s^2) and those of all joints in the order of the tree, ``(6 + d, *n)``. Forces that
+go with it are the root's wrench (moment, N m, then force, N) and the torques of the joints (N m).
+With the Jacobian J_i of a body,
 
 | what | function |
 |---|---|
@@ -34,7 +35,7 @@ from evo_cpg.physics.spatial_algebra import (
 )
 from evo_cpg.spatial.linear import dot, matvec, matvec_t, transpose
 
-# Of the root.
+# Degrees of freedom of the root.
 ROOT_DOFS = 6
 
 

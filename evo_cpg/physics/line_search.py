@@ -35,7 +35,8 @@ def line_search(
         start: a motion.
         velocity: of the contact points in it.
         end: the motion under the laws linearized there.
-        least: fall of the potential (W) from which on it is searched for.
+        least: slope (W) from which on the way is searched: where the potential falls less steeply
+            at its start, all of it is gone.
     """
     way, h = end - start, problem.h
     turn, pairs = way[ROOT_DOFS:], problem.equations.pairs

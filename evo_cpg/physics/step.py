@@ -133,7 +133,7 @@ def integrate(
 ) -> State:
     """Semi-implicit Euler: new velocities first, and they move the positions."""
     angular, linear = state.velocity[:3], state.velocity[3:]
-    # The recursion's root acceleration is spatial; a material point's has w x v on top.
+    # The root's acceleration is spatial; a material point's has w x v on top.
     change = root[3:] + cross(angular, linear)
     new_angular = angular + h * root[:3]
     new_linear = linear + h * change

@@ -55,18 +55,19 @@ from evo_cpg.physics.pairs import (
 )
 from evo_cpg.physics.spatial_algebra import Wrench
 from evo_cpg.physics.world import World
-from evo_cpg.spatial.ldl import solve
+from evo_cpg.spatial.ldl import solve_symmetric
 from evo_cpg.spatial.linear import dot, matvec, t_matmul
-from evo_cpg.spatial.numerics import xp
+from evo_cpg.spatial.numerics import Number, xp
 
 # By so much (m) a pair may come elsewhere within a step.
 _STRAY = 2e-4
 
-# Share of the forces that no law is about which counts as the least that there is of others.
-_LEAST = 1e-3
+# Where there is neither weight nor load nor torque, this share of the other forces (drag, springs,
+# what spins need) stands for the forces that there are.
+_OTHERS = 1e-3
 
-# Squares that count as none.
-_NONE = 1e-24
+# Force (N) that counts as none.
+_NONE = 1e-12
 
 
 class Linearization(NamedTuple):
@@ -92,8 +93,8 @@ class StepProblem(NamedTuple):
         world: the creature and its surroundings.
         h: s.
         equations: of this step.
-        mass: M, ``(v, v, *n)``.
-        force: M y_free, N and N m.
+        mass: M, ``(v, v, *n)``, kg, kg m and kg m^2.
+        force: M y_free, ``(v, *n)``: moment (N m) and force (N) at the root, torques (N m).
     """
 
     world: World
@@ -106,7 +107,7 @@ class StepProblem(NamedTuple):
     def of(cls, world: World, h: float, equations: Equations) -> "StepProblem":
         """That of a step."""
         tree, kin, bias = world.tree, equations.kin, equations.bias
-        mass = _plus_diagonal(mass_matrix(tree, kin, equations.inertia), equations.derivative)
+        mass = _plus_joint_diagonal(mass_matrix(tree, kin, equations.inertia), equations.derivative)
         force = generalized_force(tree, kin, Wrench(-bias.moment, -bias.force))
         force = _plus_torque(force, equations.passive)
         return cls(world, h, equations, mass, force)
@@ -178,13 +179,13 @@ class StepProblem(NamedTuple):
             matrix = matrix + mass_matrix(tree, equations.kin, blocks)
             force = force + self._ground(linearized_force(linear.contact, contacts.coasting))
         pairs = equations.pairs
-        matrix = _plus_diagonal(matrix, h * linear.slope)
+        matrix = _plus_joint_diagonal(matrix, h * linear.slope)
         if pairs is not None and linear.pairs is not None:
             J, slope = pairs.jacobian, linear.pairs.slope
             coasting = linear.pairs.force + slope * (linear.pairs.velocity - pairs.coasting)
             torque = torque + pushing_torque(pairs, coasting)
             matrix = _plus_joints(matrix, t_matmul(h * slope[:, None] * J, J))
-        return solve(matrix, _plus_torque(force, torque))
+        return solve_symmetric(matrix, _plus_torque(force, torque))
 
     def residual(self, y: Float[Array, "v *n"], linear: Linearization) -> Float[Array, "*n"]:
         """What the forces at a motion miss the laws by, as a share of the forces that there are.
@@ -209,11 +210,12 @@ class StepProblem(NamedTuple):
     ) -> Float[Array, "*n"]:
         """Of the forces that there are, in the norm of `residual`, N^2/kg.
 
-        The weight or what ground and pairs carry, as if it lifted the whole creature, and torques.
+        The weight, or what ground and pairs carry if that is more, as if it lifted the whole
+        creature; torques; and a thousandth of the forces that no law is about.
         """
         torque = _plus_torque(jnp.zeros_like(self.force), self.torque(y, linear))
-        total = self.load(linear) ** 2 / self.world.tree.mass.sum() + self._square(torque)
-        return total + _LEAST**2 * self._square(self.force) + _NONE
+        total = self.load(linear) ** 2 / self._total_mass() + self._square(torque)
+        return total + _OTHERS**2 * self._square(self.force)
 
     def resistance(self, y: Float[Array, "v *n"]) -> Float[Array, "v *n"]:
         """What it takes of the laws to have the accelerations: M y less the other forces."""
@@ -246,7 +248,7 @@ class StepProblem(NamedTuple):
 
     def load(self, linear: Linearization) -> Float[Array, "*n"]:
         """What ground and pairs carry, or the weight if that is more, N."""
-        weight = self.world.gravity * self.world.tree.mass.sum()
+        weight = self.world.gravity * self._total_mass()
         carried = jnp.zeros_like(linear.torque[:0]).sum(0)
         if linear.contact is not None:
             carried = carried + linear.contact.force[2].sum(0)
@@ -305,6 +307,10 @@ class StepProblem(NamedTuple):
         touches = (contacts.wanted > velocity) | (contacts.wanted > other)
         return (touches & (self.h * jnp.abs(other - velocity) > _STRAY)).any(0)
 
+    def _total_mass(self) -> Number:
+        """Of the creature, kg."""
+        return xp.sum(self.world.tree.mass)
+
     def _square(self, force: Float[Array, "v *n"]) -> Float[Array, "*n"]:
         """Of generalized forces, each by the inertia that it alone would move."""
         own = np.arange(len(force))
@@ -326,6 +332,6 @@ def _plus_joints(matrix: Float[Array, "v v *n"], block: Float[Array, "d d *n"]) 
     return matrix.at[ROOT_DOFS:, ROOT_DOFS:].add(block)
 
 
-def _plus_diagonal(matrix: Float[Array, "v v *n"], diagonal: Float[Array, "d *n"]) -> Array:
+def _plus_joint_diagonal(matrix: Float[Array, "v v *n"], diagonal: Float[Array, "d *n"]) -> Array:
     joints = np.arange(ROOT_DOFS, len(matrix))
     return matrix.at[joints, joints].add(diagonal)

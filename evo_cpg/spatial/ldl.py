@@ -49,7 +49,7 @@ def solve_factorized(factors: Factors, b: Float[Array, "v *n"]) -> Float[Array, 
     return jnp.stack(x)
 
 
-def solve(H: Float[Array, "v v *n"], b: Float[Array, "v *n"]) -> Float[Array, "v *n"]:
+def solve_symmetric(H: Float[Array, "v v *n"], b: Float[Array, "v *n"]) -> Float[Array, "v *n"]:
     """``H^-1 b``, whose derivative is the answer to further such equations."""
 
     def product(x: Array) -> Array:

@@ -1,4 +1,4 @@
-"""The articulated-body step against the dense solve of the equation that it claims to solve,
+"""The implicit step against the dense solve of the equation that it claims to solve,
 
     (M + h sum J_i^T D_i J_i + T) qdd = tau + sum J_i^T f_i - bias - h sum J_i^T D_i A0_i.
 
@@ -20,12 +20,13 @@ from creatures import STRUCTURES, in_water, quick_jit, random_creature, random_s
 from evo_cpg.creature.creature import Actuator, Creature
 from evo_cpg.creature.self_collision import SelfCollision
 from evo_cpg.creature.surface import outer_surfaces
+from evo_cpg.creature.tree import build_tree
 from evo_cpg.physics.contact import find_contacts
 from evo_cpg.physics.contact_points import clearance
 from evo_cpg.physics.footing import Ground, make_footing
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.pairs import make_pairs, separations
-from evo_cpg.physics.state import State
+from evo_cpg.physics.state import State, resting_state
 from evo_cpg.physics.step import step
 from evo_cpg.physics.world import World
 
@@ -285,3 +286,13 @@ def test_motors_contacts_limits_and_water_together():
     # The way of a corner that turns by 0.1 rad in the step bends, mostly upwards; down to 3 mm.
     assert min(ends_at) > -4e-3 and np.median(ends_at) < 1e-2
     assert pressed > count and saturated > count and limbs > 3
+
+
+def test_residuals_have_the_type_of_the_state(x64):
+    """Float32 stays float32 where float64 is switched on, or a scan could not carry them."""
+    creature = random_creature(np.random.default_rng(0), STRUCTURES[0])
+    tree = build_tree(creature)
+    world = World(tree, 9.81, footing=make_footing(creature, tree, Ground()))
+    state = resting_state(tree, (2,), jnp.float32)
+    _, effort = jax.eval_shape(lambda s: step(world, s, jnp.zeros_like(s.q), 1 / 240), state)
+    assert {leaf.dtype for leaf in jax.tree.leaves(effort)} == {np.dtype(np.float32)}

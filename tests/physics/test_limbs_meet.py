@@ -4,6 +4,7 @@ That pushes are equal and opposite is tested in `test_implicit_step`.
 """
 
 import dataclasses
+import functools
 
 import jax
 import jax.numpy as jnp
@@ -32,7 +33,7 @@ from evo_cpg.spatial.linear import expand_dims_like
 from trials import SineController
 
 H = 1 / 240
-STEPS, COUNT = 240, 8
+STEPS, LEG, COUNT = 240, 60, 8
 FLESH = Material(500.0)
 SHAPES = {
     "boxes": Box((0.3, 0.06, 0.05)),
@@ -73,6 +74,29 @@ def floating(shape, axes, motor=None):
     return World(tree, 0.0, pairs=make_pairs(creature, tree, SelfCollision()))
 
 
+@functools.cache
+def adrift(shape, axes):
+    """A clapper afloat, and a function: `LEG` steps; states, least gaps, pushes and residuals."""
+    world = floating(SHAPES[shape], axes)
+
+    def advance(state, _):
+        new, effort = step(world, state, jnp.zeros_like(state.qd), H)
+        gap = separations(world.pairs, kinematics(world.tree, new)).gap.min(0)
+        return new, (new, gap, effort.pair_force, effort.residual.solved)
+
+    return world, quick_jit(lambda s: jax.lax.scan(advance, s, length=LEG))
+
+
+def drift(run, start, steps):
+    """What `adrift` gives for so many steps."""
+    found = []
+    assert steps % LEG == 0
+    for _ in range(steps // LEG):
+        start, seen = run(start)
+        found.append(seen)
+    return jax.tree.map(lambda *parts: jnp.concatenate(parts), *found)
+
+
 def claps(world, kick, dtype=jnp.float64):
     """A start at which the arms swing inwards at some rates, rad/s."""
     tree = world.tree
@@ -102,16 +126,8 @@ def test_limbs_clap_without_passing_through(x64, shape, axes):
 
     Rounded boxes stick out of ellipsoids by more than they go deeper.
     """
-    world = floating(SHAPES[shape], axes)
-    start = claps(world, 3.0)
-
-    def advance(state, _):
-        new, effort = step(world, state, jnp.zeros_like(state.qd), H)
-        gap = separations(world.pairs, kinematics(world.tree, new)).gap.min(0)
-        return new, (new, gap, effort.pair_force, effort.residual.solved)
-
-    whole = quick_jit(lambda s: jax.lax.scan(advance, s, length=STEPS)[1])
-    states, gap, force, residual = whole(start)
+    world, run = adrift(shape, axes)
+    states, gap, force, residual = drift(run, claps(world, 3.0), STEPS)
     assert (np.asarray(force) > 0).any((0, 1)).mean() >= 0.75
     assert np.asarray(residual).max() < 1e-9
     assert np.asarray(gap).min() > (-8e-3 if shape == "ellipsoids" else -3e-3)
@@ -125,15 +141,8 @@ def test_limbs_that_turn_fast_meet_where_they_are_at_the_end_of_the_step(x64, sh
 
     With the sweep of the step's start they were 2.3 (ellipsoids) to 3.6 mm (boxes) deep.
     """
-    world = floating(SHAPES[shape], "z")
-
-    def advance(state, _):
-        new, effort = step(world, state, jnp.zeros_like(state.qd), H)
-        gap = separations(world.pairs, kinematics(world.tree, new)).gap.min(0)
-        return new, (new, gap, effort.residual.solved)
-
-    start = claps(world, 14.0)
-    states, gap, residual = quick_jit(lambda s: jax.lax.scan(advance, s, length=60)[1])(start)
+    world, run = adrift(shape, "z")
+    states, gap, _, residual = drift(run, claps(world, 14.0), LEG)
     assert np.asarray(residual).max() < 1e-9
     assert -2e-3 < np.asarray(gap).min() < -1e-4
     energy = kinetic_energy(world, states)
@@ -191,18 +200,12 @@ def test_a_record_has_the_mean_push_of_every_pair(x64):
 @pytest.mark.parametrize("shape", SHAPES)
 def test_limbs_that_overlap_part_no_faster_than_the_way_out(x64, shape):
     """What lifts them out of each other does little work, however deep they are: 0.5 m/s."""
-    world = floating(SHAPES[shape], "z")
+    world, run = adrift(shape, "z")
     tree, state = world.tree, resting_state(world.tree, (COUNT,), jnp.float64)
     arms = inwards(tree) * [name.split(".")[0].endswith("arm") for name in tree.dof_names]
     angle = arms[:, None] * np.linspace(0.16, 0.18, COUNT)
     start = dataclasses.replace(state, q=jnp.asarray(angle))
-
-    def advance(state, _):
-        new, effort = step(world, state, jnp.zeros_like(state.qd), H)
-        gap = separations(world.pairs, kinematics(world.tree, new)).gap.min(0)
-        return new, (new, gap, effort.residual.solved)
-
-    states, gap, residual = quick_jit(lambda s: jax.lax.scan(advance, s, length=STEPS)[1])(start)
+    states, gap, _, residual = drift(run, start, STEPS)
     assert np.asarray(residual).max() < 1e-9
     assert np.asarray(gap)[0].min() < -0.02
     assert np.asarray(gap)[-1].min() > -1e-4
@@ -226,11 +229,11 @@ def test_gradients_through_limbs_that_push_equal_central_differences(x64, engine
 
     with using(Engine(engine)):
         none = jnp.zeros_like(start.qd)
-        _, force = quick_jit(ahead)(none)
+        run = quick_jit(ahead)
+        _, force = run(none)
         grad = np.asarray(quick_jit(jax.grad(lambda x: ahead(x)[0].sum()))(none))
-        both = quick_jit(lambda x: ahead(x)[0])
         wanted = np.stack([
-            np.asarray(both(none.at[d].set(1e-6)) - both(none.at[d].set(-1e-6))) / 2e-6
+            np.asarray(run(none.at[d].set(1e-6))[0] - run(none.at[d].set(-1e-6))[0]) / 2e-6
             for d in range(len(grad))
         ])  # fmt: skip
     assert (np.asarray(force) > 0).any(0).mean() >= 0.75

@@ -8,7 +8,7 @@ import pytest
 from creatures import quick_jit
 from evo_cpg.fusion.graph import Graph
 from evo_cpg.fusion.trace import trace_closed
-from evo_cpg.spatial.ldl import factorize, solve, solve_factorized
+from evo_cpg.spatial.ldl import factorize, solve_factorized, solve_symmetric
 
 
 def definite(count, seed=0):
@@ -20,7 +20,7 @@ def definite(count, seed=0):
 def test_answers_are_numpys(x64):
     H, b = definite(7), np.random.default_rng(1).normal(size=(5, 7))
     wanted = np.linalg.solve(np.moveaxis(H, -1, 0), b.T[..., None])[..., 0].T
-    for find in (solve, lambda H, b: solve_factorized(factorize(H), b)):
+    for find in (solve_symmetric, lambda H, b: solve_factorized(factorize(H), b)):
         np.testing.assert_allclose(quick_jit(find)(H, b), wanted, rtol=1e-10, atol=1e-12)
 
 
@@ -40,10 +40,10 @@ def test_derivatives_are_those_of_the_inverse(x64):
     change, other = definite(1, 2)[..., 0], np.ones(5)
     x = np.linalg.solve(H, b)
     wanted = np.linalg.solve(H, other - change @ x)
-    moved = jax.jvp(solve, (H, b), (change, other))[1]
+    moved = jax.jvp(solve_symmetric, (H, b), (change, other))[1]
     np.testing.assert_allclose(moved, wanted, rtol=1e-9)
     weights = np.arange(1.0, 6.0)
-    by_H, by_b = jax.grad(lambda H, b: weights @ solve(H, b), (0, 1))(H, b)
+    by_H, by_b = jax.grad(lambda H, b: weights @ solve_symmetric(H, b), (0, 1))(H, b)
     assert (by_H * change).sum() + by_b @ other == pytest.approx(weights @ wanted, rel=1e-9)
 
 
