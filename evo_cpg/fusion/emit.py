@@ -6,8 +6,8 @@ that lies between two ends of loops is one *stretch* without branches, a functio
 one to another has a *slot* in scratch memory, a number for each individual of the vector. What
 leaves the registers for a while is in memory that all vectors share. A *driver* loops and calls
 them, for one vector, or for several in turn where loops end at different rounds for each individual
-(`evo_cpg.fusion.packing`). The last vector overlaps the one before it where the individuals do not come out even; where there
-are fewer than one vector holds, rows are read and written with a mask.
+(`evo_cpg.fusion.packing`). The last vector overlaps the one before it where the individuals do not
+come out even; where there are fewer than one vector holds, rows are read and written with a mask.
 
 No instruction carries a fast-math flag, and which products are fused with sums is decided before
 (`evo_cpg.fusion.sums`): the bits of an individual's results do not depend on the vector's width.
