@@ -1,8 +1,8 @@
 """A tree's equations in generalized coordinates: its accelerations, forces and mass matrix.
 
-The accelerations of a tree are one vector y: the root's spatial acceleration (angular, rad/s^2, then
-linear, m/s^2) and those of all joints in the tree's order, ``(6 + d, *n)``. Forces that go with
-it are the root's wrench (moment, N m, then force, N) and the torques of the joints (N m).
+The accelerations of a tree are one vector y: the spatial acceleration of its root (angular, then
+linear; rad/s^2 and m/s^2) and those of all joints in its order, ``(6 + d, *n)``. Forces that go
+with it are the root's wrench (moment, N m, then force, N) and the torques of the joints (N m).
 With the Jacobian J_i of a body,
 
 | what | function |
