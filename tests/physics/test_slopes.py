@@ -54,13 +54,17 @@ def test_a_table_stands_to_a_degree_below_the_limit(friction, creep):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["fukui2003_model1", "fukui2003_model3", "hexapod"])
-def test_walkers_stand_to_a_degree_below_the_limit(name):
+@pytest.mark.parametrize(
+    ("name", "creep"),
+    [("fukui2003_model1", 0.5e-3), ("fukui2003_model3", 0.5e-3), ("hexapod", 2.5e-3)],
+)
+def test_walkers_stand_to_a_degree_below_the_limit(name, creep):
+    """The hexapod's light feet are soft along the ground, and four of them carry all by then."""
     with jax.enable_x64(False):
         simulation = experiment_of(name).simulation
         stand = stander(simulation.world, simulation.step_length)
         limit, slope, standing = steepest(stand)
         assert slope > 20
         assert limit - slope < 1.4
-        assert standing.creep < 0.5e-3
+        assert standing.creep < creep
         assert not stands(stand(slope + 2), stand(0.0))

@@ -63,7 +63,7 @@ def depths(world: World, states: State) -> np.ndarray:
 def pressed(world: World, effort: Effort) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Normal and tangential forces ``(steps, places, n)``, and mu_s times the normal ones.
 
-    The problem is solved to 1e-3 of what the ground carries in all steps, Coulomb's law holds to
+    The problem is solved to 1e-3 of what there is of forces in all steps, Coulomb's law holds to
     1e-2 in 99 % of the contact steps, and to 1 in all; no normal force is negative, and friction is
     within its cone but for the residual of the law.
     """
@@ -76,7 +76,10 @@ def pressed(world: World, effort: Effort) -> tuple[np.ndarray, np.ndarray, np.nd
     assert (coulomb[touches] > 1e-2).mean() < 0.01
     assert coulomb.max() < 1.0
     assert across.min() >= 0
-    load = np.maximum(across.sum(1), world.gravity * world.tree.mass.sum())
+    carried = across.sum(1)
+    if effort.pair_force is not None:
+        carried = carried + np.asarray(effort.pair_force, float).sum(1)
+    load = np.maximum(carried, world.gravity * world.tree.mass.sum())
     missed = np.sqrt(2) * (solved + coulomb) * load
     assert (along <= limit + 1.01 * missed[:, None]).all()
     return across, along, limit
