@@ -26,8 +26,8 @@ H = 1 / 120
 STEPS = 60
 # Wave amplitude (rad/s), frequency (Hz) and C_d.
 PARAMETERS = np.array([3.0, 1.3, 1.1])
-# Relative errors of differences: rounding gives 1e-7 at most, curvature 1e-6 (a quadruped that pushes
-# itself off; 1e-5 at 1e-6, as the square of the difference).
+# Relative errors of differences: rounding gives 1e-7 at most, curvature 1e-6 (a quadruped that
+# pushes itself off; 1e-5 at 1e-6, as the square of the difference).
 DIFFERENCE = 3e-7
 
 
