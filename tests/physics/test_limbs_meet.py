@@ -119,8 +119,15 @@ def kinetic_energy(world, states):
     return 0.5 * np.einsum("ib...,ijb,jb...->...", own, tree.inertia, own)
 
 
-@pytest.mark.parametrize("axes", ["z", "yz"])
-@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize(
+    ("shape", "axes"),
+    [
+        *((shape, "z") for shape in SHAPES),
+        ("boxes", "yz"),
+        pytest.param("capsules", "yz", marks=pytest.mark.slow),
+        pytest.param("ellipsoids", "yz", marks=pytest.mark.slow),
+    ],
+)
 def test_limbs_clap_without_passing_through(x64, shape, axes):
     """The law holds in every step; they are not 3 mm deep; what pushes gives no energy.
 
