@@ -321,7 +321,7 @@ def max_amplitude(settings: BrainCpgSettings) -> Number:
     """A_max: the output of an oscillator never exceeds it, in units of the tonic input."""
     cpg = settings.cpg
     ranges = [_or(axis.steering_range, 0.0) for axis in settings.axes.values()]
-    every = xp.array([settings.steering_range, *ranges])
+    every = [settings.steering_range, *ranges]
     # Of equal ones the first: raising another one would make that the largest.
     steering = every[chosen(lambda: int(np.argmax(every)))]
     return cpg.max_tonic_input * (1 + steering) + xp.maximum(cpg.sensory_feedback, 0.0)

@@ -25,7 +25,7 @@ def double_precision():
 
 
 def turns(seed: int) -> Rotation:
-    return Rotation.random(COUNT, rng=np.random.default_rng(seed))
+    return Rotation.random(COUNT, np.random.default_rng(seed))
 
 
 def ours(rotation: Rotation) -> jax.Array:
