@@ -21,7 +21,7 @@ _DECLARED = {
 }
 
 # A vector goes round by itself with more individuals than this share of it. Fitted: with 1/4 to 1/2
-# quadrupeds and hexapods take at most 1.06 times as long.
+# quadrupeds and hexapods take at most 1.07 times as long.
 _CROWDED = 3 / 8
 
 # AVX-512's instruction that closes up chosen numbers, the smallest that it is used for, and its

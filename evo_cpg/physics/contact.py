@@ -130,7 +130,7 @@ def find_contacts(footing: Footing, kin: Kinematics, h: float) -> Contacts:
     push = jnp.clip(-BAUMGARTE_SHARE / h * gap, 0.0, BAUMGARTE_SPEED)
     share = jnp.clip((1.0 / _RESTITUTION_THRESHOLD) * approach - 1.0, 0.0, 1.0)
     bounce = expand_dims_like(footing.restitution, approach) * share * approach
-    # Times a reciprocal: a vector of quotients takes as long as ten products.
+    # Times a reciprocal: to divide takes a processor many times as long.
     rest = jnp.where(gap > 0, (-1.0 / h) * gap, push)
     near = gap < ground.margin
     bounce = jnp.where(near & (gap <= h * approach), bounce, 0.0)
