@@ -35,7 +35,7 @@ def test_it_ranks_what_it_was_asked_for(finished_run, cli, tmp_path):
         (["simulation.steps"], "is a whole number"),
         (["--seconds", 99], "--seconds: 99; a trial"),
         (["--seconds", 0.02], "0.0333 s at least are needed"),
-        (["--seconds", "nan"], "'--seconds'"),
+        (["--seconds", "nan"], "--seconds"),
         (["--seconds", "inf"], "--seconds: inf; a trial"),
     ],
 )
