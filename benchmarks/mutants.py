@@ -55,9 +55,9 @@ MUTANTS = (
     ),
     Mutant(
         "physics/fluid.py",
-        "_NORMAL_DERIVATIVE = 2.0",
-        "_NORMAL_DERIVATIVE = 1.0",
-        "physics/test_water.py",
+        "product(patch.normal_outer * normal_factor[None], speed)",
+        "product(patch.normal_outer * 2 * normal_factor[None], speed)",
+        "physics/test_water.py physics/test_swimming.py",
     ),
     Mutant(
         "physics/fluid.py",
@@ -79,14 +79,14 @@ MUTANTS = (
     ),
     Mutant(
         "physics/world.py",
-        "velocity[3:] - current])\n        resistance",
-        "velocity[3:] + current])\n        resistance",
+        "velocity[3:] - current])\n    pose",
+        "velocity[3:] + current])\n    pose",
         "physics/test_water.py physics/test_implicit_step.py",
     ),
     Mutant(
         "physics/world.py",
-        "force = cross(w, momentum[3:]) - wrench[3:]",
-        "force = -wrench[3:]",
+        "jnp.concatenate([moment, cross(w, momentum[3:])])",
+        "jnp.concatenate([moment, 0 * momentum[3:]])",
         "physics/test_accelerations.py physics/test_free_motion.py",
     ),
     Mutant(
@@ -133,8 +133,8 @@ MUTANTS = (
     ),
     Mutant(
         "physics/step_problem.py",
-        "0.5 * (before + (velocity * force).sum((0, 1)))",
-        "before",
+        "jnp.concatenate([state.velocity, state.qd]) + 0.5 * self.h * y",
+        "jnp.concatenate([state.velocity, state.qd])",
         "physics/test_walker_contacts.py",
     ),
     Mutant(
@@ -180,9 +180,21 @@ MUTANTS = (
         "physics/test_contact.py physics/test_terrain.py",
     ),
     Mutant(
+        "physics/equations.py",
+        "state.velocity + h * root, state.qd + h * qdd",
+        "state.velocity + h * root, state.qd",
+        "physics/test_free_motion.py",
+    ),
+    Mutant(
+        "physics/kinematics.py",
+        "jnp.zeros_like(angular), cross(linear, angular)",
+        "jnp.zeros_like(angular), cross(angular, linear)",
+        "physics/test_accelerations.py",
+    ),
+    Mutant(
         "physics/step.py",
-        "position=state.position + h * new_linear",
-        "position=state.position + h * linear",
+        "position=state.position + h * velocity[3:]",
+        "position=state.position + h * state.velocity[3:]",
         "physics/test_water_surface.py physics/test_free_motion.py",
     ),
     Mutant(

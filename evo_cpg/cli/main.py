@@ -276,6 +276,14 @@ def verify(run: Run, cores: Cores = None) -> None:
 
 
 @app.command()
+def audit(run: Run, number: Number = None) -> None:
+    """Ask whether the champion's gait is one, or a trick of the simulation."""
+    from evo_cpg.cli.audit import audit_run
+
+    audit_run(run, number)
+
+
+@app.command()
 def validate(
     configs: Annotated[
         list[str],

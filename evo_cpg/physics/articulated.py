@@ -1,15 +1,14 @@
 """The articulated-body algorithm with implicit forces, in O(bodies).
 
-Every force on a body enters as the wrench ``f_i`` at the present velocity and its derivative
-``D_i = -df_i/dV_i``; every joint torque as its value ``tau`` at the present rates and its
+Every force on a body enters as the wrench ``f_i`` at the present velocity and what it loses per
+change of velocity, ``D_i``; every joint torque as its value ``tau`` at the present rates and its
 derivative ``-dtau/dqdd``, the diagonal ``T``. Solving for the velocities at the end of a step of
 length h,
 
-    (M + h sum J_i^T D_i J_i + T) qdd = tau + sum J_i^T f_i - bias - h sum J_i^T D_i A0_i,
+    (M + h sum J_i^T D_i J_i + T) qdd = tau + sum J_i^T f_i - bias,
 
 is the algorithm of Featherstone 2008, table 7.1, with ``I_i + h D_i`` in place of ``I_i`` and
-``S^T I^A S + T`` in place of ``S^T I^A S``; it multiplies the modified inertia by the whole spatial
-acceleration, which is where the last term comes from. Its first pass, outwards, is
+``S^T I^A S + T`` in place of ``S^T I^A S``. Its first pass, outwards, is
 `evo_cpg.physics.kinematics.kinematics`; `solve` has the other two.
 
 Differs from the table in where the velocity-product accelerations c_i are: summed up from the root
@@ -18,7 +17,7 @@ top of them. All is in world axes, so X_i moves by an offset.
 
 | symbol | name |
 |---|---|
-| I_i + h D_i, p_i | ``inertia``, ``bias``: wrench that would be needed for the accelerations A0_i |
+| I_i + h D_i, p_i | ``inertia``, ``bias``: wrench that is needed for the accelerations A0_i |
 | S_i | ``S``: axes of the joint; through the body's origin, so a motion along them only turns it |
 | I^A_i, p^A_i | ``I_A``, ``p_A``: of all that hangs on the body |
 | U_i, D_i, u_i of the book | ``U``, ``G``, ``u``: D_i is another thing here |
@@ -71,7 +70,7 @@ class Accelerations(NamedTuple):
     """What comes on top of the velocity-product accelerations of `Kinematics`.
 
     Attributes:
-        root: spatial acceleration of the root, angular, then linear.
+        root: acceleration of the root's velocity, angular, then linear.
         qdd: joint accelerations.
     """
 
@@ -112,7 +111,7 @@ def solve(
         tree: the creature.
         kin: its present kinematics.
         inertia: ``I + h D`` of every body.
-        bias: ``V x* I V - f + (I + h D) A0`` of every body.
+        bias: ``V x* I V - f + I A0`` of every body.
         torque: on every joint axis at the present rates, N m.
         torque_derivative: ``-dtau/dqdd`` (with armature), kg m^2.
     """

@@ -12,9 +12,14 @@ Differs from eq. 8 as printed, where the direction of v and the part each resist
 said: ``law="isotropic"`` keeps the literal reading, -1/2 rho (C_d + C_f) A |v| v, under which
 undulation gives no forward thrust.
 
+Over a step the force is taken as ``-c |v_0| v_1``, with the velocities at its start and its end:
+under drag alone that is the exact solution of ``v' = -c |v| v``, whatever the step, and elsewhere
+of second order (Kahan 1993), where the derivative ``2 c |v|`` makes it one of first order.
+
 With W the constant matrix of point Jacobians, point velocities are ``W V``, the wrench is
-``W^T F``, and the derivative ``D = sum_p c_p w_p w_p^T`` is a product of the constant outer
-products with the coefficients: small matrix products that the whole population shares.
+``W^T F``, and what it loses per change of V, ``D = sum_p c_p |v_p| w_p w_p^T``, is a product of the
+constant outer products with the coefficients: small matrix products that the whole population
+shares.
 
 Where the water has a surface, each point's force and derivative are scaled by the share of its
 patch that is under water.
@@ -34,11 +39,6 @@ from evo_cpg.physics.current import Gradient, Vortex
 from evo_cpg.spatial.choices import chosen
 from evo_cpg.spatial.numerics import Number, Numbers, Triple, xp
 from evo_cpg.spatial.partly import PartlyTraced
-
-# -df/dv of |v| v is 2 |v|; the smaller tangential part takes its secant, |v|, which keeps the
-# end-of-step force opposed to the motion.
-_NORMAL_DERIVATIVE = 2.0
-_TANGENTIAL_DERIVATIVE = 1.0
 
 # Squared speed (m^2/s^2) added under the root so that its gradient exists at rest.
 _SPEED_FLOOR = 1e-12
@@ -160,7 +160,9 @@ def drag(
     velocity: Float[Array, "6 b *n"],
     pose: Float[Array, "4 b *n"] | None = None,
 ) -> tuple[Float[Array, "6 b *n"], Float[Array, "3 3 3 b *n"]]:
-    """Drag wrench and its velocity derivative on every body, in body axes.
+    """Drag wrench at the present velocity, and how much of it is lost per change of velocity.
+
+    On every body, in body axes.
 
     Args:
         water: density and coefficients.
@@ -171,7 +173,7 @@ def drag(
 
     Returns:
         The wrench (moment, force) and the blocks (angular-angular, angular-linear,
-        linear-linear) of ``D = -df/dV``.
+        linear-linear) of D.
     """
     batch = velocity.shape[2:]
     pieces = []
@@ -211,9 +213,9 @@ def _patch_drag(
     normal_factor = pressure * water.form_drag * patch.normal_area
     tangential_factor = pressure * water.skin_drag * patch.tangential_area
     if water.law == "normal":
-        speed, normal_derivative = jnp.abs(normal), _NORMAL_DERIVATIVE
+        speed = jnp.abs(normal)
     else:
-        speed, normal_derivative = jnp.sqrt(normal * normal + along * along), 1.0
+        speed = jnp.sqrt(normal * normal + along * along)
         normal_factor = tangential_factor = normal_factor + pressure * water.skin_drag * (
             patch.normal_area
         )
@@ -226,10 +228,8 @@ def _patch_drag(
     wrench = wrench - product(
         tangential_rows.T * jnp.concatenate([tangential_factor] * 2)[None], friction
     )
-    derivative = product(patch.normal_outer * (normal_derivative * normal_factor)[None], speed)
-    derivative = derivative + product(
-        patch.tangential_outer * (_TANGENTIAL_DERIVATIVE * tangential_factor)[None], along
-    )
+    derivative = product(patch.normal_outer * normal_factor[None], speed)
+    derivative = derivative + product(patch.tangential_outer * tangential_factor[None], along)
     return wrench.reshape(velocity.shape), derivative.reshape(3, 3, 3, *velocity.shape[1:])
 
 

@@ -1,7 +1,7 @@
 """A tree's equations in generalized coordinates: its accelerations, forces and mass matrix.
 
-The accelerations of a tree are one vector y: the spatial acceleration of its root (angular, then
-linear; rad/s^2 and m/s^2) and those of all joints in its order, ``(6 + d, *n)``. Forces that go
+The accelerations of a tree are one vector y: that of its root's velocity (angular, then linear;
+rad/s^2 and m/s^2) and those of all joints in its order, ``(6 + d, *n)``. Forces that go
 with it are the root's wrench (moment, N m, then force, N) and the torques of the joints (N m).
 With the Jacobian J_i of a body,
 
@@ -40,7 +40,7 @@ ROOT_DOFS = 6
 
 
 def body_accelerations(tree: Tree, kin: Kinematics, y: Float[Array, "v *n"]) -> Motion:
-    """Spatial accelerations ``(3, b, *n)`` of all bodies, on top of those in `Kinematics`."""
+    """Accelerations ``(3, b, *n)`` of all bodies, on top of those in `Kinematics`."""
     batch_ndim, qdd = y.ndim - 1, y[ROOT_DOFS:]
     a = PerBody([Motion(y[:3], y[3:ROOT_DOFS])], batch_ndim)
     for i in tree.groups:

@@ -10,8 +10,8 @@ joint; going from parent to child is then a pure translation by ``offset``. Arra
 | p_i, d_i | ``origin``; ``offset`` from the parent's origin |
 | S_i | ``axes``: world unit vectors of the joint axes |
 | w_i, v_i | ``angular``, ``linear`` velocity at the origin |
-| A0_i | ``bias_angular``, ``bias_linear``: spatial acceleration while the root's and the joints'
-accelerations are zero |
+| A0_i | ``bias_angular``, ``bias_linear``: spatial acceleration at constant velocities of the root
+and the joints; a material point's is ``w x v`` more, so the root's is ``-w x v`` |
 """
 
 from typing import Any, NamedTuple
@@ -58,7 +58,7 @@ def kinematics(tree: Tree, state: State) -> Kinematics:
     """
     batch_ndim = state.q.ndim - 1
     rest, rotation = jnp.zeros_like(state.position), quaternion_to_matrix(state.orientation)
-    root = _Body(rotation, state.position, state.velocity[:3], state.velocity[3:], rest, rest)
+    root = _Body(rotation, state.position, *_root_motion(state.velocity))
     bodies, local = PerBody([root], batch_ndim), _local_frames(tree, state.q)
     offsets, axes = [rest[:, None]], [jnp.zeros((3, 0, *rest.shape[1:]), rest.dtype)]
     for i in tree.groups:
@@ -88,22 +88,29 @@ class Motion(NamedTuple):
     bias_linear: Float[Array, "3 b *n"]
 
 
-def motion_by_joints(tree: Tree, kin: Kinematics, qd: Float[Array, "d *n"]) -> Motion:
-    """How the bodies would move at some joint rates if the root lay still.
+def motion_of_bodies(
+    tree: Tree, kin: Kinematics, velocity: Float[Array, "6 *n"], qd: Float[Array, "d *n"]
+) -> Motion:
+    """How the bodies would move with other velocities of the root and the joints.
 
     Args:
         tree: the creature.
         kin: where its bodies are.
+        velocity: of the root, as in `State`.
         qd: rad/s.
     """
     batch_ndim = qd.ndim - 1
-    none = jnp.zeros_like(kin.origin[:, 0])
-    bodies = PerBody([Motion(none, none, none, none)], batch_ndim)
+    bodies = PerBody([_root_motion(velocity)], batch_ndim)
     for i in tree.groups:
         parent, offset = bodies[i.parents], kin.offset[:, i.bodies]
         rates = of_joints(kin.axes, i, batch_ndim) * of_joints(qd, i, batch_ndim)[None]
         bodies = bodies.followed_by(_carried(parent, offset, rates))
     return bodies.stacked()
+
+
+def _root_motion(velocity: Float[Array, "6 *n"]) -> Motion:
+    angular, linear = velocity[:3], velocity[3:]
+    return Motion(angular, linear, jnp.zeros_like(angular), cross(linear, angular))
 
 
 def _carried(parent: Any, offset: Array, rates: Array) -> Motion:

@@ -25,7 +25,14 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from evo_cpg.fusion.converge import implicit, while_each
-from evo_cpg.physics.equations import ContactForces, Imposed, Residual, Warmstart, prepare
+from evo_cpg.physics.equations import (
+    ContactForces,
+    Imposed,
+    Residual,
+    Warmstart,
+    prepare,
+    with_mean_products,
+)
 from evo_cpg.physics.generalized import ROOT_DOFS
 from evo_cpg.physics.joints import clamp_torque
 from evo_cpg.physics.line_search import line_search
@@ -136,6 +143,11 @@ def search(
     problem = StepProblem.of(world, h, equations)
     if warmstart is None:
         warmstart = coldstart(world, state.q.shape[1:], state.q.dtype)
+    free = free_motion(problem)
+    later = with_mean_products(world, h, equations, free[:ROOT_DOFS], free[ROOT_DOFS:])
+    bias = where_each(problem.touches(free), equations.bias, later.bias)
+    equations = equations._replace(bias=bias)
+    problem = StepProblem.of(world, h, equations)
     whole = jnp.ones(state.q.shape[1:], state.q.dtype)
     radius, start = warmstart.radius, problem.bounded(whole)
     first = start.motion(start.linearized(radius, warmstart.qdd, warmstart.velocity))
@@ -149,6 +161,17 @@ def search(
     )
     end = problem.bounded(answer.restitution).swept(answer.sweep)
     return _imposed(end, answer.radius, answer.y)
+
+
+def free_motion(problem: StepProblem) -> Float[Array, "v *n"]:
+    """The motion of a step in which nothing is touched.
+
+    Where something would be touched, it says little of the velocities after the step: velocity
+    products are then those of its start.
+    """
+    still = jnp.zeros_like(problem.force[ROOT_DOFS:])
+    linear = problem.linearized(problem.force[:0], still, None)
+    return problem.motion(linear._replace(pairs=None))
 
 
 def coldstart(world: World, batch: tuple[int, ...], dtype: jnp.dtype) -> Warmstart:
@@ -257,7 +280,7 @@ def _judged(
     new = _next_radius(radius, found, search.last_found, search.last_missed, compared)
     ends = (settled & last) | (early & coulomb & (residual <= exact))
     changed = settled & ~last & ~ends
-    too_much = ends & now.gains(velocity, linear) & (search.restitution > 0)
+    too_much = ends & now.gains(y, linear) & (search.restitution > 0)
     ends &= ~too_much
     sweep, strays = search.sweep, jnp.zeros(ends.shape, bool)
     if most > 1:

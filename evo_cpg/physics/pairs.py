@@ -26,7 +26,7 @@ from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.box_separation import separation_of_boxes
 from evo_cpg.physics.contact import BAUMGARTE_SHARE, BAUMGARTE_SPEED
 from evo_cpg.physics.flat_separation import separation_of_flat
-from evo_cpg.physics.kinematics import Kinematics, Motion, motion_by_joints
+from evo_cpg.physics.kinematics import Kinematics, Motion, motion_of_bodies
 from evo_cpg.physics.per_body import take
 from evo_cpg.physics.separation import (
     RoundedBoxes,
@@ -279,7 +279,10 @@ def sweep_at(
         contacts: of this step.
         qd: rad/s.
     """
-    return _sweep(pairs, kin.origin, motion_by_joints(tree, kin, qd), contacts.where)
+    # As if the root lay still.
+    still = jnp.zeros((6, *qd.shape[1:]), qd.dtype)
+    motion = motion_of_bodies(tree, kin, still, qd)
+    return _sweep(pairs, kin.origin, motion, contacts.where)
 
 
 def swept(contacts: PairContacts, sweep: Float[Array, "p *n"], h: float) -> PairContacts:

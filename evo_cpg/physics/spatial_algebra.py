@@ -43,6 +43,11 @@ class Wrench(NamedTuple):
     force: Float[Array, "3 *rest"]
 
 
+def plus(one: Wrench, other: Wrench) -> Wrench:
+    """Both together."""
+    return Wrench(one.moment + other.moment, one.force + other.force)
+
+
 class Inertia(NamedTuple):
     """Symmetric 6x6 matrices by their 3x3 blocks, ``[[angular, mixed], [mixed^T, linear]]``."""
 

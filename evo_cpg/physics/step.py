@@ -1,7 +1,9 @@
 """One step of the world: forces, the implicit solve, integration.
 
-Semi-implicit Euler: the velocities at the end of the step move the positions. Without motor limits
-and contact one solve gives them; with either, `evo_cpg.physics.newton` does.
+Semi-implicit Euler: the velocities at the end of the step move the positions. Velocity products and
+drag are taken of the velocities before and after the step, so that without stiff forces the motion
+is of second order: positions and velocities then leapfrog. Without motor limits and contact two
+solves with one matrix give them; with either, `evo_cpg.physics.newton` does.
 """
 
 import functools
@@ -20,12 +22,12 @@ from evo_cpg.physics.equations import (
     Warmstart,
     prepare,
     solve_at_once,
+    with_mean_products,
 )
 from evo_cpg.physics.joints import servo_slope
 from evo_cpg.physics.newton import coldstart, search
 from evo_cpg.physics.state import State
 from evo_cpg.physics.world import World
-from evo_cpg.spatial.linear import cross
 from evo_cpg.spatial.rotation import integrate_quaternion
 
 
@@ -79,10 +81,11 @@ def step(
 
 def first_warmstart(world: World, batch: tuple[int, ...], dtype: jnp.dtype) -> Warmstart | None:
     """For the first step of a trial; None where one solve is exact."""
-    return coldstart(world, batch, dtype) if _searches(world) else None
+    return coldstart(world, batch, dtype) if searches(world) else None
 
 
-def _searches(world: World) -> bool:
+def searches(world: World) -> bool:
+    """Whether steps of a world need a search, because its laws have kinks."""
     contact = world.footing is not None or world.pairs is not None
     return contact or _can_overload(world.tree)
 
@@ -95,11 +98,14 @@ def _whole_step(
     target_angle: Array | None,
     warmstart: Warmstart | None,
 ) -> tuple[State, Effort]:
-    if _searches(world):
+    if searches(world):
         found = search(world, h, state, target_rate, target_angle, warmstart)
         return _finish(h, state, found)
     equations = prepare(world, h, state, target_rate, target_angle)
     with jax.named_scope("solve"):
+        first = solve_at_once(world, h, equations)
+        equations = with_mean_products(world, h, equations, *first)
+        # The same matrices: only the forces are another's.
         found = solve_at_once(world, h, equations)
     motor = equations.wanted - h * servo_slope(world.tree, equations.wanted, h) * found.qdd
     return _finish(h, state, Imposed(found.root, found.qdd, motor))
@@ -132,16 +138,11 @@ def integrate(
     state: State, root: Float[Array, "6 *n"], qdd: Float[Array, "d *n"], h: float
 ) -> State:
     """Semi-implicit Euler: new velocities first, and they move the positions."""
-    angular, linear = state.velocity[:3], state.velocity[3:]
-    # The root's acceleration is spatial; a material point's has w x v on top.
-    change = root[3:] + cross(angular, linear)
-    new_angular = angular + h * root[:3]
-    new_linear = linear + h * change
-    qd = state.qd + h * qdd
+    velocity, qd = state.velocity + h * root, state.qd + h * qdd
     return State(
-        position=state.position + h * new_linear,
-        orientation=integrate_quaternion(state.orientation, new_angular, h),
-        velocity=jnp.concatenate([new_angular, new_linear]),
+        position=state.position + h * velocity[3:],
+        orientation=integrate_quaternion(state.orientation, velocity[:3], h),
+        velocity=velocity,
         q=state.q + h * qd,
         qd=qd,
     )

@@ -66,6 +66,9 @@ _STRAY = 2e-4
 # what spins need) stands for the forces that there are.
 _OTHERS = 1e-3
 
+# Turn of a joint in a step (rad) beyond which the mass matrix at its start says little of its end.
+_WHIRL = 0.3
+
 # Force (N) that counts as none.
 _NONE = 1e-12
 
@@ -263,21 +266,32 @@ class StepProblem(NamedTuple):
             return self.force[:0]
         return cone_radius(footing, contacts, velocity, self.h)
 
-    def gains(
-        self, velocity: Float[Array, "3 p *n"] | None, linear: Linearization
-    ) -> Bool[Array, "*n"]:
+    def gains(self, y: Float[Array, "v *n"], linear: Linearization) -> Bool[Array, "*n"]:
         """Where bouncing contacts give the creature energy, the laws being linearized there.
 
         By the mean of velocities at the start and the end of the step; lifting points out of the
-        ground does not count.
+        ground does not count. Those that whirl a limb count as if they did: the mass matrix does
+        not tell.
         """
         contacts, state = self.equations.contacts, self.equations.state
-        if contacts is None or velocity is None or linear.contact is None:
+        if contacts is None or linear.contact is None:
             return jnp.zeros(linear.torque.shape[1:], bool)
         force = linear.contact.force
-        before = dot(jnp.concatenate([state.velocity, state.qd]), self._ground(force))
-        power = 0.5 * (before + (velocity * force).sum((0, 1))) - lifting_power(contacts, force)
-        return (power > 0) & (contacts.bounce > 0).any(0)
+        mean = jnp.concatenate([state.velocity, state.qd]) + 0.5 * self.h * y
+        power = dot(mean, self._ground(force)) - lifting_power(contacts, force)
+        whirls = (self.h * jnp.abs(state.qd + self.h * y[ROOT_DOFS:]) > _WHIRL).any(0)
+        return ((power > 0) | whirls) & (contacts.bounce > 0).any(0)
+
+    def touches(self, y: Float[Array, "v *n"]) -> Bool[Array, "*n"]:
+        """Where a motion would need contact forces."""
+        contacts, pairs, velocity = self.equations.contacts, self.equations.pairs, self.velocity(y)
+        found = jnp.zeros(y.shape[1:], bool)
+        if contacts is not None and velocity is not None:
+            found = found | (contacts.wanted > velocity[2]).any(0)
+        if pairs is not None:
+            parting = parting_velocity(pairs, y[ROOT_DOFS:], self.h)
+            found = found | (pairs.wanted > parting).any(0)
+        return found
 
     def asked(self, qdd: Float[Array, "d *n"]) -> Float[Array, "d *n"]:
         """Of the motors at the end of the step, N m."""

@@ -1,5 +1,7 @@
 """A creature and its surroundings, and the forces that are smooth in its velocities."""
 
+from typing import NamedTuple
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -11,7 +13,7 @@ from evo_cpg.physics.current import stream
 from evo_cpg.physics.fluid import Patch, Water, drag
 from evo_cpg.physics.footing import Footing, Ground
 from evo_cpg.physics.gyroscopic import gyroscopic_change
-from evo_cpg.physics.kinematics import Kinematics
+from evo_cpg.physics.kinematics import Kinematics, Motion
 from evo_cpg.physics.pairs import Pairs
 from evo_cpg.physics.spatial_algebra import Inertia, Wrench, make_inertia
 from evo_cpg.spatial.linear import (
@@ -70,50 +72,138 @@ class World(eqx.Module):
         return None if self.footing is None else self.footing.ground
 
 
+class Immersion(NamedTuple):
+    """How the bodies lie and move in the water.
+
+    Attributes:
+        velocity: of every body relative to the water, in body axes: angular, then linear.
+        stream: velocity of the water at the bodies' centres of mass, in body axes, m/s.
+        pose: upward unit vector in the axes of every body, and the height of its origin above the
+            surface, m; None where water is everywhere.
+        displaced: likewise.
+    """
+
+    velocity: Float[Array, "6 b *n"]
+    stream: Float[Array, "3 b *#n"]
+    pose: Float[Array, "4 b *n"] | None
+    displaced: Displacement | None
+
+
+def immersion(world: World, kin: Kinematics) -> Immersion | None:
+    """See `Immersion`; None on dry land."""
+    water = world.water
+    if water is None:
+        return None
+    velocity = body_velocity(kin)
+    current = matvec_t(kin.rotation, _stream(water, world.tree, kin))
+    relative = jnp.concatenate([velocity[:3], velocity[3:] - current])
+    pose = displaced = None
+    if water.surface is not None:
+        pose = jnp.concatenate([kin.rotation[2], (kin.origin[2] - water.surface)[None]])
+        displaced = displacement(world.cells, pose)
+    return Immersion(relative, current, pose, displaced)
+
+
+def body_velocity(kin: Kinematics) -> Float[Array, "6 b *n"]:
+    """Of the bodies at their origins, in body axes: angular (rad/s), then linear (m/s)."""
+    return _in_body_axes(kin.rotation, kin.angular, kin.linear)
+
+
 def body_equations(world: World, kin: Kinematics, h: float) -> tuple[Inertia, Wrench]:
     """Inertia ``I + h D`` and bias wrench of every body, in world axes.
 
-    With drag, weight and buoyancy; contacts join later (`evo_cpg.physics.newton`).
+    With drag, weight and buoyancy; contacts join later (`evo_cpg.physics.newton`). Drag depends on
+    velocities as the pose at the start of the step has them, so D is not in the bias wrench, which
+    is for velocity-product accelerations: these are of the pose as it changes.
     """
     tree = world.tree
     rotation = kin.rotation
-    velocity = jnp.concatenate([matvec_t(rotation, kin.angular), matvec_t(rotation, kin.linear)])
-    pose = displaced = None
-    if world.water is not None and world.water.surface is not None:
-        pose = jnp.concatenate([rotation[2], (kin.origin[2] - world.water.surface)[None]])
-        displaced = displacement(world.cells, pose)
-    wrench = weight(world, kin, displaced)
+    velocity, wet = body_velocity(kin), immersion(world, kin)
+    wrench = weight(world, kin, wet.displaced if wet else None)
     constant = expand_dims_like(tree.inertia, velocity, velocity.ndim + 1)
-    momentum = matvec(constant, velocity)
     blocks = _blocks(constant)
-    if world.water is not None:
-        current = matvec_t(rotation, _stream(world.water, tree, kin))
-        relative = jnp.concatenate([velocity[:3], velocity[3:] - current])
-        resistance, derivative = drag(world.water, world.patches, relative, pose)
+    accelerations = _in_body_axes(rotation, kin.bias_angular, kin.bias_linear)
+    wrench = wrench - matvec(constant, accelerations)
+    if world.water is not None and wet is not None:
+        resistance, derivative = drag(world.water, world.patches, wet.velocity, wet.pose)
         wrench = wrench + resistance
         blocks = blocks + h * derivative
         if world.added_inertia is not None:
-            added = expand_dims_like(world.added_inertia, velocity, velocity.ndim + 1)
-            push, carried = _carried(world, kin, velocity, added, current, h, pose, displaced)
-            wrench, blocks = wrench + push, blocks + carried
-    w, v = velocity[:3], velocity[3:]
-    moment = cross(w, momentum[:3]) + cross(v, momentum[3:]) - wrench[:3]
-    force = cross(w, momentum[3:]) - wrench[3:]
+            own, entering = _carried_inertia(world, kin, velocity, wet, h)
+            wrench = wrench + carried_water(own, velocity, wet.stream)
+            wrench = wrench - matvec(own, accelerations) - matvec(entering, wet.velocity) / h
+            blocks = blocks + _blocks(own) + _blocks(entering)
+    needed = _gyration(constant, velocity) - wrench
+    moment, force = needed[:3], needed[3:]
     if not world.submerged:
         # In water drag holds spins back.
-        moment = moment + gyroscopic_change(tree, w, h)
-
+        moment = moment + gyroscopic_change(tree, velocity[:3], h)
     angular, mixed, linear = (matmul_t(matmul(rotation, block), rotation) for block in blocks)
-    inertia = make_inertia(angular, mixed, linear)
-    bias = Wrench(
-        matvec(rotation, moment)
-        + matvec(inertia.angular, kin.bias_angular)
-        + matvec(inertia.mixed, kin.bias_linear),
-        matvec(rotation, force)
-        + matvec_t(inertia.mixed, kin.bias_angular)
-        + matvec(inertia.linear, kin.bias_linear),
+    bias = Wrench(matvec(rotation, moment), matvec(rotation, force))
+    return make_inertia(angular, mixed, linear), bias
+
+
+def bias_of_mean(world: World, kin: Kinematics, moving: Motion, h: float) -> Wrench:
+    """What the mean of two motions' velocity products adds to the bias wrench, world axes.
+
+    Args:
+        world: the creature and its surroundings.
+        kin: kinematics at the start of the step.
+        moving: how its bodies move at the end, in the same pose.
+        h: s.
+    """
+    rotation, tree = kin.rotation, world.tree
+    velocity = body_velocity(kin)
+    other = _in_body_axes(rotation, moving.angular, moving.linear)
+    accelerations = _in_body_axes(
+        rotation, moving.bias_angular - kin.bias_angular, moving.bias_linear - kin.bias_linear
     )
-    return inertia, bias
+    constant = expand_dims_like(tree.inertia, velocity, velocity.ndim + 1)
+    needed = _gyration(constant, other) - _gyration(constant, velocity)
+    needed = needed + matvec(constant, accelerations)
+    wet = immersion(world, kin)
+    if wet is not None and world.added_inertia is not None:
+        own, _ = _carried_inertia(world, kin, velocity, wet, h)
+        needed = needed + carried_water(own, velocity, wet.stream)
+        needed = needed - carried_water(own, other, wet.stream) + matvec(own, accelerations)
+    moment, force = 0.5 * needed[:3], 0.5 * needed[3:]
+    if not world.submerged:
+        moment = moment - gyroscopic_change(tree, velocity[:3], h)
+    return Wrench(matvec(rotation, moment), matvec(rotation, force))
+
+
+def _in_body_axes(
+    rotation: Float[Array, "3 3 b *n"], angular: Float[Array, "3 b *n"], linear: Array
+) -> Float[Array, "6 b *n"]:
+    return jnp.concatenate([matvec_t(rotation, angular), matvec_t(rotation, linear)])
+
+
+def _gyration(
+    inertia: Float[Array, "6 6 b *#n"], velocity: Float[Array, "6 b *n"]
+) -> Float[Array, "6 b *n"]:
+    """``V x* I V``."""
+    momentum, w, v = matvec(inertia, velocity), velocity[:3], velocity[3:]
+    moment = cross(w, momentum[:3]) + cross(v, momentum[3:])
+    return jnp.concatenate([moment, cross(w, momentum[3:])])
+
+
+def _carried_inertia(
+    world: World, kin: Kinematics, velocity: Float[Array, "6 b *n"], wet: Immersion, h: float
+) -> tuple[Float[Array, "6 6 b *#n"], Float[Array, "6 6 b *#n"]]:
+    """Inertia of the water that the bodies carry along, and of what they set in motion.
+
+    At a surface it is the share of the body's volume that is under water; what more gets under
+    within the step is set in motion by an impact without bounce.
+    """
+    assert world.added_inertia is not None
+    added = expand_dims_like(world.added_inertia, velocity, velocity.ndim + 1)
+    if wet.pose is None or wet.displaced is None:
+        return added, jnp.zeros_like(added)
+    sinking = h * jnp.concatenate([cross(wet.pose[:3], velocity[:3]), kin.linear[2:]])
+    ahead = displacement(world.cells, wet.pose + sinking).volume
+    volume = expand_dims_like(world.tree.volume, ahead)
+    gained = jnp.maximum(ahead - wet.displaced.volume, 0.0) / volume
+    return added * (wet.displaced.volume / volume)[None, None], added * gained[None, None]
 
 
 def weight(
@@ -137,40 +227,20 @@ def weight(
     return wrench + buoyancy(displaced, up, water.density * world.gravity)
 
 
+def buoyancy_wrench(world: World, kin: Kinematics, wet: Immersion) -> Float[Array, "6 b *n"]:
+    """Of the water that bodies push aside, in body axes: what `weight` has beside the weight."""
+    up = kin.rotation[2]
+    pull = expand_dims_like(world.tree.mass * world.gravity, up[0])[None] * up
+    arm = expand_dims_like(world.tree.com, up)
+    return weight(world, kin, wet.displaced) + jnp.concatenate([cross(arm, pull), pull])
+
+
 def _stream(water: Water, tree: Tree, kin: Kinematics) -> Float[Array, "3 b *#n"]:
     """Velocity of the water at the bodies' centres of mass, in world axes."""
     if water.gradient is None and not water.vortices:
         return expand_dims_like(array_of(water.current), kin.linear)
     centres = kin.origin + matvec(kin.rotation, expand_dims_like(tree.com, kin.origin))
     return stream(water.current, water.gradient, water.vortices, centres)
-
-
-def _carried(
-    world: World,
-    kin: Kinematics,
-    velocity: Float[Array, "6 b *n"],
-    added: Float[Array, "6 6 b *#n"],
-    current: Float[Array, "3 b *#n"],
-    h: float,
-    pose: Float[Array, "4 b *n"] | None,
-    displaced: Displacement | None,
-) -> tuple[Float[Array, "6 b *n"], Float[Array, "3 3 3 b *n"]]:
-    """Wrench (body axes) and inertia of the water that the bodies carry along.
-
-    At a surface it is the share of the body's volume that is under water; what more gets under
-    within the step is set in motion by an impact without bounce.
-    """
-    if pose is None or displaced is None:
-        return carried_water(added, velocity, current), _blocks(added)
-    sinking = h * jnp.concatenate([cross(pose[:3], velocity[:3]), kin.linear[2:]])
-    ahead = displacement(world.cells, pose + sinking).volume
-    volume = expand_dims_like(world.tree.volume, ahead)
-    gained = jnp.maximum(ahead - displaced.volume, 0.0) / volume
-    entering = added * gained[None, None]
-    relative = jnp.concatenate([velocity[:3], velocity[3:] - current])
-    own = added * (displaced.volume / volume)[None, None]
-    impact = -matvec(entering, relative) / h
-    return impact + carried_water(own, velocity, current), _blocks(entering) + _blocks(own)
 
 
 def _blocks(m: Float[Array, "6 6 *rest"]) -> Float[Array, "3 3 3 *rest"]:

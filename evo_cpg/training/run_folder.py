@@ -161,8 +161,12 @@ class RunFolder:
 
     def update_meta(self, **values: Any) -> None:
         """Add to meta.json."""
-        meta = self.read_meta() | values
-        _write(self.meta, lambda file: file.write(json.dumps(meta, indent=2).encode()))
+        self.write_json(self.meta.name, self.read_meta() | values)
+
+    def write_json(self, name: str, values: Mapping[str, Any]) -> None:
+        """Write a .json file of the folder."""
+        text = json.dumps(values, indent=2, allow_nan=False)
+        _write(self.path / name, lambda file: file.write(text.encode()))
 
     def save(self, checkpoint: Checkpoint) -> None:
         """Write a checkpoint, metrics.csv and, with it, the champion where it is new."""

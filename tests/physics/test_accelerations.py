@@ -48,11 +48,8 @@ def dry_accelerations(tree: Tree, state: State, tau) -> jax.Array:
     kin = kinematics(tree, state)
     inertia, bias = body_equations(World(tree, GRAVITY), kin, 0.0)
     passive, derivative = passive_torque(tree, state, 0.0)
-    result = solve(
-        tree, kin, inertia, bias, tau + passive, derivative + expand_dims_like(tree.armature, tau)
-    )
-    linear = result.root[3:] + jnp.cross(state.velocity[:3], state.velocity[3:])
-    return jnp.concatenate([result.root[:3], linear, result.qdd])
+    rotor = derivative + expand_dims_like(tree.armature, tau)
+    return jnp.concatenate(solve(tree, kin, inertia, bias, tau + passive, rotor))
 
 
 def relative_errors(number: int, dtype, stiffer: float = 1.0) -> list[float]:

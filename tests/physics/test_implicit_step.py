@@ -1,9 +1,11 @@
 """The implicit step against the dense solve of the equation that it claims to solve,
 
-    (M + h sum J_i^T D_i J_i + T) qdd = tau + sum J_i^T f_i - bias - h sum J_i^T D_i A0_i.
+    (M + h sum J_i^T D_i J_i + T) qdd = tau + sum J_i^T f_i - bias.
 
-M, the bias, J and J-dot come from MuJoCo; drag, its derivative, buoyancy and the joint torques are
-summed point by point in NumPy from the formulas in the documentation.
+M, the bias and J come from MuJoCo; drag, buoyancy and the joint torques are summed point by point
+in NumPy from the formulas in the documentation. The bias is the mean of that at the start of the
+step and that with the velocities that a first solution comes to; with contact it is that of the
+start, but for each body's own gyroscopic torque.
 """
 
 import dataclasses
@@ -23,11 +25,14 @@ from evo_cpg.creature.surface import outer_surfaces
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.physics.contact import find_contacts
 from evo_cpg.physics.contact_points import clearance
+from evo_cpg.physics.equations import prepare, solve_at_once
 from evo_cpg.physics.footing import Ground, make_footing
 from evo_cpg.physics.kinematics import kinematics
+from evo_cpg.physics.newton import free_motion
 from evo_cpg.physics.pairs import make_pairs, separations
 from evo_cpg.physics.state import State, resting_state
-from evo_cpg.physics.step import step
+from evo_cpg.physics.step import searches, step
+from evo_cpg.physics.step_problem import StepProblem
 from evo_cpg.physics.world import World
 
 H = 1 / 120
@@ -36,7 +41,7 @@ STATES = 6
 
 
 class Drag(NamedTuple):
-    """Wrench (moment, force) and D = -df/dV, about a body's origin in its own axes."""
+    """Wrench (moment, force) and D, about a body's origin in its own axes."""
 
     wrench: np.ndarray
     derivative: np.ndarray
@@ -63,7 +68,7 @@ def point_drag(world: World, surface, centre, velocity) -> Drag:
         if water.law == "normal":
             c_n = half * water.form_drag * area * abs(normal @ v)
             c_t = half * water.skin_drag * area * np.linalg.norm(across @ v)
-            resistance, slope = c_n * along + c_t * across, 2 * c_n * along + c_t * across
+            resistance = slope = c_n * along + c_t * across
         else:
             total = water.form_drag + water.skin_drag
             resistance = slope = half * total * area * np.linalg.norm(v) * np.eye(3)
@@ -83,8 +88,32 @@ def gyroscopic_change(inertia, spin):
     return of(spin, spin + change) - of(spin, spin)
 
 
+def at_later_velocities(world: World, states: State, target, angle=None):
+    """The poses with the velocities after a step without contact, and who would touch something."""
+
+    @quick_jit
+    def first(states, target):
+        equations = prepare(world, H, states, target, angle)
+        if searches(world):
+            problem = StepProblem.of(world, H, equations)
+            y = free_motion(problem)
+            return (y[:6], y[6:]), problem.touches(y)
+        return solve_at_once(world, H, equations), jnp.zeros(states.q.shape[1:], bool)
+
+    (root, qdd), touches = first(states, target)
+    velocity, qd = states.velocity + H * root, states.qd + H * qdd
+    return dataclasses.replace(states, velocity=velocity, qd=qd), np.asarray(touches)
+
+
 def dense_accelerations(
-    creature: Creature, world: World, state: State, torque, motor_derivative, ends=None, pushes=()
+    creature: Creature,
+    world: World,
+    state: State,
+    later: State | None,
+    torque,
+    motor_derivative,
+    ends=None,
+    pushes=(),
 ):
     """Root (angular, linear of its centre) and joint accelerations by a dense solve.
 
@@ -92,6 +121,7 @@ def dense_accelerations(
         creature: the animal.
         world: it lives in.
         state: of one individual.
+        later: the same with the velocities after the step; None where something is touched.
         torque: of the motors at the present rates.
         motor_derivative: what the motors add to T.
         ends: the joints' rates at the end of the step, where a search finds them.
@@ -100,12 +130,14 @@ def dense_accelerations(
     tree = world.tree
     model = mujoco_model(creature, {"gravity": f"0 0 {-world.gravity}"})
     data, order = mujoco.MjData(model), dof_order(model, tree)
-    root = load_state(model, data, tree, state)
-    mujoco.mj_forward(model, data)
+    right = np.zeros(model.nv)
+    for each in (later or state, state):
+        root = load_state(model, data, tree, each)
+        mujoco.mj_forward(model, data)
+        right -= data.qfrc_bias / 2
     mass = np.zeros((model.nv, model.nv))
     for column, unit in zip(mass, np.eye(model.nv), strict=True):
         mujoco.mj_mulM(model, data, column, unit)
-    right = -data.qfrc_bias.copy()
 
     surfaces = dict(
         zip([b.name for b in creature.bodies], outer_surfaces(creature, 2), strict=True)
@@ -113,23 +145,18 @@ def dense_accelerations(
     for i, name in enumerate(tree.names):
         body = model.body(name).id
         rotation, origin = data.xmat[body].reshape(3, 3), data.xpos[body]
-        jacobian, change = np.zeros((6, model.nv)), np.zeros((6, model.nv))
+        jacobian = np.zeros((6, model.nv))
         mujoco.mj_jac(model, data, jacobian[3:], jacobian[:3], origin, body)
-        mujoco.mj_jacDot(model, data, change[3:], change[:3], origin, body)
         to_body = np.kron(np.eye(2), rotation.T)
         velocity = jacobian @ data.qvel
-        # A spatial acceleration lacks the w x v of a material point's.
-        bias = change @ data.qvel - np.concatenate(
-            [np.zeros(3), np.cross(velocity[:3], velocity[3:])]
-        )
         relative = velocity - np.concatenate([np.zeros(3), world.water.current])
         drag = point_drag(world, surfaces[name], tree.com[:, i], to_body @ relative)
         derivative = to_body.T @ drag.derivative @ to_body
         lift = np.array([0, 0, world.water.density * tree.volume[i] * world.gravity])
         buoyancy = np.concatenate([np.cross(rotation @ tree.com[:, i], lift), lift])
-        right += jacobian.T @ (to_body.T @ drag.wrench + buoyancy - H * derivative @ bias)
+        right += jacobian.T @ (to_body.T @ drag.wrench + buoyancy)
         mass += H * jacobian.T @ derivative @ jacobian
-        if world.footing is not None:
+        if later is None:
             frame = data.ximat[body].reshape(3, 3)
             inertia = frame @ np.diag(model.body_inertia[body]) @ frame.T
             right -= jacobian[:3].T @ gyroscopic_change(inertia, velocity[:3])
@@ -178,6 +205,7 @@ def worst_error(number: int, torque_limit: float, law: str = "normal") -> tuple[
         ahead = np.asarray(states.q[:, n]) + H * rate
         return motor.gain * (target[:, n] - rate) + motor.stiffness * (angle[:, n] - ahead)
 
+    afterwards, _ = at_later_velocities(world, states, jnp.asarray(target), jnp.asarray(angle))
     change = [
         np.asarray((after - before) / H)
         for after, before in ((new.velocity, states.velocity), (new.qd, states.qd))
@@ -185,7 +213,9 @@ def worst_error(number: int, torque_limit: float, law: str = "normal") -> tuple[
     ours = np.concatenate(change)
     worst, saturated = 0.0, 0
     for n in range(STATES):
-        state = State(*(part[..., n] for part in vars(states).values()))
+        state, later = (
+            jax.tree.map(lambda x, n=n: x[..., n], each) for each in (states, afterwards)
+        )
         wanted = motor_law(n, np.asarray(state.qd))
         implicit = np.full_like(wanted, H * (motor.gain + H * motor.stiffness))
         applied = np.asarray(effort.torque[:, n])
@@ -193,7 +223,7 @@ def worst_error(number: int, torque_limit: float, law: str = "normal") -> tuple[
         if (np.abs(applied) >= torque_limit).any():
             saturated += int((np.abs(applied) >= torque_limit).sum())
             wanted, implicit = applied, np.zeros_like(implicit)
-        theirs = dense_accelerations(creature, world, state, wanted, implicit, ends)
+        theirs = dense_accelerations(creature, world, state, later, wanted, implicit, ends)
         worst = max(worst, np.abs(ours[:, n] - theirs).max() / np.abs(theirs).max())
         # Free motors end the step with the torque of their end-of-step rate.
         end = motor_law(n, np.asarray(new.qd[:, n]))
@@ -247,6 +277,9 @@ def test_motors_contacts_limits_and_water_together():
     target = jnp.asarray(rng.normal(scale=3.0, size=(tree.dof_count, count)))
     new, effort = quick_jit(lambda s, t: step(world, s, t, H))(states, target)
 
+    afterwards, touched = at_later_velocities(world, states, target)
+    assert touched.sum() > count / 2
+
     @quick_jit
     def touching(state):
         kin = kinematics(tree, state)
@@ -265,14 +298,17 @@ def test_motors_contacts_limits_and_water_together():
     assert pair_force.min() >= 0
     pressed, saturated, limbs, ends_at = 0, 0, int((pair_force > 0).sum()), []
     for n in range(count):
-        state = State(*(part[..., n] for part in vars(states).values()))
+        state, later = (jax.tree.map(lambda x, n=n: x[..., n], x) for x in (states, afterwards))
+        later = None if touched[n] else later
         pushes = [(i, places[:, k, n], force[:, k, n]) for k, i in enumerate(footing.bodies)]
         for bodies, points, sign in zip(pairs.owners, apart[2:4], (-1, 1), strict=True):
             push = sign * pair_force[:, n] * apart.normal[..., n]
             pushes += zip(bodies, points[..., n].T, push.T, strict=True)
         ends = np.asarray(new.qd[:, n])
         none = np.zeros(tree.dof_count)
-        theirs = dense_accelerations(creature, world, state, torque[:, n], none, ends, pushes)
+        theirs = dense_accelerations(
+            creature, world, state, later, torque[:, n], none, ends, pushes
+        )
         assert np.abs(ours[:, n] - theirs).max() < 1e-7 * np.abs(theirs).max()
         law = np.clip(2.0 * (np.asarray(target[:, n]) - ends), -1.0, 1.0)
         np.testing.assert_allclose(torque[:, n], law, atol=1e-8)

@@ -22,7 +22,7 @@ from evo_cpg.fusion.engine import Engine, using
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.pairs import make_pairs, separations
 from evo_cpg.physics.state import resting_state
-from evo_cpg.physics.step import step
+from evo_cpg.physics.step import first_warmstart, step
 from evo_cpg.physics.world import World
 from evo_cpg.simulation.rollout import as_recording, record
 from evo_cpg.simulation.sensors import place_sensors
@@ -187,13 +187,18 @@ def test_a_record_has_the_mean_push_of_every_pair(x64):
     frames = quick_jit(lambda g: record(trial, g, 1))(genes)
     found = as_record(trial, frames, as_recording(trial, frames, [*world.tree.names]))
 
-    def advance(state, k):
+    def advance(carry, k):
+        state, warmstart = carry
         wave = genes[0] * jnp.sin(2 * np.pi * genes[1] * (k // substeps) / 60)
-        new, effort = step(world, state, signs[:, None] * wave[None], H)
-        return new, effort.pair_force
+        told = signs[:, None] * wave[None]
+        new, effort = step(world, state, told, H, warmstart=warmstart)
+        return (new, effort.warmstart), effort.pair_force
 
-    state = resting_state(world.tree, (1,), jnp.float64)
-    _, force = quick_jit(lambda s: jax.lax.scan(advance, s, jnp.arange(60 * substeps)))(state)
+    start = (
+        resting_state(world.tree, (1,), jnp.float64),
+        first_warmstart(world, (1,), jnp.float64),
+    )
+    _, force = quick_jit(lambda s: jax.lax.scan(advance, s, jnp.arange(60 * substeps)))(start)
     mean = np.asarray(force)[..., 0].reshape(60, substeps, -1).mean(1)
     owners = np.array(pairs.owners).T
     for first, second in zip(pairs.first, pairs.second, strict=True):

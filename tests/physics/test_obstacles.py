@@ -71,7 +71,7 @@ def overlap(shape, position, orientation):
 def test_nothing_that_is_thrown_passes_through(x64, name):
     """The bound is half of the way that the fastest of their points go in a step, at 4 m/s.
 
-    The deepest was a capsule, by 5.1 mm; in 99 % of the steps looked at nothing is 1 mm deep.
+    The deepest was a capsule, by 5.1 mm; in 99 % of the steps looked at nothing is 2 mm deep.
     """
     shape = SHAPES[name]
     world = alone(shape, restitution=0.3, obstacles=RUBBLE, floor=Plane((0.0, 0.0, 1.0), -0.1))
@@ -95,7 +95,7 @@ def test_nothing_that_is_thrown_passes_through(x64, name):
     assert residual.max() < 1e-9
     pairs = zip(states.position[::4], states.orientation[::4], strict=True)
     deep = np.array([overlap(shape, *pair) for pair in pairs])
-    assert np.quantile(deep, 0.99) < 1e-3
+    assert np.quantile(deep, 0.99) < 2e-3
     assert deep.max() < 0.5 * 4.0 * H
 
 

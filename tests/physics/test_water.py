@@ -148,8 +148,8 @@ def test_drag_never_drives(law):
     assert np.linalg.eigvalsh(full).min() > -1e-9
 
 
-def test_derivative_is_that_of_the_wrench():
-    """With form drag alone, D = -df/dV exactly: `jax.jacfwd` of the wrench."""
+def test_what_is_lost_at_the_end_of_a_step_is_half_the_derivative():
+    """With form drag alone, D = -1/2 df/dV exactly: `jax.jacfwd` of the wrench."""
     world = in_water(single(Ellipsoid((0.2, 0.1, 0.05)), 1000.0), 4, skin_drag=0.0)
     velocity = jnp.asarray(np.random.default_rng(4).normal(size=6))
 
@@ -161,7 +161,7 @@ def test_derivative_is_that_of_the_wrench():
 
     (angular, mixed, linear), slope = map(np.asarray, both(velocity))
     full = np.block([[angular, mixed], [mixed.T, linear]])
-    np.testing.assert_allclose(full, -slope, rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(full, -slope / 2, rtol=1e-10, atol=1e-12)
 
 
 def test_drag_of_a_turning_sphere_is_friction_alone():

@@ -1,0 +1,115 @@
+"""The energy of ragdolls: `python -m benchmarks.ragdolls`.
+
+Quadrupeds of Model 1 without motors, thrown down in any pose. Nothing gives them energy, so above
+its least so far it must not rise; by how much it does, as a share of the start's, is the
+simulator's. The table is that of docs/models/contact.md.
+"""
+
+import argparse
+import dataclasses
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from rich.console import Console
+
+from benchmarks.plan import experiment_of
+from evo_cpg.analysis.energy import mechanical_energy
+from evo_cpg.physics.kinematics import kinematics
+from evo_cpg.physics.state import State, resting_state
+from evo_cpg.physics.step import first_warmstart, step
+from evo_cpg.physics.world import World
+from evo_cpg.simulation.rollout import is_sane
+from evo_cpg.training.variations import limp
+
+RESTITUTIONS, SPEEDS = (0.0, 0.3, 0.9), (1.0, 10.0)
+
+HEADER = """\
+| restitution | thrown down at, m/s | energy rises by, % (median, most) | diverged |
+|---|---|---|---|"""
+
+
+class Fall(NamedTuple):
+    """What became of ragdolls.
+
+    Attributes:
+        rise: the most that the energy of each rose above its least so far, over the start's.
+        diverged: how many did.
+    """
+
+    rise: Float[np.ndarray, " n"]
+    diverged: int
+
+
+def fall(world: World, count: int, seconds: float, speed: float, h: float) -> Fall:
+    """Throw ragdolls down.
+
+    Args:
+        world: of a creature without motors.
+        count: how many.
+        seconds: for how long.
+        speed: downwards, m/s, on top of some 1 m/s and 1 rad/s in any direction.
+        h: step, s.
+    """
+
+    def advance(carry: tuple, _: None) -> tuple[tuple, Array]:
+        state, warmstart = carry
+        state, effort = step(world, state, jnp.zeros_like(state.q), h, warmstart=warmstart)
+        energy = mechanical_energy(world, state, kinematics(world.tree, state))
+        return (state, effort.warmstart), jnp.where(is_sane(state), energy, jnp.nan)
+
+    @jax.jit
+    def run(state: State) -> tuple[Array, Array]:
+        first = mechanical_energy(world, state, kinematics(world.tree, state))
+        begin = state, first_warmstart(world, (count,), jnp.dtype(jnp.float64))
+        return first, jax.lax.scan(advance, begin, None, round(seconds / h))[1]
+
+    with jax.enable_x64(True):
+        first, energy = map(np.asarray, run(_thrown(world, count, speed)))
+    diverged = np.isnan(energy).any(0)
+    energy = energy[:, ~diverged]
+    least = np.minimum.accumulate(np.concatenate([first[None, ~diverged], energy]))[1:]
+    return Fall((energy - least).max(0) / first[~diverged], int(diverged.sum()))
+
+
+def _thrown(world: World, count: int, speed: float) -> State:
+    """Above the ground in any pose."""
+    rng = np.random.default_rng(0)
+    turns = rng.normal(size=(4, count))
+    velocity = rng.normal(size=(6, count))
+    velocity[5] -= speed
+    state = resting_state(world.tree, (count,), jnp.float64, position=(0.0, 0.0, 1.0))
+    return dataclasses.replace(
+        state,
+        orientation=jnp.asarray(turns / np.linalg.norm(turns, axis=0)),
+        velocity=jnp.asarray(velocity),
+        q=jnp.asarray(rng.uniform(-0.5, 0.5, (world.tree.dof_count, count))),
+    )
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=str(__doc__).split("\n", 1)[0])
+    parser.add_argument("--count", type=int, default=24)
+    parser.add_argument("--seconds", type=float, default=5.0)
+    parser.add_argument("--step", type=float, default=1 / 240)
+    arguments = parser.parse_args()
+    console = Console()
+    console.print(HEADER, soft_wrap=True)
+    world = limp(experiment_of("fukui2003_model1").simulation).world
+    footing = world.footing
+    assert footing is not None
+    for restitution in RESTITUTIONS:
+        every = np.full_like(np.asarray(footing.restitution), restitution)
+        own = eqx.tree_at(lambda w: w.footing, world, footing._replace(restitution=every))
+        for speed in SPEEDS:
+            found = fall(own, arguments.count, arguments.seconds, speed, arguments.step)
+            rise = f"{100 * np.median(found.rise):.2g}, {100 * found.rise.max():.2g}"
+            console.print(f"| {restitution} | {speed:g} | {rise} | {found.diverged} |")
+
+
+if __name__ == "__main__":
+    main()

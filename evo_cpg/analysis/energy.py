@@ -1,0 +1,261 @@
+"""The energy and momentum of a trial: where they come from, and what nobody accounts for.
+
+Over every physics step
+
+    dE = motors + dampers + limits of joints + ground + limbs + water + pushes + left over,
+
+where E is the kinetic energy of bodies and rotors, their weight's potential energy and the energy
+of passive springs. Velocities are half a step behind the poses, so E is that of the pose half a
+step before. Work is force times the mean of the velocities before and after the step. Forces of
+motors, ground and limbs are those that the solver found; those of the water are the laws themselves
+at the mean velocity, so that what the solver makes of them is checked, too.
+What is left over is the simulator's, and vanishes with the step. A gait that lives on it is none.
+
+Momentum likewise: what changes it, and no force explains, is the simulator's.
+
+All is computed in float64 from the states.
+"""
+
+import dataclasses
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from evo_cpg.analysis.along_time import along_time
+from evo_cpg.physics.added_mass import carried_water
+from evo_cpg.physics.contact import find_contacts, lifting_power
+from evo_cpg.physics.fluid import drag
+from evo_cpg.physics.joints import expected_limit_torque, limit_torque
+from evo_cpg.physics.kinematics import Kinematics, kinematics
+from evo_cpg.physics.pairs import find_pair_contacts
+from evo_cpg.physics.per_body import take
+from evo_cpg.physics.state import State
+from evo_cpg.physics.step import searches
+from evo_cpg.physics.world import (
+    Immersion,
+    World,
+    body_velocity,
+    buoyancy_wrench,
+    immersion,
+)
+from evo_cpg.simulation.physics_steps import PhysicsSteps
+from evo_cpg.spatial.linear import cross, dot, expand_dims_like, matvec
+from evo_cpg.spatial.numerics import Numbers
+from evo_cpg.spatial.rotation import integrate_quaternion
+
+
+class Ledger(NamedTuple):
+    """Work and energy in every physics step, J; see the module's docstring.
+
+    Attributes:
+        stored: by which E rose.
+        motors: work of the motors; negative where they brake.
+        dampers: of the joints.
+        limits: of the joints' soft limits.
+        lift: of the ground's normal forces.
+        friction: of the ground.
+        limbs: of limbs that push each other apart.
+        water: drag, buoyancy and carried water.
+        pushes: of chance, before the step.
+        push_out: of `lift`, what lifts points out of the ground that have sunk into it.
+        impulse: that no force explains, world axes, N s.
+        given: sizes of the impulses of ground and water on points and bodies, without weight and
+            buoyancy, N s.
+    """
+
+    stored: Float[np.ndarray, " t"]
+    motors: Float[np.ndarray, " t"]
+    dampers: Float[np.ndarray, " t"]
+    limits: Float[np.ndarray, " t"]
+    lift: Float[np.ndarray, " t"]
+    friction: Float[np.ndarray, " t"]
+    limbs: Float[np.ndarray, " t"]
+    water: Float[np.ndarray, " t"]
+    pushes: Float[np.ndarray, " t"]
+    push_out: Float[np.ndarray, " t"]
+    impulse: Float[np.ndarray, "3 t"]
+    given: Float[np.ndarray, " t"]
+
+    @property
+    def work(self) -> dict[str, Float[np.ndarray, " t"]]:
+        """Of everything that does work, by name."""
+        return {name: getattr(self, name) for name in self._fields[1:9]}
+
+    @property
+    def left_over(self) -> Float[np.ndarray, " t"]:
+        """What the simulator added, J; negative where it lost energy."""
+        return self.stored - sum(self.work.values())
+
+    @property
+    def effort(self) -> float:
+        """Work of the motors without regard to its sign, J."""
+        return float(np.abs(self.motors).sum())
+
+
+def ledger(world: World, steps: PhysicsSteps, h: float) -> Ledger:
+    """The books of a trial.
+
+    Args:
+        world: it was lived in.
+        steps: of the trial.
+        h: length of a physics step, s.
+    """
+    previous = jax.tree.map(_delayed, steps.after, steps.before)
+
+    def entries(steps: PhysicsSteps, previous: State) -> tuple[Array, ...]:
+        return _entries(world, steps, previous, h)
+
+    return Ledger(*along_time(entries, steps, previous))
+
+
+def _entries(world: World, steps: PhysicsSteps, previous: State, h: float) -> tuple[Array, ...]:
+    """The fields of `Ledger`."""
+    tree, before, after = world.tree, steps.before, steps.after
+    ends = (_halfway(state, h) for state in (previous, before, after))
+    earlier, first, last = ((state, kinematics(tree, state)) for state in ends)
+    rate = (before.qd + after.qd) / 2
+    velocity = (before.velocity + after.velocity) / 2
+    middle = dataclasses.replace(before, velocity=velocity, qd=rate)
+    kin = kinematics(tree, middle)
+    damping = expand_dims_like(tree.damping, rate)
+    contact = _ground_work(world, steps.contact_force, kinematics(tree, before), kin, h)
+    lift, friction, push_out, ground = contact
+    water, driven, buoyed = _water_work(world, first[1], kin, last[1], h)
+    weight = -h * tree.mass.sum() * world.gravity
+    explained = h * (ground.sum(1) + driven.sum(1) + buoyed)
+    explained = explained.at[2].add(weight)
+    given = h * jnp.sqrt(dot(ground, ground)).sum(0) + h * jnp.sqrt(dot(driven, driven)).sum(0)
+    return (
+        mechanical_energy(world, *last) - mechanical_energy(world, *first),
+        h * (steps.torque * rate).sum(0),
+        -h * (damping * after.qd * rate).sum(0),
+        h * (_limit_torques(world, before, after, h) * rate).sum(0),
+        lift,
+        friction,
+        _limb_work(world, steps, kin, rate, h),
+        water,
+        mechanical_energy(world, *first) - mechanical_energy(world, *earlier),
+        push_out,
+        _momentum(world, last[1]) - _momentum(world, first[1]) - explained,
+        given,
+    )
+
+
+def _halfway(state: State, h: float) -> State:
+    """The pose that goes with the velocities, which are half a step behind."""
+    return State(
+        state.position - 0.5 * h * state.velocity[3:],
+        integrate_quaternion(state.orientation, state.velocity[:3], -0.5 * h),
+        state.velocity,
+        state.q - 0.5 * h * state.qd,
+        state.qd,
+    )
+
+
+def mechanical_energy(world: World, state: State, kin: Kinematics) -> Float[Array, " t"]:
+    """E, J."""
+    tree, velocity = world.tree, body_velocity(kin)
+    momentum = matvec(expand_dims_like(tree.inertia, velocity, velocity.ndim + 1), velocity)
+    mass = expand_dims_like(tree.mass, kin.origin[0])
+    height = kin.origin[2] + _levers(world, kin)[2]
+    armature, stiffness = (expand_dims_like(x, state.q) for x in (tree.armature, tree.stiffness))
+    return (
+        0.5 * (velocity * momentum).sum((0, 1))
+        + world.gravity * (mass * height).sum(0)
+        + 0.5 * (armature * state.qd**2 + stiffness * state.q**2).sum(0)
+    )
+
+
+def _momentum(world: World, kin: Kinematics) -> Float[Array, "3 t"]:
+    """Of all bodies, N s."""
+    velocity = kin.linear + cross(kin.angular, _levers(world, kin))
+    return (expand_dims_like(world.tree.mass, velocity[0])[None] * velocity).sum(1)
+
+
+def _levers(world: World, kin: Kinematics) -> Float[Array, "3 b t"]:
+    """From the bodies' origins to their centres of mass, world axes, m."""
+    return matvec(kin.rotation, expand_dims_like(world.tree.com, kin.origin))
+
+
+def _limit_torques(world: World, before: State, after: State, h: float) -> Float[Array, "d t"]:
+    """As the solver has them."""
+    if searches(world):
+        return limit_torque(world.tree, before.q, after.qd, h)[0]
+    torque, slope = expected_limit_torque(world.tree, before, h)
+    return torque - slope * (after.qd - before.qd)
+
+
+def _ground_work(
+    world: World, force: Float[Array, "3 p t"], first: Kinematics, middle: Kinematics, h: float
+) -> tuple[Array, Array, Array, Array]:
+    """Work of normal forces, of friction and of push-out, J, and the force on every point, N."""
+    if world.footing is None:
+        none = jnp.zeros_like(first.origin[0, 0])
+        return none, none, none, force
+    contacts = find_contacts(world.footing, first, h)
+    bodies = np.array(world.footing.bodies)
+    velocity = take(middle.linear, bodies) + cross(take(middle.angular, bodies), contacts.arm)
+    local, moving = matvec(contacts.frame, force), matvec(contacts.frame, velocity)
+    lift, friction = local[2] * moving[2], dot(local[:2], moving[:2])
+    push_out = h * lifting_power(contacts, local)
+    return h * lift.sum(0), h * friction.sum(0), push_out, force
+
+
+def _limb_work(
+    world: World, steps: PhysicsSteps, kin: Kinematics, rate: Array, h: float
+) -> Float[Array, " t"]:
+    if world.pairs is None:
+        return jnp.zeros_like(rate[0])
+    contacts = find_pair_contacts(world.tree, world.pairs, kin, rate, h)
+    parting = (contacts.jacobian * rate[None]).sum(1)
+    return h * (steps.pair_force * parting).sum(0)
+
+
+def _water_work(
+    world: World, first: Kinematics, middle: Kinematics, last: Kinematics, h: float
+) -> tuple[Float[Array, " t"], Float[Array, "3 b t"], Float[Array, "3 t"]]:
+    """Work of the water, J, and its forces, N: of the flow on every body, and buoyancy."""
+    wet, none = immersion(world, middle), jnp.zeros_like(middle.origin)
+    if world.water is None or wet is None:
+        return none[0, 0], none, none[:, 0]
+    flow, _ = drag(world.water, world.patches, wet.velocity, wet.pose)
+    if world.added_inertia is not None:
+        flow = flow + _carried_water(world, world.added_inertia, first, wet, last, middle, h)
+    lift = buoyancy_wrench(world, middle, wet)
+    power = ((flow + lift) * body_velocity(middle)).sum((0, 1))
+    driven, buoyed = (matvec(middle.rotation, x[3:]) for x in (flow, lift))
+    return h * power, driven, buoyed.sum(1)
+
+
+def _carried_water(
+    world: World,
+    carried: Float[Numbers, "6 6 b"],
+    first: Kinematics,
+    wet: Immersion,
+    last: Kinematics,
+    middle: Kinematics,
+    h: float,
+) -> Float[Array, "6 b t"]:
+    """Wrench of the water that the bodies carry along, body axes (`evo_cpg.physics.added_mass`)."""
+    velocity, before, after = body_velocity(middle), immersion(world, first), immersion(world, last)
+    assert before is not None and after is not None
+    added = expand_dims_like(carried, velocity, velocity.ndim + 1)
+    change, impact = (after.velocity - before.velocity) / h, 0.0
+    if wet.displaced is not None and before.displaced is not None and after.displaced is not None:
+        volume = expand_dims_like(world.tree.volume, wet.displaced.volume)
+        entering = jnp.maximum(after.displaced.volume - before.displaced.volume, 0.0) / volume
+        impact = matvec(added * entering[None, None], wet.velocity) / h
+        added = added * (wet.displaced.volume / volume)[None, None]
+    # The stream turns in body axes, which `carried_water` has as the acceleration of bodies that do
+    # not accelerate: it is in the change of the velocity relative to it.
+    turning = cross(velocity[:3], jnp.broadcast_to(wet.stream, velocity[3:].shape))
+    steady = carried_water(added, velocity, wet.stream) + matvec(added[:, 3:], turning)
+    return steady - matvec(added, change) - impact
+
+
+def _delayed(after: np.ndarray, before: np.ndarray) -> np.ndarray:
+    """The states that the steps before came to; of the first, its own start."""
+    return np.concatenate([before[..., :1], after[..., :-1]], -1)

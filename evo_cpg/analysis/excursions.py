@@ -1,0 +1,195 @@
+"""How far a trial goes to the limits of what is simulated: peaks, depths, shares of time."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from evo_cpg.analysis.along_time import along_time
+from evo_cpg.creature.creature import Creature
+from evo_cpg.creature.self_collision import SelfCollision
+from evo_cpg.physics.contact_points import contact_points
+from evo_cpg.physics.kinematics import Kinematics, kinematics
+from evo_cpg.physics.pairs import Pairs, make_pairs, separations
+from evo_cpg.physics.per_body import take
+from evo_cpg.physics.world import World
+from evo_cpg.simulation.physics_steps import PhysicsSteps
+from evo_cpg.simulation.simulation import Simulation
+from evo_cpg.spatial.linear import expand_dims_like, matvec
+
+# Residuals above which a step's equations count as unsolved, and its friction as off its cone
+# (`evo_cpg.physics.equations.Residual`).
+SOLVED, SLIPPING = 1e-3, 1e-1
+
+# Points on the line from an eye to the light that are looked at; ground this far within (m) is in
+# the way.
+_POINTS, _WITHIN = 128, 1e-3
+
+
+class Excursions(NamedTuple):
+    """One trial's.
+
+    Attributes:
+        way: that the root came nearer to the light, or over the ground from its start, m.
+        airborne_way: share of the way made while nothing touched the ground; 0 without ground.
+        penetration: of the ground, the deepest, m.
+        overlap: of two bodies that are no neighbours, the deepest, m.
+        overlapping: their names; none where nothing overlaps.
+        unsolved: share of steps whose equations are not solved to `SOLVED`.
+        slipping: share of steps whose friction misses its cone by more than `SLIPPING`.
+        peak_torque: of any motor, N m.
+        overload: the largest torque of a motor over its limit, as a share of it; 0 where none has
+            one.
+        peak_power: of all motors together, W.
+        mean_power: without regard to its sign, W.
+        peak_rate: of any joint, rad/s.
+        peak_speed: of the root, m/s.
+        seen_through_ground: share of the light that eyes see with ground in the way.
+    """
+
+    way: float
+    airborne_way: float
+    penetration: float
+    overlap: float
+    overlapping: tuple[str, ...]
+    unsolved: float
+    slipping: float
+    peak_torque: float
+    overload: float
+    peak_power: float
+    mean_power: float
+    peak_rate: float
+    peak_speed: float
+    seen_through_ground: float
+
+
+def excursions(
+    simulation: Simulation,
+    creature: Creature,
+    steps: PhysicsSteps,
+    situation: int = 0,
+) -> Excursions:
+    """See `Excursions`.
+
+    Args:
+        simulation: the trial was lived in.
+        creature: the animal.
+        steps: of the trial.
+        situation: number of the one that it began with.
+    """
+    world, light = simulation.world, simulation.lights[situation]
+    every = make_pairs(creature, world.tree, SelfCollision())
+
+    def depths(steps: PhysicsSteps) -> tuple[Array, Array]:
+        kin = kinematics(world.tree, steps.after)
+        return _clearance(world, kin), _gaps(every, kin)
+
+    clearance, gaps = along_time(depths, steps)
+    overlap, overlapping = _deepest_overlap(every, world, gaps)
+    rate = (steps.before.qd + steps.after.qd) / 2
+    power = steps.torque * rate
+    root = np.asarray(steps.after.position, float)
+    limit = np.asarray(world.tree.torque_limit, float)[:, None]
+    limited = np.isfinite(limit) & (limit > 0)
+    peaks = np.abs(steps.torque).max(-1, keepdims=True)
+    over = np.where(limited, peaks / np.where(limited, limit, 1.0) - 1.0, 0.0)
+    h = simulation.step_length
+    travelled = way(np.concatenate([steps.before.position[:, :1], root], 1), light)
+    return Excursions(
+        way=travelled,
+        airborne_way=_airborne_way(steps, light, h) if world.footing is not None else 0.0,
+        penetration=float(max(0.0, -clearance.min(initial=np.inf))),
+        overlap=overlap,
+        overlapping=overlapping,
+        unsolved=float((steps.solved_residual > SOLVED).mean()),
+        slipping=float((steps.coulomb_residual > SLIPPING).mean()),
+        peak_torque=float(peaks.max(initial=0.0)),
+        overload=float(max(0.0, over.max(initial=0.0))),
+        peak_power=float(np.abs(power).sum(0).max()),
+        mean_power=float(np.abs(power).sum(0).mean()),
+        peak_rate=float(np.abs(steps.after.qd).max(initial=0.0)),
+        peak_speed=float(np.linalg.norm(steps.after.velocity[3:], axis=0).max()),
+        seen_through_ground=_seen_through_ground(simulation, steps, light),
+    )
+
+
+def way(
+    path: Float[np.ndarray, "3 t"], light: tuple[float, float, float] | np.ndarray | None
+) -> float:
+    """How much nearer to the light a path comes, or how far over the ground, m.
+
+    Args:
+        path: places, the start first.
+        light: its place; None where there is none.
+    """
+    first, last = np.asarray(path[:, 0], float), np.asarray(path[:, -1], float)
+    if light is None:
+        return float(np.linalg.norm((last - first)[:2]))
+    return float(np.linalg.norm(light - first) - np.linalg.norm(light - last))
+
+
+def _clearance(world: World, kin: Kinematics) -> Float[Array, "p t"]:
+    """Of the contact points above the ground, m."""
+    if world.footing is None:
+        return kin.origin[0, :0]
+    return contact_points(world.footing, kin).gap
+
+
+def _gaps(pairs: Pairs | None, kin: Kinematics) -> Float[Array, "k t"]:
+    return kin.origin[0, :0] if pairs is None else separations(pairs, kin).gap
+
+
+def _deepest_overlap(
+    pairs: Pairs | None, world: World, gaps: Float[np.ndarray, "k t"]
+) -> tuple[float, tuple[str, ...]]:
+    least = gaps.min(-1) if gaps.size else np.zeros(0)
+    if pairs is None or not len(least) or least.min() >= 0:
+        return 0.0, ()
+    worst = int(least.argmin())
+    return -float(least[worst]), tuple(world.tree.names[owner[worst]] for owner in pairs.owners)
+
+
+def _airborne_way(steps: PhysicsSteps, light: tuple[float, float, float] | None, h: float) -> float:
+    """Share of the way made while nothing touches."""
+    touching = np.abs(steps.contact_force).sum((0, 1)) > 0
+    start = np.asarray(steps.before.position[:, 0], float)
+    end = np.asarray(steps.after.position[:, -1], float)
+    towards = (end if light is None else np.array(light)) - start
+    towards[2] = 0.0
+    length = np.linalg.norm(towards)
+    if length == 0:
+        return 0.0
+    forward = h * (towards / length) @ np.asarray(steps.after.velocity[3:], float)
+    total = forward.sum()
+    return float(np.clip(forward[~touching].sum() / total, 0.0, 1.0)) if total > 0 else 0.0
+
+
+def _seen_through_ground(
+    simulation: Simulation, steps: PhysicsSteps, light: tuple[float, float, float] | None
+) -> float:
+    """Share of the light seen with ground in the way, control step by control step."""
+    world, sensors = simulation.world, simulation.sensors
+    bodies = np.array(sensors.eye_bodies, int)
+    if world.footing is None or light is None or not len(bodies) or sensors.blind:
+        return 0.0
+    floor = world.footing.ground.floor
+    # From just beside the eye to just beside the light.
+    shares = np.linspace(0.0, 1.0, _POINTS + 2)[1:-1]
+
+    def lowest(steps: PhysicsSteps) -> Float[Array, "e t"]:
+        kin = kinematics(world.tree, steps.before)
+        rotation = take(kin.rotation, bodies, 2)
+        eye = take(kin.origin, bodies) + matvec(
+            rotation, expand_dims_like(sensors.eye_positions, kin.origin)
+        )
+        to_light = jnp.asarray(light)[:, None, None] - eye
+        line = eye[:, None] + shares[None, :, None, None] * to_light[:, None]
+        return floor.distance(line)[0].min(0)
+
+    sampled = jax.tree.map(lambda x: x[..., :: simulation.substeps], steps)
+    hidden = along_time(lowest, sampled) < -_WITHIN
+    seen = np.asarray(sampled.light, float)
+    total = seen.sum()
+    return float((seen * hidden).sum() / total) if total > 0 else 0.0

@@ -1,0 +1,312 @@
+"""The audit of a champion: is its gait one, or a trick of the simulation?"""
+
+import dataclasses
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from evo_cpg.analysis.energy import Ledger, ledger
+from evo_cpg.analysis.excursions import Excursions, excursions
+from evo_cpg.analysis.verdict import Check, Limits, Verdict
+from evo_cpg.config.build import build_experiment
+from evo_cpg.config.schema.experiment import ExperimentConfig
+from evo_cpg.creature.creature import Creature, lowest_along
+from evo_cpg.exchange.errors import ExchangeError
+from evo_cpg.exchange.second_opinion import Opinion, own_opinion, second_opinion
+from evo_cpg.fusion.engine import Engine, described
+from evo_cpg.simulation.physics_steps import PhysicsSteps, physics_steps
+from evo_cpg.simulation.reach_light import ReachLight
+from evo_cpg.simulation.simulation import Simulation
+from evo_cpg.training import variations
+from evo_cpg.training.checkpoint import Champion
+from evo_cpg.training.experiment import Experiment, champion_keys, situation_numbers
+from evo_cpg.training.probe import blinded
+from evo_cpg.training.variations import Kept, Variation
+
+# By so much friction and drag are changed.
+_CHANGE = 0.1
+
+# Standard deviation of joint angles, roll and pitch at the start, rad, and how many are tried.
+_SHAKE, _DRAWS = 0.01, 8
+
+# Energy that nobody accounts for is summed over stretches of this length, s: in single steps much
+# of it comes and goes.
+_STRETCH = 0.25
+
+# A way shorter than this, in lengths of the animal, is none that could be kept.
+_SOME_WAY = 0.1
+
+# The replayed fitness must agree with the one that was recorded to this share.
+_REPLAY = 1e-3
+
+
+class Trial(NamedTuple):
+    """One trial of the champion, looked at step by step.
+
+    Attributes:
+        steps: all of its physics steps.
+        ledger: of its energy and momentum.
+        excursions: how far it goes to the limits.
+    """
+
+    steps: PhysicsSteps
+    ledger: Ledger
+    excursions: Excursions
+
+
+@dataclasses.dataclass(frozen=True)
+class Audit:
+    """What became of an audit.
+
+    Attributes:
+        verdict: all checks.
+        trials: of the champion, as it evolved.
+        step_length: of a physics step, s.
+        opinions: ours of the first trial, and MuJoCo's; none without a second opinion.
+        missing: why there is no second opinion.
+    """
+
+    verdict: Verdict
+    trials: tuple[Trial, ...]
+    step_length: float
+    opinions: tuple[Opinion, ...] = ()
+    missing: str = ""
+
+
+def audit(
+    experiment: Experiment,
+    champion: Champion,
+    limits: Limits,
+    config: ExperimentConfig,
+    source: Path,
+    folders: Iterable[Path] = (),
+    tell: Callable[[str, int, int], None] = lambda what, done, total: None,
+) -> Audit:
+    """Look at a champion from all sides.
+
+    Args:
+        experiment: that it was evolved in.
+        champion: the individual.
+        limits: what it must stay within.
+        config: what the experiment was built from.
+        source: file of that.
+        folders: see `evo_cpg.config.build.build_experiment`.
+        tell: called with what is done next, and how much of all is done.
+    """
+    simulation = experiment.simulation
+    own = Variation("as it evolved", (simulation,))
+    others = _variations(experiment, config, source, tuple(folders))
+    total = len(others) + 3
+    tell("living as it evolved", 0, total)
+    lived = variations.live(experiment, champion, own)
+    tell("step by step", 1, total)
+    trials = lived_trials(experiment, champion)
+    kept: dict[str, tuple[str, Kept]] = {}
+    for done, (key, other) in enumerate(others.items(), 2):
+        tell(other.name, done, total)
+        kept[key] = other.name, variations.live(experiment, champion, other)
+    tell("in MuJoCo", total - 1, total)
+    opinions: tuple[Opinion, ...] = ()
+    missing = ""
+    try:
+        kinds = (False, True) if simulation.world.footing is not None else (False,)
+        opinions = (
+            own_opinion(simulation, trials[0].steps),
+            *(second_opinion(simulation, experiment.creature, trials[0].steps, x) for x in kinds),
+        )
+    except ExchangeError as error:
+        missing = str(error)
+    checks = [
+        _replay(champion, lived),
+        *_shares(float(np.nanmean(lived.way)), kept, limits, experiment.creature),
+        *books(experiment, champion, trials, limits),
+    ]
+    return Audit(Verdict(tuple(checks)), trials, simulation.step_length, opinions, missing)
+
+
+def lived_trials(experiment: Experiment, champion: Champion) -> tuple[Trial, ...]:
+    """All trials of a champion as it evolved, step by step."""
+    simulation, numbers = experiment.simulation, situation_numbers(experiment)
+    keys = champion_keys(experiment, champion)
+    genes = jnp.asarray(champion.genes, jnp.float32)[:, None]
+    live = jax.jit(lambda genes, keys, number: physics_steps(simulation, genes, keys, number))
+    trials = []
+    for i in range(experiment.trials):
+        own = None if keys is None else keys[:, i : i + 1]
+        number = None if numbers is None else numbers[i : i + 1]
+        steps = jax.device_get(live(genes, own, number))
+        place = 0 if numbers is None else i
+        trials.append(
+            Trial(
+                steps,
+                ledger(simulation.world, steps, simulation.step_length),
+                excursions(simulation, experiment.creature, steps, place),
+            )
+        )
+    return tuple(trials)
+
+
+def books(
+    experiment: Experiment, champion: Champion, trials: tuple[Trial, ...], limits: Limits
+) -> list[Check]:
+    """What the trials themselves show; of each check the worst of them."""
+    simulation, mass = experiment.simulation, float(experiment.creature.mass)
+    length, h = animal_length(experiment.creature), simulation.step_length
+    found = [trial.excursions for trial in trials]
+    ledgers = [trial.ledger for trial in trials]
+
+    def worst(name: str) -> float:
+        return max(getattr(each, name) for each in found)
+
+    def check(key: str, question: str, measured: float, unit: str = "%", detail: str = "") -> Check:
+        return Check(key, question, measured, getattr(limits, key), False, unit, detail)
+
+    checks = [
+        check(
+            "simulator_energy",
+            "energy balance off by, of motors' work",
+            max(_energy_gain(one, h) / max(one.effort, _tiny(one)) for one in ledgers),
+            detail=_ledger_words(ledgers[0]),
+        ),
+        check(
+            "simulator_momentum",
+            "momentum balance off by, of impulses",
+            max(_momentum_share(one) for one in ledgers),
+        ),
+        check("overload", "torque over its limit", worst("overload")),
+        check("speed", "fastest speed of the root", worst("peak_speed") / length, "lengths/s"),
+        check("power", "largest power of all motors", worst("peak_power") / mass, "W/kg"),
+        Check("peak_torque", "largest torque of a motor", worst("peak_torque"), unit="N m"),
+        Check("mean_power", "power of all motors, mean", worst("mean_power") / mass, unit="W/kg"),
+        Check("peak_rate", "fastest joint", worst("peak_rate"), unit="rad/s"),
+    ]
+    deepest = max(found, key=lambda each: each.overlap)
+    words = " in ".join(deepest.overlapping)
+    checks.append(check("overlap", "limbs overlap by", deepest.overlap, "m", words))
+    if simulation.world.footing is not None:
+        checks += [
+            check("penetration", "penetration of the ground", worst("penetration"), "m"),
+            check(
+                "push_out_energy",
+                "push-out, of motors' work",
+                max(one.push_out.sum() / max(one.effort, _tiny(one)) for one in ledgers),
+            ),
+            check("airborne_way", "way made while airborne", worst("airborne_way")),
+        ]
+    if any(np.any(trial.steps.coulomb_residual) for trial in trials):
+        checks += [
+            check("unsolved", "steps not solved", worst("unsolved")),
+            check("slipping", "steps off the friction cone", worst("slipping")),
+        ]
+    if simulation.sensors.eye_bodies and simulation.world.footing is not None:
+        seen = worst("seen_through_ground")
+        checks.append(check("seen_through_ground", "light seen through the ground", seen))
+    if isinstance(simulation.task, ReachLight):
+        spent = champion.terms["energy"] / champion.scales["energy"] - 1.0
+        checks.append(check("free_energy", "energy spent for free", max(0.0, spent)))
+    return checks
+
+
+def animal_length(creature: Creature) -> float:
+    """The largest extent of an animal in its neutral pose, m."""
+    axes = np.eye(3)
+    extents = [-lowest_along(creature, -axis) - lowest_along(creature, axis) for axis in axes]
+    return float(max(extents))
+
+
+def _variations(
+    experiment: Experiment, config: ExperimentConfig, source: Path, folders: tuple[Path, ...]
+) -> dict[str, Variation]:
+    """Where the champion is tried, by the key of the limit."""
+    simulation = experiment.simulation
+    found = {
+        "half_step": Variation("half the step", (variations.finer(simulation, 2),)),
+        "quarter_step": Variation("a quarter of the step", (variations.finer(simulation, 4),)),
+        "pose": Variation("other poses", (variations.shaken(simulation, _SHAKE),), _DRAWS),
+        "precision": Variation("float64", (simulation,), double=True),
+        "limp_way": Variation("limp motors", (variations.limp(simulation),)),
+    }
+    more_and_less = (1 + _CHANGE, 1 - _CHANGE)
+    if simulation.world.footing is not None:
+        sims = tuple(variations.with_friction(simulation, x) for x in more_and_less)
+        found["friction"] = Variation("friction 10 % up and down", sims)
+    if simulation.world.water is not None:
+        sims = tuple(variations.with_drag(simulation, x) for x in more_and_less)
+        found["drag"] = Variation("drag 10 % up and down", sims)
+        other = _other_points(config, source, folders)
+        found["surface_points"] = Variation("other surface points", (other,))
+    if described(simulation.engine)["engine"] == "native":
+        plain = variations.on_engine(simulation, Engine("jax"))
+        found["other_engine"] = Variation("plain JAX", (plain,))
+    if simulation.lights[0] is not None and simulation.sensors.eye_bodies:
+        found["blind"] = Variation("blind", (blinded(simulation),))
+    return found
+
+
+def _other_points(config: ExperimentConfig, source: Path, folders: tuple[Path, ...]) -> Simulation:
+    """The same in water that acts on other points of the surfaces."""
+    water = config.world.water
+    assert water is not None
+    if water.points == "random":
+        changed = {"points_seed": water.points_seed + 1}
+    else:
+        changed = {
+            "form_resolution": water.form_resolution + 1,
+            "skin_resolution": water.skin_resolution + 1,
+        }
+    world = config.world.model_copy(update={"water": water.model_copy(update=changed)})
+    changed = config.model_copy(update={"world": world})
+    return build_experiment(changed, source, folders).simulation
+
+
+def _replay(champion: Champion, lived: Kept) -> Check:
+    off = abs(float(lived.fitness[0]) - champion.fitness) / max(abs(champion.fitness), _REPLAY)
+    return Check("replay", "replayed fitness off by", off, _REPLAY, unit="%")
+
+
+def _shares(
+    way: float, kept: dict[str, tuple[str, Kept]], limits: Limits, creature: Creature
+) -> list[Check]:
+    """How much of its way it keeps where."""
+    checks = [Check("way", "way as it evolved", way, unit="m")]
+    somewhere = way > _SOME_WAY * animal_length(creature)
+    for key, (name, one) in kept.items():
+        detail = ", ".join(f"{x:.3g}" for x in one.way) + " m"
+        if key == "limp_way":
+            share = float(np.nanmax(np.append(one.way, 0.0))) / way if somewhere else 0.0
+            limit = limits.limp_way if somewhere else None
+            question = f"way with {name}"
+            checks.append(Check(key, question, share, limit, unit="%", detail=detail))
+            continue
+        shares = one.shares_of(way) if somewhere else np.ones(1)
+        # Of draws of chance the middle one counts, of settings the worst.
+        share = float(np.median(shares) if key == "pose" else shares.min())
+        limit = getattr(limits, key, None) if somewhere else None
+        checks.append(Check(key, f"way kept: {name}", share, limit, True, "%", detail))
+    return checks
+
+
+def _energy_gain(one: Ledger, h: float) -> float:
+    """Energy that nobody accounts for, over the stretches in which it is a gain, J."""
+    length = max(1, round(_STRETCH / h))
+    starts = np.arange(0, len(one.stored), length)
+    return float(np.maximum(np.add.reduceat(one.left_over, starts), 0.0).sum())
+
+
+def _momentum_share(one: Ledger) -> float:
+    given = one.given.sum()
+    return float(np.linalg.norm(one.impulse.sum(1)) / given) if given > 0 else 0.0
+
+
+def _tiny(one: Ledger) -> float:
+    """Work that an animal without motors is measured by: what gravity and water did, J."""
+    return float(sum(np.abs(each).sum() for each in one.work.values())) or np.inf
+
+
+def _ledger_words(one: Ledger) -> str:
+    parts = [f"{name} {value.sum():.3g}" for name, value in one.work.items() if np.any(value)]
+    return f"{', '.join(parts)}, left over {one.left_over.sum():.3g} J"

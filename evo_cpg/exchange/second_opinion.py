@@ -1,0 +1,265 @@
+"""What MuJoCo makes of the same motor commands: a second opinion on a champion.
+
+The exported model (`evo_cpg.exchange.mjcf_export`) is driven by the commands that the champion's
+controller gave here, step by step, from the same start: it hears nothing of what MuJoCo's animal
+feels. Both solve the same equations of motion; contacts are MuJoCo's own, without restitution, and
+by default much softer than ours: they yield over 20 ms, and creep. So there is a second kind, in
+which they are as hard as MuJoCo makes them at an eighth of the step. Forces of the water are our
+laws (`evo_cpg.physics.fluid`, buoyancy), applied to MuJoCo's bodies at every step of its own;
+carried water is left out, since applied forces know no accelerations.
+"""
+
+import importlib
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from evo_cpg.creature.creature import Creature
+from evo_cpg.creature.tree import Tree
+from evo_cpg.exchange.errors import ExchangeError
+from evo_cpg.exchange.mjcf_export import mjcf_model, mjcf_text
+from evo_cpg.physics.fluid import drag
+from evo_cpg.physics.kinematics import kinematics
+from evo_cpg.physics.state import State
+from evo_cpg.physics.world import World, buoyancy_wrench, immersion
+from evo_cpg.simulation.physics_steps import PhysicsSteps
+from evo_cpg.simulation.simulation import Simulation
+from evo_cpg.spatial.linear import cross, expand_dims_like, matvec
+
+# An animal whose back is less than this high above lying on its side is not upright: cosine.
+_UPRIGHT = 0.5
+
+# Hard contacts: MuJoCo's steps in each of ours, the time constant of contacts in its own steps (the
+# least that it allows is two), and how much stiffer friction is than the normal direction.
+_FINER, _TIME_CONSTANT, _IMPEDANCE_RATIO = 8, 4.0, 100.0
+
+# Explicit forces of water on light limbs need steps of this length (s) or less.
+_WATER_STEP = 1 / 2000
+
+
+class Opinion(NamedTuple):
+    """A trial as it came out in one of the two programs, in control steps.
+
+    Attributes:
+        program: its name.
+        path: of the root, m, the start first.
+        upright: share of the time in which the root's up axis points up.
+        airborne: share of the time in which nothing touches the ground; 1 without ground.
+        joint_angle: rad, in our order of degrees of freedom.
+    """
+
+    program: str
+    path: Float[np.ndarray, "3 t"]
+    upright: float
+    airborne: float
+    joint_angle: Float[np.ndarray, "d t"]
+
+    @property
+    def heading(self) -> float:
+        """Direction from start to end over the ground, rad to the left of the world's x."""
+        x, y, _ = self.path[:, -1] - self.path[:, 0]
+        return float(np.arctan2(y, x))
+
+
+def own_opinion(simulation: Simulation, steps: PhysicsSteps) -> Opinion:
+    """Ours, of a trial that was lived here."""
+    each = slice(simulation.substeps - 1, None, simulation.substeps)
+    start, place = steps.before.position[:, :1], steps.after.position[:, each]
+    touching = (np.abs(steps.contact_force).sum((0, 1)) > 0)[each]
+    return Opinion(
+        "evo_cpg",
+        np.concatenate([start, place], 1).astype(float),
+        _upright_share(np.asarray(steps.after.orientation[:, each])),
+        float(1.0 - touching.mean()),
+        np.asarray(steps.after.q[:, each], float),
+    )
+
+
+def second_opinion(
+    simulation: Simulation,
+    creature: Creature,
+    steps: PhysicsSteps,
+    hard: bool = False,
+) -> Opinion:
+    """MuJoCo's.
+
+    Args:
+        simulation: the trial was lived in.
+        creature: the animal.
+        steps: of the trial, for its start and its commands.
+        hard: with contacts as hard as ours and round friction cones, in smaller steps.
+
+    Raises:
+        ExchangeError: MuJoCo is missing, or the world cannot be said in MJCF.
+    """
+    try:
+        mujoco = importlib.import_module("mujoco")
+    except ModuleNotFoundError:
+        raise ExchangeError(
+            "a second opinion needs MuJoCo; install it with pip install 'evo-cpg[mujoco]'"
+        ) from None
+    world, h = simulation.world, simulation.step_length
+    finer = _FINER if hard else 1
+    if world.water is not None:
+        finer = max(finer, int(np.ceil(h / _WATER_STEP)))
+    element = mjcf_model(
+        creature, world.gravity, world.ground, time_step=h / finer, pairs=world.pair_names
+    )
+    model = mujoco.MjModel.from_xml_string(mjcf_text(element))
+    if hard:
+        model.opt.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+        model.opt.impratio = _IMPEDANCE_RATIO
+        model.pair_solref[:] = _TIME_CONSTANT * h / finer, 1.0
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    player = _Player(mujoco, model, world)
+    player.begin(jax.tree.map(lambda x: np.asarray(x[..., 0], float), steps.before))
+    jumps = _jumps(steps)
+    signals = player.signals(steps)
+    substeps, path, turns, angles, touches = simulation.substeps, [], [], [], []
+    path.append(player.data.qpos[:3].copy())
+    for index in range(steps.torque.shape[-1]):
+        player.push(jumps[:, index])
+        player.advance(signals[index], finer)
+        if (index + 1) % substeps == 0:
+            path.append(player.data.qpos[:3].copy())
+            turns.append(player.data.qpos[3:7].copy())
+            angles.append(player.angles())
+            touches.append(player.touches())
+    return Opinion(
+        "MuJoCo, hard contacts" if hard else "MuJoCo",
+        np.array(path).T,
+        _upright_share(np.array(turns).T),
+        float(1.0 - np.mean(touches)),
+        np.array(angles).T,
+    )
+
+
+class _Player:
+    """MuJoCo's animal.
+
+    Args:
+        mujoco: the module.
+        model: of the animal and its world.
+        world: ours.
+    """
+
+    def __init__(self, mujoco: Any, model: Any, world: World):
+        self.mujoco, self.model, self.tree = mujoco, model, world.tree
+        self.data = mujoco.MjData(model)
+        self._dofs = _dof_places(model, world.tree)
+        self._bodies = np.array([model.body(name).id for name in world.tree.names])
+        driven = model.jnt_dofadr[model.actuator_trnid[:, 0]] - 6
+        self._motors = np.argsort(self._dofs)[driven]
+        self._animal = np.isin(model.geom_bodyid, self._bodies)
+        self._water = _water_forces(world) if world.water is not None else None
+
+    def begin(self, state: State) -> None:
+        """Put the animal where ours began."""
+        turn = np.zeros(9)
+        self.mujoco.mju_quat2Mat(turn, np.asarray(state.orientation))
+        data = self.data
+        data.qpos[:3], data.qpos[3:7] = state.position, state.orientation
+        data.qpos[7 + self._dofs] = state.q
+        # MuJoCo has the root's angular velocity in its own axes.
+        data.qvel[:3] = state.velocity[3:]
+        data.qvel[3:6] = turn.reshape(3, 3).T @ state.velocity[:3]
+        data.qvel[6 + self._dofs] = state.qd
+        self.mujoco.mj_forward(self.model, data)
+
+    def signals(self, steps: PhysicsSteps) -> Float[np.ndarray, "t motors"]:
+        """What the motors are told in each step: their laws are ours."""
+        tree = self.tree
+        gain, stiffness = (
+            np.asarray(x, float)[:, None] for x in (tree.servo_gain, tree.servo_stiffness)
+        )
+        springy = stiffness > 0
+        along = gain / np.where(springy, stiffness, 1.0) * steps.target_rate
+        told = np.where(springy, steps.target_angle + along, steps.target_rate)
+        return np.asarray(told[self._motors].T, float)
+
+    def push(self, jump: Float[np.ndarray, "3"]) -> None:
+        """A push of chance, m/s."""
+        self.data.qvel[:3] += jump
+
+    def advance(self, signal: Float[np.ndarray, " motors"], count: int) -> None:
+        """Some steps of MuJoCo's with the same command."""
+        self.data.ctrl[:] = signal
+        for _ in range(count):
+            if self._water is not None:
+                self.data.xfrc_applied[self._bodies] = self._water(self._state()).T
+            self.mujoco.mj_step(self.model, self.data)
+
+    def angles(self) -> Float[np.ndarray, " d"]:
+        """Of the joints, in our order, rad."""
+        return self.data.qpos[7 + self._dofs].copy()
+
+    def touches(self) -> bool:
+        """Whether the animal touches something that is not itself."""
+        return any(
+            self._animal[contact.geom1] != self._animal[contact.geom2]
+            for contact in self.data.contact
+        )
+
+    def _state(self) -> State:
+        data, turn = self.data, np.zeros(9)
+        self.mujoco.mju_quat2Mat(turn, data.qpos[3:7])
+        spin = turn.reshape(3, 3) @ data.qvel[3:6]
+        parts: tuple[Any, ...] = (
+            data.qpos[:3].copy(),
+            data.qpos[3:7].copy(),
+            np.concatenate([spin, data.qvel[:3]]),
+            data.qpos[7 + self._dofs],
+            data.qvel[6 + self._dofs],
+        )
+        return State(*parts)
+
+
+def _water_forces(world: World) -> Callable[[State], np.ndarray]:
+    """Force (N) and moment (N m) of drag and buoyancy on every body at its centre, world axes."""
+    water = world.water
+    assert water is not None
+
+    def forces(state: State) -> Float[Array, "6 b"]:
+        kin = kinematics(world.tree, state)
+        wet = immersion(world, kin)
+        assert wet is not None
+        wrench, _ = drag(water, world.patches, wet.velocity, wet.pose)
+        wrench = wrench + buoyancy_wrench(world, kin, wet)
+        arm = expand_dims_like(world.tree.com, wrench[3:])
+        moment = wrench[:3] - cross(arm, wrench[3:])
+        return jnp.concatenate([matvec(kin.rotation, x) for x in (wrench[3:], moment)])
+
+    with jax.enable_x64(True):
+        program = jax.jit(forces)
+
+    def compute(state: State) -> np.ndarray:
+        with jax.enable_x64(True):
+            return np.asarray(program(state))
+
+    return compute
+
+
+def _dof_places(model: Any, tree: Tree) -> np.ndarray:
+    """Index of MuJoCo's joint degree of freedom for each of ours, the root's six left out."""
+    order: list[int] = []
+    for name in dict.fromkeys(tree.names[i] for i in tree.dof_bodies):
+        body = model.body(name)
+        order.extend(range(body.dofadr[0] - 6, body.dofadr[0] - 6 + body.dofnum[0]))
+    return np.array(order, int)
+
+
+def _jumps(steps: PhysicsSteps) -> Float[np.ndarray, "3 t"]:
+    """By how much chance changed the root's velocity before each step, m/s."""
+    linear = np.asarray(steps.before.velocity[3:], float)
+    came = np.concatenate([linear[:, :1], np.asarray(steps.after.velocity[3:, :-1], float)], 1)
+    return linear - came
+
+
+def _upright_share(orientation: Float[np.ndarray, "4 t"]) -> float:
+    """Share of the time in which the root's z axis points up."""
+    _, x, y, _ = orientation
+    return float((1.0 - 2.0 * (x * x + y * y) > _UPRIGHT).mean())

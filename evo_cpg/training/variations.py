@@ -1,0 +1,181 @@
+"""One individual under circumstances that it did not evolve in: how much of its way does it keep?
+
+A gait that a little more friction, half the step or a hair's breadth at the start undoes is a trick
+of one simulation, and no way to move.
+"""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from evo_cpg.fusion.engine import Engine
+from evo_cpg.simulation.batched import batch, rollout_batched
+from evo_cpg.simulation.noise import Noise
+from evo_cpg.simulation.rollout import Outcome, rollout
+from evo_cpg.simulation.simulation import Simulation
+from evo_cpg.simulation.way import WAY, WithWay
+from evo_cpg.training.checkpoint import Champion
+from evo_cpg.training.experiment import Experiment, champion_keys, judge, situation_numbers
+
+# Of the random numbers that draws of the pose come from.
+_SEED = 20
+
+
+class Variation(NamedTuple):
+    """Circumstances of one kind.
+
+    Attributes:
+        name: for tables.
+        simulations: one or several that differ in numbers alone.
+        draws: of chance, in each of them.
+        double: in float64.
+    """
+
+    name: str
+    simulations: tuple[Simulation, ...]
+    draws: int = 1
+    double: bool = False
+
+
+class Kept(NamedTuple):
+    """What became of an individual; an element for each of the simulations and draws.
+
+    Attributes:
+        way: mean over its trials, m; NaN where it diverged.
+        fitness: likewise; -inf where it diverged.
+        alive: False where it diverged in any trial.
+    """
+
+    way: Float[np.ndarray, " n"]
+    fitness: Float[np.ndarray, " n"]
+    alive: Bool[np.ndarray, " n"]
+
+    def shares_of(self, way: float) -> Float[np.ndarray, " n"]:
+        """Of another way; at most 1, and 0 where it diverged or went backwards."""
+        return np.clip(np.where(self.alive, np.nan_to_num(self.way) / way, 0.0), 0.0, 1.0)
+
+
+def live(experiment: Experiment, champion: Champion, variation: Variation) -> Kept:
+    """Let an individual live through its trials.
+
+    Args:
+        experiment: that it was evolved in.
+        champion: the individual.
+        variation: where it lives now.
+    """
+    trials, sims = experiment.trials, tuple(map(_with_way, variation.simulations))
+    lives = len(sims) * variation.draws
+    numbers = situation_numbers(experiment)
+    numbers = None if numbers is None else np.tile(numbers, lives)
+    keys = _keys(experiment, champion, variation)
+    # Lives are neighbours, trial by trial; so are their simulations.
+    owners = np.repeat(np.arange(len(sims)), variation.draws * trials)
+    with jax.enable_x64(variation.double):
+        dtype = jnp.float64 if variation.double else jnp.float32
+        genes = jnp.asarray(champion.genes, dtype)
+        crowd = jnp.broadcast_to(genes[:, None], (len(genes), lives * trials))
+        outcome = jax.jit(_program(sims, owners))(crowd, keys, numbers)
+        shaped = jax.tree.map(lambda x: x.reshape(lives, trials), outcome)
+        scales = {name: jnp.asarray(value, dtype) for name, value in champion.scales.items()}
+        fitness, mean = jax.device_get(judge(sims[0].task, shaped, scales))
+    way = np.where(mean.alive, mean.terms[WAY], np.nan)
+    return Kept(way.astype(float), fitness.astype(float), np.asarray(mean.alive))
+
+
+def finer(simulation: Simulation, times: int) -> Simulation:
+    """The same with each physics step divided into several."""
+    return dataclasses.replace(simulation, substeps=times * simulation.substeps)
+
+
+def with_friction(simulation: Simulation, factor: float) -> Simulation:
+    """The same on ground with more or less friction, static and dynamic.
+
+    Raises:
+        ValueError: there is no ground.
+    """
+    footing = simulation.world.footing
+    if footing is None:
+        raise ValueError("there is no ground to be rough")
+    rougher = footing._replace(
+        static_friction=footing.static_friction * factor,
+        dynamic_friction=footing.dynamic_friction * factor,
+    )
+    return eqx.tree_at(lambda s: s.world.footing, simulation, rougher)
+
+
+def with_drag(simulation: Simulation, factor: float) -> Simulation:
+    """The same in water with more or less drag of both kinds.
+
+    Raises:
+        ValueError: there is no water.
+    """
+    water = simulation.world.water
+    if water is None:
+        raise ValueError("there is no water to drag")
+    thicker = dataclasses.replace(
+        water, form_drag=water.form_drag * factor, skin_drag=water.skin_drag * factor
+    )
+    return eqx.tree_at(lambda s: s.world.water, simulation, thicker)
+
+
+def shaken(simulation: Simulation, angle: float) -> Simulation:
+    """The same, starting from a pose that is a little different in every draw.
+
+    Args:
+        simulation: the trial.
+        angle: standard deviation of every joint angle, and of the root's roll and pitch, rad.
+    """
+    own = simulation.noise
+    noise = Noise(max(own.joint_angle, angle), max(own.tilt, angle), own.push)
+    return dataclasses.replace(simulation, noise=noise)
+
+
+def limp(simulation: Simulation) -> Simulation:
+    """The same with motors that do nothing."""
+    tree = simulation.world.tree
+    weak = dataclasses.replace(
+        tree,
+        servo_gain=np.zeros_like(tree.servo_gain),
+        servo_stiffness=np.zeros_like(tree.servo_stiffness),
+    )
+    return eqx.tree_at(lambda s: s.world.tree, simulation, weak)
+
+
+def on_engine(simulation: Simulation, engine: Engine) -> Simulation:
+    """The same, computed by something else."""
+    return dataclasses.replace(simulation, engine=engine)
+
+
+def _with_way(simulation: Simulation) -> Simulation:
+    task = simulation.task
+    return dataclasses.replace(simulation, task=WithWay(task.light, task))
+
+
+def _program(sims: Sequence[Simulation], owners: np.ndarray) -> Callable[..., Outcome]:
+    """All lives in one program."""
+    if len(sims) == 1:
+        return lambda genes, keys, numbers: rollout(sims[0], genes, keys, numbers)
+    together = batch(sims[0], sims)
+    values = tuple(jnp.asarray(value[:, owners]) for value in together.values)
+    return lambda genes, keys, numbers: rollout_batched(
+        together.common, together.inputs, values, genes, keys, numbers
+    )
+
+
+def _keys(experiment: Experiment, champion: Champion, variation: Variation) -> Array | None:
+    """Raw keys of all lives' trials: those that it had, unless chance is drawn anew."""
+    lives = len(variation.simulations) * variation.draws
+    if variation.simulations[0].noise.silent:
+        return None
+    if variation.draws == 1:
+        own = champion_keys(experiment, champion)
+        assert own is not None
+        return jnp.tile(own, (1, lives))
+    each = jax.random.split(jax.random.key(_SEED), lives * experiment.trials)
+    return jax.random.key_data(each).T

@@ -1,0 +1,258 @@
+"""An audit flags what is planted, one exploit for each channel, and lets honest animals pass."""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+import evo_cpg.physics.step
+from benchmarks.mujoco_model import load_state, mujoco_model
+from creatures import AXES, STRUCTURES, quick_jit, random_creature, random_state
+from evo_cpg.analysis.energy import ledger, mechanical_energy
+from evo_cpg.analysis.verdict import Limits
+from evo_cpg.api.audit import Trial, books, lived_trials
+from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, LightSensor, Material
+from evo_cpg.creature.shapes import Box
+from evo_cpg.creature.tree import build_tree
+from evo_cpg.physics.footing import Ground, make_footing
+from evo_cpg.physics.kinematics import kinematics
+from evo_cpg.physics.terrain import Plane
+from evo_cpg.physics.world import World
+from evo_cpg.simulation.physics_steps import physics_steps
+from evo_cpg.simulation.sensors import place_sensors
+from evo_cpg.simulation.situation import Situation
+from evo_cpg.simulation.walk import Distance
+from evo_cpg.training.checkpoint import Champion
+from evo_cpg.training.variations import Variation, finer, limp, live, with_drag, with_friction
+from trials import SineController, experiment
+
+# Gains of 5 % a step, and a push of 2 cm/s.
+_MORE, _PUSH = 1.05, 0.02
+
+
+def champion(energy: float = 1.0) -> Champion:
+    terms = {"energy": energy, "distance": 0.9, "light": 0.1}
+    return Champion(np.array([2.0, 1.5], np.float32), 0.0, 0, terms, {"energy": 1.0})
+
+
+def failed(found, **limits) -> set[str]:
+    """Keys of the checks that did not pass."""
+    made, trials = found
+    checks = books(made, champion(), trials, Limits(**limits))
+    return {check.key for check in checks if check.passed is False}
+
+
+def walker(slope=0.0, height=0.0, torque_limit=5.0, light=None):
+    """Three boxes in a row on a plane, the outer two driven by a wave and never kept apart."""
+    flesh = Material(500.0, 0.0, 0.6, 0.6)
+    motor = Actuator(2.0, torque_limit)
+
+    def segment(name, parent):
+        joint = Joint(
+            parent, (-0.11, 0, 0), (0.11, 0, 0), (AXES["z"],), (-3.0,), (3.0,), actuator=motor
+        )
+        return Body(name, Box((0.2, 0.1, 0.1)), flesh, joint)
+
+    bodies = Body("head", Box((0.2, 0.1, 0.1)), flesh), segment("a", "head"), segment("b", "a")
+    eye = LightSensor("head", (0.1, 0, 0), (1.0, 0, 0), 2 * np.pi)
+    creature = Creature("row", bodies, (eye,))
+    tree = build_tree(creature)
+    normal = np.sin(slope), 0.0, np.cos(slope)
+    floor = Ground(0.0, 0.6, 0.6, floor=Plane(normal))
+    base = experiment(steps=40)
+    simulation = dataclasses.replace(
+        base.simulation,
+        world=World(tree, 9.81, footing=make_footing(creature, tree, floor)),
+        sensors=place_sensors(creature, tree),
+        controller=SineController(),
+        task=Distance(),
+        substeps=4,
+        situations=(Situation((0.0, 0.0, 0.05 + height), light=light),),
+    )
+    return base._replace(creature=creature, simulation=simulation)
+
+
+@pytest.fixture(scope="module")
+def honest():
+    """A row that crawls on level ground."""
+    made = walker()
+    return made, lived_trials(made, champion())
+
+
+@pytest.fixture(scope="module")
+def swimming():
+    """The pair of `trials`, in water."""
+    made = experiment(steps=60)
+    return made, lived_trials(made, champion())
+
+
+def test_energy_is_mujocos():
+    """Kinetic and potential, of bodies, rotors and springs, up to a constant."""
+    with jax.enable_x64(True):
+        rng = np.random.default_rng(3)
+        creature = random_creature(rng, STRUCTURES[2], axes_seed=2)
+        tree = build_tree(creature)
+        model = mujoco_model(creature)
+        model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_ENERGY
+        data, states = mujoco.MjData(model), random_state(tree, rng, (4,))
+        theirs = []
+        for n in range(4):
+            load_state(model, data, tree, jax.tree.map(lambda x, n=n: x[..., n], states))
+            mujoco.mj_forward(model, data)
+            theirs.append(data.energy.sum())
+        world = World(tree, 9.81)
+        ours = quick_jit(lambda s: mechanical_energy(world, s, kinematics(tree, s)))(states)
+    np.testing.assert_allclose(np.diff(ours), np.diff(theirs), rtol=1e-9)
+
+
+def test_what_is_left_over_vanishes_with_the_step(swimming):
+    """In float64 by 3 at least where the step is halved twice: the rest of the books is right."""
+    made, _ = swimming
+    errors = []
+    for times in (1, 4):
+        simulation = finer(made.simulation, times)
+        with jax.enable_x64(True):
+            genes = jnp.asarray(champion().genes, jnp.float64)[:, None]
+            steps = jax.device_get(
+                quick_jit(lambda g, simulation=simulation: physics_steps(simulation, g))(genes)
+            )
+        found = ledger(simulation.world, steps, simulation.step_length)
+        assert found.effort > 0.01
+        errors.append(np.abs(np.cumsum(found.left_over)).max() / found.effort)
+    assert errors[1] < errors[0] / 3 < 0.02
+
+
+def test_honest_animals_pass(honest, swimming):
+    assert failed(honest) == set()
+    assert failed(swimming) == set()
+
+
+@pytest.mark.parametrize("cheat", ["energy", "momentum"])
+def test_a_solver_that_gives_is_found(monkeypatch, cheat):
+    """Velocities that grow by themselves, and a push from nowhere."""
+    right = evo_cpg.physics.step.integrate
+
+    def wrong(state, root, qdd, h):
+        new = right(state, root, qdd, h)
+        if cheat == "energy":
+            return dataclasses.replace(new, velocity=_MORE * new.velocity, qd=_MORE * new.qd)
+        return dataclasses.replace(new, velocity=new.velocity.at[3].add(_PUSH))
+
+    monkeypatch.setattr(evo_cpg.physics.step, "integrate", wrong)
+    made = experiment(steps=60)
+    assert f"simulator_{cheat}" in failed((made, lived_trials(made, champion())))
+
+
+def test_who_starts_in_the_ground_is_found():
+    """The push-out lifts it: depth, and energy that no motor gave."""
+    made = walker(height=-0.05)
+    flagged = failed((made, lived_trials(made, champion())), push_out_energy=0.01)
+    assert {"penetration", "push_out_energy"} <= flagged
+
+
+def test_torque_beyond_the_limit_is_found(honest):
+    made, trials = honest
+    tree = made.simulation.world.tree
+    weaker = dataclasses.replace(tree, torque_limit=0.1 * tree.torque_limit)
+    simulation = eqx.tree_at(lambda s: s.world.tree, made.simulation, weaker)
+    weaker = made._replace(simulation=simulation)
+    assert "overload" in failed((weaker, judged(weaker, trials)))
+
+
+def judged(made, trials) -> tuple[Trial, ...]:
+    """The same steps, looked at in another simulation."""
+    from evo_cpg.analysis.excursions import excursions
+
+    found = [(t, excursions(made.simulation, made.creature, t.steps)) for t in trials]
+    return tuple(trial._replace(excursions=each) for trial, each in found)
+
+
+def test_energy_above_the_cap_is_found(swimming):
+    made, trials = swimming
+    checks = {c.key: c for c in books(made, champion(energy=1.5), trials, Limits())}
+    assert checks["free_energy"].passed is False
+    assert checks["free_energy"].measured == pytest.approx(0.5)
+
+
+def test_a_slide_from_the_start_is_found():
+    """On a slope of 40 degrees motors have no part in the way."""
+    made = walker(slope=0.7)
+    own, without = (
+        live(made, champion(), Variation("", (simulation,)))
+        for simulation in (made.simulation, limp(made.simulation))
+    )
+    assert without.shares_of(float(own.way[0]))[0] > 0.5
+    level = walker()
+    own, without = (
+        live(level, champion(), Variation("", (simulation,)))
+        for simulation in (level.simulation, limp(level.simulation))
+    )
+    assert without.shares_of(float(own.way[0]))[0] < 0.1
+
+
+def test_limbs_in_each_other_are_found(honest):
+    """The hindmost box in the foremost, which nothing keeps apart."""
+    made, (trial,) = honest
+    assert trial.excursions.overlap == 0
+    after = trial.steps.after
+    folded = dataclasses.replace(after, q=np.full_like(after.q, 2.9))
+    trials = judged(made, (trial._replace(steps=trial.steps._replace(after=folded)),))
+    assert "overlap" in failed((made, trials))
+    assert set(trials[0].excursions.overlapping) == {"head", "b"}
+
+
+def test_light_seen_through_the_ground_is_found():
+    """A light that lies in the ground, and one above it."""
+    shares = []
+    for height in (-0.5, 0.5):
+        made = walker(light=(2.0, 0.0, height))
+        (trial,) = lived_trials(made, champion())
+        shares.append(trial.excursions.seen_through_ground)
+        assert ("seen_through_ground" in failed((made, (trial,)))) == (height < 0)
+    assert shares == [1.0, 0.0]
+
+
+def test_wild_and_flying_gaits_are_found(honest):
+    """A root at 50 m/s, and a way made in the air."""
+    made, (trial,) = honest
+    after = trial.steps.after
+    way = 50 * np.arange(1, after.q.shape[1] + 1) * made.simulation.step_length
+    fast = dataclasses.replace(
+        after,
+        position=after.position + way * np.eye(3)[0][:, None],
+        velocity=after.velocity + 50 * np.eye(6)[3][:, None],
+    )
+    steps = trial.steps._replace(after=fast, contact_force=0 * trial.steps.contact_force)
+    assert {"speed", "airborne_way"} <= failed((made, judged(made, (trial._replace(steps=steps),))))
+
+
+def test_a_trial_step_by_step_is_the_trial(honest, swimming):
+    """Each step begins where the one before ended."""
+    for _, (trial,) in (honest, swimming):
+        steps = trial.steps
+        for one, other in zip(
+            jax.tree.leaves(steps.before), jax.tree.leaves(steps.after), strict=True
+        ):
+            np.testing.assert_array_equal(one[..., 1:], other[..., :-1])
+        assert np.isfinite(steps.torque).all() and np.abs(steps.torque).max() > 0
+
+
+def test_more_friction_and_drag_change_the_way(honest, swimming):
+    """Two simulations that differ in numbers share a program, and each is itself."""
+    for (made, _), change in ((honest, with_friction), (swimming, with_drag)):
+        sims = tuple(change(made.simulation, factor) for factor in (1.0, 0.5))
+        both = live(made, champion(), Variation("", sims))
+        own = live(made, champion(), Variation("", (made.simulation,)))
+        assert both.way[0] == pytest.approx(float(own.way[0]), rel=1e-3, abs=1e-4)
+        assert abs(both.way[1] / own.way[0] - 1) > 1e-3
+
+
+def test_changes_that_a_world_does_not_have_are_refused(honest, swimming):
+    with pytest.raises(ValueError, match="no water to drag"):
+        with_drag(honest[0].simulation, 1.1)
+    with pytest.raises(ValueError, match="no ground to be rough"):
+        with_friction(swimming[0].simulation, 1.1)
