@@ -1,7 +1,9 @@
 """What an audit asks of a champion, and what it says."""
 
 import dataclasses
+import difflib
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 
@@ -60,6 +62,37 @@ class Limits:
     power: float | None = None
     free_energy: float = 0.0
     seen_through_ground: float = 0.01
+
+
+def limits_from(settings: Sequence[str]) -> Limits:
+    """The limits with some of them changed.
+
+    Args:
+        settings: as on the command line, ``key=value``.
+
+    Raises:
+        LimitError: a key that does not exist, or a value that is no limit.
+    """
+    changed = {}
+    for setting in settings:
+        key, _, text = setting.partition("=")
+        known = [field.name for field in dataclasses.fields(Limits)]
+        if key not in known:
+            near = difflib.get_close_matches(key, known, 1)
+            hint = f"did you mean {near[0]}?" if near else f"allowed: {', '.join(known)}"
+            raise LimitError(f"{setting}: there is no limit {key!r}; {hint}")
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not (math.isfinite(value) and value >= 0):
+            raise LimitError(f"{setting}: {text!r} is no limit; allowed: a number of at least 0")
+        changed[key] = value
+    return Limits(**changed)
+
+
+class LimitError(ValueError):
+    """A limit that does not exist or cannot be."""
 
 
 class Check(NamedTuple):

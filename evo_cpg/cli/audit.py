@@ -2,6 +2,7 @@
 
 import math
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,9 +11,10 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from evo_cpg.analysis.verdict import Check, Limits, shown
+from evo_cpg.analysis.verdict import Check, LimitError, limits_from, shown
 from evo_cpg.api.load import class_folders
-from evo_cpg.api.training import now
+from evo_cpg.api.training import now, require_configured
+from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.progress import working
 from evo_cpg.cli.training import open_champion
 from evo_cpg.config.load import load_config
@@ -23,13 +25,24 @@ NOT_PASSED = 3
 _WORDS = {True: "passed", False: "FAILED", None: ""}
 
 
-def audit_run(run: Path, number: int | None) -> None:
+def audit_run(run: Path, settings: Sequence[str], number: int | None) -> None:
     """`evo-cpg audit`.
 
+    Args:
+        run: the run folder.
+        settings: limits to change, ``key=value``.
+        number: whose champion, where the folder holds several runs; None for the best.
+
     Raises:
+        UsageError: a limit that does not exist.
         SystemExit: with `NOT_PASSED`, where the champion does not pass.
     """
+    try:
+        limits = limits_from(settings)
+    except LimitError as error:
+        raise UsageError(str(error)) from None
     experiment, champion, _, folder = open_champion(run, number)
+    require_configured(folder)
     config = load_config(folder.config)
     with working("auditing: compiling each time, it takes one to some minutes") as work:
         from evo_cpg.api.audit import audit
@@ -37,7 +50,6 @@ def audit_run(run: Path, number: int | None) -> None:
         def tell(what: str, done: int, total: int) -> None:
             work.doing(f"auditing, {done + 1} of {total}: {what}")
 
-        limits = Limits()
         done = audit(
             experiment, champion, limits, config, folder.config, class_folders(folder), tell
         )

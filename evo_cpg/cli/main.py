@@ -276,11 +276,18 @@ def verify(run: Run, cores: Cores = None) -> None:
 
 
 @app.command()
-def audit(run: Run, number: Number = None) -> None:
+def audit(
+    run: Run,
+    limits: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[LIMIT=VALUE]...", help="Limits to change, such as half_step=0.8."),
+    ] = None,
+    number: Number = None,
+) -> None:
     """Ask whether the champion's gait is one, or a trick of the simulation."""
     from evo_cpg.cli.audit import audit_run
 
-    audit_run(run, number)
+    audit_run(run, limits or [], number)
 
 
 @app.command()

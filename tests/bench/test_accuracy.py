@@ -1,4 +1,4 @@
-"""The figure of accuracy falls with the step as a method of first order lets it."""
+"""The figure of accuracy falls with the step as the order of the method lets it."""
 
 import functools
 
@@ -24,8 +24,8 @@ from evo_cpg.training.devices import population_mesh
 from tiny_run import TINY
 
 STEPS = 120
-# Of a first-order method, with a sixteenth of the step as the reference.
-EXPECTED = (1 - 1 / FINER) / (1 / 4 - 1 / FINER)
+# Order of each side's method.
+ORDERS = {"ours": 2, "MuJoCo": 1}
 
 
 @pytest.fixture(scope="module")
@@ -48,19 +48,23 @@ def places(chain):
 
 
 @pytest.mark.parametrize("side", ["ours", "MuJoCo"])
-def test_the_error_falls_in_the_first_order(places, side):
-    """To within a quarter: a step of 1/120 s is long enough for the second order to show."""
+def test_the_error_falls_with_the_step(places, side):
+    """To within a quarter: a step of 1/120 s is long enough for the next order to show."""
     coarse, fine = (typical_distance(places(side, n), places(side, FINER)) for n in (1, 4))
-    assert coarse / fine == pytest.approx(EXPECTED, rel=0.25)
-    assert coarse > 1e-5
+    # A sixteenth of the step is the reference.
+    order, reference = ORDERS[side], (1 / FINER) ** ORDERS[side]
+    expected = (1 - reference) / (0.25**order - reference)
+    assert coarse / fine == pytest.approx(expected, rel=0.25)
+    assert coarse > 1e-6
 
 
 def test_errors_are_in_body_lengths(chain, places):
-    """The float32 motion at the step itself has the error that its float64 twin has."""
+    """The float32 motion at the step itself has about the error that its float64 twin has."""
     mesh = population_mesh()
     program = compile_motion(chain, chain.lanes(full_lanes(CROWD, mesh)), mesh)
     twin = typical_distance(places("ours", 1), places("ours", FINER)) / body_length(chain)
-    assert our_error(chain, program, mesh) == pytest.approx(twin, rel=0.01)
+    # Rounding is a tenth of so small an error.
+    assert our_error(chain, program, mesh) == pytest.approx(twin, rel=0.2)
     peer = typical_distance(places("MuJoCo", 1), places("MuJoCo", FINER)) / body_length(chain)
     assert mujoco_error(chain, WET[0], 1) == pytest.approx(peer)
 

@@ -1,0 +1,71 @@
+"""`evo-cpg audit`: what it prints, writes and refuses."""
+
+import json
+import shutil
+
+import pytest
+
+from evo_cpg.analysis.verdict import Check, Limits, Verdict, limits_from, shown
+
+
+@pytest.mark.parametrize(
+    ("setting", "words"),
+    [
+        ("half_stp=0.5", "there is no limit 'half_stp'; did you mean half_step?"),
+        ("xyz=1", "there is no limit 'xyz'; allowed: half_step, "),
+        ("half_step=", "'' is no limit; allowed: a number of at least 0"),
+        ("half_step=-1", "'-1' is no limit"),
+        ("half_step=nan", "'nan' is no limit"),
+    ],
+)
+def test_wrong_limits_are_refused_before_anything_is_done(cli, tmp_path, setting, words):
+    code, _, complaint = cli("audit", tmp_path, setting)
+    assert code == 2 and words in complaint
+
+
+def test_a_folder_without_a_run_is_refused(cli, tmp_path):
+    code, _, complaint = cli("audit", tmp_path)
+    assert code == 2 and "is not a run folder" in complaint
+
+
+def test_limits_are_changed_one_by_one():
+    assert limits_from(["half_step=0.8"]) == Limits(half_step=0.8)
+    assert limits_from([]) == Limits()
+
+
+def test_a_verdict_says_why():
+    """Shares at least and at most, what is only reported, and what diverged."""
+    checks = (
+        Check("half_step", "way kept: half the step", 0.5, 0.9, True, "%"),
+        Check("penetration", "penetration", 0.002, 0.01, False, "m"),
+        Check("way", "way", 3.0, unit="m"),
+        Check("speed", "speed", float("nan"), 20.0),
+    )
+    verdict = Verdict(checks)
+    assert [check.passed for check in checks] == [False, True, None, False]
+    assert not verdict.passed and Verdict(checks[1:3]).passed
+    assert verdict.reasons == [
+        "way kept: half the step: 50 %, less than 90 %",
+        "speed: diverged, more than 20",
+    ]
+    assert shown(None) == ""
+
+
+@pytest.mark.slow
+def test_a_champion_is_audited(cli, finished_run, tmp_path):
+    """A table, a verdict, a file and a picture; with limits out of reach it does not pass."""
+    run = tmp_path / "run"
+    shutil.copytree(finished_run, run)
+    code, out, complaint = cli("audit", run, "half_step=0", "quarter_step=0")
+    told = json.loads((run / "audit.json").read_text())
+    assert code == (0 if told["passed"] else 3), complaint
+    keys = {check["key"] for check in told["checks"]}
+    assert {"replay", "drag", "pose", "precision", "simulator_energy", "free_energy"} <= keys
+    assert told["second_opinion"][1]["program"] == "MuJoCo"
+    energy = told["energy"][0]
+    work = sum(value for name, value in energy.items() if name not in ("stored", "left_over"))
+    assert energy["stored"] == pytest.approx(work + energy["left_over"])
+    assert (run / "plots" / "audit.png").stat().st_size > 10_000
+    assert str(run / "audit.json") in out and "MuJoCo" in out
+    code, _, complaint = cli("audit", run, "way=1")
+    assert code == 2 and "no limit 'way'" in complaint
