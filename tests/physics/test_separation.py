@@ -141,6 +141,21 @@ def test_points_lie_on_the_bodies(case):
         assert nearer.max() < 1e-5
 
 
+def test_further_points_of_tilted_flat_boxes_lie_on_both(x64):
+    """Across the axis each place is on its rectangle's outline, so the gap there is right, too."""
+    rng = np.random.default_rng(5)
+    away = rng.normal(scale=0.16, size=(COUNT, 3)) * [1, 1, 0.2]
+    a = boxes(np.zeros((COUNT, 3)), turned(rng, True), (0.12, 0.04, 0.04), 0.0)
+    b = boxes(away, turned(rng, True), (0.3, 0.15, 0.08), 0.0)
+    _, further = quick_jit(separation_of_flat)(a, b)
+    there = np.asarray(further.gap) < 0.5
+    assert there.mean() > 0.1
+    for box, place in ((a, further.first), (b, further.second)):
+        local = np.einsum("ijn,in->jn", np.asarray(box.axes), np.asarray(place - box.centre))
+        outside = (np.abs(local) - np.asarray(box.half_extents))[:2, there]
+        np.testing.assert_allclose(outside.max(0), 0, atol=1e-9)
+
+
 @pytest.mark.parametrize("find", [separation_of_boxes, separation_of_flat])
 def test_boxes_that_overhang_touch_where_both_are(find, x64):
     """Parallel ones, whose lowest corner rounding picks: a bar across a beam, and over its end."""
