@@ -20,6 +20,7 @@ from evo_cpg.cli.training import champion_of, open_run
 from evo_cpg.physics.state import State
 from evo_cpg.simulation.rollout import motion
 from evo_cpg.simulation.simulation import Simulation
+from evo_cpg.training.variations import finer
 
 # How much each joint is turned, rad.
 HAIR = 1e-6
@@ -50,12 +51,11 @@ def ways(simulation: Simulation, genes: Float[np.ndarray, "n g"]) -> Ways:
     """How far champions get, without noise, in the first of their situations."""
 
     def way(times: int, turned: float = 0.0) -> np.ndarray:
-        finer = dataclasses.replace(simulation, substeps=times * simulation.substeps)
 
         def begin(state: State) -> State:
             return dataclasses.replace(state, q=state.q + turned)
 
-        states = jax.jit(lambda genes: motion(finer, genes, begin))(genes.T)
+        states = jax.jit(lambda genes: motion(finer(simulation, times), genes, begin))(genes.T)
         place = np.asarray(states.position)
         return np.linalg.norm(place[-1, :2] - place[0, :2], axis=0)
 

@@ -13,7 +13,8 @@ from jaxtyping import Bool, Float
 from mujoco import rollout
 
 from benchmarks.exercise import Exercise
-from benchmarks.mujoco_model import motor_order, mujoco_model
+from benchmarks.mujoco_model import mujoco_model
+from evo_cpg.exchange.mujoco_state import motor_order
 
 _FULL = mujoco.mjtState.mjSTATE_FULLPHYSICS
 # The clock comes first in a state, then the root's place.

@@ -18,11 +18,11 @@ from rich.console import Console
 
 from benchmarks.plan import experiment_of
 from evo_cpg.analysis.energy import mechanical_energy
-from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import State, resting_state
 from evo_cpg.physics.step import first_warmstart, step
 from evo_cpg.physics.world import World
 from evo_cpg.simulation.rollout import is_sane
+from evo_cpg.simulation.snapshot import Snapshot
 from evo_cpg.training.variations import limp
 
 RESTITUTIONS, SPEEDS = (0.0, 0.3, 0.9), (1.0, 10.0)
@@ -58,12 +58,12 @@ def fall(world: World, count: int, seconds: float, speed: float, h: float) -> Fa
     def advance(carry: tuple, _: None) -> tuple[tuple, Array]:
         state, warmstart = carry
         state, effort = step(world, state, jnp.zeros_like(state.q), h, warmstart=warmstart)
-        energy = mechanical_energy(world, state, kinematics(world.tree, state))
+        energy = mechanical_energy(Snapshot(world, h, state))
         return (state, effort.warmstart), jnp.where(is_sane(state), energy, jnp.nan)
 
     @jax.jit
     def run(state: State) -> tuple[Array, Array]:
-        first = mechanical_energy(world, state, kinematics(world.tree, state))
+        first = mechanical_energy(Snapshot(world, h, state))
         begin = state, first_warmstart(world, (count,), jnp.dtype(jnp.float64))
         return first, jax.lax.scan(advance, begin, None, round(seconds / h))[1]
 

@@ -42,6 +42,7 @@ from evo_cpg.physics.world import (
     immersion,
 )
 from evo_cpg.simulation.physics_steps import PhysicsSteps
+from evo_cpg.simulation.snapshot import Snapshot
 from evo_cpg.spatial.linear import cross, dot, expand_dims_like, matvec
 from evo_cpg.spatial.numerics import Numbers
 from evo_cpg.spatial.rotation import integrate_quaternion
@@ -114,8 +115,9 @@ def ledger(world: World, steps: PhysicsSteps, h: float) -> Ledger:
 def _entries(world: World, steps: PhysicsSteps, previous: State, h: float) -> tuple[Array, ...]:
     """The fields of `Ledger`."""
     tree, before, after = world.tree, steps.before, steps.after
-    ends = (_halfway(state, h) for state in (previous, before, after))
-    earlier, first, last = ((state, kinematics(tree, state)) for state in ends)
+    earlier, first, last = (
+        Snapshot(world, h, _halfway(state, h)) for state in (previous, before, after)
+    )
     rate = (before.qd + after.qd) / 2
     velocity = (before.velocity + after.velocity) / 2
     middle = dataclasses.replace(before, velocity=velocity, qd=rate)
@@ -123,13 +125,12 @@ def _entries(world: World, steps: PhysicsSteps, previous: State, h: float) -> tu
     damping = expand_dims_like(tree.damping, rate)
     contact = _ground_work(world, steps.contact_force, kinematics(tree, before), kin, h)
     lift, friction, push_out, ground = contact
-    water, driven, buoyed = _water_work(world, first[1], kin, last[1], h)
-    weight = -h * tree.mass.sum() * world.gravity
-    explained = h * (ground.sum(1) + driven.sum(1) + buoyed)
-    explained = explained.at[2].add(weight)
+    water, driven, buoyed = _water_work(world, first.kinematics, kin, last.kinematics, h)
+    mass = tree.mass.sum()
+    explained = h * (ground.sum(1) + driven.sum(1) + buoyed).at[2].add(-mass * world.gravity)
     given = h * jnp.sqrt(dot(ground, ground)).sum(0) + h * jnp.sqrt(dot(driven, driven)).sum(0)
     return (
-        mechanical_energy(world, *last) - mechanical_energy(world, *first),
+        mechanical_energy(last) - mechanical_energy(first),
         h * (steps.torque * rate).sum(0),
         -h * (damping * after.qd * rate).sum(0),
         h * (_limit_torques(world, before, after, h) * rate).sum(0),
@@ -137,9 +138,9 @@ def _entries(world: World, steps: PhysicsSteps, previous: State, h: float) -> tu
         friction,
         _limb_work(world, steps, kin, rate, h),
         water,
-        mechanical_energy(world, *first) - mechanical_energy(world, *earlier),
+        mechanical_energy(first) - mechanical_energy(earlier),
         push_out,
-        _momentum(world, last[1]) - _momentum(world, first[1]) - explained,
+        mass * (last.centre_of_mass_velocity - first.centre_of_mass_velocity) - explained,
         given,
     )
 
@@ -155,29 +156,17 @@ def _halfway(state: State, h: float) -> State:
     )
 
 
-def mechanical_energy(world: World, state: State, kin: Kinematics) -> Float[Array, " t"]:
-    """E, J."""
-    tree, velocity = world.tree, body_velocity(kin)
+def mechanical_energy(snapshot: Snapshot) -> Float[Array, " *n"]:
+    """E: kinetic, of bodies and rotors, of weight, and of passive springs, J."""
+    tree, state, kin = snapshot.world.tree, snapshot.state, snapshot.kinematics
+    velocity = body_velocity(kin)
     momentum = matvec(expand_dims_like(tree.inertia, velocity, velocity.ndim + 1), velocity)
-    mass = expand_dims_like(tree.mass, kin.origin[0])
-    height = kin.origin[2] + _levers(world, kin)[2]
     armature, stiffness = (expand_dims_like(x, state.q) for x in (tree.armature, tree.stiffness))
     return (
         0.5 * (velocity * momentum).sum((0, 1))
-        + world.gravity * (mass * height).sum(0)
+        + tree.mass.sum() * snapshot.world.gravity * snapshot.centre_of_mass[2]
         + 0.5 * (armature * state.qd**2 + stiffness * state.q**2).sum(0)
     )
-
-
-def _momentum(world: World, kin: Kinematics) -> Float[Array, "3 t"]:
-    """Of all bodies, N s."""
-    velocity = kin.linear + cross(kin.angular, _levers(world, kin))
-    return (expand_dims_like(world.tree.mass, velocity[0])[None] * velocity).sum(1)
-
-
-def _levers(world: World, kin: Kinematics) -> Float[Array, "3 b t"]:
-    """From the bodies' origins to their centres of mass, world axes, m."""
-    return matvec(kin.rotation, expand_dims_like(world.tree.com, kin.origin))
 
 
 def _limit_torques(world: World, before: State, after: State, h: float) -> Float[Array, "d t"]:

@@ -37,7 +37,7 @@ _SHAKE, _DRAWS = 0.01, 8
 # of it comes and goes.
 _STRETCH = 0.25
 
-# A way shorter than this, in lengths of the animal, is none that could be kept.
+# A way shorter than this, in lengths of the animal, is none that could be kept, and is not tried.
 _SOME_WAY = 0.1
 
 # The replayed fitness must agree with the one that was recorded to this share.
@@ -169,7 +169,7 @@ def books(
         check(
             "simulator_energy",
             "energy balance off by, of motors' work",
-            max(_energy_gain(one, h) / max(one.effort, _tiny(one)) for one in ledgers),
+            max(_energy_gain(one, h) / _effort(one) for one in ledgers),
             detail=_ledger_words(ledgers[0]),
         ),
         check(
@@ -193,7 +193,7 @@ def books(
             check(
                 "push_out_energy",
                 "push-out, of motors' work",
-                max(one.push_out.sum() / max(one.effort, _tiny(one)) for one in ledgers),
+                max(one.push_out.sum() / _effort(one) for one in ledgers),
             ),
             check("airborne_way", "way made while airborne", worst("airborne_way")),
         ]
@@ -273,19 +273,18 @@ def _shares(
 ) -> list[Check]:
     """How much of its way it keeps where."""
     checks = [Check("way", "way as it evolved", way, unit="m")]
-    somewhere = way > _SOME_WAY * animal_length(creature)
+    if not way > _SOME_WAY * animal_length(creature):
+        return checks
     for key, (name, one) in kept.items():
         detail = ", ".join(f"{x:.3g}" for x in one.way) + " m"
         if key == "limp_way":
-            share = float(np.nanmax(np.append(one.way, 0.0))) / way if somewhere else 0.0
-            limit = limits.limp_way if somewhere else None
-            question = f"way with {name}"
-            checks.append(Check(key, question, share, limit, unit="%", detail=detail))
+            share, question = float(one.shares_of(way).max()), f"way with {name}"
+            checks.append(Check(key, question, share, limits.limp_way, unit="%", detail=detail))
             continue
-        shares = one.shares_of(way) if somewhere else np.ones(1)
+        shares = one.shares_of(way)
         # Of draws of chance the middle one counts, of settings the worst.
         share = float(np.median(shares) if key == "pose" else shares.min())
-        limit = getattr(limits, key, None) if somewhere else None
+        limit = getattr(limits, key, None)
         checks.append(Check(key, f"way kept: {name}", share, limit, True, "%", detail))
     return checks
 
@@ -302,9 +301,10 @@ def _momentum_share(one: Ledger) -> float:
     return float(np.linalg.norm(one.impulse.sum(1)) / given) if given > 0 else 0.0
 
 
-def _tiny(one: Ledger) -> float:
-    """Work that an animal without motors is measured by: what gravity and water did, J."""
-    return float(sum(np.abs(each).sum() for each in one.work.values())) or np.inf
+def _effort(one: Ledger) -> float:
+    """The motors' work, J; of an animal whose motors do none, all work that is done."""
+    done = sum(np.abs(each).sum() for each in one.work.values())
+    return one.effort or float(done) or np.inf
 
 
 def _ledger_words(one: Ledger) -> str:

@@ -19,9 +19,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.creature import Creature
-from evo_cpg.creature.tree import Tree
 from evo_cpg.exchange.errors import ExchangeError
 from evo_cpg.exchange.mjcf_export import mjcf_model, mjcf_text
+from evo_cpg.exchange.mujoco_state import dof_order, load_state, motor_order, root_rotation
 from evo_cpg.physics.fluid import drag
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import State
@@ -94,7 +94,8 @@ def second_opinion(
         hard: with contacts as hard as ours and round friction cones, in smaller steps.
 
     Raises:
-        ExchangeError: MuJoCo is missing, or the world cannot be said in MJCF.
+        ExchangeError: MuJoCo is missing or refuses the model, MJCF cannot hold the world, or its
+            animal diverged.
     """
     try:
         mujoco = importlib.import_module("mujoco")
@@ -109,7 +110,10 @@ def second_opinion(
     element = mjcf_model(
         creature, world.gravity, world.ground, time_step=h / finer, pairs=world.pair_names
     )
-    model = mujoco.MjModel.from_xml_string(mjcf_text(element))
+    try:
+        model = mujoco.MjModel.from_xml_string(mjcf_text(element))
+    except ValueError as error:
+        raise ExchangeError(f"MuJoCo refuses the exported model: {error}") from None
     if hard:
         model.opt.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
         model.opt.impratio = _IMPEDANCE_RATIO
@@ -124,6 +128,8 @@ def second_opinion(
     for index in range(steps.torque.shape[-1]):
         player.push(jumps[:, index])
         player.advance(signals[index], finer)
+        if not np.isfinite(player.data.qpos).all():
+            raise ExchangeError("MuJoCo's animal diverged")
         if (index + 1) % substeps == 0:
             path.append(player.data.qpos[:3].copy())
             turns.append(player.data.qpos[3:7].copy())
@@ -150,25 +156,15 @@ class _Player:
     def __init__(self, mujoco: Any, model: Any, world: World):
         self.mujoco, self.model, self.tree = mujoco, model, world.tree
         self.data = mujoco.MjData(model)
-        self._dofs = _dof_places(model, world.tree)
+        self._dofs, self._motors = dof_order(model, world.tree), motor_order(model, world.tree)
         self._bodies = np.array([model.body(name).id for name in world.tree.names])
-        driven = model.jnt_dofadr[model.actuator_trnid[:, 0]] - 6
-        self._motors = np.argsort(self._dofs)[driven]
         self._animal = np.isin(model.geom_bodyid, self._bodies)
         self._water = _water_forces(world) if world.water is not None else None
 
     def begin(self, state: State) -> None:
         """Put the animal where ours began."""
-        turn = np.zeros(9)
-        self.mujoco.mju_quat2Mat(turn, np.asarray(state.orientation))
-        data = self.data
-        data.qpos[:3], data.qpos[3:7] = state.position, state.orientation
-        data.qpos[7 + self._dofs] = state.q
-        # MuJoCo has the root's angular velocity in its own axes.
-        data.qvel[:3] = state.velocity[3:]
-        data.qvel[3:6] = turn.reshape(3, 3).T @ state.velocity[:3]
-        data.qvel[6 + self._dofs] = state.qd
-        self.mujoco.mj_forward(self.model, data)
+        load_state(self.model, self.data, self.tree, state)
+        self.mujoco.mj_forward(self.model, self.data)
 
     def signals(self, steps: PhysicsSteps) -> Float[np.ndarray, "t motors"]:
         """What the motors are told in each step: their laws are ours."""
@@ -205,9 +201,8 @@ class _Player:
         )
 
     def _state(self) -> State:
-        data, turn = self.data, np.zeros(9)
-        self.mujoco.mju_quat2Mat(turn, data.qpos[3:7])
-        spin = turn.reshape(3, 3) @ data.qvel[3:6]
+        data = self.data
+        spin = root_rotation(data.qpos[3:7]) @ data.qvel[3:6]
         parts: tuple[Any, ...] = (
             data.qpos[:3].copy(),
             data.qpos[3:7].copy(),
@@ -241,15 +236,6 @@ def _water_forces(world: World) -> Callable[[State], np.ndarray]:
             return np.asarray(program(state))
 
     return compute
-
-
-def _dof_places(model: Any, tree: Tree) -> np.ndarray:
-    """Index of MuJoCo's joint degree of freedom for each of ours, the root's six left out."""
-    order: list[int] = []
-    for name in dict.fromkeys(tree.names[i] for i in tree.dof_bodies):
-        body = model.body(name)
-        order.extend(range(body.dofadr[0] - 6, body.dofadr[0] - 6 + body.dofnum[0]))
-    return np.array(order, int)
 
 
 def _jumps(steps: PhysicsSteps) -> Float[np.ndarray, "3 t"]:

@@ -6,7 +6,8 @@ second of steps of 1/240 s. Taken as Kahan's method takes it (1993; Hirota and K
 
     I (w_1 - w) / h = -1/2 (w x I w_1 + w_1 x I w),
 
-it keeps energy and momentum but for a bounded wobble, whatever the step. Joints, drag and contact
+it keeps energy and momentum but for a bounded wobble, whatever the step, and so do steps whose
+first solution it makes (`evo_cpg.physics.equations.with_mean_products`). Joints, drag and contact
 change w_1; the torque is that of the body alone, and differs from that of the start as h does.
 """
 

@@ -9,7 +9,7 @@
     refine.csv       what `refine` gained, round by round; champion_before.npz and
                      config_before.yaml are what it began with
     videos/, plots/  what `render` and `plot` make
-    probe.csv, sensitivity.csv, and their pictures, what these commands find
+    probe.csv, sensitivity.csv, audit.json, and their pictures, what these commands find
 
 Files are written beside their place and then moved into it, which is atomic. Those that belong
 together gather in a folder of their own first; once that has its name, whoever opens the run next

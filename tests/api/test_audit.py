@@ -10,21 +10,23 @@ import numpy as np
 import pytest
 
 import evo_cpg.physics.step
-from benchmarks.mujoco_model import load_state, mujoco_model
+from benchmarks.mujoco_model import mujoco_model
 from creatures import AXES, STRUCTURES, quick_jit, random_creature, random_state
 from evo_cpg.analysis.energy import ledger, mechanical_energy
+from evo_cpg.analysis.excursions import excursions
 from evo_cpg.analysis.verdict import Limits
 from evo_cpg.api.audit import Trial, books, lived_trials
 from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, LightSensor, Material
 from evo_cpg.creature.shapes import Box
 from evo_cpg.creature.tree import build_tree
+from evo_cpg.exchange.mujoco_state import load_state
 from evo_cpg.physics.footing import Ground, make_footing
-from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.terrain import Plane
 from evo_cpg.physics.world import World
 from evo_cpg.simulation.physics_steps import physics_steps
 from evo_cpg.simulation.sensors import place_sensors
 from evo_cpg.simulation.situation import Situation
+from evo_cpg.simulation.snapshot import Snapshot
 from evo_cpg.simulation.walk import Distance
 from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.variations import Variation, finer, limp, live, with_drag, with_friction
@@ -105,7 +107,7 @@ def test_energy_is_mujocos():
             mujoco.mj_forward(model, data)
             theirs.append(data.energy.sum())
         world = World(tree, 9.81)
-        ours = quick_jit(lambda s: mechanical_energy(world, s, kinematics(tree, s)))(states)
+        ours = quick_jit(lambda s: mechanical_energy(Snapshot(world, 1.0, s)))(states)
     np.testing.assert_allclose(np.diff(ours), np.diff(theirs), rtol=1e-9)
 
 
@@ -129,6 +131,18 @@ def test_what_is_left_over_vanishes_with_the_step(swimming):
 def test_honest_animals_pass(honest, swimming):
     assert failed(honest) == set()
     assert failed(swimming) == set()
+
+
+def test_shares_of_energy_are_of_the_motors_work(honest):
+    made, (trial,) = honest
+    checks = {check.key: check for check in books(made, champion(), (trial,), Limits())}
+    rate = (trial.steps.before.qd + trial.steps.after.qd) / 2
+    spent = np.abs((trial.steps.torque * rate).sum(0)).sum() * made.simulation.step_length
+    lifted = trial.ledger.push_out.sum()
+    assert checks["push_out_energy"].measured == pytest.approx(lifted / spent, rel=1e-4)
+    # Stretches of a quarter of a second.
+    gain = np.maximum(np.add.reduceat(trial.ledger.left_over, [0, 60, 120]), 0.0).sum()
+    assert checks["simulator_energy"].measured == pytest.approx(gain / spent, rel=1e-4)
 
 
 @pytest.mark.parametrize("cheat", ["energy", "momentum"])
@@ -165,8 +179,6 @@ def test_torque_beyond_the_limit_is_found(honest):
 
 def judged(made, trials) -> tuple[Trial, ...]:
     """The same steps, looked at in another simulation."""
-    from evo_cpg.analysis.excursions import excursions
-
     found = [(t, excursions(made.simulation, made.creature, t.steps)) for t in trials]
     return tuple(trial._replace(excursions=each) for trial, each in found)
 

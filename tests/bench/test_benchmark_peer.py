@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from benchmarks.exercise import Postures, Wave
-from benchmarks.mujoco_model import dof_order, motor_order, mujoco_model
+from benchmarks.mujoco_model import mujoco_model
 from benchmarks.mujoco_peer import DRY, WET, Motion, peer_model, stopped
 from benchmarks.plan import experiment_of
+from evo_cpg.exchange.mujoco_state import dof_order, motor_order
 from evo_cpg.simulation.situation import Situation
 
 COUNT = 24

@@ -9,7 +9,6 @@ import pytest
 import trimesh
 import yaml
 
-from benchmarks.mujoco_model import dof_order, load_state
 from creatures import quick_jit, random_state
 from evo_cpg.config.load import dump_creature
 from evo_cpg.config.schema.creature import CreatureConfig
@@ -19,6 +18,7 @@ from evo_cpg.creature.tree import build_tree
 from evo_cpg.exchange.errors import ExchangeError
 from evo_cpg.exchange.mjcf_export import mjcf_model, mjcf_text
 from evo_cpg.exchange.mjcf_import import read_mjcf
+from evo_cpg.exchange.mujoco_state import dof_order, load_state
 from evo_cpg.physics.articulated import solve
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.world import World, body_equations

@@ -11,9 +11,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from benchmarks.mujoco_model import dof_order, load_state, mujoco_model
+from benchmarks.mujoco_model import mujoco_model
 from creatures import STRUCTURES, quick_jit, random_creature, random_state
 from evo_cpg.creature.tree import Tree, build_tree
+from evo_cpg.exchange.mujoco_state import dof_order, load_state
 from evo_cpg.physics.articulated import solve
 from evo_cpg.physics.joints import passive_torque
 from evo_cpg.physics.kinematics import kinematics

@@ -10,11 +10,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from benchmarks.mujoco_model import dof_order, load_state, mujoco_model
+from benchmarks.mujoco_model import mujoco_model
 from creatures import quick_jit
 from evo_cpg.creature.creature import Body, Creature, Joint, Material
 from evo_cpg.creature.shapes import Box, Capsule
 from evo_cpg.creature.tree import build_tree
+from evo_cpg.exchange.mujoco_state import dof_order, load_state
 from evo_cpg.physics.contact import find_contacts
 from evo_cpg.physics.footing import Ground, make_footing
 from evo_cpg.physics.kinematics import kinematics

@@ -15,11 +15,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from benchmarks.mujoco_model import load_state, mujoco_model
+from benchmarks.mujoco_model import mujoco_model
 from creatures import STRUCTURES, quick_jit, random_creature, random_state
 from evo_cpg.creature.creature import Actuator, Body, Creature, Material
 from evo_cpg.creature.shapes import Box, Sphere
 from evo_cpg.creature.tree import build_tree
+from evo_cpg.exchange.mujoco_state import load_state
 from evo_cpg.physics.state import State
 from evo_cpg.physics.step import step
 from evo_cpg.physics.world import World

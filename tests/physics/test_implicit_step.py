@@ -17,12 +17,13 @@ import mujoco
 import numpy as np
 import pytest
 
-from benchmarks.mujoco_model import dof_order, load_state, mujoco_model
+from benchmarks.mujoco_model import mujoco_model
 from creatures import STRUCTURES, in_water, quick_jit, random_creature, random_state
 from evo_cpg.creature.creature import Actuator, Creature
 from evo_cpg.creature.self_collision import SelfCollision
 from evo_cpg.creature.surface import outer_surfaces
 from evo_cpg.creature.tree import build_tree
+from evo_cpg.exchange.mujoco_state import dof_order, load_state
 from evo_cpg.physics.contact import find_contacts
 from evo_cpg.physics.contact_points import clearance
 from evo_cpg.physics.equations import prepare, solve_at_once

@@ -1,0 +1,49 @@
+"""Our order of degrees of freedom in MuJoCo's data, and one of our states put there.
+
+Works on what MuJoCo made of an exported model (`evo_cpg.exchange.mjcf_export`), without importing
+MuJoCo.
+"""
+
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.spatial.transform import Rotation
+
+from evo_cpg.creature.tree import Tree
+from evo_cpg.physics.state import State
+
+
+def dof_order(model: Any, tree: Tree) -> Int[np.ndarray, " d"]:
+    """Index of MuJoCo's joint degree of freedom for each of the tree's, the root's six left out."""
+    order = []
+    for name in dict.fromkeys(tree.names[i] for i in tree.dof_bodies):
+        body = model.body(name)
+        order.extend(range(body.dofadr[0] - 6, body.dofadr[0] - 6 + body.dofnum[0]))
+    return np.array(order, int)
+
+
+def motor_order(model: Any, tree: Tree) -> Int[np.ndarray, " motors"]:
+    """Index of the tree's degree of freedom that each of MuJoCo's motors drives."""
+    driven = model.jnt_dofadr[model.actuator_trnid[:, 0]] - 6
+    return np.argsort(dof_order(model, tree))[driven]
+
+
+def load_state(model: Any, data: Any, tree: Tree, state: State) -> Float[np.ndarray, "3 3"]:
+    """Put one individual's pose and velocities into MuJoCo's data.
+
+    Returns:
+        The root's rotation matrix: MuJoCo has the root's angular velocity in its own axes.
+    """
+    order = dof_order(model, tree)
+    rotation = root_rotation(np.asarray(state.orientation, float))
+    data.qpos[:3], data.qpos[3:7] = state.position, state.orientation
+    data.qpos[7 + order] = state.q
+    data.qvel[:3], data.qvel[3:6] = state.velocity[3:], rotation.T @ state.velocity[:3]
+    data.qvel[6 + order] = state.qd
+    return rotation
+
+
+def root_rotation(quaternion: Float[np.ndarray, "4"]) -> Float[np.ndarray, "3 3"]:
+    """Root to world, of a quaternion (w, x, y, z)."""
+    return Rotation.from_quat(quaternion, scalar_first=True).as_matrix()
