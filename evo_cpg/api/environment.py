@@ -27,6 +27,7 @@ from evo_cpg.simulation.control_step import (
     starting_animal,
     transition,
 )
+from evo_cpg.simulation.noise import grip_of
 from evo_cpg.simulation.rollout import is_sane
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.situation import light_places
@@ -138,7 +139,7 @@ class Environment:
                 command = Command(still, still, action)
             life = self._life(keys)
             seen = sense(self._simulation, life, animal)
-            animal, effects = move(self._simulation, animal, seen, command)
+            animal, effects = move(self._simulation, life, animal, seen, command)
             happened = transition(self._simulation, life, effects, number)
             tally = task.update(tally, happened, steps)
             sane = is_sane(animal.state)
@@ -162,7 +163,7 @@ class Environment:
 
     def _life(self, keys: Array | None) -> Life:
         light = light_places(self._simulation.lights, None, jnp.dtype("float32"))
-        return Life((), keys, None, light)
+        return Life((), keys, None, light, grip_of(self._simulation.noise, keys))
 
     def _sense(
         self, animal: Animal, keys: Array | None, number: Array | int = 0

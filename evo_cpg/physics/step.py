@@ -62,6 +62,7 @@ def step(
     h: float,
     target_angle: Float[Array, "d *n"] | None = None,
     warmstart: Warmstart | None = None,
+    grip: Float[Array, " *n"] | None = None,
 ) -> tuple[State, Effort]:
     """Advance the world by ``h`` seconds.
 
@@ -73,9 +74,10 @@ def step(
         target_angle: for the motors' springs to pull to, rad; None for the neutral pose.
         warmstart: what the step before came to, with which fewer iterations are needed; None for a
             first step. What is found is the same but for the solver's tolerance.
+        grip: by which the world's friction, static and dynamic, is multiplied; None for 1.
     """
     whole = functools.partial(_whole_step, world, h)
-    given = state, target_rate, target_angle, warmstart
+    given = state, target_rate, target_angle, warmstart, grip
     return fuse(whole, *given, batch_ndim=state.q.ndim - 1)
 
 
@@ -97,7 +99,10 @@ def _whole_step(
     target_rate: Array,
     target_angle: Array | None,
     warmstart: Warmstart | None,
+    grip: Array | None,
 ) -> tuple[State, Effort]:
+    if grip is not None:
+        world = world.with_friction(grip)
     if searches(world):
         found = search(world, h, state, target_rate, target_angle, warmstart)
         return _finish(h, state, found)

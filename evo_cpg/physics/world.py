@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.tree import Tree
@@ -25,7 +26,7 @@ from evo_cpg.spatial.linear import (
     matvec,
     matvec_t,
 )
-from evo_cpg.spatial.numerics import Number, Numbers
+from evo_cpg.spatial.numerics import Number, Numbers, xp
 
 
 class World(eqx.Module):
@@ -70,6 +71,23 @@ class World(eqx.Module):
     def ground(self) -> Ground | None:
         """None where there is nothing to stand on."""
         return None if self.footing is None else self.footing.ground
+
+    def with_friction(self, factor: Float[Numbers, " *n"] | Array | float) -> "World":
+        """The same on ground with more or less friction, static and dynamic.
+
+        Raises:
+            ValueError: there is no ground.
+        """
+        if self.footing is None:
+            raise ValueError("there is no ground to be rough")
+        axes = (1,) * np.ndim(factor)
+        factor = xp.asarray(factor)[None] if axes else factor
+        static, dynamic = (
+            mu.reshape(-1, *axes) * factor
+            for mu in (self.footing.static_friction, self.footing.dynamic_friction)
+        )
+        rougher = self.footing._replace(static_friction=static, dynamic_friction=dynamic)
+        return eqx.tree_at(lambda world: world.footing, self, rougher)
 
 
 class Immersion(NamedTuple):

@@ -16,7 +16,7 @@ from evo_cpg.physics.equations import Residual, Warmstart
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import State
 from evo_cpg.physics.step import Effort, first_warmstart, step
-from evo_cpg.simulation.noise import disturb_motion, disturb_start
+from evo_cpg.simulation.noise import disturb_motion, disturb_start, grip_of
 from evo_cpg.simulation.sensors import fathom, feel, see
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.situation import light_places, starting_state
@@ -51,12 +51,14 @@ class Life(NamedTuple):
         keys: of the trial's noise.
         light: where it is for each individual; None where it is the same for all.
         common_light: where it is for all; None where each has its own, or there is none.
+        grip: by which the ground's friction is multiplied; None for 1.
     """
 
     decoded: PyTree[Array]
     keys: Array | None
     light: Array | None
     common_light: np.ndarray | Array | None
+    grip: Array | None = None
 
 
 class Effects(NamedTuple):
@@ -92,12 +94,13 @@ def begin_life(
     def begin(genes: Array, keys: Array | None, trial: Array | None) -> tuple:
         light = light_places(simulation.lights, trial, genes.dtype) if own else None
         animal = starting_animal(simulation, keys, trial, genes.shape[1:], genes.dtype)
-        return simulation.controller.decode(genes), light, animal
+        grip = grip_of(simulation.noise, keys)
+        return simulation.controller.decode(genes), light, grip, animal
 
     name = f"{type(simulation.controller).__name__}.decode"
-    decoded, light, animal = fuse(begin, genes, keys, trial, batch_ndim=ndim, name=name)
+    decoded, light, grip, animal = fuse(begin, genes, keys, trial, batch_ndim=ndim, name=name)
     common = None if own else light_places(simulation.lights, None, genes.dtype)
-    return Life(decoded, keys, light, common), animal
+    return Life(decoded, keys, light, common, grip), animal
 
 
 def starting_animal(
@@ -123,15 +126,15 @@ def control_step(
 ) -> tuple[Animal, Effects]:
     """Push, sense, command, and move for one control step."""
 
-    def whole(decoded: PyTree[Array], keys: Array | None, light: Array | None, animal: Animal):
-        own = Life(decoded, keys, light, life.common_light)
+    def whole(own: Life, animal: Animal):
+        own = own._replace(common_light=life.common_light)
         animal = push(simulation, own, animal, index)
         observation = sense(simulation, own, animal)
         nerves, command = act(simulation, own, animal, observation)
-        return move(simulation, animal._replace(nerves=nerves), observation, command)
+        return move(simulation, own, animal._replace(nerves=nerves), observation, command)
 
     ndim = animal.state.position.ndim - 1
-    given = life.decoded, life.keys, life.light, animal
+    given = life._replace(common_light=None), animal
     return fuse(whole, *given, batch_ndim=ndim, name="a control step")
 
 
@@ -181,7 +184,11 @@ def act(
 
 
 def move(
-    simulation: Simulation, animal: Animal, observation: Observation, command: Command
+    simulation: Simulation,
+    life: Life,
+    animal: Animal,
+    observation: Observation,
+    command: Command,
 ) -> tuple[Animal, Effects]:
     """The physics steps of a control step."""
     world, h, state = simulation.world, simulation.step_length, animal.state
@@ -190,7 +197,7 @@ def move(
     def advance(carry, _):
         state, warmstart, energy, airborne, forces, ground_force, residual = carry
         told = command.target_rate, h, command.target_angle
-        state, effort = step(world, state, *told, warmstart)
+        state, effort = step(world, state, *told, warmstart, life.grip)
         if effort.contact_frame_force is not None:
             ground_force = effort.contact_frame_force
         airborne = airborne + _is_airborne(effort) / simulation.substeps

@@ -4,9 +4,13 @@ Fukui 2003, chapter 4, finds that his simulation is not perfectly repeatable, so
 decides who is kept. Here a trial repeats to the last bit, and chance is put in on purpose, from
 random numbers that belong to the trial alone (see `evo_cpg.training.experiment.trial_keys`).
 
+How rough the ground is differs from trial to trial, and not within one.
+
 The push is a random walk added to the root's velocity: over a time t its standard deviation is
 ``push sqrt(t)``, however long a control step is.
 """
+
+from collections.abc import Callable
 
 import equinox as eqx
 import jax
@@ -22,7 +26,7 @@ from evo_cpg.spatial.numerics import is_traced
 from evo_cpg.spatial.rotation import integrate_quaternion
 
 # Tags that keep the random streams of one trial apart.
-_START, _PUSH = 0, 1
+_START, _PUSH, _FRICTION = 0, 1, 2
 
 
 class Noise(eqx.Module):
@@ -33,16 +37,21 @@ class Noise(eqx.Module):
             beyond its limits.
         tilt: standard deviation of the root's roll and of its pitch at the start, rad.
         push: of the root in each direction, m/s per square root of a second.
+        friction: by up to such a share the ground's friction, static and dynamic, differs from
+            trial to trial, up and down.
     """
 
     joint_angle: float = 0.0
     tilt: float = 0.0
     push: float = 0.0
+    friction: float = 0.0
 
     @property
     def silent(self) -> bool:
         """Whether every trial of an individual is the same; never where a size is traced."""
-        return all(_is_none(size) for size in (self.joint_angle, self.tilt, self.push))
+        return all(
+            _is_none(size) for size in (self.joint_angle, self.tilt, self.push, self.friction)
+        )
 
 
 def disturb_start(
@@ -96,6 +105,18 @@ def disturb_motion(
     return eqx.tree_at(lambda s: s.velocity, state, velocity)
 
 
+def grip_of(noise: Noise, keys: UInt32[Array, "w *n"] | None) -> Float[Array, " *n"] | None:
+    """By which friction is multiplied throughout each trial; None where it is always the same."""
+    if keys is None or _is_none(noise.friction):
+        return None
+
+    def of_trial(key: Shaped[Array, ""]) -> Float[Array, ""]:
+        draw = jax.random.uniform(jax.random.fold_in(key, _FRICTION), (), jnp.float32, -1.0, 1.0)
+        return 1.0 + noise.friction * draw
+
+    return _of_each(of_trial, keys)
+
+
 def _is_none(size: ArrayLike) -> bool:
     """Whether there is no such noise; a traced size is one."""
     return not (is_traced(size) or size)
@@ -110,8 +131,16 @@ def _normals(
         key = jax.random.fold_in(jax.random.fold_in(key, stream), index)
         return jax.random.normal(key, (count,), jnp.float32)
 
+    return _of_each(of_trial, keys)
+
+
+def _of_each(
+    of_trial: Callable[[Shaped[Array, ""]], Array], keys: UInt32[Array, "w *n"]
+) -> Float[Array, "..."]:
+    """What is drawn with the key of every trial, on the trailing axes."""
     batch = keys.shape[1:]
     if not batch:
         return of_trial(jax.random.wrap_key_data(keys))
     flat = jax.random.wrap_key_data(keys.reshape(len(keys), -1).T)
-    return jax.vmap(of_trial, out_axes=1)(flat).reshape(count, *batch)
+    drawn = jax.vmap(of_trial, out_axes=-1)(flat)
+    return drawn.reshape(*drawn.shape[:-1], *batch)

@@ -14,7 +14,7 @@ from evo_cpg.control.controller import Command
 from evo_cpg.fusion.engine import using
 from evo_cpg.physics.state import State
 from evo_cpg.physics.step import step
-from evo_cpg.simulation.control_step import Animal, act, begin_life, move, push, sense
+from evo_cpg.simulation.control_step import Animal, Life, act, begin_life, move, push, sense
 from evo_cpg.simulation.simulation import Simulation
 
 
@@ -71,15 +71,15 @@ def physics_steps(
             seen = sense(simulation, life, animal)
             nerves, command = act(simulation, life, animal, seen)
             animal = animal._replace(nerves=nerves)
-            moved, _ = move(simulation, animal, seen, command)
-            return moved, _each_step(simulation, animal, command, seen.light)
+            moved, _ = move(simulation, life, animal, seen, command)
+            return moved, _each_step(simulation, life, animal, command, seen.light)
 
         _, steps = jax.lax.scan(advance, first, jnp.arange(simulation.steps))
     return jax.tree.map(_time_last, steps)
 
 
 def _each_step(
-    simulation: Simulation, animal: Animal, command: Command, light: Array
+    simulation: Simulation, life: Life, animal: Animal, command: Command, light: Array
 ) -> PhysicsSteps:
     """The physics steps of a control step, as `move` takes them."""
     world, h = simulation.world, simulation.step_length
@@ -89,7 +89,7 @@ def _each_step(
 
     def advance(carry, _):
         state, warmstart = carry
-        after, effort = step(world, state, command.target_rate, h, angle, warmstart)
+        after, effort = step(world, state, command.target_rate, h, angle, warmstart, life.grip)
         residual = effort.residual
         exact = jnp.zeros_like(effort.energy)
         seen = PhysicsSteps(

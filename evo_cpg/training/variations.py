@@ -16,7 +16,6 @@ from jaxtyping import Array, Bool, Float
 
 from evo_cpg.fusion.engine import Engine
 from evo_cpg.simulation.batched import batch, rollout_batched
-from evo_cpg.simulation.noise import Noise
 from evo_cpg.simulation.rollout import Outcome, rollout
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.way import WAY, WithWay
@@ -99,14 +98,7 @@ def with_friction(simulation: Simulation, factor: float) -> Simulation:
     Raises:
         ValueError: there is no ground.
     """
-    footing = simulation.world.footing
-    if footing is None:
-        raise ValueError("there is no ground to be rough")
-    rougher = footing._replace(
-        static_friction=footing.static_friction * factor,
-        dynamic_friction=footing.dynamic_friction * factor,
-    )
-    return eqx.tree_at(lambda s: s.world.footing, simulation, rougher)
+    return dataclasses.replace(simulation, world=simulation.world.with_friction(factor))
 
 
 def with_drag(simulation: Simulation, factor: float) -> Simulation:
@@ -132,7 +124,9 @@ def shaken(simulation: Simulation, angle: float) -> Simulation:
         angle: standard deviation of every joint angle, and of the root's roll and pitch, rad.
     """
     own = simulation.noise
-    noise = Noise(max(own.joint_angle, angle), max(own.tilt, angle), own.push)
+    noise = dataclasses.replace(
+        own, joint_angle=max(own.joint_angle, angle), tilt=max(own.tilt, angle)
+    )
     return dataclasses.replace(simulation, noise=noise)
 
 

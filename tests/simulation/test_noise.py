@@ -8,10 +8,16 @@ import numpy as np
 import pytest
 
 from creatures import quick_jit
+from evo_cpg.creature.tree import build_tree
+from evo_cpg.fusion.engine import Engine
+from evo_cpg.physics.footing import Ground, make_footing
 from evo_cpg.physics.state import resting_state
-from evo_cpg.simulation.noise import Noise, disturb_motion, disturb_start
+from evo_cpg.physics.terrain import Plane
+from evo_cpg.physics.world import World
+from evo_cpg.simulation.noise import Noise, disturb_motion, disturb_start, grip_of
 from evo_cpg.simulation.rollout import record, rollout
-from trials import experiment
+from evo_cpg.simulation.situation import Situation
+from trials import EYES, experiment, swimmer
 
 COUNT = 4000
 KEYS = np.random.default_rng(0).integers(0, 2**32, (2, COUNT), dtype=np.uint32)
@@ -83,6 +89,37 @@ def test_without_noise_the_program_is_that_of_a_trial_without_keys(simulation):
     noisy = dataclasses.replace(simulation, noise=Noise(push=0.1))
     assert program(silent, keys) == program(simulation, None) == program(noisy, None)
     assert program(noisy, keys) != program(noisy, None)
+
+
+def test_friction_differs_evenly_from_trial_to_trial():
+    assert grip_of(Noise(push=1.0), KEYS) is None and grip_of(Noise(friction=0.2), None) is None
+    grip = np.asarray(grip_of(Noise(friction=0.2), KEYS))
+    assert 0.8 <= grip.min() < 0.801 and 1.199 < grip.max() <= 1.2
+    # Of an even spread as many are in each tenth, to four standard deviations.
+    counts = np.histogram(grip, 10, (0.8, 1.2))[0]
+    assert abs(counts - COUNT / 10).max() < 4 * np.sqrt(COUNT * 0.1 * 0.9)
+    np.testing.assert_array_equal(grip[7:8], grip_of(Noise(friction=0.2), KEYS[:, 7:8]))
+
+
+@pytest.mark.parametrize("engine", ["auto", "jax"])
+def test_a_trial_on_rougher_ground_is_one_with_more_friction(engine):
+    creature = swimmer(EYES)
+    tree = build_tree(creature)
+    slope = Ground(floor=Plane((0.3, 0.0, 1.0)), static_friction=0.05, dynamic_friction=0.05)
+    crawling = dataclasses.replace(
+        experiment(20).simulation,
+        world=World(tree, 9.81, footing=make_footing(creature, tree, slope)),
+        situations=(Situation((0.0, 0.0, 0.05)),),
+        engine=Engine(engine),
+    )
+    noisy = dataclasses.replace(crawling, noise=Noise(friction=0.9))
+    genes, keys = np.full((2, 3), 2.0), KEYS[:, :3]
+    found = quick_jit(lambda g, k: record(noisy, g, 3, k))(genes, keys)["position"]
+    for i, factor in enumerate(np.asarray(grip_of(noisy.noise, keys))):
+        rough = dataclasses.replace(crawling, world=crawling.world.with_friction(factor))
+        alone = quick_jit(lambda g, rough=rough: record(rough, g))(genes)["position"]
+        np.testing.assert_allclose(found[..., i], alone[..., 0], atol=1e-6)
+    assert np.ptp(np.asarray(found)[-1, 0], axis=-1).max() > 1e-3
 
 
 def test_a_noisy_trial_and_its_recording_are_the_same_trial(simulation):

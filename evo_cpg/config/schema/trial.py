@@ -82,8 +82,10 @@ class NoiseConfig(Section):
         tilt_deg: standard deviation of the root's roll and of its pitch at the start, degrees.
         push: random walk of the root's velocity in each direction, m/s per square root of a
             second.
+        friction: by up to such a share the friction of the ground differs from trial to trial.
     """
 
     joint_angle_deg: Annotated[float, Field(ge=0, le=180)] = 0.0
     tilt_deg: Annotated[float, Field(ge=0, le=180)] = 0.0
     push: NotNegative = 0.0
+    friction: Annotated[float, Field(ge=0, lt=1)] = 0.0
