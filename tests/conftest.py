@@ -15,6 +15,8 @@ import xla_flags
 # for a moment and compile for seconds; `make test-slow` has them compiled as users do.
 os.environ["JAX_PLATFORMS"] = "cpu"
 os.environ["NPROC"] = "1"
+# Most tests write configurations of their own that name the repository's creatures.
+os.environ["EVO_CPG_TRUST"] = "1"
 os.environ["XLA_FLAGS"] = " ".join(("--xla_force_host_platform_device_count=2", *xla_flags.quick()))
 
 import hypothesis

@@ -10,6 +10,7 @@ import yaml
 from evo_cpg.api.experiment import Experiment
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import complete_config, load_config
+from evo_cpg.config.trust import trusting
 from evo_cpg.training.devices import use_cores
 from evo_cpg.training.run_folder import RunFolder
 
@@ -20,7 +21,10 @@ _NO_FILE = Path("configuration")
 
 
 def load(
-    config: Path | str | Mapping[str, Any], overrides: Overrides = (), cores: int | None = None
+    config: Path | str | Mapping[str, Any],
+    overrides: Overrides = (),
+    cores: int | None = None,
+    trust: bool = False,
 ) -> Experiment:
     """Read a configuration and build what it describes.
 
@@ -31,11 +35,19 @@ def load(
             or ``{"seed": 3, "world.gravity": 1.6}``.
         cores: over which populations are spread; None for all that there are. Where JAX has
             computed something already it keeps the devices that it has.
+        trust: the configuration is yours: it may name files outside of its folder, and classes of
+            modules beside it that are not in the working folder, whose code is run.
 
     Raises:
         ConfigError: anything that is wrong with it.
     """
-    changed = _as_on_the_command_line(overrides)
+    with trusting(trust):
+        return _load(config, _as_on_the_command_line(overrides), cores)
+
+
+def _load(
+    config: Path | str | Mapping[str, Any], changed: Sequence[str], cores: int | None
+) -> Experiment:
     folders: list[Path] = []
     if isinstance(config, Mapping):
         source = _NO_FILE

@@ -19,6 +19,7 @@ from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.fusion.engine import described
 from evo_cpg.training import experiment as parts
 from evo_cpg.training.checkpoint import Champion
+from evo_cpg.training.memory import require_memory
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
 
 Rows = list[dict[str, float]]
@@ -59,6 +60,7 @@ def train(
 
     Raises:
         RunFolderError: the folder holds a run or other files, or everybody diverged.
+        TooLargeError: the machine has not the memory for it.
     """
     import jax
 
@@ -85,7 +87,9 @@ def begin_run(
 
     Raises:
         RunFolderError: the folder holds a run or other files, or cannot be written.
+        TooLargeError: the machine has not the memory for it.
     """
+    require_memory(experiment)
     meta: dict[str, Any] = {
         "name": config.name,
         "seed": config.seed,

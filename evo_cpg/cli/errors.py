@@ -2,6 +2,11 @@
 
 import sys
 
+_ELSEWHERE = (
+    ("evo_cpg.view.output", "OutputError"),
+    ("evo_cpg.training.memory", "TooLargeError"),
+)
+
 
 class UsageError(Exception):
     """Input that no other part of the program is responsible for."""
@@ -14,7 +19,8 @@ def is_users_fault(error: Exception) -> bool:
     from evo_cpg.training.run_folder import RunFolderError
 
     kinds: tuple[type[Exception], ...] = (ConfigError, ExchangeError, RunFolderError, UsageError)
-    output = sys.modules.get("evo_cpg.view.output")
-    if output is not None:
-        kinds += (output.OutputError,)
+    # Of modules that are slow to import; what was not imported has raised nothing.
+    for module, name in _ELSEWHERE:
+        if module in sys.modules:
+            kinds += (getattr(sys.modules[module], name),)
     return isinstance(error, kinds)

@@ -52,8 +52,23 @@ def _show_version(wanted: bool) -> bool:
     return wanted
 
 
+def _trust(wanted: bool) -> None:
+    if wanted:
+        from evo_cpg.config.trust import trust
+
+        trust()
+
+
 @app.callback()
 def options(
+    trust: Annotated[
+        bool,
+        typer.Option(
+            "--trust",
+            callback=_trust,
+            help="The configuration is yours: it may run code beside it and name files anywhere.",
+        ),
+    ] = False,
     version: Annotated[
         bool,
         typer.Option(

@@ -23,6 +23,7 @@ from evo_cpg.fusion.engine import described
 from evo_cpg.training.checkpoint import Champion, genes_digest, outcome_digest
 from evo_cpg.training.devices import use_cores
 from evo_cpg.training.experiment import Experiment
+from evo_cpg.training.memory import require_memory
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
 
 # The replayed fitness and terms must agree with those recorded to this relative accuracy. On the
@@ -75,6 +76,7 @@ def resume_run(run: Path, generations: int | None, cores: int | None) -> None:
                 f"individuals in {asked[2]} run(s), the checkpoint has {found[0]}, {found[1]} and "
                 f"{found[2]}; start a new run instead"
             )
+    require_memory(experiment)
     folder.reopen(dump_config(config))
     engine = described(experiment.simulation.engine)
     folder.update_meta(devices=devices, resumed=now(), fingerprint=fingerprint(config), **engine)

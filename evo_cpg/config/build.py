@@ -9,7 +9,7 @@ import numpy as np
 
 from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.numbers import unchecked
-from evo_cpg.config.own_classes import build_own
+from evo_cpg.config.own_classes import build_own, require_code
 from evo_cpg.config.own_returns import check_own_returns
 from evo_cpg.config.schema.choice import CustomConfig
 from evo_cpg.config.schema.evolution import BitEvolutionConfig, RealEvolutionConfig
@@ -18,6 +18,7 @@ from evo_cpg.config.schema.task import DistanceConfig, WalkConfig
 from evo_cpg.config.schema.world import WaterConfig
 from evo_cpg.config.situations import build_situations, require_light
 from evo_cpg.config.terrain import build_ground
+from evo_cpg.config.trust import code_folders
 from evo_cpg.control.brain_cpg import BrainCpgSettings, build_brain_cpg
 from evo_cpg.control.controller import Controller
 from evo_cpg.control.couplings import CouplingError
@@ -66,8 +67,9 @@ def build_experiment(
 
     Args:
         config: the configuration.
-        source: file it came from, for messages; a user's own classes are looked for beside it.
-        folders: where else to look for them, before the working folder.
+        source: file it came from, for messages; a user's own classes are looked for beside it,
+            where it is trusted (`evo_cpg.config.trust`).
+        folders: where else to look for them then, before the working folder.
         apart: leave surfaces ungrouped that are alike, so that they may come to differ.
         pairs: names of the bodies that are kept from passing through each other, instead of what
             the creature's own numbers make of it; None for that.
@@ -75,9 +77,11 @@ def build_experiment(
     Raises:
         ConfigError: parts that do not fit together.
     """
-    for folder in (Path(source).parent, *folders, Path.cwd()):
+    folders = (Path(source).parent, *folders)
+    for folder in (*code_folders(folders), Path.cwd()):
         if str(folder.resolve()) not in sys.path:
             sys.path.append(str(folder.resolve()))
+    require_code(config, source, folders)
     creature, simulation = build_simulation(config, source, apart, pairs)
     genetics = config.evolution
     gene_count = simulation.controller.gene_count
@@ -147,7 +151,10 @@ def build_simulation(
         joint_angle=xp.deg2rad(config.noise.joint_angle_deg),
         tilt=xp.deg2rad(config.noise.tilt_deg),
         push=config.noise.push,
+        friction=config.noise.friction,
     )
+    if config.noise.friction and world.footing is None:
+        raise ConfigError(source, ("noise", "friction"), "there is no ground to be rough")
     with using(engine):
         situations = build_situations(config, creature, world, source)
     task = _build_task(config, creature, situations[0].light, source)

@@ -11,16 +11,22 @@ import pydantic
 import yaml
 
 from evo_cpg.config.errors import ConfigError, Key, nearest
+from evo_cpg.config.files import read_small, require_shallow
 from evo_cpg.config.meshes import read_mesh
 from evo_cpg.config.schema.creature import CreatureConfig
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.config.terrain import read_heights
+from evo_cpg.config.trust import beside, trusting
 
 # What pydantic calls an unknown key, in models and in dataclasses.
 _UNKNOWN_KEY = ("extra_forbidden", "unexpected_keyword_argument")
 
 
-class _Loader(yaml.SafeLoader):
+# libyaml's, where PyYAML was built with it, is ten times faster.
+_SafeLoader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+
+
+class _Loader(_SafeLoader):
     """Safe YAML with two of its traps closed: keys given twice, and 1e-3, which is a string."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict:
@@ -72,10 +78,16 @@ def complete_config(
     """
     data = copy.deepcopy(data)
     _read_files(data, source)
+    for key, entry in _mesh_entries(data):
+        if isinstance(entry["shape"].get("file"), str):
+            beside(source, entry["shape"]["file"], (*key, "file"))
     for override in overrides:
         _apply(data, override)
-        _read_files(data, source)
-    _read_meshes(data, source)
+        # What the command line names may lie anywhere.
+        with trusting():
+            _read_files(data, source)
+    with trusting():
+        _read_meshes(data, source)
     return check_config(data, source)
 
 
@@ -112,7 +124,7 @@ def dump_creature(config: CreatureConfig) -> str:
 
 def _read_yaml(path: Path) -> dict[str, Any]:
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_small(path)
     except FileNotFoundError:
         raise ConfigError(path, (), f"no such file{_neighbours(path)}") from None
     except OSError as error:
@@ -136,6 +148,7 @@ def _read_yaml(path: Path) -> dict[str, Any]:
 
 
 def _parse(text: str) -> Any:
+    require_shallow(text, _Loader)
     return yaml.load(text, _Loader)
 
 
@@ -149,7 +162,7 @@ def _read_files(data: dict[str, Any], path: Path) -> None:
         if not isinstance(name, str):
             raise ConfigError(path, ("creature", "file"), "must be the path of a creature's file")
         folder = Path(name).parent
-        data["creature"] = _read_yaml(path.parent / name) | changes
+        data["creature"] = _read_yaml(beside(path, name, ("creature", "file"))) | changes
         for _, entry in _mesh_entries(data):
             if isinstance(entry["shape"].get("file"), str):
                 entry["shape"] = entry["shape"] | {"file": str(folder / entry["shape"]["file"])}

@@ -6,6 +6,8 @@ from typing import Any
 import numpy as np
 
 from evo_cpg.config.errors import ConfigError, Key, nearest
+from evo_cpg.config.files import require_small
+from evo_cpg.config.trust import beside
 from evo_cpg.creature.mesh import MeshError, convex_mesh
 
 _KINDS = (".obj", ".stl")
@@ -35,14 +37,14 @@ def read_mesh(source: Path, where: Key, given: dict[str, Any]) -> dict[str, Any]
     file, where = given["file"], (*where, "file")
     if not isinstance(file, str):
         raise ConfigError(source, where, f"{file!r}: must be the name of a file")
-    path = source.parent / file
+    path = beside(source, file, where)
     suffix = path.suffix.lower()
     if suffix not in _KINDS:
         raise ConfigError(
             source, where, f"{file}: {path.suffix!r} is not known; allowed: {', '.join(_KINDS)}"
         )
     try:
-        path.stat()
+        require_small(path)
     except FileNotFoundError:
         raise ConfigError(source, where, f"{file}: no such file") from None
     except (OSError, ValueError) as error:
@@ -69,7 +71,7 @@ def _read(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """Vertices, each once, and triangles."""
     import trimesh
 
-    mesh = trimesh.load_mesh(path, process=False)
+    mesh = trimesh.load_mesh(path, process=False, skip_materials=True)
     if not np.isfinite(mesh.vertices).all():
         raise ValueError("a coordinate of a vertex is not a finite number")
     # Merging takes places for whole numbers; those that are too large are refused later.

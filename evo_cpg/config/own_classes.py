@@ -3,6 +3,7 @@
 import ast
 import hashlib
 import importlib
+import importlib.util
 import inspect
 import sys
 from collections.abc import Iterable
@@ -13,6 +14,7 @@ from typing import Any
 from evo_cpg.config.errors import ConfigError, Key
 from evo_cpg.config.schema.choice import CustomConfig
 from evo_cpg.config.schema.experiment import ExperimentConfig
+from evo_cpg.config.trust import distrusted
 
 
 def own_parts(config: ExperimentConfig) -> list[tuple[tuple[str | int, ...], CustomConfig]]:
@@ -62,6 +64,30 @@ def build_own(given: CustomConfig, kind: type, key: Key, source: Path | str, **e
         raise ConfigError(
             source, (*key, "options"), f"{given.type} cannot be built with them ({error})"
         ) from None
+
+
+def require_code(config: ExperimentConfig, source: Path | str, folders: Iterable[Path]) -> None:
+    """Check that the modules of a user's own classes can be found; none is imported.
+
+    Args:
+        config: which names them.
+        source: file it came from, for messages.
+        folders: where they may lie, but are not looked for unless they are trusted.
+
+    Raises:
+        ConfigError: one cannot.
+    """
+    for key, part in own_parts(config):
+        module = part.type.partition(":")[0]
+        top = module.partition(".")[0]
+        if not top or top in sys.modules or importlib.util.find_spec(top) is not None:
+            # Without a top it is one of a package that there is none of, as importing it says.
+            continue
+        raise ConfigError(
+            source,
+            (*key, "type"),
+            f"{part.type!r} cannot be imported (no module {top!r}{distrusted(module, folders)})",
+        )
 
 
 def code_digests(config: ExperimentConfig) -> dict[str, str]:

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from evo_cpg.config.errors import ConfigError
+from evo_cpg.config.files import require_small
 from evo_cpg.config.schema.ground import (
     MOST_HEIGHTS,
     BlockConfig,
@@ -15,6 +16,7 @@ from evo_cpg.config.schema.ground import (
     ReliefConfig,
     ShoreConfig,
 )
+from evo_cpg.config.trust import beside
 from evo_cpg.physics.footing import Ground
 from evo_cpg.physics.terrain import Block, Boulder, Obstacle, Part, Plane, Relief, Shore
 from evo_cpg.spatial.numerics import xp
@@ -93,7 +95,7 @@ def read_heights(
     where = (*_FLOOR, "file")
     if not isinstance(file, str):
         raise ConfigError(source, where, f"{file!r}: must be the name of a file")
-    path = source.parent / file
+    path = beside(source, file, where)
     suffix = path.suffix.lower()
     known = (*_ARRAYS, *_TABLES, *_IMAGES)
     if suffix not in known:
@@ -103,17 +105,20 @@ def read_heights(
     if not path.is_file():
         raise ConfigError(source, where, f"{file}: no such file")
     try:
+        require_small(path)
         if suffix in _ARRAYS:
-            heights = np.load(path, allow_pickle=False)
+            # Mapped, so that a header that promises more than the file holds is found out.
+            heights = np.load(path, mmap_mode="r", allow_pickle=False)
         elif suffix in _TABLES:
             heights = np.loadtxt(path, delimiter="," if suffix == ".csv" else None)
         else:
             heights = _image(path, black, white)
-        heights = np.asarray(heights, float)
+        if heights.ndim == 2 and max(heights.shape) <= MOST_HEIGHTS:
+            heights = np.asarray(heights, float)
     except Exception as error:
         # Whatever the readers raise is about the file.
         raise ConfigError(source, where, f"{file}: cannot be read ({error})") from None
-    if heights.ndim != 2 or not np.isfinite(heights).all():
+    if heights.ndim != 2 or not np.isfinite(heights[:MOST_HEIGHTS, :MOST_HEIGHTS]).all():
         raise ConfigError(
             source, where, f"{file}: must hold a grid of finite numbers, not {heights.shape}"
         )
@@ -133,7 +138,11 @@ def _number(source: Path, where: tuple[str, ...], value: object) -> float:
 
 def _image(path: Path, lowest: float, highest: float) -> np.ndarray:
     from matplotlib.image import imread
+    from PIL import Image
 
+    with Image.open(path) as image:
+        if max(image.size) > MOST_HEIGHTS:
+            raise ValueError(f"{image.width} x {image.height} pixels, of {MOST_HEIGHTS} each way")
     pixels = np.asarray(imread(path))
     full = 255 if pixels.dtype == np.uint8 else 1
     grey = pixels if pixels.ndim == 2 else pixels[..., :3].mean(-1)

@@ -22,6 +22,7 @@ import csv
 import hashlib
 import io
 import json
+import math
 import os
 import re
 import shutil
@@ -30,7 +31,7 @@ import tempfile
 import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 
@@ -49,6 +50,8 @@ _KEPT_CHECKPOINTS = 2
 # Where files that belong together gather, and where they wait to be moved to their places.
 _GATHERED, _DECIDED = ".gathered", ".decided"
 _RECORDING_PREFIX = "recording."
+# What is relied on in meta.json.
+_META = {"devices": int, "config": str, "replaced": list, "fingerprint": dict}
 _DIGESTS = ("config_sha256", "genes_sha256", "outcome_sha256")
 
 # What reading a truncated or overwritten .npz file has been seen to raise.
@@ -154,10 +157,13 @@ class RunFolder:
     def read_meta(self) -> dict[str, Any]:
         """The contents of meta.json; empty where it is missing or broken."""
         try:
-            meta = json.loads(self.meta.read_text())
-        except (OSError, ValueError):
+            meta = json.loads(self.meta.read_text(encoding="utf-8"))
+        except (OSError, RecursionError, ValueError):
             return {}
-        return meta if isinstance(meta, dict) else {}
+        sound = isinstance(meta, dict) and all(
+            isinstance(meta[key], kind) for key, kind in _META.items() if key in meta
+        )
+        return meta if sound else {}
 
     def update_meta(self, **values: Any) -> None:
         """Add to meta.json."""
@@ -358,5 +364,29 @@ def _cannot_write(path: Path, error: OSError) -> RunFolderError:
 
 def _read_arrays(path: Path) -> dict[str, np.ndarray]:
     # Given a path, np.load would leave a damaged file open.
-    with path.open("rb") as file, np.load(file) as arrays:
-        return dict(arrays)
+    with path.open("rb") as file:
+        _require_honest(file)
+        with np.load(file, allow_pickle=False) as arrays:
+            return dict(arrays)
+
+
+def _require_honest(file: IO[bytes]) -> None:
+    """Check that an .npz file is no larger unpacked than it is, and holds what it promises.
+
+    Raises:
+        ValueError: it is, or does not; others of `_DAMAGED` where it is no .npz file at all.
+    """
+    with zipfile.ZipFile(file) as archive:
+        for member in archive.infolist():
+            # Ours are not compressed.
+            if member.compress_type != zipfile.ZIP_STORED:
+                raise ValueError(f"{member.filename} is compressed: more than the file holds")
+            with archive.open(member) as array:
+                version = np.lib.format.read_magic(array)
+                if version == (1, 0):
+                    shape, _, kind = np.lib.format.read_array_header_1_0(array)
+                else:
+                    shape, _, kind = np.lib.format.read_array_header_2_0(array)
+            if math.prod(shape) * kind.itemsize > member.file_size:
+                raise ValueError(f"{member.filename} promises more than the file holds")
+    file.seek(0)

@@ -184,7 +184,7 @@ def test_a_run_with_a_broken_config_or_no_champion_is_refused(refused, tmp_path)
     run.mkdir()
     (run / "config.yaml").write_text("name: [")
     for command in ("resume", "verify", "render", "plot"):
-        assert "config.yaml: line 1" in refused(command, run)
+        assert "config.yaml: line 2" in refused(command, run)
     config = yaml.safe_load(CONFIG.read_text())
     config["creature"] = str(REPOSITORY / "configs" / config["creature"])
     (run / "config.yaml").write_text(yaml.safe_dump(config))
@@ -205,7 +205,7 @@ def test_a_film_of_unknown_kind_or_size_is_refused(refused, finished_run, tmp_pa
 @pytest.mark.parametrize(
     ("kind", "options", "expected"),
     [
-        ("no_such_module:Task", {}, "task.type: 'no_such_module:Task' cannot be imported (ModuleN"),
+        ("no_such_module:Task", {}, "task.type: 'no_such_module:Task' cannot be imported (no mod"),
         ("my_tasks:Jmup", {}, "task.type: 'my_tasks:Jmup' cannot be imported (AttributeError"),
         ("broken_tasks:Jump", {}, "task.type: 'broken_tasks:Jump' cannot be imported (SyntaxErr"),
         ("..my_tasks:Jump", {}, "task.type: '..my_tasks:Jump' cannot be imported (TypeError"),

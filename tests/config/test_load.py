@@ -446,7 +446,7 @@ def test_what_is_missing_is_named():
         ("a: 1\n\tb: 2\n", "line 2, column 1: not valid YAML"),
         ("a: 1\nb:\n  c: 1\n  d: 2\n  c: 3\n", "line 5, column 3: not valid YAML: the key 'c' is"),
         ("a: {[1]: 2}", "line 1, column 5: not valid YAML: found unhashable key"),
-        ("a: \x01", "not valid YAML: special characters are not allowed"),
+        ("a: \x01", "not valid YAML: control characters are not allowed"),
         (
             "a: !!python/object:os.system {}",
             "line 1, column 4: not valid YAML: could not determine",

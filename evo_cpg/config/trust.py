@@ -1,0 +1,85 @@
+"""What a configuration or a run folder may reach beyond itself.
+
+It may come from a stranger. Unless the user says that it is theirs, it names no files outside of
+its own folder, and no code but what Python finds without it: in the working folder, or installed.
+"""
+
+import contextlib
+import contextvars
+import os
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+from evo_cpg.config.errors import ConfigError, Key
+
+# Says in the environment what `--trust` says on the command line; for clusters and scripts.
+VARIABLE = "EVO_CPG_TRUST"
+
+_trusted = contextvars.ContextVar("trusted", default=False)
+
+
+def trust() -> None:
+    """From here on, configurations are the user's own."""
+    _trusted.set(True)
+
+
+@contextlib.contextmanager
+def trusting(own: bool = True) -> Iterator[None]:
+    """Within it, configurations are the user's own; nothing changes where ``own`` is False."""
+    token = _trusted.set(own or _trusted.get())
+    try:
+        yield
+    finally:
+        _trusted.reset(token)
+
+
+def is_trusted() -> bool:
+    """Whether configurations are the user's own."""
+    return _trusted.get() or os.environ.get(VARIABLE) == "1"
+
+
+def beside(source: Path, name: str, where: Key) -> Path:
+    """The file of this name, seen from a configuration file.
+
+    Args:
+        source: the configuration file.
+        name: as it stands there.
+        where: its key, for messages.
+
+    Raises:
+        ConfigError: it lies outside of the configuration's folder, and that is not trusted.
+    """
+    path = source.parent / name
+    if is_trusted():
+        return path
+    try:
+        inside = path.resolve().is_relative_to(source.parent.resolve())
+    except (OSError, RuntimeError, ValueError):
+        # A name that is none, or links that go round in circles.
+        inside = True
+    if not inside:
+        raise ConfigError(
+            source,
+            where,
+            f"{name[:200]!r} lies outside of the configuration's folder; if the configuration is "
+            "yours, say so: evo-cpg --trust ...",
+        )
+    return path
+
+
+def code_folders(folders: Iterable[Path]) -> list[Path]:
+    """In which of some folders a user's own classes are looked for."""
+    here = Path.cwd().resolve()
+    return [folder for folder in folders if is_trusted() or folder.resolve() == here]
+
+
+def distrusted(module: str, folders: Iterable[Path]) -> str:
+    """Says that a module is there, but not trusted; empty where it is not there."""
+    top = module.partition(".")[0]
+    for folder in folders:
+        if (folder / f"{top}.py").is_file() or (folder / top).is_dir():
+            return (
+                f"; it lies in {folder}, and code is run only from the working folder, or with "
+                "evo-cpg --trust ..., which says that it is yours"
+            )
+    return ""
