@@ -11,8 +11,16 @@ class ConfigError(Exception):
     """A configuration that cannot be used; the message is for the user as it stands."""
 
     def __init__(self, source: str | Path, key: Key, problem: str):
-        where = f"{source}: {'.'.join(map(str, key))}: " if key else f"{source}: "
-        super().__init__(where + problem)
+        # What a stranger wrote may be of any length.
+        where = [_clipped(str(source)), *([_clipped(".".join(map(str, key)))] if key else [])]
+        super().__init__(": ".join([*where, _clipped(problem, 700)]))
+
+
+def _clipped(text: str, most: int = 150) -> str:
+    """The beginning and the end of a long text."""
+    if len(text) <= most:
+        return text
+    return f"{text[: most // 2]}...{text[-(most // 2) :]}"
 
 
 def nearest(word: str, valid: Iterable[str]) -> str:

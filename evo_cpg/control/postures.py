@@ -83,9 +83,9 @@ class PostureSettings:
     graded: bool = False
 
     def __post_init__(self):
-        for name in ("postures", "bits_per_joint"):
-            if not getattr(self, name) >= 1:
-                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+        for name, most in (("postures", 1000), ("bits_per_joint", 16)):
+            if not 1 <= getattr(self, name) <= most:
+                raise ValueError(f"{name} must be from 1 to {most}, got {getattr(self, name)}")
         for name in ("period", "angle_step"):
             if not 0 < getattr(self, name) < math.inf:
                 raise ValueError(f"{name} must be positive, got {getattr(self, name)}")

@@ -280,8 +280,8 @@ def test_period_that_does_not_suit_the_control_step_is_refused(pendulum, period)
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"postures": 0}, "postures must be at least 1, got 0"),
-        ({"bits_per_joint": 0}, "bits_per_joint must be at least 1, got 0"),
+        ({"postures": 0}, "postures must be from 1 to 1000, got 0"),
+        ({"bits_per_joint": 0}, "bits_per_joint must be from 1 to 16, got 0"),
         ({"period": 0.0}, "period must be positive, got 0.0"),
         ({"period": math.inf}, "period must be positive, got inf"),
         ({"angle_step": -20.0}, "angle_step must be positive, got -20.0"),

@@ -125,7 +125,8 @@ def postures(case: Case) -> Iterator[Doubt]:
     given: Any = case.config.controller
     if given.type != "postures":
         return
-    reach = given.angle_step * (2**given.bits_per_joint - 1)
+    # However many: refused later.
+    reach = given.angle_step * (2.0 ** min(given.bits_per_joint, 60) - 1)
     if reach <= 2 * np.pi:
         yield Doubt(
             ("controller", "angle_step"),

@@ -1,0 +1,489 @@
+"""What faults do to runs: `python -m benchmarks.faults kills|configs|folders|hour OUT`.
+
+kills    small runs of five kinds are killed at random moments, by SIGKILL, SIGTERM and SIGINT in
+         turn, and resumed until they are done; their populations, tables and champions must be, to
+         the last bit, those of runs that nobody touched.
+configs  the shipped configurations with random mistakes in their values or in their text are read
+         and built; each must be taken or refused in words for the user, in bounded time and memory.
+folders  run folders with random damage are opened, and every eighth verified and resumed, likewise;
+         nothing that was whole may be lost.
+hour     one run trains for an hour; memory, speed and files are noted along the way.
+
+OUT holds what went wrong, and a summary as JSON. All seeds are fixed.
+"""
+
+import argparse
+import collections
+import contextlib
+import copy
+import hashlib
+import io
+import json
+import math
+import multiprocessing
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import time
+import traceback
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+ROOT = Path(__file__).parents[1]
+CONFIGS = ROOT / "configs"
+
+_SMALL = ("simulation.steps=120", "evolution.generations=40")
+_PAIR = (*_SMALL, "creature.bodies.1.repeat=1", "creature.bodies.1.joint.axes=[z]")
+_SWIM = (*_PAIR, "evolution.population=16", "evolution.elites=4", "world.water.form_resolution=1")
+_LIGHTS = "simulation.trials=[{light: {bearing_deg: 30}}, {light: {bearing_deg: -30}}]"
+_NOISE = ("noise.joint_angle_deg=1", "noise.push=0.05")
+
+# What the runs are that are killed.
+KINDS = {
+    "swimmer": ("iwadate2010_swimmer", _SWIM),
+    "several lights": ("iwadate2010_swimmer", (*_SWIM, _LIGHTS)),
+    "learning": (
+        "iwadate2010_swimmer",
+        (*_SWIM, "simulation.steps=30", "evolution.learning.every=4", "evolution.learning.steps=1"),
+    ),
+    "noise and trials": ("iwadate2010_swimmer", (*_SWIM, *_NOISE, "simulation.trials=3")),
+    "walkers side by side": (
+        "fukui2003_model1",
+        ("simulation.steps=60", "runs=3", "evolution.generations=40", "noise.friction=0.2"),
+    ),
+}
+
+# A process gets at most so long until it is killed, s.
+_LONGEST = 14.0
+
+# One of so many damaged folders is verified and resumed, for which its programs are compiled.
+_VERIFIED = 8
+
+# What a configuration or a damaged folder may take, s and bytes.
+_SLOW, _LARGE = 5.0, 2**30
+
+# Columns of metrics.csv that no two runs share.
+_TIMES = ("seconds", "steps_per_second")
+
+_ODD_VALUES: tuple[Any, ...] = (
+    None, True, False, -1, 0, 1, 2, 1e308, -1e308, 1e-308, math.nan, math.inf, -math.inf, 10**30,
+    -(10**30), 0.5, "", " ", "x", "x" * 5000, "1", "nan", "\x00", "../x", "/", "é\u202e", [], {},
+    [[]], [None], [1, 2, 3], [0, 0, 0], ["x"], {"type": "x"}, {"file": "x"}, {"x": 1}, [1e308] * 3,
+    [[1, 2]] * 3, 3.0, 1000, 10_000, 1_000_000, 2**31, 2**63, "head", "all", "box", "real", "bits",
+)  # fmt: skip
+
+
+def command(*words: object) -> list[str]:
+    """`evo-cpg` as a process."""
+    return [sys.executable, "-m", "evo_cpg.cli.main", *map(str, words)]
+
+
+def environment(out: Path) -> dict[str, str]:
+    """Of such a process: what it compiles is kept, so that the next one starts sooner."""
+    return os.environ | {
+        "PYTHONPATH": str(ROOT),
+        "JAX_COMPILATION_CACHE_DIR": str(out / "compiled"),
+        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
+    }
+
+
+# Kills ------------------------------------------------------------------------------------------
+
+
+def contents(run: Path) -> dict[str, str]:
+    """Digests of all that a finished run comes to, times left out."""
+    from evo_cpg.training.run_folder import RunFolder
+
+    folder = RunFolder(run)
+    checkpoint = folder.load()
+    champion, recording, _ = folder.load_champion()
+    assert checkpoint is not None and recording is not None
+    rows = [{k: v for k, v in row.items() if k not in _TIMES} for row in checkpoint.history]
+    parts = {
+        "genes": checkpoint.genes.tobytes(),
+        "history": json.dumps(rows).encode(),
+        "scales": json.dumps(checkpoint.scales).encode(),
+        "champion": champion.genes.tobytes() + json.dumps(champion[1:]).encode(),
+        "motion": b"".join(np.asarray(each).tobytes() for each in recording),
+    }
+    return {name: hashlib.sha256(part).hexdigest() for name, part in parts.items()}
+
+
+def finish(out: Path, run: Path, start: list[str]) -> None:
+    """Let a run come to its end, from wherever it is."""
+    again = command("resume", run, "--cores", 1) if (run / "config.yaml").exists() else start
+    done = subprocess.run(again, env=environment(out), capture_output=True, text=True)
+    if done.returncode:
+        raise RuntimeError(f"{' '.join(again)}: {done.stderr[-2000:]}")
+
+
+def kills_of(out: Path, kind: str, count: int) -> dict[str, Any]:
+    """Kill one kind of run so many times, and compare what it comes to each time it is done."""
+    config, settings = KINDS[kind]
+    file, name = CONFIGS / f"{config}.yaml", kind.replace(" ", "_")
+    whole = out / f"{name}_whole"
+    finish(out, whole, command("train", file, *settings, "--cores", 1, "--out", whole))
+    wanted = contents(whole)
+    chance, killed, finished, differ = random.Random(kind), 0, 0, []
+    signals = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
+    while killed < count:
+        run = out / f"{name}_{finished}"
+        start = command("train", file, *settings, "--cores", 1, "--out", run)
+        while killed < count:
+            begun = (run / "config.yaml").exists()
+            words = command("resume", run, "--cores", 1) if begun else start
+            process = subprocess.Popen(
+                words, env=environment(out), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+            )
+            try:
+                process.wait(chance.uniform(0.0, _LONGEST))
+                break
+            except subprocess.TimeoutExpired:
+                process.send_signal(signals[killed % len(signals)])
+                process.wait()
+                killed += 1
+        finish(out, run, start)
+        found = contents(run)
+        differ += [f"{run}: {part}" for part in wanted if found[part] != wanted[part]]
+        finished += 1
+        shutil.rmtree(run)
+    return {"killed": killed, "finished": finished, "differ": differ}
+
+
+def kills(out: Path, count: int) -> dict[str, Any]:
+    """All kinds of run, two at a time."""
+    each = -(-count // len(KINDS))
+    with ThreadPoolExecutor(2) as pool:
+        found = pool.map(lambda kind: kills_of(out, kind, each), KINDS)
+        return dict(zip(KINDS, found, strict=True))
+
+
+# Configurations ---------------------------------------------------------------------------------
+
+
+def places(data: Any, key: tuple = ()) -> Iterable[tuple]:
+    """Keys of all values in nested mappings and lists."""
+    inner = data.items() if isinstance(data, dict) else enumerate(data)
+    for name, value in inner:
+        yield (*key, name)
+        if isinstance(value, (dict, list)):
+            yield from places(value, (*key, name))
+
+
+def with_odd_values(data: dict[str, Any], chance: random.Random) -> dict[str, Any]:
+    """A configuration with some values replaced, left out, moved or added."""
+    data = copy.deepcopy(data)
+    for _ in range(chance.choice((1, 1, 1, 2, 3))):
+        key = chance.choice(list(places(data)))
+        inner: Any = data
+        for part in key[:-1]:
+            inner = inner[part]
+        what = chance.random()
+        if what < 0.1:
+            del inner[key[-1]]
+        elif what < 0.2 and isinstance(inner, dict):
+            inner[chance.choice(("x", "type", "file", "", 3, None, True))] = inner.pop(key[-1])
+        elif what < 0.3 and isinstance(inner[key[-1]], (int, float)):
+            inner[key[-1]] *= chance.choice((-1, 1e-6, 1e3, 1e6, 1e12))
+        else:
+            inner[key[-1]] = copy.deepcopy(chance.choice(_ODD_VALUES))
+    return data
+
+
+def with_odd_text(text: bytes, chance: random.Random) -> bytes:
+    """A file with bytes flipped, lost, doubled or cut off."""
+    damaged = bytearray(text)
+    for _ in range(chance.choice((1, 2, 5))):
+        place = chance.randrange(len(damaged))
+        what = chance.random()
+        if what < 0.4:
+            damaged[place] ^= 1 << chance.randrange(8)
+        elif what < 0.6:
+            del damaged[place : place + chance.choice((1, 10, 100))]
+        elif what < 0.8:
+            damaged[place:place] = chance.choice((b"[", b"{", b"&a ", b"*a", b"\t", b"- ", b": "))
+        elif what < 0.9:
+            damaged[place:place] = damaged[place : place + 200]
+        else:
+            del damaged[place + 1 :]
+        if not damaged:
+            break
+    return bytes(damaged)
+
+
+def build_odd(folder: Path, number: int) -> str:
+    """Read and build one configuration with mistakes.
+
+    Returns:
+        ``taken`` or ``refused``.
+    """
+    from evo_cpg.cli.errors import is_users_fault
+    from evo_cpg.config.build import build_experiment
+    from evo_cpg.config.load import load_config
+    from evo_cpg.config.plausible import doubts
+
+    chance = random.Random(number)
+    original = chance.choice(sorted(folder.glob("*.yaml")))
+    path = original.with_name(f"odd_{number}.yml")
+    if chance.random() < 0.7:
+        data = yaml.safe_load(original.read_text())
+        creature = data["creature"]
+        if chance.random() < 0.6 and isinstance(creature, str):
+            data["creature"] = yaml.safe_load((folder / creature).read_text())
+        path.write_text(yaml.safe_dump(with_odd_values(data, chance), allow_unicode=True))
+    else:
+        path.write_bytes(with_odd_text(original.read_bytes(), chance))
+    try:
+        config = load_config(path)
+        list(doubts(config, path))
+        build_experiment(config, path)
+    except Exception as error:
+        if not is_users_fault(error):
+            raise
+        if len(str(error)) > 1000:
+            raise ValueError(f"a message of {len(str(error))} characters") from error
+        path.unlink()
+        return "refused"
+    path.unlink()
+    return "taken"
+
+
+# Run folders ------------------------------------------------------------------------------------
+
+
+def damage(run: Path, chance: random.Random) -> list[str]:
+    """Break some files of a run folder; which."""
+    files = sorted(path for path in run.rglob("*") if path.is_file())
+    broken = []
+    for path in chance.sample(files, chance.choice((1, 1, 2, 3))):
+        broken.append(str(path.relative_to(run)))
+        size = path.stat().st_size
+        what = chance.randrange(8)
+        if what == 0:
+            os.truncate(path, chance.randrange(size + 1))
+        elif what == 1:
+            contents = bytearray(path.read_bytes())
+            for _ in range(chance.choice((1, 8, 64))):
+                contents[chance.randrange(len(contents))] ^= 1 << chance.randrange(8)
+            path.write_bytes(contents)
+        elif what == 2:
+            path.unlink()
+        elif what == 3:
+            path.unlink()
+            path.mkdir()
+        elif what == 4:
+            other = chance.choice(files)
+            path.write_bytes(other.read_bytes())
+        elif what == 5:
+            path.write_bytes(b"")
+        elif what == 6:
+            path.unlink()
+            path.symlink_to(path.name)
+        else:
+            path.write_bytes(chance.randbytes(size))
+        files = [each for each in files if each.is_file()]
+    return broken
+
+
+def open_damaged(folder: Path, number: int) -> str:
+    """Do with a damaged run what its user would.
+
+    Returns:
+        What became of every command, and of the checkpoints.
+    """
+    from evo_cpg.cli import pictures, training
+    from evo_cpg.cli.errors import is_users_fault
+    from evo_cpg.training.run_folder import RunFolder
+
+    chance = random.Random(number)
+    original = chance.choice(sorted(path for path in folder.iterdir() if path.is_dir()))
+    run = folder.parent / "odd" / f"{original.name}_{number}"
+    shutil.copytree(original, run)
+    broken = damage(run, chance)
+    told = []
+    commands: dict[str, Callable[[], object]] = {
+        "plot": lambda: pictures.plot_run(run, None, 0),
+        "verify": lambda: training.verify_run(run, 1),
+        "resume": lambda: training.resume_run(run, None, 1),
+    }
+    if number % _VERIFIED:
+        commands = {"plot": commands["plot"], "open": lambda: training.open_champion(run)}
+    # Whatever the damage says: JAX has its devices in this process already.
+    training.use_cores = lambda cores: 1
+    for name, call in commands.items():
+        try:
+            with (
+                contextlib.redirect_stdout(io.StringIO()),
+                contextlib.redirect_stderr(io.StringIO()),
+            ):
+                call()
+            told.append(f"{name} done")
+        except SystemExit as error:
+            told.append(f"{name} ends with {error.code}")
+        except Exception as error:
+            if not is_users_fault(error):
+                raise RuntimeError(f"{name} after damage to {', '.join(broken)}") from error
+            told.append(f"{name} refused")
+    if told[-1] == "resume done":
+        sound, found = RunFolder(original).load(), RunFolder(run).load()
+        assert sound is not None and found is not None
+        if "config.yaml" not in broken and not np.array_equal(sound.genes, found.genes):
+            raise RuntimeError(f"after damage to {', '.join(broken)} other genes came out")
+    shutil.rmtree(run)
+    return ", ".join(told)
+
+
+# In worker processes ----------------------------------------------------------------------------
+
+
+def _work(call: Callable[[Path, int], str], folder: Path, tasks: Any, results: Any) -> None:
+    """Take numbers, and give back what came of them, how long it took and how large it grew."""
+    from evo_cpg.training.devices import use_cores
+
+    use_cores(1)
+    os.chdir(folder)
+    for number in iter(tasks.get, None):
+        before = _memory()
+        with contextlib.suppress(OSError):
+            Path("/proc/self/clear_refs").write_text("5")
+        start = time.perf_counter()
+        try:
+            told, problem = call(folder, number), ""
+        except BaseException:
+            told, problem = "FAILED", traceback.format_exc()
+        seconds = time.perf_counter() - start
+        results.put((number, told, problem, seconds, _memory("VmHWM") - before))
+
+
+def _memory(kind: str = "VmRSS") -> int:
+    """Of this process, bytes."""
+    for line in Path("/proc/self/status").read_text().splitlines():
+        if line.startswith(kind):
+            return int(line.split()[1]) * 1024
+    return 0
+
+
+def fuzz(
+    call: Callable[[Path, int], str], folder: Path, count: int, out: Path, slow: float
+) -> dict[str, Any]:
+    """Call with the numbers 0 to ``count``, in two processes; one that hangs is killed."""
+    context = multiprocessing.get_context("spawn")
+    tasks, results = context.Queue(), context.Queue()
+    for number in range(count):
+        tasks.put(number)
+    workers = []
+
+    def hire() -> None:
+        worker = context.Process(target=_work, args=(call, folder, tasks, results), daemon=True)
+        worker.start()
+        workers.append(worker)
+
+    for _ in range(2):
+        hire()
+    told, wrong, times, sizes = collections.Counter(), [], [], []
+    seen, patience = 0, max(60.0, 12 * slow)
+    while seen < count:
+        try:
+            number, what, problem, seconds, grown = results.get(timeout=patience)
+        except Exception:
+            # Whoever is still at work hangs, or died without a word.
+            wrong.append("a process hung or died; see the numbers that are missing")
+            break
+        seen += 1
+        told[what] += 1
+        times.append(seconds)
+        sizes.append(grown)
+        if problem or seconds > slow or grown > _LARGE:
+            wrong.append(f"{number}: {what}, {seconds:.1f} s, {grown / 2**20:.0f} MiB\n{problem}")
+            (out / "wrong.txt").write_text("\n".join(wrong))
+        if seen % 250 == 0:
+            print(f"{seen} of {count}: {len(wrong)} wrong", flush=True)
+    for worker in workers:
+        worker.terminate()
+    return {
+        "count": seen,
+        "told": dict(told),
+        "wrong": len(wrong),
+        "longest_s": max(times, default=0.0),
+        "largest_MiB": max(sizes, default=0) / 2**20,
+    }
+
+
+def configs(out: Path, count: int) -> dict[str, Any]:
+    """The shipped configurations with mistakes."""
+    folder = out / "configs"
+    shutil.copytree(CONFIGS, folder, dirs_exist_ok=True)
+    return fuzz(build_odd, folder, count, out, _SLOW)
+
+
+def folders(out: Path, count: int) -> dict[str, Any]:
+    """Damaged run folders."""
+    whole = out / "whole"
+    for kind in ("swimmer", "walkers side by side"):
+        config, settings = KINDS[kind]
+        run = whole / kind.replace(" ", "_")
+        few = (*settings, "evolution.generations=3")
+        start = command("train", CONFIGS / f"{config}.yaml", *few, "--cores", 1, "--out", run)
+        finish(out, run, start)
+    (out / "odd").mkdir(exist_ok=True)
+    os.environ.update(environment(out))
+    # Each of these compiles, and no user waits for all three in a row.
+    return fuzz(open_damaged, whole, count, out, 12 * _SLOW)
+
+
+# An hour ----------------------------------------------------------------------------------------
+
+
+def hour(out: Path, minutes: int) -> dict[str, Any]:
+    """One run, looked at once a minute."""
+    run = out / "hour"
+    words = command(
+        "train", CONFIGS / "iwadate2010_swimmer.yaml", "simulation.steps=200",
+        "evolution.generations=1000000", "--out", run,
+    )  # fmt: skip
+    process = subprocess.Popen(
+        words, env=environment(out), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
+    rows = []
+    for _ in range(minutes):
+        time.sleep(60)
+        status = Path(f"/proc/{process.pid}/status").read_text()
+        resident = next(line for line in status.splitlines() if line.startswith("VmRSS"))
+        files = [path for path in run.rglob("*") if path.is_file()]
+        metrics = run / "metrics.csv"
+        generations = metrics.read_text().count("\n") - 1 if metrics.exists() else 0
+        size = sum(path.stat().st_size for path in files if path.exists())
+        rows.append([int(resident.split()[1]) / 1024, generations, len(files), size / 2**20])
+        print(rows[-1], flush=True)
+    process.send_signal(signal.SIGINT)
+    process.wait()
+    return {"MiB, generations, files, MiB of them, each minute": rows}
+
+
+def main() -> None:
+    """Run one of them."""
+    parser = argparse.ArgumentParser(description=str(__doc__).split("\n", 1)[0])
+    parser.add_argument("what", choices=("kills", "configs", "folders", "hour"))
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--count", type=int, help="200 kills, 5000 configs, 1000 folders, 60 min")
+    given = parser.parse_args()
+    calls = {"kills": (kills, 200), "configs": (configs, 5000), "folders": (folders, 1000),
+             "hour": (hour, 60)}  # fmt: skip
+    call, usual = calls[given.what]
+    out = given.out.resolve() / given.what
+    out.mkdir(parents=True, exist_ok=True)
+    found = call(out, given.count or usual)
+    (out / "summary.json").write_text(json.dumps(found, indent=1))
+    print(json.dumps(found, indent=1))
+
+
+if __name__ == "__main__":
+    main()
