@@ -20,6 +20,7 @@ TINY = (
     "evolution.population=8",
     "evolution.elites=2",
     "evolution.generations=4",
+    "audit.after_training=false",
 )
 
 # Where what matters is the command and not the animal: two bodies on a hinge. Programs are half as

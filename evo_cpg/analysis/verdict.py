@@ -64,11 +64,12 @@ class Limits:
     seen_through_ground: float = 0.01
 
 
-def limits_from(settings: Sequence[str]) -> Limits:
-    """The limits with some of them changed.
+def limits_from(settings: Sequence[str], limits: Limits = Limits()) -> Limits:
+    """Limits with some of them changed.
 
     Args:
         settings: as on the command line, ``key=value``.
+        limits: the others.
 
     Raises:
         LimitError: a key that does not exist, or a value that is no limit.
@@ -88,7 +89,7 @@ def limits_from(settings: Sequence[str]) -> Limits:
         if not (math.isfinite(value) and value >= 0):
             raise LimitError(f"{setting}: {text!r} is no limit; allowed: a number of at least 0")
         changed[key] = value
-    return Limits(**changed)
+    return dataclasses.replace(limits, **changed)
 
 
 class LimitError(ValueError):

@@ -14,7 +14,7 @@ from evo_cpg.analysis.excursions import Excursions, excursions
 from evo_cpg.analysis.verdict import Check, Limits, Verdict
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.schema.experiment import ExperimentConfig
-from evo_cpg.creature.creature import Creature, lowest_along
+from evo_cpg.creature.creature import Creature, length_of
 from evo_cpg.exchange.errors import ExchangeError
 from evo_cpg.exchange.second_opinion import Opinion, own_opinion, second_opinion
 from evo_cpg.fusion.engine import Engine, described
@@ -128,6 +128,31 @@ def audit(
     return Audit(Verdict(tuple(checks)), trials, simulation.step_length, opinions, missing)
 
 
+def compile_first_look(experiment: Experiment, least: float) -> Callable[[Champion], Check]:
+    """Compile the one check that `train` makes, before there is a champion.
+
+    Args:
+        experiment: that is being evolved.
+        least: share of its way that a champion must keep at half the physics step.
+    """
+    own = experiment.simulation
+    lives = [
+        variations.compile_lives(experiment, Variation("", (simulation,)))
+        for simulation in (own, variations.finer(own, 2))
+    ]
+    shortest = _SOME_WAY * length_of(experiment.creature)
+
+    def look(champion: Champion) -> Check:
+        way, half = (float(live(champion).way[0]) for live in lives)
+        question, detail = "way kept: half the step", f"{half:.3g} of {way:.3g} m"
+        if not way > shortest:
+            return Check("half_step", question, 1.0, detail=detail)
+        share = float(np.clip(np.nan_to_num(half) / way, 0.0, 1.0))
+        return Check("half_step", question, share, least, True, "%", detail)
+
+    return look
+
+
 def lived_trials(experiment: Experiment, champion: Champion) -> tuple[Trial, ...]:
     """All trials of a champion as it evolved, step by step."""
     simulation, numbers = experiment.simulation, situation_numbers(experiment)
@@ -155,7 +180,7 @@ def books(
 ) -> list[Check]:
     """What the trials themselves show; of each check the worst of them."""
     simulation, mass = experiment.simulation, float(experiment.creature.mass)
-    length, h = animal_length(experiment.creature), simulation.step_length
+    length, h = length_of(experiment.creature), simulation.step_length
     found = [trial.excursions for trial in trials]
     ledgers = [trial.ledger for trial in trials]
 
@@ -209,13 +234,6 @@ def books(
         spent = champion.terms["energy"] / champion.scales["energy"] - 1.0
         checks.append(check("free_energy", "energy spent for free", max(0.0, spent)))
     return checks
-
-
-def animal_length(creature: Creature) -> float:
-    """The largest extent of an animal in its neutral pose, m."""
-    axes = np.eye(3)
-    extents = [-lowest_along(creature, -axis) - lowest_along(creature, axis) for axis in axes]
-    return float(max(extents))
 
 
 def _variations(
@@ -273,7 +291,7 @@ def _shares(
 ) -> list[Check]:
     """How much of its way it keeps where."""
     checks = [Check("way", "way as it evolved", way, unit="m")]
-    if not way > _SOME_WAY * animal_length(creature):
+    if not way > _SOME_WAY * length_of(creature):
         return checks
     for key, (name, one) in kept.items():
         detail = ", ".join(f"{x:.3g}" for x in one.way) + " m"

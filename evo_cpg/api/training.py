@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from evo_cpg.analysis.verdict import Check
 from evo_cpg.api.experiment import Experiment
 from evo_cpg.config.fingerprint import fingerprint
 from evo_cpg.config.load import dump_config
@@ -68,7 +69,8 @@ def train(
     begin_run(folder, experiment.config, experiment.parts, devices, experiment.source)
     if experiment.replaced:
         folder.update_meta(replaced=list(experiment.replaced))
-    with Recorder(experiment.parts, folder) as recorder:
+    least = first_look_asked(experiment.config)
+    with Recorder(experiment.parts, folder, least) as recorder:
         champion = evolve(experiment.parts, folder, on_generation, recorder)
         recorder.keep(champion)
     checkpoint = folder.load()
@@ -107,20 +109,27 @@ def begin_run(
 
 
 class Recorder:
-    """Records the champion's motion, for which it compiles a program of its own.
+    """Records the champion's motion, and takes a first look at it, with programs of its own.
 
-    It does so in a thread while the population evolves: one core is busy for some seconds, and
-    nobody waits for it at the end.
+    It compiles them in a thread while the population evolves: one core is busy for some seconds,
+    and nobody waits for it at the end.
 
     Args:
         experiment: what is evolved.
         folder: of the run.
+        least: share of its way that the champion must keep at half the physics step; None to take
+            no look.
+
+    Attributes:
+        seen: what the first look came to; None without one.
     """
 
-    def __init__(self, experiment: parts.Experiment, folder: RunFolder):
-        self._experiment, self._folder = experiment, folder
+    def __init__(self, experiment: parts.Experiment, folder: RunFolder, least: float | None = None):
+        self.seen: Check | None = None
+        self._experiment, self._folder, self._least = experiment, folder, least
         self._thread = ThreadPoolExecutor(1, "recording")
         self._program: Future | None = None
+        self._look: Future | None = None
 
     def __enter__(self) -> "Recorder":
         return self
@@ -135,6 +144,10 @@ class Recorder:
 
         devices = self._folder.read_meta()["devices"]
         self._program = self._thread.submit(compile_replay, self._experiment, devices)
+        if self._least is not None:
+            from evo_cpg.api.audit import compile_first_look
+
+            self._look = self._thread.submit(compile_first_look, self._experiment, self._least)
 
     def keep(self, champion: Champion) -> None:
         """Write the champion and its motion into the run folder."""
@@ -143,7 +156,17 @@ class Recorder:
         assert self._program is not None
         _, _, motion = self._program.result()(champion)
         self._folder.save_champion(champion, motion)
+        if self._look is not None:
+            seen = self._look.result()(champion)
+            self.seen = seen
+            told = {"measured": seen.measured, "least": seen.limit, "passed": seen.passed}
+            self._folder.update_meta(half_step=told)
         self._folder.update_meta(finished=now())
+
+
+def first_look_asked(config: ExperimentConfig) -> float | None:
+    """What a run's first look at its champion asks for; None where it takes none."""
+    return config.audit.half_step if config.audit.after_training else None
 
 
 def evolve(

@@ -11,7 +11,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from evo_cpg.analysis.verdict import Check, LimitError, limits_from, shown
+from evo_cpg.analysis.verdict import Check, LimitError, Limits, limits_from, shown
 from evo_cpg.api.load import class_folders
 from evo_cpg.api.training import now, require_configured
 from evo_cpg.cli.errors import UsageError
@@ -37,13 +37,12 @@ def audit_run(run: Path, settings: Sequence[str], number: int | None) -> None:
         UsageError: a limit that does not exist.
         SystemExit: with `NOT_PASSED`, where the champion does not pass.
     """
-    try:
-        limits = limits_from(settings)
-    except LimitError as error:
-        raise UsageError(str(error)) from None
+    # Before anything that takes long.
+    _limits(settings)
     experiment, champion, _, folder = open_champion(run, number)
     require_configured(folder)
     config = load_config(folder.config)
+    limits = _limits(settings, config.audit.limits())
     with working("auditing: compiling each time, it takes one to some minutes") as work:
         from evo_cpg.api.audit import audit
 
@@ -90,6 +89,13 @@ def audit_run(run: Path, settings: Sequence[str], number: int | None) -> None:
     print(f"{run}: the champion {'passes' if verdict.passed else 'does not pass'} its audit")
     if not verdict.passed:
         raise SystemExit(NOT_PASSED)
+
+
+def _limits(settings: Sequence[str], others: Limits | None = None) -> Limits:
+    try:
+        return limits_from(settings, others or Limits())
+    except LimitError as error:
+        raise UsageError(str(error)) from None
 
 
 def _table(checks: tuple[Check, ...]) -> Table:

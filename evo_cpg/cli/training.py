@@ -8,8 +8,16 @@ from typing import Any
 
 import numpy as np
 
+from evo_cpg.analysis.verdict import Check, shown
 from evo_cpg.api.load import class_folders
-from evo_cpg.api.training import Recorder, begin_run, evolve, now, require_configured
+from evo_cpg.api.training import (
+    Recorder,
+    begin_run,
+    evolve,
+    first_look_asked,
+    now,
+    require_configured,
+)
 from evo_cpg.cli.building import build, read_config
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.progress import progress, working
@@ -41,7 +49,7 @@ def start_run(
     experiment = build(config, path)
     folder = RunFolder(out or Path("runs") / config.name)
     begin_run(folder, config, experiment, devices, path)
-    _evolve(experiment, folder)
+    _evolve(experiment, folder, first_look_asked(config))
 
 
 def resume_run(run: Path, generations: int | None, cores: int | None) -> None:
@@ -80,7 +88,7 @@ def resume_run(run: Path, generations: int | None, cores: int | None) -> None:
     folder.reopen(dump_config(config))
     engine = described(experiment.simulation.engine)
     folder.update_meta(devices=devices, resumed=now(), fingerprint=fingerprint(config), **engine)
-    _evolve(experiment, folder)
+    _evolve(experiment, folder, first_look_asked(config))
 
 
 def verify_run(run: Path, cores: int | None) -> None:
@@ -242,14 +250,14 @@ def live_again(experiment: Experiment, champion: Champion, devices: int, trial: 
         return replay_champion(experiment, champion, devices, trial)
 
 
-def _evolve(experiment: Experiment, folder: RunFolder) -> None:
+def _evolve(experiment: Experiment, folder: RunFolder, least: float | None) -> None:
     with working("starting JAX"):
         import evo_cpg.training.loop  # noqa: F401
 
     done = folder.load()
     start = done.generation if done else 0
     try:
-        with Recorder(experiment, folder) as recorder:
+        with Recorder(experiment, folder, least) as recorder:
             with progress(
                 experiment.name,
                 "generation",
@@ -262,7 +270,7 @@ def _evolve(experiment: Experiment, folder: RunFolder) -> None:
                     show(int(rows[0]["generation"]), _standing(rows), rows[0]["seconds"])
 
                 champion = evolve(experiment, folder, tell, recorder)
-            with working("recording the champion's motion"):
+            with working("recording the champion's motion, and trying it at half the step"):
                 recorder.keep(champion)
     except KeyboardInterrupt:
         print(f"interrupted; go on with `evo-cpg resume {folder.path}`", file=sys.stderr)
@@ -272,7 +280,18 @@ def _evolve(experiment: Experiment, folder: RunFolder) -> None:
     if experiment.runs > 1:
         origin += f" of run {champion.run}"
     print(f"champion of {origin}: fitness {champion.fitness:.4f} ({terms})", file=sys.stderr)
+    if recorder.seen is not None:
+        _say_first_look(recorder.seen, folder)
     print(folder.path)
+
+
+def _say_first_look(seen: Check, folder: RunFolder) -> None:
+    if seen.passed is None:
+        return
+    kept = f"at half the physics step it keeps {shown(seen.measured, '%')} of its way"
+    if not seen.passed:
+        kept = f"warning: {kept}, {seen.detail}: a trick of the step's length or of chance?"
+    print(f"{kept}; `evo-cpg audit {folder.path}` looks closer", file=sys.stderr)
 
 
 def _standing(rows: list[dict[str, float]]) -> str:

@@ -23,8 +23,8 @@ from evo_cpg.control.brain_cpg import BrainCpgSettings, build_brain_cpg
 from evo_cpg.control.controller import Controller
 from evo_cpg.control.couplings import CouplingError
 from evo_cpg.control.postures import PostureSettings, build_posture_controller
-from evo_cpg.creature.creature import Creature, CreatureError
-from evo_cpg.creature.self_collision import PairNames
+from evo_cpg.creature.creature import Creature, CreatureError, length_of
+from evo_cpg.creature.self_collision import PairNames, SelfCollision
 from evo_cpg.creature.shapes import Surface
 from evo_cpg.creature.surface import outer_surfaces, random_surfaces
 from evo_cpg.creature.tree import Tree, build_tree
@@ -39,6 +39,7 @@ from evo_cpg.physics.pairs import make_pairs
 from evo_cpg.physics.world import World
 from evo_cpg.simulation.noise import Noise
 from evo_cpg.simulation.reach_light import ReachLight
+from evo_cpg.simulation.rules import Rules
 from evo_cpg.simulation.sensor import Sensor
 from evo_cpg.simulation.sensors import place_sensors
 from evo_cpg.simulation.simulation import Simulation
@@ -170,8 +171,34 @@ def build_simulation(
         situations=situations,
         engine=engine,
         extra_sensors=extra_sensors,
+        rules=_build_rules(config, creature, world, source),
     )
     return creature, simulation
+
+
+def _build_rules(
+    config: ExperimentConfig, creature: Creature, world: World, source: Path | str
+) -> Rules | None:
+    """What an individual is out for breaking.
+
+    Raises:
+        ConfigError: a rule whose limit is not given, or that cannot be broken.
+    """
+    names = config.audit.disqualify
+    if not names:
+        return None
+    limits = config.audit.limits()
+    if "power" in names and limits.power is None:
+        raise ConfigError(source, ("audit", "power"), "is missing; disqualify names it")
+    if "penetration" in names and world.footing is None:
+        raise ConfigError(source, ("audit", "disqualify"), "penetration: there is no ground")
+    most = {name: getattr(limits, name) for name in names}
+    if "speed" in most:
+        most["speed"] = most["speed"] * length_of(creature)
+    if "power" in most:
+        most["power"] = most["power"] * creature.mass
+    pairs = make_pairs(creature, world.tree, SelfCollision()) if "overlap" in most else None
+    return Rules(**most, pairs=pairs)
 
 
 def _choose_engine(config: ExperimentConfig, source: Path | str) -> Engine:

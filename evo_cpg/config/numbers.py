@@ -17,7 +17,7 @@ from evo_cpg.spatial.numerics import Number
 _T = TypeVar("_T")
 
 # Sections that a trial does not depend on, and lists too long to be parameters one by one.
-_OUTSIDE = ("evolution", "noise")
+_OUTSIDE = ("audit", "evolution", "noise")
 _LONG = ("vertices", "faces", "heights")
 
 

@@ -229,6 +229,13 @@ def lowest_along(
     return xp.min(xp.array(heights))
 
 
+def length_of(creature: Creature) -> Number:
+    """The largest extent of an animal in its neutral pose, m."""
+    axes = xp.eye(3)
+    extents = [-lowest_along(creature, -axis) - lowest_along(creature, axis) for axis in axes]
+    return xp.max(xp.array(extents))
+
+
 def topological_order(creature: Creature) -> list[int]:
     """Indices of the bodies such that parents come before children, level by level.
 

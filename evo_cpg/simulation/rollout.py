@@ -21,6 +21,7 @@ from evo_cpg.physics.state import State
 from evo_cpg.simulation.backward import Backward
 from evo_cpg.simulation.control_step import Animal, Effects, begin_life, control_step, transition
 from evo_cpg.simulation.recording import Recording
+from evo_cpg.simulation.rules import keeps
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.task import Task
 from evo_cpg.spatial.linear import expand_dims_like
@@ -36,7 +37,7 @@ class Outcome(NamedTuple):
 
     Attributes:
         terms: the task's terms by name.
-        alive: False for an individual that diverged.
+        alive: False for an individual that diverged or broke a rule.
     """
 
     terms: dict[str, Float[Array, " *n"]]
@@ -184,11 +185,18 @@ def _trial(
         name = f"{_name(task)}.update"
         tally = fuse(update, tally, effects, life.light, batch_ndim=ndim, name=name)
         sane = fuse(is_sane, animal.state, batch_ndim=ndim)
+        if simulation.rules is not None:
+            given = effects.after, effects.energy
+            sane &= fuse(keep, *given, batch_ndim=ndim, name="rules")
         frame = {}
         if recorded.stop:
             frame = fuse(functools.partial(_frame, tree), effects, batch_ndim=ndim)
             frame = {name: values[..., recorded] for name, values in frame.items()}
         return (animal, tally, alive & sane), frame
+
+    def keep(state: State, energy: Array) -> Array:
+        assert simulation.rules is not None
+        return keeps(simulation.rules, simulation.world, state, energy, 1 / simulation.control_rate)
 
     carry = animal, task.begin(batch, genes.dtype, steps), jnp.ones(batch, bool)
     if backward is None:

@@ -6,6 +6,7 @@ from evo_cpg.control.controller import Controller
 from evo_cpg.fusion.engine import Engine
 from evo_cpg.physics.world import World
 from evo_cpg.simulation.noise import Noise
+from evo_cpg.simulation.rules import Rules
 from evo_cpg.simulation.sensor import Sensor
 from evo_cpg.simulation.sensors import Sensors
 from evo_cpg.simulation.situation import Situation
@@ -27,6 +28,7 @@ class Simulation(eqx.Module):
         noise: how much is left to chance.
         situations: what each trial of an individual begins with, or one for all of its trials.
         engine: what computes it.
+        rules: what an animal is out for breaking; None where it may do anything.
         extra_sensors: those of the creature's `sensors`, which give `Observation.custom`.
     """
 
@@ -41,6 +43,7 @@ class Simulation(eqx.Module):
     situations: tuple[Situation, ...] = (Situation(),)
     engine: Engine = eqx.field(static=True, default=Engine())
     extra_sensors: tuple[Sensor, ...] = ()
+    rules: Rules | None = None
 
     @property
     def step_length(self) -> float:

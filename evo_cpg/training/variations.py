@@ -68,23 +68,36 @@ def live(experiment: Experiment, champion: Champion, variation: Variation) -> Ke
         champion: the individual.
         variation: where it lives now.
     """
+    return compile_lives(experiment, variation)(champion)
+
+
+def compile_lives(experiment: Experiment, variation: Variation) -> Callable[[Champion], Kept]:
+    """Compile `live` before there is a champion."""
     trials, sims = experiment.trials, tuple(map(_with_way, variation.simulations))
     lives = len(sims) * variation.draws
     numbers = situation_numbers(experiment)
     numbers = None if numbers is None else np.tile(numbers, lives)
-    keys = _keys(experiment, champion, variation)
     # Lives are neighbours, trial by trial; so are their simulations.
     owners = np.repeat(np.arange(len(sims)), variation.draws * trials)
+    dtype = np.float64 if variation.double else np.float32
+    gene_count = experiment.simulation.controller.gene_count
+    nobody = Champion(np.zeros(gene_count), 0.0, 0, {}, {}, 0, 0)
     with jax.enable_x64(variation.double):
-        dtype = jnp.float64 if variation.double else jnp.float32
-        genes = jnp.asarray(champion.genes, dtype)
-        crowd = jnp.broadcast_to(genes[:, None], (len(genes), lives * trials))
-        outcome = jax.jit(_program(sims, owners))(crowd, keys, numbers)
-        shaped = jax.tree.map(lambda x: x.reshape(lives, trials), outcome)
-        scales = {name: jnp.asarray(value, dtype) for name, value in champion.scales.items()}
-        fitness, mean = jax.device_get(judge(sims[0].task, shaped, scales))
-    way = np.where(mean.alive, mean.terms[WAY], np.nan)
-    return Kept(way.astype(float), fitness.astype(float), np.asarray(mean.alive))
+        keys = jax.eval_shape(lambda: _keys(experiment, nobody, variation))
+        crowd = jax.ShapeDtypeStruct((gene_count, lives * trials), dtype)
+        program = jax.jit(_program(sims, owners)).lower(crowd, keys, numbers).compile()
+
+    def of(champion: Champion) -> Kept:
+        with jax.enable_x64(variation.double):
+            genes = np.asarray(champion.genes, dtype)[:, None].repeat(lives * trials, 1)
+            outcome = program(genes, _keys(experiment, champion, variation), numbers)
+            shaped = jax.tree.map(lambda x: x.reshape(lives, trials), outcome)
+            scales = {name: jnp.asarray(value, dtype) for name, value in champion.scales.items()}
+            fitness, mean = jax.device_get(judge(sims[0].task, shaped, scales))
+        way = np.where(mean.alive, mean.terms[WAY], np.nan)
+        return Kept(way.astype(float), fitness.astype(float), np.asarray(mean.alive))
+
+    return of
 
 
 def finer(simulation: Simulation, times: int) -> Simulation:

@@ -3,9 +3,16 @@
 import json
 import shutil
 
+import numpy as np
 import pytest
 
 from evo_cpg.analysis.verdict import Check, Limits, Verdict, limits_from, shown
+from evo_cpg.api import audit
+from evo_cpg.config.build import build_experiment
+from evo_cpg.config.load import load_config
+from evo_cpg.training.run_folder import RunFolder
+from evo_cpg.training.variations import Variation, finer, live
+from tiny_run import CONFIG, PAIR
 
 
 @pytest.mark.parametrize(
@@ -49,6 +56,32 @@ def test_a_verdict_says_why():
         "speed: diverged, more than 20",
     ]
     assert shown(None) == ""
+
+
+def test_train_takes_a_first_look_at_its_champion(cli, tmp_path, monkeypatch):
+    """What it says of half the step is what `live` says, and a limit out of reach is a warning."""
+    # Two bodies on a hinge get nowhere much.
+    monkeypatch.setattr(audit, "_SOME_WAY", 1e-9)
+    run = tmp_path / "run"
+    settings = (
+        *PAIR,
+        "audit.after_training=true",
+        "task={type: distance}",
+        "evolution.generations=1",
+    )
+    code, _, said = cli("train", CONFIG, *settings, "audit.half_step=1.5", "--out", run)
+    assert code == 0
+    assert "warning: at half the physics step it keeps" in said and "evo-cpg audit" in said
+    told = RunFolder(run).read_meta()["half_step"]
+    assert told["passed"] is False and told["least"] == 1.5
+    experiment = build_experiment(load_config(run / "config.yaml"), run)
+    champion = RunFolder(run).load_champion()[0]
+    own = experiment.simulation
+    way, half = (
+        live(experiment, champion, Variation("", (each,))).way[0] for each in (own, finer(own, 2))
+    )
+    assert way > 0
+    assert told["measured"] == pytest.approx(np.clip(half / way, 0.0, 1.0))
 
 
 @pytest.mark.slow

@@ -4,6 +4,7 @@ from typing import Annotated
 
 from pydantic import Field, model_validator
 
+from evo_cpg.config.schema.audit import AuditConfig
 from evo_cpg.config.schema.controller import BrainCpgConfig, ControllerConfig
 from evo_cpg.config.schema.creature import CreatureConfig
 from evo_cpg.config.schema.evolution import EvolutionConfig, RealEvolutionConfig
@@ -29,6 +30,7 @@ class ExperimentConfig(Section):
         controller: the nervous system.
         task: what the animals are judged by.
         evolution: the genetic algorithm.
+        audit: what is asked of the champion.
         engine: what computes the trials: ``auto`` and ``native`` take machine code made on the
             spot, the first only where it can be had; ``jax`` takes JAX alone, many times slower.
         instruction_set: of the machine code; ``host`` is the largest that this processor has.
@@ -44,6 +46,7 @@ class ExperimentConfig(Section):
     controller: ControllerConfig = BrainCpgConfig()
     task: TaskConfig = ReachLightConfig()
     evolution: EvolutionConfig = RealEvolutionConfig()
+    audit: AuditConfig = AuditConfig()  # pyright: ignore[reportInvalidTypeForm]
     engine: EngineName = "auto"
     instruction_set: InstructionSet = "host"
 

@@ -1,0 +1,60 @@
+"""Rules that an animal is out for breaking, in the control step in which it does.
+
+Evolution finds what a simulator gets wrong. A rule takes such a way out of the search, as soon as
+it is taken, instead of finding it in the champion afterwards (`evo-cpg audit`).
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from evo_cpg.physics.contact_points import clearance
+from evo_cpg.physics.kinematics import kinematics
+from evo_cpg.physics.pairs import Pairs, separations
+from evo_cpg.physics.state import State
+from evo_cpg.physics.world import World
+from evo_cpg.spatial.numerics import Number
+
+
+class Rules(eqx.Module):
+    """What an animal stays within; what is None is no rule.
+
+    Attributes:
+        speed: of the root, m/s.
+        power: of all motors together, mean over a control step, W.
+        penetration: of the ground, m.
+        overlap: of two of its bodies, m.
+        pairs: which of them; None where none can meet.
+    """
+
+    speed: Number | None = None
+    power: Number | None = None
+    penetration: Number | None = None
+    overlap: Number | None = None
+    pairs: Pairs | None = None
+
+
+def keeps(
+    rules: Rules, world: World, state: State, energy: Float[Array, " *n"], duration: Number
+) -> Bool[Array, " *n"]:
+    """Whether every animal keeps the rules in a control step.
+
+    Args:
+        rules: the rules.
+        world: the animals and their surroundings.
+        state: at the end of the control step.
+        energy: spent by all motors in it, J.
+        duration: of a control step, s.
+    """
+    kept = jnp.ones(energy.shape, bool)
+    if rules.speed is not None:
+        linear = state.velocity[3:]
+        kept &= (linear * linear).sum(0) <= rules.speed**2
+    if rules.power is not None:
+        kept &= energy <= rules.power * duration
+    kin = kinematics(world.tree, state)
+    if rules.penetration is not None and world.footing is not None:
+        kept &= (clearance(world.footing, kin) >= -rules.penetration).all(0)
+    if rules.overlap is not None and rules.pairs is not None:
+        kept &= (separations(rules.pairs, kin).gap >= -rules.overlap).all(0)
+    return kept

@@ -1,0 +1,120 @@
+"""Who breaks a rule is out, in the control step in which it happens."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import yaml
+
+from creatures import quick_jit
+from evo_cpg.config.build import build_experiment
+from evo_cpg.config.errors import ConfigError
+from evo_cpg.config.load import load_config
+from evo_cpg.creature.creature import length_of
+from evo_cpg.physics.state import resting_state
+from evo_cpg.physics.world import World
+from evo_cpg.simulation.rollout import record, rollout
+from evo_cpg.simulation.rules import Rules, keeps
+from tiny_run import CONFIG, PAIR
+from trials import experiment
+
+STEP = 1 / 60
+
+
+@pytest.fixture(scope="module")
+def simulation():
+    return experiment(60).simulation
+
+
+def kept(world: World, state, energy=0.0, **rules):
+    count = state.position.shape[1]
+    energies = jnp.broadcast_to(jnp.asarray(energy), (count,))
+    return np.asarray(keeps(Rules(**rules), world, state, energies, STEP)).tolist()
+
+
+def test_speed_is_that_of_the_root_whatever_its_direction(simulation):
+    rest = resting_state(simulation.world.tree, (3,), jnp.float32)
+    linear = np.array([[0.0, 0, 0], [3.0, 0, 4.0], [3.1, 0, 4.0]]).T
+    state = dataclasses.replace(
+        rest, velocity=jnp.asarray(np.concatenate([10 + 0 * linear, linear]))
+    )
+    assert kept(simulation.world, state, speed=5.0) == [True, True, False]
+    assert kept(simulation.world, state) == [True, True, True]
+
+
+def test_power_is_the_mean_over_a_control_step(simulation):
+    rest = resting_state(simulation.world.tree, (2,), jnp.float32)
+    energy = np.array([0.99, 1.01]) * 30.0 * STEP
+    assert kept(simulation.world, rest, energy, power=30.0) == [True, False]
+
+
+def built(*overrides):
+    path = CONFIG.with_name("hexapod.yaml")
+    return build_experiment(load_config(path, overrides), path)
+
+
+def test_penetration_and_overlap_are_the_deepest():
+    hexapod = built("audit.disqualify=[penetration, overlap]", "audit.overlap=0.002")
+    rules, world = hexapod.simulation.rules, hexapod.simulation.world
+    assert rules.penetration == 0.01 and rules.overlap == 0.002 and rules.speed is None
+    start = hexapod.simulation.situations[0].start_position
+    rest = resting_state(world.tree, (2,), jnp.float32, start)
+    sunk = rest.position - jnp.array([[0.0, 0.0], [0.0, 0.0], [0.009, 0.011]])
+    state = dataclasses.replace(rest, position=sunk)
+    assert kept(world, state, penetration=rules.penetration) == [True, False]
+    # Legs turned through their neighbours.
+    swung = dataclasses.replace(rest, q=rest.q.at[:, 1].set(1.5))
+    assert kept(world, swung, overlap=0.002, pairs=rules.pairs) == [True, False]
+
+
+@pytest.mark.parametrize("engine", ["auto", "jax"])
+def test_who_is_too_fast_in_one_step_is_out_for_good(engine):
+    path = CONFIG
+    config = load_config(path, [*PAIR, f"engine={engine}", "simulation.steps=40"])
+    free = build_experiment(config, path).simulation
+    genes = free.controller.random_genes(jax.random.key(3), (6,), jnp.float32)
+    frames = quick_jit(lambda g: record(free, g, 6))(genes)
+    place = np.asarray(frames["position"])[:, :, 0]
+    speed = np.linalg.norm(np.diff(place, axis=0), axis=1).max(0) / STEP
+    assert np.asarray(quick_jit(lambda g: rollout(free, g).alive)(genes)).all()
+    # Between the third and the fourth of six.
+    limit = float(np.sort(speed)[2:4].mean())
+    bound = dataclasses.replace(free, rules=Rules(speed=limit))
+    alive = np.asarray(quick_jit(lambda g: rollout(bound, g).alive)(genes))
+    # Places are seen between control steps and speeds at their ends, so some may be on the edge.
+    np.testing.assert_array_equal(alive, speed <= limit)
+
+
+def test_limits_are_in_the_animals_own_measure():
+    swimmer = build_experiment(
+        load_config(CONFIG, [*PAIR, "audit.disqualify=[speed, power]", "audit.power=50"]), CONFIG
+    )
+    rules = swimmer.simulation.rules
+    assert rules.speed == pytest.approx(20 * length_of(swimmer.creature))
+    assert length_of(swimmer.creature) == pytest.approx(0.42)
+    assert rules.power == pytest.approx(50 * swimmer.creature.mass)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "told"),
+    [
+        (["audit.disqualify=[power]"], "audit.power: is missing"),
+        (["audit.disqualify=[penetration]"], "audit.disqualify: penetration: there is no ground"),
+        (["audit.disqualify=[sped]"], "audit.disqualify.0: 'sped'"),
+        (["audit.half_stp=1"], "did you mean 'half_step'?"),
+        (["audit.half_step=-1"], "audit.half_step: -1"),
+    ],
+)
+def test_wrong_rules_are_refused(overrides, told):
+    with pytest.raises(ConfigError) as caught:
+        build_experiment(load_config(CONFIG, overrides), CONFIG)
+    assert told in str(caught.value)
+
+
+def test_nobody_is_out_in_the_papers_own_configurations():
+    for path in CONFIG.parent.glob("*.yaml"):
+        if path.name.startswith(("iwadate", "fukui")) and "robust" not in path.name:
+            assert "disqualify" not in yaml.safe_load(path.read_text()).get("audit", {})
+            assert load_config(path).audit.disqualify == []
