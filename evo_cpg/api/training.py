@@ -1,12 +1,10 @@
 """Evolving from Python, into a run folder that the commands know."""
 
 import dataclasses
-import platform
 import sys
 import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -14,18 +12,16 @@ import numpy as np
 
 from evo_cpg.analysis.verdict import Check
 from evo_cpg.api.experiment import Experiment
+from evo_cpg.api.surroundings import surroundings
 from evo_cpg.config.fingerprint import fingerprint
 from evo_cpg.config.load import dump_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
-from evo_cpg.fusion.engine import described
 from evo_cpg.training import experiment as parts
 from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.memory import require_memory
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
 
 Rows = list[dict[str, float]]
-
-_PACKAGES = ("evo-cpg", "jax", "jaxlib", "equinox", "numpy")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -97,15 +93,11 @@ def begin_run(
         "seed": config.seed,
         "config": str(source.resolve()),
         "command": sys.argv[1:],
-        "versions": {package: metadata.version(package) for package in _PACKAGES},
-        "python": platform.python_version(),
-        "machine": platform.machine(),
-        "system": platform.platform(),
-        "devices": devices,
         "fingerprint": fingerprint(config),
         "started": now(),
     }
-    folder.create(dump_config(config), meta | described(experiment.simulation.engine))
+    meta |= surroundings(experiment.simulation.engine, devices)
+    folder.create(dump_config(config), meta)
 
 
 class Recorder:

@@ -10,6 +10,8 @@ import numpy as np
 
 from evo_cpg.analysis.verdict import Check, shown
 from evo_cpg.api.load import class_folders
+from evo_cpg.api.surroundings import differences as changed_surroundings
+from evo_cpg.api.surroundings import surroundings
 from evo_cpg.api.training import (
     Recorder,
     begin_run,
@@ -27,7 +29,6 @@ from evo_cpg.config.load import dump_config, load_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.control.brain_cpg import BrainCpg
 from evo_cpg.control.couplings import uncoupled
-from evo_cpg.fusion.engine import described
 from evo_cpg.training.checkpoint import Champion, genes_digest, outcome_digest
 from evo_cpg.training.devices import use_cores
 from evo_cpg.training.experiment import Experiment
@@ -86,8 +87,10 @@ def resume_run(run: Path, generations: int | None, cores: int | None) -> None:
             )
     require_memory(experiment)
     folder.reopen(dump_config(config))
-    engine = described(experiment.simulation.engine)
-    folder.update_meta(devices=devices, resumed=now(), fingerprint=fingerprint(config), **engine)
+    here = surroundings(experiment.simulation.engine, devices)
+    for difference in changed_surroundings(folder.read_meta(), here):
+        print(f"evo-cpg: warning: {run}: {difference}; bits may differ", file=sys.stderr)
+    folder.update_meta(resumed=now(), fingerprint=fingerprint(config), **here)
     _evolve(experiment, folder, first_look_asked(config))
 
 
@@ -122,6 +125,9 @@ def verify_run(run: Path, cores: int | None) -> None:
         now = replayed.get(name, math.nan)
         if not math.isclose(now, value, rel_tol=REPLAY_TOLERANCE, abs_tol=REPLAY_TOLERANCE):
             differences.append(f"{name}: recorded {value:.6g}, replayed {now:.6g}")
+    here = surroundings(experiment.simulation.engine, devices)
+    for changed in changed_surroundings(folder.read_meta(), here):
+        print(f"{run}: {changed}; bits may differ", file=sys.stderr)
     _report(run, differences)
     exact = "exactly" if replayed == recorded else f"to {REPLAY_TOLERANCE:g}"
     print(f"{run}: the champion's fitness {champion.fitness:.6f} comes out as recorded ({exact})")

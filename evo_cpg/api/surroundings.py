@@ -1,0 +1,69 @@
+"""What the bits of a run depend on besides its configuration: processor, cores, versions."""
+
+import platform
+from collections.abc import Mapping
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from evo_cpg.fusion.engine import Engine, described
+
+_PACKAGES = ("evo-cpg", "jax", "jaxlib", "equinox", "numpy")
+
+# Keys of what was noted that change how numbers are rounded, in words.
+_ROUNDING = {
+    "devices": "cores",
+    "processor": "processor",
+    "machine": "kind of machine",
+    "engine": "engine",
+    "instructions": "instruction set",
+    "llvm": "LLVM",
+}
+_ROUNDING_PACKAGES = ("jax", "jaxlib", "numpy", "evo-cpg")
+
+
+def surroundings(engine: Engine, devices: int) -> dict[str, Any]:
+    """What there is to note of a machine and its software, for meta.json."""
+    return {
+        "versions": {package: metadata.version(package) for package in _PACKAGES},
+        "python": platform.python_version(),
+        "machine": platform.machine(),
+        "processor": _processor(),
+        "system": platform.platform(),
+        "devices": devices,
+    } | described(engine)
+
+
+def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
+    """What changes bits and is not as it was.
+
+    Args:
+        before: from meta.json; nothing is known of what it lacks.
+        now: `surroundings` here.
+    """
+    pairs = [(words, before.get(key), now.get(key)) for key, words in _ROUNDING.items()]
+    old = before.get("versions")
+    if isinstance(old, dict):
+        pairs += [(name, old.get(name), now["versions"][name]) for name in _ROUNDING_PACKAGES]
+    return [
+        f"{words}: then {_short(then)}, here {_short(here)}"
+        for words, then, here in pairs
+        if then is not None and then != here
+    ]
+
+
+def _processor() -> str:
+    """Its name and number; where the system does not tell, its kind."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        lines = []
+    parts = [line.partition(":") for line in lines]
+    told = {name.strip(): value.strip() for name, _, value in parts}
+    name = told.get("model name") or platform.processor() or platform.machine()
+    numbers = [told[key] for key in ("cpu family", "model", "stepping") if key in told]
+    return f"{name} {'.'.join(numbers)}".strip()
+
+
+def _short(value: Any) -> str:
+    return str(value)[:80]

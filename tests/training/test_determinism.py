@@ -1,0 +1,110 @@
+"""The same run comes to the same bits: twice on one machine, and as noted on machines like it.
+
+`EVO_CPG_NOTE_BITS=1 pytest tests/training/test_determinism.py` notes the bits anew, where a change
+of the program is meant to change them.
+"""
+
+import hashlib
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import xla_flags
+from evo_cpg.api.surroundings import differences, surroundings
+from evo_cpg.config.build import build_experiment
+from evo_cpg.config.load import dump_config, load_config
+from evo_cpg.training.loop import TIMING_COLUMNS, replay_champion, train
+from evo_cpg.training.run_folder import RunFolder
+from tiny_run import CONFIG, PAIR
+
+CPUINFO = Path("/proc/cpuinfo")
+NOTED = Path(__file__).with_name("noted_bits.json")
+
+WALKERS = (
+    "runs=2", "simulation.steps=40", "evolution.generations=3", "evolution.population=6",
+    "evolution.elites=2", "evolution.rank_probabilities=[0.5, 0.3, 0.2]",
+)  # fmt: skip
+KINDS = {
+    "swimmer": ("iwadate2010_swimmer", PAIR),
+    "swimmer with noise, two trials": (
+        "iwadate2010_swimmer", (*PAIR, "noise.push=0.1", "simulation.trials=2"),
+    ),
+    "swimmer that learns": (
+        "iwadate2010_swimmer",
+        (*PAIR, "simulation.steps=10", "evolution.learning={every: 2, elites: 1, steps: 1}"),
+    ),
+    "walkers on ground of any friction": (
+        "fukui2003_model1", (*WALKERS, "noise.friction=0.2", "noise.tilt_deg=1"),
+    ),
+}  # fmt: skip
+
+
+def digest(kind: str, folder: Path) -> str:
+    """Of all that a run comes to but times."""
+    name, settings = KINDS[kind]
+    path = CONFIG.with_name(f"{name}.yaml")
+    config = load_config(path, settings)
+    experiment = build_experiment(config, path)
+    run = RunFolder(folder)
+    run.create(dump_config(config), {})
+    done = train(experiment, run)
+    assert done.champion is not None
+    fitness, terms, motion = replay_champion(experiment, done.champion, 2)
+    assert fitness == done.champion.fitness
+    rows = [{k: v for k, v in row.items() if k not in TIMING_COLUMNS} for row in done.history]
+    told = json.dumps([rows, done.scales, fitness, terms, done.champion[1:]])
+    parts = told.encode(), done.genes.tobytes(), *(np.asarray(each).tobytes() for each in motion)
+    return hashlib.sha256(b"".join(parts)).hexdigest()
+
+
+def machine(engine) -> str:
+    """What bits depend on, in the tests."""
+    here = surroundings(engine, 2)
+    versions = [f"{name} {here['versions'][name]}" for name in ("jaxlib", "numpy")]
+    flags = []
+    if CPUINFO.exists():
+        flags = [x for x in CPUINFO.read_text().splitlines() if x.startswith("flags")][:1]
+    able = hashlib.sha256("".join(flags).encode()).hexdigest()[:8]
+    code = f"{here.get('instructions', 'plain')} code by LLVM {here.get('llvm', '-')}"
+    return ", ".join([here["processor"], f"flags {able}", code, *versions, *xla_flags.quick()])
+
+
+def _slow(kind: str):
+    return pytest.param(kind, marks=[pytest.mark.slow] if "walkers" in kind else [])
+
+
+@pytest.mark.parametrize("kind", [_slow(kind) for kind in KINDS])
+def test_a_run_comes_to_the_same_bits_again(kind, tmp_path):
+    found = digest(kind, tmp_path / "first")
+    assert digest(kind, tmp_path / "again") == found
+    noted = json.loads(NOTED.read_text()) if NOTED.exists() else {}
+    name, settings = KINDS[kind]
+    path = CONFIG.with_name(f"{name}.yaml")
+    here = machine(build_experiment(load_config(path, settings), path).simulation.engine)
+    if os.environ.get("EVO_CPG_NOTE_BITS"):
+        noted.setdefault(here, {})[kind] = found
+        NOTED.write_text(json.dumps(noted, indent=1, sort_keys=True) + "\n")
+    # Of other machines nothing is noted: rounding is theirs.
+    assert noted.get(here, {}).get(kind, found) == found
+
+
+def test_what_changes_bits_is_named_where_it_differs():
+    from evo_cpg.fusion.engine import Engine
+
+    here = surroundings(Engine(), 2)
+    assert differences(here, here) == []
+    assert differences({}, here) == []
+    then = here | {
+        "processor": "Another 9000",
+        "devices": 7,
+        "versions": here["versions"] | {"jaxlib": "0.0.1", "equinox": "0"},
+    }
+    told = differences(then, here)
+    assert told == [
+        "cores: then 7, here 2",
+        f"processor: then Another 9000, here {here['processor'][:80]}",
+        f"jaxlib: then 0.0.1, here {here['versions']['jaxlib']}",
+    ]
