@@ -1,7 +1,7 @@
 """The audit of a champion: is its gait one, or a trick of the simulation?"""
 
 import dataclasses
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -32,6 +32,10 @@ _CHANGE = 0.1
 
 # Standard deviation of joint angles, roll and pitch at the start, rad, and how many are tried.
 _SHAKE, _DRAWS = 0.01, 8
+
+# Lives that a way is the mean of, where chance has a say; and the key of the check that compares
+# them with those that made the champion.
+_LIVES, _CHANCE = 16, "pose"
 
 # Energy that nobody accounts for is summed over stretches of this length, s: in single steps much
 # of it comes and goes.
@@ -77,21 +81,21 @@ class Audit:
     missing: str = ""
 
 
-def audit(
+def audits(
     experiment: Experiment,
-    champion: Champion,
+    champions: Sequence[Champion],
     limits: Limits,
     config: ExperimentConfig,
     source: Path,
     folders: Iterable[Path] = (),
     tell: Callable[[str, int, int], None] = lambda what, done, total: None,
-) -> Audit:
-    """Look at a champion from all sides.
+) -> list[Audit]:
+    """Look at champions from all sides; what is compiled serves them all.
 
     Args:
-        experiment: that it was evolved in.
-        champion: the individual.
-        limits: what it must stay within.
+        experiment: that they were evolved in.
+        champions: the individuals.
+        limits: what they must stay within.
         config: what the experiment was built from.
         source: file of that.
         folders: see `evo_cpg.config.build.build_experiment`.
@@ -102,30 +106,40 @@ def audit(
     others = _variations(experiment, config, source, tuple(folders))
     total = len(others) + 3
     tell("living as it evolved", 0, total)
-    lived = variations.live(experiment, champion, own)
+    live = variations.compile_lives(experiment, own)
+    lived = [live(champion) for champion in champions]
     tell("step by step", 1, total)
-    trials = lived_trials(experiment, champion)
-    kept: dict[str, tuple[str, Kept]] = {}
+    step_by_step = compile_lived_trials(experiment)
+    trials = [step_by_step(champion) for champion in champions]
+    kept: list[dict[str, tuple[Variation, Kept]]] = [{} for _ in champions]
     for done, (key, other) in enumerate(others.items(), 2):
         tell(other.name, done, total)
-        kept[key] = other.name, variations.live(experiment, champion, other)
+        live = variations.compile_lives(experiment, other)
+        for champion, found in zip(champions, kept, strict=True):
+            found[key] = other, live(champion)
     tell("in MuJoCo", total - 1, total)
-    opinions: tuple[Opinion, ...] = ()
-    missing = ""
+    made = []
+    for champion, alive, steps, found in zip(champions, lived, trials, kept, strict=True):
+        opinions, missing = _opinions(experiment, steps[0].steps)
+        checks = [
+            _replay(champion, alive),
+            *_shares(float(np.nanmean(alive.way)), found, limits, experiment.creature),
+            *books(experiment, champion, steps, limits),
+        ]
+        verdict = Verdict(tuple(checks))
+        made.append(Audit(verdict, steps, simulation.step_length, opinions, missing))
+    return made
+
+
+def _opinions(experiment: Experiment, steps: PhysicsSteps) -> tuple[tuple[Opinion, ...], str]:
+    """Ours and MuJoCo's, and why there is none."""
+    simulation = experiment.simulation
+    kinds = (False, True) if simulation.world.footing is not None else (False,)
     try:
-        kinds = (False, True) if simulation.world.footing is not None else (False,)
-        opinions = (
-            own_opinion(simulation, trials[0].steps),
-            *(second_opinion(simulation, experiment.creature, trials[0].steps, x) for x in kinds),
-        )
+        theirs = [second_opinion(simulation, experiment.creature, steps, hard) for hard in kinds]
     except ExchangeError as error:
-        missing = str(error)
-    checks = [
-        _replay(champion, lived),
-        *_shares(float(np.nanmean(lived.way)), kept, limits, experiment.creature),
-        *books(experiment, champion, trials, limits),
-    ]
-    return Audit(Verdict(tuple(checks)), trials, simulation.step_length, opinions, missing)
+        return (), str(error)
+    return (own_opinion(simulation, steps), *theirs), ""
 
 
 def compile_first_look(experiment: Experiment, least: float) -> Callable[[Champion], Check]:
@@ -136,18 +150,20 @@ def compile_first_look(experiment: Experiment, least: float) -> Callable[[Champi
         least: share of its way that a champion must keep at half the physics step.
     """
     own = experiment.simulation
-    lives = [
-        variations.compile_lives(experiment, Variation("", (simulation,)))
-        for simulation in (own, variations.finer(own, 2))
-    ]
+    both = own, variations.finer(own, 2)
+    places = [Variation("", (simulation,), draws_of(own)) for simulation in both]
+    lives = [variations.compile_lives(experiment, place) for place in places]
     shortest = _SOME_WAY * length_of(experiment.creature)
 
     def look(champion: Champion) -> Check:
-        way, half = (float(live(champion).way[0]) for live in lives)
+        way, half = (
+            float(live(champion).mean_ways(place)[0])
+            for live, place in zip(lives, places, strict=True)
+        )
         question, detail = "way kept: half the step", f"{half:.3g} of {way:.3g} m"
         if not way > shortest:
             return Check("half_step", question, 1.0, detail=detail)
-        share = float(np.clip(np.nan_to_num(half) / way, 0.0, 1.0))
+        share = float(np.clip(half / way, 0.0, 1.0))
         return Check("half_step", question, share, least, True, "%", detail)
 
     return look
@@ -155,24 +171,33 @@ def compile_first_look(experiment: Experiment, least: float) -> Callable[[Champi
 
 def lived_trials(experiment: Experiment, champion: Champion) -> tuple[Trial, ...]:
     """All trials of a champion as it evolved, step by step."""
+    return compile_lived_trials(experiment)(champion)
+
+
+def compile_lived_trials(experiment: Experiment) -> Callable[[Champion], tuple[Trial, ...]]:
+    """`lived_trials` of any champion; it is compiled at the first call."""
     simulation, numbers = experiment.simulation, situation_numbers(experiment)
-    keys = champion_keys(experiment, champion)
-    genes = jnp.asarray(champion.genes, jnp.float32)[:, None]
     live = jax.jit(lambda genes, keys, number: physics_steps(simulation, genes, keys, number))
-    trials = []
-    for i in range(experiment.trials):
-        own = None if keys is None else keys[:, i : i + 1]
-        number = None if numbers is None else numbers[i : i + 1]
-        steps = jax.device_get(live(genes, own, number))
-        place = 0 if numbers is None else i
-        trials.append(
-            Trial(
-                steps,
-                ledger(simulation.world, steps, simulation.step_length),
-                excursions(simulation, experiment.creature, steps, place),
+
+    def of(champion: Champion) -> tuple[Trial, ...]:
+        keys = champion_keys(experiment, champion)
+        genes = jnp.asarray(champion.genes, jnp.float32)[:, None]
+        trials = []
+        for i in range(experiment.trials):
+            own = None if keys is None else keys[:, i : i + 1]
+            number = None if numbers is None else numbers[i : i + 1]
+            steps = jax.device_get(live(genes, own, number))
+            place = 0 if numbers is None else i
+            trials.append(
+                Trial(
+                    steps,
+                    ledger(simulation.world, steps, simulation.step_length),
+                    excursions(simulation, experiment.creature, steps, place),
+                )
             )
-        )
-    return tuple(trials)
+        return tuple(trials)
+
+    return of
 
 
 def books(
@@ -239,30 +264,46 @@ def books(
 def _variations(
     experiment: Experiment, config: ExperimentConfig, source: Path, folders: tuple[Path, ...]
 ) -> dict[str, Variation]:
-    """Where the champion is tried, by the key of the limit."""
+    """Where the champion is tried, by the key of the limit.
+
+    What it does in the draws of chance that made it champion is luck in part. So where there is
+    chance, all of them are lived under the same fresh draws, and compared with `_CHANCE` of those.
+    """
     simulation = experiment.simulation
+    draws = draws_of(simulation)
+
+    def drawn(name: str, *sims: Simulation) -> Variation:
+        return Variation(name, sims, draws)
+
     found = {
-        "half_step": Variation("half the step", (variations.finer(simulation, 2),)),
-        "quarter_step": Variation("a quarter of the step", (variations.finer(simulation, 4),)),
-        "pose": Variation("other poses", (variations.shaken(simulation, _SHAKE),), _DRAWS),
+        _CHANCE: drawn("other draws of chance", simulation)
+        if draws > 1
+        else Variation("other poses", (variations.shaken(simulation, _SHAKE),), _DRAWS),
+        "half_step": drawn("half the step", variations.finer(simulation, 2)),
+        "quarter_step": drawn("a quarter of the step", variations.finer(simulation, 4)),
+        "limp_way": drawn("limp motors", variations.limp(simulation)),
         "precision": Variation("float64", (simulation,), double=True),
-        "limp_way": Variation("limp motors", (variations.limp(simulation),)),
     }
     more_and_less = (1 + _CHANGE, 1 - _CHANGE)
     if simulation.world.footing is not None:
-        sims = tuple(variations.with_friction(simulation, x) for x in more_and_less)
-        found["friction"] = Variation("friction 10 % up and down", sims)
+        sims = [variations.with_friction(simulation, x) for x in more_and_less]
+        found["friction"] = drawn("friction 10 % up and down", *sims)
     if simulation.world.water is not None:
-        sims = tuple(variations.with_drag(simulation, x) for x in more_and_less)
-        found["drag"] = Variation("drag 10 % up and down", sims)
+        sims = [variations.with_drag(simulation, x) for x in more_and_less]
+        found["drag"] = drawn("drag 10 % up and down", *sims)
         other = _other_points(config, source, folders)
-        found["surface_points"] = Variation("other surface points", (other,))
+        found["surface_points"] = drawn("other surface points", other)
     if described(simulation.engine)["engine"] == "native":
         plain = variations.on_engine(simulation, Engine("jax"))
         found["other_engine"] = Variation("plain JAX", (plain,))
     if simulation.lights[0] is not None and simulation.sensors.eye_bodies:
-        found["blind"] = Variation("blind", (blinded(simulation),))
+        found["blind"] = drawn("blind", blinded(simulation))
     return found
+
+
+def draws_of(simulation: Simulation) -> int:
+    """How many lives a way is the mean of: one where chance has no say."""
+    return 1 if simulation.noise.silent else _LIVES
 
 
 def _other_points(config: ExperimentConfig, source: Path, folders: tuple[Path, ...]) -> Simulation:
@@ -287,23 +328,35 @@ def _replay(champion: Champion, lived: Kept) -> Check:
 
 
 def _shares(
-    way: float, kept: dict[str, tuple[str, Kept]], limits: Limits, creature: Creature
+    own: float, kept: dict[str, tuple[Variation, Kept]], limits: Limits, creature: Creature
 ) -> list[Check]:
-    """How much of its way it keeps where."""
-    checks = [Check("way", "way as it evolved", way, unit="m")]
-    if not way > _SOME_WAY * length_of(creature):
+    """How much of its way it keeps where.
+
+    Args:
+        own: its way as it evolved, m.
+        kept: what became of it elsewhere, by the key of the limit.
+        limits: what it must keep.
+        creature: the animal.
+    """
+    checks = [Check("way", "way as it evolved", own, unit="m")]
+    if not own > _SOME_WAY * length_of(creature):
         return checks
-    for key, (name, one) in kept.items():
-        detail = ", ".join(f"{x:.3g}" for x in one.way) + " m"
+    chance, drawn = kept[_CHANCE]
+    # Without chance no variation but the one of the poses has several draws.
+    usual = float(drawn.mean_ways(chance)[0])
+    for key, (variation, one) in kept.items():
+        of_own = variation.draws == 1 or key == _CHANCE
+        way = own if of_own else usual
+        ways = one.mean_ways(variation)
+        shares = np.clip(ways / way, 0.0, 1.0) if way > 0 else np.zeros_like(ways)
+        detail = ", ".join(f"{x:.3g}" for x in ways) + f" of {way:.3g} m"
         if key == "limp_way":
-            share, question = float(one.shares_of(way).max()), f"way with {name}"
+            share, question = float(shares.max()), f"way with {variation.name}"
             checks.append(Check(key, question, share, limits.limp_way, unit="%", detail=detail))
             continue
-        shares = one.shares_of(way)
-        # Of draws of chance the middle one counts, of settings the worst.
-        share = float(np.median(shares) if key == "pose" else shares.min())
-        limit = getattr(limits, key, None)
-        checks.append(Check(key, f"way kept: {name}", share, limit, True, "%", detail))
+        question, limit = f"way kept: {variation.name}", getattr(limits, key, None)
+        # Of several settings the worst.
+        checks.append(Check(key, question, float(shares.min()), limit, True, "%", detail))
     return checks
 
 

@@ -4,7 +4,7 @@ import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rich import box
@@ -16,43 +16,98 @@ from evo_cpg.api.load import class_folders
 from evo_cpg.api.training import now, require_configured
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.progress import working
-from evo_cpg.cli.training import open_champion
+from evo_cpg.cli.training import champion_of, open_champion
 from evo_cpg.config.load import load_config
+from evo_cpg.training.checkpoint import Champion
+from evo_cpg.training.run_folder import RunFolder
+
+if TYPE_CHECKING:
+    from evo_cpg.api.audit import Audit
 
 # What the command ends with where a champion does not pass.
 NOT_PASSED = 3
 
+# Columns of the summary, by the key of the check.
+_KEPT = {
+    "half_step": "half",
+    "quarter_step": "quarter",
+    "friction": "friction",
+    "drag": "drag",
+    "pose": "poses",
+    "precision": "float64",
+}
+
+# Of the summary, characters.
+_WIDTH = 110
+
 _WORDS = {True: "passed", False: "FAILED", None: ""}
 
 
-def audit_run(run: Path, settings: Sequence[str], number: int | None) -> None:
+def audit_run(run: Path, settings: Sequence[str], number: int | None, every: bool = False) -> None:
     """`evo-cpg audit`.
 
     Args:
         run: the run folder.
         settings: limits to change, ``key=value``.
         number: whose champion, where the folder holds several runs; None for the best.
+        every: audit the champions of all of its runs.
 
     Raises:
-        UsageError: a limit that does not exist.
-        SystemExit: with `NOT_PASSED`, where the champion does not pass.
+        UsageError: a limit that does not exist, or one run and all.
+        SystemExit: with `NOT_PASSED`, where a champion does not pass.
     """
     # Before anything that takes long.
     _limits(settings)
+    if every and number is not None:
+        raise UsageError("--all and --run: give one of them")
     experiment, champion, _, folder = open_champion(run, number)
     require_configured(folder)
     config = load_config(folder.config)
     limits = _limits(settings, config.audit.limits())
+    champions = [champion]
+    if every:
+        champions = [champion_of(folder, i) for i in range(experiment.runs)]
     with working("auditing: compiling each time, it takes one to some minutes") as work:
-        from evo_cpg.api.audit import audit
+        from evo_cpg.api.audit import audits
 
         def tell(what: str, done: int, total: int) -> None:
             work.doing(f"auditing, {done + 1} of {total}: {what}")
 
-        done = audit(
-            experiment, champion, limits, config, folder.config, class_folders(folder), tell
-        )
-    name = "audit" if number is None else f"audit_run{number}"
+        beside = class_folders(folder)
+        made = audits(experiment, champions, limits, config, folder.config, beside, tell)
+    console = Console()
+    for each, done in zip(champions, made, strict=True):
+        name = f"audit_run{each.run}" if every or number is not None else "audit"
+        _write(folder, name, each, done)
+        if not every:
+            console.print(_table(done.verdict.checks))
+            if done.opinions:
+                console.print(_opinions(done.opinions))
+            else:
+                print(f"no second opinion: {done.missing}")
+        title = f"{experiment.name}: audit" + (f" of run {each.run}" if every else "")
+        _draw(folder, name, title, done)
+    if every:
+        Console(width=max(_WIDTH, console.width)).print(_summary(champions, made))
+    _say(run, champions, made)
+
+
+def _say(run: Path, champions: Sequence[Champion], made: Sequence["Audit"]) -> None:
+    """The verdict, and the exit code that goes with it."""
+    for each, done in zip(champions, made, strict=True):
+        for reason in done.verdict.reasons:
+            whose = f"run {each.run}: " if len(made) > 1 else ""
+            print(f"{run}: {whose}{reason}", file=sys.stderr)
+    passed = sum(done.verdict.passed for done in made)
+    if len(made) > 1:
+        print(f"{run}: {passed} of {len(made)} champions pass their audit")
+    else:
+        print(f"{run}: the champion {'passes' if passed else 'does not pass'} its audit")
+    if passed < len(made):
+        raise SystemExit(NOT_PASSED)
+
+
+def _write(folder: RunFolder, name: str, champion: Champion, done: "Audit") -> None:
     verdict = done.verdict
     told: dict[str, Any] = {
         "passed": verdict.passed,
@@ -66,29 +121,51 @@ def audit_run(run: Path, settings: Sequence[str], number: int | None) -> None:
         "made": now(),
     }
     folder.write_json(f"{name}.json", told)
-    console = Console()
-    console.print(_table(verdict.checks))
-    if done.opinions:
-        console.print(_opinions(done.opinions))
-    else:
-        print(f"no second opinion: {done.missing}")
+    print(folder.path / f"{name}.json")
+
+
+def _draw(folder: RunFolder, name: str, title: str, done: "Audit") -> None:
     from evo_cpg.view.audit_plot import plot_audit
 
     picture = plot_audit(
         done.trials[0].ledger,
         done.step_length,
-        [check for check in verdict.checks if "way" in check.question and check.unit == "%"],
+        [check for check in done.verdict.checks if "way" in check.question and check.unit == "%"],
         {one.program: one.path for one in done.opinions},
-        f"{experiment.name}: audit",
+        title,
         folder.path / "plots" / f"{name}.png",
     )
-    print(folder.path / f"{name}.json")
     print(picture)
-    for reason in verdict.reasons:
-        print(f"{run}: {reason}", file=sys.stderr)
-    print(f"{run}: the champion {'passes' if verdict.passed else 'does not pass'} its audit")
-    if not verdict.passed:
-        raise SystemExit(NOT_PASSED)
+
+
+def _summary(champions: Sequence[Champion], made: Sequence["Audit"]) -> Table:
+    """A line for each champion: what it keeps of its way where, and what MuJoCo says."""
+    keys = [key for key in _KEPT if any(_measured(done, key) is not None for done in made)]
+    names = [f"{_KEPT[key]} %" for key in keys]
+    table = Table("run", "way m", *names, "MuJoCo m", "upright %", "", box=box.SIMPLE_HEAD,
+                  pad_edge=False)  # fmt: skip
+    for column in table.columns[1:-1]:
+        column.justify = "right"
+    for each, done in zip(champions, made, strict=True):
+        ways = [float(np.linalg.norm((o.path[:, -1] - o.path[:, 0])[:2])) for o in done.opinions]
+        rights = [one.upright for one in done.opinions]
+        table.add_row(
+            str(each.run),
+            shown(_measured(done, "way")),
+            *(shown(_percent(_measured(done, key))) for key in keys),
+            ", ".join(f"{way:.2g}" for way in ways[1:]) + f" of {ways[0]:.2g}" if ways else "",
+            ", ".join(f"{100 * right:.0f}" for right in rights),
+            _WORDS[done.verdict.passed],
+        )
+    return table
+
+
+def _percent(share: float | None) -> float | None:
+    return None if share is None else 100 * share
+
+
+def _measured(done: "Audit", key: str) -> float | None:
+    return next((check.measured for check in done.verdict.checks if check.key == key), None)
 
 
 def _limits(settings: Sequence[str], others: Limits | None = None) -> Limits:

@@ -298,11 +298,14 @@ def audit(
         typer.Argument(metavar="[LIMIT=VALUE]...", help="Limits to change, such as half_step=0.8."),
     ] = None,
     number: Number = None,
+    every: Annotated[
+        bool, typer.Option("--all", help="Of several runs side by side, all champions.")
+    ] = False,
 ) -> None:
     """Ask whether the champion's gait is one, or a trick of the simulation."""
     from evo_cpg.cli.audit import audit_run
 
-    audit_run(run, limits or [], number)
+    audit_run(run, limits or [], number, every)
 
 
 @app.command()

@@ -55,9 +55,10 @@ class Kept(NamedTuple):
     fitness: Float[np.ndarray, " n"]
     alive: Bool[np.ndarray, " n"]
 
-    def shares_of(self, way: float) -> Float[np.ndarray, " n"]:
-        """Of another way; at most 1, and 0 where it diverged or went backwards."""
-        return np.clip(np.where(self.alive, np.nan_to_num(self.way) / way, 0.0), 0.0, 1.0)
+    def mean_ways(self, variation: Variation) -> Float[np.ndarray, " simulations"]:
+        """Means over the draws of chance, m; a life that diverged made none."""
+        ways = np.where(self.alive, np.nan_to_num(self.way), 0.0)
+        return ways.reshape(len(variation.simulations), variation.draws).mean(1)
 
 
 def live(experiment: Experiment, champion: Champion, variation: Variation) -> Kept:
@@ -177,12 +178,13 @@ def _program(sims: Sequence[Simulation], owners: np.ndarray) -> Callable[..., Ou
 
 def _keys(experiment: Experiment, champion: Champion, variation: Variation) -> Array | None:
     """Raw keys of all lives' trials: those that it had, unless chance is drawn anew."""
-    lives = len(variation.simulations) * variation.draws
     if variation.simulations[0].noise.silent:
         return None
     if variation.draws == 1:
-        own = champion_keys(experiment, champion)
-        assert own is not None
-        return jnp.tile(own, (1, lives))
-    each = jax.random.split(jax.random.key(_SEED), lives * experiment.trials)
-    return jax.random.key_data(each).T
+        keys = champion_keys(experiment, champion)
+        assert keys is not None
+    else:
+        each = jax.random.split(jax.random.key(_SEED), variation.draws * experiment.trials)
+        keys = jax.random.key_data(each).T
+    # The same in all simulations: only what they differ in makes a difference.
+    return jnp.tile(keys, (1, len(variation.simulations)))

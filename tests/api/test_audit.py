@@ -15,7 +15,7 @@ from creatures import AXES, STRUCTURES, quick_jit, random_creature, random_state
 from evo_cpg.analysis.energy import ledger, mechanical_energy
 from evo_cpg.analysis.excursions import excursions
 from evo_cpg.analysis.verdict import Limits
-from evo_cpg.api.audit import Trial, books, lived_trials
+from evo_cpg.api.audit import Trial, books, draws_of, lived_trials
 from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, LightSensor, Material
 from evo_cpg.creature.shapes import Box
 from evo_cpg.creature.tree import build_tree
@@ -23,6 +23,7 @@ from evo_cpg.exchange.mujoco_state import load_state
 from evo_cpg.physics.footing import Ground, make_footing
 from evo_cpg.physics.terrain import Plane
 from evo_cpg.physics.world import World
+from evo_cpg.simulation.noise import Noise
 from evo_cpg.simulation.physics_steps import physics_steps
 from evo_cpg.simulation.sensors import place_sensors
 from evo_cpg.simulation.situation import Situation
@@ -197,13 +198,13 @@ def test_a_slide_from_the_start_is_found():
         live(made, champion(), Variation("", (simulation,)))
         for simulation in (made.simulation, limp(made.simulation))
     )
-    assert without.shares_of(float(own.way[0]))[0] > 0.5
+    assert without.way[0] > 0.5 * own.way[0]
     level = walker()
     own, without = (
         live(level, champion(), Variation("", (simulation,)))
         for simulation in (level.simulation, limp(level.simulation))
     )
-    assert without.shares_of(float(own.way[0]))[0] < 0.1
+    assert without.way[0] < 0.1 * own.way[0]
 
 
 def test_limbs_in_each_other_are_found(honest):
@@ -261,6 +262,27 @@ def test_more_friction_and_drag_change_the_way(honest, swimming):
         own = live(made, champion(), Variation("", (made.simulation,)))
         assert both.way[0] == pytest.approx(float(own.way[0]), rel=1e-3, abs=1e-4)
         assert abs(both.way[1] / own.way[0] - 1) > 1e-3
+
+
+def test_under_chance_ways_are_means_over_the_same_fresh_draws(swimming):
+    """The draws that made a champion are luck in part; all that is compared lives under others."""
+    made = swimming[0]._replace(trials=2)
+    noisy = dataclasses.replace(made.simulation, noise=Noise(joint_angle=0.3, push=0.3))
+    made = made._replace(simulation=noisy)
+    assert draws_of(noisy) == 16 and draws_of(swimming[0].simulation) == 1
+    sims = tuple(with_drag(noisy, factor) for factor in (1.0, 0.5))
+    place = Variation("", sims, 16)
+    drawn = live(made, champion(), place)
+    again = live(made, champion(), Variation("", (noisy,), 16))
+    assert len(np.unique(drawn.way[:16])) == 16
+    np.testing.assert_allclose(drawn.way[:16], again.way, rtol=1e-3, atol=1e-5)
+    means = drawn.mean_ways(place)
+    assert means == pytest.approx([drawn.way[:16].mean(), drawn.way[16:].mean()])
+    # Half of the drag changes ways by much less than chance does, draw by draw.
+    change = drawn.way[16:] - drawn.way[:16]
+    assert change.std() < 0.5 * drawn.way[:16].std()
+    dead = drawn._replace(alive=np.zeros(32, bool))
+    assert dead.mean_ways(place).tolist() == [0.0, 0.0]
 
 
 def test_changes_that_a_world_does_not_have_are_refused(honest, swimming):

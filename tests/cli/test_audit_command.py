@@ -85,8 +85,10 @@ def test_train_takes_a_first_look_at_its_champion(cli, tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-def test_a_champion_is_audited(cli, finished_run, tmp_path):
-    """A table, a verdict, a file and a picture; with limits out of reach it does not pass."""
+def test_a_champion_is_audited(cli, finished_run, tmp_path, monkeypatch):
+    """A table, a verdict, a file and a picture; and a table of all champions, here of one."""
+    # Two bodies on a hinge get nowhere much.
+    monkeypatch.setattr(audit, "_SOME_WAY", -1e9)
     run = tmp_path / "run"
     shutil.copytree(finished_run, run)
     code, out, complaint = cli("audit", run, "half_step=0", "quarter_step=0")
@@ -100,5 +102,12 @@ def test_a_champion_is_audited(cli, finished_run, tmp_path):
     assert energy["stored"] == pytest.approx(work + energy["left_over"])
     assert (run / "plots" / "audit.png").stat().st_size > 10_000
     assert str(run / "audit.json") in out and "MuJoCo" in out
+    code, out, _ = cli("audit", run, "--all")
+    alone = json.loads((run / "audit_run0.json").read_text())
+    assert code == (0 if alone["passed"] else 3) and "of 1 champions pass" not in out
+    assert [x["measured"] for x in alone["checks"]] == [x["measured"] for x in told["checks"]]
+    assert "quarter %" in out and "MuJoCo m" in out
+    code, _, complaint = cli("audit", run, "--all", "--run", 0)
+    assert code == 2 and "--all and --run" in complaint
     code, _, complaint = cli("audit", run, "way=1")
     assert code == 2 and "no limit 'way'" in complaint
