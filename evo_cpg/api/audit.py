@@ -14,9 +14,10 @@ from evo_cpg.analysis.excursions import Excursions, excursions
 from evo_cpg.analysis.verdict import Check, Limits, Verdict
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.schema.experiment import ExperimentConfig
+from evo_cpg.control.postures import PostureController
 from evo_cpg.creature.creature import Creature, length_of
 from evo_cpg.exchange.errors import ExchangeError
-from evo_cpg.exchange.second_opinion import Opinion, own_opinion, second_opinion
+from evo_cpg.exchange.second_opinion import Brain, Opinion, own_opinion, second_opinion
 from evo_cpg.fusion.engine import Engine, described
 from evo_cpg.simulation.physics_steps import PhysicsSteps, physics_steps
 from evo_cpg.simulation.reach_light import ReachLight
@@ -120,7 +121,7 @@ def audits(
     tell("in MuJoCo", total - 1, total)
     made = []
     for champion, alive, steps, found in zip(champions, lived, trials, kept, strict=True):
-        opinions, missing = _opinions(experiment, steps[0].steps)
+        opinions, missing = _opinions(experiment, champion, steps[0].steps)
         checks = [
             _replay(champion, alive),
             *_shares(float(np.nanmean(alive.way)), found, limits, experiment.creature),
@@ -131,15 +132,29 @@ def audits(
     return made
 
 
-def _opinions(experiment: Experiment, steps: PhysicsSteps) -> tuple[tuple[Opinion, ...], str]:
-    """Ours and MuJoCo's, and why there is none."""
-    simulation = experiment.simulation
-    kinds = (False, True) if simulation.world.footing is not None else (False,)
+def _opinions(
+    experiment: Experiment, champion: Champion, steps: PhysicsSteps
+) -> tuple[tuple[Opinion, ...], str]:
+    """Ours and MuJoCo's of the first trial, and why there is none."""
+    simulation, creature = experiment.simulation, experiment.creature
     try:
-        theirs = [second_opinion(simulation, experiment.creature, steps, hard) for hard in kinds]
+        theirs = [second_opinion(simulation, creature, steps)]
+        if simulation.world.footing is not None:
+            theirs.append(second_opinion(simulation, creature, steps, hard=True))
+            if not isinstance(simulation.controller, PostureController):
+                brain = _brain(experiment, champion)
+                theirs.append(second_opinion(simulation, creature, steps, True, brain))
     except ExchangeError as error:
         return (), str(error)
     return (own_opinion(simulation, steps), *theirs), ""
+
+
+def _brain(experiment: Experiment, champion: Champion) -> Brain:
+    """What drives the champion in its first trial."""
+    keys, numbers = champion_keys(experiment, champion), situation_numbers(experiment)
+    own = None if keys is None else keys[:, :1]
+    first = None if numbers is None else jnp.asarray(numbers[:1])
+    return Brain(experiment.simulation, champion.genes, own, first)
 
 
 def compile_first_look(experiment: Experiment, least: float) -> Callable[[Champion], Check]:

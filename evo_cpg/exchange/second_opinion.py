@@ -2,10 +2,12 @@
 
 The exported model (`evo_cpg.exchange.mjcf_export`) is driven by the commands that the champion's
 controller gave here, step by step, from the same start: it hears nothing of what MuJoCo's animal
-feels. Both solve the same equations of motion; contacts are MuJoCo's own, without restitution, and
-by default much softer than ours: they yield over 20 ms, and creep. So there is a second kind, in
-which they are as hard as MuJoCo makes them at an eighth of the step. Forces of the water are our
-laws (`evo_cpg.physics.fluid`, buoyancy), applied to MuJoCo's bodies at every step of its own;
+feels. Or the controller itself drives it, and senses what MuJoCo's animal does: one that corrects
+itself, as brains do, needs that where contacts differ. Both programs solve the same equations of
+motion. Contacts are MuJoCo's own, without restitution, and by default much softer than ours: they
+yield over 20 ms, and creep. So there is a second kind, in which they yield within one of our steps,
+in much finer ones of MuJoCo's, for at ours its stiff motors go other ways. Forces of the water are
+our laws (`evo_cpg.physics.fluid`, buoyancy), applied to MuJoCo's bodies at every step of its own;
 carried water is left out, since applied forces know no accelerations.
 """
 
@@ -18,24 +20,28 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from evo_cpg.control.controller import Command
 from evo_cpg.creature.creature import Creature
 from evo_cpg.exchange.errors import ExchangeError
 from evo_cpg.exchange.mjcf_export import mjcf_model, mjcf_text
 from evo_cpg.exchange.mujoco_state import dof_order, load_state, motor_order, root_rotation
+from evo_cpg.fusion.engine import using
 from evo_cpg.physics.fluid import drag
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import State
 from evo_cpg.physics.world import World, buoyancy_wrench, immersion
+from evo_cpg.simulation.control_step import act, begin_life, sense
 from evo_cpg.simulation.physics_steps import PhysicsSteps
+from evo_cpg.simulation.sensors import feel
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.spatial.linear import cross, expand_dims_like, matvec
 
 # An animal whose back is less than this high above lying on its side is not upright: cosine.
 _UPRIGHT = 0.5
 
-# Hard contacts: MuJoCo's steps in each of ours, the time constant of contacts in its own steps (the
-# least that it allows is two), and how much stiffer friction is than the normal direction.
-_FINER, _TIME_CONSTANT, _IMPEDANCE_RATIO = 8, 4.0, 100.0
+# Hard contacts: MuJoCo's steps at most (s), and how much stiffer friction is than the normal
+# direction. Their time constant is one of our steps, in which an impact of ours is over.
+_HARD_STEP, _IMPEDANCE_RATIO = 1 / 3840, 100.0
 
 # Explicit forces of water on light limbs need steps of this length (s) or less.
 _WATER_STEP = 1 / 2000
@@ -65,6 +71,59 @@ class Opinion(NamedTuple):
         return float(np.arctan2(y, x))
 
 
+class Brain:
+    """A champion's controller, with the senses of an animal that lives elsewhere.
+
+    Args:
+        simulation: the trial.
+        genes: of the champion.
+        keys: raw random keys of the trial; None without noise.
+        number: of its situation; None where there is one.
+    """
+
+    def __init__(
+        self,
+        simulation: Simulation,
+        genes: Float[np.ndarray, " g"],
+        keys: Array | None = None,
+        number: Array | None = None,
+    ):
+        with using(simulation.engine):
+            alone = jnp.asarray(genes, jnp.float32)[:, None]
+            life, animal = begin_life(simulation, alone, keys, number)
+        footing = simulation.world.footing
+        owners = np.array([] if footing is None else footing.bodies, int)
+        # A body's first contact point stands for all of them: the skin adds them up.
+        self._first = {body: int(np.flatnonzero(owners == body)[0]) for body in set(owners)}
+        self._points, self._nerves = len(owners), animal.nerves
+
+        def think(state: State, nerves: Any, force: Array) -> tuple[Any, Command]:
+            with using(simulation.engine):
+                kin = kinematics(simulation.world.tree, state)
+                felt = feel(simulation.sensors, simulation.world, kin, force)
+                there = animal._replace(state=state, nerves=nerves, pressure=felt)
+                return act(simulation, life, there, sense(simulation, life, there))
+
+        self._think = jax.jit(think)
+
+    def think(
+        self, state: State, borne: Float[np.ndarray, " b"]
+    ) -> tuple[Float[np.ndarray, "d 1"], Float[np.ndarray, "d 1"]]:
+        """Rates (rad/s) and angles (rad) that the motors are to follow.
+
+        Args:
+            state: of the animal.
+            borne: normal force of the ground on each body, N.
+        """
+        force = np.zeros((3, self._points, 1), np.float32)
+        for body, point in self._first.items():
+            force[2, point] = borne[body]
+        here = jax.tree.map(lambda x: np.asarray(x, np.float32)[..., None], state)
+        self._nerves, command = jax.device_get(self._think(here, self._nerves, force))
+        rate, angle = command.target_rate, command.target_angle
+        return rate, np.zeros_like(rate) if angle is None else angle
+
+
 def own_opinion(simulation: Simulation, steps: PhysicsSteps) -> Opinion:
     """Ours, of a trial that was lived here."""
     each = slice(simulation.substeps - 1, None, simulation.substeps)
@@ -84,6 +143,7 @@ def second_opinion(
     creature: Creature,
     steps: PhysicsSteps,
     hard: bool = False,
+    brain: Brain | None = None,
 ) -> Opinion:
     """MuJoCo's.
 
@@ -92,6 +152,7 @@ def second_opinion(
         creature: the animal.
         steps: of the trial, for its start and its commands.
         hard: with contacts as hard as ours and round friction cones, in smaller steps.
+        brain: what drives the animal; None for the commands of the trial.
 
     Raises:
         ExchangeError: MuJoCo is missing or refuses the model, MJCF cannot hold the world, or its
@@ -104,9 +165,10 @@ def second_opinion(
             "a second opinion needs MuJoCo; install it with pip install 'evo-cpg[mujoco]'"
         ) from None
     world, h = simulation.world, simulation.step_length
-    finer = _FINER if hard else 1
+    longest = _HARD_STEP if hard else h
     if world.water is not None:
-        finer = max(finer, int(np.ceil(h / _WATER_STEP)))
+        longest = min(longest, _WATER_STEP)
+    finer = int(np.ceil(h / longest - 1e-9))
     element = mjcf_model(
         creature, world.gravity, world.ground, time_step=h / finer, pairs=world.pair_names
     )
@@ -117,16 +179,19 @@ def second_opinion(
     if hard:
         model.opt.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
         model.opt.impratio = _IMPEDANCE_RATIO
-        model.pair_solref[:] = _TIME_CONSTANT * h / finer, 1.0
+        model.pair_solref[:] = h, 1.0
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     player = _Player(mujoco, model, world)
     player.begin(jax.tree.map(lambda x: np.asarray(x[..., 0], float), steps.before))
     jumps = _jumps(steps)
-    signals = player.signals(steps)
+    signals = player.signals(*map(np.asarray, (steps.target_rate, steps.target_angle)))
     substeps, path, turns, angles, touches = simulation.substeps, [], [], [], []
     path.append(player.data.qpos[:3].copy())
     for index in range(steps.torque.shape[-1]):
         player.push(jumps[:, index])
+        if brain is not None and index % substeps == 0:
+            told = player.signals(*brain.think(player.state(), player.weight_borne()))
+            signals[index : index + substeps] = told
         player.advance(signals[index], finer)
         if not np.isfinite(player.data.qpos).all():
             raise ExchangeError("MuJoCo's animal diverged")
@@ -136,7 +201,7 @@ def second_opinion(
             angles.append(player.angles())
             touches.append(player.touches())
     return Opinion(
-        "MuJoCo, hard contacts" if hard else "MuJoCo",
+        "MuJoCo" + ", hard contacts" * hard + ", own senses" * (brain is not None),
         np.array(path).T,
         _upright_share(np.array(turns).T),
         float(1.0 - np.mean(touches)),
@@ -166,15 +231,17 @@ class _Player:
         load_state(self.model, self.data, self.tree, state)
         self.mujoco.mj_forward(self.model, self.data)
 
-    def signals(self, steps: PhysicsSteps) -> Float[np.ndarray, "t motors"]:
+    def signals(
+        self, target_rate: Float[np.ndarray, "d t"], target_angle: Float[np.ndarray, "d t"]
+    ) -> Float[np.ndarray, "t motors"]:
         """What the motors are told in each step: their laws are ours."""
         tree = self.tree
         gain, stiffness = (
             np.asarray(x, float)[:, None] for x in (tree.servo_gain, tree.servo_stiffness)
         )
         springy = stiffness > 0
-        along = gain / np.where(springy, stiffness, 1.0) * steps.target_rate
-        told = np.where(springy, steps.target_angle + along, steps.target_rate)
+        along = gain / np.where(springy, stiffness, 1.0) * target_rate
+        told = np.where(springy, target_angle + along, target_rate)
         return np.asarray(told[self._motors].T, float)
 
     def push(self, jump: Float[np.ndarray, "3"]) -> None:
@@ -186,7 +253,7 @@ class _Player:
         self.data.ctrl[:] = signal
         for _ in range(count):
             if self._water is not None:
-                self.data.xfrc_applied[self._bodies] = self._water(self._state()).T
+                self.data.xfrc_applied[self._bodies] = self._water(self.state()).T
             self.mujoco.mj_step(self.model, self.data)
 
     def angles(self) -> Float[np.ndarray, " d"]:
@@ -200,7 +267,18 @@ class _Player:
             for contact in self.data.contact
         )
 
-    def _state(self) -> State:
+    def weight_borne(self) -> Float[np.ndarray, " b"]:
+        """Normal force of what is no part of the animal on each of our bodies, N."""
+        borne, force = np.zeros(self.model.nbody), np.zeros(6)
+        for index, contact in enumerate(self.data.contact):
+            if self._animal[contact.geom1] != self._animal[contact.geom2]:
+                self.mujoco.mj_contactForce(self.model, self.data, index, force)
+                mine = contact.geom1 if self._animal[contact.geom1] else contact.geom2
+                borne[self.model.geom_bodyid[mine]] += force[0]
+        return borne[self._bodies]
+
+    def state(self) -> State:
+        """The animal's, as ours."""
         data = self.data
         spin = root_rotation(data.qpos[3:7]) @ data.qvel[3:6]
         parts: tuple[Any, ...] = (

@@ -1,0 +1,76 @@
+"""A champion's commands, and its controller with MuJoCo's senses, on the exported model."""
+
+import dataclasses
+
+import jax
+import numpy as np
+import pytest
+
+from evo_cpg.config.build import build_experiment
+from evo_cpg.config.load import load_config
+from evo_cpg.control.postures import PostureController
+from evo_cpg.exchange.second_opinion import Brain, own_opinion, second_opinion
+from evo_cpg.simulation.physics_steps import physics_steps
+from tiny_run import CONFIG, PAIR
+
+
+def lived(path, *overrides):
+    """A random individual's trial."""
+    experiment = build_experiment(load_config(path, overrides), path)
+    simulation = experiment.simulation
+    genes = simulation.controller.random_genes(jax.random.key(1), (1,), np.float32)
+    steps = jax.device_get(jax.jit(lambda g: physics_steps(simulation, g))(genes))
+    return experiment, np.asarray(genes[:, 0]), steps
+
+
+@pytest.fixture(scope="module")
+def swimmer():
+    return lived(CONFIG, *PAIR, "simulation.steps=90", "simulation.substeps=4")
+
+
+def test_in_water_commands_and_controller_lead_to_our_own_motion(swimmer):
+    """Both programs solve the same equations there; ours has steps of 1/240 s, MuJoCo 1/2000 s."""
+    experiment, genes, steps = swimmer
+    simulation = experiment.simulation
+    own = own_opinion(simulation, steps)
+    told = second_opinion(simulation, experiment.creature, steps)
+    brain = Brain(simulation, genes)
+    sensed = second_opinion(simulation, experiment.creature, steps, brain=brain)
+    assert (told.program, sensed.program) == ("MuJoCo", "MuJoCo, own senses")
+    assert np.abs(own.joint_angle).max() > 0.1
+    for other in (told, sensed):
+        np.testing.assert_allclose(other.joint_angle, own.joint_angle, atol=5e-3)
+        np.testing.assert_allclose(other.path, own.path, atol=2e-3)
+
+
+def test_a_controller_hears_what_mujocos_animal_feels(swimmer):
+    """Started elsewhere, one that corrects its angles comes to other commands than were given."""
+    experiment, genes, steps = swimmer
+    simulation, creature = experiment.simulation, experiment.creature
+    bent = steps._replace(
+        before=dataclasses.replace(steps.before, q=steps.before.q + 0.3),
+    )
+    told = second_opinion(simulation, creature, bent)
+    sensed = second_opinion(simulation, creature, bent, brain=Brain(simulation, genes))
+    # The commands alone keep what is off; centring in the controller takes it back.
+    own = own_opinion(simulation, steps).joint_angle
+    off = [np.abs(each.joint_angle - own)[:, -1].max() for each in (told, sensed)]
+    assert off[0] > 0.2 and off[1] < 0.7 * off[0]
+
+
+@pytest.mark.slow
+def test_on_the_ground_hard_contacts_bear_the_weight_in_the_end():
+    """A hexapod that holds one posture stands in both programs, as high to 2 mm."""
+    path = CONFIG.with_name("hexapod.yaml")
+    experiment, _, _ = lived(path, "simulation.steps=1")
+    simulation = dataclasses.replace(experiment.simulation, steps=120)
+    assert isinstance(simulation.controller, PostureController)
+    genes = np.zeros((simulation.controller.gene_count, 1), np.float32)
+    genes[1::2] = 1.0  # every joint at 170 degrees
+    steps = jax.device_get(jax.jit(lambda g: physics_steps(simulation, g))(genes))
+    own = own_opinion(simulation, steps)
+    hard = second_opinion(simulation, experiment.creature, steps, hard=True)
+    assert hard.program == "MuJoCo, hard contacts"
+    assert hard.upright == own.upright == 1.0
+    assert hard.path[2, -1] == pytest.approx(own.path[2, -1], abs=2e-3)
+    assert np.abs(hard.path[:2, -1] - own.path[:2, -1]).max() < 0.05
