@@ -1,0 +1,70 @@
+"""The faults of `benchmarks/faults.py` are faults, and whoever slips is noticed."""
+
+import random
+
+import pytest
+import yaml
+
+from benchmarks import faults
+from evo_cpg.config.load import load_config
+from evo_cpg.training.run_folder import RunFolder
+from tiny_run import CONFIG, REPOSITORY
+
+
+@pytest.mark.parametrize("number", range(20))
+def test_odd_values_and_odd_text_change_a_configuration(number):
+    chance = random.Random(number)
+    data = yaml.safe_load(CONFIG.read_text())
+    before = yaml.safe_dump(data)
+    assert yaml.safe_dump(faults.with_odd_values(data, chance)) != before
+    assert yaml.safe_dump(data) == before
+    text = CONFIG.read_bytes()
+    assert faults.with_odd_text(text, chance) != text
+
+
+def test_a_configuration_with_mistakes_is_taken_or_refused(tmp_path):
+    folder = tmp_path / "configs"
+    folder.mkdir()
+    creature = (REPOSITORY / "configs" / "creatures" / "swimmer10.yaml").read_text()
+    (folder / "creatures").mkdir()
+    (folder / "creatures" / "swimmer10.yaml").write_text(creature)
+    (folder / CONFIG.name).write_text(CONFIG.read_text())
+    told = {faults.build_odd(folder, number) for number in range(12)}
+    assert told <= {"taken", "refused"} and "refused" in told
+    assert not list(folder.glob("odd_*"))
+
+
+def test_a_fault_of_ours_is_not_taken_for_the_users(tmp_path, monkeypatch):
+    (tmp_path / CONFIG.name).write_text("name: x\ncreature: {}\n")
+
+    def broken(path):
+        raise KeyError("ours")
+
+    monkeypatch.setattr("evo_cpg.config.load.load_config", broken)
+    with pytest.raises(KeyError):
+        faults.build_odd(tmp_path, 0)
+
+
+def test_damage_is_done_to_files_of_the_run(tmp_path):
+    run = RunFolder(tmp_path / "run")
+    run.create("name: x\n", {"devices": 1})
+    (run.path / "metrics.csv").write_text("a,b\n1,2\n")
+    for number in range(20):
+        before = {p: p.read_bytes() for p in run.path.rglob("*") if p.is_file()}
+        broken = faults.damage(run.path, random.Random(number))
+        assert broken
+        after = {p: p.read_bytes() for p in run.path.rglob("*") if p.is_file()}
+        changed = {p for p in before if before[p] != after.get(p)}
+        assert {str(p.relative_to(run.path)) for p in changed} <= set(broken)
+        for path, contents in before.items():
+            if path.is_symlink() or path.is_file():
+                path.unlink()
+            elif path.is_dir():
+                path.rmdir()
+            path.write_bytes(contents)
+
+
+def test_the_kinds_of_run_are_valid():
+    for name, settings in faults.KINDS.values():
+        path = CONFIG.with_name(f"{name}.yaml")
+        assert load_config(path, settings).evolution.generations == 40
