@@ -23,6 +23,7 @@ def test_what_is_there_no_more_is_told():
         mutated(gone, "")
 
 
-def test_physics_control_and_evolution_have_thirty_at_least():
+def test_physics_control_and_evolution_have_sixty_at_least():
     layers = {Path(mutant.file).parts[0] for mutant in MUTANTS}
-    assert layers == {"physics", "control", "evolution", "spatial"} and len(MUTANTS) >= 30
+    assert layers == {"physics", "control", "evolution", "simulation", "spatial"}
+    assert len(MUTANTS) >= 60

@@ -245,7 +245,7 @@ def test_postures_and_bits_go_together():
         ({**POSTURES, "evolution__rank_probabilities": [0.5, 0.2]}, "must add up to 1"),
         (POSTURES, "evolution.mutated_genes: at most 24, the bits in a genome"),
         ({**POSTURES, "evolution__mutation": "swap"}, "evolution.mutation"),
-        ({**POSTURES, "controller__postures": 0}, "postures must be at least 1"),
+        ({**POSTURES, "controller__postures": 0}, "postures must be from 1 to 1000"),
         ({**POSTURES, "controller__postuers": 8}, "did you mean 'postures'?"),
     ],
 )

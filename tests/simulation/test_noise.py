@@ -101,6 +101,7 @@ def test_friction_differs_evenly_from_trial_to_trial():
     np.testing.assert_array_equal(grip[7:8], grip_of(Noise(friction=0.2), KEYS[:, 7:8]))
 
 
+@pytest.mark.usefixtures("x64")
 @pytest.mark.parametrize("engine", ["auto", "jax"])
 def test_a_trial_on_rougher_ground_is_one_with_more_friction(engine):
     creature = swimmer(EYES)
