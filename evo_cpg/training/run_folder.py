@@ -82,6 +82,8 @@ class RunFolder:
         self.path = Path(path)
         # The rows of metrics.csv written last, and their text.
         self._table: tuple[list[dict[str, float]], str] = [], ""
+        # The rows of the checkpoint written last, and their columns.
+        self._columns: tuple[list[dict[str, float]], dict[str, np.ndarray]] = [], {}
 
     @property
     def config(self) -> Path:
@@ -181,7 +183,7 @@ class RunFolder:
             not self.champion.exists() or champion.generation == checkpoint.generation - 1
         ):
             self.save_champion(champion)
-        arrays = checkpoint_arrays(checkpoint)
+        arrays = checkpoint_arrays(checkpoint, self._columns_of(checkpoint.history))
         _write(self._checkpoint(checkpoint.generation), lambda file: np.savez(file, **arrays))
         self.write_metrics(checkpoint.history)
         for old in self._checkpoints()[:-_KEPT_CHECKPOINTS]:
@@ -274,11 +276,18 @@ class RunFolder:
         checkpoint = self.load()
         if checkpoint is None or not checkpoint.history:
             raise RunFolderError(f"{self.path} has no finished generation yet")
-        return dict(history_columns(checkpoint.history))
+        return history_columns(checkpoint.history)
 
     def config_digest(self) -> str:
         """SHA-256 of config.yaml."""
         return hashlib.sha256(self.config.read_bytes()).hexdigest()
+
+    def _columns_of(self, history: list[dict[str, float]]) -> dict[str, np.ndarray]:
+        rows, columns = self._columns
+        if history[: len(rows)] != rows:
+            columns = {}
+        self._columns = history, history_columns(history, columns)
+        return self._columns[1]
 
     def _checkpoint(self, generation: int) -> Path:
         return self.path / "checkpoints" / f"generation_{generation:06d}.npz"

@@ -92,6 +92,20 @@ def test_the_table_is_that_of_the_history_whatever_was_written_before(folder):
         assert found == history
 
 
+def test_a_history_that_grows_is_kept_whole_whatever_was_saved_before(folder):
+    """Columns that are known already are not taken apart again; numbers may become fractions."""
+    rows = [{"generation": i, "best": i if i < 3 else i + 0.5, "worst": -1.0} for i in range(8)]
+    for done in (1, 2, 4, 5, 8):
+        given = Checkpoint(done, np.zeros((2, 3)), (None,), rows[:done], {})
+        folder.save(given)
+        found = folder.load()
+        assert found is not None and found.history == rows[:done]
+    other = [{"generation": 0, "best": 7.0, "worst": 3.0}]
+    folder.save(Checkpoint(9, np.zeros((2, 3)), (None,), other, {}))
+    found = folder.load()
+    assert found is not None and found.history == other
+
+
 @pytest.mark.parametrize("champions", [(CHAMPION, None), (None, CHAMPION), (None, None)])
 def test_champions_of_several_runs_come_back(folder, champions):
     folder.save(checkpoint(2, *champions))
