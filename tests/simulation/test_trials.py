@@ -1,5 +1,7 @@
 """Trials: what the task makes of them is recomputed in NumPy from their recordings."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from creatures import quick_jit
+from evo_cpg.simulation.physics_steps import physics_steps
 from evo_cpg.simulation.reach_light import ReachLight
 from evo_cpg.simulation.rollout import Outcome, as_recording, record, rollout, score
 from trials import experiment
@@ -146,3 +149,16 @@ def test_a_blind_animal_lives_its_trial():
         "energy": (3,),
         "light": (3,),
     }
+
+
+def test_forces_and_energy_of_a_control_step_are_those_of_its_physics_steps():
+    """Forces are means over them, energy is their sum."""
+    finer = dataclasses.replace(experiment(20).simulation, substeps=3)
+    genes = GENES[:, :1]
+    steps, frames = quick_jit(lambda g: (physics_steps(finer, g), record(finer, g)))(genes)
+    each = np.asarray(steps.torque, float).reshape(1, 20, 3)
+    np.testing.assert_allclose(frames["torque"][:, 0, 0], each.mean(2)[0], rtol=1e-4, atol=1e-5)
+    assert np.ptp(each, axis=2).max() > 0.1 * np.abs(each).max()
+    rate = np.asarray((steps.before.qd + steps.after.qd) / 2, float).reshape(1, 20, 3)
+    spent = np.abs(each * rate).sum((0, 2)) / 180
+    np.testing.assert_allclose(frames["energy"][:, 0], spent, rtol=1e-3, atol=1e-7)
