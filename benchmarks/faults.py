@@ -350,7 +350,10 @@ def _work(call: Callable[[Path, int], str], folder: Path, tasks: Any, results: A
 
     use_cores(1)
     os.chdir(folder)
+    parent = multiprocessing.parent_process()
     for number in iter(tasks.get, None):
+        if parent is not None and not parent.is_alive():
+            return
         before = _memory()
         with contextlib.suppress(OSError):
             Path("/proc/self/clear_refs").write_text("5")

@@ -8,7 +8,8 @@ motion. Contacts are MuJoCo's own, without restitution, and by default much soft
 yield over 20 ms, and creep. So there is a second kind, in which they yield within one of our steps,
 in much finer ones of MuJoCo's, for at ours its stiff motors go other ways. Forces of the water are
 our laws (`evo_cpg.physics.fluid`, buoyancy), applied to MuJoCo's bodies at every step of its own;
-carried water is left out, since applied forces know no accelerations.
+carried water is left out, since applied forces know no accelerations. Where friction differs from
+trial to trial, MuJoCo's is that of the configuration.
 """
 
 import importlib

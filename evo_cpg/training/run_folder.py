@@ -52,6 +52,7 @@ _GATHERED, _DECIDED = ".gathered", ".decided"
 _RECORDING_PREFIX = "recording."
 # What is relied on in meta.json.
 _META = {"devices": int, "config": str, "replaced": list, "fingerprint": dict}
+_MOST_DEVICES = 4096
 _DIGESTS = ("config_sha256", "genes_sha256", "outcome_sha256")
 
 # What reading a truncated or overwritten .npz file has been seen to raise.
@@ -165,7 +166,8 @@ class RunFolder:
         sound = isinstance(meta, dict) and all(
             isinstance(meta[key], kind) for key, kind in _META.items() if key in meta
         )
-        return meta if sound else {}
+        # So many devices would take the machine's memory, whoever wrote the file.
+        return meta if sound and 0 < meta.get("devices", 1) <= _MOST_DEVICES else {}
 
     def update_meta(self, **values: Any) -> None:
         """Add to meta.json."""

@@ -223,5 +223,8 @@ def test_meta_that_nests_without_end_is_no_meta(tmp_path):
     run = champion_of(tmp_path, {})
     run.meta.write_text("[" * 10**6)
     assert run.read_meta() == {}
-    run.meta.write_text('{"devices": "many", "config": 3, "replaced": 5}')
-    assert run.read_meta() == {}
+    for told in ('{"devices": "many"}', '{"devices": 1000000000}', '{"config": 3}'):
+        run.meta.write_text(told)
+        assert run.read_meta() == {}
+    run.meta.write_text('{"devices": 4}')
+    assert run.read_meta() == {"devices": 4}
