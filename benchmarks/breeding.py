@@ -35,7 +35,7 @@ Breeder = Callable[[int], object]
 def measure(plan: Plan) -> list[Row]:
     """Our two algorithms, each beside SimpleGA."""
     genes = _QUICK_GENES if plan.quick else GENES
-    real = experiment_of("iwadate2010_swimmer").genetics
+    real = experiment_of("iwadate2010_swimmer").strategy
     breeders: dict[str, Breeder] = {}
     compile_seconds: dict[str, float] = {}
     for part, genetics in (("real-valued", real), ("bits", BitGenetics(population=SIZE))):

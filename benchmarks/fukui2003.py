@@ -139,7 +139,7 @@ def measure(
     if kept.exists():
         return json.loads(kept.read_text())
     experiment, _ = load(*EXPERIMENTS[WALKS[model]])
-    simulation, population = experiment.simulation, experiment.genetics.population
+    simulation, population = experiment.simulation, experiment.strategy.population
     batch = experiment.runs * population
     trials = compile_trials(simulation, population_mesh())
 

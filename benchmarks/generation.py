@@ -11,21 +11,21 @@ from benchmarks.plan import Plan, experiment_of, swimmer_settings
 from benchmarks.rows import SECONDS, Row
 from benchmarks.timing import Contender, race, seconds
 from evo_cpg.training.devices import population_mesh
-from evo_cpg.training.experiment import breed, compile_trials, first_population
+from evo_cpg.training.experiment import begin, breed, compile_trials
 
 
 def measure(plan: Plan) -> list[Row]:
     """Seconds, and the same as individual physics steps per second."""
     experiment = experiment_of("iwadate2010_swimmer", *swimmer_settings(plan))
-    simulation, population = experiment.simulation, experiment.genetics.population
-    genes = np.asarray(jax.jit(lambda: first_population(experiment))())
+    simulation, population = experiment.simulation, experiment.strategy.population
+    genes, state = jax.device_get(jax.jit(lambda: begin(experiment))())
     scales = {"energy": np.ones(1, np.float32)}
     trials = compile_trials(simulation, population_mesh())
     breeding = jax.jit(functools.partial(breed, experiment))
 
     def live() -> None:
         outcome = trials(genes)
-        jax.device_get(breeding(genes, outcome, np.int32(0), scales))
+        jax.device_get(breeding(genes, outcome, np.int32(0), scales, state))
 
     plan.say("generation: compiling")
     first = seconds(live)

@@ -29,7 +29,7 @@ class StartError(Exception):
 def measure(plan: Plan) -> Iterator[Row]:
     """The first start ever, and the second one."""
     overrides = ("evolution.generations=1", *swimmer_settings(plan))
-    population = experiment_of("iwadate2010_swimmer", *overrides).genetics.population
+    population = experiment_of("iwadate2010_swimmer", *overrides).strategy.population
     how = (
         "evo-cpg train configs/iwadate2010_swimmer.yaml "
         f"{' '.join(overrides)}, a process of its own, wall clock"

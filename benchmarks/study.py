@@ -54,7 +54,7 @@ def random_search(config_file: Path, seed: int, overrides: tuple[str, ...] = ())
     """The best of as many random animals as a run evaluates."""
     config = load_config(config_file, [*overrides, f"seed={seed}"])
     experiment = build_experiment(config, config_file)
-    simulation, size = experiment.simulation, experiment.genetics.population
+    simulation, size = experiment.simulation, experiment.strategy.population
     task, trials = simulation.task, compile_trials(simulation, population_mesh())
     situations = situation_numbers(experiment)
     numbers = None if situations is None else np.tile(situations, size)

@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from evo_cpg.api.environment import Environment, EnvironmentState
-    from evo_cpg.api.experiment import Evaluation, Experiment, Trials
+    from evo_cpg.api.experiment import Experiment, Trials
     from evo_cpg.api.load import load
     from evo_cpg.api.record import Record
     from evo_cpg.api.training import Trained, train
     from evo_cpg.config.errors import ConfigError
     from evo_cpg.control.controller import Command, Controller, Observation
+    from evo_cpg.evolution.strategy import Evaluation, Strategy
     from evo_cpg.simulation.sensor import Sensor
     from evo_cpg.simulation.snapshot import Forces, Snapshot
     from evo_cpg.simulation.task import Task, Transition
@@ -25,13 +26,14 @@ _HOMES = {
     "Controller": "control.controller",
     "Environment": "api.environment",
     "EnvironmentState": "api.environment",
-    "Evaluation": "api.experiment",
+    "Evaluation": "evolution.strategy",
     "Experiment": "api.experiment",
     "Forces": "simulation.snapshot",
     "Observation": "control.controller",
     "Record": "api.record",
     "Sensor": "simulation.sensor",
     "Snapshot": "simulation.snapshot",
+    "Strategy": "evolution.strategy",
     "Task": "simulation.task",
     "Trained": "api.training",
     "Transition": "simulation.task",
@@ -58,6 +60,7 @@ __all__ = [  # noqa: RUF022 - as the reference has them
     "Controller",
     "Observation",
     "Command",
+    "Strategy",
     "ConfigError",
 ]
 

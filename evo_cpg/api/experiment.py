@@ -25,6 +25,7 @@ from evo_cpg.config.numbers import number_at, with_numbers
 from evo_cpg.config.parameters import parametrise
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.creature.creature import Creature
+from evo_cpg.evolution.strategy import Evaluation
 from evo_cpg.physics.world import World
 from evo_cpg.simulation.rollout import Outcome, as_recording, record
 from evo_cpg.simulation.task import Task
@@ -45,22 +46,6 @@ class Trials:
 
     terms: dict[str, np.ndarray]
     alive: np.ndarray
-
-
-@dataclasses.dataclass(frozen=True)
-class Evaluation:
-    """What a population is worth.
-
-    Attributes:
-        fitness: of every individual, to be maximised: the mean over its trials; -inf where it
-            diverged in any.
-        terms: the task's terms by name, likewise averaged.
-        descriptors: those terms that say how an individual behaves, see `Task.descriptors`.
-    """
-
-    fitness: np.ndarray
-    terms: dict[str, np.ndarray]
-    descriptors: dict[str, np.ndarray]
 
 
 class Experiment:
@@ -112,7 +97,7 @@ class Experiment:
     @property
     def population(self) -> int:
         """Individuals in a generation, as the configuration has it."""
-        return self.parts.genetics.population
+        return self.parts.strategy.population
 
     @property
     def trials(self) -> int:
@@ -179,9 +164,8 @@ class Experiment:
         outcome = Outcome(*jax.tree.map(jnp.asarray, (trials.terms, trials.alive)))
         fitness, mean = self._judge(outcome, self.scales)
         terms = {name: np.asarray(term) for name, term in mean.terms.items()}
-        descriptors = {
-            name: np.asarray(value) for name, value in self.task.descriptors(mean.terms).items()
-        }
+        found = training.descriptors(self.parts.simulation, mean.terms)
+        descriptors = {name: np.asarray(value) for name, value in found.items()}
         return Evaluation(np.asarray(fitness), terms, descriptors)
 
     @functools.cached_property

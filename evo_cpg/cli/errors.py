@@ -5,6 +5,7 @@ import sys
 _ELSEWHERE = (
     ("evo_cpg.view.output", "OutputError"),
     ("evo_cpg.training.memory", "TooLargeError"),
+    ("evo_cpg.training.strategy_state", "StrategyError"),
 )
 
 

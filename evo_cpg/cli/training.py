@@ -76,7 +76,7 @@ def resume_run(run: Path, generations: int | None, cores: int | None) -> None:
             f"--generations {config.evolution.generations} would take some back"
         )
     if done is not None:
-        runs, population = experiment.runs, experiment.genetics.population
+        runs, population = experiment.runs, experiment.strategy.population
         asked = experiment.simulation.controller.gene_count, runs * population, runs
         found = *done.genes.shape, len(done.champions)
         if asked != found:

@@ -7,16 +7,17 @@ from pathlib import Path
 
 import numpy as np
 
-from evo_cpg.config.errors import ConfigError
+from evo_cpg.config.errors import ConfigError, nearest
 from evo_cpg.config.numbers import unchecked
 from evo_cpg.config.own_classes import build_own, require_code
-from evo_cpg.config.own_returns import check_own_returns
+from evo_cpg.config.own_returns import check_own_returns, check_own_strategy
 from evo_cpg.config.schema.choice import CustomConfig
-from evo_cpg.config.schema.evolution import BitEvolutionConfig, RealEvolutionConfig
+from evo_cpg.config.schema.evolution import MapSection, RealEvolutionConfig
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.config.schema.task import DistanceConfig, WalkConfig
 from evo_cpg.config.schema.world import WaterConfig
 from evo_cpg.config.situations import build_situations, require_light
+from evo_cpg.config.strategy import build_strategy
 from evo_cpg.config.terrain import build_ground
 from evo_cpg.config.trust import code_folders
 from evo_cpg.control.brain_cpg import BrainCpgSettings, build_brain_cpg
@@ -37,13 +38,14 @@ from evo_cpg.physics.fluid import Patch, Water, make_patches
 from evo_cpg.physics.footing import make_footing
 from evo_cpg.physics.pairs import make_pairs
 from evo_cpg.physics.world import World
+from evo_cpg.simulation.measures import GROUND_MEASURES, MEASURES, Measures
 from evo_cpg.simulation.noise import Noise
 from evo_cpg.simulation.reach_light import ReachLight
 from evo_cpg.simulation.rules import Rules
 from evo_cpg.simulation.sensor import Sensor
 from evo_cpg.simulation.sensors import place_sensors
 from evo_cpg.simulation.simulation import Simulation
-from evo_cpg.simulation.task import Task
+from evo_cpg.simulation.task import Task, term_names
 from evo_cpg.simulation.velocity_sensor import VelocitySensor
 from evo_cpg.simulation.walk import Distance, Walk
 from evo_cpg.spatial.choices import chosen
@@ -84,21 +86,11 @@ def build_experiment(
             sys.path.append(str(folder.resolve()))
     require_code(config, source, folders)
     creature, simulation = build_simulation(config, source, apart, pairs)
-    genetics = config.evolution
-    gene_count = simulation.controller.gene_count
-    if isinstance(genetics, BitEvolutionConfig):
-        most = genetics.mutated_genes[1]
-        if most > gene_count:
-            raise ConfigError(
-                source,
-                ("evolution", "mutated_genes"),
-                f"at most {gene_count}, the bits in a genome of this creature, can "
-                f"change, got {most}",
-            )
+    evolution = config.evolution
     learning = None
-    if isinstance(genetics, RealEvolutionConfig) and genetics.learning:
-        given = genetics.learning
-        elites = given.elites or min(_LEARNERS, genetics.elites)
+    if isinstance(evolution, RealEvolutionConfig) and evolution.learning:
+        given = evolution.learning
+        elites = given.elites or min(_LEARNERS, evolution.elites)
         learning = Learning(given.every, elites, given.steps)
     require_light(config, simulation.task, source)
     trials = config.simulation.trials
@@ -108,12 +100,14 @@ def build_experiment(
         # One trial is as good as many.
         trials = 1
     check_own_returns(config, simulation, source)
+    strategy = build_strategy(config, simulation, source)
+    check_own_strategy(config, strategy, simulation, source)
     return Experiment(
         name=config.name,
         creature=creature,
         simulation=simulation,
-        genetics=genetics.build(),
-        generations=genetics.generations,
+        strategy=strategy,
+        generations=evolution.generations,
         seed=config.seed,
         runs=config.runs,
         trials=trials,
@@ -172,8 +166,47 @@ def build_simulation(
         engine=engine,
         extra_sensors=extra_sensors,
         rules=_build_rules(config, creature, world, source),
+        measures=_build_measures(config, task, world, source),
     )
     return creature, simulation
+
+
+def _build_measures(
+    config: ExperimentConfig, task: Task, world: World, source: Path | str
+) -> Measures | None:
+    """What is measured of the gait: what is asked for, and the axes of a map.
+
+    Raises:
+        ConfigError: there is no such measure, or not in this world.
+    """
+    if not config.measures and not isinstance(config.evolution, MapSection):
+        return None
+    try:
+        own = term_names(task)
+    except Exception:
+        # A task of the user's own that fails; `check_own_returns` will say so.
+        own = ()
+    asked: list[tuple[tuple[str | int, ...], str]] = [
+        (("measures", i), name) for i, name in enumerate(config.measures)
+    ]
+    if isinstance(config.evolution, MapSection):
+        asked += [
+            (("evolution", "axes", i, "name"), axis.name)
+            for i, axis in enumerate(config.evolution.axes)
+            if axis.name not in own
+        ]
+    for key, name in asked:
+        if name not in MEASURES:
+            known = [*MEASURES, *(own if key[0] == "evolution" else ())]
+            raise ConfigError(source, key, f"{name!r} is no measure; {nearest(name, known)}")
+        if name in own:
+            raise ConfigError(source, key, f"{name!r} is a term of the task already")
+        if name in GROUND_MEASURES and world.footing is None:
+            raise ConfigError(source, key, f"{name!r} means nothing: there is no ground")
+        if name == "cost_of_transport" and not chosen(lambda: world.gravity > 0):
+            raise ConfigError(source, key, f"{name!r} means nothing: there is no gravity")
+    names = tuple(dict.fromkeys(name for _, name in asked))
+    return Measures(names) if names else None
 
 
 def _build_rules(

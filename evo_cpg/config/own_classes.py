@@ -24,6 +24,7 @@ def own_parts(config: ExperimentConfig) -> list[tuple[tuple[str | int, ...], Cus
         *((("creature", "sensors", i), sensor) for i, sensor in sensors),
         (("controller",), config.controller),
         (("task",), config.task),
+        (("evolution",), config.evolution),
     ]
     return [(key, part) for key, part in parts if isinstance(part, CustomConfig)]
 

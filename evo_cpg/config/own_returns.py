@@ -11,6 +11,8 @@ from evo_cpg.config.errors import ConfigError, Key
 from evo_cpg.config.own_classes import own_parts
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.control.controller import Command
+from evo_cpg.evolution.islands import Islands
+from evo_cpg.evolution.strategy import Evaluation, Strategy
 from evo_cpg.fusion.engine import Engine, using
 from evo_cpg.simulation.control_step import (
     Effects,
@@ -21,6 +23,7 @@ from evo_cpg.simulation.control_step import (
     transition,
 )
 from evo_cpg.simulation.simulation import Simulation
+from evo_cpg.simulation.task import term_names
 
 # As many as two individuals are told from one, and from what a creature has two of.
 _INDIVIDUALS = 7
@@ -71,6 +74,49 @@ def check_own_returns(config: ExperimentConfig, simulation: Simulation, source: 
     shape = simulation.controller.gene_count, _INDIVIDUALS
     with using(Engine("jax")):
         jax.eval_shape(go, jax.ShapeDtypeStruct(shape, jnp.float32))
+
+
+def check_own_strategy(
+    config: ExperimentConfig,
+    strategy: Strategy,
+    simulation: Simulation,
+    source: Path | str,
+) -> None:
+    """Let a strategy of the user's own take part in two generations, of which only shapes matter.
+
+    Raises:
+        ConfigError: it fails, or gives something of another kind or shape than it must.
+    """
+    key = ("evolution",)
+    if key not in [key for key, _ in own_parts(config)]:
+        return
+    strategy = strategy.strategy if isinstance(strategy, Islands) else strategy
+    shape, terms = (
+        (simulation.controller.gene_count, strategy.population),
+        term_names(simulation.task),
+    )
+    checked = _Checked([key], source)
+
+    def go(random: jax.Array, fitness: jax.Array) -> None:
+        draw = jax.random.key(0)
+        first = checked(key, strategy, "init", lambda init: init(draw, random))
+        kept = None
+        for state in (first, None):
+            if state is None:
+                worth = Evaluation(fitness, dict.fromkeys(terms, fitness), {})
+                given = draw, kept, random, worth
+                state = checked(key, strategy, "tell", lambda tell, x=given: tell(*x))
+            found = checked(key, strategy, "ask", lambda ask, x=state: ask(draw, x))
+            where = checked.where("ask")
+            if not (isinstance(found, tuple) and len(found) == 2):
+                where.fail("must return a pair of genomes and a state")
+            _expect_array(where, found[0], shape)
+            if kept is not None:
+                _expect_like(where, "the state", found[1], kept)
+            kept = found[1]
+
+    given = (jax.ShapeDtypeStruct(x, jnp.float32) for x in (shape, shape[1:]))
+    jax.eval_shape(go, *given)
 
 
 def _check_task(checked: "_Checked", simulation: Simulation, seen: Any) -> None:
@@ -134,12 +180,9 @@ def _expect_array(where: _Where, value: Any, shape: tuple[int, ...], what: str =
     found = getattr(value, "shape", () if isinstance(value, (int, float)) else None)
     if found != shape:
         numbers = " x ".join(map(str, shape[:-1])) or "one number" if shape else "one number"
-        axis = ", the last axis being individuals" if shape else ""
+        axis = f", the last axis being individuals ({shape[-1]} here)" if shape else ""
         what = f" for {what}" if what else ""
-        where.fail(
-            f"must return {numbers}{what}, shape {shape}{axis} ({_INDIVIDUALS} here); "
-            f"got {_described(value)}"
-        )
+        where.fail(f"must return {numbers}{what}, shape {shape}{axis}; got {_described(value)}")
 
 
 def _expect_like(where: _Where, what: str, value: Any, wanted: Any) -> None:

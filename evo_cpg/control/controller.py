@@ -110,6 +110,11 @@ class Controller(eqx.Module):
 
     gene_count: eqx.AbstractVar[int]
 
+    @property
+    def binary(self) -> bool:
+        """Whether genes are bits, 0 or 1; no, unless overridden."""
+        return False
+
     @abc.abstractmethod
     def random_genes(
         self, key: Array, batch: tuple[int, ...], dtype: jnp.dtype | type

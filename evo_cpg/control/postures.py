@@ -124,6 +124,11 @@ class PostureController(Controller):
         """What it was built from."""
         return self.origin.settings
 
+    @property
+    def binary(self) -> bool:
+        """Bits, unless they are graded."""
+        return not self.graded
+
     def random_genes(
         self, key: Array, batch: tuple[int, ...], dtype: jnp.dtype | type
     ) -> Float[Array, "g *n"]:

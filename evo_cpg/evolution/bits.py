@@ -125,6 +125,12 @@ class BitGenetics(Genetics):
         )
         return keep_elites(genes, fitness, children, self.elite_count, self.best_copies)
 
+    def around(self, key: Array, genes: Float[Array, "g n"]) -> Float[Array, "g n"]:
+        """All but the first mutated, every one."""
+        fewest, most = self.mutated_genes_min, self.mutated_genes_max
+        changed = bit_mutation(key, genes, 1.0, fewest, most, self.mutation)
+        return changed.at[:, 0].set(genes[:, 0])
+
 
 def random_bits(
     key: Array, gene_count: int, population: int, dtype: jnp.dtype | type

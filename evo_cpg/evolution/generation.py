@@ -1,6 +1,6 @@
 """From one generation to the next: elites, rank roulette, crossover, mutation.
 
-`Genetics` is what every genetic algorithm takes and gives; `RealGenetics` is the one on real-valued
+`Genetics` is what the genetic algorithms have in common; `RealGenetics` is the one on real-valued
 genomes, and `bits` has the one on bits. For the real-valued one, Iwadate 2010 (Table 4) gives the
 population, the mutation rate and the crossover probability; elites and rank roulette are Fukui's
 (2003). Genes come first and individuals last, ``(g, n)``.
@@ -15,17 +15,35 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.evolution.selection import draw_parents, linear_rank_probabilities, rank_order
+from evo_cpg.evolution.strategy import Evaluation, Strategy
 from evo_cpg.evolution.variation import gaussian_mutation, one_point_crossover
 
 
-class Genetics(eqx.Module):
-    """Settings of a genetic algorithm, and its step.
+class Genetics(Strategy):
+    """A genetic algorithm: what it knows is its population.
 
     Attributes:
         population: number of individuals.
     """
 
     population: eqx.AbstractVar[int]
+
+    def init(self, key: Array, genes: Float[Array, "g n"]) -> Float[Array, "g n"]:
+        """The first population."""
+        del key
+        return genes
+
+    def ask(self, key: Array, state: Float[Array, "g n"]) -> tuple[Float[Array, "g n"], tuple]:
+        """The population; it will be told again with its fitness, so nothing is remembered."""
+        del key
+        return state, ()
+
+    def tell(
+        self, key: Array, state: tuple, genes: Float[Array, "g n"], evaluation: Evaluation
+    ) -> Float[Array, "g n"]:
+        """The next population."""
+        del state
+        return self.next_generation(key, genes, evaluation.fitness)
 
     @abc.abstractmethod
     def next_generation(
@@ -80,6 +98,13 @@ class RealGenetics(Genetics):
             mutate_key, children, self.mutation_rate, self.mutation_sigma, self.gene_bound
         )
         return keep_elites(genes, fitness, children, self.elite_count)
+
+    def around(self, key: Array, genes: Float[Array, "g n"]) -> Float[Array, "g n"]:
+        """All but the first mutated."""
+        changed = gaussian_mutation(
+            key, genes, self.mutation_rate, self.mutation_sigma, self.gene_bound
+        )
+        return changed.at[:, 0].set(genes[:, 0])
 
 
 def keep_elites(

@@ -20,6 +20,7 @@ from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import State
 from evo_cpg.simulation.backward import Backward
 from evo_cpg.simulation.control_step import Animal, Effects, begin_life, control_step, transition
+from evo_cpg.simulation.measures import Trial
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.simulation.rules import keeps
 from evo_cpg.simulation.simulation import Simulation
@@ -167,7 +168,7 @@ def _trial(
 ) -> tuple[Outcome, dict[str, Array]]:
     """One trial: its control steps are programs of their own, or parts of one."""
     batch, task, steps = genes.shape[1:], simulation.task, simulation.steps
-    ndim, tree = len(batch), simulation.world.tree
+    ndim, tree, measures = len(batch), simulation.world.tree, simulation.measures
     life, animal = begin_life(simulation, genes, keys, trial)
 
     def advance(carry, index):
@@ -180,7 +181,8 @@ def _trial(
 
         def update(tally: Any, effects: Effects, light: Array | None) -> Any:
             seen = transition(simulation, life._replace(light=light), effects, index)
-            return task.update(tally, seen, steps)
+            own, gait = tally
+            return task.update(own, seen, steps), measures and measures.update(gait, seen)
 
         name = f"{_name(task)}.update"
         tally = fuse(update, tally, effects, life.light, batch_ndim=ndim, name=name)
@@ -198,14 +200,23 @@ def _trial(
         assert simulation.rules is not None
         return keeps(simulation.rules, simulation.world, state, energy, 1 / simulation.control_rate)
 
-    carry = animal, task.begin(batch, genes.dtype, steps), jnp.ones(batch, bool)
+    tally = (
+        task.begin(batch, genes.dtype, steps),
+        measures and measures.begin(simulation.world, batch, genes.dtype),
+    )
+    carry = animal, tally, jnp.ones(batch, bool)
     if backward is None:
         (_, tally, alive), frames = jax.lax.scan(advance, carry, jnp.arange(steps))
     else:
         (_, tally, alive), frames = backward.scan(advance, carry, steps), {}
 
     def finish(tally: Any) -> dict[str, Array]:
-        return task.terms(tally, steps)
+        own, gait = tally
+        terms = task.terms(own, steps)
+        if measures is not None:
+            trial = Trial(simulation.world, simulation.duration)
+            terms = terms | measures.finish(gait, trial)
+        return terms
 
     terms = fuse(finish, tally, batch_ndim=ndim, name=f"{_name(task)}.terms")
     return Outcome(terms, alive), frames

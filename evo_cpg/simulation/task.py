@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
 
@@ -109,3 +110,10 @@ class Task(eqx.Module):
         self, terms: Mapping[str, Float[Array, " *n"]], scales: Mapping[str, Float[Array, ""]]
     ) -> Float[Array, " *n"]:
         """The score, which is maximised."""
+
+
+def term_names(task: Task) -> tuple[str, ...]:
+    """Names of a task's terms."""
+    steps = 1
+    terms = jax.eval_shape(lambda: task.terms(task.begin((1,), jnp.dtype("float32"), steps), steps))
+    return tuple(terms)

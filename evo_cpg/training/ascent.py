@@ -19,7 +19,6 @@ import optimistix
 from jax.sharding import Mesh
 from jaxtyping import Array, Float, Int, UInt32
 
-from evo_cpg.evolution.generation import RealGenetics
 from evo_cpg.fusion.machine_constants import LANES
 from evo_cpg.simulation.backward import Backward, retention
 from evo_cpg.simulation.rollout import Simulation, rollout
@@ -165,7 +164,7 @@ def draw_ways(
         count: individuals.
         stretched: factor on the shortest horizon.
     """
-    whole = simulation.steps / simulation.control_rate
+    whole = simulation.duration
     shortest = stretched * (_SHORTEST_ON_GROUND if _is_rough(simulation) else _SHORTEST_HORIZON)
     horizons = log_uniform(rng, min(shortest, whole), 10 * whole, count)
     horizons[rng.random(count) < _EXACT] = np.inf
@@ -290,9 +289,9 @@ def compile_ascent(
 
         spread = Layout(mesh, width)
         best, value, finite = run_in_blocks(program, spread, genes.shape[1], pick)
-        genetics = experiment.genetics
-        if isinstance(genetics, RealGenetics):
-            bounded = np.clip(best[:gene_count], -genetics.gene_bound, genetics.gene_bound)
+        bound = getattr(experiment.strategy, "gene_bound", None)
+        if bound is not None:
+            bounded = np.clip(best[:gene_count], -bound, bound)
             best = np.concatenate([bounded, best[gene_count:]])
         return Climbed(best, value[0], finite[0])
 

@@ -3,6 +3,7 @@
 import hashlib
 import json
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 _HISTORY_PREFIX = "history."
 _TERM_PREFIX = "term."
 _SCALE_PREFIX = "scale."
+_STATE_PREFIX = "state."
 
 
 class Champion(NamedTuple):
@@ -44,6 +46,7 @@ class Checkpoint(NamedTuple):
         champions: the best individual of each run so far.
         history: rows of metrics.csv.
         scales: the task's yardsticks in each run; empty before the first generation.
+        state: what the strategy remembers, by `state_arrays`.
     """
 
     generation: int
@@ -51,6 +54,7 @@ class Checkpoint(NamedTuple):
     champions: tuple[Champion | None, ...]
     history: list[dict[str, float]]
     scales: dict[str, tuple[float, ...]]
+    state: Mapping[str, np.ndarray] = MappingProxyType({})
 
     @property
     def champion(self) -> Champion | None:
@@ -139,6 +143,7 @@ def checkpoint_arrays(
     }
     arrays |= {_HISTORY_PREFIX + name: column for name, column in columns.items()}
     arrays |= {_SCALE_PREFIX + name: values for name, values in checkpoint.scales.items()}
+    arrays |= {_STATE_PREFIX + name: values for name, values in checkpoint.state.items()}
     for run, champion in enumerate(checkpoint.champions):
         if champion is not None:
             prefix = _champion_prefix(run)
@@ -162,6 +167,7 @@ def read_checkpoint(arrays: Mapping[str, np.ndarray]) -> Checkpoint:
             name: tuple(np.atleast_1d(values).tolist())
             for name, values in _below(arrays, _SCALE_PREFIX).items()
         },
+        _below(arrays, _STATE_PREFIX),
     )
 
 

@@ -1,4 +1,4 @@
-"""One generation of an experiment: the trials on all devices, then the genetic algorithm.
+"""One generation of an experiment: the trials on all devices, then a step of the search.
 
 An experiment may hold several runs: independent populations of the same size, each with its own
 seed. On the population axis they stand side by side, run by run, and within a run individual by
@@ -15,10 +15,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh
 from jax.typing import ArrayLike
-from jaxtyping import Array, Bool, Float, Int, Shaped, UInt32
+from jaxtyping import Array, Bool, Float, Int, PyTree, Shaped, UInt32
 
 from evo_cpg.creature.creature import Creature
-from evo_cpg.evolution.generation import Genetics
+from evo_cpg.evolution.strategy import Evaluation, Strategy
 from evo_cpg.simulation.batched import Inputs, rollout_batched
 from evo_cpg.simulation.rollout import Outcome, Simulation, rollout, rollout_and_record, score
 from evo_cpg.simulation.task import Task
@@ -27,6 +27,8 @@ from evo_cpg.training.devices import Layout, chunk_width, layout, run_in_blocks,
 
 # Tags that keep the random streams of one seed apart.
 _FIRST_POPULATION, _GENERATIONS, _TRIALS = 0, 1, 2
+# 3 is that of `evo_cpg.training.memetic`.
+_STRATEGY, _ASKS = 4, 5
 
 
 class Learning(NamedTuple):
@@ -50,7 +52,7 @@ class Experiment(NamedTuple):
         name: of the run.
         creature: the animal.
         simulation: the trial.
-        genetics: the genetic algorithm.
+        strategy: the search, such as a genetic algorithm.
         generations: to evolve.
         seed: of all randomness; of the first run where there are several.
         runs: independent populations side by side.
@@ -62,7 +64,7 @@ class Experiment(NamedTuple):
     name: str
     creature: Creature
     simulation: Simulation
-    genetics: Genetics
+    strategy: Strategy
     generations: int
     seed: int
     runs: int = 1
@@ -81,6 +83,7 @@ class Generation(NamedTuple):
         best: index of the fittest within its run.
         best_genes: its genome.
         next_genes: the population of the next generation, all runs side by side.
+        state: what the strategy remembers; of every array the first axis is that of the runs.
     """
 
     fitness: Float[Array, "runs n"]
@@ -90,17 +93,35 @@ class Generation(NamedTuple):
     best: Int[Array, " runs"]
     best_genes: Float[Array, "runs g"]
     next_genes: Float[Array, "g all"]
+    state: PyTree[Array]
+
+
+def begin(
+    experiment: Experiment, start: Float[Array, "g all"] | None = None
+) -> tuple[Float[Array, "g all"], PyTree[Array]]:
+    """The population of generation 0, all runs side by side, and what the strategy remembers.
+
+    Args:
+        experiment: what is evolved.
+        start: genomes to begin with instead of random ones.
+    """
+    controller, strategy = experiment.simulation.controller, experiment.strategy
+    size = (strategy.population,)
+
+    def of_run(seed: Array, given: Array | None) -> tuple[Float[Array, "g n"], PyTree[Array]]:
+        if given is None:
+            given = controller.random_genes(_stream(seed, _FIRST_POPULATION), size, jnp.float32)
+        state = strategy.init(_stream(seed, _STRATEGY), given)
+        return strategy.ask(_ask_key(seed, 0), state)
+
+    given = None if start is None else start.reshape(len(start), experiment.runs, -1)
+    genes, state = jax.vmap(of_run, in_axes=(0, 1), out_axes=(1, 0))(_seeds(experiment), given)
+    return genes.reshape(len(genes), -1), state
 
 
 def first_population(experiment: Experiment) -> Float[Array, "g n"]:
-    """Random genomes of generation 0 of every run."""
-    controller, size = experiment.simulation.controller, (experiment.genetics.population,)
-
-    def of_run(seed: Array) -> Float[Array, "g n"]:
-        return controller.random_genes(_stream(seed, _FIRST_POPULATION), size, jnp.float32)
-
-    genes = jax.vmap(of_run, out_axes=1)(_seeds(experiment))
-    return genes.reshape(len(genes), -1)
+    """The population of generation 0 of every run, see `begin`."""
+    return begin(experiment)[0]
 
 
 def trial_keys(
@@ -140,7 +161,7 @@ def champion_keys(experiment: Experiment, champion: Champion) -> UInt32[Array, "
 
 def generation_keys(experiment: Experiment, generation: ArrayLike) -> UInt32[Array, "w n"] | None:
     """`trial_keys` of all trials of a generation, in the order of the population axis."""
-    places = np.indices((experiment.runs, experiment.genetics.population, experiment.trials))
+    places = np.indices((experiment.runs, experiment.strategy.population, experiment.trials))
     run, individual, trial = places.reshape(3, -1)
     return trial_keys(experiment, generation, run, individual, trial)
 
@@ -213,8 +234,9 @@ def breed(
     outcome: Outcome,
     index: Array,
     scales: dict[str, Float[Array, " runs"]],
+    state: PyTree[Array],
 ) -> Generation:
-    """The generation step of every run: score and rank its population and breed the next one.
+    """The generation step of every run: score its population and ask for the next one.
 
     Args:
         experiment: what is evolved.
@@ -223,10 +245,14 @@ def breed(
         index: number of the generation, from 0; it alone selects the random stream, so a resumed
             run draws the same numbers as one that was never stopped.
         scales: the task's yardsticks; measured anew, and these ignored, in generation 0.
+        state: what the strategy remembers.
     """
-    task = experiment.simulation.task
+    simulation, strategy = experiment.simulation, experiment.strategy
+    task = simulation.task
 
-    def of_run(seed: Array, genes: Array, outcome: Outcome, scales: dict[str, Array]) -> Generation:
+    def of_run(
+        seed: Array, genes: Array, outcome: Outcome, scales: dict[str, Array], state: PyTree[Array]
+    ) -> Generation:
         measured = task.scales(
             {
                 name: jnp.where(outcome.alive, term, jnp.nan).reshape(-1)
@@ -236,20 +262,32 @@ def breed(
         scales = {name: jnp.where(index == 0, measured[name], scales[name]) for name in measured}
         fitness, mean = judge(task, outcome, scales)
         key = jax.random.fold_in(_stream(seed, _GENERATIONS), index)
-        children = experiment.genetics.next_generation(key, genes, fitness)
+        worth = Evaluation(fitness, mean.terms, descriptors(simulation, mean.terms))
+        told = strategy.tell(key, state, genes, worth)
+        asked, state = strategy.ask(_ask_key(seed, index + 1), told)
         best = jnp.argmax(fitness)
-        return Generation(fitness, mean.terms, mean.alive, scales, best, genes[:, best], children)
+        found = fitness, mean.terms, mean.alive, scales, best, genes[:, best]
+        return Generation(*found, asked, state)
 
     runs, gene_count = experiment.runs, len(genes)
-    places = (runs, experiment.genetics.population, experiment.trials)
-    result = jax.vmap(of_run, in_axes=(0, 1, 0, 0))(
+    places = (runs, experiment.strategy.population, experiment.trials)
+    result = jax.vmap(of_run, in_axes=(0, 1, 0, 0, 0))(
         _seeds(experiment),
         genes.reshape(gene_count, runs, -1),
         jax.tree.map(lambda x: x.reshape(places), outcome),
         scales,
+        state,
     )
     next_genes = jnp.moveaxis(result.next_genes, 0, 1).reshape(gene_count, -1)
     return result._replace(next_genes=next_genes)
+
+
+def descriptors(
+    simulation: Simulation, terms: dict[str, Float[Array, " n"]]
+) -> dict[str, Float[Array, " n"]]:
+    """Of the terms, those that say how an animal behaves: the task's and the measures of gait."""
+    names = () if simulation.measures is None else simulation.measures.names
+    return {**simulation.task.descriptors(terms), **{name: terms[name] for name in names}}
 
 
 def judge(
@@ -306,7 +344,7 @@ def replay(
         What each of its trials amounted to, and one of them step by step.
     """
     simulation, trials = experiment.simulation, experiment.trials
-    count = experiment.runs * experiment.genetics.population * trials
+    count = experiment.runs * experiment.strategy.population * trials
     lanes = chunk_width(count, devices)
     crowd = jnp.broadcast_to(genes[:, None], (genes.shape[0], lanes))
 
@@ -330,6 +368,10 @@ def replay(
 
 def _seeds(experiment: Experiment) -> Int[Array, " runs"]:
     return experiment.seed + jnp.arange(experiment.runs)
+
+
+def _ask_key(seed: ArrayLike, generation: ArrayLike) -> Shaped[Array, ""]:
+    return jax.random.fold_in(_stream(seed, _ASKS), generation)
 
 
 def _stream(seed: ArrayLike, tag: int) -> Shaped[Array, ""]:

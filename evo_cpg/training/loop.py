@@ -9,8 +9,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh
-from jaxtyping import Array
+from jaxtyping import Array, Float, PyTree
 
+from evo_cpg.evolution.generation import Genetics
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.simulation.rollout import as_recording
 from evo_cpg.training.checkpoint import Champion, Checkpoint
@@ -18,10 +19,10 @@ from evo_cpg.training.devices import population_mesh
 from evo_cpg.training.experiment import (
     Experiment,
     Generation,
+    begin,
     breed,
     champion_keys,
     compile_trials,
-    first_population,
     generation_keys,
     judge,
     replay,
@@ -29,6 +30,7 @@ from evo_cpg.training.experiment import (
 )
 from evo_cpg.training.memetic import compile_learning
 from evo_cpg.training.run_folder import RunFolder
+from evo_cpg.training.strategy_state import StrategyError, state_arrays, state_from
 
 # Fitness, terms and motion of an individual that lives again.
 Replayed = tuple[float, dict[str, float], Recording]
@@ -41,12 +43,12 @@ class Evolution(NamedTuple):
     """What a run computes besides its trials: functions that are compiled at their first call.
 
     Attributes:
-        first_population: as of that name, of nothing.
+        begin: as of that name, without the experiment.
         keys: `generation_keys` of the number of a generation.
         breed: as of that name, without the experiment.
     """
 
-    first_population: Callable[..., Array]
+    begin: Callable[..., tuple[Array, PyTree[Array]]]
     keys: Callable[..., Array | None]
     breed: Callable[..., Generation]
 
@@ -57,6 +59,7 @@ def train(
     on_generation: Callable[[list[dict[str, float]]], None] = lambda rows: None,
     mesh: Mesh | None = None,
     on_compiled: Callable[[], object] = lambda: None,
+    start: Float[np.ndarray, "g all"] | None = None,
 ) -> Checkpoint:
     """Evolve from the folder's newest checkpoint, or from the start, to the last generation.
 
@@ -68,27 +71,35 @@ def train(
         mesh: devices to use; None for all.
         on_compiled: called once, when the program of the trials is compiled and has run: the
             moment to compile in a thread what is needed later.
+        start: genomes to begin with instead of random ones, run by run.
 
     Returns:
         The state after the last generation.
+
+    Raises:
+        StrategyError: the strategy asks for genomes that are no numbers, or the checkpoint is not
+            one of it.
     """
     mesh = mesh or population_mesh()
     programs = compile_evolution(experiment)
     checkpoint = folder.load()
     if checkpoint is None:
-        genes = programs.first_population()
+        genes, state = jax.device_get(programs.begin(start))
+        _require_numbers(experiment, genes, 0)
         nobody = (None,) * experiment.runs
-        checkpoint = Checkpoint(0, np.asarray(genes), nobody, [], _no_scales(experiment))
-    elif checkpoint.history:
-        # A kill may have come between the checkpoint and the table.
-        folder.write_metrics(checkpoint.history)
+        checkpoint = Checkpoint(0, genes, nobody, [], no_scales(experiment))
+    else:
+        state = state_from(checkpoint.state, jax.eval_shape(lambda: begin(experiment))[1])
+        if checkpoint.history:
+            # A kill may have come between the checkpoint and the table.
+            folder.write_metrics(checkpoint.history)
     run_trials = compile_trials(experiment.simulation, mesh)
-    everybody = experiment.runs * experiment.genetics.population
+    everybody = experiment.runs * experiment.strategy.population
     numbers = jax.tree.map(lambda x: np.tile(x, everybody), situation_numbers(experiment))
     learn = compile_learning(experiment, mesh) if experiment.learning else None
     first = checkpoint.generation
     while checkpoint.generation < experiment.generations:
-        start = time.perf_counter()
+        began = time.perf_counter()
         index = np.int32(checkpoint.generation)
         keys = jax.device_get(programs.keys(index))
         outcome = run_trials(checkpoint.genes, keys, numbers, experiment.trials)
@@ -97,13 +108,14 @@ def train(
         yardsticks = {
             name: np.array(values, np.float32) for name, values in checkpoint.scales.items()
         }
-        result = jax.device_get(programs.breed(checkpoint.genes, outcome, index, yardsticks))
-        done = checkpoint.generation + 1
+        result = jax.device_get(programs.breed(checkpoint.genes, outcome, index, yardsticks, state))
+        done, state = checkpoint.generation + 1, result.state
         scales = {name: tuple(values.tolist()) for name, values in result.scales.items()}
         population = np.asarray(result.next_genes)
+        _require_numbers(experiment, population, done)
         if learn and experiment.learning and done % experiment.learning.every == 0:
             population = learn(population, done, scales)
-        seconds = time.perf_counter() - start
+        seconds = time.perf_counter() - began
         champions = tuple(
             _better(champion, result, checkpoint.generation, run)
             for run, champion in enumerate(checkpoint.champions)
@@ -112,7 +124,9 @@ def train(
             _metrics(experiment, checkpoint.generation, result, run, champion, seconds)
             for run, champion in enumerate(champions)
         ]
-        checkpoint = Checkpoint(done, population, champions, [*checkpoint.history, *rows], scales)
+        history = [*checkpoint.history, *rows]
+        remembered = state_arrays(state)
+        checkpoint = Checkpoint(done, population, champions, history, scales, remembered)
         folder.save(checkpoint)
         on_generation(rows)
     return checkpoint
@@ -120,7 +134,7 @@ def train(
 
 def compile_evolution(experiment: Experiment) -> Evolution:
     """Compile what a run computes besides its trials, whatever the number of its generations."""
-    functions = first_population, generation_keys, breed
+    functions = begin, generation_keys, breed
     return Evolution(*(jax.jit(functools.partial(one, experiment)) for one in functions))
 
 
@@ -158,7 +172,7 @@ def compile_replay(
     lived = live.lower(jax.ShapeDtypeStruct((genes,), jnp.float32), keys, numbers)
     # Compiled as in training: a multiplication and an addition may become one operation, with one
     # rounding.
-    scales = {name: jnp.float32(1.0) for name in _no_scales(experiment)}
+    scales = {name: jnp.float32(1.0) for name in no_scales(experiment)}
     assess = jax.jit(functools.partial(judge, simulation.task))
     assessed = assess.lower(lived.out_info[0], scales).compile()
     run = lived.compile()
@@ -176,13 +190,29 @@ def compile_replay(
     return of
 
 
-def _no_scales(experiment: Experiment) -> dict[str, tuple[float, ...]]:
+def no_scales(experiment: Experiment) -> dict[str, tuple[float, ...]]:
     """Placeholders for the yardsticks that generation 0 will measure."""
     task, steps = experiment.simulation.task, experiment.simulation.steps
     shapes = jax.eval_shape(
         lambda: task.scales(task.terms(task.begin((1,), jnp.dtype("float32"), steps), steps))
     )
     return dict.fromkeys(shapes, (1.0,) * experiment.runs)
+
+
+def _require_numbers(experiment: Experiment, genes: Float[np.ndarray, "g all"], done: int) -> None:
+    """Check what the strategy asks for.
+
+    Raises:
+        StrategyError: not all are numbers.
+    """
+    wrong = int((~np.isfinite(genes)).any(0).sum())
+    # A genetic algorithm makes numbers of numbers; its first ones are the controller's affair.
+    if wrong and not isinstance(experiment.strategy, Genetics):
+        raise StrategyError(
+            f"evolution.type: {type(experiment.strategy).__name__} asked for genomes that are not "
+            f"finite for generation {done} ({wrong} of {genes.shape[1]}); what was done before "
+            "is in the run folder"
+        )
 
 
 def _better(

@@ -27,7 +27,7 @@ class TooLargeError(Exception):
 def needed(experiment: Experiment) -> int:
     """Bytes that training will need at most."""
     genes = experiment.simulation.controller.gene_count
-    return _REST + _COPIES * _GENE * genes * experiment.runs * experiment.genetics.population
+    return _REST + _COPIES * _GENE * genes * experiment.runs * experiment.strategy.population
 
 
 def available() -> int | None:
@@ -54,7 +54,7 @@ def require_memory(experiment: Experiment) -> None:
     if there is None or asked <= there:
         return
     genes = experiment.simulation.controller.gene_count
-    individuals = experiment.runs * experiment.genetics.population
+    individuals = experiment.runs * experiment.strategy.population
     most = max(0, (there - _REST) // (_COPIES * _GENE * genes) // experiment.runs)
     raise TooLargeError(
         f"evolution.population: {individuals} individuals in all, of {genes} genes, need up to "

@@ -174,7 +174,7 @@ def compile_evaluation(
     Returns:
         A function of genomes and the champion whose place they take; it gives those that live.
     """
-    everybody = experiment.runs * experiment.genetics.population * experiment.trials
+    everybody = experiment.runs * experiment.strategy.population * experiment.trials
     width = chunk_width(everybody, devices)
     live = compile_trials(experiment.simulation, mesh, width)
     assess = jax.jit(lambda *given: judge(experiment.simulation.task, *given))

@@ -231,8 +231,8 @@ def test_postures_and_bits_go_together():
     data = small(**POSTURES, evolution__mutated_genes=[2, 10], evolution__elites=5)
     experiment = build_experiment(check_config(data, "x.yaml"), "x.yaml")
     assert experiment.simulation.controller.gene_count == 8 * 1 * 3
-    assert experiment.genetics.population == 15
-    assert experiment.genetics.elite_count == 5
+    assert experiment.strategy.population == 15
+    assert experiment.strategy.elite_count == 5
     assert experiment.generations == 500
 
 
@@ -327,7 +327,7 @@ def test_the_walkers_of_fukui_2003(model, bits, height):
     assert simulation.controller.gene_count == bits
     assert simulation.steps / simulation.control_rate == 20
     assert simulation.situations[0].start_position[2] == pytest.approx(height)
-    assert experiment.genetics == BitGenetics()
+    assert experiment.strategy == BitGenetics()
     assert {
         (body.material.restitution, body.joint is None) for body in experiment.creature.bodies
     } == {

@@ -83,7 +83,7 @@ def of_run(generation: Generation, run: int) -> Generation:
 @pytest.fixture(scope="module")
 def step(small, run_trials):
     breeding = jax.jit(functools.partial(breed, small))
-    return lambda genes, i, scales: breeding(genes, run_trials(genes), i, scales)
+    return lambda genes, i, scales: breeding(genes, run_trials(genes), i, scales, ())
 
 
 def test_the_diverged_are_counted_and_never_win_or_set_the_yardstick(small, genes, step):

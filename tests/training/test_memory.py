@@ -10,8 +10,8 @@ from trials import experiment
 
 def sized(population, runs=1):
     small = experiment(population=11)
-    genetics = dataclasses.replace(small.genetics, population=population)
-    return small._replace(genetics=genetics, runs=runs)
+    genetics = dataclasses.replace(small.strategy, population=population)
+    return small._replace(strategy=genetics, runs=runs)
 
 
 def test_what_is_needed_grows_with_genomes_alone():

@@ -40,7 +40,7 @@ def noisy(made):
 
 
 PAIR = alone(SEED)._replace(runs=2)
-REAL, BITS = PAIR.genetics, BitGenetics(SIZE, 2, 1, (0.6, 0.4), 0.5, 1, 2)
+REAL, BITS = PAIR.strategy, BitGenetics(SIZE, 2, 1, (0.6, 0.4), 0.5, 1, 2)
 # Every individual of two noisy runs lives twice.
 NOISY = noisy(PAIR)._replace(trials=2, generations=2)
 
@@ -95,7 +95,7 @@ def test_runs_are_bred_as_if_each_were_alone(genetics, trials):
     scales = {"energy": rng.random(2, dtype=np.float32)}
 
     def program(made):
-        made = made._replace(genetics=genetics, trials=trials)
+        made = made._replace(strategy=genetics, trials=trials)
         return quick_jit(lambda seed, *given: breed(made._replace(seed=seed), *given))
 
     several, single = program(PAIR), program(alone(SEED))
@@ -106,7 +106,7 @@ def test_runs_are_bred_as_if_each_were_alone(genetics, trials):
         )
         own = genes.reshape(2, 2, SIZE)[:, chosen].reshape(2, -1)
         yardsticks = {name: values[chosen] for name, values in scales.items()}
-        return breeding(np.int32(seed), own, outcome, np.int32(index), yardsticks)
+        return breeding(np.int32(seed), own, outcome, np.int32(index), yardsticks, ())
 
     for index in (0, 4):
         together = bred(several, SEED, slice(0, 2), index)
@@ -184,15 +184,15 @@ def test_random_keys_belong_to_seed_generation_individual_and_trial():
     def keys(generation=2, **changes):
         made = noisy(alone(SEED))._replace(trials=3)._replace(**changes)
         drawn = np.asarray(generation_keys(made, np.int32(generation)))
-        return drawn.reshape(2, made.runs, made.genetics.population, made.trials)
+        return drawn.reshape(2, made.runs, made.strategy.population, made.trials)
 
     base = keys()
     assert len(np.unique(base.reshape(2, -1), axis=1).T) == 3 * SIZE
     np.testing.assert_array_equal(keys(runs=2)[:, :1], base)
     np.testing.assert_array_equal(keys(runs=2)[:, 1:], keys(seed=SEED + 1))
     np.testing.assert_array_equal(keys(trials=5)[..., :3], base)
-    larger = experiment(20, 2 * SIZE).genetics
-    np.testing.assert_array_equal(keys(genetics=larger)[:, :, :SIZE], base)
+    larger = experiment(20, 2 * SIZE).strategy
+    np.testing.assert_array_equal(keys(strategy=larger)[:, :, :SIZE], base)
     assert (keys(generation=3) != base).any(0).all()
     some = np.array([2, 4]), np.array([1, 0])
     np.testing.assert_array_equal(

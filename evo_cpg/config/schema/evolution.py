@@ -1,13 +1,57 @@
-"""The genetic algorithm."""
+"""The search: a genetic algorithm, or another strategy."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, Tag, model_validator
 
-from evo_cpg.config.schema.choice import by_type
-from evo_cpg.config.schema.section import Count, NotNegative, Positive, Section, Share
+from evo_cpg.config.schema.choice import CustomConfig, by_type
+from evo_cpg.config.schema.section import Count, Finite, NotNegative, Positive, Section, Share
 from evo_cpg.evolution.bits import BitGenetics
 from evo_cpg.evolution.generation import RealGenetics
+from evo_cpg.evolution.map_elites import Axis
+
+# Individuals that a generation may have.
+Population = Annotated[int, Field(ge=2, le=1_000_000)]
+
+# Cells of a map, each of which holds a genome.
+_MOST_CELLS = 100_000
+
+
+class IslandsConfig(Section):
+    """Sub-populations that evolve apart, between which a few of the best wander.
+
+    Attributes:
+        count: of the islands; they share the population equally.
+        every: so many generations the best of each take the places of the worst of the next.
+        migrants: from each.
+    """
+
+    count: Annotated[int, Field(ge=2, le=1000)]
+    every: Count = 10
+    migrants: Count = 1
+
+    def require_room(self, population: int, elites: int = 0) -> None:
+        """Check that a population can live on them.
+
+        Raises:
+            ValueError: it cannot be shared equally, or there is no room.
+        """
+        if population % self.count:
+            raise ValueError(
+                f"islands.count: a population of {population} cannot be shared equally by "
+                f"{self.count} islands"
+            )
+        size = population // self.count
+        if size < 2 or elites >= size:
+            raise ValueError(
+                f"islands.count: each of {self.count} islands has {size} of the population of "
+                f"{population}; it needs at least {max(2, elites + 1)}"
+            )
+        if self.migrants >= size:
+            raise ValueError(
+                f"islands.migrants: must be fewer than the {size} individuals of an island, got "
+                f"{self.migrants}"
+            )
 
 
 class LearningConfig(Section):
@@ -39,11 +83,12 @@ class RealEvolutionConfig(Section):
         mutation_sigma: standard deviation of a change.
         gene_bound: largest magnitude of a gene.
         learning: steps uphill of some elites; none if left out.
+        islands: sub-populations; none if left out. All but the population holds on each.
     """
 
     type: Literal["real"] = "real"
     generations: Count = 50
-    population: Annotated[int, Field(ge=2, le=1_000_000)] = 200
+    population: Population = 200
     elites: Annotated[int, Field(ge=0)] = 20
     parent_fraction: Annotated[float, Field(gt=0, le=1)] = 0.5
     crossover_probability: Share = 0.2
@@ -51,11 +96,16 @@ class RealEvolutionConfig(Section):
     mutation_sigma: NotNegative = 0.5
     gene_bound: Positive = 8.0
     learning: LearningConfig | None = None
+    islands: IslandsConfig | None = None
 
-    def build(self) -> RealGenetics:
-        """The settings of the generation step."""
+    def build(self, population: int) -> RealGenetics:
+        """The settings of the generation step.
+
+        Args:
+            population: of one island.
+        """
         return RealGenetics(
-            population=self.population,
+            population=population,
             elite_count=self.elites,
             parent_fraction=self.parent_fraction,
             crossover_probability=self.crossover_probability,
@@ -75,6 +125,10 @@ class RealEvolutionConfig(Section):
                 f"learning.elites: at least one and at most all {self.elites} elites can learn, "
                 f"got {self.learning.elites or 1}"
             )
+        if self.islands:
+            self.islands.require_room(self.population, self.elites)
+            if self.learning:
+                raise ValueError("learning: the elites of islands cannot learn; leave out one")
         return self
 
 
@@ -91,27 +145,32 @@ class BitEvolutionConfig(Section):
         mutation_probability: that a child mutates.
         mutated_genes: fewest and most genes that a mutation changes.
         mutation: whether a changed gene is drawn anew or flipped.
+        islands: sub-populations; none if left out. All but the population holds on each.
     """
 
     type: Literal["bits"] = "bits"
     generations: Count = 500
-    population: Annotated[int, Field(ge=2, le=1_000_000)] = 15
+    population: Population = 15
     elites: Annotated[int, Field(ge=0)] = 7
     best_copies: Count = 1
     rank_probabilities: tuple[Share, ...] = BitGenetics().rank_probabilities
     mutation_probability: Share = 0.5
     mutated_genes: tuple[Count, Count] = (2, 30)
     mutation: Literal["redraw", "flip"] = "redraw"
+    islands: IslandsConfig | None = None
 
-    def build(self) -> BitGenetics:
+    def build(self, population: int) -> BitGenetics:
         """The settings of the generation step.
+
+        Args:
+            population: of one island.
 
         Raises:
             ValueError: values that do not go together.
         """
         fewest, most = self.mutated_genes
         return BitGenetics(
-            population=self.population,
+            population=population,
             elite_count=self.elites,
             best_copies=self.best_copies,
             rank_probabilities=self.rank_probabilities,
@@ -123,11 +182,142 @@ class BitEvolutionConfig(Section):
 
     @model_validator(mode="after")
     def _check(self) -> "BitEvolutionConfig":
-        self.build()
+        if self.islands:
+            self.islands.require_room(self.population, self.elites)
+        self.build(self.population // (self.islands.count if self.islands else 1))
+        return self
+
+
+class AxisConfig(Section):
+    """An axis of a map of behaviour.
+
+    Attributes:
+        name: of a descriptor: a measure of gait, or a term of the task.
+        range: where the first cell begins and the last one ends.
+        cells: into which it is cut.
+    """
+
+    name: str
+    range: tuple[Finite, Finite]
+    cells: Annotated[int, Field(ge=1, le=1000)] = 10
+
+    @model_validator(mode="after")
+    def _check(self) -> "AxisConfig":
+        if not self.range[0] < self.range[1]:
+            raise ValueError(f"range: must rise, got {self.range[0]:g} to {self.range[1]:g}")
+        return self
+
+
+class MapSection(Section):
+    """What searches have in common that fill a map of behaviour.
+
+    Attributes:
+        axes: of the map.
+    """
+
+    axes: Annotated[tuple[AxisConfig, ...], Field(min_length=1, max_length=6)]
+
+    @model_validator(mode="after")
+    def _check_map(self) -> "MapSection":
+        names = [axis.name for axis in self.axes]
+        if len(set(names)) < len(names):
+            raise ValueError(f"axes: each must have a name of its own, got {', '.join(names)}")
+        cells = 1
+        for axis in self.axes:
+            cells *= axis.cells
+        if cells > _MOST_CELLS:
+            raise ValueError(f"axes: a map has at most {_MOST_CELLS} cells, got {cells}")
+        return self
+
+    def build_axes(self) -> tuple[Axis, ...]:
+        """The axes as the search has them."""
+        return tuple(Axis(axis.name, *axis.range, axis.cells) for axis in self.axes)
+
+
+class MapElitesConfig(MapSection):
+    """MAP-Elites: the fittest individual of every kind of behaviour.
+
+    Bits vary as in ``bits``, with its defaults.
+
+    Attributes:
+        type: ``map_elites``.
+        generations: to evolve.
+        population: children in each.
+        axes: of the map.
+        iso_sigma: of real-valued genes: standard deviation of what each gets.
+        line_sigma: likewise: of how far a child goes along the line between its parents.
+        gene_bound: likewise: largest magnitude.
+    """
+
+    type: Literal["map_elites"] = "map_elites"
+    generations: Count = 100
+    population: Population = 200
+    iso_sigma: NotNegative = 0.05
+    line_sigma: NotNegative = 0.2
+    gene_bound: Positive = 8.0
+
+
+class EvosaxConfig(Section):
+    """An algorithm of evosax (Lange 2022), which has to be installed.
+
+    Attributes:
+        type: ``evosax``.
+        algorithm: the name of its class, such as ``Sep_CMA_ES``.
+        generations: to evolve.
+        population: individuals.
+        sigma: standard deviation of the first sample, where the algorithm has one (``std_init``).
+        gene_bound: largest magnitude of a gene.
+        learning_rate: of Adam, where the algorithm follows a gradient (``Open_ES``).
+        params: its parameters, by their names in evosax, where they are not its defaults.
+        options: of its constructor.
+        islands: sub-populations; none if left out. All but the population holds on each.
+    """
+
+    type: Literal["evosax"] = "evosax"
+    algorithm: str
+    generations: Count = 50
+    population: Population = 200
+    sigma: Positive = 0.5
+    gene_bound: Positive = 8.0
+    learning_rate: Positive = 0.02
+    params: dict[str, Finite | bool] = Field(default_factory=dict)
+    options: dict[str, Any] = Field(default_factory=dict)
+    islands: IslandsConfig | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> "EvosaxConfig":
+        if self.islands:
+            self.islands.require_room(self.population)
+        return self
+
+
+class CustomEvolutionConfig(CustomConfig):
+    """A `Strategy` of your own.
+
+    Attributes:
+        type: ``my_module:MyStrategy``.
+        generations: to evolve.
+        population: individuals.
+        options: of its constructor.
+        islands: sub-populations; none if left out. All but the population holds on each.
+    """
+
+    generations: Count = 50
+    population: Population = 200
+    islands: IslandsConfig | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> "CustomEvolutionConfig":
+        if self.islands:
+            self.islands.require_room(self.population)
         return self
 
 
 EvolutionConfig = Annotated[
-    Annotated[RealEvolutionConfig, Tag("real")] | Annotated[BitEvolutionConfig, Tag("bits")],
+    Annotated[RealEvolutionConfig, Tag("real")]
+    | Annotated[BitEvolutionConfig, Tag("bits")]
+    | Annotated[MapElitesConfig, Tag("map_elites")]
+    | Annotated[EvosaxConfig, Tag("evosax")]
+    | Annotated[CustomEvolutionConfig, Tag("custom")],
     by_type("real"),
 ]

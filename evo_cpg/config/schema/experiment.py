@@ -29,6 +29,8 @@ class ExperimentConfig(Section):
         noise: what is left to chance in it.
         controller: the nervous system.
         task: what the animals are judged by.
+        measures: of gait, to be had beside the task's terms: names of
+            `evo_cpg.simulation.measures.MEASURES`. Those of a map's axes need not be said here.
         evolution: the genetic algorithm.
         audit: what is asked of the champion.
         engine: what computes the trials: ``auto`` and ``native`` take machine code made on the
@@ -45,6 +47,7 @@ class ExperimentConfig(Section):
     noise: NoiseConfig = NoiseConfig()
     controller: ControllerConfig = BrainCpgConfig()
     task: TaskConfig = ReachLightConfig()
+    measures: tuple[str, ...] = ()
     evolution: EvolutionConfig = RealEvolutionConfig()
     audit: AuditConfig = AuditConfig()  # pyright: ignore[reportInvalidTypeForm]
     engine: EngineName = "auto"
@@ -61,7 +64,9 @@ class ExperimentConfig(Section):
         if getattr(self.controller, "graded", False):
             # Bits are numbers, too.
             wanted = None
-        if wanted not in (None, self.evolution.type):
+        # Other strategies take whatever the genome is made of.
+        given = self.evolution.type
+        if wanted is not None and given in ("real", "bits") and given != wanted:
             raise ValueError(
                 f"a controller of type {self.controller.type!r} has a genome of "
                 f"{'bits' if wanted == 'bits' else 'real numbers'}: set evolution.type to "

@@ -1,0 +1,100 @@
+"""From the section ``evolution`` to a search."""
+
+from pathlib import Path
+
+from evo_cpg.config.errors import ConfigError, nearest
+from evo_cpg.config.own_classes import build_own
+from evo_cpg.config.schema.evolution import (
+    BitEvolutionConfig,
+    CustomEvolutionConfig,
+    EvosaxConfig,
+    MapElitesConfig,
+)
+from evo_cpg.config.schema.experiment import ExperimentConfig
+from evo_cpg.control.controller import Controller
+from evo_cpg.evolution.bits import BitGenetics
+from evo_cpg.evolution.islands import Islands
+from evo_cpg.evolution.map_elites import MapElites, Vary
+from evo_cpg.evolution.strategy import Strategy
+from evo_cpg.simulation.simulation import Simulation
+
+_KEY = ("evolution",)
+
+
+def build_strategy(
+    config: ExperimentConfig, simulation: Simulation, source: Path | str
+) -> Strategy:
+    """The search that a configuration asks for.
+
+    Raises:
+        ConfigError: it cannot be had, or not for these genomes.
+    """
+    given, controller = config.evolution, simulation.controller
+    islands = getattr(given, "islands", None)
+    population = given.population // (islands.count if islands else 1)
+    strategy = _on_an_island(config, controller, population, source)
+    if islands:
+        strategy = Islands(
+            given.population, strategy, islands.count, islands.every, islands.migrants
+        )
+    return strategy
+
+
+def _on_an_island(
+    config: ExperimentConfig, controller: Controller, population: int, source: Path | str
+) -> Strategy:
+    given, genes = config.evolution, controller.gene_count
+    if isinstance(given, CustomEvolutionConfig):
+        about = {"population": population, "gene_count": genes, "binary": controller.binary}
+        return build_own(given, Strategy, _KEY, source, **about)
+    if isinstance(given, EvosaxConfig):
+        return _build_evosax(given, controller, population, source)
+    if isinstance(given, MapElitesConfig):
+        bits = None
+        if controller.binary:
+            most = BitGenetics().mutated_genes_max
+            bits = BitGenetics(mutated_genes_max=min(most, genes))
+        vary = Vary(given.iso_sigma, given.line_sigma, given.gene_bound, bits)
+        return MapElites(population, given.build_axes(), vary)
+    if isinstance(given, BitEvolutionConfig) and given.mutated_genes[1] > genes:
+        raise ConfigError(
+            source,
+            (*_KEY, "mutated_genes"),
+            f"at most {genes}, the bits in a genome of this creature, can change, got "
+            f"{given.mutated_genes[1]}",
+        )
+    return given.build(population)
+
+
+def _build_evosax(
+    given: EvosaxConfig, controller: Controller, population: int, source: Path | str
+) -> Strategy:
+    try:
+        from evo_cpg.evolution import from_evosax
+    except ImportError as error:
+        raise ConfigError(
+            source,
+            (*_KEY, "type"),
+            f"'evosax' is not installed here ({error}); `pip install 'evo-cpg[evosax]'` adds it",
+        ) from None
+    known = from_evosax.algorithms()
+    if given.algorithm not in known:
+        raise ConfigError(
+            source,
+            (*_KEY, "algorithm"),
+            f"evosax has no {given.algorithm!r}; {nearest(given.algorithm, known)}",
+        )
+    try:
+        return from_evosax.Evosax(
+            algorithm=given.algorithm,
+            population=population,
+            gene_count=controller.gene_count,
+            binary=controller.binary,
+            sigma=given.sigma,
+            gene_bound=None if controller.binary else given.gene_bound,
+            learning_rate=given.learning_rate,
+            params=tuple(sorted(given.params.items())),
+            options=tuple(sorted(given.options.items())),
+        )
+    except (AssertionError, TypeError, ValueError) as error:
+        raise ConfigError(source, _KEY, f"{given.algorithm} cannot be built ({error})") from None

@@ -1,0 +1,175 @@
+"""Algorithms of evosax (Lange 2022, evosax: JAX-based evolution strategies) as a strategy.
+
+evosax is installed with the extra ``evosax`` and imported with this module only. It minimises, so
+fitness changes its sign; an individual that diverged gets the worst fitness of those that did not,
+for many of its algorithms compute with it. Where a genome is bits the algorithm searches real
+numbers, and a gene is 1 where its number is positive.
+
+Genes are kept within bounds after the algorithm drew them, and it is told the numbers that it drew
+where the genes that were tried are still those. Full covariance matrices (``CMA_ES``, ``MA_ES``)
+need memory and time with the square of the number of genes: for a brain of 3000 there are
+``Sep_CMA_ES``, ``LM_MA_ES``, ``Open_ES`` and ``DifferentialEvolution``.
+"""
+
+import dataclasses
+import functools
+import inspect
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import evosax.algorithms as evosax
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from jaxtyping import Array, Float, PyTree
+
+from evo_cpg.evolution.strategy import Evaluation, Strategy, worst_finite
+
+
+class Sample(NamedTuple):
+    """What goes on from one generation to the next.
+
+    Attributes:
+        numbers: that the algorithm drew.
+        state: of the algorithm.
+    """
+
+    numbers: Float[Array, "g n"]
+    state: PyTree[Array]
+
+
+class Evosax(Strategy):
+    """An algorithm of evosax.
+
+    Attributes:
+        algorithm: the name of its class.
+        population: individuals.
+        gene_count: numbers in a genome.
+        binary: whether they are bits.
+        sigma: standard deviation of the first sample, where the algorithm has one.
+        gene_bound: largest magnitude of a gene; None of bits.
+        learning_rate: of Adam, where the algorithm follows a gradient.
+        params: parameters of the algorithm and their values, where they are not its defaults.
+        options: of its constructor.
+
+    Raises:
+        TypeError: options that its constructor does not take.
+        ValueError: parameters that it does not have.
+    """
+
+    algorithm: str = eqx.field(static=True)
+    population: int = eqx.field(static=True)
+    gene_count: int = eqx.field(static=True)
+    binary: bool = eqx.field(static=True, default=False)
+    sigma: float = eqx.field(static=True, default=0.5)
+    gene_bound: float | None = eqx.field(static=True, default=8.0)
+    learning_rate: float = eqx.field(static=True, default=0.02)
+    params: tuple[tuple[str, float | bool], ...] = eqx.field(static=True, default=())
+    options: tuple[tuple[str, Any], ...] = eqx.field(static=True, default=())
+
+    def __post_init__(self):
+        known = [field.name for field in dataclasses.fields(self._built[1])]
+        unknown = [name for name, _ in self.params if name not in known]
+        if unknown:
+            raise ValueError(
+                f"it has no parameter {', '.join(unknown)}; it has {', '.join(known) or 'none'}"
+            )
+
+    def init(self, key: Array, genes: Float[Array, "g n"]) -> Sample:
+        """Distributions begin about the mean of the genomes, populations as they are."""
+        algorithm, numbers = self._algorithm, self._numbers(genes)
+        with jax.numpy_rank_promotion("allow"):
+            if type(algorithm) in evosax.population_based_algorithms.values():
+                nothing = jnp.full(numbers.shape[1], jnp.inf, numbers.dtype)
+                state = algorithm.init(key, numbers.T, nothing, self._params)
+            else:
+                state = algorithm.init(key, numbers.mean(1), self._params)
+        return Sample(numbers, state)
+
+    def ask(self, key: Array, state: Sample) -> tuple[Float[Array, "g n"], Sample]:
+        """See `Strategy.ask`."""
+        with jax.numpy_rank_promotion("allow"):
+            rows, inner = self._algorithm.ask(key, state.state, self._params)
+        return self._genes(rows.T), Sample(rows.T, inner)
+
+    def tell(
+        self, key: Array, state: Sample, genes: Float[Array, "g n"], evaluation: Evaluation
+    ) -> Sample:
+        """See `Strategy.tell`."""
+        same = genes == self._genes(state.numbers)
+        numbers = jnp.where(same, state.numbers, self._numbers(genes))
+        cost = -worst_finite(evaluation.fitness)
+        with jax.numpy_rank_promotion("allow"):
+            inner, _ = self._algorithm.tell(key, numbers.T, cost, state.state, self._params)
+        return Sample(numbers, inner)
+
+    def around(self, key: Array, genes: Float[Array, "g n"]) -> Float[Array, "g n"]:
+        """Normal noise about real numbers; of bits one in ten is flipped."""
+        if self.binary:
+            flipped = jax.random.bernoulli(key, 0.1, genes.shape)
+            changed = jnp.where(flipped, 1.0 - genes, genes)
+        else:
+            changed = genes + self.sigma * jax.random.normal(key, genes.shape, genes.dtype)
+        return self._genes(self._numbers(changed)).at[:, 0].set(genes[:, 0])
+
+    @property
+    def _algorithm(self) -> Any:
+        return self._built[0]
+
+    @property
+    def _built(self) -> tuple[Any, Any]:
+        return _build(
+            self.algorithm,
+            self.population,
+            self.gene_count,
+            self.sigma,
+            self.learning_rate,
+            self.options,
+        )
+
+    @property
+    def _params(self) -> Any:
+        params = self._built[1]
+        given = {"std_init": self.sigma} if hasattr(params, "std_init") else {}
+        given |= dict(self.params)
+        return params.replace(**given)
+
+    def _genes(self, numbers: Float[Array, "g n"]) -> Float[Array, "g n"]:
+        if self.binary:
+            return (numbers > 0).astype(numbers.dtype)
+        bound = np.inf if self.gene_bound is None else self.gene_bound
+        return jnp.clip(numbers, -bound, bound)
+
+    def _numbers(self, genes: Float[Array, "g n"]) -> Float[Array, "g n"]:
+        """Numbers that give these genes."""
+        return self.sigma * (2.0 * genes - 1.0) if self.binary else genes
+
+
+def algorithms() -> list[str]:
+    """Names of the algorithms that there are."""
+    tables = evosax.distribution_based_algorithms, evosax.population_based_algorithms
+    return sorted(kind.__name__ for table in tables for kind in table.values())
+
+
+@functools.lru_cache(maxsize=16)
+def _build(
+    name: str,
+    population: int,
+    gene_count: int,
+    sigma: float,
+    learning_rate: float,
+    options: tuple[tuple[str, Any], ...],
+) -> tuple[Any, Any]:
+    """The algorithm and its defaults; one object for equal settings: `jax.jit` goes by identity."""
+    kind = getattr(evosax, name)
+    taken, given = inspect.signature(kind).parameters, dict(options)
+    if "std_schedule" in taken:
+        given.setdefault("std_schedule", optax.constant_schedule(sigma))
+    if "optimizer" in taken:
+        given.setdefault("optimizer", optax.adam(learning_rate))
+    # Some of them make Python numbers of what they compute, which a tracer cannot be.
+    with jax.ensure_compile_time_eval():
+        genome = jnp.zeros(gene_count, jnp.float32)
+        algorithm = kind(population_size=population, solution=genome, **given)
+        return algorithm, algorithm.default_params

@@ -1,0 +1,226 @@
+"""MAP-Elites: the best individual of every kind of behaviour (Mouret and Clune 2015).
+
+Behaviour is what descriptors measure, such as the speed of a gait and the share of time that feet
+are on the ground. Their ranges are cut into cells, and each cell of this map keeps the fittest
+individual whose descriptors lie in it. Children of individuals drawn from the map compete for the
+cells that they fall into. What comes out is not one gait but a map of gaits.
+
+Children of real-valued genomes vary along the line to another individual (Vassiliades and Mouret
+2018, Discovering the elite hypervolume by leveraging interspecies correlation, "Iso+LineDD"),
+
+    child = a + iso_sigma N(0, I) + line_sigma N(0, 1) (b - a),
+
+with a and b drawn from the map; of bits a child is a one-point crossover of a and b, mutated as in
+`evo_cpg.evolution.bits`. The archive is a pytree of arrays, cells along the last axis; individuals
+beyond the ranges count to the nearest cell, those without finite descriptors to none.
+"""
+
+import math
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from evo_cpg.evolution.bits import BitGenetics, bit_mutation
+from evo_cpg.evolution.strategy import Evaluation, Strategy, descriptor_rows
+from evo_cpg.evolution.variation import one_point_crossover
+
+
+class Axis(NamedTuple):
+    """A descriptor, and how its range is cut.
+
+    Attributes:
+        name: of the descriptor.
+        low: where the first cell begins.
+        high: where the last one ends.
+        cells: how many.
+    """
+
+    name: str
+    low: float
+    high: float
+    cells: int
+
+    @property
+    def edges(self) -> Float[np.ndarray, " edges"]:
+        """Of all cells."""
+        return np.linspace(self.low, self.high, self.cells + 1)
+
+
+class Archive(NamedTuple):
+    """The map: of each cell its elite.
+
+    Attributes:
+        genes: its genome.
+        fitness: -inf where there is none.
+        descriptors: in the order of the axes.
+        generation: in which it was found, from 0.
+        index: its place in the population then; with the generation it selects the random numbers
+            of its trials.
+        told: number of generations that were told of.
+    """
+
+    genes: Float[Array, "g cells"]
+    fitness: Float[Array, " cells"]
+    descriptors: Float[Array, "k cells"]
+    generation: Int[Array, " cells"]
+    index: Int[Array, " cells"]
+    told: Int[Array, ""]
+
+
+class Beginning(NamedTuple):
+    """An empty map, and the genomes that come first."""
+
+    archive: Archive
+    genes: Float[Array, "g n"]
+
+
+class Vary(eqx.Module):
+    """How children come from two parents.
+
+    Attributes:
+        iso_sigma: standard deviation of what every gene gets.
+        line_sigma: of how far a child goes along the line between its parents, in their distance.
+        gene_bound: largest magnitude of a gene.
+        bits: of bits: how they mutate; None for real-valued genomes.
+    """
+
+    iso_sigma: float = 0.05
+    line_sigma: float = 0.2
+    gene_bound: float = 8.0
+    bits: BitGenetics | None = None
+
+    def __call__(
+        self, key: Array, genes: Float[Array, "g cells"], parents: Int[Array, "2 n"]
+    ) -> Float[Array, "g n"]:
+        """Children, one of each pair of parents."""
+        first, second = parents
+        if self.bits is not None:
+            cross_key, mutate_key = jax.random.split(key)
+            children = one_point_crossover(cross_key, genes, first, second, 1.0)[:, ::2]
+            return self._flipped(mutate_key, children, self.bits.mutation_probability)
+        iso_key, line_key = jax.random.split(key)
+        a, b = genes[:, first], genes[:, second]
+        along = self.line_sigma * jax.random.normal(line_key, (1, a.shape[1]), a.dtype)
+        return self._bounded(iso_key, a + along * (b - a))
+
+    def copies(self, key: Array, genes: Float[Array, "g n"]) -> Float[Array, "g n"]:
+        """Genomes, each changed a little."""
+        return self._bounded(key, genes) if self.bits is None else self._flipped(key, genes, 1.0)
+
+    def _bounded(self, key: Array, genes: Array) -> Array:
+        noise = self.iso_sigma * jax.random.normal(key, genes.shape, genes.dtype)
+        return jnp.clip(genes + noise, -self.gene_bound, self.gene_bound)
+
+    def _flipped(self, key: Array, genes: Array, probability: float) -> Array:
+        assert self.bits is not None
+        fewest, most = self.bits.mutated_genes_min, self.bits.mutated_genes_max
+        return bit_mutation(key, genes, probability, fewest, most, self.bits.mutation)
+
+
+class MapElites(Strategy):
+    """MAP-Elites.
+
+    Attributes:
+        population: children in every generation.
+        axes: of the map.
+        vary: how children come about.
+    """
+
+    population: int = eqx.field(static=True)
+    axes: tuple[Axis, ...] = eqx.field(static=True)
+    vary: Vary = Vary()
+
+    @property
+    def gene_bound(self) -> float | None:
+        """Largest magnitude of a gene; None of bits."""
+        return self.vary.gene_bound if self.vary.bits is None else None
+
+    @property
+    def cells(self) -> int:
+        """In the whole map."""
+        return math.prod(axis.cells for axis in self.axes)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Of the map."""
+        return tuple(axis.cells for axis in self.axes)
+
+    def init(self, key: Array, genes: Float[Array, "g n"]) -> Beginning:
+        """See `Strategy.init`."""
+        del key
+        count, cells = len(genes), self.cells
+        nobody = jnp.full(cells, -1, jnp.int32)
+        archive = Archive(
+            jnp.zeros((count, cells), genes.dtype),
+            jnp.full(cells, -jnp.inf, genes.dtype),
+            jnp.zeros((len(self.axes), cells), genes.dtype),
+            nobody,
+            nobody,
+            jnp.int32(0),
+        )
+        return Beginning(archive, genes)
+
+    def ask(self, key: Array, state: Archive | Beginning) -> tuple[Float[Array, "g n"], Archive]:
+        """What comes first; then children of individuals from the map."""
+        if isinstance(state, Beginning):
+            return state.genes, state.archive
+        draw_key, vary_key = jax.random.split(key)
+        filled = jnp.isfinite(state.fitness)
+        # From an empty map children of zeros are drawn, another start.
+        chance = jnp.where(filled.any(), filled, True).astype(state.genes.dtype)
+        parents = jax.random.choice(
+            draw_key, self.cells, (2, self.population), p=chance / chance.sum()
+        )
+        return self.vary(vary_key, state.genes, parents), state
+
+    def tell(
+        self, key: Array, state: Archive, genes: Float[Array, "g n"], evaluation: Evaluation
+    ) -> Archive:
+        """The map with whoever is fitter than the elite of his cell."""
+        found = descriptor_rows(evaluation, self.measured())
+        fitness = jnp.where(jnp.isfinite(found).all(0), evaluation.fitness, -jnp.inf)
+        cell = self.cell_of(found)
+        # The best for each cell; of equals the first.
+        best = jnp.full(self.cells, -jnp.inf, fitness.dtype).at[cell].max(fitness)
+        wins = (fitness == best[cell]) & (fitness > state.fitness[cell])
+        places = jnp.arange(self.population)
+        first = (
+            jnp.full(self.cells, self.population)
+            .at[cell]
+            .min(jnp.where(wins, places, self.population))
+        )
+        taken, who = first < self.population, jnp.minimum(first, self.population - 1)
+
+        def put(old: Array, new: Array) -> Array:
+            return jnp.where(taken, new[..., who], old)
+
+        return Archive(
+            put(state.genes, genes),
+            put(state.fitness, fitness),
+            put(state.descriptors, found),
+            jnp.where(taken, state.told, state.generation),
+            jnp.where(taken, who, state.index),
+            state.told + 1,
+        )
+
+    def around(self, key: Array, genes: Float[Array, "g n"]) -> Float[Array, "g n"]:
+        """See `Strategy.around`."""
+        return self.vary.copies(key, genes).at[:, 0].set(genes[:, 0])
+
+    def measured(self) -> tuple[str, ...]:
+        """The axes of the map."""
+        return tuple(axis.name for axis in self.axes)
+
+    def cell_of(self, descriptors: Float[Array, "k n"]) -> Int[Array, " n"]:
+        """Number of the cell that individuals fall into; cell 0 where they are not finite."""
+        number = jnp.zeros(descriptors.shape[1:], jnp.int32)
+        for axis, value in zip(self.axes, descriptors, strict=True):
+            place = (value - axis.low) / (axis.high - axis.low) * axis.cells
+            place = jnp.where(jnp.isfinite(place), place, 0.0)
+            inside = jnp.clip(jnp.floor(place), 0, axis.cells - 1).astype(jnp.int32)
+            number = number * axis.cells + inside
+        return number

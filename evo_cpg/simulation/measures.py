@@ -1,0 +1,295 @@
+"""Measures of gait: numbers of a whole trial that say how an animal moves, whatever its task.
+
+They stand beside the task's terms, and maps of behaviour (`evo_cpg.evolution.map_elites`) have them
+as axes. Each is a class with the same three functions, like a task; the table `MEASURES` has them
+by name. Distances are those of the root's centre, in a straight line from start to end: over ground
+its height does not count.
+
+| name | what | unit |
+|---|---|---|
+| ``speed`` | distance by time | m/s |
+| ``cost_of_transport`` | energy of the motors by weight and distance (Tucker 1975) | - |
+| ``power`` | energy of the motors by time | W |
+| ``duty_factor`` | share of time on the ground, mean of the limbs that ever touch it | - |
+| ``airborne`` | share of time in which nothing touches the ground | - |
+| ``frequency`` | half of the changes of sign of the joints' rates, by time, mean of all | Hz |
+| ``amplitude`` | standard deviation of the joints' angles, mean of all joints | rad |
+| ``turning`` | mean rate of the root about the vertical, to the left | rad/s |
+| ``tilt`` | mean of 1 - cos(angle of the root's up to the vertical) | - |
+"""
+
+import abc
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PyTree
+
+from evo_cpg.physics.world import World
+from evo_cpg.simulation.task import Transition
+
+# Nobody has gone nowhere: below this distance (m) what is divided by it is so large that it does
+# not matter.
+_NOWHERE = 1e-6
+
+
+class Trial(NamedTuple):
+    """What a measure may ask for at the end.
+
+    Attributes:
+        world: the animal in its surroundings.
+        duration: of the trial, s.
+    """
+
+    world: World
+    duration: float
+
+
+class Measure(eqx.Module):
+    """A number of a whole trial; it carries a tally of arrays from control step to control step."""
+
+    @abc.abstractmethod
+    def begin(self, world: World, batch: tuple[int, ...], dtype: jnp.dtype) -> PyTree:
+        """The tally before the trial."""
+
+    @abc.abstractmethod
+    def update(self, tally: PyTree, transition: Transition) -> PyTree:
+        """The tally after one more control step: same structure, shapes and types."""
+
+    @abc.abstractmethod
+    def finish(self, tally: PyTree, trial: Trial) -> Float[Array, " *n"]:
+        """The number."""
+
+
+class Way(NamedTuple):
+    """Where the root set out and where it is, m."""
+
+    start: Float[Array, "3 *n"]
+    end: Float[Array, "3 *n"]
+
+
+class Speed(Measure):
+    """Distance by time, m/s."""
+
+    def begin(self, world: World, batch: tuple[int, ...], dtype: jnp.dtype) -> Way:
+        """See `Measure.begin`."""
+        return Way(jnp.zeros((3, *batch), dtype), jnp.zeros((3, *batch), dtype))
+
+    def update(self, tally: Way, transition: Transition) -> Way:
+        """See `Measure.update`."""
+        place = transition.before.state.position
+        start = jnp.where(transition.step == 0, place, tally.start)
+        return Way(start, transition.after.state.position)
+
+    def finish(self, tally: Way, trial: Trial) -> Float[Array, " *n"]:
+        """See `Measure.finish`."""
+        return distance(tally, trial.world) / trial.duration
+
+
+class Spent(NamedTuple):
+    """Energy so far, J, and the way."""
+
+    energy: Float[Array, " *n"]
+    way: Way
+
+
+class CostOfTransport(Measure):
+    """Energy of the motors by weight and distance."""
+
+    def begin(self, world: World, batch: tuple[int, ...], dtype: jnp.dtype) -> Spent:
+        """See `Measure.begin`."""
+        return Spent(jnp.zeros(batch, dtype), Speed().begin(world, batch, dtype))
+
+    def update(self, tally: Spent, transition: Transition) -> Spent:
+        """See `Measure.update`."""
+        return Spent(tally.energy + transition.energy, Speed().update(tally.way, transition))
+
+    def finish(self, tally: Spent, trial: Trial) -> Float[Array, " *n"]:
+        """See `Measure.finish`."""
+        weight = jnp.asarray(trial.world.tree.mass).sum() * trial.world.gravity
+        return tally.energy / (weight * jnp.maximum(distance(tally.way, trial.world), _NOWHERE))
+
+
+class _Total(Measure):
+    """A sum over the trial, by its duration."""
+
+    def begin(self, world: World, batch: tuple[int, ...], dtype: jnp.dtype) -> Array:
+        """See `Measure.begin`."""
+        return jnp.zeros(batch, dtype)
+
+    def update(self, tally: Array, transition: Transition) -> Array:
+        """See `Measure.update`."""
+        return tally + self.of_step(transition)
+
+    def finish(self, tally: Array, trial: Trial) -> Float[Array, " *n"]:
+        """See `Measure.finish`."""
+        return tally / trial.duration
+
+    @abc.abstractmethod
+    def of_step(self, transition: Transition) -> Float[Array, " *n"]:
+        """What a control step adds."""
+
+
+class Power(_Total):
+    """Energy of the motors by time, W."""
+
+    def of_step(self, transition: Transition) -> Float[Array, " *n"]:
+        """Energy, J."""
+        return transition.energy
+
+
+class Airborne(_Total):
+    """Share of time in which nothing touches the ground."""
+
+    def of_step(self, transition: Transition) -> Float[Array, " *n"]:
+        """Time in the air, s."""
+        return transition.airborne * transition.before.control_step
+
+
+class Turning(_Total):
+    """Mean rate of the root about the vertical, rad/s."""
+
+    def of_step(self, transition: Transition) -> Float[Array, " *n"]:
+        """By how much it turns to the left, rad."""
+        return transition.after.state.velocity[2] * transition.before.control_step
+
+
+class Tilt(_Total):
+    """Mean of 1 - cos(angle of the root's up to the vertical)."""
+
+    def of_step(self, transition: Transition) -> Float[Array, " *n"]:
+        """That of the step, times its length."""
+        _, x, y, _ = transition.before.state.orientation
+        return 2.0 * (x * x + y * y) * transition.before.control_step
+
+
+class Strides(NamedTuple):
+    """Signs of the joints' rates a step ago (0 before the first), and how often they changed."""
+
+    sign: Float[Array, "d *n"]
+    changes: Float[Array, "d *n"]
+
+
+class Frequency(Measure):
+    """How often the joints swing to and fro, Hz."""
+
+    def begin(self, world: World, batch: tuple[int, ...], dtype: jnp.dtype) -> Strides:
+        """See `Measure.begin`."""
+        none = jnp.zeros((world.tree.dof_count, *batch), dtype)
+        return Strides(none, none)
+
+    def update(self, tally: Strides, transition: Transition) -> Strides:
+        """See `Measure.update`."""
+        rate = transition.after.state.qd
+        sign = jnp.where(rate > 0, 1.0, jnp.where(rate < 0, -1.0, tally.sign)).astype(rate.dtype)
+        changed = jnp.where(sign * tally.sign < 0, 1.0, 0.0).astype(rate.dtype)
+        return Strides(sign, tally.changes + changed)
+
+    def finish(self, tally: Strides, trial: Trial) -> Float[Array, " *n"]:
+        """See `Measure.finish`."""
+        return tally.changes.sum(0) / (2.0 * tally.changes.shape[0] * trial.duration)
+
+
+class Swing(NamedTuple):
+    """Sums of the joints' angles and of their squares, by time."""
+
+    angle: Float[Array, "d *n"]
+    square: Float[Array, "d *n"]
+
+
+class Amplitude(Measure):
+    """Standard deviation of the joints' angles, rad."""
+
+    def begin(self, world: World, batch: tuple[int, ...], dtype: jnp.dtype) -> Swing:
+        """See `Measure.begin`."""
+        none = jnp.zeros((world.tree.dof_count, *batch), dtype)
+        return Swing(none, none)
+
+    def update(self, tally: Swing, transition: Transition) -> Swing:
+        """See `Measure.update`."""
+        angle, step = transition.after.state.q, transition.before.control_step
+        return Swing(tally.angle + step * angle, tally.square + step * angle * angle)
+
+    def finish(self, tally: Swing, trial: Trial) -> Float[Array, " *n"]:
+        """See `Measure.finish`."""
+        mean = tally.angle / trial.duration
+        variance = jnp.maximum(tally.square / trial.duration - mean * mean, 0.0)
+        return jnp.sqrt(variance).sum(0) / variance.shape[0]
+
+
+class DutyFactor(Measure):
+    """Share of time on the ground, mean of the bodies that ever touch it but for the root."""
+
+    def begin(self, world: World, batch: tuple[int, ...], dtype: jnp.dtype) -> Array:
+        """Time on the ground of every body that can touch it, s."""
+        return jnp.zeros((len(_limbs(world)), *batch), dtype)
+
+    def update(self, tally: Array, transition: Transition) -> Array:
+        """See `Measure.update`."""
+        force, step = transition.forces.contact_force, transition.before.control_step
+        # World axes: what the ground does to a point has a part along its normal, so some part.
+        touched = (force * force).sum(0) > 0
+        owners = transition.before.contact_bodies
+        rows = [
+            touched[np.flatnonzero(owners == body)].any(0)
+            for body in _limbs(transition.before.world)
+        ]
+        return tally + step * jnp.stack(rows).astype(tally.dtype)
+
+    def finish(self, tally: Array, trial: Trial) -> Float[Array, " *n"]:
+        """See `Measure.finish`."""
+        feet = (tally > 0).astype(tally.dtype).sum(0)
+        return tally.sum(0) / (jnp.maximum(feet, 1.0) * trial.duration)
+
+
+MEASURES: dict[str, type[Measure]] = {
+    "airborne": Airborne,
+    "amplitude": Amplitude,
+    "cost_of_transport": CostOfTransport,
+    "duty_factor": DutyFactor,
+    "frequency": Frequency,
+    "power": Power,
+    "speed": Speed,
+    "tilt": Tilt,
+    "turning": Turning,
+}
+
+# Those that mean nothing in free water.
+GROUND_MEASURES = ("airborne", "duty_factor")
+
+
+class Measures(eqx.Module):
+    """Several of them, by name.
+
+    Attributes:
+        names: keys of `MEASURES`.
+    """
+
+    names: tuple[str, ...] = eqx.field(static=True)
+
+    def begin(self, world: World, batch: tuple[int, ...], dtype: jnp.dtype) -> dict[str, PyTree]:
+        """The tallies before a trial."""
+        return {name: MEASURES[name]().begin(world, batch, dtype) for name in self.names}
+
+    def update(self, tallies: dict[str, PyTree], transition: Transition) -> dict[str, PyTree]:
+        """The tallies after one more control step."""
+        return {name: MEASURES[name]().update(tallies[name], transition) for name in self.names}
+
+    def finish(self, tallies: dict[str, PyTree], trial: Trial) -> dict[str, Float[Array, " *n"]]:
+        """The numbers."""
+        return {name: MEASURES[name]().finish(tallies[name], trial) for name in self.names}
+
+
+def distance(way: Way, world: World) -> Float[Array, " *n"]:
+    """In a straight line, m; over ground heights do not count."""
+    x, y, z = way.end - way.start
+    level = x * x + y * y
+    return jnp.sqrt(level if world.footing is not None else level + z * z)
+
+
+def _limbs(world: World) -> list[int]:
+    """Bodies with contact points, but for the root, which is the first."""
+    footing = world.footing
+    owners = np.array(() if footing is None else footing.bodies, int)
+    return [int(body) for body in np.unique(owners) if body > 0]

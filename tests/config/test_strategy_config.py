@@ -1,0 +1,181 @@
+"""The section ``evolution``: any strategy, islands, maps, and what is wrong with them."""
+
+import importlib.util
+import sys
+
+import pytest
+
+from evo_cpg.config.build import build_experiment
+from evo_cpg.config.errors import ConfigError
+from evo_cpg.config.load import load_config
+from evo_cpg.evolution.islands import Islands
+from evo_cpg.evolution.map_elites import MapElites
+from tiny_run import CONFIG
+
+WALKER = CONFIG.with_name("fukui2003_model1.yaml")
+AXES = "[{name: speed, range: [0, 1]}, {name: duty_factor, range: [0, 1], cells: 4}]"
+
+OWN = """
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+import evo_cpg as evo
+
+
+class Climber(evo.Strategy):
+    population: int = eqx.field(static=True)
+    gene_count: int = eqx.field(static=True)
+    sigma: float = 0.1
+
+    def init(self, key, genes):
+        return {init}
+
+    def ask(self, key, state):
+        noise = jax.random.normal(key, (self.gene_count, self.population))
+        return {ask}
+
+    def tell(self, key, state, genes, evaluation):
+        return {tell}
+"""
+GOOD = {
+    "init": "genes[:, 0]",
+    "ask": "state[:, None] + self.sigma * noise, state",
+    "tell": "genes[:, jnp.argmax(evaluation.fitness)]",
+}
+
+
+def build(path, *settings):
+    return build_experiment(load_config(path, settings), path)
+
+
+def test_islands_share_the_population():
+    strategy = build(CONFIG, "evolution.islands={count: 5}").strategy
+    assert isinstance(strategy, Islands)
+    assert (strategy.population, strategy.strategy.population) == (200, 40)
+    assert (strategy.count, strategy.every, strategy.migrants) == (5, 10, 1)
+    bits = "evolution={type: bits, population: 30, islands: {count: 2, every: 3, migrants: 2}}"
+    strategy = build(WALKER, bits).strategy
+    assert isinstance(strategy, Islands) and strategy.strategy.population == 15
+
+
+def test_a_map_measures_what_its_axes_are():
+    made = build(WALKER, f"evolution={{type: map_elites, axes: {AXES}}}")
+    assert isinstance(made.strategy, MapElites)
+    assert made.strategy.shape == (10, 4) and made.strategy.vary.bits is not None
+    assert made.simulation.measures.names == ("speed", "duty_factor")
+    swimmer = build(CONFIG, "evolution={type: map_elites, axes: [{name: energy, range: [0, 9]}]}")
+    # A term of the task needs no measure.
+    assert swimmer.simulation.measures is None and swimmer.strategy.vary.bits is None
+    assert swimmer.strategy.gene_bound == 8.0
+
+
+@pytest.mark.skipif(importlib.util.find_spec("evosax") is None, reason="evosax is an extra")
+def test_an_algorithm_of_evosax():
+    given = "{type: evosax, algorithm: Sep_CMA_ES, sigma: 0.3, params: {c_mean: 0.9}}"
+    strategy = build(CONFIG, f"evolution={given}").strategy
+    assert (strategy.algorithm, strategy.sigma) == ("Sep_CMA_ES", 0.3)
+    assert not strategy.binary and strategy.gene_bound == 8.0
+    strategy = build(WALKER, f"evolution={given}").strategy
+    assert strategy.binary and strategy.gene_bound is None
+    given = "{type: evosax, algorithm: LM_MA_ES, islands: {count: 4}}"
+    assert build(CONFIG, f"evolution={given}").strategy.strategy.population == 50
+    for bad, words in (
+        ("{type: evosax, algorithm: Sep_CMA}", "evosax has no 'Sep_CMA'; did you mean 'Sep_CMA_ES"),
+        ("{type: evosax, algorithm: Open_ES, population: 7}", "Open_ES cannot be built .*even"),
+        ("{type: evosax, algorithm: Open_ES, params: {lr: 1}}", "no parameter lr; it has none"),
+        ("{type: evosax, algorithm: Open_ES, options: {lr: 1}}", "Open_ES cannot be .*'lr'"),
+    ):
+        with pytest.raises(ConfigError, match=words):
+            build(CONFIG, f"evolution={bad}")
+
+
+def test_without_evosax_it_says_how_to_get_it(monkeypatch):
+    monkeypatch.delattr("evo_cpg.evolution.from_evosax", raising=False)
+    monkeypatch.setitem(sys.modules, "evosax", None)
+    monkeypatch.delitem(sys.modules, "evo_cpg.evolution.from_evosax", raising=False)
+    monkeypatch.setitem(sys.modules, "evosax.algorithms", None)
+    with pytest.raises(ConfigError, match=r"'evosax' is not installed here.*evo-cpg\[evosax\]"):
+        build(CONFIG, "evolution={type: evosax, algorithm: Sep_CMA_ES}")
+
+
+@pytest.mark.parametrize(
+    ("path", "settings", "words"),
+    [
+        (CONFIG, ["evolution.islands={count: 3}"], "200 cannot be shared equally by 3 islands"),
+        (CONFIG, ["evolution.islands={count: 10}"], "each of 10 islands has 20 .* at least 21"),
+        (CONFIG, ["evolution.islands={count: 5, migrants: 40}"], "fewer than the 40 individuals"),
+        (
+            CONFIG,
+            ["evolution.islands={count: 5}", "evolution.learning={every: 2}"],
+            "the elites of islands cannot learn",
+        ),
+        (WALKER, ["evolution={type: bits, islands: {count: 3}}"], "each of 3 islands has 5 of"),
+        (
+            CONFIG,
+            ["evolution={type: map_elites, axes: [{name: sped, range: [0, 1]}]}"],
+            r"axes\.0\.name: 'sped' is no measure; did you mean 'speed'\?.*distance",
+        ),
+        (
+            CONFIG,
+            ["evolution={type: map_elites, axes: [{name: speed, range: [1, 1]}]}"],
+            "range: must rise, got 1 to 1",
+        ),
+        (
+            CONFIG,
+            [f"evolution={{type: map_elites, axes: {AXES}}}"],
+            r"axes\.1\.name: 'duty_factor' means nothing: there is no ground",
+        ),
+        (
+            CONFIG,
+            ["evolution={type: map_elites, axes: [{name: speed, range: [0, 1], cells: 1000}, "
+             "{name: power, range: [0, 1], cells: 1000}]}"],
+            "at most 100000 cells, got 1000000",
+        ),
+        (
+            CONFIG,
+            ["evolution={type: map_elites, axes: [{name: speed, range: [0, 1]}, "
+             "{name: speed, range: [0, 1]}]}"],
+            "each must have a name of its own, got speed, speed",
+        ),
+        (CONFIG, ["measures=[speed, power, gait]"], "measures.2: 'gait' is no measure; valid here"),
+        (CONFIG, ["measures=[energy]"], "'energy' is no measure"),
+        (WALKER, ["measures=[airborne]", "task={type: walk}"], "'airborne' is a term of the task"),
+        (
+            WALKER,
+            ["measures=[cost_of_transport]", "world.gravity=0"],
+            "'cost_of_transport' means nothing: there is no gravity",
+        ),
+    ],
+)  # fmt: skip
+def test_what_does_not_fit_is_said(path, settings, words):
+    with pytest.raises(ConfigError, match=words):
+        build(path, *settings)
+
+
+def own(tmp_path, monkeypatch, **changes):
+    name = f"climbers_{abs(hash(str(changes)))}"
+    (tmp_path / f"{name}.py").write_text(OWN.format(**GOOD | changes))
+    monkeypatch.chdir(tmp_path)
+    given = f"evolution={{type: '{name}:Climber', population: 9, options: {{sigma: 0.2}}}}"
+    return build(CONFIG, given)
+
+
+def test_a_strategy_of_ones_own(tmp_path, monkeypatch):
+    strategy = own(tmp_path, monkeypatch).strategy
+    assert (strategy.population, strategy.sigma) == (9, 0.2)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"init": "1 / 0"}, r"evolution\.type: Climber\.init fails \(ZeroDivisionError"),
+        ({"ask": "noise"}, "Climber.ask must return a pair of genomes and a state"),
+        ({"ask": "noise.T, state"}, r"Climber\.ask must return \d+, shape .*got float32\[9, "),
+        ({"tell": "genes"}, "Climber.ask fails|must return the state with the same structure"),
+        ({"tell": "evaluation.fitnes"}, r"Climber\.tell fails \(AttributeError"),
+    ],
+)
+def test_what_a_strategy_of_ones_own_returns_is_checked(tmp_path, monkeypatch, changes, words):
+    with pytest.raises(ConfigError, match=words):
+        own(tmp_path, monkeypatch, **changes)

@@ -1,0 +1,305 @@
+"""Every search is asked and told, keeps what it knows in arrays, and gets better at a sphere."""
+
+import importlib
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from evo_cpg.evolution.bits import BitGenetics
+from evo_cpg.evolution.generation import RealGenetics
+from evo_cpg.evolution.islands import Islands
+from evo_cpg.evolution.map_elites import Axis, MapElites, Vary
+from evo_cpg.evolution.strategy import Evaluation, Strategy, worst_finite
+from evo_cpg.training.strategy_state import StrategyError, state_arrays, state_from
+
+GENES, SIZE = 6, 24
+GENETICS = RealGenetics(SIZE, 3, 0.5, 0.2, 0.3, 0.3, 8.0)
+AXES = (Axis("first", -2.0, 2.0, 4), Axis("second", -2.0, 2.0, 3))
+
+
+class Climber(Strategy):
+    """That of the docstring of `Strategy`."""
+
+    population: int = eqx.field(static=True)
+    sigma: float = 0.1
+
+    def init(self, key, genes):
+        return genes[:, 0], -jnp.inf
+
+    def ask(self, key, state):
+        best, _ = state
+        noise = jax.random.normal(key, (len(best), self.population), best.dtype)
+        return best[:, None] + self.sigma * noise, state
+
+    def tell(self, key, state, genes, evaluation):
+        best, fitness = state
+        i = jnp.argmax(evaluation.fitness)
+        better = evaluation.fitness[i] > fitness
+        best = jnp.where(better, genes[:, i], best)
+        return best, jnp.where(better, evaluation.fitness[i], fitness)
+
+
+def evosax(name, genes=GENES, **settings):
+    pytest.importorskip("evosax")
+    kind = importlib.import_module("evo_cpg.evolution.from_evosax").Evosax
+    return kind(name, SIZE, genes, **settings)
+
+
+# LM-MA-ES needs more genes than individuals.
+MANY_GENES = 60
+
+
+def genes_of(name):
+    return MANY_GENES if name == "LM_MA_ES" else GENES
+
+
+STRATEGIES = {
+    "genetics": lambda: GENETICS,
+    "climber": lambda: Climber(SIZE),
+    "islands": lambda: Islands(
+        SIZE, RealGenetics(SIZE // 3, 2, 0.5, 0.2, 0.3, 0.3, 8.0), 3, every=2, migrants=1
+    ),
+    "islands of climbers": lambda: Islands(SIZE, Climber(SIZE // 2), 2, 3, 1),
+    "map_elites": lambda: MapElites(SIZE, AXES, Vary(0.1, 0.2, 8.0)),
+    "Sep_CMA_ES": lambda: evosax("Sep_CMA_ES"),
+    "LM_MA_ES": lambda: evosax("LM_MA_ES", MANY_GENES),
+    "Open_ES": lambda: evosax("Open_ES", sigma=0.2, learning_rate=0.2),
+    "DifferentialEvolution": lambda: evosax("DifferentialEvolution"),
+}
+
+
+def sphere(genes):
+    """Best where all genes are 0.7; a corner of the space is deadly."""
+    fitness = -((genes - 0.7) ** 2).sum(0)
+    fitness = jnp.where(genes[0] < -1.5, -jnp.inf, fitness)
+    return Evaluation(fitness, {"cost": -fitness}, {"first": genes[0], "second": genes[1]})
+
+
+def search(strategy, generations=40, seed=0, evaluate=sphere, genes=GENES):
+    """Populations, fitness of each, and the last state."""
+    start_key, key = jax.random.split(jax.random.key(seed))
+    start = jax.random.uniform(start_key, (genes, SIZE), jnp.float32, -2.0, 2.0)
+
+    @jax.jit
+    def begin(start):
+        return strategy.ask(jax.random.fold_in(key, 0), strategy.init(start_key, start))
+
+    @jax.jit
+    def step(i, genes, state):
+        told, asked = jax.random.split(jax.random.fold_in(key, i))
+        worth = evaluate(genes)
+        genes, state = strategy.ask(asked, strategy.tell(told, state, genes, worth))
+        return worth.fitness, genes, state
+
+    genes, state = begin(start)
+    populations, found = [genes], []
+    for i in range(1, generations + 1):
+        fitness, genes, state = step(i, genes, state)
+        found.append(np.asarray(fitness))
+        populations.append(np.asarray(genes))
+    return populations, found, state
+
+
+@pytest.mark.parametrize("name", STRATEGIES)
+def test_a_search_gets_better_and_asks_for_numbers(name):
+    populations, found, _ = search(STRATEGIES[name](), genes=genes_of(name))
+    assert all(genes.shape == (genes_of(name), SIZE) for genes in populations)
+    assert np.isfinite(np.array(populations)).all()
+    # A third of what random genomes leave, and less in fewer dimensions.
+    assert max(fitness.max() for fitness in found[-5:]) > 0.35 * found[0].max()
+
+
+@pytest.mark.parametrize("name", STRATEGIES)
+def test_what_a_search_knows_goes_through_arrays(name):
+    strategy = STRATEGIES[name]()
+    populations, _, state = search(strategy, 6, genes=genes_of(name))
+    arrays = {name: np.array(value) for name, value in state_arrays(state).items()}
+    like = jax.eval_shape(lambda: state)
+    again = state_from(arrays, like)
+    worth = sphere(populations[-1])
+    for one, other in zip(
+        jax.tree.leaves(strategy.tell(jax.random.key(1), state, populations[-1], worth)),
+        jax.tree.leaves(strategy.tell(jax.random.key(1), again, populations[-1], worth)),
+        strict=True,
+    ):
+        np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize("name", STRATEGIES)
+def test_a_search_survives_that_nobody_does(name):
+    def deadly(genes):
+        nobody = jnp.full(genes.shape[1], -jnp.inf)
+        lost = jnp.full(genes.shape[1], jnp.nan)
+        return Evaluation(nobody, {"cost": lost}, {"first": lost, "second": lost})
+
+    populations, _, _ = search(STRATEGIES[name](), 5, evaluate=deadly, genes=genes_of(name))
+    assert np.isfinite(np.array(populations)).all()
+
+
+def test_a_state_of_another_strategy_is_refused():
+    arrays = state_arrays({"archive": {"genes": np.zeros((2, 3), np.float32)}})
+    assert list(arrays) == ["archive.genes"]
+    with pytest.raises(StrategyError, match=r"archive\.genes \(2, 3\).*this one nothing"):
+        state_from(arrays, ())
+    with pytest.raises(StrategyError, match="another strategy remembers"):
+        state_from(arrays, {"archive": {"genes": np.zeros((2, 4), np.float32)}})
+
+
+def test_who_diverged_is_as_bad_as_the_worst_survivor():
+    np.testing.assert_array_equal(
+        worst_finite(jnp.array([1.0, -jnp.inf, -2.0, jnp.nan])), [1, -2, -2, -2]
+    )
+    np.testing.assert_array_equal(worst_finite(jnp.array([-jnp.inf, jnp.nan])), [0, 0])
+
+
+def told_genes(genes):
+    """A strategy that asks again for what it was told, so that it shows who was told of."""
+
+    class Echo(Strategy):
+        population: int = eqx.field(static=True)
+
+        def init(self, key, genes):
+            return genes
+
+        def ask(self, key, state):
+            return state, ()
+
+        def tell(self, key, state, genes, evaluation):
+            return genes
+
+    islands = Islands(12, Echo(4), 3, every=2, migrants=2)
+    _, state = islands.ask(jax.random.key(0), islands.init(jax.random.key(0), genes))
+    for _ in range(2):
+        worth = Evaluation(genes[0], {}, {})
+        told = islands.tell(jax.random.key(0), state, genes, worth)
+        genes, state = islands.ask(jax.random.key(0), told)
+    return np.asarray(genes[0])
+
+
+def test_the_best_of_an_island_take_the_places_of_the_worst_of_the_next():
+    fitness = np.array([[3, 1, 4, 2], [8, 7, 5, 6], [9, 12, 10, 11]], np.float32)
+    told = told_genes(jnp.asarray(fitness.reshape(1, -1)))
+    # In the first generation nobody moves, in the second the two best do.
+    expected = np.array([[3, 12, 4, 11], [8, 7, 4, 3], [8, 12, 7, 11]])
+    np.testing.assert_array_equal(np.sort(told.reshape(3, 4)), np.sort(expected))
+
+
+def test_islands_apart_evolve_as_if_each_were_alone():
+    genetics = RealGenetics(8, 2, 0.5, 0.2, 0.3, 0.3, 8.0)
+    islands = Islands(SIZE, genetics, 3, every=1000, migrants=1)
+    genes = jax.random.normal(jax.random.key(1), (GENES, SIZE))
+    _, state = islands.ask(jax.random.key(0), islands.init(jax.random.key(0), genes))
+    worth, key = sphere(genes), jax.random.key(2)
+    together, _ = islands.ask(key, islands.tell(key, state, genes, worth))
+    for i in range(3):
+        own = slice(8 * i, 8 * i + 8)
+        alone = genetics.next_generation(
+            jax.random.fold_in(key, i), genes[:, own], worth.fitness[own]
+        )
+        np.testing.assert_array_equal(together[:, own], alone)
+
+
+def test_a_map_keeps_the_fittest_of_every_cell():
+    """Beside a plain loop over everybody who ever lived."""
+    strategy = MapElites(SIZE, AXES, Vary(0.5, 0.2, 8.0))
+
+    def evaluate(genes):
+        found = sphere(genes)
+        # Somebody has no place on the map.
+        first = jnp.where(genes[2] > 1.0, jnp.nan, found.descriptors["first"])
+        return Evaluation(found.fitness, found.terms, found.descriptors | {"first": first})
+
+    populations, found, archive = search(strategy, 12, evaluate=evaluate)
+    best: dict[int, tuple] = {}
+    for generation, (genes, fitness) in enumerate(zip(populations, found, strict=False)):
+        for index in range(SIZE):
+            column = np.asarray(genes)[:, index]
+            if column[2] > 1.0 or not np.isfinite(fitness[index]):
+                continue
+            row, line = (
+                int(np.clip(np.floor((value + 2.0) / 4.0 * cells), 0, cells - 1))
+                for value, cells in ((column[0], 4), (column[1], 3))
+            )
+            cell = row * 3 + line
+            if cell not in best or fitness[index] > best[cell][0]:
+                best[cell] = fitness[index], generation, index, column
+    filled = np.isfinite(np.asarray(archive.fitness))
+    assert sorted(best) == list(np.flatnonzero(filled)) and len(best) >= 6
+    for cell, (fitness, generation, index, column) in best.items():
+        assert archive.fitness[cell] == fitness
+        assert (archive.generation[cell], archive.index[cell]) == (generation, index)
+        np.testing.assert_array_equal(archive.genes[:, cell], column)
+    assert (np.asarray(archive.generation)[~filled] == -1).all()
+    assert archive.told == 12
+
+
+def test_children_of_bits_are_bits_of_two_parents():
+    vary = Vary(bits=BitGenetics(mutated_genes_max=2, mutation_probability=0.0))
+    genes = jnp.asarray(np.random.default_rng(0).integers(0, 2, (GENES, 5)), jnp.float32)
+    parents = jnp.array([[0, 1, 2, 3], [4, 3, 2, 0]])
+    children = np.asarray(vary(jax.random.key(0), genes, parents))
+    assert children.shape == (GENES, 4)
+    for child, (first, second) in zip(children.T, np.asarray(parents).T, strict=True):
+        a, b = np.asarray(genes[:, first]), np.asarray(genes[:, second])
+        cuts = [np.concatenate([a[:cut], b[cut:]]) for cut in range(1, GENES)]
+        assert any((child == cut).all() for cut in cuts)
+
+
+def test_children_of_numbers_lie_about_the_line_between_their_parents():
+    vary = Vary(iso_sigma=0.0, line_sigma=0.5, gene_bound=100.0)
+    genes = jnp.asarray(np.random.default_rng(0).normal(size=(GENES, 2)), jnp.float32)
+    parents = jnp.array([[0] * 2000, [1] * 2000])
+    children = np.asarray(vary(jax.random.key(0), genes, parents))
+    a, b = np.asarray(genes).T
+    shares = (children - a[:, None]).T @ (b - a) / ((b - a) @ (b - a))
+    np.testing.assert_allclose(children, a[:, None] + shares * (b - a)[:, None], atol=1e-5)
+    assert abs(shares.mean()) < 0.04 and shares.std() == pytest.approx(0.5, rel=0.06)
+
+
+@pytest.mark.parametrize("name", ["Sep_CMA_ES", "DifferentialEvolution"])
+def test_evosax_searches_bits(name):
+    """Bits that agree with a pattern count."""
+    pattern = jnp.array([1.0, 0, 1, 1, 0, 1])
+
+    def agreeing(genes):
+        fitness = (genes == pattern[:, None]).sum(0).astype(jnp.float32)
+        return Evaluation(fitness, {}, {})
+
+    strategy = evosax(name, binary=True, gene_bound=None)
+    populations, found, _ = search(strategy, 20, evaluate=agreeing)
+    assert set(np.unique(populations[-1])) <= {0.0, 1.0}
+    assert found[-1].mean() > found[0].mean() + 1
+
+
+def test_evosax_is_told_of_who_took_a_place():
+    strategy = evosax("DifferentialEvolution", gene_bound=1.0)
+    genes, state = strategy.ask(
+        jax.random.key(0), strategy.init(jax.random.key(0), 5.0 * jnp.ones((GENES, SIZE)))
+    )
+    assert np.abs(genes).max() == 1.0
+    moved = genes.at[:, 3].set(0.5)
+    told = strategy.tell(jax.random.key(0), state, moved, sphere(moved))
+    np.testing.assert_array_equal(told.numbers[:, 3], moved[:, 3])
+    # Who was only put within bounds is told of as he was drawn.
+    np.testing.assert_array_equal(told.numbers[:, 4], state.numbers[:, 4])
+
+
+def test_what_evosax_does_not_have_is_refused():
+    with pytest.raises(
+        ValueError, match="it has no parameter crossover; it has elitism, crossover"
+    ):
+        evosax("DifferentialEvolution", params=(("crossover", 0.5),))
+
+
+@pytest.mark.parametrize("name", [*STRATEGIES, "bits"])
+def test_a_population_about_an_individual_keeps_it(name):
+    strategy = BitGenetics(SIZE, mutated_genes_max=3) if name == "bits" else STRATEGIES[name]()
+    one = jnp.tile(jnp.array([1.0, 0, 1, 1, 0, 1]), genes_of(name) // GENES)
+    around = strategy.around(jax.random.key(0), jnp.tile(one[:, None], (1, SIZE)))
+    assert around.shape == (len(one), SIZE)
+    np.testing.assert_array_equal(around[:, 0], one)
+    if "climber" not in name:
+        assert (np.asarray(around[:, 1:]) != np.asarray(one)[:, None]).any(0).mean() > 0.5

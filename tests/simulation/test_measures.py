@@ -1,0 +1,74 @@
+"""Measures of gait against the same numbers taken from a recording."""
+
+import jax
+import numpy as np
+import pytest
+
+import evo_cpg as evo
+from evo_cpg.simulation.measures import GROUND_MEASURES, MEASURES
+from evo_cpg.simulation.rollout import record as record_frames
+
+STEPS = 120
+
+
+@pytest.fixture(scope="module", params=["fukui2003_model1", "iwadate2010_swimmer"])
+def lived(request):
+    """Terms of some animals, and what they did."""
+    on_ground = "fukui" in request.param
+    names = [name for name in MEASURES if on_ground or name not in GROUND_MEASURES]
+    settings = {"simulation.steps": STEPS, "measures": names}
+    experiment = evo.load(f"configs/{request.param}.yaml", settings)
+    genomes = experiment.random_genomes(3, 4)
+    found = experiment.evaluate(0, genomes)
+    assert set(names) == set(found.descriptors)
+    records = [experiment.record(0, genome) for genome in genomes]
+    return experiment, on_ground, found, records
+
+
+def test_each_is_what_a_recording_shows(lived):
+    experiment, on_ground, found, records = lived
+    tree, rate = experiment.world.tree, experiment.parts.simulation.control_rate
+    duration = STEPS / rate
+    first = [body.name for body in experiment.creature.bodies].index(tree.names[0])
+    weight = float(np.sum(tree.mass)) * experiment.world.gravity
+    for i, record in enumerate(records):
+        motion = record.recording
+        measured = {name: float(values[i]) for name, values in found.descriptors.items()}
+        root = motion.position[:, first, : 2 if on_ground else 3]
+        way = np.linalg.norm(root[-1] - root[0])
+        # A recording ends at the beginning of the last control step.
+        slack = float(np.linalg.norm(np.diff(root, axis=0), axis=1).max()) * 1.5
+        assert measured["speed"] == pytest.approx(way / duration, abs=slack / duration)
+        assert measured["cost_of_transport"] == pytest.approx(
+            measured["power"] / (weight * measured["speed"]), rel=1e-4
+        )
+        angles = np.asarray(motion.joint_angle, float)
+        assert measured["amplitude"] == pytest.approx(angles.std(0).mean(), rel=0.05)
+        swings = (np.diff(np.sign(np.diff(angles, axis=0)), axis=0) != 0).sum(0).mean()
+        assert measured["frequency"] == pytest.approx(swings / 2 / duration, rel=0.15, abs=0.1)
+        up = np.asarray(motion.rotation, float)[:, first, 2, 2]
+        assert measured["tilt"] == pytest.approx((1 - up).mean(), abs=2e-3)
+        spin = np.asarray(motion.rotation, float)[:, first]
+        turn = spin[1:] @ spin[:-1].transpose(0, 2, 1)
+        about_the_vertical = (turn[:, 1, 0] - turn[:, 0, 1]).sum() / 2
+        assert measured["turning"] == pytest.approx(about_the_vertical / duration, abs=0.05)
+
+
+def test_time_on_the_ground(lived):
+    experiment, on_ground, found, _ = lived
+    if not on_ground:
+        return
+    simulation = experiment.parts.simulation
+    genes = experiment.random_genomes(3, 4).T
+    frames = jax.jit(lambda genes: record_frames(simulation, genes, 4))(genes)
+    force = np.linalg.norm(np.asarray(frames["contact_force"]), axis=1)
+    owners = np.array(simulation.world.footing.bodies)
+    for i in range(4):
+        touching = np.array(
+            [(force[:, owners == body, i] > 0).any(1) for body in np.unique(owners) if body > 0]
+        )
+        share = touching.mean(1)
+        expected = share[share > 0].mean() if (share > 0).any() else 0.0
+        assert float(found.descriptors["duty_factor"][i]) == pytest.approx(expected, abs=0.02)
+        nothing = (force[:, :, i] == 0).all(1).mean()
+        assert float(found.descriptors["airborne"][i]) >= nothing - 0.02

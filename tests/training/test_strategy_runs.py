@@ -1,0 +1,127 @@
+"""Runs with any strategy: several side by side, stopped and gone on with, told when they fail."""
+
+import importlib
+import importlib.util
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from evo_cpg.evolution.generation import RealGenetics
+from evo_cpg.evolution.islands import Islands
+from evo_cpg.evolution.map_elites import Axis, MapElites, Vary
+from evo_cpg.evolution.strategy import Strategy
+from evo_cpg.training.loop import TIMING_COLUMNS, train
+from evo_cpg.training.run_folder import RunFolder
+from evo_cpg.training.strategy_state import StrategyError, state_arrays
+from trials import experiment
+
+SIZE, RUNS, GENERATIONS = 12, 2, 4
+MAP = MapElites(SIZE, (Axis("distance", 0.0, 4.0, 5), Axis("energy", 0.0, 2.0, 3)), Vary(0.3))
+GENETICS = RealGenetics(SIZE // 2, 2, 0.5, 0.2, 0.5, 0.5, 8.0)
+
+
+def evosax():
+    pytest.importorskip("evosax")
+    kind = importlib.import_module("evo_cpg.evolution.from_evosax").Evosax
+    return kind("DifferentialEvolution", SIZE, 2)
+
+
+STRATEGIES = {
+    "islands": lambda: Islands(SIZE, GENETICS, 2, every=2, migrants=1),
+    "map_elites": lambda: MAP,
+    "evosax": evosax,
+}
+
+
+def made(strategy, generations=GENERATIONS):
+    return experiment(30, SIZE)._replace(strategy=strategy, runs=RUNS, generations=generations)
+
+
+def folder_at(path):
+    folder = RunFolder(path)
+    if not folder.config.exists():
+        folder.create("", {})
+    return folder
+
+
+def untimed(rows):
+    return [{k: v for k, v in row.items() if k not in TIMING_COLUMNS} for row in rows]
+
+
+@pytest.mark.parametrize("name", STRATEGIES)
+def test_a_stopped_run_goes_on_to_the_same_bits(name, tmp_path):
+    strategy = STRATEGIES[name]()
+    whole = train(made(strategy), folder_at(tmp_path / "whole"))
+    train(made(strategy, 2), folder_at(tmp_path / "stopped"))
+    again = train(made(strategy), folder_at(tmp_path / "stopped"))
+    np.testing.assert_array_equal(whole.genes, again.genes)
+    assert untimed(whole.history) == untimed(again.history)
+    assert whole.state.keys() == again.state.keys() and whole.state
+    for key, value in whole.state.items():
+        np.testing.assert_array_equal(value, again.state[key])
+        assert value.shape[:1] == (RUNS,)
+    assert whole.champion is not None and again.champion is not None
+    np.testing.assert_array_equal(whole.champion.genes, again.champion.genes)
+
+
+def test_runs_draw_their_own_numbers(tmp_path):
+    """The second run is the one that has its seed."""
+    both = train(made(MAP), folder_at(tmp_path / "both"))
+    lone = made(MAP)._replace(runs=1, seed=1)
+    alone = train(lone, folder_at(tmp_path / "alone"))
+    np.testing.assert_allclose(both.genes[:, SIZE:], alone.genes, rtol=1e-5)
+    for key, value in both.state.items():
+        np.testing.assert_allclose(value[1], alone.state[key][0], rtol=1e-4)
+
+
+class Blank(Strategy):
+    """Asks for numbers at first, and for none in generation 2."""
+
+    population: int = eqx.field(static=True)
+
+    def init(self, key, genes):
+        return genes, 0
+
+    def ask(self, key, state):
+        genes, told = state
+        return jnp.where(told < 2, genes, jnp.nan), state
+
+    def tell(self, key, state, genes, evaluation):
+        return state[0], state[1] + 1
+
+
+def test_a_strategy_that_asks_for_no_numbers_ends_the_run_and_loses_nothing(tmp_path):
+    folder = folder_at(tmp_path)
+    blank = made(Blank(SIZE))
+    with pytest.raises(StrategyError, match=r"Blank asked for genomes .* generation 2 \(24 of 24"):
+        train(blank, folder)
+    kept = folder.load()
+    assert kept is not None and kept.generation == 1 and len(kept.history) == RUNS
+
+
+def test_a_checkpoint_of_another_strategy_is_refused(tmp_path):
+    train(made(MAP, 1), folder_at(tmp_path))
+    with pytest.raises(StrategyError, match="what another strategy remembers"):
+        train(made(Islands(SIZE, GENETICS, 2, 2, 1)), folder_at(tmp_path))
+
+
+def test_a_map_holds_whom_the_trials_saw(tmp_path):
+    """The elite of the cell with the highest fitness is the champion of its run."""
+    done = train(made(MAP), folder_at(tmp_path))
+    for run in range(RUNS):
+        fitness, champion = done.state["fitness"][run], done.champions[run]
+        best = int(np.argmax(fitness))
+        assert champion is not None and fitness[best] == np.float32(champion.fitness)
+        np.testing.assert_array_equal(done.state["genes"][run][:, best], champion.genes)
+        assert done.state["generation"][run][best] == champion.generation
+        assert done.state["index"][run][best] == champion.index
+        found = done.state["descriptors"][run][:, best]
+        terms = champion.terms["distance"], champion.terms["energy"]
+        np.testing.assert_array_equal(found, np.float32(terms))
+
+
+def test_states_are_named_by_their_paths():
+    state = (Blank(3), {"a": np.zeros(2)})
+    assert list(state_arrays(state)) == ["1.a"]
