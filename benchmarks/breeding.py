@@ -36,6 +36,7 @@ def measure(plan: Plan) -> list[Row]:
     """Our two algorithms, each beside SimpleGA."""
     genes = _QUICK_GENES if plan.quick else GENES
     real = experiment_of("iwadate2010_swimmer").strategy
+    assert isinstance(real, Genetics)
     breeders: dict[str, Breeder] = {}
     compile_seconds: dict[str, float] = {}
     for part, genetics in (("real-valued", real), ("bits", BitGenetics(population=SIZE))):

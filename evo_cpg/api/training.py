@@ -9,10 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jax.typing import ArrayLike
 
 from evo_cpg.analysis.verdict import Check
 from evo_cpg.api.experiment import Experiment
 from evo_cpg.api.surroundings import surroundings
+from evo_cpg.api.warm_start import Start
 from evo_cpg.config.fingerprint import fingerprint
 from evo_cpg.config.load import dump_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
@@ -47,6 +49,7 @@ def train(
     experiment: Experiment,
     out: Path | str,
     on_generation: Callable[[Rows], None] = lambda rows: None,
+    start: ArrayLike | None = None,
 ) -> Trained:
     """Evolve as `evo-cpg train` does.
 
@@ -54,15 +57,19 @@ def train(
         experiment: what to evolve.
         out: a new run folder.
         on_generation: called with the new rows of metrics.csv after every generation.
+        start: genomes to begin with instead of random ones, a population for each run, run by run,
+            ``(runs x population, genes)``.
 
     Raises:
+        ValueError: the genomes are not of that shape, or not finite.
         RunFolderError: the folder holds a run or other files, or everybody diverged.
         TooLargeError: the machine has not the memory for it.
     """
     import jax
 
     folder, devices = RunFolder(out), len(jax.devices())
-    begin_run(folder, experiment.config, experiment.parts, devices, experiment.source)
+    given = None if start is None else Start(_genes(experiment, start), {"what": "genomes"})
+    begin_run(folder, experiment.config, experiment.parts, devices, experiment.source, given)
     if experiment.replaced:
         folder.update_meta(replaced=list(experiment.replaced))
     least = first_look_asked(experiment.config)
@@ -80,8 +87,17 @@ def begin_run(
     experiment: parts.Experiment,
     devices: int,
     source: Path,
+    start: Start | None = None,
 ) -> None:
     """Make a run folder, with what there is to know of the run.
+
+    Args:
+        folder: to make.
+        config: of the run.
+        experiment: that it describes.
+        devices: that share the population.
+        source: file that the configuration came from.
+        start: what it begins with; None for random genomes.
 
     Raises:
         RunFolderError: the folder holds a run or other files, or cannot be written.
@@ -97,7 +113,23 @@ def begin_run(
         "started": now(),
     }
     meta |= surroundings(experiment.simulation.engine, devices)
-    folder.create(dump_config(config), meta)
+    if start is not None:
+        meta["start"] = start.provenance
+    folder.create(dump_config(config), meta, None if start is None else start.genes)
+
+
+def _genes(experiment: Experiment, start: ArrayLike) -> np.ndarray:
+    """Genomes to begin with as the library has them, checked."""
+    rows, parts = np.asarray(start, np.float32), experiment.parts
+    shape = parts.runs * parts.strategy.population, experiment.gene_count
+    if rows.shape != shape:
+        raise ValueError(
+            f"start must have the shape {shape}, a row for each of {shape[0]} individuals, got "
+            f"{rows.shape}"
+        )
+    if not np.isfinite(rows).all():
+        raise ValueError("start must be finite")
+    return np.ascontiguousarray(rows.T)
 
 
 class Recorder:

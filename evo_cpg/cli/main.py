@@ -4,6 +4,7 @@ Every command imports what it needs only when it runs: `--help` must be quick, a
 not load VTK.
 """
 
+import enum
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -12,6 +13,14 @@ import typer
 
 # Exit codes: 0 done, 1 a fault of ours, 2 wrong input, 130 interrupted.
 _WRONG_INPUT, _INTERRUPTED = 2, 130
+
+
+class What(enum.StrEnum):
+    """What a run begins with."""
+
+    CHAMPION = "champion"
+    POPULATION = "population"
+
 
 app = typer.Typer(
     name="evo-cpg",
@@ -36,6 +45,14 @@ Number = Annotated[
 Trial = Annotated[
     int,
     typer.Option("--trial", min=0, help="Of the champion's trials, which; counted from 0."),
+]
+Cell = Annotated[
+    str | None,
+    typer.Option(
+        "--cell",
+        help="Instead of the champion the elite of this cell of the run's map, such as 3,0,7: a "
+        "number for each axis, from 0.",
+    ),
 ]
 Strict = Annotated[
     bool, typer.Option("--strict", help="Refuse values that are allowed but hardly meant.")
@@ -88,11 +105,20 @@ def train(
     ] = None,
     cores: Cores = None,
     strict: Strict = False,
+    earlier: Annotated[
+        Path | None,
+        typer.Option(
+            "--from", metavar="RUN", help="Begin with what evolved in an earlier run (same plan)."
+        ),
+    ] = None,
+    what: Annotated[
+        What, typer.Option("--start", help="Of it, the champion or the population.")
+    ] = What.CHAMPION,
 ) -> None:
     """Evolve a population and keep the champion."""
     from evo_cpg.cli.training import start_run
 
-    start_run(config, overrides or [], out, cores, strict)
+    start_run(config, overrides or [], out, cores, strict, earlier, what.value)
 
 
 @app.command()
@@ -147,11 +173,12 @@ def render(
     ] = None,
     number: Number = None,
     trial: Trial = 0,
+    cell: Cell = None,
 ) -> None:
-    """Film the champion of a run."""
+    """Film the champion of a run, or anybody on its map of behaviour."""
     from evo_cpg.cli.pictures import render_run
 
-    render_run(run, output, size, fps, speed, seconds, number, trial)
+    render_run(run, output, size, fps, speed, seconds, number, trial, cell)
 
 
 @app.command()
@@ -161,11 +188,12 @@ def plot(
         Path | None, typer.Option("--output", "-o", help="Folder; RUN/plots by default.")
     ] = None,
     trial: Trial = 0,
+    cell: Cell = None,
 ) -> None:
-    """Plot the fitness over the generations and the champion's joint signals and path."""
+    """Plot the fitness over the generations, the champion's joint signals and path, and the map."""
     from evo_cpg.cli.pictures import plot_run
 
-    plot_run(run, output, trial)
+    plot_run(run, output, trial, cell)
 
 
 @app.command("probe")

@@ -16,6 +16,9 @@ from evo_cpg.control.controller import Controller
 from evo_cpg.control.matsuoka import CpgSettings
 from evo_cpg.control.postures import PostureController
 from evo_cpg.simulation.situation import starting_pose
+from evo_cpg.training.checkpoint import Champion
+from evo_cpg.training.experiment import Experiment
+from evo_cpg.training.run_folder import RunFolder
 
 
 def render_run(
@@ -27,14 +30,16 @@ def render_run(
     seconds: float | None,
     number: int | None,
     trial: int,
+    cell: str | None,
 ) -> None:
     """`evo-cpg render`."""
     pixels = _pixels(size)
-    experiment, _, recording, folder = champion_motion(run, number, trial)
+    experiment, _, recording, folder = champion_motion(run, number, trial, cell)
     from evo_cpg.view.film import film
 
     world = experiment.simulation.world
-    name = "champion" if number is None else f"champion_run{number}"
+    name = "champion" if cell is None else f"cell_{cell.replace(',', '_')}"
+    name += "" if number is None else f"_run{number}"
     path = output or folder.path / "videos" / f"{name}{_of_trial(trial)}.mp4"
     with working("rendering", counted=True) as work:
         made = film(
@@ -54,12 +59,13 @@ def render_run(
     print(made)
 
 
-def plot_run(run: Path, output: Path | None, trial: int) -> None:
+def plot_run(run: Path, output: Path | None, trial: int, cell: str | None = None) -> None:
     """`evo-cpg plot`."""
-    experiment, _, recording, folder = champion_motion(run, trial=trial)
+    experiment, champion, recording, folder = champion_motion(run, trial=trial, cell=cell)
     from evo_cpg.view.plots import plot_fitness, plot_joint_signals, plot_path
 
     place, which = output or folder.path / "plots", _of_trial(trial)
+    which += "" if cell is None else f"_cell_{cell.replace(',', '_')}"
     history = folder.history()
     history["best_so_far"] = history["champion"]
     print(plot_fitness(history, place / "fitness.png"))
@@ -75,6 +81,20 @@ def plot_run(run: Path, output: Path | None, trial: int) -> None:
         )
         print(made)
     print(plot_path(recording, place / f"path{which}.png"))
+    _plot_map(experiment, champion, folder, place)
+
+
+def _plot_map(experiment: Experiment, champion: Champion, folder: RunFolder, place: Path) -> None:
+    """Draw the map of the champion's run, where it has one."""
+    from evo_cpg.training.elites import gait_map
+
+    checkpoint = folder.load()
+    found = checkpoint and gait_map(experiment, checkpoint, champion.run)
+    if found:
+        from evo_cpg.view.map_plot import plot_map
+
+        title = experiment.name + (f", run {champion.run}" if experiment.runs > 1 else "")
+        print(plot_map(found.axes, found.fitness, place / "map.png", title))
 
 
 def preview_config(

@@ -20,6 +20,7 @@ from evo_cpg.api.training import (
     now,
     require_configured,
 )
+from evo_cpg.api.warm_start import What, warm_start
 from evo_cpg.cli.building import build, read_config
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.progress import progress, working
@@ -41,7 +42,13 @@ REPLAY_TOLERANCE = 1e-3
 
 
 def start_run(
-    path: Path, overrides: Sequence[str], out: Path | None, cores: int | None, strict: bool = False
+    path: Path,
+    overrides: Sequence[str],
+    out: Path | None,
+    cores: int | None,
+    strict: bool = False,
+    earlier: Path | None = None,
+    what: What = "champion",
 ) -> None:
     """`evo-cpg train`."""
     config = read_config(path, overrides, strict)
@@ -49,7 +56,11 @@ def start_run(
     devices = use_cores(cores)
     experiment = build(config, path)
     folder = RunFolder(out or Path("runs") / config.name)
-    begin_run(folder, config, experiment, devices, path)
+    start = None
+    if earlier is not None:
+        with working("reading the earlier run"):
+            start = warm_start(experiment, earlier, what)
+    begin_run(folder, config, experiment, devices, path, start)
     _evolve(experiment, folder, first_look_asked(config))
 
 
@@ -195,18 +206,22 @@ def open_run(run: Path) -> tuple[RunFolder, ExperimentConfig, Experiment]:
 
 
 def open_champion(
-    run: Path, number: int | None = None
+    run: Path, number: int | None = None, cell: str | None = None
 ) -> tuple[Experiment, Champion, Any, RunFolder]:
     """The champion of a run, with its motion in its first trial where the folder has that.
 
     Args:
         run: the run folder.
         number: whose champion, where the folder holds several runs; None for the best.
+        cell: of the run's map, whose elite is wanted instead, as ``3,0,7``; None for the champion.
     """
     use_cores_of(run)
     folder, _, experiment = open_run(run)
     champion, recording, digests = folder.load_champion()
-    if number is not None and number != champion.run:
+    if cell is not None:
+        of_run = champion.run if number is None else number
+        champion, recording = _elite_of(folder, experiment, cell, of_run), None
+    elif number is not None and number != champion.run:
         champion, recording = champion_of(folder, number), None
     wrong = misfit(experiment, champion)
     if wrong:
@@ -217,7 +232,7 @@ def open_champion(
 
 
 def champion_motion(
-    run: Path, number: int | None = None, trial: int = 0
+    run: Path, number: int | None = None, trial: int = 0, cell: str | None = None
 ) -> tuple[Experiment, Champion, Any, RunFolder]:
     """The champion of a run with its motion, which is replayed where it was not recorded.
 
@@ -225,8 +240,9 @@ def champion_motion(
         run: the run folder.
         number: whose champion, where the folder holds several runs; None for the best.
         trial: in which of its trials, from 0.
+        cell: see `open_champion`.
     """
-    experiment, champion, recording, folder = open_champion(run, number)
+    experiment, champion, recording, folder = open_champion(run, number, cell)
     if trial >= experiment.trials:
         raise UsageError(
             f"--trial: an individual of {folder.path} has {experiment.trials} trial(s), counted "
@@ -323,6 +339,22 @@ def champion_of(folder: RunFolder, number: int) -> Champion:
     if champion is None:
         raise UsageError(f"--run: every individual of run {number} diverged: it has no champion")
     return champion
+
+
+def _elite_of(folder: RunFolder, experiment: Experiment, cell: str, number: int) -> Champion:
+    """The elite of a cell, as the newest checkpoint knows it."""
+    from evo_cpg.training.elites import elite
+
+    try:
+        place = tuple(int(part) for part in cell.split(","))
+    except ValueError:
+        raise UsageError(
+            f"--cell: {cell!r} is not a list of whole numbers, such as 3,0,7"
+        ) from None
+    champion_of(folder, number)
+    checkpoint = folder.load()
+    assert checkpoint is not None
+    return elite(experiment, checkpoint, place, number)
 
 
 def misfit(experiment: Experiment, champion: Champion) -> str | None:

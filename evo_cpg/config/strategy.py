@@ -12,6 +12,7 @@ from evo_cpg.config.schema.evolution import (
 )
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.control.controller import Controller
+from evo_cpg.evolution import from_evosax
 from evo_cpg.evolution.bits import BitGenetics
 from evo_cpg.evolution.islands import Islands
 from evo_cpg.evolution.map_elites import MapElites, Vary
@@ -70,14 +71,13 @@ def _build_evosax(
     given: EvosaxConfig, controller: Controller, population: int, source: Path | str
 ) -> Strategy:
     try:
-        from evo_cpg.evolution import from_evosax
+        known = from_evosax.algorithms()
     except ImportError as error:
         raise ConfigError(
             source,
             (*_KEY, "type"),
             f"'evosax' is not installed here ({error}); `pip install 'evo-cpg[evosax]'` adds it",
         ) from None
-    known = from_evosax.algorithms()
     if given.algorithm not in known:
         raise ConfigError(
             source,

@@ -1,6 +1,7 @@
 """Algorithms of evosax (Lange 2022, evosax: JAX-based evolution strategies) as a strategy.
 
-evosax is installed with the extra ``evosax`` and imported with this module only. It minimises, so
+evosax is installed with the extra ``evosax``; importing it starts JAX, so that is done when a
+strategy is made. It minimises, so
 fitness changes its sign; an individual that diverged gets the worst fitness of those that did not,
 for many of its algorithms compute with it. Where a genome is bits the algorithm searches real
 numbers, and a gene is 1 where its number is positive.
@@ -13,11 +14,11 @@ need memory and time with the square of the number of genes: for a brain of 3000
 
 import dataclasses
 import functools
+import importlib
 import inspect
 from typing import Any, NamedTuple
 
 import equinox as eqx
-import evosax.algorithms as evosax
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -80,7 +81,7 @@ class Evosax(Strategy):
         """Distributions begin about the mean of the genomes, populations as they are."""
         algorithm, numbers = self._algorithm, self._numbers(genes)
         with jax.numpy_rank_promotion("allow"):
-            if type(algorithm) in evosax.population_based_algorithms.values():
+            if type(algorithm) in _evosax().population_based_algorithms.values():
                 nothing = jnp.full(numbers.shape[1], jnp.inf, numbers.dtype)
                 state = algorithm.init(key, numbers.T, nothing, self._params)
             else:
@@ -147,9 +148,18 @@ class Evosax(Strategy):
 
 
 def algorithms() -> list[str]:
-    """Names of the algorithms that there are."""
+    """Names of the algorithms that there are.
+
+    Raises:
+        ImportError: evosax is not installed.
+    """
+    evosax = _evosax()
     tables = evosax.distribution_based_algorithms, evosax.population_based_algorithms
     return sorted(kind.__name__ for table in tables for kind in table.values())
+
+
+def _evosax() -> Any:
+    return importlib.import_module("evosax.algorithms")
 
 
 @functools.lru_cache(maxsize=16)
@@ -162,7 +172,7 @@ def _build(
     options: tuple[tuple[str, Any], ...],
 ) -> tuple[Any, Any]:
     """The algorithm and its defaults; one object for equal settings: `jax.jit` goes by identity."""
-    kind = getattr(evosax, name)
+    kind = getattr(_evosax(), name)
     taken, given = inspect.signature(kind).parameters, dict(options)
     if "std_schedule" in taken:
         given.setdefault("std_schedule", optax.constant_schedule(sigma))

@@ -15,6 +15,7 @@ with a and b drawn from the map; of bits a child is a one-point crossover of a a
 beyond the ranges count to the nearest cell, those without finite descriptors to none.
 """
 
+import abc
 import math
 from typing import NamedTuple
 
@@ -22,7 +23,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Int, PyTree
 
 from evo_cpg.evolution.bits import BitGenetics, bit_mutation
 from evo_cpg.evolution.strategy import Evaluation, Strategy, descriptor_rows
@@ -121,7 +122,93 @@ class Vary(eqx.Module):
         return bit_mutation(key, genes, probability, fewest, most, self.bits.mutation)
 
 
-class MapElites(Strategy):
+class MapStrategy(Strategy):
+    """A search that fills a map of behaviour.
+
+    Attributes:
+        population: individuals in every generation.
+        axes: of the map.
+    """
+
+    axes: eqx.AbstractVar[tuple[Axis, ...]]
+
+    @abc.abstractmethod
+    def archive(self, state: PyTree[Array]) -> Archive:
+        """The map in a state that `ask` gave."""
+
+    @property
+    def cells(self) -> int:
+        """In the whole map."""
+        return math.prod(self.shape)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Of the map."""
+        return tuple(axis.cells for axis in self.axes)
+
+    def measured(self) -> tuple[str, ...]:
+        """The axes of the map."""
+        return tuple(axis.name for axis in self.axes)
+
+    def metrics(self, state: PyTree[Array]) -> dict[str, Float[Array, ""]]:
+        """``coverage``, the share of cells that are filled, and ``mean_elite``, their fitness."""
+        fitness = self.archive(state).fitness
+        filled = jnp.isfinite(fitness)
+        count = filled.sum()
+        total = jnp.where(filled, fitness, 0.0).sum()
+        return {"coverage": count / self.cells, "mean_elite": total / count}
+
+    def cell_of(self, descriptors: Float[Array, "k n"]) -> Int[Array, " n"]:
+        """Number of the cell that individuals fall into; cell 0 where they are not finite."""
+        number = jnp.zeros(descriptors.shape[1:], jnp.int32)
+        for axis, value in zip(self.axes, descriptors, strict=True):
+            place = (value - axis.low) / (axis.high - axis.low) * axis.cells
+            place = jnp.where(jnp.isfinite(place), place, 0.0)
+            inside = jnp.clip(jnp.floor(place), 0, axis.cells - 1).astype(jnp.int32)
+            number = number * axis.cells + inside
+        return number
+
+    def empty(self, genes: Float[Array, "g n"]) -> Archive:
+        """A map without anybody, for genomes like these."""
+        nobody = jnp.full(self.cells, -1, jnp.int32)
+        return Archive(
+            jnp.zeros((len(genes), self.cells), genes.dtype),
+            jnp.full(self.cells, -jnp.inf, genes.dtype),
+            jnp.zeros((len(self.axes), self.cells), genes.dtype),
+            nobody,
+            nobody,
+            jnp.int32(0),
+        )
+
+    def entered(
+        self, archive: Archive, genes: Float[Array, "g n"], evaluation: Evaluation
+    ) -> Archive:
+        """The map with whoever is fitter than the elite of his cell."""
+        found = descriptor_rows(evaluation, self.measured())
+        fitness = jnp.where(jnp.isfinite(found).all(0), evaluation.fitness, -jnp.inf)
+        cell = self.cell_of(found)
+        # The best for each cell; of equals the first.
+        best = jnp.full(self.cells, -jnp.inf, fitness.dtype).at[cell].max(fitness)
+        wins = (fitness == best[cell]) & (fitness > archive.fitness[cell])
+        count = len(fitness)
+        places = jnp.where(wins, jnp.arange(count), count)
+        first = jnp.full(self.cells, count).at[cell].min(places)
+        taken, who = first < count, jnp.minimum(first, count - 1)
+
+        def put(old: Array, new: Array) -> Array:
+            return jnp.where(taken, new[..., who], old)
+
+        return Archive(
+            put(archive.genes, genes),
+            put(archive.fitness, fitness),
+            put(archive.descriptors, found),
+            jnp.where(taken, archive.told, archive.generation),
+            jnp.where(taken, who, archive.index),
+            archive.told + 1,
+        )
+
+
+class MapElites(MapStrategy):
     """MAP-Elites.
 
     Attributes:
@@ -139,30 +226,14 @@ class MapElites(Strategy):
         """Largest magnitude of a gene; None of bits."""
         return self.vary.gene_bound if self.vary.bits is None else None
 
-    @property
-    def cells(self) -> int:
-        """In the whole map."""
-        return math.prod(axis.cells for axis in self.axes)
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Of the map."""
-        return tuple(axis.cells for axis in self.axes)
+    def archive(self, state: Archive) -> Archive:
+        """It is the state."""
+        return state
 
     def init(self, key: Array, genes: Float[Array, "g n"]) -> Beginning:
         """See `Strategy.init`."""
         del key
-        count, cells = len(genes), self.cells
-        nobody = jnp.full(cells, -1, jnp.int32)
-        archive = Archive(
-            jnp.zeros((count, cells), genes.dtype),
-            jnp.full(cells, -jnp.inf, genes.dtype),
-            jnp.zeros((len(self.axes), cells), genes.dtype),
-            nobody,
-            nobody,
-            jnp.int32(0),
-        )
-        return Beginning(archive, genes)
+        return Beginning(self.empty(genes), genes)
 
     def ask(self, key: Array, state: Archive | Beginning) -> tuple[Float[Array, "g n"], Archive]:
         """What comes first; then children of individuals from the map."""
@@ -180,47 +251,10 @@ class MapElites(Strategy):
     def tell(
         self, key: Array, state: Archive, genes: Float[Array, "g n"], evaluation: Evaluation
     ) -> Archive:
-        """The map with whoever is fitter than the elite of his cell."""
-        found = descriptor_rows(evaluation, self.measured())
-        fitness = jnp.where(jnp.isfinite(found).all(0), evaluation.fitness, -jnp.inf)
-        cell = self.cell_of(found)
-        # The best for each cell; of equals the first.
-        best = jnp.full(self.cells, -jnp.inf, fitness.dtype).at[cell].max(fitness)
-        wins = (fitness == best[cell]) & (fitness > state.fitness[cell])
-        places = jnp.arange(self.population)
-        first = (
-            jnp.full(self.cells, self.population)
-            .at[cell]
-            .min(jnp.where(wins, places, self.population))
-        )
-        taken, who = first < self.population, jnp.minimum(first, self.population - 1)
-
-        def put(old: Array, new: Array) -> Array:
-            return jnp.where(taken, new[..., who], old)
-
-        return Archive(
-            put(state.genes, genes),
-            put(state.fitness, fitness),
-            put(state.descriptors, found),
-            jnp.where(taken, state.told, state.generation),
-            jnp.where(taken, who, state.index),
-            state.told + 1,
-        )
+        """See `MapStrategy.entered`."""
+        del key
+        return self.entered(state, genes, evaluation)
 
     def around(self, key: Array, genes: Float[Array, "g n"]) -> Float[Array, "g n"]:
         """See `Strategy.around`."""
         return self.vary.copies(key, genes).at[:, 0].set(genes[:, 0])
-
-    def measured(self) -> tuple[str, ...]:
-        """The axes of the map."""
-        return tuple(axis.name for axis in self.axes)
-
-    def cell_of(self, descriptors: Float[Array, "k n"]) -> Int[Array, " n"]:
-        """Number of the cell that individuals fall into; cell 0 where they are not finite."""
-        number = jnp.zeros(descriptors.shape[1:], jnp.int32)
-        for axis, value in zip(self.axes, descriptors, strict=True):
-            place = (value - axis.low) / (axis.high - axis.low) * axis.cells
-            place = jnp.where(jnp.isfinite(place), place, 0.0)
-            inside = jnp.clip(jnp.floor(place), 0, axis.cells - 1).astype(jnp.int32)
-            number = number * axis.cells + inside
-        return number

@@ -120,6 +120,15 @@ class Strategy(eqx.Module):
         del key
         return genes
 
+    def metrics(self, state: PyTree[Array]) -> dict[str, Float[Array, ""]]:
+        """Numbers for metrics.csv, by name; none unless overridden.
+
+        Args:
+            state: as `ask` left it.
+        """
+        del state
+        return {}
+
     def measured(self) -> tuple[str, ...]:
         """Names of the descriptors that it goes by; none unless overridden."""
         return ()

@@ -84,6 +84,7 @@ class Generation(NamedTuple):
         best_genes: its genome.
         next_genes: the population of the next generation, all runs side by side.
         state: what the strategy remembers; of every array the first axis is that of the runs.
+        metrics: what it says of itself.
     """
 
     fitness: Float[Array, "runs n"]
@@ -94,6 +95,7 @@ class Generation(NamedTuple):
     best_genes: Float[Array, "runs g"]
     next_genes: Float[Array, "g all"]
     state: PyTree[Array]
+    metrics: dict[str, Float[Array, " runs"]]
 
 
 def begin(
@@ -267,7 +269,7 @@ def breed(
         asked, state = strategy.ask(_ask_key(seed, index + 1), told)
         best = jnp.argmax(fitness)
         found = fitness, mean.terms, mean.alive, scales, best, genes[:, best]
-        return Generation(*found, asked, state)
+        return Generation(*found, asked, state, strategy.metrics(state))
 
     runs, gene_count = experiment.runs, len(genes)
     places = (runs, experiment.strategy.population, experiment.trials)

@@ -59,7 +59,6 @@ def train(
     on_generation: Callable[[list[dict[str, float]]], None] = lambda rows: None,
     mesh: Mesh | None = None,
     on_compiled: Callable[[], object] = lambda: None,
-    start: Float[np.ndarray, "g all"] | None = None,
 ) -> Checkpoint:
     """Evolve from the folder's newest checkpoint, or from the start, to the last generation.
 
@@ -71,7 +70,6 @@ def train(
         mesh: devices to use; None for all.
         on_compiled: called once, when the program of the trials is compiled and has run: the
             moment to compile in a thread what is needed later.
-        start: genomes to begin with instead of random ones, run by run.
 
     Returns:
         The state after the last generation.
@@ -84,7 +82,7 @@ def train(
     programs = compile_evolution(experiment)
     checkpoint = folder.load()
     if checkpoint is None:
-        genes, state = jax.device_get(programs.begin(start))
+        genes, state = jax.device_get(programs.begin(folder.load_start()))
         _require_numbers(experiment, genes, 0)
         nobody = (None,) * experiment.runs
         checkpoint = Checkpoint(0, genes, nobody, [], no_scales(experiment))
@@ -252,6 +250,7 @@ def _metrics(
         "worst": float(finite.min()),
         "diverged": int((~alive).sum()),
         "champion": champion.fitness if champion else float("nan"),
+        **{name: float(values[run]) for name, values in result.metrics.items()},
         **{f"best_{name}": float(values[run, best]) for name, values in result.terms.items()},
         "seconds": seconds,
         "steps_per_second": steps / seconds,

@@ -3,6 +3,7 @@
     config.yaml      the resolved, complete configuration
     meta.json        versions, seed, host, devices, times
     metrics.csv      a row per generation, and per run where there are several
+    start.npz        genomes that the first population had, where these were not random
     checkpoints/     the last two generations; `resume` goes on from the newest
     champion.npz     genome, fitness and terms of the best individual ever evaluated, its motion;
                      of several runs the best, the champions of all are in the checkpoints
@@ -34,6 +35,7 @@ from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
+from jaxtyping import Float
 
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.training.checkpoint import (
@@ -102,12 +104,27 @@ class RunFolder:
         return self.path / "champion.npz"
 
     @property
+    def start(self) -> Path:
+        """Genomes to begin with."""
+        return self.path / "start.npz"
+
+    @property
     def meta(self) -> Path:
         """Versions, host and times."""
         return self.path / "meta.json"
 
-    def create(self, config_text: str, meta: Mapping[str, Any]) -> None:
+    def create(
+        self,
+        config_text: str,
+        meta: Mapping[str, Any],
+        start: Float[np.ndarray, "g all"] | None = None,
+    ) -> None:
         """Start a run in a folder that holds none yet.
+
+        Args:
+            config_text: the resolved configuration.
+            meta: contents of meta.json.
+            start: genomes to begin with; None for random ones.
 
         Raises:
             RunFolderError: the folder holds a run or other files, or cannot be written.
@@ -120,7 +137,7 @@ class RunFolder:
                     f"{self.path} already holds a run; go on with `evo-cpg resume {self.path}` "
                     "or choose another --out"
                 )
-            leftover = f".{self.config.name}."
+            leftover = f".{self.config.name}.", f".{self.start.name}.", self.start.name
             if self.path.is_dir() and any(
                 not other.name.startswith(leftover) for other in self.path.iterdir()
             ):
@@ -130,7 +147,10 @@ class RunFolder:
             self.path.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise _cannot_write(self.path, error) from None
-        # The config goes first: a folder that has one can be resumed.
+        self.start.unlink(missing_ok=True)
+        if start is not None:
+            _write(self.start, lambda file: np.savez(file, genes=start))
+        # Then the config: a folder that has one can be resumed.
         self.reopen(config_text)
         self.update_meta(**meta)
 
@@ -156,6 +176,19 @@ class RunFolder:
                 (self.path / part).mkdir(exist_ok=True)
         except OSError as error:
             raise _cannot_write(self.path, error) from None
+
+    def load_start(self) -> Float[np.ndarray, "g all"] | None:
+        """Genomes that the run begins with; None where these are random.
+
+        Raises:
+            RunFolderError: their file cannot be read.
+        """
+        if not self.start.is_file():
+            return None
+        try:
+            return _read_arrays(self.start)["genes"]
+        except _DAMAGED as error:
+            raise RunFolderError(f"{self.start} is damaged ({error}); start a new run") from None
 
     def read_meta(self) -> dict[str, Any]:
         """The contents of meta.json; empty where it is missing or broken."""

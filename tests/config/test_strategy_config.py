@@ -91,9 +91,7 @@ def test_an_algorithm_of_evosax():
 
 
 def test_without_evosax_it_says_how_to_get_it(monkeypatch):
-    monkeypatch.delattr("evo_cpg.evolution.from_evosax", raising=False)
     monkeypatch.setitem(sys.modules, "evosax", None)
-    monkeypatch.delitem(sys.modules, "evo_cpg.evolution.from_evosax", raising=False)
     monkeypatch.setitem(sys.modules, "evosax.algorithms", None)
     with pytest.raises(ConfigError, match=r"'evosax' is not installed here.*evo-cpg\[evosax\]"):
         build(CONFIG, "evolution={type: evosax, algorithm: Sep_CMA_ES}")

@@ -4,6 +4,7 @@ import importlib
 import importlib.util
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -12,13 +13,14 @@ from evo_cpg.evolution.generation import RealGenetics
 from evo_cpg.evolution.islands import Islands
 from evo_cpg.evolution.map_elites import Axis, MapElites, Vary
 from evo_cpg.evolution.strategy import Strategy
-from evo_cpg.training.loop import TIMING_COLUMNS, train
+from evo_cpg.training.elites import elite, gait_map
+from evo_cpg.training.loop import TIMING_COLUMNS, replay_champion, train
 from evo_cpg.training.run_folder import RunFolder
 from evo_cpg.training.strategy_state import StrategyError, state_arrays
 from trials import experiment
 
 SIZE, RUNS, GENERATIONS = 12, 2, 4
-MAP = MapElites(SIZE, (Axis("distance", 0.0, 4.0, 5), Axis("energy", 0.0, 2.0, 3)), Vary(0.3))
+MAP = MapElites(SIZE, (Axis("distance", 1.0, 1.0004, 5), Axis("energy", 0.0, 0.03, 3)), Vary(0.3))
 GENETICS = RealGenetics(SIZE // 2, 2, 0.5, 0.2, 0.5, 0.5, 8.0)
 
 
@@ -125,3 +127,39 @@ def test_a_map_holds_whom_the_trials_saw(tmp_path):
 def test_states_are_named_by_their_paths():
     state = (Blank(3), {"a": np.zeros(2)})
     assert list(state_arrays(state)) == ["1.a"]
+
+
+def test_anybody_on_the_map_lives_again(tmp_path):
+    """With the fitness and the descriptors that he had."""
+    several = made(MAP)
+    done = train(several, folder_at(tmp_path))
+    found = gait_map(several, done, 1)
+    assert found is not None and found.fitness.shape == (5, 3)
+    assert pytest.approx(done.history[-1]["coverage"]) == found.coverage > 0.2
+    for cell in np.argwhere(np.isfinite(found.fitness)):
+        one = elite(several, done, tuple(cell), 1)
+        fitness, terms, _ = replay_champion(several, one, len(jax.devices()))
+        assert fitness == one.fitness == np.float32(found.fitness[tuple(cell)])
+        assert {name: terms[name] for name in one.terms} == one.terms
+        for axis, place in zip(found.axes, cell, strict=True):
+            low, high = axis.edges[place : place + 2]
+            # Cells are told apart in float32.
+            slack = 1e-6
+            assert low <= one.terms[axis.name] + slack or place == 0
+            assert one.terms[axis.name] - slack <= high or place == axis.cells - 1
+
+
+def test_who_is_not_on_the_map_is_said(tmp_path):
+    several = made(MAP, 1)
+    done = train(several, folder_at(tmp_path))
+    with pytest.raises(StrategyError, match=r"no cell 5,0; a cell is distance 0 to 4, energy 0 to"):
+        elite(several, done, (5, 0), 0)
+    with pytest.raises(StrategyError, match=r"no cell 1; a cell is"):
+        elite(several, done, (1,), 0)
+    empty = np.argwhere(np.isnan(gait_map(several, done, 0).fitness))[0]
+    with pytest.raises(StrategyError, match=r"is empty; the nearest that is not is \d,\d"):
+        elite(several, done, tuple(empty), 0)
+    islands = made(Islands(SIZE, GENETICS, 2, 2, 1))
+    assert gait_map(islands, done, 0) is None
+    with pytest.raises(StrategyError, match="there is no map"):
+        elite(islands, done, (0, 0), 0)

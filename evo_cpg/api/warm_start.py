@@ -1,0 +1,120 @@
+"""Beginning a run where another one ended: from its champion, or from its population."""
+
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from evo_cpg.api.load import class_folders
+from evo_cpg.config.build import build_experiment
+from evo_cpg.config.load import load_config
+from evo_cpg.training.checkpoint import Champion, Checkpoint, genes_digest
+from evo_cpg.training.experiment import Experiment
+from evo_cpg.training.run_folder import RunFolder, RunFolderError
+
+What = Literal["champion", "population"]
+
+# Tag that keeps these draws apart from others of the same seed.
+_AROUND = 6
+
+
+class Start(NamedTuple):
+    """What a run begins with.
+
+    Attributes:
+        genes: of its first populations, run by run.
+        provenance: where they come from, for meta.json.
+    """
+
+    genes: Float[np.ndarray, "g all"]
+    provenance: dict[str, Any]
+
+
+def warm_start(experiment: Experiment, path: Path, what: What) -> Start:
+    """The first populations of an experiment, from an earlier run of the same plan.
+
+    Run by run where both have as many, else all from the best run. About a champion, all but the
+    first are changed a little, as the strategy changes genomes; of a population that is too large
+    the last are left out, and one that is too small is filled up in this way.
+
+    Args:
+        experiment: that begins.
+        path: the earlier run's folder.
+        what: the champion, or the population of the generation that would come next.
+
+    Raises:
+        RunFolderError: there is no such run, or animals of another plan evolved in it.
+        ConfigError: its configuration is wrong.
+    """
+    folder = RunFolder(path)
+    folder.require()
+    earlier = build_experiment(load_config(folder.config), folder.config, class_folders(folder))
+    _require_same_plan(experiment, earlier, path)
+    checkpoint = folder.load()
+    if checkpoint is None or checkpoint.champion is None:
+        raise RunFolderError(f"{path} has no champion yet; train it first")
+    chosen = [_of_run(checkpoint, experiment, run) for run in range(experiment.runs)]
+    genes = [
+        _first_population(experiment, checkpoint, champion, run, what)
+        for run, champion in enumerate(chosen)
+    ]
+    best = max(chosen, key=lambda champion: champion.fitness)
+    provenance = {
+        "from": str(path.resolve()),
+        "what": what,
+        "generation": best.generation if what == "champion" else checkpoint.generation,
+        "fitness": best.fitness,
+        "config_sha256": folder.config_digest(),
+        "genes_sha256": genes_digest(best.genes if what == "champion" else checkpoint.genes),
+    }
+    return Start(np.concatenate(genes, axis=1), provenance)
+
+
+def _of_run(checkpoint: Checkpoint, experiment: Experiment, run: int) -> Champion:
+    """Whose line a run goes on."""
+    own = checkpoint.champions[run] if len(checkpoint.champions) == experiment.runs else None
+    best = own or checkpoint.champion
+    assert best is not None
+    return best
+
+
+def _first_population(
+    experiment: Experiment, checkpoint: Checkpoint, champion: Champion, run: int, what: What
+) -> Float[np.ndarray, "g n"]:
+    size, strategy = experiment.strategy.population, experiment.strategy
+    kept = champion.genes[:, None]
+    if what == "population":
+        width = checkpoint.genes.shape[1] // len(checkpoint.champions)
+        kept = checkpoint.genes[:, width * champion.run :][:, : min(width, size)]
+    count = kept.shape[1]
+    crowd = jnp.asarray(np.resize(kept.T, (size, len(kept))).T)
+    key = jax.random.fold_in(jax.random.key(experiment.seed + run), _AROUND)
+    return np.concatenate([kept, np.asarray(strategy.around(key, crowd))[:, count:]], axis=1)
+
+
+def _require_same_plan(experiment: Experiment, earlier: Experiment, path: Path) -> None:
+    """Check that the genomes mean the same.
+
+    Raises:
+        RunFolderError: they do not.
+    """
+
+    def plan(of: Experiment) -> dict[str, Any]:
+        controller, tree = of.simulation.controller, of.simulation.world.tree
+        return {
+            "controller": type(controller).__name__,
+            "bodies": ", ".join(tree.names),
+            "degrees of freedom": ", ".join(tree.dof_names),
+            "genes": controller.gene_count,
+        }
+
+    asked, found = plan(experiment), plan(earlier)
+    for name, value in asked.items():
+        if found[name] != value:
+            raise RunFolderError(
+                f"{path}: animals of another plan evolved there: its {name}: {found[name]}; "
+                f"asked for: {value}"
+            )

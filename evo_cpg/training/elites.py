@@ -1,0 +1,87 @@
+"""Individuals from the map of a run: anybody who is the best of his kind."""
+
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Float
+
+from evo_cpg.evolution.map_elites import Archive, Axis, MapStrategy
+from evo_cpg.training.checkpoint import Champion, Checkpoint
+from evo_cpg.training.experiment import Experiment, begin
+from evo_cpg.training.strategy_state import StrategyError, state_from
+
+
+class GaitMap(NamedTuple):
+    """The map of one run.
+
+    Attributes:
+        axes: of it.
+        fitness: of the elites, NaN where there is none; one axis for each of those.
+        archive: the same, cells along the last axis.
+    """
+
+    axes: tuple[Axis, ...]
+    fitness: Float[np.ndarray, "..."]
+    archive: Archive
+
+    @property
+    def coverage(self) -> float:
+        """Share of cells that are filled."""
+        return float(np.isfinite(self.fitness).mean())
+
+
+def gait_map(experiment: Experiment, checkpoint: Checkpoint, run: int) -> GaitMap | None:
+    """The map of a run; None where its strategy has none.
+
+    Raises:
+        StrategyError: the checkpoint is that of another strategy.
+    """
+    strategy = experiment.strategy
+    if not isinstance(strategy, MapStrategy) or not checkpoint.state:
+        return None
+    like = jax.eval_shape(lambda: begin(experiment))[1]
+    state = jax.tree.map(lambda x: x[run], state_from(checkpoint.state, like))
+    archive = strategy.archive(state)
+    fitness = np.where(np.isfinite(archive.fitness), archive.fitness, np.nan)
+    return GaitMap(strategy.axes, fitness.reshape(strategy.shape), archive)
+
+
+def elite(
+    experiment: Experiment, checkpoint: Checkpoint, cell: tuple[int, ...], run: int
+) -> Champion:
+    """The individual of a cell, with what it takes to let it live again.
+
+    Args:
+        experiment: that it was evolved in.
+        checkpoint: of the run.
+        cell: a number for each axis, from 0.
+        run: number of the run.
+
+    Raises:
+        StrategyError: there is no map, no such cell, or nobody in it.
+    """
+    found = gait_map(experiment, checkpoint, run)
+    if found is None:
+        raise StrategyError("there is no map: evolution.type is not one that fills cells")
+    axes, shape = found.axes, found.fitness.shape
+    if len(cell) != len(shape) or not all(0 <= i < n for i, n in zip(cell, shape, strict=True)):
+        asked = ", ".join(f"{axis.name} 0 to {axis.cells - 1}" for axis in axes)
+        raise StrategyError(f"there is no cell {','.join(map(str, cell))}; a cell is {asked}")
+    number = int(np.ravel_multi_index(cell, shape))
+    archive = found.archive
+    if not np.isfinite(archive.fitness[number]):
+        filled = np.argwhere(np.isfinite(found.fitness))
+        near = filled[np.abs(filled - np.array(cell)).sum(1).argmin()] if len(filled) else None
+        hint = "" if near is None else f"; the nearest that is not is {','.join(map(str, near))}"
+        raise StrategyError(f"cell {','.join(map(str, cell))} is empty{hint}")
+    terms = archive.descriptors[:, number]
+    return Champion(
+        np.ascontiguousarray(archive.genes[:, number]),
+        float(archive.fitness[number]),
+        int(archive.generation[number]),
+        {axis.name: float(value) for axis, value in zip(axes, terms, strict=True)},
+        {name: values[run] for name, values in checkpoint.scales.items()},
+        run,
+        int(archive.index[number]),
+    )

@@ -1,0 +1,149 @@
+"""A map of behaviour: the fitness of the best individual of every kind."""
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+
+from evo_cpg.evolution.map_elites import Axis
+from evo_cpg.view.legible import legible
+from evo_cpg.view.output import PLOT_SUFFIXES, in_one_piece, output_path
+
+_INK, _EMPTY, _MARK = "#1f2937", "#eef0f3", "#D55E00"
+_COLOURS = "viridis"
+
+# Inches of a panel, and of what is beside all.
+_PANEL, _BESIDE, _ABOVE = 2.6, 1.5, 1.0
+_ALONE = 4.6
+_PANELS_IN_A_ROW = 5
+_MOST_PANELS = 25
+
+# Of what descriptors are measured in; others have none.
+_UNITS = {
+    "amplitude": "rad", "bounce": "m", "distance": "m", "energy": "J", "forward": "m",
+    "frequency": "Hz", "power": "W", "speed": "m/s", "turning": "rad/s",
+}  # fmt: skip
+
+
+def plot_map(
+    axes: Sequence[Axis],
+    fitness: Float[np.ndarray, "..."],
+    path: str | os.PathLike[str],
+    title: str,
+) -> Path:
+    """Draw a map.
+
+    Two axes make a picture, a third a row of them. Of further axes, and of third ones with more
+    cells than anybody could look at, the best of all their cells is shown.
+
+    Args:
+        axes: of it.
+        fitness: of the elites, NaN where there is none; one axis for each of those.
+        path: ``.png``, ``.svg`` or ``.pdf``.
+        title: above the picture.
+
+    Returns:
+        The path.
+
+    Raises:
+        OutputError: nothing can be written there, or not this kind of file.
+    """
+    path = output_path(path, PLOT_SUFFIXES)
+    coverage = np.isfinite(fitness).mean()
+    head = f"{legible(title)}: {coverage:.0%} of {fitness.size} cells filled"
+    axes, shown = _at_most_three(axes, fitness)
+    finite = shown[np.isfinite(shown)]
+    low, high = (finite.min(), finite.max()) if finite.size else (0.0, 1.0)
+    scale = Normalize(low, high if high > low else low + 1.0)
+    figure = _bars(axes[0], shown, scale) if len(axes) == 1 else _panels(axes, shown, scale)
+    figure.suptitle(head, color=_INK, fontsize=11)
+    with in_one_piece(path) as partial:
+        figure.savefig(partial, dpi=160)
+    return path
+
+
+def _at_most_three(
+    axes: Sequence[Axis], fitness: Float[np.ndarray, "..."]
+) -> tuple[Sequence[Axis], np.ndarray]:
+    """What is drawn of a map: of the rest the best."""
+    most = 3 if len(axes) > 2 and axes[2].cells <= _MOST_PANELS else 2
+    rest = tuple(range(most, len(axes)))
+    filled = np.where(np.isfinite(fitness), fitness, -np.inf)
+    best = filled.max(axis=rest) if rest else filled
+    return axes[:most], np.where(np.isfinite(best), best, np.nan)
+
+
+def _bars(axis: Axis, fitness: np.ndarray, scale: Normalize) -> Figure:
+    figure = _figure(_ALONE + _BESIDE, _ALONE)
+    panel = figure.subplots()
+    middles = (axis.edges[1:] + axis.edges[:-1]) / 2
+    width = 0.9 * np.diff(axis.edges)
+    colours = ScalarMappable(scale, _COLOURS).to_rgba(np.nan_to_num(fitness))
+    panel.bar(middles, np.nan_to_num(fitness), width, color=colours)
+    panel.set_xlabel(_label(axis))
+    panel.set_ylabel("fitness")
+    return figure
+
+
+def _panels(axes: Sequence[Axis], fitness: np.ndarray, scale: Normalize) -> Figure:
+    slices = [fitness] if len(axes) == 2 else [fitness[..., i] for i in range(axes[2].cells)]
+    across = min(len(slices), _PANELS_IN_A_ROW)
+    down = -(-len(slices) // across)
+    size = _ALONE if len(slices) == 1 else _PANEL
+    figure = _figure(size * across + _BESIDE, size * down + _ABOVE)
+    grid = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True)
+    best = np.unravel_index(np.nanargmax(fitness), fitness.shape) if _any(fitness) else None
+    for i, panel in enumerate(grid.flat):
+        if i >= len(slices):
+            panel.set_axis_off()
+            continue
+        _picture(panel, axes, slices[i], scale)
+        if len(slices) > 1:
+            low, high = axes[2].edges[i : i + 2]
+            panel.set_title(f"{_name(axes[2])} {low:.3g} to {high:.3g}", fontsize=8, color=_INK)
+        if best is not None and (len(slices) == 1 or best[2] == i):
+            x, y = (axes[k].edges[best[k] : best[k] + 2].mean() for k in (0, 1))
+            panel.plot(x, y, marker="*", ms=11, mfc="white", mec=_MARK, mew=1.4)
+    for panel in grid[-1]:
+        panel.set_xlabel(_label(axes[0]))
+    for panel in grid[:, 0]:
+        panel.set_ylabel(_label(axes[1]))
+    colours, label = ScalarMappable(scale, _COLOURS), "fitness (star: the best of all)"
+    bar = figure.colorbar(colours, ax=list(grid.flat), label=label, shrink=0.8)
+    bar.outline.set_visible(False)
+    return figure
+
+
+def _picture(panel: Axes, axes: Sequence[Axis], fitness: np.ndarray, scale: Normalize) -> None:
+    first, second = axes[:2]
+    panel.set_facecolor(_EMPTY)
+    panel.pcolormesh(
+        first.edges, second.edges, np.ma.masked_invalid(fitness.T), cmap=_COLOURS, norm=scale
+    )
+    panel.tick_params(labelsize=8)
+
+
+def _any(fitness: np.ndarray) -> bool:
+    return bool(np.isfinite(fitness).any())
+
+
+def _name(axis: Axis) -> str:
+    return legible(axis.name.replace("_", " "))
+
+
+def _label(axis: Axis) -> str:
+    unit = _UNITS.get(axis.name)
+    return f"{_name(axis)} ({unit})" if unit else _name(axis)
+
+
+def _figure(width: float, height: float) -> Figure:
+    figure = Figure((width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure

@@ -1,0 +1,121 @@
+"""A run that begins where another one ended."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+import evo_cpg as evo
+from evo_cpg.api.training import begin_run
+from evo_cpg.api.warm_start import warm_start
+from evo_cpg.training.run_folder import RunFolder, RunFolderError
+from tiny_run import CONFIG, PAIR
+
+SHORT = (*PAIR, "simulation.steps=20", "evolution.generations=2", "runs=2")
+
+
+@pytest.fixture(scope="module")
+def earlier(tmp_path_factory):
+    """Two runs of eight, evolved."""
+    folder = tmp_path_factory.mktemp("earlier") / "run"
+    return evo.train(evo.load(CONFIG, SHORT), folder)
+
+
+def start(earlier, what, *settings):
+    experiment = evo.load(CONFIG, (*SHORT, *settings)).parts
+    return experiment, warm_start(experiment, earlier.folder, what)
+
+
+def checkpoint_of(earlier):
+    found = RunFolder(earlier.folder).load()
+    assert found is not None
+    return found
+
+
+def test_each_run_begins_with_its_own_champion(earlier):
+    _, (genes, provenance) = start(earlier, "champion", "seed=7", "world.water.density=900")
+    assert genes.shape == (evo.load(CONFIG, SHORT).gene_count, 16)
+    for run, champion in enumerate(checkpoint_of(earlier).champions):
+        own = genes[:, 8 * run : 8 * run + 8]
+        np.testing.assert_array_equal(own[:, 0], champion.genes)
+        changed = (own[:, 1:] != champion.genes[:, None]).mean()
+        # At the rate at which genes mutate.
+        assert 0.02 < changed < 0.2
+    assert provenance["from"] == str(earlier.folder.resolve())
+    assert provenance["what"] == "champion" and provenance["fitness"] == earlier.fitness
+
+
+@pytest.mark.parametrize("size", [4, 8, 12])
+def test_a_population_is_cut_or_filled_up(earlier, size):
+    _, (genes, provenance) = start(earlier, "population", f"evolution.population={size}")
+    done = checkpoint_of(earlier)
+    kept = min(size, 8)
+    for run in range(2):
+        own, before = genes[:, size * run :][:, :size], done.genes[:, 8 * run : 8 * run + 8]
+        np.testing.assert_array_equal(own[:, :kept], before[:, :kept])
+        assert np.isfinite(own).all()
+    assert provenance["generation"] == 2
+
+
+def test_where_there_are_more_runs_all_begin_with_the_best(earlier):
+    _, (genes, _) = start(earlier, "champion", "runs=3")
+    for run in range(3):
+        np.testing.assert_array_equal(genes[:, 8 * run], earlier.genome)
+
+
+def test_it_is_the_first_population_whatever_happens(earlier, tmp_path):
+    """Also where the run is killed before its first generation is done."""
+    experiment, given = start(earlier, "population", "seed=3")
+    folder = RunFolder(tmp_path / "run")
+    config = evo.load(CONFIG, (*SHORT, "seed=3"))
+    begin_run(folder, config.config, experiment, 2, CONFIG, given)
+    assert json.loads(folder.meta.read_text())["start"] == given.provenance
+    np.testing.assert_array_equal(RunFolder(folder.path).load_start(), given.genes)
+    from evo_cpg.training.loop import train
+
+    train(experiment._replace(generations=1), RunFolder(folder.path))
+    resumed = train(experiment, RunFolder(folder.path))
+    made = evo.train(config, tmp_path / "again", start=given.genes.T)
+    np.testing.assert_array_equal(resumed.champion.genes, made.genome)
+    # Elites are among them, so the first generation is as good as the last one was.
+    first = max(row["best"] for row in made.history[:2])
+    assert first == pytest.approx(earlier.fitness, rel=0.2)
+
+
+def test_another_plan_is_refused(earlier, tmp_path):
+    other = evo.load(CONFIG, (*SHORT, "creature.bodies.1.repeat=2")).parts
+    with pytest.raises(RunFolderError, match="another plan evolved there: its bodies"):
+        warm_start(other, earlier.folder, "champion")
+    other = evo.load(CONFIG, (*SHORT, "controller.brain.hidden=[5]")).parts
+    with pytest.raises(RunFolderError, match=r"its genes: \d+; asked for: \d+"):
+        warm_start(other, earlier.folder, "champion")
+    with pytest.raises(RunFolderError, match="is not a run folder"):
+        warm_start(other, tmp_path, "champion")
+
+
+def test_a_run_without_a_champion_is_refused(earlier, tmp_path):
+    begun = shutil.copytree(earlier.folder, tmp_path / "begun")
+    shutil.rmtree(begun / "checkpoints")
+    (begun / "checkpoints").mkdir()
+    with pytest.raises(RunFolderError, match="has no champion yet"):
+        warm_start(evo.load(CONFIG, SHORT).parts, begun, "champion")
+
+
+def test_genomes_that_do_not_fit_are_refused(tmp_path):
+    experiment = evo.load(CONFIG, SHORT)
+    genes = experiment.gene_count
+    with pytest.raises(ValueError, match=rf"start must have the shape \(16, {genes}\), a row"):
+        evo.train(experiment, tmp_path / "a", start=np.zeros((8, genes)))
+    with pytest.raises(ValueError, match="start must be finite"):
+        evo.train(experiment, tmp_path / "b", start=np.full((16, genes), np.nan))
+    assert not (tmp_path / "a").exists()
+
+
+def test_a_damaged_start_is_said(earlier, tmp_path):
+    _, given = start(earlier, "champion")
+    folder = RunFolder(tmp_path / "run")
+    folder.create("", {}, given.genes)
+    folder.start.write_bytes(folder.start.read_bytes()[:100])
+    with pytest.raises(RunFolderError, match=r"start\.npz is damaged .*; start a new run"):
+        folder.load_start()
