@@ -5,11 +5,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from evo_cpg.api.experiment import Experiment
 from evo_cpg.config.build import build_experiment
-from evo_cpg.config.load import complete_config, load_config
+from evo_cpg.config.load import as_overrides, complete_config, load_config
 from evo_cpg.config.trust import trusting
 from evo_cpg.training.devices import use_cores
 from evo_cpg.training.run_folder import RunFolder
@@ -75,7 +73,4 @@ def _as_on_the_command_line(overrides: Overrides) -> list[str]:
         raise TypeError(f"overrides must be a list of settings, such as [{overrides!r}]")
     if not isinstance(overrides, Mapping):
         return list(overrides)
-    return [
-        f"{key}={yaml.safe_dump([value], default_flow_style=True, width=10**9).strip()[1:-1]}"
-        for key, value in overrides.items()
-    ]
+    return as_overrides(overrides)

@@ -60,7 +60,7 @@ def load_config(path: Path | str, overrides: Sequence[str] = ()) -> ExperimentCo
         ConfigError: anything that is wrong with it, in words for the user.
     """
     path = Path(path)
-    return complete_config(_read_yaml(path), path, overrides)
+    return complete_config(read_yaml(path), path, overrides)
 
 
 def complete_config(
@@ -122,7 +122,20 @@ def dump_creature(config: CreatureConfig) -> str:
     return yaml.safe_dump(data, sort_keys=False, allow_unicode=True, default_flow_style=None)
 
 
-def _read_yaml(path: Path) -> dict[str, Any]:
+def as_overrides(values: Mapping[str, Any]) -> list[str]:
+    """Settings as they stand on the command line, ``key=value``."""
+    return [
+        f"{key}={yaml.safe_dump([value], default_flow_style=True, width=10**9).strip()[1:-1]}"
+        for key, value in values.items()
+    ]
+
+
+def read_yaml(path: Path) -> dict[str, Any]:
+    """The contents of a YAML file.
+
+    Raises:
+        ConfigError: it cannot be read, or holds something else than keys and values.
+    """
     try:
         text = read_small(path)
     except FileNotFoundError:
@@ -162,7 +175,7 @@ def _read_files(data: dict[str, Any], path: Path) -> None:
         if not isinstance(name, str):
             raise ConfigError(path, ("creature", "file"), "must be the path of a creature's file")
         folder = Path(name).parent
-        data["creature"] = _read_yaml(beside(path, name, ("creature", "file"))) | changes
+        data["creature"] = read_yaml(beside(path, name, ("creature", "file"))) | changes
         for _, entry in _mesh_entries(data):
             if isinstance(entry["shape"].get("file"), str):
                 entry["shape"] = entry["shape"] | {"file": str(folder / entry["shape"]["file"])}

@@ -1,6 +1,9 @@
 """From the section ``evolution`` to a search."""
 
+import functools
 from pathlib import Path
+
+import jax.numpy as jnp
 
 from evo_cpg.config.errors import ConfigError, nearest
 from evo_cpg.config.own_classes import build_own
@@ -9,6 +12,7 @@ from evo_cpg.config.schema.evolution import (
     CustomEvolutionConfig,
     EvosaxConfig,
     MapElitesConfig,
+    RandomSearchConfig,
 )
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.control.controller import Controller
@@ -16,6 +20,7 @@ from evo_cpg.evolution import from_evosax
 from evo_cpg.evolution.bits import BitGenetics
 from evo_cpg.evolution.islands import Islands
 from evo_cpg.evolution.map_elites import MapElites, Vary
+from evo_cpg.evolution.random_search import RandomSearch
 from evo_cpg.evolution.strategy import Strategy
 from evo_cpg.simulation.simulation import Simulation
 
@@ -57,6 +62,9 @@ def _on_an_island(
             bits = BitGenetics(mutated_genes_max=min(most, genes))
         vary = Vary(given.iso_sigma, given.line_sigma, given.gene_bound, bits)
         return MapElites(population, given.build_axes(), vary)
+    if isinstance(given, RandomSearchConfig):
+        draw = functools.partial(controller.random_genes, batch=(population,), dtype=jnp.float32)
+        return RandomSearch(population, draw)
     if isinstance(given, BitEvolutionConfig) and given.mutated_genes[1] > genes:
         raise ConfigError(
             source,

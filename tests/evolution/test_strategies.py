@@ -12,6 +12,7 @@ from evo_cpg.evolution.bits import BitGenetics
 from evo_cpg.evolution.generation import RealGenetics
 from evo_cpg.evolution.islands import Islands
 from evo_cpg.evolution.map_elites import Axis, MapElites, Vary
+from evo_cpg.evolution.random_search import RandomSearch
 from evo_cpg.evolution.strategy import Evaluation, Strategy, worst_finite
 from evo_cpg.training.strategy_state import StrategyError, state_arrays, state_from
 
@@ -64,6 +65,9 @@ STRATEGIES = {
     ),
     "islands of climbers": lambda: Islands(SIZE, Climber(SIZE // 2), 2, 3, 1),
     "map_elites": lambda: MapElites(SIZE, AXES, Vary(0.1, 0.2, 8.0)),
+    "random": lambda: RandomSearch(
+        SIZE, lambda key: jax.random.uniform(key, (GENES, SIZE), jnp.float32, -2.0, 2.0)
+    ),
     "Sep_CMA_ES": lambda: evosax("Sep_CMA_ES"),
     "LM_MA_ES": lambda: evosax("LM_MA_ES", MANY_GENES),
     "Open_ES": lambda: evosax("Open_ES", sigma=0.2, learning_rate=0.2),
@@ -108,8 +112,9 @@ def test_a_search_gets_better_and_asks_for_numbers(name):
     populations, found, _ = search(STRATEGIES[name](), genes=genes_of(name))
     assert all(genes.shape == (genes_of(name), SIZE) for genes in populations)
     assert np.isfinite(np.array(populations)).all()
-    # A third of what random genomes leave, and less in fewer dimensions.
-    assert max(fitness.max() for fitness in found[-5:]) > 0.35 * found[0].max()
+    # A third of what random genomes leave.
+    last = max(fitness.max() for fitness in found[-5:])
+    assert name == "random" or last > 0.35 * found[0].max()
 
 
 @pytest.mark.parametrize("name", STRATEGIES)
@@ -137,6 +142,13 @@ def test_a_search_survives_that_nobody_does(name):
 
     populations, _, _ = search(STRATEGIES[name](), 5, evaluate=deadly, genes=genes_of(name))
     assert np.isfinite(np.array(populations)).all()
+
+
+def test_random_search_draws_anew():
+    populations, _, _ = search(STRATEGIES["random"](), 4)
+    assert len({np.asarray(genes).tobytes() for genes in populations}) == 5
+    later = np.array(populations[1:])
+    assert abs(later.mean()) < 0.2 and later.std() == pytest.approx(4 / 12**0.5, rel=0.05)
 
 
 def test_a_state_of_another_strategy_is_refused():
@@ -301,5 +313,5 @@ def test_a_population_about_an_individual_keeps_it(name):
     around = strategy.around(jax.random.key(0), jnp.tile(one[:, None], (1, SIZE)))
     assert around.shape == (len(one), SIZE)
     np.testing.assert_array_equal(around[:, 0], one)
-    if "climber" not in name:
+    if name not in ("climber", "islands of climbers", "random"):
         assert (np.asarray(around[:, 1:]) != np.asarray(one)[:, None]).any(0).mean() > 0.5

@@ -291,6 +291,20 @@ class EvosaxConfig(Section):
         return self
 
 
+class RandomSearchConfig(Section):
+    """Random search, which any other search has to beat.
+
+    Attributes:
+        type: ``random``.
+        generations: to draw.
+        population: individuals in each.
+    """
+
+    type: Literal["random"] = "random"
+    generations: Count = 50
+    population: Population = 200
+
+
 class CustomEvolutionConfig(CustomConfig):
     """A `Strategy` of your own.
 
@@ -318,6 +332,7 @@ EvolutionConfig = Annotated[
     | Annotated[BitEvolutionConfig, Tag("bits")]
     | Annotated[MapElitesConfig, Tag("map_elites")]
     | Annotated[EvosaxConfig, Tag("evosax")]
+    | Annotated[RandomSearchConfig, Tag("random")]
     | Annotated[CustomEvolutionConfig, Tag("custom")],
     by_type("real"),
 ]

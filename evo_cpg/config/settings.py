@@ -1,0 +1,97 @@
+"""Settings of a sweep: which keys of a configuration take which values, and what each is called."""
+
+import itertools
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from evo_cpg.config.errors import ConfigError
+from evo_cpg.config.load import as_overrides, read_yaml
+
+# More settings than anybody compares.
+_MOST = 1000
+
+# Longest name of a folder.
+_LONGEST = 80
+
+Values = Mapping[str, Any]
+
+
+class Setting(NamedTuple):
+    """One of the configurations that are compared.
+
+    Attributes:
+        name: of it, and of its run folder.
+        values: that it changes, by key.
+    """
+
+    name: str
+    values: dict[str, Any]
+
+    @property
+    def overrides(self) -> list[str]:
+        """The values as on the command line."""
+        return as_overrides(self.values)
+
+
+def read_settings(path: Path) -> dict[str, Values]:
+    """Named settings from a YAML file, ``name: {key: value, ...}``.
+
+    Raises:
+        ConfigError: the file cannot be read, or is something else.
+    """
+    read = read_yaml(path)
+    for name, values in read.items():
+        if not isinstance(values, dict) or not all(isinstance(key, str) for key in values):
+            raise ConfigError(path, (str(name),), "must be settings, {key: value}")
+    return {str(name): values for name, values in read.items()}
+
+
+def combine(grid: Mapping[str, Sequence[Any]], named: Mapping[str, Values]) -> list[Setting]:
+    """All settings: every combination of the grid, with each of those that have names.
+
+    Args:
+        grid: values of each key.
+        named: settings by name; none stands for one that changes nothing.
+
+    Raises:
+        ValueError: there are too many, or two have the same name.
+    """
+    short = _short_names(grid)
+    count = max(1, len(named))
+    for values in grid.values():
+        count *= len(values)
+    if count > _MOST:
+        raise ValueError(f"a sweep has at most {_MOST} settings, this one {count}")
+    settings: list[Setting] = []
+    for name, values in named.items() or [("", {})]:
+        for chosen in itertools.product(*grid.values()):
+            point = dict(zip(grid, chosen, strict=True))
+            parts = [name] if name else []
+            parts += [f"{short[key]}={_word(value)}" for key, value in point.items()]
+            settings.append(Setting(_folder_name("_".join(parts) or "all"), {**values, **point}))
+    names = [setting.name for setting in settings]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise ValueError(f"two settings would be called {twice[0]!r}; give them names of their own")
+    return settings
+
+
+def _short_names(keys: Mapping[str, object]) -> dict[str, str]:
+    """The last parts of keys, as many as it takes to tell them apart."""
+    names = {key: key.rsplit(".", 1)[-1] for key in keys}
+    alike = [name for name in names.values() if list(names.values()).count(name) > 1]
+    return {key: key if name in alike else name for key, name in names.items()}
+
+
+def _word(value: Any) -> str:
+    """A value as a part of a name: of a section its type is enough, if it has one."""
+    if isinstance(value, dict):
+        known = [value[key] for key in ("algorithm", "type") if key in value]
+        value = known[0] if known else value
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _folder_name(text: str) -> str:
+    return re.sub(r"[^\w.=+-]+", "-", text).strip("-.")[:_LONGEST]
