@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -20,6 +20,9 @@ from evo_cpg.training import experiment as parts
 from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.memory import require_memory
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
+
+if TYPE_CHECKING:
+    from evo_cpg.training.processes import Team
 
 Rows = list[dict[str, float]]
 
@@ -61,7 +64,7 @@ def train(
     """
     import jax
 
-    folder, devices = RunFolder(out), len(jax.devices())
+    folder, devices = RunFolder(out), len(jax.local_devices())
     begin_run(folder, experiment.config, experiment.parts, devices, experiment.source)
     if experiment.replaced:
         folder.update_meta(replaced=list(experiment.replaced))
@@ -80,8 +83,17 @@ def begin_run(
     experiment: parts.Experiment,
     devices: int,
     source: Path,
+    processes: int = 1,
 ) -> None:
     """Make a run folder, with what there is to know of the run.
+
+    Args:
+        folder: to be made.
+        config: of the run.
+        experiment: built from it.
+        devices: of this process.
+        source: file of the configuration.
+        processes: that evolve together.
 
     Raises:
         RunFolderError: the folder holds a run or other files, or cannot be written.
@@ -94,6 +106,7 @@ def begin_run(
         "config": str(source.resolve()),
         "command": sys.argv[1:],
         "fingerprint": fingerprint(config),
+        "processes": processes,
         "started": now(),
     }
     meta |= surroundings(experiment.simulation.engine, devices)
@@ -166,6 +179,7 @@ def evolve(
     folder: RunFolder,
     on_generation: Callable[[Rows], None],
     recorder: Recorder,
+    team: "Team | None" = None,
 ) -> Champion:
     """Evolve from the folder's newest checkpoint on.
 
@@ -174,20 +188,46 @@ def evolve(
         folder: of the run.
         on_generation: called with the new rows of metrics.csv after every generation.
         recorder: which compiles meanwhile.
+        team: the processes that evolve together, which part when it is done; None for this alone.
 
     Raises:
         RunFolderError: every individual of every generation diverged.
+        TeamError: another process was lost.
     """
     # Importing the loop starts nothing, but it takes JAX a second.
     from evo_cpg.training.loop import train as train_generations
+    from evo_cpg.training.processes import ALONE
 
-    done = train_generations(experiment, folder, on_generation, on_compiled=recorder.compile)
+    team = team or ALONE
+    done = train_generations(
+        experiment, folder, on_generation, on_compiled=recorder.compile, team=team
+    )
+    team.leave()
     if done.champion is None:
         raise RunFolderError(
             f"{folder.path}: every individual of every generation diverged, so there is no "
             "champion; try more substeps or weaker motors"
         )
     return done.champion
+
+
+def follow(experiment: parts.Experiment, folder: RunFolder, team: "Team") -> None:
+    """Evolve as one of a team that does not lead it: nothing is written, and nothing shown.
+
+    Args:
+        experiment: what to evolve.
+        folder: of the run, at the lead's.
+        team: the processes that evolve together, which part when it is done.
+
+    Raises:
+        TeamError: another process was lost.
+        TooLargeError: the machine has not the memory for it.
+    """
+    from evo_cpg.training.loop import train as train_generations
+
+    require_memory(experiment)
+    train_generations(experiment, folder, team=team)
+    team.leave()
 
 
 def require_configured(folder: RunFolder) -> None:

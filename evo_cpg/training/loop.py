@@ -28,6 +28,7 @@ from evo_cpg.training.experiment import (
     situation_numbers,
 )
 from evo_cpg.training.memetic import compile_learning
+from evo_cpg.training.processes import ALONE, Team, load_together
 from evo_cpg.training.run_folder import RunFolder
 
 # Fitness, terms and motion of an individual that lives again.
@@ -57,6 +58,7 @@ def train(
     on_generation: Callable[[list[dict[str, float]]], None] = lambda rows: None,
     mesh: Mesh | None = None,
     on_compiled: Callable[[], object] = lambda: None,
+    team: Team = ALONE,
 ) -> Checkpoint:
     """Evolve from the folder's newest checkpoint, or from the start, to the last generation.
 
@@ -65,35 +67,41 @@ def train(
         folder: a run folder that was created before.
         on_generation: called with the new rows of metrics.csv, one for each run, after every
             generation.
-        mesh: devices to use; None for all.
+        mesh: devices to use; None for all of this process.
         on_compiled: called once, when the program of the trials is compiled and has run: the
             moment to compile in a thread what is needed later.
+        team: the processes that evolve together. Only their lead reads and writes the folder.
 
     Returns:
         The state after the last generation.
     """
     mesh = mesh or population_mesh()
     programs = compile_evolution(experiment)
-    checkpoint = folder.load()
+    checkpoint = load_together(team, folder)
     if checkpoint is None:
         genes = programs.first_population()
         nobody = (None,) * experiment.runs
         checkpoint = Checkpoint(0, np.asarray(genes), nobody, [], _no_scales(experiment))
-    elif checkpoint.history:
+    elif checkpoint.history and team.leads:
         # A kill may have come between the checkpoint and the table.
         folder.write_metrics(checkpoint.history)
     run_trials = compile_trials(experiment.simulation, mesh)
-    everybody = experiment.runs * experiment.genetics.population
-    numbers = jax.tree.map(lambda x: np.tile(x, everybody), situation_numbers(experiment))
+    trials = experiment.trials
+    share = team.share(experiment.runs * experiment.genetics.population, trials)
+    of_share = slice(share.start * trials, share.stop * trials)
+    numbers = jax.tree.map(
+        lambda x: np.tile(x, share.stop - share.start), situation_numbers(experiment)
+    )
     learn = compile_learning(experiment, mesh) if experiment.learning else None
     first = checkpoint.generation
     while checkpoint.generation < experiment.generations:
         start = time.perf_counter()
         index = np.int32(checkpoint.generation)
-        keys = jax.device_get(programs.keys(index))
-        outcome = run_trials(checkpoint.genes, keys, numbers, experiment.trials)
+        keys = jax.tree.map(lambda x: x[:, of_share], jax.device_get(programs.keys(index)))
+        part = run_trials(checkpoint.genes[:, share], keys, numbers, trials)
         if checkpoint.generation == first:
             on_compiled()
+        outcome = team.gather(part, checkpoint.genes, checkpoint.generation, trials)
         yardsticks = {
             name: np.array(values, np.float32) for name, values in checkpoint.scales.items()
         }
@@ -113,7 +121,8 @@ def train(
             for run, champion in enumerate(champions)
         ]
         checkpoint = Checkpoint(done, population, champions, [*checkpoint.history, *rows], scales)
-        folder.save(checkpoint)
+        if team.leads:
+            folder.save(checkpoint)
         on_generation(rows)
     return checkpoint
 
