@@ -5,6 +5,8 @@ import sys
 _ELSEWHERE = (
     ("evo_cpg.view.output", "OutputError"),
     ("evo_cpg.training.memory", "TooLargeError"),
+    ("evo_cpg.training.processes", "Disagreement"),
+    ("evo_cpg.training.roll_call", "JoinError"),
 )
 
 
