@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jax.typing import ArrayLike
@@ -22,6 +22,9 @@ from evo_cpg.training import experiment as parts
 from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.memory import require_memory
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
+
+if TYPE_CHECKING:
+    from evo_cpg.training.processes import Team
 
 Rows = list[dict[str, float]]
 
@@ -67,7 +70,7 @@ def train(
     """
     import jax
 
-    folder, devices = RunFolder(out), len(jax.devices())
+    folder, devices = RunFolder(out), len(jax.local_devices())
     given = None if start is None else Start(_genes(experiment, start), {"what": "genomes"})
     begin_run(folder, experiment.config, experiment.parts, devices, experiment.source, given)
     if experiment.replaced:
@@ -88,6 +91,7 @@ def begin_run(
     devices: int,
     source: Path,
     start: Start | None = None,
+    processes: int = 1,
 ) -> None:
     """Make a run folder, with what there is to know of the run.
 
@@ -95,9 +99,10 @@ def begin_run(
         folder: to make.
         config: of the run.
         experiment: that it describes.
-        devices: that share the population.
+        devices: of this process.
         source: file that the configuration came from.
         start: what it begins with; None for random genomes.
+        processes: that evolve together.
 
     Raises:
         RunFolderError: the folder holds a run or other files, or cannot be written.
@@ -110,6 +115,7 @@ def begin_run(
         "config": str(source.resolve()),
         "command": sys.argv[1:],
         "fingerprint": fingerprint(config),
+        "processes": processes,
         "started": now(),
     }
     meta |= surroundings(experiment.simulation.engine, devices)
@@ -198,6 +204,7 @@ def evolve(
     folder: RunFolder,
     on_generation: Callable[[Rows], None],
     recorder: Recorder,
+    team: "Team | None" = None,
 ) -> Champion:
     """Evolve from the folder's newest checkpoint on.
 
@@ -206,20 +213,46 @@ def evolve(
         folder: of the run.
         on_generation: called with the new rows of metrics.csv after every generation.
         recorder: which compiles meanwhile.
+        team: the processes that evolve together, which part when it is done; None for this alone.
 
     Raises:
         RunFolderError: every individual of every generation diverged.
+        TeamError: another process was lost.
     """
     # Importing the loop starts nothing, but it takes JAX a second.
     from evo_cpg.training.loop import train as train_generations
+    from evo_cpg.training.processes import ALONE
 
-    done = train_generations(experiment, folder, on_generation, on_compiled=recorder.compile)
+    team = team or ALONE
+    done = train_generations(
+        experiment, folder, on_generation, on_compiled=recorder.compile, team=team
+    )
+    team.leave()
     if done.champion is None:
         raise RunFolderError(
             f"{folder.path}: every individual of every generation diverged, so there is no "
             "champion; try more substeps or weaker motors"
         )
     return done.champion
+
+
+def follow(experiment: parts.Experiment, folder: RunFolder, team: "Team") -> None:
+    """Evolve as one of a team that does not lead it: nothing is written, and nothing shown.
+
+    Args:
+        experiment: what to evolve.
+        folder: of the run, at the lead's.
+        team: the processes that evolve together, which part when it is done.
+
+    Raises:
+        TeamError: another process was lost.
+        TooLargeError: the machine has not the memory for it.
+    """
+    from evo_cpg.training.loop import train as train_generations
+
+    require_memory(experiment)
+    train_generations(experiment, folder, team=team)
+    team.leave()
 
 
 def require_configured(folder: RunFolder) -> None:

@@ -14,7 +14,7 @@ from evo_cpg.training.experiment import Experiment
 
 
 def read_config(
-    path: Path, overrides: Sequence[str] = (), strict: bool = False
+    path: Path, overrides: Sequence[str] = (), strict: bool = False, warned: bool = True
 ) -> ExperimentConfig:
     """A configuration; what of it is hardly meant is said.
 
@@ -22,6 +22,7 @@ def read_config(
         path: the file.
         overrides: ``key=value`` settings.
         strict: refuse what is hardly meant.
+        warned: say it otherwise. Of several processes one does.
 
     Raises:
         ConfigError: it is wrong.
@@ -31,7 +32,7 @@ def read_config(
     found = [f"{path}: {doubt}" for doubt in doubts(config, path)]
     if found and strict:
         raise UsageError("\n".join(found))
-    for line in found:
+    for line in found if warned else ():
         print(f"evo-cpg: warning: {line}", file=sys.stderr)
     return config
 

@@ -6,6 +6,8 @@ _ELSEWHERE = (
     ("evo_cpg.view.output", "OutputError"),
     ("evo_cpg.training.memory", "TooLargeError"),
     ("evo_cpg.training.strategy_state", "StrategyError"),
+    ("evo_cpg.training.processes", "Disagreement"),
+    ("evo_cpg.training.roll_call", "JoinError"),
 )
 
 

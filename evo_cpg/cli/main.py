@@ -11,7 +11,7 @@ from typing import Annotated
 
 import typer
 
-# Exit codes: 0 done, 1 a fault of ours, 2 wrong input, 130 interrupted.
+# Exit codes: 0 done, 1 a fault of ours, 2 wrong input, 4 another process lost, 130 interrupted.
 _WRONG_INPUT, _INTERRUPTED = 2, 130
 
 
@@ -58,6 +58,38 @@ Strict = Annotated[
     bool, typer.Option("--strict", help="Refuse values that are allowed but hardly meant.")
 ]
 Cores = Annotated[int | None, typer.Option(min=1, help="Cores to use; all by default.")]
+Distributed = Annotated[
+    bool,
+    typer.Option(
+        "--distributed",
+        help="Evolve with other processes: those of SLURM or Open MPI, of --hosts or of --local.",
+    ),
+]
+Hosts = Annotated[
+    str | None,
+    typer.Option(
+        metavar="HOST[:PORT],HOST,...",
+        help="Hosts of the processes, or a file with one on each line; the first leads.",
+    ),
+]
+Process = Annotated[
+    int | None,
+    typer.Option(
+        min=0, help="Which of --hosts this process is, from 0; by the name of its host by default."
+    ),
+]
+Local = Annotated[int | None, typer.Option(min=1, help="Start so many processes on this machine.")]
+JoinTimeout = Annotated[
+    float, typer.Option(min=0.1, help="Seconds that the processes may take to come together.")
+]
+Patience = Annotated[
+    float | None,
+    typer.Option(
+        min=0,
+        help="Seconds, beyond twice what its own part took, that a process waits for the others; "
+        "20 by default.",
+    ),
+]
 
 
 def _show_version(wanted: bool) -> bool:
@@ -114,11 +146,26 @@ def train(
     what: Annotated[
         What, typer.Option("--start", help="Of it, the champion or the population.")
     ] = What.CHAMPION,
+    distributed: Distributed = False,
+    hosts: Hosts = None,
+    process: Process = None,
+    local: Local = None,
+    join_timeout: JoinTimeout = 60.0,
+    patience: Patience = None,
 ) -> None:
     """Evolve a population and keep the champion."""
+    from evo_cpg.cli.distributed import Distribution
+
+    def check() -> None:
+        from evo_cpg.config.load import load_config
+
+        load_config(config, overrides or [])
+
+    asked = Distribution(distributed, hosts, process, local, join_timeout, patience).checked()
+    asked.start_local(cores, check)
     from evo_cpg.cli.training import start_run
 
-    start_run(config, overrides or [], out, cores, strict, earlier, what.value)
+    start_run(config, overrides or [], out, cores, strict, earlier, what.value, asked)
 
 
 @app.command()
@@ -128,11 +175,26 @@ def resume(
         int | None, typer.Option(min=1, help="Evolve up to this many generations in all.")
     ] = None,
     cores: Cores = None,
+    distributed: Distributed = False,
+    hosts: Hosts = None,
+    process: Process = None,
+    local: Local = None,
+    join_timeout: JoinTimeout = 60.0,
+    patience: Patience = None,
 ) -> None:
     """Go on with a run from its newest checkpoint."""
+    from evo_cpg.cli.distributed import Distribution
+
+    def check() -> None:
+        from evo_cpg.training.run_folder import RunFolder
+
+        RunFolder(run).require()
+
+    asked = Distribution(distributed, hosts, process, local, join_timeout, patience).checked()
+    asked.start_local(cores, check)
     from evo_cpg.cli.training import resume_run
 
-    resume_run(run, generations, cores)
+    resume_run(run, generations, cores, asked)
 
 
 @app.command()

@@ -4,7 +4,7 @@ import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,11 +17,13 @@ from evo_cpg.api.training import (
     begin_run,
     evolve,
     first_look_asked,
+    follow,
     now,
     require_configured,
 )
 from evo_cpg.api.warm_start import What, warm_start
 from evo_cpg.cli.building import build, read_config
+from evo_cpg.cli.distributed import BY_ITSELF, Distribution, require_same, together
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.progress import progress, working
 from evo_cpg.config.errors import ConfigError
@@ -36,6 +38,9 @@ from evo_cpg.training.experiment import Experiment
 from evo_cpg.training.memory import require_memory
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
 
+if TYPE_CHECKING:
+    from evo_cpg.training.processes import Team
+
 # The replayed fitness and terms must agree with those recorded to this relative accuracy. On the
 # machine of the training run they are equal; another processor rounds differently.
 REPLAY_TOLERANCE = 1e-3
@@ -49,37 +54,63 @@ def start_run(
     strict: bool = False,
     earlier: Path | None = None,
     what: What = "champion",
+    asked: Distribution = BY_ITSELF,
 ) -> None:
     """`evo-cpg train`."""
-    config = read_config(path, overrides, strict)
+    config = read_config(path, overrides, strict, asked.leads)
+    folder = RunFolder(out or Path("runs") / config.name)
     # Finding a place to stand on uneven ground starts JAX.
     devices = use_cores(cores)
-    experiment = build(config, path)
-    folder = RunFolder(out or Path("runs") / config.name)
-    start = None
-    if earlier is not None:
-        with working("reading the earlier run"):
-            start = warm_start(experiment, earlier, what)
-    begin_run(folder, config, experiment, devices, path, start)
-    _evolve(experiment, folder, first_look_asked(config))
+    with together(asked, folder.path) as team:
+        experiment = build(config, path)
+        require_same(team, fingerprint(config))
+        if team.leads:
+            start = None
+            if earlier is not None:
+                with working("reading the earlier run"):
+                    start = warm_start(experiment, earlier, what)
+            begin_run(folder, config, experiment, devices, path, start, team.count)
+        _evolve(experiment, folder, first_look_asked(config), team)
 
 
-def resume_run(run: Path, generations: int | None, cores: int | None) -> None:
+def resume_run(
+    run: Path, generations: int | None, cores: int | None, asked: Distribution = BY_ITSELF
+) -> None:
     """`evo-cpg resume`."""
-    devices = use_cores_of(run, cores)
-    folder, config, experiment = open_run(run)
-    require_configured(folder)
-    changed = changes(folder.read_meta().get("fingerprint"), fingerprint(config))
-    if changed:
-        print(
-            f"evo-cpg: warning: {run}: changed since the run was last started: "
-            f"{', '.join(changed)}; what is evolved from here on is evolved under the new one",
-            file=sys.stderr,
-        )
-    if generations is not None:
-        evolution = config.evolution.model_copy(update={"generations": generations})
-        config = config.model_copy(update={"evolution": evolution})
-        experiment = experiment._replace(generations=generations)
+    # Several processes need not be on the machine that the run was last on.
+    devices = use_cores(cores) if asked.wanted else use_cores_of(run, cores)
+    if asked.leads:
+        # What was interrupted is put in order here, before the others come to read it.
+        RunFolder(run).require()
+    with together(asked, run) as team:
+        folder, config, experiment = open_run(run)
+        require_configured(folder)
+        changed = changes(folder.read_meta().get("fingerprint"), fingerprint(config))
+        if changed and team.leads:
+            print(
+                f"evo-cpg: warning: {run}: changed since the run was last started: "
+                f"{', '.join(changed)}; what is evolved from here on is evolved under the new one",
+                file=sys.stderr,
+            )
+        if generations is not None:
+            evolution = config.evolution.model_copy(update={"generations": generations})
+            config = config.model_copy(update={"evolution": evolution})
+            experiment = experiment._replace(generations=generations)
+        require_same(team, fingerprint(config))
+        if team.leads:
+            _reopen(folder, config, experiment, devices, team.count)
+        _evolve(experiment, folder, first_look_asked(config), team)
+
+
+def _reopen(
+    folder: RunFolder,
+    config: ExperimentConfig,
+    experiment: Experiment,
+    devices: int,
+    processes: int,
+) -> None:
+    """Check that a run can be gone on with, and note with what it is."""
+    run = folder.path
     done = folder.load()
     if done is not None and done.generation > config.evolution.generations:
         raise UsageError(
@@ -101,8 +132,8 @@ def resume_run(run: Path, generations: int | None, cores: int | None) -> None:
     here = surroundings(experiment.simulation.engine, devices)
     for difference in changed_surroundings(folder.read_meta(), here):
         print(f"evo-cpg: warning: {run}: {difference}; bits may differ", file=sys.stderr)
-    folder.update_meta(resumed=now(), fingerprint=fingerprint(config), **here)
-    _evolve(experiment, folder, first_look_asked(config))
+    noted = {"resumed": now(), "fingerprint": fingerprint(config), "processes": processes}
+    folder.update_meta(**noted, **here)
 
 
 def verify_run(run: Path, cores: int | None) -> None:
@@ -260,7 +291,10 @@ def use_cores_of(run: Path, cores: int | None = None) -> int:
 
     Before it is built: finding a place to stand on uneven ground starts JAX.
     """
-    return use_cores(cores or RunFolder(run).read_meta().get("devices"))
+    meta = RunFolder(run).read_meta()
+    # Of several processes those of one say nothing.
+    noted = meta.get("devices") if meta.get("processes", 1) == 1 else None
+    return use_cores(cores or noted)
 
 
 def live_again(experiment: Experiment, champion: Champion, devices: int, trial: int = 0) -> Any:
@@ -272,7 +306,12 @@ def live_again(experiment: Experiment, champion: Champion, devices: int, trial: 
         return replay_champion(experiment, champion, devices, trial)
 
 
-def _evolve(experiment: Experiment, folder: RunFolder, least: float | None) -> None:
+def _evolve(
+    experiment: Experiment, folder: RunFolder, least: float | None, team: "Team | None" = None
+) -> None:
+    if team is not None and not team.leads:
+        follow(experiment, folder, team)
+        return
     with working("starting JAX"):
         import evo_cpg.training.loop  # noqa: F401
 
@@ -291,7 +330,7 @@ def _evolve(experiment: Experiment, folder: RunFolder, least: float | None) -> N
                 def tell(rows: list[dict[str, float]]) -> None:
                     show(int(rows[0]["generation"]), _standing(rows), rows[0]["seconds"])
 
-                champion = evolve(experiment, folder, tell, recorder)
+                champion = evolve(experiment, folder, tell, recorder, team)
             with working("recording the champion's motion, and trying it at half the step"):
                 recorder.keep(champion)
     except KeyboardInterrupt:

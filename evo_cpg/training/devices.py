@@ -51,9 +51,9 @@ def population_mesh(count: int | None = None) -> Mesh:
     """The devices over which the population is sharded.
 
     Args:
-        count: how many; None for all.
+        count: how many; None for all of this process.
     """
-    devices = jax.devices()[:count]
+    devices = jax.local_devices()[:count]
     return Mesh(np.array(devices), (POPULATION_AXIS,))
 
 

@@ -9,11 +9,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float, Int, PyTree, UInt32
 
 from evo_cpg.evolution.generation import Genetics
 from evo_cpg.simulation.recording import Recording
-from evo_cpg.simulation.rollout import as_recording
+from evo_cpg.simulation.rollout import Outcome, as_recording
 from evo_cpg.training.checkpoint import Champion, Checkpoint
 from evo_cpg.training.devices import population_mesh
 from evo_cpg.training.experiment import (
@@ -29,6 +29,7 @@ from evo_cpg.training.experiment import (
     situation_numbers,
 )
 from evo_cpg.training.memetic import compile_learning
+from evo_cpg.training.processes import ALONE, Team, load_together, start_together
 from evo_cpg.training.run_folder import RunFolder
 from evo_cpg.training.strategy_state import StrategyError, state_arrays, state_from
 
@@ -37,6 +38,20 @@ Replayed = tuple[float, dict[str, float], Recording]
 
 # Columns of metrics.csv that differ from run to run.
 TIMING_COLUMNS = ("seconds", "steps_per_second")
+
+
+class Trials(NamedTuple):
+    """What the trials of a generation take, see `compile_trials`.
+
+    Attributes:
+        genes: of every individual.
+        keys: of the noise of every trial; None where there is none.
+        numbers: of the situation of every trial; None where there is one.
+    """
+
+    genes: Float[np.ndarray, "g individuals"]
+    keys: UInt32[np.ndarray, "w n"] | None
+    numbers: Int[np.ndarray, " n"] | None
 
 
 class Evolution(NamedTuple):
@@ -59,6 +74,7 @@ def train(
     on_generation: Callable[[list[dict[str, float]]], None] = lambda rows: None,
     mesh: Mesh | None = None,
     on_compiled: Callable[[], object] = lambda: None,
+    team: Team = ALONE,
 ) -> Checkpoint:
     """Evolve from the folder's newest checkpoint, or from the start, to the last generation.
 
@@ -67,9 +83,10 @@ def train(
         folder: a run folder that was created before.
         on_generation: called with the new rows of metrics.csv, one for each run, after every
             generation.
-        mesh: devices to use; None for all.
+        mesh: devices to use; None for all of this process.
         on_compiled: called once, when the program of the trials is compiled and has run: the
             moment to compile in a thread what is needed later.
+        team: the processes that evolve together. Only their lead reads and writes the folder.
 
     Returns:
         The state after the last generation.
@@ -79,55 +96,113 @@ def train(
             one of it.
     """
     mesh = mesh or population_mesh()
-    programs = compile_evolution(experiment)
-    checkpoint = folder.load()
-    if checkpoint is None:
-        genes, state = jax.device_get(programs.begin(folder.load_start()))
-        _require_numbers(experiment, genes, 0)
-        nobody = (None,) * experiment.runs
-        checkpoint = Checkpoint(0, genes, nobody, [], no_scales(experiment))
-    else:
-        state = state_from(checkpoint.state, jax.eval_shape(lambda: begin(experiment))[1])
-        if checkpoint.history:
-            # A kill may have come between the checkpoint and the table.
-            folder.write_metrics(checkpoint.history)
-    run_trials = compile_trials(experiment.simulation, mesh)
-    everybody = experiment.runs * experiment.strategy.population
-    numbers = jax.tree.map(lambda x: np.tile(x, everybody), situation_numbers(experiment))
-    learn = compile_learning(experiment, mesh) if experiment.learning else None
-    first = checkpoint.generation
-    while checkpoint.generation < experiment.generations:
+    running = Running(experiment, folder, mesh, team)
+    live = compile_trials(experiment.simulation, mesh)
+    compiled = False
+    while not running.finished:
         began = time.perf_counter()
-        index = np.int32(checkpoint.generation)
-        keys = jax.device_get(programs.keys(index))
-        outcome = run_trials(checkpoint.genes, keys, numbers, experiment.trials)
-        if checkpoint.generation == first:
+        part = live(*running.trials(), experiment.trials)
+        if not compiled:
             on_compiled()
-        yardsticks = {
-            name: np.array(values, np.float32) for name, values in checkpoint.scales.items()
-        }
-        result = jax.device_get(programs.breed(checkpoint.genes, outcome, index, yardsticks, state))
-        done, state = checkpoint.generation + 1, result.state
+            compiled = True
+        on_generation(running.tell(part, began))
+    return running.checkpoint
+
+
+class Running:
+    """A run that goes on: what its next generation takes, and what comes of that.
+
+    Args:
+        experiment: what evolves.
+        folder: its run folder, where it goes on from the newest checkpoint.
+        mesh: devices, for elites that learn.
+        team: the processes that evolve together. Only their lead reads and writes the folder.
+
+    Attributes:
+        checkpoint: how it stands.
+
+    Raises:
+        StrategyError: see `train`.
+    """
+
+    checkpoint: Checkpoint
+
+    def __init__(
+        self, experiment: Experiment, folder: RunFolder, mesh: Mesh, team: Team = ALONE
+    ) -> None:
+        self._experiment, self._folder, self._team = experiment, folder, team
+        self._programs = compile_evolution(experiment)
+        self._learn = compile_learning(experiment, mesh) if experiment.learning else None
+        self._share = team.share(
+            experiment.runs * experiment.strategy.population, experiment.trials
+        )
+        checkpoint = load_together(team, folder)
+        if checkpoint is None:
+            start = start_together(team, folder)
+            genes, self._state = jax.device_get(self._programs.begin(start))
+            _require_numbers(experiment, genes, 0)
+            nobody = (None,) * experiment.runs
+            checkpoint = Checkpoint(0, genes, nobody, [], no_scales(experiment))
+        else:
+            like = jax.eval_shape(lambda: begin(experiment))[1]
+            self._state = state_from(checkpoint.state, like)
+            if checkpoint.history and team.leads:
+                # A kill may have come between the checkpoint and the table.
+                folder.write_metrics(checkpoint.history)
+        self.checkpoint = checkpoint
+
+    @property
+    def finished(self) -> bool:
+        """Whether the last generation is done."""
+        return self.checkpoint.generation >= self._experiment.generations
+
+    def trials(self) -> Trials:
+        """What the trials of the next generation take: this process's share of them."""
+        share, trials = self._share, self._experiment.trials
+        of_share = slice(share.start * trials, share.stop * trials)
+        index = np.int32(self.checkpoint.generation)
+        keys = jax.tree.map(lambda x: x[:, of_share], jax.device_get(self._programs.keys(index)))
+        numbers = jax.tree.map(
+            lambda x: np.tile(x, share.stop - share.start), situation_numbers(self._experiment)
+        )
+        return Trials(self.checkpoint.genes[:, share], keys, numbers)
+
+    def tell(self, part: Outcome, began: float) -> list[dict[str, float]]:
+        """What the trials came to: breed, and leave a checkpoint.
+
+        Args:
+            part: of this process's share.
+            began: when the generation did, by `time.perf_counter`, s.
+
+        Returns:
+            The new rows of metrics.csv.
+        """
+        experiment, before = self._experiment, self.checkpoint
+        outcome = self._team.gather(part, before.genes, before.generation, experiment.trials)
+        index, yardsticks = np.int32(before.generation), _float32(before.scales)
+        result = jax.device_get(
+            self._programs.breed(before.genes, outcome, index, yardsticks, self._state)
+        )
+        done, self._state = before.generation + 1, result.state
         scales = {name: tuple(values.tolist()) for name, values in result.scales.items()}
         population = np.asarray(result.next_genes)
         _require_numbers(experiment, population, done)
-        if learn and experiment.learning and done % experiment.learning.every == 0:
-            population = learn(population, done, scales)
+        if self._learn and experiment.learning and done % experiment.learning.every == 0:
+            population = self._learn(population, done, scales)
         seconds = time.perf_counter() - began
         champions = tuple(
-            _better(champion, result, checkpoint.generation, run)
-            for run, champion in enumerate(checkpoint.champions)
+            _better(champion, result, before.generation, run)
+            for run, champion in enumerate(before.champions)
         )
         rows = [
-            _metrics(experiment, checkpoint.generation, result, run, champion, seconds)
+            _metrics(experiment, before.generation, result, run, champion, seconds)
             for run, champion in enumerate(champions)
         ]
-        history = [*checkpoint.history, *rows]
-        remembered = state_arrays(state)
-        checkpoint = Checkpoint(done, population, champions, history, scales, remembered)
-        folder.save(checkpoint)
-        on_generation(rows)
-    return checkpoint
+        history, remembered = [*before.history, *rows], state_arrays(self._state)
+        self.checkpoint = Checkpoint(done, population, champions, history, scales, remembered)
+        if self._team.leads:
+            self._folder.save(self.checkpoint)
+        return rows
 
 
 def compile_evolution(experiment: Experiment) -> Evolution:
@@ -195,6 +270,10 @@ def no_scales(experiment: Experiment) -> dict[str, tuple[float, ...]]:
         lambda: task.scales(task.terms(task.begin((1,), jnp.dtype("float32"), steps), steps))
     )
     return dict.fromkeys(shapes, (1.0,) * experiment.runs)
+
+
+def _float32(scales: dict[str, tuple[float, ...]]) -> dict[str, np.ndarray]:
+    return {name: np.array(values, np.float32) for name, values in scales.items()}
 
 
 def _require_numbers(experiment: Experiment, genes: Float[np.ndarray, "g all"], done: int) -> None:

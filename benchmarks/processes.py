@@ -1,0 +1,191 @@
+"""What it costs that several processes evolve together, and what that would come to on many hosts.
+
+    python -m benchmarks.processes
+
+Processes of this machine give each other the results of a generation (`Team.gather`): three terms
+and whether an individual lives, 13 bytes, as of the swimmer. Nothing is simulated. Of all rounds
+the median is shown, and the time that a tenth of them stays below, which other work on the machine
+disturbs least. To the latter is fitted
+
+    t(P, B) = a + b (P - 1) + c B
+
+with P processes and B bytes that each receives. The efficiency of many hosts, each with N
+individuals whose trials take T seconds, is then
+
+    T / (T + t(P, B) + d N P)
+
+where d is what the digest of the population and breeding cost for each individual, measured here
+in one process: every process does that for all of them.
+
+Assumptions: gloo hands the rows around a ring, hence P - 1 steps. A step between hosts takes as
+long as one between processes of this machine; the network adds its latency (`--latency` adds some
+to b), but where the processes outnumber the cores, as here, they wait for those. All hosts are
+equally fast, and none is disturbed, although the slowest sets the pace. Connections between all
+pairs can be made, which gloo has been reported not to manage beyond some 1000 (pytorch/gloo issue
+327). There is memory for all genomes in every process.
+"""
+
+import argparse
+import hashlib
+import json
+import socket
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from benchmarks.plan import experiment_of, random_genes
+from evo_cpg.training.devices import use_cores
+from evo_cpg.training.processes import ALONE, join
+from evo_cpg.training.roll_call import Place, call_roll
+
+_PROCESSES = (1, 2, 3, 4)
+_POPULATIONS = (200, 4096)
+_HOSTS = (16, 256, 4096)
+_BYTES = 13
+
+# The digest is measured by itself, so what is gathered comes with hardly any genes.
+_FEW_GENES = 1
+
+_SIZES, _REPEATS = (4096, 32768), 12
+
+
+class Exchange(NamedTuple):
+    """Of a population among some processes: bytes and seconds."""
+
+    processes: int
+    population: int
+    sent: int
+    median: float
+    tenth: float
+
+
+def main() -> None:
+    """Measure, fit, and predict."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--rounds", type=int, default=1000, help="exchanges of each kind")
+    parser.add_argument("--seconds", type=float, default=1.0, help="T: trials of a host, s")
+    parser.add_argument("--individuals", type=int, default=200, help="N: on each host")
+    parser.add_argument("--latency", type=float, default=0.0, help="of the network, s")
+    parser.add_argument("--worker", nargs=3, help=argparse.SUPPRESS)
+    asked = parser.parse_args()
+    if asked.worker:
+        index, count, port = map(int, asked.worker)
+        _work(index, count, port, asked.rounds)
+        return
+    heads = ("processes", "population", "bytes sent", "bytes got", "median ms", "tenth ms")
+    print(_columns(*heads))
+    exchanges = []
+    for count in _PROCESSES:
+        for one in _measure(count, asked.rounds):
+            exchanges.append(one)
+            got = one.sent * count
+            times = f"{one.median * 1e3:.3f}", f"{one.tenth * 1e3:.3f}"
+            print(_columns(count, one.population, one.sent, got, *times))
+    a, b, c = _fit([one for one in exchanges if one.processes > 1])
+    b += asked.latency
+    genes, digest, breeding = _of_each()
+    print(f"t = {a * 1e3:.3f} ms + {b * 1e3:.3f} ms (P - 1) + {c * 1e9:.2f} ns B")
+    print(f"of each individual ({genes} genes): ", end="")
+    print(f"digest {digest * 1e6:.2f} us, breeding {breeding * 1e6:.2f} us")
+    heads = ("hosts", "population", "gather ms", "digest ms", "breed ms", "efficiency", "genomes")
+    print(_columns(*heads))
+    for hosts in _HOSTS:
+        population = hosts * asked.individuals
+        parts = (
+            a + b * (hosts - 1) + c * population * _BYTES,
+            digest * population,
+            breeding * population,
+        )
+        share = asked.seconds / (asked.seconds + sum(parts))
+        memory = f"{population * genes * 4 / 2**20:.0f} MiB"
+        times = (f"{part * 1e3:.1f}" for part in parts)
+        print(_columns(hosts, population, *times, f"{share:.1%}", memory))
+
+
+def _columns(*words: object) -> str:
+    return " ".join(f"{word!s:>10}" for word in words)
+
+
+def _fit(exchanges: list[Exchange]) -> tuple[float, float, float]:
+    """The model's numbers; none is less than nothing."""
+    from scipy.optimize import nnls
+
+    rows = [(1.0, one.processes - 1, one.processes * one.sent) for one in exchanges]
+    times = np.array([one.tenth for one in exchanges])
+    # Of relative errors, or the largest times alone would count.
+    found, _ = nnls(np.array(rows) / times[:, None], np.ones(len(times)))
+    return tuple(found.tolist())
+
+
+def _measure(count: int, rounds: int) -> list[Exchange]:
+    """As the lead sees them."""
+    with socket.create_server(("", 0)) as server:
+        port = server.getsockname()[1]
+    command = [sys.executable, "-m", "benchmarks.processes", "--rounds", str(rounds), "--worker"]
+    started = [
+        subprocess.Popen(
+            [*command, *map(str, (index, count, port))], stdout=subprocess.PIPE, text=True
+        )
+        for index in range(count)
+    ]
+    said = [process.communicate()[0] for process in started]
+    return [Exchange(*row) for row in json.loads(said[0].splitlines()[-1])]
+
+
+def _work(index: int, count: int, port: int, rounds: int) -> None:
+    use_cores(1)
+    place = Place(index, count, "localhost", port)
+    team = join(place, call_roll(place, {}, 60.0)) if count > 1 else ALONE
+    rows = []
+    for population in _POPULATIONS:
+        genes = np.ones((_FEW_GENES, population), np.float32)
+        share = team.share(population)
+        part = {name: np.zeros(share.stop - share.start, np.float32) for name in "abc"}
+        part["alive"] = np.ones(share.stop - share.start, bool)
+        times = []
+        for generation in range(rounds):
+            start = time.perf_counter()
+            team.gather(part, genes, generation)
+            times.append(time.perf_counter() - start)
+        times = np.array(times[rounds // 10 :])
+        median, tenth = np.quantile(times, (0.5, 0.1)).tolist()
+        rows.append(Exchange(count, population, team.sent, median, tenth))
+    team.leave()
+    print(json.dumps(rows), flush=True)
+
+
+def _of_each() -> tuple[int, float, float]:
+    """Genes of an individual, and what its digest and its breeding cost, s."""
+    digests, breedings, count = [], [], 0
+    for size in _SIZES:
+        experiment = experiment_of("iwadate2010_swimmer", f"evolution.population={size}")
+        genes = random_genes(experiment.simulation, size)
+        count = len(genes)
+        fitness = np.random.default_rng(0).random(size, np.float32)
+        breed = jax.jit(experiment.strategy.next_generation)
+        key = jax.random.key(0)
+        breedings.append(_seconds(lambda: jax.device_get(breed(key, genes, fitness))))  # noqa: B023
+        digests.append(_seconds(lambda: hashlib.sha256(genes.data).digest()))  # noqa: B023
+    spread = _SIZES[1] - _SIZES[0]
+    return count, (digests[1] - digests[0]) / spread, (breedings[1] - breedings[0]) / spread
+
+
+def _seconds(work: Callable[[], object]) -> float:
+    times = []
+    for _ in range(_REPEATS):
+        start = time.perf_counter()
+        work()
+        times.append(time.perf_counter() - start)
+    return statistics.median(times[1:])
+
+
+if __name__ == "__main__":
+    main()

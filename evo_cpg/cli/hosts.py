@@ -1,0 +1,115 @@
+"""Lists of hosts: what `--hosts` says, and which of them this machine is."""
+
+import socket
+from collections.abc import Sequence
+from pathlib import Path
+
+from evo_cpg.cli.errors import UsageError
+from evo_cpg.training.roll_call import Place
+
+# Where the lead listens unless the list says otherwise; of the range that nobody registers.
+DEFAULT_PORT = 61440
+
+_LARGEST_PORT = 65535
+
+
+def place_in(text: str, process: int | None = None) -> Place:
+    """The place of this process among those of a list.
+
+    Args:
+        text: ``HOST[:PORT],HOST,...``, or a file with a host on each line; the first leads.
+        process: the number of this process, where the name of its host does not tell.
+
+    Raises:
+        UsageError: the list is malformed, or does not tell which process this is.
+    """
+    words = _words(text)
+    host, port = _parted(words[0])
+    names = [host, *(_name(word, number) for number, word in enumerate(words[1:], 2))]
+    if process is None:
+        process = _own(names)
+    if not 0 <= process < len(names):
+        raise UsageError(
+            f"--process {process}: --hosts names {len(names)} process(es), counted from 0"
+        )
+    return Place(process, len(names), host, port, tuple(names))
+
+
+def _words(text: str) -> list[str]:
+    path = Path(text)
+    if path.is_file():
+        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+        words = [line.partition("#")[0].strip() for line in lines]
+        words = [word for word in words if word]
+        if not words:
+            raise UsageError(f"--hosts: {text} names no host; write one on each line")
+        return words
+    words = [word.strip() for word in text.split(",")]
+    if "" in words:
+        raise UsageError(
+            f"--hosts {text}: there is nothing between two commas, or at an end; "
+            "write HOST[:PORT],HOST,... or the name of a file"
+        )
+    return words
+
+
+def _parted(word: str) -> tuple[str, int]:
+    """Host and port of the lead; an IPv6 address with a port stands in brackets."""
+    if word.startswith("["):
+        host, bracket, rest = word[1:].partition("]")
+        port = rest.removeprefix(":")
+        if not bracket or (rest and not rest.startswith(":")):
+            raise UsageError(f"--hosts: {word}: an address in brackets is written [HOST]:PORT")
+    elif word.count(":") == 1:
+        host, _, port = word.partition(":")
+        rest = f":{port}"
+    else:
+        host, port, rest = word, "", ""
+    host = _name(host, 1)
+    if not rest:
+        return host, DEFAULT_PORT
+    if not (port.isascii() and port.isdigit() and 0 < int(port) <= _LARGEST_PORT):
+        raise UsageError(f"--hosts: {word}: the port must be from 1 to {_LARGEST_PORT}")
+    return host, int(port)
+
+
+def _name(word: str, number: int) -> str:
+    if not word or any(character.isspace() or character in "/@,;=" for character in word):
+        raise UsageError(f"--hosts: host {number} is {word!r}, which is no name of a host")
+    if word.count(":") == 1:
+        raise UsageError(f"--hosts: {word}: only the first host, the lead, may have a port")
+    return word
+
+
+def _own(names: Sequence[str]) -> int:
+    """The only one of the hosts that is this machine."""
+    found = [index for index, name in enumerate(names) if _is_here(name)]
+    if len(found) == 1:
+        return found[0]
+    if not found:
+        raise UsageError(
+            f"--hosts: none of {', '.join(names[:8])} is this machine, {socket.gethostname()}; "
+            "say which of them it is: --process I, counted from 0"
+        )
+    raise UsageError(
+        f"--hosts: {len(found)} of them are this machine, {', '.join(names[i] for i in found[:8])};"
+        " say which this process is: --process I, counted from 0"
+    )
+
+
+def _is_here(name: str) -> bool:
+    """Whether an address of a host belongs to this machine: then a socket can be bound to it."""
+    if name == socket.gethostname():
+        return True
+    try:
+        known = socket.getaddrinfo(name, 0, type=socket.SOCK_DGRAM)
+    except (OSError, UnicodeError):
+        return False
+    for family, kind, protocol, _, address in known:
+        try:
+            with socket.socket(family, kind, protocol) as tried:
+                tried.bind(address)
+        except OSError:
+            continue
+        return True
+    return False

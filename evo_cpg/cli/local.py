@@ -1,0 +1,132 @@
+"""`--local N`: a command that starts N processes of itself and watches them."""
+
+import contextlib
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+
+# How often it looks whether they live, s.
+_LOOK = 0.05
+
+# Once one has failed, or was interrupted, the others have so long to see that for themselves, s.
+_GRACE = 10.0
+
+# What a shell adds to the number of the signal that ended a program.
+_BY_SIGNAL = 128
+
+
+def run_local(
+    count: int,
+    arguments: Sequence[str],
+    cores: int | None,
+    check: Callable[[], object] = lambda: None,
+) -> int:
+    """Start the processes, and wait until they have ended.
+
+    Args:
+        count: of the processes.
+        arguments: of this command, without its name.
+        cores: of all together; None for all of this machine.
+        check: raises what all the processes would otherwise complain of, one by one.
+
+    Returns:
+        The exit code: the lead's where that failed, else of the first other that did.
+    """
+    check()
+    own = max(1, (cores or _cores()) // count)
+    hosts = ",".join([f"localhost:{_free_port()}", *["localhost"] * (count - 1)])
+    common = [*_without_local(arguments), "--cores", str(own), "--hosts", hosts]
+    command = [sys.executable, "-m", "evo_cpg.cli.main", *common, "--process"]
+    processes: list[subprocess.Popen] = []
+    with _ended(processes):
+        for index in range(count):
+            # A group of its own: what the terminal interrupts is this command, which hands it on.
+            processes.append(
+                subprocess.Popen([*command, str(index)], stdin=subprocess.DEVNULL, process_group=0)
+            )
+        while any(process.poll() is None for process in processes):
+            if any(process.returncode for process in processes):
+                _wait(processes, _GRACE)
+                break
+            time.sleep(_LOOK)
+    return _code([process.returncode for process in processes])
+
+
+@contextlib.contextmanager
+def _ended(processes: list[subprocess.Popen]) -> Iterator[None]:
+    """No process outlives the block, and each is told of an interrupt."""
+
+    def stop(number: int, frame: object) -> None:
+        del frame
+        raise SystemExit(_BY_SIGNAL + number)
+
+    before = signal.signal(signal.SIGTERM, stop)
+    try:
+        yield
+    except KeyboardInterrupt:
+        for process in processes:
+            if process.poll() is None:
+                process.send_signal(signal.SIGINT)
+        _wait(processes, _GRACE)
+        raise
+    finally:
+        signal.signal(signal.SIGTERM, before)
+        for process in processes:
+            # Also of one that was stopped, which would not hear anything else.
+            process.kill()
+        for index, process in enumerate(processes):
+            process.wait()
+            if process.returncode < 0 and process.returncode != -signal.SIGKILL:
+                _say_ended(index, process.returncode)
+
+
+def _wait(processes: Sequence[subprocess.Popen], longest: float) -> None:
+    """Wait for all to end; who is killed afterwards is not."""
+    told = False
+    end = time.monotonic() + longest
+    while time.monotonic() < end and any(process.poll() is None for process in processes):
+        for index, process in enumerate(processes):
+            if not told and process.returncode == -signal.SIGKILL:
+                _say_ended(index, process.returncode)
+                told = True
+        time.sleep(_LOOK)
+
+
+def _say_ended(index: int, code: int) -> None:
+    name = signal.Signals(-code).name
+    print(f"evo-cpg: process {index} was ended by {name}", file=sys.stderr, flush=True)
+
+
+def _code(codes: Sequence[int]) -> int:
+    """Of the command, from those of its processes, the lead's first."""
+    ends = [code for code in codes if code > 0]
+    if codes[0] > 0 or not ends:
+        ends = [code for code in codes if code] or [0]
+    return ends[0] if ends[0] >= 0 else _BY_SIGNAL - ends[0]
+
+
+def _without_local(arguments: Sequence[str]) -> list[str]:
+    """The arguments without ``--local N`` and the cores, of which each process has a part."""
+    kept: list[str] = []
+    words = iter(arguments)
+    for word in words:
+        if word in ("--local", "--cores"):
+            next(words, None)
+        elif not word.startswith(("--local=", "--cores=")):
+            kept.append(word)
+    return kept
+
+
+def _cores() -> int:
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def _free_port() -> int:
+    with socket.create_server(("", 0)) as server:
+        return server.getsockname()[1]
