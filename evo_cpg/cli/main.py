@@ -198,6 +198,43 @@ def resume(
 
 
 @app.command()
+def sweep(
+    config: Annotated[
+        Path,
+        typer.Argument(
+            metavar="CONFIG", help="A YAML configuration file; or a sweep, to go on with it."
+        ),
+    ],
+    overrides: Overrides = None,
+    grid: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--grid",
+            metavar="KEY=A,B,...",
+            help="Values of a key; of several, every combination.",
+        ),
+    ] = None,
+    settings: Annotated[
+        Path | None,
+        typer.Option(
+            "--settings", metavar="FILE", help="A YAML file, {name: {key: value, ...}, ...}."
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Folder; runs/CONFIG_sweep by default.")
+    ] = None,
+    only: Annotated[
+        list[str] | None, typer.Option("--only", metavar="NAME", help="Only this setting.")
+    ] = None,
+    cores: Cores = None,
+) -> None:
+    """Evolve under many settings and compare what comes of them."""
+    from evo_cpg.cli.sweep import run_sweep
+
+    run_sweep(config, overrides or [], grid or [], settings, out, cores, only or [])
+
+
+@app.command()
 def refine(
     run: Run,
     keys: Annotated[

@@ -70,7 +70,7 @@ def combine(grid: Mapping[str, Sequence[Any]], named: Mapping[str, Values]) -> l
             point = dict(zip(grid, chosen, strict=True))
             parts = [name] if name else []
             parts += [f"{short[key]}={_word(value)}" for key, value in point.items()]
-            settings.append(Setting(_folder_name("_".join(parts) or "all"), {**values, **point}))
+            settings.append(Setting(_folder_name(",".join(parts) or "all"), {**values, **point}))
     names = [setting.name for setting in settings]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
@@ -94,4 +94,4 @@ def _word(value: Any) -> str:
 
 
 def _folder_name(text: str) -> str:
-    return re.sub(r"[^\w.=+-]+", "-", text).strip("-.")[:_LONGEST]
+    return re.sub(r"[^\w.,=+-]+", "-", text).strip("-.,")[:_LONGEST]

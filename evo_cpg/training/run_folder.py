@@ -149,7 +149,7 @@ class RunFolder:
             raise _cannot_write(self.path, error) from None
         self.start.unlink(missing_ok=True)
         if start is not None:
-            _write(self.start, lambda file: np.savez(file, genes=start))
+            write_whole(self.start, lambda file: np.savez(file, genes=start))
         # Then the config: a folder that has one can be resumed.
         self.reopen(config_text)
         self.update_meta(**meta)
@@ -170,7 +170,7 @@ class RunFolder:
         Raises:
             RunFolderError: the folder cannot be written.
         """
-        _write(self.config, lambda file: file.write(config_text.encode()))
+        write_whole(self.config, lambda file: file.write(config_text.encode()))
         try:
             for part in ("checkpoints", "videos", "plots"):
                 (self.path / part).mkdir(exist_ok=True)
@@ -209,7 +209,7 @@ class RunFolder:
     def write_json(self, name: str, values: Mapping[str, Any]) -> None:
         """Write a .json file of the folder."""
         text = json.dumps(values, indent=2, allow_nan=False)
-        _write(self.path / name, lambda file: file.write(text.encode()))
+        write_whole(self.path / name, lambda file: file.write(text.encode()))
 
     def save(self, checkpoint: Checkpoint) -> None:
         """Write a checkpoint, metrics.csv and, with it, the champion where it is new."""
@@ -219,7 +219,7 @@ class RunFolder:
         ):
             self.save_champion(champion)
         arrays = checkpoint_arrays(checkpoint, self._columns_of(checkpoint.history))
-        _write(self._checkpoint(checkpoint.generation), lambda file: np.savez(file, **arrays))
+        write_whole(self._checkpoint(checkpoint.generation), lambda file: np.savez(file, **arrays))
         self.write_metrics(checkpoint.history)
         for old in self._checkpoints()[:-_KEPT_CHECKPOINTS]:
             old.unlink(missing_ok=True)
@@ -235,15 +235,15 @@ class RunFolder:
 
     def save_champion(self, champion: Champion, recording: Recording | None = None) -> None:
         """Write champion.npz, with its motion where there is one."""
-        _write(self.champion, _champion_writer(champion, self.config_digest(), recording))
+        write_whole(self.champion, _champion_writer(champion, self.config_digest(), recording))
 
     def keep_before(self, champion: Champion, recording: Recording | None = None) -> None:
         """Write champion_before.npz, and copy config.yaml to config_before.yaml."""
         before = self.champion.with_stem(f"{self.champion.stem}_before")
-        _write(before, _champion_writer(champion, self.config_digest(), recording))
+        write_whole(before, _champion_writer(champion, self.config_digest(), recording))
         config = self.config.read_bytes()
         before = self.config.with_stem(f"{self.config.stem}_before")
-        _write(before, lambda file: file.write(config))
+        write_whole(before, lambda file: file.write(config))
 
     def replace_champion(self, champion: Champion, config_text: str) -> None:
         """Put a refined individual in the place of its run's champion, and what it lives by.
@@ -276,7 +276,7 @@ class RunFolder:
         writer = csv.DictWriter(text, fieldnames=list(rows[0]), lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
-        _write(self.path / name, lambda file: file.write(text.getvalue().encode()))
+        write_whole(self.path / name, lambda file: file.write(text.getvalue().encode()))
 
     def load_champion(self) -> tuple[Champion, Recording | None, dict[str, str]]:
         """The champion, its motion if that was recorded, and the digests written with it.
@@ -335,7 +335,7 @@ class RunFolder:
             for path, write in writes.items():
                 place = gathered / path.relative_to(self.path)
                 place.parent.mkdir(parents=True, exist_ok=True)
-                _write(place, write)
+                write_whole(place, write)
             os.replace(gathered, self.path / _DECIDED)
         except OSError as error:
             raise _cannot_write(self.path, error) from None
@@ -368,7 +368,7 @@ class RunFolder:
         writer = csv.DictWriter(added, fieldnames=list(history[0]), lineterminator="\n")
         writer.writerows(history[len(rows) :])
         self._table = history, text + added.getvalue()
-        _write(self.metrics, lambda file: file.write(self._table[1].encode()))
+        write_whole(self.metrics, lambda file: file.write(self._table[1].encode()))
 
 
 def _champion_writer(
@@ -384,7 +384,7 @@ def _champion_writer(
     return lambda file: np.savez(file, **arrays)
 
 
-def _write(path: Path, write: _Writer) -> None:
+def write_whole(path: Path, write: _Writer) -> None:
     """Write a file beside its place, flush it to the disk, and move it there."""
     try:
         handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")

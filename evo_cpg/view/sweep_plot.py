@@ -27,7 +27,7 @@ _WIDTH, _LEAST, _ROW, _REST = 11.0, 4.2, 0.34, 1.3
 _LONGEST = 34
 
 
-class Course(NamedTuple):
+class Curves(NamedTuple):
     """The runs of one setting.
 
     Attributes:
@@ -46,14 +46,14 @@ class Course(NamedTuple):
         return self.best[:, -1]
 
 
-def plot_sweep(courses: Sequence[Course], title: str, path: str | os.PathLike[str]) -> Path:
+def plot_sweep(curves: Sequence[Curves], title: str, path: str | os.PathLike[str]) -> Path:
     """Draw a sweep.
 
     On the left the best so far against the evaluations, the median of the runs and the band in
     which half of them lie; on the right every run's champion, with the median.
 
     Args:
-        courses: of the settings, in the order in which they are shown.
+        curves: of the settings, in the order in which they are shown.
         title: above the figure.
         path: ``.png``, ``.svg`` or ``.pdf``.
 
@@ -64,15 +64,15 @@ def plot_sweep(courses: Sequence[Course], title: str, path: str | os.PathLike[st
         OutputError: nothing can be written there, or not this kind of file.
     """
     path = output_path(path, PLOT_SUFFIXES)
-    colours = _colours(len(courses))
-    figure = Figure((_WIDTH, max(_LEAST, _REST + _ROW * len(courses))), layout="constrained")
+    colours = _colours(len(curves))
+    figure = Figure((_WIDTH, max(_LEAST, _REST + _ROW * len(curves))), layout="constrained")
     FigureCanvasAgg(figure)
     left, right = figure.subplots(1, 2, width_ratios=(1.25, 1))
-    for course, colour in zip(courses, colours, strict=True):
-        _draw_course(left, course, colour)
+    for curve, colour in zip(curves, colours, strict=True):
+        _draw_curve(left, curve, colour)
     left.set_xlabel("evaluations in a run")
     left.set_ylabel("fitness of the best so far")
-    _draw_ends(right, courses, colours)
+    _draw_ends(right, curves, colours)
     for axes in (left, right):
         axes.grid(color=_LINES, lw=0.7)
         axes.set_axisbelow(True)
@@ -83,34 +83,34 @@ def plot_sweep(courses: Sequence[Course], title: str, path: str | os.PathLike[st
     return path
 
 
-def _draw_course(axes: Axes, course: Course, colour) -> None:
-    known = np.isfinite(course.best).any(0)
+def _draw_curve(axes: Axes, curve: Curves, colour) -> None:
+    known = np.isfinite(curve.best).any(0)
     if not known.any():
         return
-    instants = course.evaluations[known]
-    low, median, high = np.nanquantile(course.best[:, known], (0.25, 0.5, 0.75), axis=0)
+    instants = curve.evaluations[known]
+    low, median, high = np.nanquantile(curve.best[:, known], (0.25, 0.5, 0.75), axis=0)
     axes.fill_between(instants, low, high, color=colour, alpha=0.16, lw=0)
     axes.plot(instants, median, color=colour, lw=1.8)
 
 
-def _draw_ends(axes: Axes, courses: Sequence[Course], colours: Sequence) -> None:
+def _draw_ends(axes: Axes, curves: Sequence[Curves], colours: Sequence) -> None:
     rng = np.random.default_rng(0)
-    for row, (course, colour) in enumerate(zip(courses, colours, strict=True)):
-        final = course.final[np.isfinite(course.final)]
+    for row, (curve, colour) in enumerate(zip(curves, colours, strict=True)):
+        final = curve.final[np.isfinite(curve.final)]
         if not final.size:
             continue
         beside = row + 0.22 * (rng.random(final.size) - 0.5)
         axes.plot(final, beside, "o", ms=5, mfc=colour, mec="white", mew=0.6, alpha=0.85)
         axes.plot([np.median(final)] * 2, [row - 0.32, row + 0.32], color=colour, lw=2.6)
-    axes.set_yticks(range(len(courses)), [_label(course) for course in courses], fontsize=9)
-    axes.set_ylim(len(courses) - 0.4, -0.6)
+    axes.set_yticks(range(len(curves)), [_label(curve) for curve in curves], fontsize=9)
+    axes.set_ylim(len(curves) - 0.4, -0.6)
     axes.set_xlabel("fitness of the champions (line: median)")
 
 
-def _label(course: Course) -> str:
-    name = legible(course.name)
+def _label(curve: Curves) -> str:
+    name = legible(curve.name)
     name = name if len(name) <= _LONGEST else f"{name[: _LONGEST - 1]}..."
-    return f"{name}  (n = {int(np.isfinite(course.final).sum())})"
+    return f"{name}  (n = {int(np.isfinite(curve.final).sum())})"
 
 
 def _colours(count: int) -> Sequence:

@@ -1,0 +1,171 @@
+"""`evo-cpg sweep`: settings side by side, in turn, stopped and gone on with."""
+
+import csv
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+import evo_cpg as evo
+from evo_cpg.api import sweep as sweeps
+from evo_cpg.cli.errors import UsageError
+from evo_cpg.cli.sweep import run_sweep
+from evo_cpg.cli.training import verify_run
+from evo_cpg.config.load import as_overrides
+from evo_cpg.training import together
+from evo_cpg.training.loop import TIMING_COLUMNS
+from evo_cpg.training.run_folder import RunFolder, RunFolderError
+from tiny_run import CONFIG, PAIR
+
+SHORT = (*PAIR, "simulation.steps=20", "evolution.generations=3", "runs=2")
+GRID = ("evolution.mutation_rate=0.02,0.3",)
+
+
+def sweep(folder, *, grid=GRID, settings=None, given=SHORT, only=()):
+    run_sweep(CONFIG, given, grid, settings, folder, None, only)
+
+
+def table(path):
+    with path.open() as file:
+        return list(csv.DictReader(file))
+
+
+def untimed(rows):
+    return [{k: v for k, v in row.items() if k not in TIMING_COLUMNS} for row in rows]
+
+
+@pytest.fixture(scope="module")
+def swept(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("swept") / "sweep"
+    settings = folder.parent / "settings.yaml"
+    settings.write_text(
+        "plain: {}\n"
+        "random: {evolution: {type: random, generations: 2, population: 6}}\n"
+        "heavy: {world.water.density: 1200}\n"
+    )
+    sweep(folder, grid=(), settings=settings)
+    return folder
+
+
+def test_each_setting_comes_to_what_it_comes_to_alone(swept, tmp_path):
+    for name, changes in (
+        ("plain", {}),
+        ("random", {"evolution": {"type": "random", "generations": 2, "population": 6}}),
+        ("heavy", {"world.water.density": 1200}),
+    ):
+        alone = evo.train(evo.load(CONFIG, [*SHORT, *as_overrides(changes)]), tmp_path / name)
+        together = RunFolder(swept / name).load()
+        assert together is not None and together.champion is not None
+        assert untimed(together.history) == untimed(alone.history)
+        np.testing.assert_array_equal(together.champion.genes, alone.genome)
+
+
+def test_what_shares_a_trial_shares_a_program(swept):
+    members = sweeps.members_of(swept, sweeps.read_plan(swept))
+    names = [[member.setting.name for member in group] for group in sweeps.groups(members)]
+    assert names == [["plain", "random"], ["heavy"]]
+
+
+def test_tables_and_figure(swept):
+    runs = table(swept / "runs.csv")
+    assert [(row["setting"], row["run"]) for row in runs] == [
+        (name, run) for name in ("plain", "random", "heavy") for run in "01"
+    ]
+    assert {row["evaluations"] for row in runs} == {"24", "12"}
+    assert runs[-1]["world.water.density"] == "1200" and runs[0]["world.water.density"] == ""
+    for row in runs:
+        champion = RunFolder(swept / row["setting"]).load().champions[int(row["run"])]
+        assert float(row["fitness"]) == champion.fitness
+        assert float(row["best_distance"]) == champion.terms["distance"]
+    spreads = {row["name"]: row for row in table(swept / "settings.csv")}
+    own = [float(row["fitness"]) for row in runs if row["setting"] == "plain"]
+    assert float(spreads["plain"]["median"]) == pytest.approx(np.median(own))
+    assert len(table(swept / "tests.csv")) == 3
+    assert (swept / "sweep.png").stat().st_size > 10_000
+
+
+def test_a_stopped_sweep_goes_on_to_the_same_bits(tmp_path, monkeypatch):
+    """Killed between the checkpoints of two settings, so that one is ahead."""
+    sweep(tmp_path / "whole")
+    counted = []
+
+    class Stop(BaseException):
+        pass
+
+    class Stopping(together.Running):
+        def tell(self, part, began):
+            if len(counted) == 3:
+                raise Stop
+            counted.append(self)
+            return super().tell(part, began)
+
+    with monkeypatch.context() as patch, pytest.raises(Stop):
+        patch.setattr(together, "Running", Stopping)
+        sweep(tmp_path / "stopped")
+    stopped = [
+        RunFolder(tmp_path / "stopped" / name).load().generation
+        for name in ("mutation_rate=0.02", "mutation_rate=0.3")
+    ]
+    assert stopped == [2, 1]
+    run_sweep(tmp_path / "stopped", (), (), None, None, None)
+    for name in ("mutation_rate=0.02", "mutation_rate=0.3"):
+        whole, again = (RunFolder(tmp_path / which / name).load() for which in ("whole", "stopped"))
+        np.testing.assert_array_equal(whole.genes, again.genes)
+        assert untimed(whole.history) == untimed(again.history)
+    # Once more there is nothing left to do.
+    before = (tmp_path / "stopped" / "runs.csv").read_text()
+    run_sweep(tmp_path / "stopped", (), (), None, None, None)
+    assert (tmp_path / "stopped" / "runs.csv").read_text() == before
+
+
+def test_the_runs_are_run_folders_like_others(swept, capsys):
+    verify_run(swept / "heavy", None)
+    assert "(exactly)" in capsys.readouterr().out
+    meta = json.loads((swept / "random" / "meta.json").read_text())
+    assert meta["name"] == "iwadate2010_swimmer random"
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"grid": ()}, "nothing is varied; name keys and values"),
+        ({"grid": ("seed",)}, "'seed' is not KEY=VALUE,VALUE"),
+        ({"grid": ("seed=[1",)}, "is not a list of values"),
+        ({"grid": ("seed=1,1",)}, "two settings would be called 'seed=1'"),
+        ({"only": ("there",)}, "no setting 'there'; there are mutation_rate=0.02, mutation_rate"),
+    ],
+)
+def test_what_cannot_be_swept_is_said(tmp_path, given, words):
+    with pytest.raises(UsageError, match=words):
+        sweep(tmp_path / "sweep", **given)
+
+
+def test_a_wrong_setting_is_said_before_anything_runs(tmp_path):
+    with pytest.raises(evo.ConfigError, match=r"evolution\.mutation_rate: .*less than or equal"):
+        sweep(tmp_path / "sweep", grid=("evolution.mutation_rate=0.5,1.5",))
+    assert not (tmp_path / "sweep").exists()
+
+
+def test_another_sweep_or_a_used_folder_is_refused(swept, tmp_path):
+    with pytest.raises(RunFolderError, match=r"holds another sweep \(its settings differ\)"):
+        sweep(swept)
+    with pytest.raises(UsageError, match="is a sweep, which is gone on with as it is"):
+        run_sweep(swept, (), GRID, None, None, None)
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(RunFolderError, match="is not empty and holds no sweep"):
+        sweep(tmp_path)
+
+
+def test_a_changed_configuration_is_said(tmp_path):
+    own = shutil.copytree(CONFIG.parent, tmp_path / "configs") / CONFIG.name
+    run_sweep(own, SHORT, GRID, None, tmp_path / "sweep", None, ("mutation_rate=0.02",))
+    own.write_text(own.read_text().replace("seed: 0", "seed: 5"))
+    with pytest.raises(RunFolderError, match="has changed since the sweep began"):
+        run_sweep(tmp_path / "sweep", (), (), None, None, None)
+
+
+def test_a_damaged_plan_is_said(tmp_path):
+    (tmp_path / "sweep.json").write_text('{"config": 3}')
+    with pytest.raises(RunFolderError, match=r"sweep\.json is damaged"):
+        run_sweep(tmp_path, (), (), None, None, None)
