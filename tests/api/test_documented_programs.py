@@ -82,6 +82,16 @@ def test_an_animal_of_ones_own_trains(here, monkeypatch):
     assert evo.load(trained.folder).gene_count == 3
 
 
+def test_an_optimiser_of_ones_own_trains(here, monkeypatch):
+    strategy, program = programs("docs/search.md")
+    (here / "climber.py").write_text(strategy)
+    monkeypatch.delitem(sys.modules, "climber", raising=False)
+    names: dict = {}
+    run(program, names)
+    assert type(names["experiment"].parts.strategy).__name__ == "Climber"
+    assert len(names["trained"].history) == 3
+
+
 def test_the_reference_names_all_that_there_is():
     text = (ROOT / "docs/api.md").read_text()
     for name in evo.__all__:
