@@ -12,7 +12,7 @@ from evo_cpg.config.numbers import unchecked
 from evo_cpg.config.own_classes import build_own, require_code
 from evo_cpg.config.own_returns import check_own_returns, check_own_strategy
 from evo_cpg.config.schema.choice import CustomConfig
-from evo_cpg.config.schema.evolution import MapSection, RealEvolutionConfig
+from evo_cpg.config.schema.evolution import RealEvolutionConfig
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.config.schema.task import DistanceConfig, WalkConfig
 from evo_cpg.config.schema.world import WaterConfig
@@ -179,7 +179,7 @@ def _build_measures(
     Raises:
         ConfigError: there is no such measure, or not in this world.
     """
-    if not config.measures and not isinstance(config.evolution, MapSection):
+    if not config.measures and not config.evolution.axes:
         return None
     try:
         own = term_names(task)
@@ -189,7 +189,7 @@ def _build_measures(
     asked: list[tuple[tuple[str | int, ...], str]] = [
         (("measures", i), name) for i, name in enumerate(config.measures)
     ]
-    if isinstance(config.evolution, MapSection):
+    if config.evolution.axes:
         asked += [
             (("evolution", "axes", i, "name"), axis.name)
             for i, axis in enumerate(config.evolution.axes)

@@ -12,6 +12,7 @@ from evo_cpg.config.own_classes import own_parts
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.control.controller import Command
 from evo_cpg.evolution.islands import Islands
+from evo_cpg.evolution.map_elites import Mapped
 from evo_cpg.evolution.strategy import Evaluation, Strategy
 from evo_cpg.fusion.engine import Engine, using
 from evo_cpg.simulation.control_step import (
@@ -90,7 +91,8 @@ def check_own_strategy(
     key = ("evolution",)
     if key not in [key for key, _ in own_parts(config)]:
         return
-    strategy = strategy.strategy if isinstance(strategy, Islands) else strategy
+    while isinstance(strategy, Islands | Mapped):
+        strategy = strategy.strategy
     shape, terms = (
         (simulation.controller.gene_count, strategy.population),
         term_names(simulation.task),

@@ -19,7 +19,7 @@ from evo_cpg.control.controller import Controller
 from evo_cpg.evolution import from_evosax
 from evo_cpg.evolution.bits import BitGenetics
 from evo_cpg.evolution.islands import Islands
-from evo_cpg.evolution.map_elites import MapElites, Vary
+from evo_cpg.evolution.map_elites import MapElites, Mapped, MapStrategy, Vary
 from evo_cpg.evolution.random_search import RandomSearch
 from evo_cpg.evolution.strategy import Strategy
 from evo_cpg.simulation.simulation import Simulation
@@ -43,6 +43,8 @@ def build_strategy(
         strategy = Islands(
             given.population, strategy, islands.count, islands.every, islands.migrants
         )
+    if given.axes and not isinstance(strategy, MapStrategy):
+        strategy = Mapped(given.population, given.build_axes(), strategy)
     return strategy
 
 

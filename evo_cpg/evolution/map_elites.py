@@ -258,3 +258,57 @@ class MapElites(MapStrategy):
     def around(self, key: Array, genes: Float[Array, "g n"]) -> Float[Array, "g n"]:
         """See `Strategy.around`."""
         return self.vary.copies(key, genes).at[:, 0].set(genes[:, 0])
+
+
+class Charted(NamedTuple):
+    """What a strategy remembers, and the map of everybody who lived under it."""
+
+    archive: Archive
+    state: PyTree[Array]
+
+
+class Mapped(MapStrategy):
+    """Any strategy, with a map of everybody who lived; it is none the wiser.
+
+    Attributes:
+        population: individuals in every generation.
+        axes: of the map.
+        strategy: that searches.
+    """
+
+    population: int = eqx.field(static=True)
+    axes: tuple[Axis, ...] = eqx.field(static=True)
+    strategy: Strategy
+
+    @property
+    def gene_bound(self) -> float | None:
+        """Largest magnitude of a gene, where the strategy has one."""
+        return getattr(self.strategy, "gene_bound", None)
+
+    def archive(self, state: Charted) -> Archive:
+        """See `MapStrategy.archive`."""
+        return state.archive
+
+    def init(self, key: Array, genes: Float[Array, "g n"]) -> Charted:
+        """See `Strategy.init`."""
+        return Charted(self.empty(genes), self.strategy.init(key, genes))
+
+    def ask(self, key: Array, state: Charted) -> tuple[Float[Array, "g n"], Charted]:
+        """See `Strategy.ask`."""
+        genes, inner = self.strategy.ask(key, state.state)
+        return genes, Charted(state.archive, inner)
+
+    def tell(
+        self, key: Array, state: Charted, genes: Float[Array, "g n"], evaluation: Evaluation
+    ) -> Charted:
+        """See `Strategy.tell`."""
+        inner = self.strategy.tell(key, state.state, genes, evaluation)
+        return Charted(self.entered(state.archive, genes, evaluation), inner)
+
+    def around(self, key: Array, genes: Float[Array, "g n"]) -> Float[Array, "g n"]:
+        """See `Strategy.around`."""
+        return self.strategy.around(key, genes)
+
+    def metrics(self, state: Charted) -> dict[str, Float[Array, ""]]:
+        """The strategy's, and those of the map."""
+        return {**self.strategy.metrics(state.state), **super().metrics(state)}

@@ -9,7 +9,7 @@ from evo_cpg.config.build import build_experiment
 from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.load import load_config
 from evo_cpg.evolution.islands import Islands
-from evo_cpg.evolution.map_elites import MapElites
+from evo_cpg.evolution.map_elites import MapElites, Mapped
 from tiny_run import CONFIG
 
 WALKER = CONFIG.with_name("fukui2003_model1.yaml")
@@ -68,6 +68,11 @@ def test_a_map_measures_what_its_axes_are():
     # A term of the task needs no measure.
     assert swimmer.simulation.measures is None and swimmer.strategy.vary.bits is None
     assert swimmer.strategy.gene_bound == 8.0
+    mapped = build(WALKER, f"evolution.axes={AXES}")
+    assert isinstance(mapped.strategy, Mapped) and mapped.strategy.shape == (10, 4)
+    assert mapped.simulation.measures.names == ("speed", "duty_factor")
+    with pytest.raises(ConfigError, match=r"evolution\..*axes: at least one is needed"):
+        build(CONFIG, "evolution={type: map_elites, axes: []}")
 
 
 @pytest.mark.skipif(importlib.util.find_spec("evosax") is None, reason="evosax is an extra")

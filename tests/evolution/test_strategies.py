@@ -11,7 +11,7 @@ import pytest
 from evo_cpg.evolution.bits import BitGenetics
 from evo_cpg.evolution.generation import RealGenetics
 from evo_cpg.evolution.islands import Islands
-from evo_cpg.evolution.map_elites import Axis, MapElites, Vary
+from evo_cpg.evolution.map_elites import Axis, MapElites, Mapped, Vary
 from evo_cpg.evolution.random_search import RandomSearch
 from evo_cpg.evolution.strategy import Evaluation, Strategy, worst_finite
 from evo_cpg.training.strategy_state import StrategyError, state_arrays, state_from
@@ -64,6 +64,7 @@ STRATEGIES = {
         SIZE, RealGenetics(SIZE // 3, 2, 0.5, 0.2, 0.3, 0.3, 8.0), 3, every=2, migrants=1
     ),
     "islands of climbers": lambda: Islands(SIZE, Climber(SIZE // 2), 2, 3, 1),
+    "genetics with a map": lambda: Mapped(SIZE, AXES, GENETICS),
     "map_elites": lambda: MapElites(SIZE, AXES, Vary(0.1, 0.2, 8.0)),
     "random": lambda: RandomSearch(
         SIZE, lambda key: jax.random.uniform(key, (GENES, SIZE), jnp.float32, -2.0, 2.0)
@@ -246,6 +247,14 @@ def test_a_map_keeps_the_fittest_of_every_cell():
         np.testing.assert_array_equal(archive.genes[:, cell], column)
     assert (np.asarray(archive.generation)[~filled] == -1).all()
     assert archive.told == 12
+
+
+def test_a_search_is_none_the_wiser_for_a_map():
+    plain, _, _ = search(GENETICS, 6)
+    mapped, _, state = search(Mapped(SIZE, AXES, GENETICS), 6)
+    for one, other in zip(plain, mapped, strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert np.isfinite(state.archive.fitness).sum() >= 4
 
 
 def test_children_of_bits_are_bits_of_two_parents():

@@ -54,6 +54,53 @@ class IslandsConfig(Section):
             )
 
 
+class AxisConfig(Section):
+    """An axis of a map of behaviour.
+
+    Attributes:
+        name: of a descriptor: a measure of gait, or a term of the task.
+        range: where the first cell begins and the last one ends.
+        cells: into which it is cut.
+    """
+
+    name: str
+    range: tuple[Finite, Finite]
+    cells: Annotated[int, Field(ge=1, le=1000)] = 10
+
+    @model_validator(mode="after")
+    def _check(self) -> "AxisConfig":
+        if not self.range[0] < self.range[1]:
+            raise ValueError(f"range: must rise, got {self.range[0]:g} to {self.range[1]:g}")
+        return self
+
+
+class MapSection(Section):
+    """A search that keeps a map of behaviour.
+
+    Attributes:
+        axes: of the map, on which the fittest of every kind who ever lived is kept; none if left
+            out, unless it is what is searched for.
+    """
+
+    axes: Annotated[tuple[AxisConfig, ...], Field(max_length=6)] = ()
+
+    @model_validator(mode="after")
+    def _check_map(self) -> "MapSection":
+        names = [axis.name for axis in self.axes]
+        if len(set(names)) < len(names):
+            raise ValueError(f"axes: each must have a name of its own, got {', '.join(names)}")
+        cells = 1
+        for axis in self.axes:
+            cells *= axis.cells
+        if cells > _MOST_CELLS:
+            raise ValueError(f"axes: a map has at most {_MOST_CELLS} cells, got {cells}")
+        return self
+
+    def build_axes(self) -> tuple[Axis, ...]:
+        """The axes as the search has them."""
+        return tuple(Axis(axis.name, *axis.range, axis.cells) for axis in self.axes)
+
+
 class LearningConfig(Section):
     """Elites climb along the slope of their fitness and pass on what they learn.
 
@@ -68,7 +115,7 @@ class LearningConfig(Section):
     steps: Count = 5
 
 
-class RealEvolutionConfig(Section):
+class RealEvolutionConfig(MapSection):
     """The genetic algorithm on real-valued genomes.
 
     Attributes:
@@ -132,7 +179,7 @@ class RealEvolutionConfig(Section):
         return self
 
 
-class BitEvolutionConfig(Section):
+class BitEvolutionConfig(MapSection):
     """The genetic algorithm on bits of Fukui 2003, chapter 3, whose numbers are the defaults.
 
     Attributes:
@@ -188,52 +235,6 @@ class BitEvolutionConfig(Section):
         return self
 
 
-class AxisConfig(Section):
-    """An axis of a map of behaviour.
-
-    Attributes:
-        name: of a descriptor: a measure of gait, or a term of the task.
-        range: where the first cell begins and the last one ends.
-        cells: into which it is cut.
-    """
-
-    name: str
-    range: tuple[Finite, Finite]
-    cells: Annotated[int, Field(ge=1, le=1000)] = 10
-
-    @model_validator(mode="after")
-    def _check(self) -> "AxisConfig":
-        if not self.range[0] < self.range[1]:
-            raise ValueError(f"range: must rise, got {self.range[0]:g} to {self.range[1]:g}")
-        return self
-
-
-class MapSection(Section):
-    """What searches have in common that fill a map of behaviour.
-
-    Attributes:
-        axes: of the map.
-    """
-
-    axes: Annotated[tuple[AxisConfig, ...], Field(min_length=1, max_length=6)]
-
-    @model_validator(mode="after")
-    def _check_map(self) -> "MapSection":
-        names = [axis.name for axis in self.axes]
-        if len(set(names)) < len(names):
-            raise ValueError(f"axes: each must have a name of its own, got {', '.join(names)}")
-        cells = 1
-        for axis in self.axes:
-            cells *= axis.cells
-        if cells > _MOST_CELLS:
-            raise ValueError(f"axes: a map has at most {_MOST_CELLS} cells, got {cells}")
-        return self
-
-    def build_axes(self) -> tuple[Axis, ...]:
-        """The axes as the search has them."""
-        return tuple(Axis(axis.name, *axis.range, axis.cells) for axis in self.axes)
-
-
 class MapElitesConfig(MapSection):
     """MAP-Elites: the fittest individual of every kind of behaviour.
 
@@ -256,8 +257,16 @@ class MapElitesConfig(MapSection):
     line_sigma: NotNegative = 0.2
     gene_bound: Positive = 8.0
 
+    @model_validator(mode="after")
+    def _check(self) -> "MapElitesConfig":
+        if not self.axes:
+            raise ValueError(
+                "axes: at least one is needed, such as {name: speed, range: [0, 1], cells: 10}"
+            )
+        return self
 
-class EvosaxConfig(Section):
+
+class EvosaxConfig(MapSection):
     """An algorithm of evosax (Lange 2022), which has to be installed.
 
     Attributes:
@@ -291,7 +300,7 @@ class EvosaxConfig(Section):
         return self
 
 
-class RandomSearchConfig(Section):
+class RandomSearchConfig(MapSection):
     """Random search, which any other search has to beat.
 
     Attributes:
@@ -305,7 +314,7 @@ class RandomSearchConfig(Section):
     population: Population = 200
 
 
-class CustomEvolutionConfig(CustomConfig):
+class CustomEvolutionConfig(CustomConfig, MapSection):
     """A `Strategy` of your own.
 
     Attributes:
