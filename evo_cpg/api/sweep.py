@@ -234,6 +234,8 @@ def summarise(folder: Path, members: Sequence[Member]) -> Summary:
                 "fitness": best[run, -1],
                 "found_in": "" if champion is None else champion.generation,
             }
+            last = checkpoint.history[run - runs]
+            row |= {name: last[name] for name in experiment.strategy.metric_names}
             rows.append(row | {f"best_{term}": value for term, value in found.items()})
     if not rows:
         raise RunFolderError(f"{folder}: nothing has been evolved yet")

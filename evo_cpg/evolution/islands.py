@@ -83,6 +83,11 @@ class Islands(Strategy):
         about = jax.vmap(self.strategy.around, in_axes=(0, 1), out_axes=1)
         return about(self._keys(key), self._apart(genes)).reshape(len(genes), -1)
 
+    @property
+    def metric_names(self) -> tuple[str, ...]:
+        """See `metrics`."""
+        return self.strategy.metric_names
+
     def metrics(self, state: Archipelago) -> dict[str, Float[Array, ""]]:
         """Means over the islands, see `Strategy.metrics`."""
         found = jax.vmap(self.strategy.metrics, axis_size=self.count)(state.islands)

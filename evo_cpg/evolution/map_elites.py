@@ -146,6 +146,11 @@ class MapStrategy(Strategy):
         """Of the map."""
         return tuple(axis.cells for axis in self.axes)
 
+    @property
+    def metric_names(self) -> tuple[str, ...]:
+        """See `metrics`."""
+        return ("coverage", "mean_elite")
+
     def measured(self) -> tuple[str, ...]:
         """The axes of the map."""
         return tuple(axis.name for axis in self.axes)
@@ -308,6 +313,11 @@ class Mapped(MapStrategy):
     def around(self, key: Array, genes: Float[Array, "g n"]) -> Float[Array, "g n"]:
         """See `Strategy.around`."""
         return self.strategy.around(key, genes)
+
+    @property
+    def metric_names(self) -> tuple[str, ...]:
+        """See `metrics`."""
+        return (*self.strategy.metric_names, *super().metric_names)
 
     def metrics(self, state: Charted) -> dict[str, Float[Array, ""]]:
         """The strategy's, and those of the map."""

@@ -120,6 +120,11 @@ class Strategy(eqx.Module):
         del key
         return genes
 
+    @property
+    def metric_names(self) -> tuple[str, ...]:
+        """Names of the `metrics`."""
+        return ()
+
     def metrics(self, state: PyTree[Array]) -> dict[str, Float[Array, ""]]:
         """Numbers for metrics.csv, by name; none unless overridden.
 

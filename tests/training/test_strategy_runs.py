@@ -149,6 +149,14 @@ def test_anybody_on_the_map_lives_again(tmp_path):
             assert one.terms[axis.name] - slack <= high or place == axis.cells - 1
 
 
+@pytest.mark.parametrize("name", STRATEGIES)
+def test_metrics_have_their_names(name, tmp_path):
+    strategy = STRATEGIES[name]()
+    done = train(made(strategy, 1), folder_at(tmp_path))
+    assert set(strategy.metric_names) <= set(done.history[0])
+    assert ("coverage" in done.history[0]) == (name == "map_elites")
+
+
 def test_who_is_not_on_the_map_is_said(tmp_path):
     several = made(MAP, 1)
     done = train(several, folder_at(tmp_path))
