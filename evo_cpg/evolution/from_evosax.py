@@ -6,6 +6,10 @@ fitness changes its sign; an individual that diverged gets the worst fitness of 
 for many of its algorithms compute with it. Where a genome is bits the algorithm searches real
 numbers, and a gene is 1 where its number is positive.
 
+Like any other search it begins with the random genomes of the controller, on which yardsticks are
+measured. A distribution then starts about the mean of the better half of them, a population with
+all of them.
+
 Genes are kept within bounds after the algorithm drew them, and it is told the numbers that it drew
 where the genes that were tried are still those. Full covariance matrices (``CMA_ES``, ``MA_ES``)
 need memory and time with the square of the number of genes: for a brain of 3000 there are
@@ -23,8 +27,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float, Int, PyTree
 
+from evo_cpg.evolution.selection import rank_order
 from evo_cpg.evolution.strategy import Evaluation, Strategy, worst_finite
 
 
@@ -32,12 +37,14 @@ class Sample(NamedTuple):
     """What goes on from one generation to the next.
 
     Attributes:
-        numbers: that the algorithm drew.
+        numbers: that the algorithm drew, or what the first genes are in its terms.
         state: of the algorithm.
+        told: number of generations that were told of; the algorithm begins after the first.
     """
 
     numbers: Float[Array, "g n"]
     state: PyTree[Array]
+    told: Int[Array, ""]
 
 
 class Evosax(Strategy):
@@ -78,21 +85,19 @@ class Evosax(Strategy):
             )
 
     def init(self, key: Array, genes: Float[Array, "g n"]) -> Sample:
-        """Distributions begin about the mean of the genomes, populations as they are."""
-        algorithm, numbers = self._algorithm, self._numbers(genes)
-        with jax.numpy_rank_promotion("allow"):
-            if type(algorithm) in _evosax().population_based_algorithms.values():
-                nothing = jnp.full(numbers.shape[1], jnp.inf, numbers.dtype)
-                state = algorithm.init(key, numbers.T, nothing, self._params)
-            else:
-                state = algorithm.init(key, numbers.mean(1), self._params)
-        return Sample(numbers, state)
+        """The genomes that come first."""
+        numbers = self._numbers(genes)
+        fitness = jnp.zeros(numbers.shape[1], numbers.dtype)
+        return Sample(numbers, self._begun(key, numbers, fitness), jnp.int32(0))
 
     def ask(self, key: Array, state: Sample) -> tuple[Float[Array, "g n"], Sample]:
-        """See `Strategy.ask`."""
+        """What comes first, then what the algorithm draws."""
         with jax.numpy_rank_promotion("allow"):
             rows, inner = self._algorithm.ask(key, state.state, self._params)
-        return self._genes(rows.T), Sample(rows.T, inner)
+        first = state.told == 0
+        numbers = jnp.where(first, state.numbers, rows.T)
+        kept = jax.tree.map(lambda old, new: jnp.where(first, old, new), state.state, inner)
+        return self._genes(numbers), Sample(numbers, kept, state.told)
 
     def tell(
         self, key: Array, state: Sample, genes: Float[Array, "g n"], evaluation: Evaluation
@@ -100,10 +105,23 @@ class Evosax(Strategy):
         """See `Strategy.tell`."""
         same = genes == self._genes(state.numbers)
         numbers = jnp.where(same, state.numbers, self._numbers(genes))
-        cost = -worst_finite(evaluation.fitness)
+        fitness = worst_finite(evaluation.fitness)
         with jax.numpy_rank_promotion("allow"):
-            inner, _ = self._algorithm.tell(key, numbers.T, cost, state.state, self._params)
-        return Sample(numbers, inner)
+            later, _ = self._algorithm.tell(key, numbers.T, -fitness, state.state, self._params)
+        first, begun = state.told == 0, self._begun(key, numbers, fitness)
+        inner = jax.tree.map(lambda a, b: jnp.where(first, a, b), begun, later)
+        return Sample(numbers, inner, state.told + 1)
+
+    def _begun(
+        self, key: Array, numbers: Float[Array, "g n"], fitness: Float[Array, " n"]
+    ) -> PyTree[Array]:
+        """The algorithm's state after the first population."""
+        algorithm = self._algorithm
+        with jax.numpy_rank_promotion("allow"):
+            if type(algorithm) in _evosax().population_based_algorithms.values():
+                return algorithm.init(key, numbers.T, -fitness, self._params)
+            better = rank_order(fitness)[: -(-len(fitness) // 2)]
+            return algorithm.init(key, numbers[:, better].mean(1), self._params)
 
     def around(self, key: Array, genes: Float[Array, "g n"]) -> Float[Array, "g n"]:
         """Normal noise about real numbers; of bits one in ten is flipped."""

@@ -9,6 +9,8 @@ import pytest
 
 import evo_cpg as evo
 from evo_cpg.api import sweep as sweeps
+from evo_cpg.cli import sweep as command
+from evo_cpg.cli import training
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.sweep import run_sweep
 from evo_cpg.cli.training import verify_run
@@ -20,6 +22,15 @@ from tiny_run import CONFIG, PAIR
 
 SHORT = (*PAIR, "simulation.steps=20", "evolution.generations=3", "runs=2")
 GRID = ("evolution.mutation_rate=0.02,0.3",)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def two_devices():
+    """JAX has them already."""
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (command, training):
+            patch.setattr(module, "use_cores", lambda count=None: 2)
+        yield
 
 
 def sweep(folder, *, grid=GRID, settings=None, given=SHORT, only=()):

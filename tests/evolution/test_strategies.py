@@ -295,17 +295,29 @@ def test_evosax_searches_bits(name):
     assert found[-1].mean() > found[0].mean() + 1
 
 
-def test_evosax_is_told_of_who_took_a_place():
+def test_evosax_begins_with_what_it_is_given_and_is_told_of_who_took_a_place():
     strategy = evosax("DifferentialEvolution", gene_bound=1.0)
-    genes, state = strategy.ask(
-        jax.random.key(0), strategy.init(jax.random.key(0), 5.0 * jnp.ones((GENES, SIZE)))
-    )
-    assert np.abs(genes).max() == 1.0
+    given = 5.0 * jnp.ones((GENES, SIZE))
+    genes, state = strategy.ask(jax.random.key(0), strategy.init(jax.random.key(0), given))
+    np.testing.assert_array_equal(genes, jnp.ones((GENES, SIZE)))
     moved = genes.at[:, 3].set(0.5)
     told = strategy.tell(jax.random.key(0), state, moved, sphere(moved))
     np.testing.assert_array_equal(told.numbers[:, 3], moved[:, 3])
     # Who was only put within bounds is told of as he was drawn.
-    np.testing.assert_array_equal(told.numbers[:, 4], state.numbers[:, 4])
+    np.testing.assert_array_equal(told.numbers[:, 4], given[:, 4])
+    np.testing.assert_array_equal(told.state.population, told.numbers.T)
+    # Differential evolution keeps whoever is better than his child.
+    np.testing.assert_allclose(told.state.fitness, -sphere(moved).fitness)
+
+
+def test_a_distribution_begins_about_the_better_half():
+    strategy = evosax("Sep_CMA_ES")
+    given = jax.random.normal(jax.random.key(0), (GENES, SIZE))
+    genes, state = strategy.ask(jax.random.key(0), strategy.init(jax.random.key(0), given))
+    worth = sphere(genes)
+    told = strategy.tell(jax.random.key(0), state, genes, worth)
+    better = np.argsort(-np.asarray(worth.fitness))[: SIZE // 2]
+    np.testing.assert_allclose(told.state.mean, np.asarray(genes)[:, better].mean(1), rtol=1e-5)
 
 
 def test_what_evosax_does_not_have_is_refused():
