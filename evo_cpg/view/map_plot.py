@@ -107,7 +107,9 @@ def _panels(axes: Sequence[Axis], fitness: np.ndarray, scale: Normalize) -> Figu
         _picture(panel, axes, slices[i], scale)
         if len(slices) > 1:
             low, high = axes[2].edges[i : i + 2]
-            panel.set_title(f"{_name(axes[2])} {low:.3g} to {high:.3g}", fontsize=8, color=_INK)
+            unit = _UNITS.get(axes[2].name, "")
+            head = f"{_name(axes[2])} {low:.3g} to {high:.3g} {unit}".strip()
+            panel.set_title(head, fontsize=8, color=_INK)
         if best is not None and (len(slices) == 1 or best[2] == i):
             x, y = (axes[k].edges[best[k] : best[k] + 2].mean() for k in (0, 1))
             panel.plot(x, y, marker="*", ms=11, mfc="white", mec=_MARK, mew=1.4)
