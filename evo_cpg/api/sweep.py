@@ -222,7 +222,8 @@ def summarise(folder: Path, members: Sequence[Member]) -> Summary:
         best = np.array([row["champion"] for row in checkpoint.history]).reshape(-1, runs).T
         curves.append(Curves(name, evaluated, best))
         fitness[name] = best[:, -1].tolist()
-        seconds = sum(row["seconds"] for row in checkpoint.history)
+        # Every run's row has the time that all of them took.
+        seconds = sum(row["seconds"] for row in checkpoint.history) / runs
         for run, champion in enumerate(checkpoint.champions):
             found = {} if champion is None else champion.terms
             row = {"setting": name, "run": run, "seed": experiment.seed + run}

@@ -76,6 +76,13 @@ STRATEGIES = {
 }
 
 
+# Of evosax one algorithm with a distribution and one with a population are enough for every day.
+NAMES = [
+    pytest.param(name, marks=[pytest.mark.slow] if name in ("LM_MA_ES", "Open_ES") else [])
+    for name in STRATEGIES
+]
+
+
 def sphere(genes):
     """Best where all genes are 0.7; a corner of the space is deadly."""
     fitness = -((genes - 0.7) ** 2).sum(0)
@@ -108,7 +115,7 @@ def search(strategy, generations=40, seed=0, evaluate=sphere, genes=GENES):
     return populations, found, state
 
 
-@pytest.mark.parametrize("name", STRATEGIES)
+@pytest.mark.parametrize("name", NAMES)
 def test_a_search_gets_better_and_asks_for_numbers(name):
     populations, found, _ = search(STRATEGIES[name](), genes=genes_of(name))
     assert all(genes.shape == (genes_of(name), SIZE) for genes in populations)
@@ -118,7 +125,7 @@ def test_a_search_gets_better_and_asks_for_numbers(name):
     assert name == "random" or last > 0.35 * found[0].max()
 
 
-@pytest.mark.parametrize("name", STRATEGIES)
+@pytest.mark.parametrize("name", NAMES)
 def test_what_a_search_knows_goes_through_arrays(name):
     strategy = STRATEGIES[name]()
     populations, _, state = search(strategy, 6, genes=genes_of(name))
@@ -134,7 +141,7 @@ def test_what_a_search_knows_goes_through_arrays(name):
         np.testing.assert_array_equal(one, other)
 
 
-@pytest.mark.parametrize("name", STRATEGIES)
+@pytest.mark.parametrize("name", NAMES)
 def test_a_search_survives_that_nobody_does(name):
     def deadly(genes):
         nobody = jnp.full(genes.shape[1], -jnp.inf)
@@ -327,7 +334,7 @@ def test_what_evosax_does_not_have_is_refused():
         evosax("DifferentialEvolution", params=(("crossover", 0.5),))
 
 
-@pytest.mark.parametrize("name", [*STRATEGIES, "bits"])
+@pytest.mark.parametrize("name", [*NAMES, "bits"])
 def test_a_population_about_an_individual_keeps_it(name):
     strategy = BitGenetics(SIZE, mutated_genes_max=3) if name == "bits" else STRATEGIES[name]()
     one = jnp.tile(jnp.array([1.0, 0, 1, 1, 0, 1]), genes_of(name) // GENES)
