@@ -1,13 +1,15 @@
 """How much memory a run needs, and whether the machine has it: known before it starts.
 
 Trials run in blocks that are small whatever the population; what grows with it are its genomes, of
-which breeding holds several copies. 20,000 to 500,000 individuals took four times their genomes.
+which breeding holds several copies. 20,000 to 500,000 individuals took four times their genomes. A
+map of behaviour has a genome in every cell.
 """
 
 import contextlib
 import os
 from pathlib import Path
 
+from evo_cpg.evolution.map_elites import MapStrategy
 from evo_cpg.training.experiment import Experiment
 
 # Bytes of everything else, and copies of all genomes at the worst moment, with room to spare.
@@ -27,7 +29,8 @@ class TooLargeError(Exception):
 def needed(experiment: Experiment) -> int:
     """Bytes that training will need at most."""
     genes = experiment.simulation.controller.gene_count
-    return _REST + _COPIES * _GENE * genes * experiment.runs * experiment.strategy.population
+    genomes = experiment.strategy.population + _cells(experiment)
+    return _REST + _COPIES * _GENE * genes * experiment.runs * genomes
 
 
 def available() -> int | None:
@@ -55,8 +58,17 @@ def require_memory(experiment: Experiment) -> None:
         return
     genes = experiment.simulation.controller.gene_count
     individuals = experiment.runs * experiment.strategy.population
-    most = max(0, (there - _REST) // (_COPIES * _GENE * genes) // experiment.runs)
+    cells = _cells(experiment)
+    most = (there - _REST) // (_COPIES * _GENE * genes) // experiment.runs - cells
+    beside = f" and {cells} cells of a map" if cells else ""
     raise TooLargeError(
-        f"evolution.population: {individuals} individuals in all, of {genes} genes, need up to "
-        f"{asked / 2**30:.1f} GiB, and there are {there / 2**30:.1f}; allowed here: {most}"
+        f"evolution.population: {individuals} individuals in all{beside}, of {genes} genes, need "
+        f"up to {asked / 2**30:.1f} GiB, and there are {there / 2**30:.1f}; allowed here: "
+        f"{max(0, most)}"
     )
+
+
+def _cells(experiment: Experiment) -> int:
+    """Of a map of behaviour, in one run."""
+    strategy = experiment.strategy
+    return strategy.cells if isinstance(strategy, MapStrategy) else 0

@@ -4,6 +4,7 @@ import dataclasses
 
 import pytest
 
+from evo_cpg.evolution.map_elites import Axis, Mapped
 from evo_cpg.training import memory
 from trials import experiment
 
@@ -18,6 +19,16 @@ def test_what_is_needed_grows_with_genomes_alone():
     few, many, twice = (memory.needed(sized(*x)) for x in ((10**5,), (2 * 10**5,), (10**5, 2)))
     # Two genes of four bytes, of which breeding holds several copies.
     assert 4 * 8 * 10**5 <= many - few == twice - few <= 10 * 8 * 10**5
+
+
+def test_a_map_counts_with_its_cells(monkeypatch):
+    genetics = experiment(population=11).strategy
+    axes = tuple(Axis(name, 0.0, 1.0, 300) for name in ("distance", "energy"))
+    mapped = experiment()._replace(strategy=Mapped(11, axes, genetics))
+    assert memory.needed(mapped) == memory.needed(sized(11 + 90_000))
+    monkeypatch.setattr(memory, "available", lambda: 2**29 + 2**20)
+    with pytest.raises(memory.TooLargeError, match="and 90000 cells of a map, .* allowed here: 0"):
+        memory.require_memory(mapped)
 
 
 def test_the_machine_is_known():
