@@ -27,7 +27,7 @@ def test_a_map_counts_with_its_cells(monkeypatch):
     mapped = experiment()._replace(strategy=Mapped(11, axes, genetics))
     assert memory.needed(mapped) == memory.needed(sized(11 + 90_000))
     monkeypatch.setattr(memory, "available", lambda: 2**29 + 2**20)
-    with pytest.raises(memory.TooLargeError, match="and 90000 cells of a map, .* allowed here: 0"):
+    with pytest.raises(memory.TooLargeError, match=r"and 90000 cells of a map, .* allowed here: 0"):
         memory.require_memory(mapped)
 
 
