@@ -21,10 +21,10 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 import optax
 from jaxtyping import Array, Float, PyTree
 
+from evo_cpg.evolution.latent import Latent
 from evo_cpg.evolution.strategy import Evaluation, Strategy, worst_finite
 
 
@@ -79,7 +79,7 @@ class Evosax(Strategy):
 
     def init(self, key: Array, genes: Float[Array, "g n"]) -> Sample:
         """Distributions begin about the mean of the genomes, populations as they are."""
-        algorithm, numbers = self._algorithm, self._numbers(genes)
+        algorithm, numbers = self._algorithm, self._latent.numbers(genes)
         with jax.numpy_rank_promotion("allow"):
             if type(algorithm) in _evosax().population_based_algorithms.values():
                 nothing = jnp.full(numbers.shape[1], jnp.inf, numbers.dtype)
@@ -92,27 +92,26 @@ class Evosax(Strategy):
         """See `Strategy.ask`."""
         with jax.numpy_rank_promotion("allow"):
             rows, inner = self._algorithm.ask(key, state.state, self._params)
-        return self._genes(rows.T), Sample(rows.T, inner)
+        return self._latent.genes(rows.T), Sample(rows.T, inner)
 
     def tell(
         self, key: Array, state: Sample, genes: Float[Array, "g n"], evaluation: Evaluation
     ) -> Sample:
         """See `Strategy.tell`."""
-        same = genes == self._genes(state.numbers)
-        numbers = jnp.where(same, state.numbers, self._numbers(genes))
+        same = genes == self._latent.genes(state.numbers)
+        numbers = jnp.where(same, state.numbers, self._latent.numbers(genes))
         cost = -worst_finite(evaluation.fitness)
         with jax.numpy_rank_promotion("allow"):
             inner, _ = self._algorithm.tell(key, numbers.T, cost, state.state, self._params)
         return Sample(numbers, inner)
 
     def around(self, key: Array, genes: Float[Array, "g n"]) -> Float[Array, "g n"]:
-        """Normal noise about real numbers; of bits one in ten is flipped."""
-        if self.binary:
-            flipped = jax.random.bernoulli(key, 0.1, genes.shape)
-            changed = jnp.where(flipped, 1.0 - genes, genes)
-        else:
-            changed = genes + self.sigma * jax.random.normal(key, genes.shape, genes.dtype)
-        return self._genes(self._numbers(changed)).at[:, 0].set(genes[:, 0])
+        """See `Latent.around`."""
+        return self._latent.around(key, genes)
+
+    @property
+    def _latent(self) -> Latent:
+        return Latent(self.binary, self.sigma, self.gene_bound)
 
     @property
     def _algorithm(self) -> Any:
@@ -135,16 +134,6 @@ class Evosax(Strategy):
         given = {"std_init": self.sigma} if hasattr(params, "std_init") else {}
         given |= dict(self.params)
         return params.replace(**given)
-
-    def _genes(self, numbers: Float[Array, "g n"]) -> Float[Array, "g n"]:
-        if self.binary:
-            return (numbers > 0).astype(numbers.dtype)
-        bound = np.inf if self.gene_bound is None else self.gene_bound
-        return jnp.clip(numbers, -bound, bound)
-
-    def _numbers(self, genes: Float[Array, "g n"]) -> Float[Array, "g n"]:
-        """Numbers that give these genes."""
-        return self.sigma * (2.0 * genes - 1.0) if self.binary else genes
 
 
 def algorithms() -> list[str]:

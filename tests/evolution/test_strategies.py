@@ -49,6 +49,12 @@ def evosax(name, genes=GENES, **settings):
     return kind(name, SIZE, genes, **settings)
 
 
+def ribs(es):
+    pytest.importorskip("ribs")
+    kind = importlib.import_module("evo_cpg.evolution.from_pyribs").Ribs
+    return kind(SIZE, GENES, AXES, emitters=2, es=es, learning_rate=0.1, threshold_min=-60.0)
+
+
 # LM-MA-ES needs more genes than individuals.
 MANY_GENES = 60
 
@@ -72,6 +78,7 @@ STRATEGIES = {
     "LM_MA_ES": lambda: evosax("LM_MA_ES", MANY_GENES),
     "Open_ES": lambda: evosax("Open_ES", sigma=0.2, learning_rate=0.2),
     "DifferentialEvolution": lambda: evosax("DifferentialEvolution"),
+    "CMA-MAE": lambda: ribs("sep_cma_es"),
 }
 
 
