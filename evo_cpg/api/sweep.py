@@ -128,8 +128,15 @@ def read_plan(folder: Path) -> dict[str, Any] | None:
     return plan
 
 
-def members_of(folder: Path, plan: Mapping[str, Any]) -> list[Member]:
+def members_of(
+    folder: Path, plan: Mapping[str, Any], names: Sequence[str] | None = None
+) -> list[Member]:
     """The settings of a sweep, built.
+
+    Args:
+        folder: of the sweep.
+        plan: what it is about.
+        names: of the settings that are wanted; None for all.
 
     Raises:
         RunFolderError: its configuration has changed since it began.
@@ -144,6 +151,8 @@ def members_of(folder: Path, plan: Mapping[str, Any]) -> list[Member]:
         )
     members = []
     for name, values in plan["settings"].items():
+        if names is not None and name not in names:
+            continue
         setting = Setting(name, values)
         config = load_config(source, [*plan["overrides"], *setting.overrides])
         config = config.model_copy(update={"name": f"{config.name} {name}"})

@@ -12,7 +12,7 @@ from typing import Annotated
 import typer
 
 # Exit codes: 0 done, 1 a fault of ours, 2 wrong input, 4 another process lost, 130 interrupted.
-_WRONG_INPUT, _INTERRUPTED = 2, 130
+_FAULT, _WRONG_INPUT, _INTERRUPTED = 1, 2, 130
 
 
 class What(enum.StrEnum):
@@ -227,11 +227,29 @@ def sweep(
         list[str] | None, typer.Option("--only", metavar="NAME", help="Only this setting.")
     ] = None,
     cores: Cores = None,
+    jobs: Annotated[
+        str | None,
+        typer.Option(
+            metavar="N|slurm",
+            help="What shares no program as jobs: N processes here at a time, or jobs of SLURM.",
+        ),
+    ] = None,
+    job_option: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--job-option",
+            metavar="KEY=VALUE",
+            help="With --jobs slurm, a parameter of submitit, such as slurm_partition=long, "
+            "timeout_min=600, cpus_per_task=8 or mem_gb=4.",
+        ),
+    ] = None,
 ) -> None:
     """Evolve under many settings and compare what comes of them."""
     from evo_cpg.cli.sweep import run_sweep
 
-    run_sweep(config, overrides or [], grid or [], settings, out, cores, only or [])
+    given = config, overrides or [], grid or [], settings, out, cores, only or []
+    if not run_sweep(*given, jobs, job_option or []):
+        raise typer.Exit(_FAULT)
 
 
 @app.command()

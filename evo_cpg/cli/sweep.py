@@ -23,6 +23,7 @@ from evo_cpg.api.sweep import (
     summarise,
 )
 from evo_cpg.cli.errors import UsageError
+from evo_cpg.cli.jobs import Jobs, claimed, read_jobs, run_jobs
 from evo_cpg.cli.progress import progress, working
 from evo_cpg.config.settings import Setting, combine, read_settings
 from evo_cpg.training.devices import use_cores
@@ -42,8 +43,15 @@ def run_sweep(
     out: Path | None,
     cores: int | None,
     only: Sequence[str] = (),
-) -> None:
-    """`evo-cpg sweep`."""
+    jobs: str | None = None,
+    job_options: Sequence[str] = (),
+) -> bool:
+    """`evo-cpg sweep`.
+
+    Returns:
+        Whether all came to their ends; a job may have failed.
+    """
+    asked = read_jobs(jobs, job_options)
     folder, plan = path, read_plan(path)
     if plan is None:
         folder = out or Path("runs") / f"{path.stem}_sweep"
@@ -57,8 +65,17 @@ def run_sweep(
         members = members_of(folder, plan)
     chosen = _chosen(members, only)
     claim(folder, plan)
-    _evolve(folder, Path(plan["config"]), chosen, devices)
-    _tell(folder, members)
+    with claimed(folder, asked):
+        failed = _evolve(folder, Path(plan["config"]), chosen, devices, asked, cores)
+        if any(map(_done, members)) or not failed:
+            _tell(folder, members)
+    if failed:
+        print(
+            f"{len(failed)} of {len(chosen)} settings did not come to their ends: "
+            f"{', '.join(failed)}; go on with `evo-cpg sweep {folder}`",
+            file=sys.stderr,
+        )
+    return not failed
 
 
 def _varied(grid: Sequence[str], settings: Path | None) -> list[Setting]:
@@ -98,8 +115,23 @@ def _chosen(members: Sequence[Member], only: Sequence[str]) -> list[Member]:
     return [known[name] for name in only] or list(members)
 
 
-def _evolve(folder: Path, source: Path, members: Sequence[Member], devices: int) -> None:
+def _evolve(
+    folder: Path,
+    source: Path,
+    members: Sequence[Member],
+    devices: int,
+    jobs: Jobs | None,
+    cores: int | None,
+) -> list[str]:
+    """Names of settings that did not come to their ends."""
     found = groups(members)
+    if jobs is not None:
+        try:
+            return run_jobs(folder, found, jobs, cores)
+        except KeyboardInterrupt:
+            if jobs.count is not None:
+                _say_interrupted(folder)
+            raise
     for number, group in enumerate(found):
         names = ", ".join(member.setting.name for member in group)
         head = f"{number + 1} of {len(found)}: {names}" if len(found) > 1 else names
@@ -113,8 +145,13 @@ def _evolve(folder: Path, source: Path, members: Sequence[Member], devices: int)
             try:
                 run_group(group, source, devices, watch.tell)
             except KeyboardInterrupt:
-                print(f"interrupted; go on with `evo-cpg sweep {folder}`", file=sys.stderr)
+                _say_interrupted(folder)
                 raise
+    return []
+
+
+def _say_interrupted(folder: Path) -> None:
+    print(f"interrupted; go on with `evo-cpg sweep {folder}`", file=sys.stderr)
 
 
 class _Watch:

@@ -12,11 +12,12 @@ from evo_cpg.config.schema.evolution import (
     CustomEvolutionConfig,
     EvosaxConfig,
     MapElitesConfig,
+    PyribsConfig,
     RandomSearchConfig,
 )
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.control.controller import Controller
-from evo_cpg.evolution import from_evosax
+from evo_cpg.evolution import from_evosax, from_pyribs
 from evo_cpg.evolution.bits import BitGenetics
 from evo_cpg.evolution.islands import Islands
 from evo_cpg.evolution.map_elites import MapElites, Mapped, MapStrategy, Vary
@@ -57,6 +58,8 @@ def _on_an_island(
         return build_own(given, Strategy, _KEY, source, **about)
     if isinstance(given, EvosaxConfig):
         return _build_evosax(given, controller, population, source)
+    if isinstance(given, PyribsConfig):
+        return _build_pyribs(given, controller, population, source)
     if isinstance(given, MapElitesConfig):
         bits = None
         if controller.binary:
@@ -83,11 +86,7 @@ def _build_evosax(
     try:
         known = from_evosax.algorithms()
     except ImportError as error:
-        raise ConfigError(
-            source,
-            (*_KEY, "type"),
-            f"'evosax' is not installed here ({error}); `pip install 'evo-cpg[evosax]'` adds it",
-        ) from None
+        raise _missing("evosax", error, source) from None
     if given.algorithm not in known:
         raise ConfigError(
             source,
@@ -108,3 +107,37 @@ def _build_evosax(
         )
     except (AssertionError, TypeError, ValueError) as error:
         raise ConfigError(source, _KEY, f"{given.algorithm} cannot be built ({error})") from None
+
+
+def _build_pyribs(
+    given: PyribsConfig, controller: Controller, population: int, source: Path | str
+) -> Strategy:
+    try:
+        return from_pyribs.Ribs(
+            population=population,
+            gene_count=controller.gene_count,
+            axes=given.build_axes(),
+            binary=controller.binary,
+            emitters=given.emitters,
+            es=given.es,
+            sigma=given.sigma,
+            learning_rate=given.learning_rate,
+            threshold_min=given.threshold_min,
+            gene_bound=None if controller.binary else given.gene_bound,
+            options=tuple(sorted(given.options.items())),
+        )
+    except ImportError as error:
+        raise _missing("pyribs", error, source) from None
+    except from_pyribs.UnknownPyribsError as error:
+        raise ConfigError(source, (*_KEY, "type"), str(error)) from None
+    except (TypeError, ValueError) as error:
+        raise ConfigError(source, _KEY, f"{given.es} cannot be built ({error})") from None
+
+
+def _missing(extra: str, error: ImportError, source: Path | str) -> ConfigError:
+    """What to say where the package of an extra cannot be imported."""
+    return ConfigError(
+        source,
+        (*_KEY, "type"),
+        f"'{extra}' is not installed here ({error}); `pip install 'evo-cpg[{extra}]'` adds it",
+    )

@@ -25,10 +25,10 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 import optax
 from jaxtyping import Array, Float, Int, PyTree
 
+from evo_cpg.evolution.latent import Latent
 from evo_cpg.evolution.selection import rank_order
 from evo_cpg.evolution.strategy import Evaluation, Strategy, worst_finite
 
@@ -86,7 +86,7 @@ class Evosax(Strategy):
 
     def init(self, key: Array, genes: Float[Array, "g n"]) -> Sample:
         """The genomes that come first."""
-        numbers = self._numbers(genes)
+        numbers = self._latent.numbers(genes)
         fitness = jnp.zeros(numbers.shape[1], numbers.dtype)
         return Sample(numbers, self._begun(key, numbers, fitness), jnp.int32(0))
 
@@ -97,14 +97,14 @@ class Evosax(Strategy):
         first = state.told == 0
         numbers = jnp.where(first, state.numbers, rows.T)
         kept = jax.tree.map(lambda old, new: jnp.where(first, old, new), state.state, inner)
-        return self._genes(numbers), Sample(numbers, kept, state.told)
+        return self._latent.genes(numbers), Sample(numbers, kept, state.told)
 
     def tell(
         self, key: Array, state: Sample, genes: Float[Array, "g n"], evaluation: Evaluation
     ) -> Sample:
         """See `Strategy.tell`."""
-        same = genes == self._genes(state.numbers)
-        numbers = jnp.where(same, state.numbers, self._numbers(genes))
+        same = genes == self._latent.genes(state.numbers)
+        numbers = jnp.where(same, state.numbers, self._latent.numbers(genes))
         fitness = worst_finite(evaluation.fitness)
         with jax.numpy_rank_promotion("allow"):
             later, _ = self._algorithm.tell(key, numbers.T, -fitness, state.state, self._params)
@@ -124,13 +124,12 @@ class Evosax(Strategy):
             return algorithm.init(key, numbers[:, better].mean(1), self._params)
 
     def around(self, key: Array, genes: Float[Array, "g n"]) -> Float[Array, "g n"]:
-        """Normal noise about real numbers; of bits one in ten is flipped."""
-        if self.binary:
-            flipped = jax.random.bernoulli(key, 0.1, genes.shape)
-            changed = jnp.where(flipped, 1.0 - genes, genes)
-        else:
-            changed = genes + self.sigma * jax.random.normal(key, genes.shape, genes.dtype)
-        return self._genes(self._numbers(changed)).at[:, 0].set(genes[:, 0])
+        """See `Latent.around`."""
+        return self._latent.around(key, genes)
+
+    @property
+    def _latent(self) -> Latent:
+        return Latent(self.binary, self.sigma, self.gene_bound)
 
     @property
     def _algorithm(self) -> Any:
@@ -153,16 +152,6 @@ class Evosax(Strategy):
         given = {"std_init": self.sigma} if hasattr(params, "std_init") else {}
         given |= dict(self.params)
         return params.replace(**given)
-
-    def _genes(self, numbers: Float[Array, "g n"]) -> Float[Array, "g n"]:
-        if self.binary:
-            return (numbers > 0).astype(numbers.dtype)
-        bound = np.inf if self.gene_bound is None else self.gene_bound
-        return jnp.clip(numbers, -bound, bound)
-
-    def _numbers(self, genes: Float[Array, "g n"]) -> Float[Array, "g n"]:
-        """Numbers that give these genes."""
-        return self.sigma * (2.0 * genes - 1.0) if self.binary else genes
 
 
 def algorithms() -> list[str]:

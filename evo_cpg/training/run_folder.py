@@ -357,6 +357,15 @@ class RunFolder:
         found = (self.path / "checkpoints").glob("generation_*.npz")
         return sorted(path for path in found if pattern.fullmatch(path.name))
 
+    @property
+    def newest(self) -> int:
+        """Generations that are done, by the name of the newest checkpoint; 0 where there is none.
+
+        For whoever looks on: what the file holds is not looked at.
+        """
+        found = self._checkpoints()
+        return int(found[-1].stem.removeprefix("generation_")) if found else 0
+
     def write_metrics(self, history: list[dict[str, float]]) -> None:
         """Write metrics.csv."""
         rows, text = self._table

@@ -95,6 +95,46 @@ def test_an_algorithm_of_evosax():
             build(CONFIG, f"evolution={bad}")
 
 
+@pytest.mark.skipif(importlib.util.find_spec("ribs") is None, reason="ribs is an extra")
+def test_cma_mae_of_pyribs():
+    given = f"type: pyribs, axes: {AXES}, sigma: 0.3"
+    strategy = build(WALKER, f"evolution={{{given}}}").strategy
+    assert (strategy.population, strategy.emitters, strategy.es) == (200, 5, "sep_cma_es")
+    assert (strategy.sigma, strategy.learning_rate, strategy.threshold_min) == (0.3, 0.01, None)
+    assert strategy.binary and strategy.gene_bound is None and strategy.shape == (10, 4)
+    speed = "axes: [{name: speed, range: [0, 1]}]"
+    given = f"{{type: pyribs, {speed}, es: lm_ma_es, threshold_min: -2, options: {{n_vectors: 9}}}}"
+    made = build(CONFIG, f"evolution={given}")
+    assert not made.strategy.binary and made.strategy.gene_bound == 8.0
+    assert made.strategy.threshold_min == -2.0 and made.simulation.measures.names == ("speed",)
+    for bad, words in (
+        ("emitters: 3", "emitters: a population of 200 cannot be shared equally by 3 emitters"),
+        ("emitters: 200", "each of 200 needs two individuals or more, and the population is 200"),
+        ("es: cmaes", r"evolution\.es: .*'sep_cma_es', 'lm_ma_es', 'openai_es' or 'cma_es'"),
+        ("es: openai_es, emitters: 8", "openai_es cannot be built .*even"),
+        ("options: {lr: 1}", "sep_cma_es cannot be built .*'lr'"),
+        ("islands: {count: 2}", "islands"),
+    ):
+        with pytest.raises(ConfigError, match=words):
+            build(CONFIG, f"evolution={{type: pyribs, {speed}, {bad}}}")
+
+
+def test_without_pyribs_it_says_how_to_get_it(monkeypatch):
+    for name in ("ribs", "ribs.archives", "ribs.emitters"):
+        monkeypatch.setitem(sys.modules, name, None)
+    given = f"{{type: pyribs, axes: {AXES}, sigma: 0.123}}"
+    with pytest.raises(ConfigError, match=r"'pyribs' is not installed here.*evo-cpg\[pyribs\]"):
+        build(WALKER, f"evolution={given}")
+
+
+@pytest.mark.skipif(importlib.util.find_spec("ribs") is None, reason="ribs is an extra")
+def test_a_pyribs_that_is_not_known_is_said(monkeypatch):
+    monkeypatch.setattr("evo_cpg.evolution.from_pyribs._FIELDS", ("solution", "objective"))
+    given = f"{{type: pyribs, axes: {AXES}, sigma: 0.124}}"
+    with pytest.raises(ConfigError, match="keeps its state in another way than 0"):
+        build(WALKER, f"evolution={given}")
+
+
 def test_without_evosax_it_says_how_to_get_it(monkeypatch):
     monkeypatch.setitem(sys.modules, "evosax", None)
     monkeypatch.setitem(sys.modules, "evosax.algorithms", None)

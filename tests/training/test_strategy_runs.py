@@ -30,10 +30,17 @@ def evosax():
     return kind("DifferentialEvolution", SIZE, 2)
 
 
+def pyribs():
+    pytest.importorskip("ribs")
+    kind = importlib.import_module("evo_cpg.evolution.from_pyribs").Ribs
+    return kind(SIZE, 2, MAP.axes, emitters=3, learning_rate=0.1, threshold_min=-1.0)
+
+
 STRATEGIES = {
     "islands": lambda: Islands(SIZE, GENETICS, 2, every=2, migrants=1),
     "map_elites": lambda: MAP,
     "evosax": evosax,
+    "pyribs": pyribs,
 }
 
 
@@ -109,17 +116,19 @@ def test_a_checkpoint_of_another_strategy_is_refused(tmp_path):
         train(made(Islands(SIZE, GENETICS, 2, 2, 1)), folder_at(tmp_path))
 
 
-def test_a_map_holds_whom_the_trials_saw(tmp_path):
+@pytest.mark.parametrize(("name", "prefix"), [("map_elites", ""), ("pyribs", "archive.")])
+def test_a_map_holds_whom_the_trials_saw(name, prefix, tmp_path):
     """The elite of the cell with the highest fitness is the champion of its run."""
-    done = train(made(MAP), folder_at(tmp_path))
+    done = train(made(STRATEGIES[name]()), folder_at(tmp_path))
+    state = {key.removeprefix(prefix): value for key, value in done.state.items()}
     for run in range(RUNS):
-        fitness, champion = done.state["fitness"][run], done.champions[run]
+        fitness, champion = state["fitness"][run], done.champions[run]
         best = int(np.argmax(fitness))
         assert champion is not None and fitness[best] == np.float32(champion.fitness)
-        np.testing.assert_array_equal(done.state["genes"][run][:, best], champion.genes)
-        assert done.state["generation"][run][best] == champion.generation
-        assert done.state["index"][run][best] == champion.index
-        found = done.state["descriptors"][run][:, best]
+        np.testing.assert_array_equal(state["genes"][run][:, best], champion.genes)
+        assert state["generation"][run][best] == champion.generation
+        assert state["index"][run][best] == champion.index
+        found = state["descriptors"][run][:, best]
         terms = champion.terms["distance"], champion.terms["energy"]
         np.testing.assert_array_equal(found, np.float32(terms))
 
@@ -129,9 +138,12 @@ def test_states_are_named_by_their_paths():
     assert list(state_arrays(state)) == ["1.a"]
 
 
-def test_anybody_on_the_map_lives_again(tmp_path):
+# Of these runs one individual in a hundred, whatever searches, has a fitness whose last bit the
+# replay rounds otherwise; with pyribs it is one that is on the map.
+@pytest.mark.parametrize(("name", "slack"), [("map_elites", 0.0), ("pyribs", 2e-7)])
+def test_anybody_on_the_map_lives_again(name, slack, tmp_path):
     """With the fitness and the descriptors that he had."""
-    several = made(MAP)
+    several = made(STRATEGIES[name]())
     done = train(several, folder_at(tmp_path))
     found = gait_map(several, done, 1)
     assert found is not None and found.fitness.shape == (5, 3)
@@ -139,14 +151,14 @@ def test_anybody_on_the_map_lives_again(tmp_path):
     for cell in np.argwhere(np.isfinite(found.fitness)):
         one = elite(several, done, tuple(cell), 1)
         fitness, terms, _ = replay_champion(several, one, len(jax.devices()))
-        assert fitness == one.fitness == np.float32(found.fitness[tuple(cell)])
+        assert one.fitness == np.float32(found.fitness[tuple(cell)])
+        assert abs(fitness - one.fitness) <= slack * abs(one.fitness)
         assert {name: terms[name] for name in one.terms} == one.terms
         for axis, place in zip(found.axes, cell, strict=True):
             low, high = axis.edges[place : place + 2]
             # Cells are told apart in float32.
-            slack = 1e-6
-            assert low <= one.terms[axis.name] + slack or place == 0
-            assert one.terms[axis.name] - slack <= high or place == axis.cells - 1
+            assert low <= one.terms[axis.name] + 1e-6 or place == 0
+            assert one.terms[axis.name] - 1e-6 <= high or place == axis.cells - 1
 
 
 @pytest.mark.parametrize("name", STRATEGIES)
@@ -154,7 +166,7 @@ def test_metrics_have_their_names(name, tmp_path):
     strategy = STRATEGIES[name]()
     done = train(made(strategy, 1), folder_at(tmp_path))
     assert set(strategy.metric_names) <= set(done.history[0])
-    assert ("coverage" in done.history[0]) == (name == "map_elites")
+    assert ("coverage" in done.history[0]) == (name in ("map_elites", "pyribs"))
 
 
 def test_who_is_not_on_the_map_is_said(tmp_path):

@@ -96,6 +96,17 @@ class MapSection(Section):
             raise ValueError(f"axes: a map has at most {_MOST_CELLS} cells, got {cells}")
         return self
 
+    def require_axes(self) -> None:
+        """Check that there is a map to be filled.
+
+        Raises:
+            ValueError: there is none.
+        """
+        if not self.axes:
+            raise ValueError(
+                "axes: at least one is needed, such as {name: speed, range: [0, 1], cells: 10}"
+            )
+
     def build_axes(self) -> tuple[Axis, ...]:
         """The axes as the search has them."""
         return tuple(Axis(axis.name, *axis.range, axis.cells) for axis in self.axes)
@@ -259,9 +270,52 @@ class MapElitesConfig(MapSection):
 
     @model_validator(mode="after")
     def _check(self) -> "MapElitesConfig":
-        if not self.axes:
+        self.require_axes()
+        return self
+
+
+class PyribsConfig(MapSection):
+    """CMA-MAE of pyribs (Fontaine and Nikolaidis 2023), which has to be installed.
+
+    Attributes:
+        type: ``pyribs``.
+        generations: to evolve.
+        population: individuals.
+        axes: of the map.
+        emitters: distributions that are adapted side by side; they share the population equally.
+        es: how each is adapted, by pyribs' names. ``cma_es`` needs memory and time with the square
+            and the cube of the number of genes, and is for 100 of them, not for 3000.
+        sigma: standard deviation of the first sample.
+        learning_rate: how fast the threshold of a cell rises to what enters it: 0 never, 1 at once.
+        threshold_min: fitness that has to be exceeded to enter an empty cell; if left out, the
+            median of those who live through the first sample of the distributions.
+        gene_bound: largest magnitude of a gene.
+        options: of the constructor of ``es``, such as ``{lr: 0.02}`` of ``openai_es``.
+    """
+
+    type: Literal["pyribs"] = "pyribs"
+    generations: Count = 100
+    population: Population = 200
+    emitters: Count = 5
+    es: Literal["sep_cma_es", "lm_ma_es", "openai_es", "cma_es"] = "sep_cma_es"
+    sigma: Positive = 0.5
+    learning_rate: Share = 0.01
+    threshold_min: Finite | None = None
+    gene_bound: Positive = 8.0
+    options: dict[str, bool | int | Finite] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _check(self) -> "PyribsConfig":
+        self.require_axes()
+        if self.population % self.emitters:
             raise ValueError(
-                "axes: at least one is needed, such as {name: speed, range: [0, 1], cells: 10}"
+                f"emitters: a population of {self.population} cannot be shared equally by "
+                f"{self.emitters} emitters"
+            )
+        if self.population < 2 * self.emitters:
+            raise ValueError(
+                f"emitters: each of {self.emitters} needs two individuals or more, and the "
+                f"population is {self.population}"
             )
         return self
 
@@ -340,6 +394,7 @@ EvolutionConfig = Annotated[
     Annotated[RealEvolutionConfig, Tag("real")]
     | Annotated[BitEvolutionConfig, Tag("bits")]
     | Annotated[MapElitesConfig, Tag("map_elites")]
+    | Annotated[PyribsConfig, Tag("pyribs")]
     | Annotated[EvosaxConfig, Tag("evosax")]
     | Annotated[RandomSearchConfig, Tag("random")]
     | Annotated[CustomEvolutionConfig, Tag("custom")],

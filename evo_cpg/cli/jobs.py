@@ -1,0 +1,442 @@
+"""`evo-cpg sweep --jobs`: settings that share no program as jobs, by submitit.
+
+    SWEEP/.jobs/lock         held by whoever works on the sweep, see `claimed`
+    SWEEP/.jobs/slurm.json   jobs of SLURM that have not been seen to end
+    SWEEP/.jobs/TIME_.../    what submitit writes for the jobs of one command, and what they say;
+                             gone when all have come to their ends
+
+A job is a group of settings (`evo_cpg.api.sweep.groups`) and does what happens to it in turn, so it
+comes to the same, and goes on where it was stopped. How far it is, and whether it is done, is seen
+by the checkpoints: no result is handed back, and no pickle of a job is read but by the job itself.
+submitit is installed with the extra ``jobs``, and imported when there are jobs.
+"""
+
+import contextlib
+import importlib
+import json
+import os
+import shutil
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import IO, Any, NamedTuple
+
+from evo_cpg.api.sweep import Member, groups, members_of, read_plan, run_group
+from evo_cpg.cli.errors import UsageError
+from evo_cpg.cli.progress import Work, working
+from evo_cpg.config.trust import is_trusted, trusting
+from evo_cpg.training.devices import use_cores
+from evo_cpg.training.run_folder import RunFolderError, write_whole
+
+try:
+    import fcntl
+except ImportError:  # Windows has no such locks, and submitit no local processes there.
+    fcntl = None
+
+_HIDDEN, _LOCK, _SLURM = ".jobs", "lock", "slurm.json"
+
+# How often it looks at local jobs, and at those of SLURM, s.
+_LOOK, _LOOK_AT_SLURM = 0.25, 5.0
+
+# Once interrupted, local jobs have so long to end, s; submitit kills them after one.
+_GRACE = 10.0
+
+# submitit ends local jobs after two minutes unless told otherwise, min. A year.
+_LONGEST = 60 * 24 * 365
+
+# What SLURM gives a job unless told otherwise, min. When that is over the job is queued anew, and
+# goes on from its checkpoints, so many times.
+_TIMEOUT, _TIMES = 60, 1000
+
+# Of what a failed job wrote to standard error.
+_LAST_LINES = 5
+
+
+class Jobs(NamedTuple):
+    """What is asked for.
+
+    Attributes:
+        count: local processes at a time; None for SLURM.
+        options: of submitit for SLURM.
+    """
+
+    count: int | None
+    options: dict[str, Any]
+
+
+class Job(NamedTuple):
+    """A group of settings, for another process: submitit calls it there.
+
+    Attributes:
+        sweep: its folder.
+        settings: their names.
+        cores: to use; None for all that it is given.
+        trusted: whether configurations are the user's own.
+        locks: whether it keeps others off the sweep, as local ones do.
+    """
+
+    sweep: str
+    settings: tuple[str, ...]
+    cores: int | None
+    trusted: bool
+    locks: bool
+
+    def __call__(self) -> None:
+        """Evolve them, from where they stand to their ends."""
+        folder = Path(self.sweep)
+        devices = use_cores(self.cores)
+        with contextlib.ExitStack() as stack:
+            stack.enter_context(trusting(self.trusted))
+            if self.locks:
+                _share(stack.enter_context(_lock_file(folder)))
+            plan = read_plan(folder)
+            if plan is None:
+                raise RunFolderError(f"{folder} is no sweep any more")
+            for group in groups(members_of(folder, plan, self.settings)):
+                run_group(group, Path(plan["config"]), devices, lambda member, rows: None)
+
+    def checkpoint(self) -> Any:
+        """What submitit queues when SLURM takes its place away, or its time is over: the same."""
+        return importlib.import_module("submitit").helpers.DelayedSubmission(self)
+
+
+class _Running(NamedTuple):
+    """A job that goes on.
+
+    Attributes:
+        job: submitit's.
+        group: its settings.
+    """
+
+    job: Any
+    group: list[Member]
+
+    @property
+    def names(self) -> list[str]:
+        return [member.setting.name for member in self.group]
+
+
+def read_jobs(word: str | None, options: Sequence[str]) -> Jobs | None:
+    """What ``--jobs`` and ``--job-option`` say; None where they say nothing.
+
+    Raises:
+        UsageError: it cannot be had here, or is no such thing.
+    """
+    given = dict(_option(text) for text in options)
+    if given and word != "slurm":
+        raise UsageError("--job-option: is for --jobs slurm")
+    if word is None:
+        return None
+    count = None if word == "slurm" else int(word) if word.isdecimal() else 0
+    if count == 0:
+        raise UsageError(f"--jobs: {word!r} is neither a number of processes nor slurm")
+    try:
+        importlib.import_module("submitit")
+    except ImportError as error:
+        raise UsageError(
+            f"--jobs: 'submitit' is not installed here ({error}); `pip install 'evo-cpg[jobs]'` "
+            "adds it"
+        ) from None
+    if count is None and not (shutil.which("sbatch") and shutil.which("srun")):
+        raise UsageError(
+            "--jobs slurm: there is no sbatch here, with which SLURM is given jobs; run this on a "
+            "host that has it, or choose --jobs N for N processes on this one"
+        )
+    return Jobs(count, given)
+
+
+@contextlib.contextmanager
+def claimed(folder: Path, jobs: Jobs | None) -> Iterator[None]:
+    """Keep others off a sweep: two at work would overwrite each other's checkpoints.
+
+    Local jobs hold a lock that others may share, so that it is held until the last has ended,
+    whatever becomes of this command. Those of SLURM are on a list.
+
+    Args:
+        folder: of the sweep.
+        jobs: what is asked for: with those of SLURM one may go on with SLURM.
+
+    Raises:
+        RunFolderError: somebody is at work.
+    """
+    with _lock_file(folder) as file:
+        if not _take(file):
+            raise RunFolderError(
+                f"{folder}: another `evo-cpg sweep` is at work there, or a job that one has left; "
+                "wait until it is done, or end it"
+            )
+        if jobs is None or jobs.count is not None:
+            going_on = [entry["id"] for entry in _recorded(folder) if not _of_slurm(entry).done()]
+            if going_on:
+                raise RunFolderError(
+                    f"{folder}: jobs of it are with SLURM ({', '.join(going_on)}); look at them "
+                    f"with `evo-cpg sweep {folder} --jobs slurm`, end them with `scancel "
+                    f"{' '.join(going_on)}`, or, if SLURM has no such jobs, delete "
+                    f"{folder / _HIDDEN / _SLURM}"
+                )
+            (folder / _HIDDEN / _SLURM).unlink(missing_ok=True)
+        _share(file)
+        yield
+
+
+def run_jobs(
+    folder: Path, found: Sequence[list[Member]], jobs: Jobs, cores: int | None
+) -> list[str]:
+    """Evolve groups of settings as jobs, until all have ended.
+
+    Args:
+        folder: of the sweep.
+        found: the groups.
+        jobs: what is asked for.
+        cores: of all local jobs together, None for all of this machine; on SLURM, of each.
+
+    Returns:
+        Names of settings that did not come to their ends.
+
+    Raises:
+        UsageError: submitit does not take the options.
+        KeyboardInterrupt: local jobs have ended, those of SLURM go on.
+    """
+    waiting = [group for group in found if not all(map(_is_done, group))]
+    if not waiting:
+        return []
+    logs = _new_folder(folder)
+    crowd = _Slurm(folder, logs, jobs, cores) if jobs.count is None else _Local(folder, logs)
+    places = len(waiting) if jobs.count is None else min(jobs.count, len(waiting))
+    own = cores if jobs.count is None else max(1, (cores or _cores()) // places)
+    total = sum(member.experiment.generations for group in found for member in group)
+    failed: list[str] = []
+    running: list[_Running] = []
+    with working(f"{folder.name}: generations of all settings", counted=True) as work:
+        try:
+            while waiting or running:
+                while waiting and len(running) < places:
+                    running.append(crowd.start(waiting.pop(0), own))
+                    work.say(f"job {running[-1].job.job_id}: {', '.join(running[-1].names)}")
+                time.sleep(crowd.look)
+                for one in [one for one in running if one.job.done()]:
+                    running.remove(one)
+                    crowd.ended(one)
+                    failed += _fallen(one, work)
+                work.reached(sum(m.folder.newest for group in found for m in group), total)
+        except BaseException:
+            crowd.leave(running)
+            raise
+    if not failed:
+        shutil.rmtree(logs, ignore_errors=True)
+    return failed
+
+
+class _Local:
+    """Processes on this machine.
+
+    Args:
+        folder: of the sweep.
+        logs: of the jobs.
+    """
+
+    look = _LOOK
+
+    def __init__(self, folder: Path, logs: Path):
+        self._folder = folder
+        self._executor = importlib.import_module("submitit").LocalExecutor(folder=logs)
+        self._executor.update_parameters(timeout_min=_LONGEST)
+
+    def start(self, group: list[Member], cores: int | None) -> _Running:
+        """Give a group to a process of its own."""
+        return _Running(self._executor.submit(_job(self._folder, group, cores, True)), group)
+
+    def ended(self, one: _Running) -> None:
+        """Nothing is left of it."""
+
+    def leave(self, running: Sequence[_Running]) -> None:
+        """End all."""
+        for one in running:
+            one.job.cancel()
+        end = time.monotonic() + _GRACE
+        while time.monotonic() < end and not all(one.job.done() for one in running):
+            time.sleep(_LOOK)
+
+
+class _Slurm:
+    """Jobs of SLURM, also those that a command before has left there.
+
+    Args:
+        folder: of the sweep.
+        logs: of new jobs.
+        jobs: what is asked for.
+        cores: of each.
+
+    Raises:
+        UsageError: submitit does not take the options.
+    """
+
+    look = _LOOK_AT_SLURM
+
+    def __init__(self, folder: Path, logs: Path, jobs: Jobs, cores: int | None):
+        self._folder, self._logs = folder, logs
+        self._entries = _recorded(folder)
+        submitit: Any = importlib.import_module("submitit")
+        self._executor = submitit.AutoExecutor(
+            folder=logs, cluster="slurm", slurm_max_num_timeout=_TIMES
+        )
+        given = {"name": f"evo-cpg-{folder.name}", "timeout_min": _TIMEOUT}
+        given |= {"cpus_per_task": cores} if cores else {}
+        try:
+            self._executor.update_parameters(**given | jobs.options)
+        except (AssertionError, NameError, TypeError, ValueError) as error:
+            shutil.rmtree(logs, ignore_errors=True)
+            raise UsageError(f"--job-option: {str(error).splitlines()[0]}") from None
+
+    def start(self, group: list[Member], cores: int | None) -> _Running:
+        """Look at the job that a group has, or give it to SLURM."""
+        names = [member.setting.name for member in group]
+        for entry in self._entries:
+            if entry["settings"] == names:
+                job = _of_slurm(entry)
+                if not job.done(force_check=True):
+                    return _Running(job, group)
+                self._forget(entry["id"])
+        job = self._executor.submit(_job(self._folder, group, cores, False))
+        entry = {"id": job.job_id, "logs": str(self._logs.resolve()), "settings": names}
+        self._record([*self._entries, entry])
+        return _Running(job, group)
+
+    def ended(self, one: _Running) -> None:
+        """Take it from the list."""
+        self._forget(one.job.job_id)
+
+    def leave(self, running: Sequence[_Running]) -> None:
+        """They go on; say so."""
+        if not running:
+            return
+        ids = [one.job.job_id for one in running]
+        print(
+            f"jobs {', '.join(ids)} go on; look at them with `evo-cpg sweep {self._folder} --jobs "
+            f"slurm`, end them with `scancel {' '.join(ids)}`",
+            file=sys.stderr,
+        )
+
+    def _forget(self, job: str) -> None:
+        self._record([entry for entry in self._entries if entry["id"] != job])
+
+    def _record(self, entries: list[dict[str, Any]]) -> None:
+        self._entries = entries
+        text = json.dumps(entries, indent=2)
+        write_whole(self._folder / _HIDDEN / _SLURM, lambda file: file.write(text.encode()))
+
+
+def _job(folder: Path, group: Sequence[Member], cores: int | None, locks: bool) -> Job:
+    names = tuple(member.setting.name for member in group)
+    return Job(str(folder.resolve()), names, cores, is_trusted(), locks)
+
+
+def _fallen(one: _Running, work: Work) -> list[str]:
+    """Which settings of a job that has ended are not done; it is said why."""
+    left = [member.setting.name for member in one.group if not _is_done(member)]
+    if left:
+        path = Path(one.job.paths.stderr)
+        text = path.read_text(errors="replace") if path.is_file() else ""
+        last = [line for line in text.splitlines() if line.strip()][-_LAST_LINES:]
+        work.say(f"job {one.job.job_id} failed ({', '.join(left)}); {path} ends:")
+        for line in last or ["(nothing)"]:
+            work.say(f"    {line}")
+    return left
+
+
+def _is_done(member: Member) -> bool:
+    if member.folder.newest < member.experiment.generations:
+        return False
+    checkpoint = member.folder.load()
+    return checkpoint is not None and checkpoint.generation >= member.experiment.generations
+
+
+def _recorded(folder: Path) -> list[dict[str, Any]]:
+    """Jobs of SLURM that have not been seen to end.
+
+    Raises:
+        RunFolderError: the list is damaged.
+    """
+    path = folder / _HIDDEN / _SLURM
+    if not path.is_file():
+        return []
+    try:
+        entries = json.loads(path.read_text(encoding="utf-8"))
+        if not all(
+            isinstance(entry["id"], str)
+            and isinstance(entry["logs"], str)
+            and isinstance(entry["settings"], list)
+            for entry in entries
+        ):
+            raise ValueError("something is of another kind")
+    except (KeyError, OSError, RecursionError, TypeError, ValueError) as error:
+        raise RunFolderError(f"{path} is damaged ({error})") from None
+    return entries
+
+
+def _of_slurm(entry: Mapping[str, Any]) -> Any:
+    try:
+        submitit: Any = importlib.import_module("submitit")
+    except ImportError:
+        raise RunFolderError(
+            f"job {entry['id']} of this sweep may be with SLURM, and 'submitit' is not installed "
+            "here to look; `pip install 'evo-cpg[jobs]'` adds it"
+        ) from None
+    return submitit.SlurmJob(entry["logs"], entry["id"])
+
+
+def _new_folder(folder: Path) -> Path:
+    """For the jobs of one command: submitit would take what it finds by the number of a process."""
+    (folder / _HIDDEN).mkdir(exist_ok=True)
+    prefix = time.strftime("%Y%m%d_%H%M%S_")
+    return Path(tempfile.mkdtemp(prefix=prefix, dir=folder / _HIDDEN)).resolve()
+
+
+@contextlib.contextmanager
+def _lock_file(folder: Path) -> Iterator[IO[bytes]]:
+    try:
+        (folder / _HIDDEN).mkdir(exist_ok=True)
+        file = (folder / _HIDDEN / _LOCK).open("ab")
+    except OSError as error:
+        raise RunFolderError(f"cannot write {folder} ({error.strerror})") from None
+    # Closing it gives up the lock.
+    with file:
+        yield file
+
+
+def _take(file: IO[bytes]) -> bool:
+    """Whether nobody has the lock; where the file system knows no locks, that is taken for so."""
+    if fcntl is None:
+        return True
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:
+        return True
+    return True
+
+
+def _share(file: IO[bytes]) -> None:
+    if fcntl is not None:
+        with contextlib.suppress(OSError):
+            fcntl.flock(file, fcntl.LOCK_SH)
+
+
+def _option(text: str) -> tuple[str, Any]:
+    """A key and its value: as in JSON, or a word."""
+    key, equals, word = text.partition("=")
+    if not (key and equals and word):
+        raise UsageError(f"--job-option: {text!r} is not KEY=VALUE")
+    try:
+        return key, json.loads(word)
+    except ValueError:
+        return key, word
+
+
+def _cores() -> int:
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1

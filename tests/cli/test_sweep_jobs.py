@@ -1,0 +1,309 @@
+"""`evo-cpg sweep --jobs`: what shares no program as jobs of submitit, here and with SLURM."""
+
+import json
+import os
+import signal
+import stat
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from evo_cpg.api.sweep import claim, new_plan
+from evo_cpg.cli import jobs as sweep_jobs
+from evo_cpg.cli.errors import UsageError
+from evo_cpg.cli.sweep import run_sweep
+from evo_cpg.config.settings import Setting
+from evo_cpg.training.loop import TIMING_COLUMNS
+from evo_cpg.training.run_folder import RunFolder, RunFolderError
+from tiny_run import CONFIG, PAIR, environment, program
+
+pytest.importorskip("submitit")
+
+SHORT = (*PAIR, "simulation.steps=20", "evolution.generations=3")
+# Enough for one job to begin before another has ended.
+GENERATIONS = 600
+LONG = (*PAIR, f"evolution.generations={GENERATIONS}")
+GRID = ("world.water.density=1000,1200",)
+NAMES = ("density=1000", "density=1200")
+
+
+@pytest.fixture(scope="module")
+def compiled(tmp_path_factory):
+    return tmp_path_factory.mktemp("compiled")
+
+
+@pytest.fixture
+def quick(monkeypatch, compiled):
+    """Jobs inherit the environment."""
+    for name, value in environment(compiled).items():
+        monkeypatch.setenv(name, value)
+
+
+def sweep(folder, jobs=None, options=(), *, given=SHORT, grid=GRID):
+    return run_sweep(CONFIG, given, grid, None, folder, None, (), jobs, options)
+
+
+def go_on(folder, jobs=None):
+    return run_sweep(folder, (), (), None, None, None, (), jobs)
+
+
+def sweep_of(folder):
+    """A sweep that nothing has been done of."""
+    settings = [Setting(name, {"world.water.density": int(name[8:])}) for name in NAMES]
+    claim(folder, new_plan(CONFIG, SHORT, settings))
+
+
+def until(reached, process=None):
+    """Wait for something, as long as a process lives."""
+    end = time.monotonic() + 240
+    while not reached():
+        assert time.monotonic() < end
+        assert process is None or process.poll() is None, process.communicate()
+        time.sleep(0.05)
+
+
+def untimed(rows):
+    return [{k: v for k, v in row.items() if k not in TIMING_COLUMNS} for row in rows]
+
+
+def test_jobs_come_to_what_comes_of_them_in_turn(tmp_path, quick, capfd):
+    assert sweep(tmp_path / "jobs", "2")
+    said = capfd.readouterr().err
+    assert sweep(tmp_path / "turn")
+    for name in NAMES:
+        job, turn = (RunFolder(tmp_path / which / name).load() for which in ("jobs", "turn"))
+        np.testing.assert_array_equal(job.genes, turn.genes)
+        assert untimed(job.history) == untimed(turn.history)
+        meta = json.loads((tmp_path / "jobs" / name / "meta.json").read_text())
+        assert meta["devices"] == max(1, sweep_jobs._cores() // 2)
+        assert f": {name}\n" in said
+    assert (tmp_path / "jobs" / "settings.csv").is_file()
+    # What the jobs said is of no use any more.
+    assert [path.name for path in (tmp_path / "jobs" / ".jobs").iterdir()] == ["lock"]
+
+
+@pytest.mark.slow
+def test_a_job_that_fails_is_said_and_the_others_go_on(tmp_path, quick, capfd):
+    folder = tmp_path / "sweep"
+    sweep_of(folder)
+    in_the_way = folder / NAMES[1] / "notes.txt"
+    in_the_way.parent.mkdir()
+    in_the_way.write_text("mine")
+    assert not go_on(folder, "1")
+    said = capfd.readouterr().err
+    assert f"failed ({NAMES[1]}); {folder.resolve() / '.jobs'}" in said
+    assert "RunFolderError: " in said and "is not empty" in said
+    assert f"1 of 2 settings did not come to their ends: {NAMES[1]}; go on with" in said
+    assert RunFolder(folder / NAMES[0]).newest == 3
+    # What failed is gone on with, and nothing else.
+    in_the_way.unlink()
+    assert go_on(folder, "1")
+    assert NAMES[0] not in capfd.readouterr().err
+    assert RunFolder(folder / NAMES[1]).newest == 3
+
+
+def test_two_do_not_work_on_a_sweep_at_once(tmp_path):
+    folder = tmp_path / "sweep"
+    sweep_of(folder)
+    with (
+        sweep_jobs.claimed(folder, None),
+        pytest.raises(RunFolderError, match="another `evo-cpg sweep` is at work there, or a job"),
+    ):
+        go_on(folder)
+    # Of a lock nothing is left, whoever held it.
+    with sweep_jobs.claimed(folder, None):
+        pass
+
+
+def test_without_slurm_it_says_so(tmp_path, compiled):
+    path = os.environ["PATH"]
+    os.environ["PATH"] = str(tmp_path)
+    try:
+        started = program("sweep", CONFIG, "--grid", GRID[0], "--jobs", "slurm", compiled=compiled)
+    finally:
+        os.environ["PATH"] = path
+    _, said = started.communicate(timeout=120)
+    assert started.returncode == 2
+    assert (
+        said.startswith("evo-cpg: --jobs slurm: there is no sbatch here") and said.count("\n") == 1
+    )
+
+
+@pytest.mark.parametrize(
+    ("jobs", "options", "words"),
+    [
+        ("0", (), "'0' is neither a number of processes nor slurm"),
+        ("SLURM", (), "'SLURM' is neither a number"),
+        ("2", ("mem_gb=4",), "--job-option: is for --jobs slurm"),
+        (None, ("mem_gb=4",), "--job-option: is for --jobs slurm"),
+        ("slurm", ("mem_gb",), "'mem_gb' is not KEY=VALUE"),
+    ],
+)
+def test_what_is_no_such_thing_is_said(jobs, options, words):
+    with pytest.raises(UsageError, match=words):
+        sweep_jobs.read_jobs(jobs, options)
+
+
+def test_without_submitit_it_says_how_to_get_it(monkeypatch):
+    monkeypatch.setitem(sys.modules, "submitit", None)
+    with pytest.raises(UsageError, match=r"'submitit' is not installed here.*evo-cpg\[jobs\]"):
+        sweep_jobs.read_jobs("2", ())
+
+
+def test_values_of_options_are_as_in_json_or_words(tmp_path, monkeypatch):
+    fake_slurm(tmp_path, monkeypatch)
+    given = ("timeout_min=600", "mem_gb=0.5", "slurm_time=1:00:00", 'slurm_setup=["a", "b"]')
+    assert sweep_jobs.read_jobs("slurm", given).options == {
+        "timeout_min": 600,
+        "mem_gb": 0.5,
+        "slurm_time": "1:00:00",
+        "slurm_setup": ["a", "b"],
+    }
+
+
+@pytest.mark.slow
+def test_an_interrupt_ends_local_jobs_which_go_on_to_the_same_bits(tmp_path, compiled):
+    folder = tmp_path / "sweep"
+    words = ("sweep", CONFIG, *LONG, "--grid", GRID[0], "--out", folder, "--cores", 2)
+    started = program(*words, "--jobs", 2, compiled=compiled)
+    until(lambda: all(RunFolder(folder / name).newest >= 3 for name in NAMES), started)
+    started.send_signal(signal.SIGINT)
+    _, said = started.communicate(timeout=60)
+    assert started.returncode == 130 and f"interrupted; go on with `evo-cpg sweep {folder}" in said
+    stopped = [RunFolder(folder / name).newest for name in NAMES]
+    time.sleep(2)
+    assert (
+        stopped == [RunFolder(folder / name).newest for name in NAMES]
+        and max(stopped) < GENERATIONS
+    )
+    again = program("sweep", folder, "--jobs", 2, "--cores", 2, compiled=compiled)
+    _, said = again.communicate(timeout=200)
+    assert again.returncode == 0, said
+    whole = program(*words[:-4], "--out", tmp_path / "whole", "--cores", 1, compiled=compiled)
+    _, said = whole.communicate(timeout=200)
+    assert whole.returncode == 0, said
+    for name in NAMES:
+        one, other = (RunFolder(tmp_path / which / name).load() for which in ("sweep", "whole"))
+        np.testing.assert_array_equal(one.genes, other.genes)
+        assert untimed(one.history) == untimed(other.history)
+
+
+@pytest.mark.slow
+def test_a_job_whose_command_was_killed_keeps_others_off_until_it_ends(tmp_path, compiled):
+    folder = tmp_path / "sweep"
+    words = ("sweep", CONFIG, *LONG, "--grid", GRID[0], "--out", folder, "--cores", 1)
+    started = program(*words, "--jobs", 1, compiled=compiled)
+    until(lambda: RunFolder(folder / NAMES[0]).newest >= 1, started)
+    started.kill()
+    started.wait()
+    with (
+        pytest.raises(RunFolderError, match="or a job that one has left"),
+        sweep_jobs.claimed(folder, None),
+    ):
+        pass
+    # Its standard output and error are the command's, and end with it.
+    started.communicate(timeout=200)
+    assert RunFolder(folder / NAMES[0]).newest == GENERATIONS
+    assert RunFolder(folder / NAMES[1]).newest == 0
+
+
+SBATCH = """#!{python}
+import os, subprocess, sys
+home, script = {home!r}, open(sys.argv[1]).read()
+number = str(101 + len([name for name in os.listdir(home) if name.endswith(".sh")]))
+with open(f"{{home}}/{{number}}.sh", "w") as file:
+    file.write(script)
+started = subprocess.Popen(
+    ["/bin/sh", f"{{home}}/{{number}}.sh"],
+    env=os.environ | {{"SLURM_JOB_ID": number, "SLURM_NTASKS": "1"}},
+    stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    start_new_session=True,
+)
+with open(f"{{home}}/{{number}}.pid", "w") as file:
+    file.write(str(started.pid))
+print("Submitted batch job", number)
+"""
+
+SRUN = """#!{python}
+import os, sys
+words = sys.argv[1:]
+for option, number in (("--output", 1), ("--error", 2)):
+    path = words[words.index(option) + 1].replace("%j", os.environ["SLURM_JOB_ID"])
+    os.dup2(os.open(path.replace("%t", "0"), os.O_WRONLY | os.O_CREAT | os.O_APPEND), number)
+first = words.index({python!r})
+os.execv(words[first], words[first:])
+"""
+
+SACCT = """#!{python}
+import os, sys
+print("JobID|State|NodeList")
+for number in sys.argv[sys.argv.index("-j") + 1 :: 2]:
+    try:
+        os.kill(int(open(f"{home}/{{number}}.pid").read()), 0)
+        state = "RUNNING"
+    except OSError:
+        state = "COMPLETED"
+    print(f"{{number}}|{{state}}|here")
+"""
+
+
+def fake_slurm(tmp_path, monkeypatch):
+    """What submitit calls, on this machine alone."""
+    home = tmp_path / "slurm"
+    home.mkdir()
+    for name, text in (("sbatch", SBATCH), ("srun", SRUN), ("sacct", SACCT)):
+        path = home / name
+        path.write_text(text.format(python=sys.executable, home=str(home)))
+        path.chmod(path.stat().st_mode | stat.S_IXUSR)
+    monkeypatch.setenv("PATH", f"{home}{os.pathsep}{os.environ['PATH']}")
+    monkeypatch.setattr(sweep_jobs, "_LOOK_AT_SLURM", 0.5)
+    return home
+
+
+@pytest.mark.slow
+def test_jobs_of_slurm_are_left_and_looked_at_again(tmp_path, monkeypatch, quick, compiled):
+    home = fake_slurm(tmp_path, monkeypatch)
+    folder = tmp_path / "sweep"
+    options = ("--job-option", "slurm_partition=long", "--job-option", "mem_gb=2")
+    started = program(
+        "sweep", CONFIG, *LONG, "--grid", GRID[0], "--out", folder, "--cores", 1,
+        "--jobs", "slurm", *options, compiled=compiled,
+    )  # fmt: skip
+    until(lambda: all(RunFolder(folder / name).newest >= 1 for name in NAMES), started)
+    started.send_signal(signal.SIGINT)
+    _, said = started.communicate(timeout=60)
+    assert started.returncode == 130
+    assert f"jobs 101, 102 go on; look at them with `evo-cpg sweep {folder} --jobs slurm`" in said
+    assert "scancel 101 102" in said and "interrupted; go on" not in said
+    script = (home / "101.sh").read_text()
+    for words in ("partition=long", "mem=2GB", "cpus-per-task=1", "job-name=evo-cpg-sweep"):
+        assert f"#SBATCH --{words}" in script
+    with pytest.raises(RunFolderError, match=r"jobs of it are with SLURM \(101, 102\)"):
+        go_on(folder)
+    assert go_on(folder, "slurm")
+    assert [RunFolder(folder / name).newest for name in NAMES] == [GENERATIONS] * 2
+    # Nobody was given anything twice, and no job is left on the list.
+    assert not (home / "103.sh").exists()
+    assert json.loads((folder / ".jobs" / "slurm.json").read_text()) == []
+    assert go_on(folder)
+
+
+def test_a_parameter_that_submitit_does_not_know_is_said(tmp_path, monkeypatch):
+    fake_slurm(tmp_path, monkeypatch)
+    for option, words in (
+        ("partitoin=long", "--job-option: Parameter 'partitoin' need to be prefixed"),
+        ("slurm_partitoin=long", "--job-option: Unknown argument 'partitoin'"),
+        ("timeout_min=soon", '--job-option: Parameter "timeout_min" expected type'),
+    ):
+        with pytest.raises(UsageError, match=words):
+            sweep(tmp_path / "sweep", "slurm", (option,))
+
+
+def test_a_damaged_list_of_jobs_is_said(tmp_path):
+    sweep_of(tmp_path)
+    (tmp_path / ".jobs").mkdir(exist_ok=True)
+    (tmp_path / ".jobs" / "slurm.json").write_text('[{"id": 3}]')
+    with pytest.raises(RunFolderError, match=r"slurm\.json is damaged"):
+        go_on(tmp_path)

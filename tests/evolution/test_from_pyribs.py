@@ -1,0 +1,320 @@
+"""CMA-MAE of pyribs, taken apart into arrays between any two calls, beside pyribs itself."""
+
+import functools
+import subprocess
+import sys
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from evo_cpg.evolution import from_pyribs
+from evo_cpg.evolution.from_pyribs import ALGORITHMS, Ribs, UnknownPyribsError
+from evo_cpg.evolution.map_elites import Axis
+from evo_cpg.evolution.strategy import Evaluation
+
+ribs_archives = pytest.importorskip("ribs.archives")
+ribs_emitters = pytest.importorskip("ribs.emitters")
+ribs_schedulers = pytest.importorskip("ribs.schedulers")
+
+GENES, SIZE, EMITTERS = 20, 24, 3
+AXES = (Axis("first", -2.0, 2.0, 4), Axis("second", -2.0, 2.0, 3))
+WORST = -60.0
+
+
+def made(es="sep_cma_es", **settings):
+    given = {"emitters": EMITTERS, "es": es, "learning_rate": 0.1, "threshold_min": WORST}
+    return Ribs(SIZE, GENES, AXES, **given | {"gene_bound": None} | settings)
+
+
+def worth(rows, flat=0.0):
+    """A sphere for pyribs, individuals first; where it is flat, emitters have converged."""
+    rows = np.ascontiguousarray(rows, np.float32)
+    fitness = -((rows - np.float32(0.7)) ** 2).sum(1, dtype=np.float32)
+    return np.minimum(fitness, -np.float32(flat)), rows[:, :2]
+
+
+def evaluation(fitness, measures):
+    first, second = jnp.asarray(np.asarray(measures).T)
+    return Evaluation(jnp.asarray(fitness), {}, {"first": first, "second": second})
+
+
+@functools.cache
+def programs(strategy):
+    return jax.jit(strategy.init), jax.jit(strategy.ask), jax.jit(strategy.tell)
+
+
+def through_arrays(tree):
+    """As a checkpoint keeps it."""
+    return jax.tree.map(lambda x: np.array(x), jax.device_get(tree))
+
+
+def search(strategy, generations, evaluate=worth, start=None, key=0):
+    """Populations, individuals first, and the last state."""
+    init, ask, tell = programs(strategy)
+    genes = jnp.zeros((strategy.gene_count, SIZE)) if start is None else start
+    key = jax.random.key(key)
+    genes, state = ask(key, init(key, genes))
+    populations = [np.asarray(genes).T]
+    for _ in range(generations):
+        found = evaluation(*evaluate(populations[-1]))
+        genes, state = ask(key, through_arrays(tell(key, state, genes, found)))
+        state = through_arrays(state)
+        populations.append(np.asarray(genes).T)
+    return populations, state
+
+
+def plain(strategy, generations, evaluate=worth):
+    """The same by pyribs' own scheduler, whose objects live on."""
+    seeds = jax.random.bits(jax.random.key(0), (1 + EMITTERS, 4), jnp.uint32)
+    first, *others = np.asarray(seeds).tolist()
+    archive = ribs_archives.GridArchive(
+        solution_dim=GENES,
+        dims=[4, 3],
+        ranges=[(-2.0, 2.0)] * 2,
+        learning_rate=strategy.learning_rate,
+        threshold_min=strategy.threshold_min,
+        seed=first,
+        dtype=np.float32,
+    )
+    emitters = [
+        ribs_emitters.EvolutionStrategyEmitter(
+            archive,
+            x0=np.zeros(GENES),
+            sigma0=np.float64(strategy.sigma),
+            ranker="imp",
+            es=strategy.es,
+            es_kwargs=dict(strategy.options),
+            selection_rule="mu",
+            restart_rule="basic",
+            batch_size=SIZE // EMITTERS,
+            seed=seed,
+        )
+        for seed in others
+    ]
+    scheduler = ribs_schedulers.Scheduler(archive, emitters)
+    populations = [scheduler.ask().copy()]
+    for _ in range(generations):
+        scheduler.tell(*evaluate(populations[-1]))
+        populations.append(scheduler.ask().copy())
+    return populations, scheduler
+
+
+def require_same(strategy, generations, evaluate=worth):
+    """To the bit: what is asked for, the map, and the emitters."""
+    ours, state = search(strategy, generations + 1, evaluate)
+    theirs, scheduler = plain(strategy, generations, evaluate)
+    # The first population is not theirs: all of it is where emitters then begin.
+    np.testing.assert_array_equal(np.array(ours[1:]), np.array(theirs))
+    data = scheduler.archive.data()
+    count = int(state.cells["count"])
+    np.testing.assert_array_equal(state.cells["order"][:count], data["index"])
+    for name in ("solution", "objective", "measures", "threshold"):
+        np.testing.assert_array_equal(state.cells[name][data["index"]], data[name])
+    restarts = [emitter.restarts for emitter in scheduler.emitters]
+    assert restarts == state.emitters["counters"][:, -1].tolist()
+    return restarts
+
+
+@pytest.mark.parametrize("es", ALGORITHMS)
+def test_it_is_pyribs_to_the_bit(es):
+    """Also where emitters begin anew: they do as soon as a sample of theirs is all on a plateau."""
+    options = (("lr", 0.05),) if es == "openai_es" else ()
+    strategy = made(es, learning_rate=1.0, threshold_min=-1000.0, options=options)
+    restarts = require_same(strategy, 60, functools.partial(worth, flat=7.0))
+    assert sum(restarts) >= 2
+
+
+def test_annealed_thresholds_are_those_of_pyribs():
+    require_same(made(), 30)
+
+
+def test_a_run_under_vmap_is_the_run_alone():
+    strategy = made()
+    keys = jax.vmap(jax.random.key)(jnp.arange(3))
+    start = jax.random.normal(jax.random.key(9), (3, GENES, SIZE))
+    init, ask, tell = (jax.jit(jax.vmap(f)) for f in (strategy.init, strategy.ask, strategy.tell))
+    genes, state = ask(keys, init(keys, start))
+    for _ in range(3):
+        found = [worth(np.asarray(one).T) for one in genes]
+        stacked = jax.tree.map(lambda *x: jnp.stack(x), *(evaluation(*one) for one in found))
+        genes, state = ask(keys, tell(keys, state, genes, stacked))
+    for run in range(3):
+        populations, alone = search(strategy, 3, start=start[run], key=run)
+        np.testing.assert_array_equal(np.asarray(genes[run]).T, populations[-1])
+        one = jax.tree.map(lambda x, run=run: x[run], state)
+        jax.tree.map(np.testing.assert_array_equal, one, alone)
+
+
+def test_the_map_that_is_shown_keeps_the_fittest_where_that_of_pyribs_does_not():
+    populations, state = search(made(learning_rate=0.05, sigma=0.3), 40)
+    best = {}
+    for rows in populations[:-1]:
+        fitness, measures = worth(rows)
+        for value, place in zip(fitness, measures, strict=True):
+            cell = tuple(np.clip(np.floor((place + 2) / 4 * [4, 3]), 0, [3, 2]).astype(int))
+            best[cell] = max(best.get(cell, -np.inf), value)
+    shown = state.archive.fitness.reshape(4, 3)
+    assert {tuple(cell) for cell in np.argwhere(np.isfinite(shown))} == set(best)
+    for cell, value in best.items():
+        assert shown[cell] == value
+    order = state.cells["order"][: state.cells["count"]]
+    assert (state.cells["objective"][order] <= state.archive.fitness[order]).all()
+    assert (state.cells["objective"][order] < state.archive.fitness[order]).any()
+    assert (state.cells["threshold"][order] > WORST).all()
+
+
+def told_of(strategy, change):
+    """How a search stands after a generation of which something is told otherwise."""
+    rows, state = search(strategy, 3)
+    fitness, measures = worth(rows[-1])
+    genes, fitness, measures = change(rows[-1].copy(), fitness.copy(), measures.copy())
+    found = evaluation(fitness, measures)
+    return through_arrays(programs(strategy)[2](jax.random.key(0), state, genes.T, found))
+
+
+OUT = np.array([0, 1, 5, 9])
+
+
+def hopeless(genes, fitness, measures):
+    fitness[OUT] = 10 * WORST
+    return genes, fitness, measures
+
+
+def diverged(genes, fitness, measures):
+    fitness[OUT] = -np.inf
+    return genes, fitness, measures
+
+
+def unmeasured(genes, fitness, measures):
+    measures[OUT[:2], 0], measures[OUT[2:], 1] = np.nan, np.inf
+    return genes, fitness, measures
+
+
+def replaced(genes, fitness, measures):
+    genes[OUT], fitness[OUT] = 0.7, 0.0
+    return genes, fitness, measures
+
+
+@pytest.mark.parametrize("change", [diverged, unmeasured, replaced])
+def test_who_does_not_count_ranks_below_all_others_and_stays_off_the_map_of_pyribs(change):
+    """The same comes out as where he counts, is the worst and no better than any threshold."""
+    other, same = (told_of(made(), each) for each in (change, hopeless))
+    jax.tree.map(np.testing.assert_array_equal, other.cells, same.cells)
+    jax.tree.map(np.testing.assert_array_equal, other.emitters, same.emitters)
+    # Who took a place is on our own map.
+    fittest = other.archive.fitness.max()
+    assert (fittest == 0.0) if change is replaced else (fittest < 0.0)
+
+
+def test_while_nobody_exceeds_the_threshold_all_go_on_drawing_where_they_began():
+    populations, state = search(made(threshold_min=1.0), 30)
+    assert state.cells["count"] == 0 and not state.emitters["counters"].any()
+    assert np.isfinite(state.archive.fitness).sum() > 8
+    drawn = np.array(populations)
+    assert abs(drawn.mean()) < 0.02 and drawn.std() == pytest.approx(0.5, rel=0.03)
+    metrics = made().metrics(jax.tree.map(jnp.asarray, state))
+    assert metrics["coverage"] > 0.7 and metrics["restarts"] == 0
+
+
+def test_thresholds_begin_at_the_median_of_the_first_who_live():
+    def evaluate(rows):
+        fitness, measures = worth(rows)
+        return np.where(np.arange(SIZE) < 5, -np.inf, fitness), measures
+
+    strategy = made(threshold_min=None)
+    rows, state = search(strategy, 1)
+    assert np.isnan(state.cells["threshold_min"])
+    median = np.median(worth(rows[1])[0][5:])
+    for generations in (2, 5):
+        _, state = search(strategy, generations, evaluate)
+        assert state.cells["threshold_min"] == pytest.approx(median) and state.cells["count"] > 2
+        taken = state.cells["order"][: state.cells["count"]]
+        assert (state.cells["objective"][taken] >= median).all()
+    # That of a first sample of which nobody lives is that of the next.
+    _, state = search(strategy, 3, lambda rows: (np.full(SIZE, -np.inf), worth(rows)[1]))
+    assert np.isnan(state.cells["threshold_min"]) and state.cells["count"] == 0
+
+
+def test_genes_are_bounded_after_they_were_drawn():
+    populations, state = search(made(gene_bound=0.4), 20)
+    assert np.abs(populations[-1]).max() == np.float32(0.4)
+    free = state.drawn["_solutions"].reshape(SIZE, GENES)
+    assert np.abs(free).max() > 0.5
+    np.testing.assert_array_equal(np.clip(free, -0.4, np.float32(0.4)), populations[-1])
+    # Thus nobody is taken for someone else.
+    assert state.cells["count"] >= 1
+
+
+@pytest.mark.parametrize("es", ["sep_cma_es", "openai_es"])
+def test_it_searches_bits(es):
+    """Bits that agree with a pattern count."""
+    pattern = np.tile([1.0, 0, 1, 1, 0], GENES // 5)
+
+    def agreeing(rows):
+        return np.float32((rows == pattern).sum(1)), rows[:, :2] + rows[:, 2:4]
+
+    options = (("lr", 0.1),) if es == "openai_es" else ()
+    strategy = made(es, binary=True, learning_rate=0.2, threshold_min=0.0, options=options)
+    random = jax.random.bernoulli(jax.random.key(1), 0.5, (GENES, SIZE)).astype(jnp.float32)
+    populations, _ = search(strategy, 60, agreeing, random)
+    assert set(np.unique(populations[-1])) == {0.0, 1.0}
+    first, last = (agreeing(rows)[0].mean() for rows in (populations[0], populations[-1]))
+    assert first == pytest.approx(GENES / 2, abs=1.5) and last > first + 3
+
+
+@pytest.mark.parametrize(
+    ("settings", "error", "words"),
+    [
+        ({"es": "cma"}, ValueError, "one of sep_cma_es, lm_ma_es, openai_es, cma_es, got 'cma'"),
+        ({"emitters": 5}, ValueError, "24 cannot be shared equally by 5 emitters"),
+        ({"emitters": 24}, ValueError, "each of 24 emitters needs two individuals or more"),
+        ({"es": "openai_es", "emitters": 8}, ValueError, "even number"),
+        ({"es": "lm_ma_es", "emitters": 1}, ValueError, r"\(24\) is greater than .* \(20\)"),
+        ({"options": (("lr", 0.1),)}, TypeError, "'lr'"),
+    ],
+)
+def test_what_pyribs_cannot_do_is_refused(settings, error, words):
+    with pytest.raises(error, match=words):
+        made(**settings)
+
+
+def test_another_pyribs_is_said(monkeypatch):
+    """One that remembers more, or keeps it elsewhere."""
+
+    class Longer(ribs_emitters.EvolutionStrategyEmitter):
+        def __init__(self, *given, **settings):
+            super().__init__(*given, **settings)
+            self._momentum = 0.0
+
+    class Elsewhere(ribs_emitters.EvolutionStrategyEmitter):
+        def __init__(self, *given, **settings):
+            super().__init__(*given, **settings)
+            self._optimiser = self.__dict__.pop("_opt")
+
+    from_pyribs._shapes.cache_clear()
+    with monkeypatch.context() as patch:
+        patch.setattr(ribs_emitters, "EvolutionStrategyEmitter", Longer)
+        with pytest.raises(
+            UnknownPyribsError,
+            match=r"pyribs .* another way than 0\.12 \(EvolutionStrategyEmitter lacks nothing, and "
+            r"has _momentum besides\); `pip install",
+        ):
+            made()
+    monkeypatch.setattr(ribs_emitters, "EvolutionStrategyEmitter", Elsewhere)
+    with pytest.raises(UnknownPyribsError, match="has no attribute '_opt'"):
+        made()
+
+
+def test_other_random_numbers_are_said(monkeypatch):
+    other = np.random.Generator(np.random.MT19937(0))
+    from_pyribs._shapes.cache_clear()
+    monkeypatch.setattr(np.random, "default_rng", lambda seed=None: other)
+    with pytest.raises(UnknownPyribsError, match="are not those of PCG64"):
+        made()
+
+
+def test_importing_the_module_imports_no_pyribs():
+    code = "import sys, evo_cpg.evolution.from_pyribs; sys.exit('ribs' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
