@@ -452,12 +452,15 @@ def _built(
 @functools.lru_cache(maxsize=16)
 def _shapes(plan: Plan) -> tuple[PyTree, PyTree, PyTree]:
     """Of all arrays of the map, of the emitters and of what these draw."""
-    archive, emitters = _built(plan)
+    # One emitter shows what all are like.
+    one = plan._replace(emitters=1)
+    archive, emitters = _built(one)
     _require_known(plan, archive, emitters[0])
     drawn = jax.ShapeDtypeStruct((plan.emitters, plan.batch, plan.gene_count), np.float32)
-    cells, distributions = jax.tree.map(
-        lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype),
-        (_cells(archive), _distributions(plan, emitters)),
+    cells = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape, x.dtype), _cells(archive))
+    distributions = jax.tree.map(
+        lambda x: jax.ShapeDtypeStruct((plan.emitters, *x.shape[1:]), x.dtype),
+        _distributions(one, emitters),
     )
     return cells, distributions, dict.fromkeys(_INSIDE[plan.es].drawn, drawn)
 

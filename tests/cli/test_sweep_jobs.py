@@ -12,6 +12,7 @@ import pytest
 
 from evo_cpg.api.sweep import claim, new_plan
 from evo_cpg.cli import jobs as sweep_jobs
+from evo_cpg.cli import sweep as sweep_command
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.sweep import run_sweep
 from evo_cpg.config.settings import Setting
@@ -29,9 +30,10 @@ GRID = ("world.water.density=1000,1200",)
 NAMES = ("density=1000", "density=1200")
 
 
-@pytest.fixture(scope="module")
-def compiled(tmp_path_factory):
-    return tmp_path_factory.mktemp("compiled")
+@pytest.fixture(autouse=True)
+def devices(monkeypatch):
+    """JAX has its two already."""
+    monkeypatch.setattr(sweep_command, "use_cores", lambda count=None: 2)
 
 
 @pytest.fixture
