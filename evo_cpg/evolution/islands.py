@@ -106,7 +106,7 @@ class Islands(Strategy):
         moved = jnp.arange(self.population).at[worst].set(jnp.roll(best, 1, axis=0))
         return jnp.where(now, moved, jnp.arange(self.population))
 
-    def _apart(self, genes: Float[Array, "g n"]) -> Float[Array, "g islands n"]:
+    def _apart(self, genes: Float[Array, "g n"]) -> Float[Array, "g islands each"]:
         return genes.reshape(len(genes), self.count, -1)
 
     def _keys(self, key: Array) -> Array:
