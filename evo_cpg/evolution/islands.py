@@ -93,10 +93,6 @@ class Islands(Strategy):
         found = jax.vmap(self.strategy.metrics, axis_size=self.count)(state.islands)
         return {name: values.mean() for name, values in found.items()}
 
-    def measured(self) -> tuple[str, ...]:
-        """See `Strategy.measured`."""
-        return self.strategy.measured()
-
     def _arrivals(self, fitness: Float[Array, " n"], now: Array) -> Int[Array, " n"]:
         """Whose place everybody takes: his own, or that of a migrant from the island before."""
         size = self.population // self.count

@@ -135,10 +135,6 @@ class Strategy(eqx.Module):
         del state
         return {}
 
-    def measured(self) -> tuple[str, ...]:
-        """Names of the descriptors that it goes by; none unless overridden."""
-        return ()
-
 
 def worst_finite(fitness: Float[Array, " n"]) -> Float[Array, " n"]:
     """Fitness with that of the worst survivor where it is not finite; 0 where nobody survived.

@@ -142,7 +142,7 @@ class Running:
             genes, self._state = jax.device_get(self._programs.begin(start))
             _require_numbers(experiment, genes, 0)
             nobody = (None,) * experiment.runs
-            checkpoint = Checkpoint(0, genes, nobody, [], no_scales(experiment))
+            checkpoint = Checkpoint(0, genes, nobody, [], _no_scales(experiment))
         else:
             like = jax.eval_shape(lambda: begin(experiment))[1]
             self._state = state_from(checkpoint.state, like)
@@ -245,7 +245,7 @@ def compile_replay(
     lived = live.lower(jax.ShapeDtypeStruct((genes,), jnp.float32), keys, numbers)
     # Compiled as in training: a multiplication and an addition may become one operation, with one
     # rounding.
-    scales = {name: jnp.float32(1.0) for name in no_scales(experiment)}
+    scales = {name: jnp.float32(1.0) for name in _no_scales(experiment)}
     assess = jax.jit(functools.partial(judge, simulation.task))
     assessed = assess.lower(lived.out_info[0], scales).compile()
     run = lived.compile()
@@ -263,7 +263,7 @@ def compile_replay(
     return of
 
 
-def no_scales(experiment: Experiment) -> dict[str, tuple[float, ...]]:
+def _no_scales(experiment: Experiment) -> dict[str, tuple[float, ...]]:
     """Placeholders for the yardsticks that generation 0 will measure."""
     task, steps = experiment.simulation.task, experiment.simulation.steps
     shapes = jax.eval_shape(
