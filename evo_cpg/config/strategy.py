@@ -18,9 +18,8 @@ from evo_cpg.config.schema.evolution import (
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.control.controller import Controller
 from evo_cpg.evolution import from_evosax, from_pyribs
-from evo_cpg.evolution.bits import BitGenetics
 from evo_cpg.evolution.islands import Islands
-from evo_cpg.evolution.map_elites import MapElites, Mapped, MapStrategy, Vary
+from evo_cpg.evolution.map_elites import MapElites, Mapped, MapStrategy
 from evo_cpg.evolution.random_search import RandomSearch
 from evo_cpg.evolution.strategy import Strategy
 from evo_cpg.simulation.simulation import Simulation
@@ -61,23 +60,24 @@ def _on_an_island(
     if isinstance(given, PyribsConfig):
         return _build_pyribs(given, controller, population, source)
     if isinstance(given, MapElitesConfig):
-        bits = None
-        if controller.binary:
-            most = BitGenetics().mutated_genes_max
-            bits = BitGenetics(mutated_genes_max=min(most, genes))
-        vary = Vary(given.iso_sigma, given.line_sigma, given.gene_bound, bits)
+        if controller.binary and given.mutated_genes[1] > genes:
+            raise _too_many_mutated(given.mutated_genes[1], genes, source)
+        vary = given.of_bits() if controller.binary else given.of_numbers()
         return MapElites(population, given.build_axes(), vary)
     if isinstance(given, RandomSearchConfig):
         draw = functools.partial(controller.random_genes, batch=(population,), dtype=jnp.float32)
         return RandomSearch(population, draw)
     if isinstance(given, BitEvolutionConfig) and given.mutated_genes[1] > genes:
-        raise ConfigError(
-            source,
-            (*_KEY, "mutated_genes"),
-            f"at most {genes}, the bits in a genome of this creature, can change, got "
-            f"{given.mutated_genes[1]}",
-        )
+        raise _too_many_mutated(given.mutated_genes[1], genes, source)
     return given.build(population)
+
+
+def _too_many_mutated(most: int, genes: int, source: Path | str) -> ConfigError:
+    return ConfigError(
+        source,
+        (*_KEY, "mutated_genes"),
+        f"at most {genes}, the bits in a genome of this creature, can change, got {most}",
+    )
 
 
 def _build_evosax(

@@ -19,7 +19,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Int, ScalarLike
 
 from evo_cpg.evolution.generation import Genetics, keep_elites
 from evo_cpg.evolution.selection import draw_parents
@@ -149,8 +149,8 @@ def random_bits(
 def bit_mutation(
     key: Array,
     genes: Float[Array, "g n"],
-    probability: float,
-    fewest: int,
+    probability: ScalarLike,
+    fewest: ScalarLike,
     most: int,
     mutation: str,
 ) -> Float[Array, "g n"]:

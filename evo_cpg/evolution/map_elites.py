@@ -25,7 +25,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, PyTree
 
-from evo_cpg.evolution.bits import BitGenetics, bit_mutation
+from evo_cpg.evolution.bits import bit_mutation
 from evo_cpg.evolution.strategy import Evaluation, Strategy, descriptor_rows
 from evo_cpg.evolution.variation import one_point_crossover
 
@@ -79,47 +79,86 @@ class Beginning(NamedTuple):
     genes: Float[Array, "g n"]
 
 
-class Vary(eqx.Module):
-    """How children come from two parents.
+class Variation(eqx.Module):
+    """How children come from parents on the map."""
+
+    @property
+    def gene_bound(self) -> float | None:
+        """Largest magnitude of a gene; None where there is no bound to keep."""
+        return None
+
+    @abc.abstractmethod
+    def __call__(
+        self, key: Array, genes: Float[Array, "g cells"], parents: Int[Array, "2 n"]
+    ) -> Float[Array, "g n"]:
+        """Children, one of each pair of parents."""
+
+    @abc.abstractmethod
+    def copies(self, key: Array, genes: Float[Array, "g n"]) -> Float[Array, "g n"]:
+        """Genomes, each changed a little."""
+
+
+class AlongTheLine(Variation):
+    """Of real-valued genomes: noise, and a step along the line to the other parent.
 
     Attributes:
         iso_sigma: standard deviation of what every gene gets.
         line_sigma: of how far a child goes along the line between its parents, in their distance.
         gene_bound: largest magnitude of a gene.
-        bits: of bits: how they mutate; None for real-valued genomes.
     """
 
     iso_sigma: float = 0.05
     line_sigma: float = 0.2
     gene_bound: float = 8.0
-    bits: BitGenetics | None = None
 
     def __call__(
         self, key: Array, genes: Float[Array, "g cells"], parents: Int[Array, "2 n"]
     ) -> Float[Array, "g n"]:
-        """Children, one of each pair of parents."""
-        first, second = parents
-        if self.bits is not None:
-            cross_key, mutate_key = jax.random.split(key)
-            children = one_point_crossover(cross_key, genes, first, second, 1.0)[:, ::2]
-            return self._flipped(mutate_key, children, self.bits.mutation_probability)
+        """See `Variation`."""
         iso_key, line_key = jax.random.split(key)
-        a, b = genes[:, first], genes[:, second]
+        a, b = genes[:, parents[0]], genes[:, parents[1]]
         along = self.line_sigma * jax.random.normal(line_key, (1, a.shape[1]), a.dtype)
-        return self._bounded(iso_key, a + along * (b - a))
+        return self.copies(iso_key, a + along * (b - a))
 
     def copies(self, key: Array, genes: Float[Array, "g n"]) -> Float[Array, "g n"]:
-        """Genomes, each changed a little."""
-        return self._bounded(key, genes) if self.bits is None else self._flipped(key, genes, 1.0)
-
-    def _bounded(self, key: Array, genes: Array) -> Array:
+        """See `Variation`."""
         noise = self.iso_sigma * jax.random.normal(key, genes.shape, genes.dtype)
         return jnp.clip(genes + noise, -self.gene_bound, self.gene_bound)
 
-    def _flipped(self, key: Array, genes: Array, probability: float) -> Array:
-        assert self.bits is not None
-        fewest, most = self.bits.mutated_genes_min, self.bits.mutated_genes_max
-        return bit_mutation(key, genes, probability, fewest, most, self.bits.mutation)
+
+class OfBits(Variation):
+    """Of bits: crossover of the two parents, and changed genes.
+
+    Attributes:
+        crossover: probability that the parents are crossed; otherwise a child is the first one's.
+        mutation_probability: that a child mutates.
+        mutated_genes_min: fewest genes that a mutation changes.
+        mutated_genes_max: most.
+        mutation: what happens to a gene that is changed, one of ``bits.MUTATIONS``.
+    """
+
+    crossover: float = 1.0
+    mutation_probability: float = 0.5
+    mutated_genes_min: int = eqx.field(static=True, default=2)
+    mutated_genes_max: int = eqx.field(static=True, default=30)
+    mutation: str = eqx.field(static=True, default="redraw")
+
+    def __call__(
+        self, key: Array, genes: Float[Array, "g cells"], parents: Int[Array, "2 n"]
+    ) -> Float[Array, "g n"]:
+        """See `Variation`."""
+        cross_key, mutate_key = jax.random.split(key)
+        # Of two children of a pair the one that begins as the first parent.
+        children = one_point_crossover(cross_key, genes, *parents, self.crossover)[:, ::2]
+        return self._changed(mutate_key, children, self.mutation_probability)
+
+    def copies(self, key: Array, genes: Float[Array, "g n"]) -> Float[Array, "g n"]:
+        """See `Variation`."""
+        return self._changed(key, genes, 1.0)
+
+    def _changed(self, key: Array, genes: Array, probability: float) -> Array:
+        fewest, most = self.mutated_genes_min, self.mutated_genes_max
+        return bit_mutation(key, genes, probability, fewest, most, self.mutation)
 
 
 class MapStrategy(Strategy):
@@ -224,12 +263,12 @@ class MapElites(MapStrategy):
 
     population: int = eqx.field(static=True)
     axes: tuple[Axis, ...] = eqx.field(static=True)
-    vary: Vary = Vary()
+    vary: Variation = AlongTheLine()
 
     @property
     def gene_bound(self) -> float | None:
         """Largest magnitude of a gene; None of bits."""
-        return self.vary.gene_bound if self.vary.bits is None else None
+        return self.vary.gene_bound
 
     def archive(self, state: Archive) -> Archive:
         """It is the state."""

@@ -9,7 +9,7 @@ import math
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int, UInt32
+from jaxtyping import Array, Float, Int, ScalarLike, UInt32
 
 # Room is kept for so many changed genes that more come up with a chance below exp(-50), about
 # 2e-22 a generation; any float32 random number is coarser.
@@ -24,7 +24,7 @@ def one_point_crossover(
     genes: Float[Array, "g n"],
     first: Int[Array, " pairs"],
     second: Int[Array, " pairs"],
-    probability: float,
+    probability: ScalarLike,
 ) -> Float[Array, "g children"]:
     """Two children of each pair, side by side, cut and rejoined at one random place.
 
@@ -50,7 +50,7 @@ def one_point_crossover(
 
 
 def gaussian_mutation(
-    key: Array, genes: Float[Array, "g n"], rate: float, sigma: float, bound: float
+    key: Array, genes: Float[Array, "g n"], rate: float, sigma: ScalarLike, bound: ScalarLike
 ) -> Float[Array, "g n"]:
     """Add normal noise to randomly chosen genes and keep all within bounds.
 

@@ -9,7 +9,7 @@ from evo_cpg.config.build import build_experiment
 from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.load import load_config
 from evo_cpg.evolution.islands import Islands
-from evo_cpg.evolution.map_elites import MapElites, Mapped
+from evo_cpg.evolution.map_elites import AlongTheLine, MapElites, Mapped, OfBits
 from tiny_run import CONFIG
 
 WALKER = CONFIG.with_name("fukui2003_model1.yaml")
@@ -62,17 +62,27 @@ def test_islands_share_the_population():
 def test_a_map_measures_what_its_axes_are():
     made = build(WALKER, f"evolution={{type: map_elites, axes: {AXES}}}")
     assert isinstance(made.strategy, MapElites)
-    assert made.strategy.shape == (10, 4) and made.strategy.vary.bits is not None
+    assert made.strategy.shape == (10, 4) and made.strategy.vary == OfBits()
     assert made.simulation.measures.names == ("speed", "duty_factor")
     swimmer = build(CONFIG, "evolution={type: map_elites, axes: [{name: energy, range: [0, 9]}]}")
     # A term of the task needs no measure.
-    assert swimmer.simulation.measures is None and swimmer.strategy.vary.bits is None
+    assert swimmer.simulation.measures is None and swimmer.strategy.vary == AlongTheLine()
     assert swimmer.strategy.gene_bound == 8.0
     mapped = build(WALKER, f"evolution.axes={AXES}")
     assert isinstance(mapped.strategy, Mapped) and mapped.strategy.shape == (10, 4)
     assert mapped.simulation.measures.names == ("speed", "duty_factor")
     with pytest.raises(ConfigError, match=r"evolution: axes: at least one is needed"):
         build(CONFIG, "evolution={type: map_elites, axes: []}")
+
+
+def test_how_bits_on_a_map_vary():
+    given = f"type: map_elites, axes: {AXES}, crossover: 0.5, mutation_probability: 1"
+    flips = f"evolution={{{given}, mutated_genes: [1, 10], mutation: flip}}"
+    assert build(WALKER, flips).strategy.vary == OfBits(0.5, 1.0, 1, 10, "flip")
+    with pytest.raises(ConfigError, match=r"mutated_genes: at most 192, the bits in a genome"):
+        build(WALKER, f"evolution={{{given}, mutated_genes: [1, 193]}}")
+    with pytest.raises(ConfigError, match="mutated_genes must be fewest and most, got 3 and 2"):
+        build(WALKER, f"evolution={{{given}, mutated_genes: [3, 2]}}")
 
 
 @pytest.mark.skipif(importlib.util.find_spec("evosax") is None, reason="evosax is an extra")

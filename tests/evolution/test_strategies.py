@@ -11,7 +11,7 @@ import pytest
 from evo_cpg.evolution.bits import BitGenetics
 from evo_cpg.evolution.generation import RealGenetics
 from evo_cpg.evolution.islands import Islands
-from evo_cpg.evolution.map_elites import Axis, MapElites, Mapped, Vary
+from evo_cpg.evolution.map_elites import AlongTheLine, Axis, MapElites, Mapped, OfBits
 from evo_cpg.evolution.random_search import RandomSearch
 from evo_cpg.evolution.strategy import Evaluation, Strategy, worst_finite
 from evo_cpg.training.strategy_state import StrategyError, state_arrays, state_from
@@ -71,7 +71,7 @@ STRATEGIES = {
     ),
     "islands of climbers": lambda: Islands(SIZE, Climber(SIZE // 2), 2, 3, 1),
     "genetics with a map": lambda: Mapped(SIZE, AXES, GENETICS),
-    "map_elites": lambda: MapElites(SIZE, AXES, Vary(0.1, 0.2, 8.0)),
+    "map_elites": lambda: MapElites(SIZE, AXES, AlongTheLine(0.1, 0.2, 8.0)),
     "random": lambda: RandomSearch(
         SIZE, lambda key: jax.random.uniform(key, (GENES, SIZE), jnp.float32, -2.0, 2.0)
     ),
@@ -138,11 +138,12 @@ def test_what_a_search_knows_goes_through_arrays(name):
     populations, _, state = search(strategy, 6, genes=genes_of(name))
     arrays = {name: np.array(value) for name, value in state_arrays(state).items()}
     like = jax.eval_shape(lambda: state)
-    again = state_from(arrays, like)
-    worth = sphere(populations[-1])
+    again = jax.tree.map(jnp.asarray, state_from(arrays, like))
+    last = jnp.asarray(populations[-1])
+    worth = sphere(last)
     for one, other in zip(
-        jax.tree.leaves(strategy.tell(jax.random.key(1), state, populations[-1], worth)),
-        jax.tree.leaves(strategy.tell(jax.random.key(1), again, populations[-1], worth)),
+        jax.tree.leaves(strategy.tell(jax.random.key(1), state, last, worth)),
+        jax.tree.leaves(strategy.tell(jax.random.key(1), again, last, worth)),
         strict=True,
     ):
         np.testing.assert_array_equal(one, other)
@@ -231,7 +232,7 @@ def test_islands_apart_evolve_as_if_each_were_alone():
 
 def test_a_map_keeps_the_fittest_of_every_cell():
     """Beside a plain loop over everybody who ever lived."""
-    strategy = MapElites(SIZE, AXES, Vary(0.5, 0.2, 8.0))
+    strategy = MapElites(SIZE, AXES, AlongTheLine(0.5, 0.2, 8.0))
 
     def evaluate(genes):
         found = sphere(genes)
@@ -272,7 +273,7 @@ def test_a_search_is_none_the_wiser_for_a_map():
 
 
 def test_children_of_bits_are_bits_of_two_parents():
-    vary = Vary(bits=BitGenetics(mutated_genes_max=2, mutation_probability=0.0))
+    vary = OfBits(mutated_genes_max=2, mutation_probability=0.0)
     genes = jnp.asarray(np.random.default_rng(0).integers(0, 2, (GENES, 5)), jnp.float32)
     parents = jnp.array([[0, 1, 2, 3], [4, 3, 2, 0]])
     children = np.asarray(vary(jax.random.key(0), genes, parents))
@@ -283,8 +284,20 @@ def test_children_of_bits_are_bits_of_two_parents():
         assert any((child == cut).all() for cut in cuts)
 
 
+def test_children_of_bits_that_are_not_crossed_are_the_first_parents_but_for_what_is_flipped():
+    vary = OfBits(0.0, 1.0, 1, 3, "flip")
+    genes = jnp.asarray(np.random.default_rng(0).integers(0, 2, (GENES, 2)), jnp.float32)
+    parents = jnp.array([[0] * 500, [1] * 500])
+    for children in (
+        vary(jax.random.key(0), genes, parents),
+        vary.copies(jax.random.key(1), genes[:, parents[0]]),
+    ):
+        changed = np.asarray(children != genes[:, :1]).sum(0)
+        assert set(changed.tolist()) == {1, 2, 3}
+
+
 def test_children_of_numbers_lie_about_the_line_between_their_parents():
-    vary = Vary(iso_sigma=0.0, line_sigma=0.5, gene_bound=100.0)
+    vary = AlongTheLine(iso_sigma=0.0, line_sigma=0.5, gene_bound=100.0)
     genes = jnp.asarray(np.random.default_rng(0).normal(size=(GENES, 2)), jnp.float32)
     parents = jnp.array([[0] * 2000, [1] * 2000])
     children = np.asarray(vary(jax.random.key(0), genes, parents))

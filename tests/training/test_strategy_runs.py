@@ -11,7 +11,7 @@ import pytest
 
 from evo_cpg.evolution.generation import RealGenetics
 from evo_cpg.evolution.islands import Islands
-from evo_cpg.evolution.map_elites import Axis, MapElites, Vary
+from evo_cpg.evolution.map_elites import AlongTheLine, Axis, MapElites
 from evo_cpg.evolution.strategy import Strategy
 from evo_cpg.training.elites import elite, gait_map
 from evo_cpg.training.loop import TIMING_COLUMNS, replay_champion, train
@@ -20,7 +20,7 @@ from evo_cpg.training.strategy_state import StrategyError, state_arrays
 from trials import experiment
 
 SIZE, RUNS, GENERATIONS = 12, 2, 4
-MAP = MapElites(SIZE, (Axis("distance", 1.0, 1.0004, 5), Axis("energy", 0.0, 0.03, 3)), Vary(0.3))
+MAP = MapElites(SIZE, (Axis("distance", 1.0, 1.0004, 5), Axis("energy", 0.0, 0.03, 3)), AlongTheLine(0.3))
 GENETICS = RealGenetics(SIZE // 2, 2, 0.5, 0.2, 0.5, 0.5, 8.0)
 
 

@@ -8,7 +8,7 @@ from evo_cpg.config.schema.choice import CustomConfig, by_type
 from evo_cpg.config.schema.section import Count, Finite, NotNegative, Positive, Section, Share
 from evo_cpg.evolution.bits import BitGenetics
 from evo_cpg.evolution.generation import RealGenetics
-from evo_cpg.evolution.map_elites import Axis
+from evo_cpg.evolution.map_elites import AlongTheLine, Axis, OfBits
 
 # Individuals that a generation may have.
 Population = Annotated[int, Field(ge=2, le=1_000_000)]
@@ -249,8 +249,6 @@ class BitEvolutionConfig(MapSection):
 class MapElitesConfig(MapSection):
     """MAP-Elites: the fittest individual of every kind of behaviour.
 
-    Bits vary as in ``bits``, with its defaults.
-
     Attributes:
         type: ``map_elites``.
         generations: to evolve.
@@ -259,6 +257,10 @@ class MapElitesConfig(MapSection):
         iso_sigma: of real-valued genes: standard deviation of what each gets.
         line_sigma: likewise: of how far a child goes along the line between its parents.
         gene_bound: likewise: largest magnitude.
+        crossover: of bits: probability that two parents are crossed.
+        mutation_probability: likewise: that a child mutates.
+        mutated_genes: likewise: fewest and most genes that a mutation changes.
+        mutation: likewise: whether a changed gene is drawn anew or flipped.
     """
 
     type: Literal["map_elites"] = "map_elites"
@@ -267,10 +269,25 @@ class MapElitesConfig(MapSection):
     iso_sigma: NotNegative = 0.05
     line_sigma: NotNegative = 0.2
     gene_bound: Positive = 8.0
+    crossover: Share = 1.0
+    mutation_probability: Share = 0.5
+    mutated_genes: tuple[Count, Count] = (2, 30)
+    mutation: Literal["redraw", "flip"] = "redraw"
+
+    def of_numbers(self) -> AlongTheLine:
+        """How real-valued genomes vary."""
+        return AlongTheLine(self.iso_sigma, self.line_sigma, self.gene_bound)
+
+    def of_bits(self) -> OfBits:
+        """How bits vary."""
+        return OfBits(self.crossover, self.mutation_probability, *self.mutated_genes, self.mutation)
 
     @model_validator(mode="after")
     def _check(self) -> "MapElitesConfig":
         self.require_axes()
+        fewest, most = self.mutated_genes
+        if fewest > most:
+            raise ValueError(f"mutated_genes must be fewest and most, got {fewest} and {most}")
         return self
 
 
