@@ -17,9 +17,11 @@ from evo_cpg.config.schema.evolution import (
 )
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.control.controller import Controller
-from evo_cpg.evolution import from_evosax, from_pyribs
+from evo_cpg.evolution import from_evosax
+from evo_cpg.evolution.from_pyribs import Ribs
 from evo_cpg.evolution.islands import Islands
 from evo_cpg.evolution.map_elites import MapElites, Mapped, MapStrategy
+from evo_cpg.evolution.pyribs_state import UnknownPyribsError
 from evo_cpg.evolution.random_search import RandomSearch
 from evo_cpg.evolution.strategy import Strategy
 from evo_cpg.simulation.simulation import Simulation
@@ -113,7 +115,7 @@ def _build_pyribs(
     given: PyribsConfig, controller: Controller, population: int, source: Path | str
 ) -> Strategy:
     try:
-        return from_pyribs.Ribs(
+        return Ribs(
             population=population,
             gene_count=controller.gene_count,
             axes=given.build_axes(),
@@ -128,7 +130,7 @@ def _build_pyribs(
         )
     except ImportError as error:
         raise _missing("pyribs", error, source) from None
-    except from_pyribs.UnknownPyribsError as error:
+    except UnknownPyribsError as error:
         raise ConfigError(source, (*_KEY, "type"), str(error)) from None
     except (TypeError, ValueError) as error:
         raise ConfigError(source, _KEY, f"{given.es} cannot be built ({error})") from None

@@ -148,8 +148,9 @@ class OfBits(Variation):
     ) -> Float[Array, "g n"]:
         """See `Variation`."""
         cross_key, mutate_key = jax.random.split(key)
+        first, second = parents
         # Of two children of a pair the one that begins as the first parent.
-        children = one_point_crossover(cross_key, genes, *parents, self.crossover)[:, ::2]
+        children = one_point_crossover(cross_key, genes, first, second, self.crossover)[:, ::2]
         return self._changed(mutate_key, children, self.mutation_probability)
 
     def copies(self, key: Array, genes: Float[Array, "g n"]) -> Float[Array, "g n"]:

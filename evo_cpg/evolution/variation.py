@@ -71,7 +71,7 @@ def gaussian_mutation(
     # By row and column: with the genes in one row, XLA:CPU would cross them gene by gene with two
     # divisions each, which doubles the time of a generation.
     place = places // genes.shape[1], places % genes.shape[1]
-    return jnp.clip(genes.at[place].add(noise, mode="drop"), -bound, bound)
+    return jnp.clip(genes.at[place].add(noise, mode="drop"), jnp.negative(bound), bound)
 
 
 def random_places(key: Array, count: int, rate: float) -> UInt32[Array, " m"]:

@@ -139,7 +139,7 @@ def test_without_pyribs_it_says_how_to_get_it(monkeypatch):
 
 @pytest.mark.skipif(importlib.util.find_spec("ribs") is None, reason="ribs is an extra")
 def test_a_pyribs_that_is_not_known_is_said(monkeypatch):
-    monkeypatch.setattr("evo_cpg.evolution.from_pyribs._FIELDS", ("solution", "objective"))
+    monkeypatch.setattr("evo_cpg.evolution.pyribs_state._FIELDS", ("solution", "objective"))
     given = f"{{type: pyribs, axes: {AXES}, sigma: 0.124}}"
     with pytest.raises(ConfigError, match="keeps its state in another way than 0"):
         build(WALKER, f"evolution={given}")

@@ -9,9 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from evo_cpg.evolution import from_pyribs
-from evo_cpg.evolution.from_pyribs import ALGORITHMS, Ribs, UnknownPyribsError
+from evo_cpg.evolution import pyribs_state
+from evo_cpg.evolution.from_pyribs import Ribs
 from evo_cpg.evolution.map_elites import Axis
+from evo_cpg.evolution.pyribs_state import ALGORITHMS, UnknownPyribsError
 from evo_cpg.evolution.strategy import Evaluation
 
 ribs_archives = pytest.importorskip("ribs.archives")
@@ -293,7 +294,7 @@ def test_another_pyribs_is_said(monkeypatch):
             super().__init__(*given, **settings)
             self._optimiser = self.__dict__.pop("_opt")
 
-    from_pyribs._shapes.cache_clear()
+    pyribs_state.shapes.cache_clear()
     with monkeypatch.context() as patch:
         patch.setattr(ribs_emitters, "EvolutionStrategyEmitter", Longer)
         with pytest.raises(
@@ -309,7 +310,7 @@ def test_another_pyribs_is_said(monkeypatch):
 
 def test_other_random_numbers_are_said(monkeypatch):
     other = np.random.Generator(np.random.MT19937(0))
-    from_pyribs._shapes.cache_clear()
+    pyribs_state.shapes.cache_clear()
     monkeypatch.setattr(np.random, "default_rng", lambda seed=None: other)
     with pytest.raises(UnknownPyribsError, match="are not those of PCG64"):
         made()

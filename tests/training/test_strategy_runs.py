@@ -20,7 +20,9 @@ from evo_cpg.training.strategy_state import StrategyError, state_arrays
 from trials import experiment
 
 SIZE, RUNS, GENERATIONS = 12, 2, 4
-MAP = MapElites(SIZE, (Axis("distance", 1.0, 1.0004, 5), Axis("energy", 0.0, 0.03, 3)), AlongTheLine(0.3))
+MAP = MapElites(
+    SIZE, (Axis("distance", 1.0, 1.0004, 5), Axis("energy", 0.0, 0.03, 3)), AlongTheLine(0.3)
+)
 GENETICS = RealGenetics(SIZE // 2, 2, 0.5, 0.2, 0.5, 0.5, 8.0)
 
 
