@@ -1,6 +1,6 @@
 """Individuals with bodies of their own: they differ in numbers of the configuration."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +15,7 @@ from evo_cpg.simulation.rollout import Outcome
 from evo_cpg.training.devices import population_mesh
 from evo_cpg.training.experiment import Experiment, compile_trials
 
-Numbers = Mapping[str, ArrayLike]
+Numbers = Mapping[str, ArrayLike | Sequence[float]]
 
 
 class Bodies:

@@ -101,11 +101,12 @@ def _show_version(wanted: bool) -> bool:
     return wanted
 
 
-def _trust(wanted: bool) -> None:
+def _trust(wanted: bool) -> bool:
     if wanted:
         from evo_cpg.config.trust import trust
 
         trust()
+    return wanted
 
 
 @app.callback()

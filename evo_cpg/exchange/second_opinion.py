@@ -29,7 +29,7 @@ from evo_cpg.exchange.mujoco_state import dof_order, load_state, motor_order, ro
 from evo_cpg.fusion.engine import using
 from evo_cpg.physics.fluid import drag
 from evo_cpg.physics.kinematics import kinematics
-from evo_cpg.physics.state import State
+from evo_cpg.physics.state import State, resting_state
 from evo_cpg.physics.world import World, buoyancy_wrench, immersion
 from evo_cpg.simulation.control_step import act, begin_life, sense
 from evo_cpg.simulation.physics_steps import PhysicsSteps
@@ -225,6 +225,7 @@ class _Player:
         self._dofs, self._motors = dof_order(model, world.tree), motor_order(model, world.tree)
         self._bodies = np.array([model.body(name).id for name in world.tree.names])
         self._animal = np.isin(model.geom_bodyid, self._bodies)
+        self._structure = jax.tree.structure(resting_state(world.tree))
         self._water = _water_forces(world) if world.water is not None else None
 
     def begin(self, state: State) -> None:
@@ -289,7 +290,8 @@ class _Player:
             data.qpos[7 + self._dofs],
             data.qvel[6 + self._dofs],
         )
-        return State(*parts)
+        # As `jax.device_get` leaves states on the host: with all their digits.
+        return jax.tree.unflatten(self._structure, parts)
 
 
 def _water_forces(world: World) -> Callable[[State], np.ndarray]:

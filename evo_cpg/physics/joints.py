@@ -25,7 +25,7 @@ from evo_cpg.spatial.linear import expand_dims_like
 
 def passive_torque(
     tree: Tree, state: State, h: float
-) -> tuple[Float[Array, "d *n"], Float[Array, "d *n"]]:
+) -> tuple[Float[Array, "d *n"], Float[Array, "d *#n"]]:
     """Torque (N m) and T (kg m^2) of springs and dampers over a step of h (s)."""
     stiffness, damping = (expand_dims_like(x, state.q) for x in (tree.stiffness, tree.damping))
     torque = -stiffness * (state.q + h * state.qd) - damping * state.qd

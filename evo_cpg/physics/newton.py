@@ -22,6 +22,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax.typing import DTypeLike
 from jaxtyping import Array, Bool, Float, Int
 
 from evo_cpg.fusion.converge import implicit, while_each
@@ -174,7 +175,7 @@ def free_motion(problem: StepProblem) -> Float[Array, "v *n"]:
     return problem.motion(linear._replace(pairs=None))
 
 
-def coldstart(world: World, batch: tuple[int, ...], dtype: jnp.dtype) -> Warmstart:
+def coldstart(world: World, batch: tuple[int, ...], dtype: DTypeLike) -> Warmstart:
     """Of an animal that nothing touches, with motors that do as they are told."""
     points = 0 if world.footing is None else len(world.footing.bodies)
     velocity = None if world.footing is None else jnp.zeros((3, points, *batch), dtype)
@@ -334,7 +335,7 @@ def _next_radius(
     found: Float[Array, "p *n"],
     last_found: Float[Array, "p *n"],
     last_missed: Float[Array, "p *n"],
-    compared: Bool[Array, "*n"],
+    compared: Bool[Array, "*#n"],
 ) -> Float[Array, "p *n"]:
     """Radii of the friction cones for the next search: those found, with Anderson's acceleration.
 

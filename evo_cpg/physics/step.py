@@ -12,6 +12,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.tree import Tree
@@ -81,7 +82,7 @@ def step(
     return fuse(whole, *given, batch_ndim=state.q.ndim - 1)
 
 
-def first_warmstart(world: World, batch: tuple[int, ...], dtype: jnp.dtype) -> Warmstart | None:
+def first_warmstart(world: World, batch: tuple[int, ...], dtype: DTypeLike) -> Warmstart | None:
     """For the first step of a trial; None where one solve is exact."""
     return coldstart(world, batch, dtype) if searches(world) else None
 

@@ -346,6 +346,6 @@ def _plus_joints(matrix: Float[Array, "v v *n"], block: Float[Array, "d d *n"]) 
     return matrix.at[ROOT_DOFS:, ROOT_DOFS:].add(block)
 
 
-def _plus_joint_diagonal(matrix: Float[Array, "v v *n"], diagonal: Float[Array, "d *n"]) -> Array:
+def _plus_joint_diagonal(matrix: Float[Array, "v v *n"], diagonal: Float[Array, "d *#n"]) -> Array:
     joints = np.arange(ROOT_DOFS, len(matrix))
     return matrix.at[joints, joints].add(diagonal)

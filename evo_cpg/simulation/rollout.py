@@ -243,7 +243,7 @@ def _frame(tree: Tree, effects: Effects) -> dict[str, Array]:
 
 def as_recording(
     simulation: Simulation,
-    frames: dict[str, Array],
+    frames: dict[str, Array | np.ndarray],
     names: list[str],
     individual: int = 0,
     trial: int = 0,

@@ -110,7 +110,7 @@ def begin(
     controller, strategy = experiment.simulation.controller, experiment.strategy
     size = (strategy.population,)
 
-    def of_run(seed: Array, given: Array | None) -> tuple[Float[Array, "g n"], PyTree[Array]]:
+    def of_run(seed: Array, given: Array | None) -> tuple[Float[Array, "g n"], PyTree[ArrayLike]]:
         if given is None:
             given = controller.random_genes(_stream(seed, _FIRST_POPULATION), size, jnp.float32)
         state = strategy.init(_stream(seed, _STRATEGY), given)

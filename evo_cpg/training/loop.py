@@ -2,8 +2,9 @@
 
 import functools
 import time
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -14,6 +15,7 @@ from jaxtyping import Array, Float, Int, PyTree, UInt32
 from evo_cpg.evolution.generation import Genetics
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.simulation.rollout import Outcome, as_recording
+from evo_cpg.simulation.task import term_names
 from evo_cpg.training.checkpoint import Champion, Checkpoint
 from evo_cpg.training.devices import population_mesh
 from evo_cpg.training.experiment import (
@@ -97,11 +99,13 @@ def train(
     """
     mesh = mesh or population_mesh()
     running = Running(experiment, folder, mesh, team)
+    bred = compile_breeding([running])
     live = compile_trials(experiment.simulation, mesh)
     compiled = False
     while not running.finished:
         began = time.perf_counter()
         part = live(*running.trials(), experiment.trials)
+        bred()
         if not compiled:
             on_compiled()
             compiled = True
@@ -167,6 +171,18 @@ class Running:
         )
         return Trials(self.checkpoint.genes[:, share], keys, numbers)
 
+    def compile(self) -> None:
+        """Compile what breeds, by breeding from trials that came to nothing."""
+        experiment, now = self._experiment, self.checkpoint
+        simulation, trials = experiment.simulation, now.genes.shape[1] * experiment.trials
+        measures = () if simulation.measures is None else simulation.measures.names
+        names = (*term_names(simulation.task), *measures)
+        nothing: Any = dict.fromkeys(names, np.zeros(trials, np.float32)), np.ones(trials, bool)
+        index, yardsticks = np.int32(now.generation), _float32(now.scales)
+        jax.block_until_ready(
+            self._programs.breed(now.genes, Outcome(*nothing), index, yardsticks, self._state)
+        )
+
     def tell(self, part: Outcome, began: float) -> list[dict[str, float]]:
         """What the trials came to: breed, and leave a checkpoint.
 
@@ -203,6 +219,20 @@ class Running:
         if self._team.leads:
             self._folder.save(self.checkpoint)
         return rows
+
+
+def compile_breeding(running: Sequence[Running]) -> Callable[[], object]:
+    """Compile in a thread what some breed with, while the program of the trials compiles.
+
+    Returns:
+        What waits for it; to be called before `Running.tell`.
+    """
+    thread = ThreadPoolExecutor(1, "breeding")
+    for each in running:
+        if not each.finished:
+            # What fails in the thread fails again where it is told.
+            thread.submit(each.compile)
+    return thread.shutdown
 
 
 def compile_evolution(experiment: Experiment) -> Evolution:

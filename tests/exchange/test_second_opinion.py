@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import equinox as eqx
 import jax
 import numpy as np
 import pytest
@@ -48,7 +49,7 @@ def test_a_controller_hears_what_mujocos_animal_feels(swimmer):
     experiment, genes, steps = swimmer
     simulation, creature = experiment.simulation, experiment.creature
     bent = steps._replace(
-        before=dataclasses.replace(steps.before, q=steps.before.q + 0.3),
+        before=eqx.tree_at(lambda state: state.q, steps.before, steps.before.q + 0.3),
     )
     told = second_opinion(simulation, creature, bent)
     sensed = second_opinion(simulation, creature, bent, brain=Brain(simulation, genes))

@@ -59,7 +59,7 @@ def overlap(shape, position, orientation):
     """How deep a body is in the rubble, or the rubble in it, m, ``(individuals,)``."""
     turn = np.asarray(quaternion_to_matrix(jnp.asarray(orientation)))
     own = np.einsum("ijn,pj->ipn", turn, surface(shape)) + position[:, None]
-    gap = [np.asarray(part.distance(own)[0]).min(0) for part in RUBBLE]
+    gap = [np.asarray(part.distance(jnp.asarray(own))[0]).min(0) for part in RUBBLE]
     theirs = np.concatenate([surface_of(part) for part in RUBBLE]).T
     inside = np.einsum("jin,jpn->npi", turn, theirs[:, :, None] - position[:, None])
     # `Shape.distance` of an ellipsoid is not exact, but near its surface.

@@ -20,7 +20,7 @@ STEPS = 23  # not a whole number of segments
 def state_of(position, angle) -> State:
     """All else at rest."""
     rest = jnp.zeros
-    return State(position, jnp.array([1.0, 0, 0, 0]), rest(6), angle, rest(1))
+    return State(position, jnp.array([1.0, 0, 0, 0]), rest(6), angle, rest(len(angle)))
 
 
 def end_position(push, decay: float, how: Backward, steps: int = STEPS):

@@ -92,13 +92,18 @@ def test_without_noise_the_program_is_that_of_a_trial_without_keys(simulation):
 
 
 def test_friction_differs_evenly_from_trial_to_trial():
-    assert grip_of(Noise(push=1.0), KEYS) is None and grip_of(Noise(friction=0.2), None) is None
-    grip = np.asarray(grip_of(Noise(friction=0.2), KEYS))
+    assert (
+        grip_of(Noise(push=1.0), jnp.asarray(KEYS)) is None
+        and grip_of(Noise(friction=0.2), None) is None
+    )
+    grip = np.asarray(grip_of(Noise(friction=0.2), jnp.asarray(KEYS)))
     assert 0.8 <= grip.min() < 0.801 and 1.199 < grip.max() <= 1.2
     # Of an even spread as many are in each tenth, to four standard deviations.
     counts = np.histogram(grip, 10, (0.8, 1.2))[0]
     assert abs(counts - COUNT / 10).max() < 4 * np.sqrt(COUNT * 0.1 * 0.9)
-    np.testing.assert_array_equal(grip[7:8], grip_of(Noise(friction=0.2), KEYS[:, 7:8]))
+    np.testing.assert_array_equal(
+        grip[7:8], grip_of(Noise(friction=0.2), jnp.asarray(KEYS[:, 7:8]))
+    )
 
 
 @pytest.mark.usefixtures("x64")
@@ -114,10 +119,10 @@ def test_a_trial_on_rougher_ground_is_one_with_more_friction(engine):
         engine=Engine(engine),
     )
     noisy = dataclasses.replace(crawling, noise=Noise(friction=0.9))
-    genes, keys = np.full((2, 3), 2.0), KEYS[:, :3]
+    genes, keys = jnp.full((2, 3), 2.0), jnp.asarray(KEYS[:, :3])
     found = quick_jit(lambda g, k: record(noisy, g, 3, k))(genes, keys)["position"]
     for i, factor in enumerate(np.asarray(grip_of(noisy.noise, keys))):
-        rough = dataclasses.replace(crawling, world=crawling.world.with_friction(factor))
+        rough = dataclasses.replace(crawling, world=crawling.world.with_friction(float(factor)))
         alone = quick_jit(lambda g, rough=rough: record(rough, g))(genes)["position"]
         np.testing.assert_allclose(found[..., i], alone[..., 0], atol=1e-6)
     assert np.ptp(np.asarray(found)[-1, 0], axis=-1).max() > 1e-3

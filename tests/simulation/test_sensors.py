@@ -51,11 +51,11 @@ def test_eyes_see_by_where_they_are_and_where_they_look(x64, light):
     root = np.asarray(euler_to_matrix(*turn))
     place = np.array([0.2, -0.1, 0.3])
     state = State(
-        position=place,
-        orientation=np.asarray(quaternion(root)),
-        velocity=np.zeros(6),
-        q=np.array([bend]),
-        qd=np.zeros(1),
+        position=jnp.asarray(place),
+        orientation=jnp.asarray(quaternion(root)),
+        velocity=jnp.zeros(6),
+        q=jnp.array([bend]),
+        qd=jnp.zeros(1),
     )
     sensors = place_sensors(creature, tree)
     seen = quick_jit(lambda state, light: see(sensors, kinematics(tree, state), light))

@@ -2,6 +2,7 @@
 
 import importlib
 import importlib.util
+import threading
 
 import equinox as eqx
 import jax
@@ -13,6 +14,7 @@ from evo_cpg.evolution.generation import RealGenetics
 from evo_cpg.evolution.islands import Islands
 from evo_cpg.evolution.map_elites import AlongTheLine, Axis, MapElites
 from evo_cpg.evolution.strategy import Strategy
+from evo_cpg.training import loop
 from evo_cpg.training.elites import elite, gait_map
 from evo_cpg.training.loop import TIMING_COLUMNS, replay_champion, train
 from evo_cpg.training.run_folder import RunFolder
@@ -103,6 +105,21 @@ class Blank(Strategy):
         return state[0], state[1] + 1
 
 
+@pytest.mark.parametrize("name", STRATEGIES)
+def test_what_breeds_is_compiled_once_while_the_trials_compile(name, tmp_path, monkeypatch):
+    """What the thread compiles is what the loop then takes."""
+    traced = []
+    whole = loop.breed
+
+    def counted(*given):
+        traced.append(threading.current_thread().name)
+        return whole(*given)
+
+    monkeypatch.setattr(loop, "breed", counted)
+    train(made(STRATEGIES[name]()), folder_at(tmp_path))
+    assert len(traced) == 1 and traced[0].startswith("breeding")
+
+
 def test_a_strategy_that_asks_for_no_numbers_ends_the_run_and_loses_nothing(tmp_path):
     folder = folder_at(tmp_path)
     blank = made(Blank(SIZE))
@@ -151,7 +168,7 @@ def test_anybody_on_the_map_lives_again(name, slack, tmp_path):
     assert found is not None and found.fitness.shape == (5, 3)
     assert pytest.approx(done.history[-1]["coverage"]) == found.coverage > 0.2
     for cell in np.argwhere(np.isfinite(found.fitness)):
-        one = elite(several, done, tuple(cell), 1)
+        one = elite(several, done, tuple(cell.tolist()), 1)
         fitness, terms, _ = replay_champion(several, one, len(jax.devices()))
         assert one.fitness == np.float32(found.fitness[tuple(cell)])
         assert abs(fitness - one.fitness) <= slack * abs(one.fitness)
@@ -180,7 +197,7 @@ def test_who_is_not_on_the_map_is_said(tmp_path):
         elite(several, done, (1,), 0)
     empty = np.argwhere(np.isnan(gait_map(several, done, 0).fitness))[0]
     with pytest.raises(StrategyError, match=r"is empty; the nearest that is not is \d,\d"):
-        elite(several, done, tuple(empty), 0)
+        elite(several, done, tuple(empty.tolist()), 0)
     islands = made(Islands(SIZE, GENETICS, 2, 2, 1))
     assert gait_map(islands, done, 0) is None
     with pytest.raises(StrategyError, match="there is no map"):
