@@ -11,7 +11,7 @@ DEV := $(VENV)/.installed-dev
 RUN := runs/swim-$(shell date +%Y%m%d-%H%M%S)
 
 .DEFAULT_GOAL := help
-.PHONY: help swim test test-all test-slow test-shapes test-jax test-mutants test-matrix check bench docs format clean
+.PHONY: help swim test test-all test-slow test-shapes test-jax test-mutants test-wheel test-matrix check bench docs format clean
 .DELETE_ON_ERROR:
 
 help: ## list the targets
@@ -37,6 +37,9 @@ test-mutants: $(DEV) ## put mistakes into the code, one at a time, and see wheth
 
 test-jax: $(DEV) ## physics, oscillators and their derivatives on plain JAX, without native code
 	$(BIN)/pytest --engine=jax tests/spatial tests/physics tests/control
+
+test-wheel: $(DEV) ## build and install the wheel in an empty environment, and go through the commands there
+	$(BIN)/pytest -m "slow or not slow" --numprocesses=0 tests/package
 
 test-matrix: ## run the tests on all interpreters, oldest and newest dependencies (PYTHONS=..., PYTEST=...)
 	$(PYTHON) benchmarks/matrix.py --pytest='$(PYTEST)' build/matrix $(PYTHONS)

@@ -8,7 +8,7 @@ project_copyright = author
 release = version = installed_version("evo-cpg")
 
 extensions = ["myst_parser", "sphinx.ext.mathjax"]
-exclude_patterns = ["_build"]
+exclude_patterns = ["_build", "paper"]
 nitpicky = True
 
 myst_enable_extensions = ["amsmath", "colon_fence", "deflist", "dollarmath"]

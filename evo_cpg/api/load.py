@@ -8,6 +8,7 @@ from typing import Any
 from evo_cpg.api.experiment import Experiment
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import as_overrides, complete_config, load_config
+from evo_cpg.config.shipped import find_config
 from evo_cpg.config.trust import trusting
 from evo_cpg.training.devices import use_cores
 from evo_cpg.training.run_folder import RunFolder
@@ -27,8 +28,10 @@ def load(
     """Read a configuration and build what it describes.
 
     Args:
-        config: a YAML file; a run folder, whose ``config.yaml`` it is; or the contents of such a
-            file as a dictionary, in which files are named from the working folder.
+        config: a YAML file; the name of one that comes with the program, such as ``hexapod``, where
+            nothing in the working folder is called so; a run folder, whose ``config.yaml`` it is;
+            or the contents of such a file as a dictionary, in which files are named from the
+            working folder.
         overrides: settings to change: ``["seed=3", "world.gravity=1.6"]`` as on the command line,
             or ``{"seed": 3, "world.gravity": 1.6}``.
         cores: over which populations are spread; None for all that there are. Where JAX has
@@ -51,7 +54,7 @@ def _load(
         source = _NO_FILE
         read = complete_config(dict(config), source, changed)
     else:
-        source = Path(config)
+        source = find_config(config, folders=True)
         if source.is_dir():
             folders = class_folders(RunFolder(source))
             source = source / "config.yaml"

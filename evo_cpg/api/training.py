@@ -18,6 +18,7 @@ from evo_cpg.api.warm_start import Start
 from evo_cpg.config.fingerprint import fingerprint
 from evo_cpg.config.load import dump_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
+from evo_cpg.config.shipped import shipped_name
 from evo_cpg.training import experiment as parts
 from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.memory import require_memory
@@ -119,6 +120,8 @@ def begin_run(
         "started": now(),
     }
     meta |= surroundings(experiment.simulation.engine, devices)
+    if name := shipped_name(source):
+        meta["shipped_config"] = name
     if start is not None:
         meta["start"] = start.provenance
     folder.create(dump_config(config), meta, None if start is None else start.genes)

@@ -11,6 +11,9 @@ from typing import Annotated
 
 import typer
 
+from evo_cpg.cli.completion import complete_config, complete_folder
+from evo_cpg.cli.configs import app as configs_app
+
 # Exit codes: 0 done, 1 a fault of ours, 2 wrong input, 4 another process lost, 130 interrupted.
 _FAULT, _WRONG_INPUT, _INTERRUPTED = 1, 2, 130
 
@@ -26,13 +29,39 @@ app = typer.Typer(
     name="evo-cpg",
     help="Evolve the motion of virtual creatures.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
+app.add_typer(configs_app, name="configs")
 
-Config = Annotated[Path, typer.Argument(metavar="CONFIG", help="A YAML configuration file.")]
-Run = Annotated[Path, typer.Argument(metavar="RUN", help="A run folder made by `train`.")]
+
+def _find_config(given: Path) -> Path:
+    from evo_cpg.config.shipped import find_config
+
+    return find_config(given)
+
+
+def _find_config_or_folder(given: Path) -> Path:
+    from evo_cpg.config.shipped import find_config
+
+    return find_config(given, folders=True)
+
+
+Config = Annotated[
+    Path,
+    typer.Argument(
+        metavar="CONFIG",
+        help="A YAML configuration file, or the name of one that `evo-cpg configs` lists.",
+        callback=_find_config,
+        autocompletion=complete_config,
+    ),
+]
+Run = Annotated[
+    Path,
+    typer.Argument(
+        metavar="RUN", help="A run folder made by `train`.", autocompletion=complete_folder
+    ),
+]
 Overrides = Annotated[
     list[str] | None,
     typer.Argument(metavar="[KEY=VALUE]...", help="Settings to change, such as seed=3."),
@@ -203,7 +232,11 @@ def sweep(
     config: Annotated[
         Path,
         typer.Argument(
-            metavar="CONFIG", help="A YAML configuration file; or a sweep, to go on with it."
+            metavar="CONFIG",
+            help="A YAML configuration file or the name of a shipped one; or a sweep, to go on "
+            "with it.",
+            callback=_find_config_or_folder,
+            autocompletion=complete_config,
         ),
     ],
     overrides: Overrides = None,
@@ -460,7 +493,9 @@ def validate(
         list[str],
         typer.Argument(
             metavar="CONFIG... [KEY=VALUE]...",
-            help="YAML configuration files, and settings to change in all of them.",
+            help="YAML configuration files or names of shipped ones, and settings to change in "
+            "all of them.",
+            autocompletion=complete_config,
         ),
     ],
     strict: Strict = False,
@@ -513,7 +548,13 @@ def cpg(
 @app.command()
 def export(
     source: Annotated[
-        Path, typer.Argument(metavar="CONFIG_OR_RUN", help="A configuration file or run folder.")
+        Path,
+        typer.Argument(
+            metavar="CONFIG_OR_RUN",
+            help="A configuration file, the name of a shipped one, or a run folder.",
+            callback=_find_config_or_folder,
+            autocompletion=complete_config,
+        ),
     ],
     output: Annotated[Path, typer.Argument(metavar="OUT.xml", help="The MJCF file to write.")],
     overwrite: Overwrite = False,

@@ -30,6 +30,7 @@ from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.fingerprint import changes, fingerprint
 from evo_cpg.config.load import dump_config, load_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
+from evo_cpg.config.shipped import find_config
 from evo_cpg.control.brain_cpg import BrainCpg
 from evo_cpg.control.couplings import uncoupled
 from evo_cpg.training.checkpoint import Champion, genes_digest, outcome_digest
@@ -191,8 +192,10 @@ def validate_configs(words: Sequence[str], strict: bool = False) -> None:
     if not paths:
         raise UsageError(f"validate: {overrides[0]} is a setting; name a configuration file, too")
     wrong = 0
-    for path in paths:
+    for given in paths:
+        path = given
         try:
+            path = find_config(given)
             experiment = build(read_config(path, overrides, strict), path)
         except (ConfigError, UsageError) as error:
             wrong += 1
@@ -200,14 +203,14 @@ def validate_configs(words: Sequence[str], strict: bool = False) -> None:
         else:
             tree = experiment.simulation.world.tree
             print(
-                f"{path}: {tree.body_count} bodies, {tree.dof_count} joint axes, "
+                f"{given}: {tree.body_count} bodies, {tree.dof_count} joint axes, "
                 f"{experiment.creature.mass:.3g} kg, "
                 f"{experiment.simulation.controller.gene_count} genes"
             )
             alone = _alone(experiment)
             if alone:
                 print(
-                    f"{path}: warning: coupled to no other oscillator: {', '.join(alone)}; "
+                    f"{given}: warning: coupled to no other oscillator: {', '.join(alone)}; "
                     "controller.cpg.couplings and rings couple them"
                 )
     if wrong:

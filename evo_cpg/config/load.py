@@ -15,6 +15,7 @@ from evo_cpg.config.files import read_small, require_shallow
 from evo_cpg.config.meshes import read_mesh
 from evo_cpg.config.schema.creature import CreatureConfig
 from evo_cpg.config.schema.experiment import ExperimentConfig
+from evo_cpg.config.shipped import shipped_names
 from evo_cpg.config.terrain import read_heights
 from evo_cpg.config.trust import beside, trusting
 
@@ -139,7 +140,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
     try:
         text = read_small(path)
     except FileNotFoundError:
-        raise ConfigError(path, (), f"no such file{_neighbours(path)}") from None
+        raise ConfigError(path, (), f"no such file{_elsewhere(path)}") from None
     except OSError as error:
         raise ConfigError(path, (), f"cannot be read ({error.strerror})") from None
     except UnicodeDecodeError as error:
@@ -232,7 +233,10 @@ def _misread(given: Any, made: Any) -> Iterator[tuple[tuple[str | int, ...], Any
             yield (name, *key), wrong, problem
 
 
-def _neighbours(path: Path) -> str:
+def _elsewhere(path: Path) -> str:
+    """Where a file that is missing may be instead: among those that are shipped, or near it."""
+    if path.stem in shipped_names():
+        return f"; that which comes with evo-cpg is called {path.stem}"
     if not path.parent.is_dir():
         return ""
     names = [other.name for other in path.parent.iterdir() if other.suffix in (".yaml", ".yml")]

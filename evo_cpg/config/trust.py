@@ -16,6 +16,8 @@ from evo_cpg.config.errors import ConfigError, Key
 VARIABLE = "EVO_CPG_TRUST"
 
 _trusted = contextvars.ContextVar("trusted", default=False)
+# Where the files that configurations name are noted.
+_noted: contextvars.ContextVar[list[Path] | None] = contextvars.ContextVar("noted", default=None)
 
 
 def trust() -> None:
@@ -31,6 +33,17 @@ def trusting(own: bool = True) -> Iterator[None]:
         yield
     finally:
         _trusted.reset(token)
+
+
+@contextlib.contextmanager
+def noting() -> Iterator[list[Path]]:
+    """Within it, the files that configurations name are added to a list, each once."""
+    files: list[Path] = []
+    token = _noted.set(files)
+    try:
+        yield files
+    finally:
+        _noted.reset(token)
 
 
 def is_trusted() -> bool:
@@ -50,6 +63,9 @@ def beside(source: Path, name: str, where: Key) -> Path:
         ConfigError: it lies outside of the configuration's folder, and that is not trusted.
     """
     path = source.parent / name
+    noted = _noted.get()
+    if noted is not None and path not in noted:
+        noted.append(path)
     if is_trusted():
         return path
     try:

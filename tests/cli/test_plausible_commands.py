@@ -1,7 +1,13 @@
 """What is hardly meant is said by the commands that read a config, or refused with --strict."""
 
+import platform
+
 import pytest
 
+from evo_cpg.fusion import engine as engines
+from evo_cpg.fusion.engine import is_native
+from evo_cpg.fusion.machine import llvm_version
+from evo_cpg.fusion.unsupported import Unsupported
 from tiny_run import CONFIG, PAIR, REPOSITORY
 
 GRAMS = "creature.materials.body.density=1"
@@ -71,6 +77,27 @@ def test_the_version_is_that_of_the_package(cli):
     assert (code, err) == (0, "")
     words = out.split()
     assert words[:2] == ["evo-cpg", metadata.version("evo-cpg")]
+    _, python, jax, engine = out.splitlines()
+    assert python.startswith(f"Python {platform.python_version()} on ")
+    assert jax == f"JAX {metadata.version('jax')}"
+    native = is_native()
+    assert engine.startswith("engine: native code, " if native else "engine: plain JAX")
+    if native:
+        assert llvm_version() in engine
+
+
+def test_the_version_says_why_there_is_no_native_code(monkeypatch):
+    from evo_cpg.cli.version import version
+
+    reason = "llvmlite is not installed"
+
+    def no_target():
+        raise Unsupported(reason)
+
+    monkeypatch.setattr(engines, "target", no_target)
+    engines._warn_once.cache_clear()
+    last = version().splitlines()[-1]
+    assert last.startswith("engine: plain JAX; ") and last.endswith(reason)
 
 
 def test_the_version_names_the_commit_of_a_checkout(tmp_path):

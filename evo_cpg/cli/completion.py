@@ -1,0 +1,46 @@
+"""What a shell offers to complete: shipped configurations, files, folders."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+_CONFIGS = (".yaml", ".yml")
+
+
+def complete_config(incomplete: str) -> list[str]:
+    """Names of shipped configurations, configuration files, and folders on the way to some."""
+    names = complete_shipped(incomplete)
+    return [*names, *(_shown(path) for path in _begun(incomplete) if _leads(path, _CONFIGS))]
+
+
+def complete_shipped(incomplete: str) -> list[str]:
+    """Names of shipped configurations."""
+    from evo_cpg.config.shipped import shipped_names
+
+    return [name for name in shipped_names() if name.startswith(incomplete)]
+
+
+def complete_folder(incomplete: str) -> list[str]:
+    """Run folders, and folders on the way to some."""
+    return [_shown(path) for path in _begun(incomplete) if path.is_dir()]
+
+
+def _begun(incomplete: str) -> Iterator[Path]:
+    """What is called so, as far as it is typed; what is hidden only where a point is typed."""
+    folder, slash, start = incomplete.rpartition("/")
+    try:
+        found = sorted(Path(folder + slash or ".").iterdir())
+    except OSError:
+        return
+    for path in found:
+        if path.name.startswith(start) and (start or not path.name.startswith(".")):
+            yield path
+
+
+def _leads(path: Path, suffixes: tuple[str, ...]) -> bool:
+    return path.suffix in suffixes or path.is_dir()
+
+
+def _shown(path: Path) -> str:
+    """A run as it is; another folder so that one can go on typing."""
+    onward = path.is_dir() and not (path / "config.yaml").is_file()
+    return f"{path}/" if onward else str(path)

@@ -1,0 +1,139 @@
+"""`evo-cpg configs`, what goes by a name, and what a shell completes."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+from evo_cpg.cli.completion import complete_config, complete_folder, complete_shipped
+from evo_cpg.config import shipped as module
+from evo_cpg.config.shipped import shipped, shipped_names
+from tiny_run import PAIR, REPOSITORY
+
+NAME = "iwadate2010_swimmer"
+
+
+def test_the_list_has_every_name_with_its_study(cli, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "300")
+    code, out, err = cli("configs")
+    assert (code, err) == (0, "")
+    for name in shipped_names():
+        line = next(line for line in out.splitlines() if f" {name} " in line)
+        assert shipped(name).summary in line
+        assert (shipped(name).study or "ours") in line
+
+
+def test_a_program_without_its_files_says_so(cli, monkeypatch):
+    monkeypatch.setattr(module, "shipped_folder", lambda: None)
+    code, _, err = cli("configs")
+    assert code == 2 and err == (
+        "evo-cpg: configs: there are none beside the program; install it anew\n"
+    )
+
+
+def test_a_copy_goes_to_the_working_folder_or_another(cli, tmp_path):
+    code, out, err = cli("configs", "copy", "hexapod", folder=tmp_path)
+    assert (code, out, err) == (0, "hexapod.yaml\n", "")
+    assert (tmp_path / "creatures" / "hexapod.yaml").is_file()
+    code, out, _ = cli("configs", "copy", "hexapod", "mine", folder=tmp_path)
+    assert (code, out) == (0, "mine/hexapod.yaml\n")
+    code, out, _ = cli("validate", "mine/hexapod.yaml", folder=tmp_path)
+    assert code == 0 and out.startswith("mine/hexapod.yaml: 13 bodies")
+
+
+def test_what_cannot_be_copied_is_said_in_a_line(cli, tmp_path):
+    (tmp_path / "file").touch()
+    code, out, err = cli("configs", "copy", "hexapod", "file", folder=tmp_path)
+    assert (code, out) == (2, "")
+    assert "configs copy: file" in err and "cannot be written (" in err and err.count("\n") == 1
+    (tmp_path / "hexapod.yaml").write_text("mine")
+    code, out, err = cli("configs", "copy", "hexapod", folder=tmp_path)
+    assert (code, out) == (2, "")
+    assert err.startswith("evo-cpg: hexapod.yaml: exists already, and is not that of hexapod")
+    code, _, err = cli("configs", "copy", "hexapot", folder=tmp_path)
+    assert code == 2 and "did you mean 'hexapod'?" in err
+
+
+def test_a_run_by_name_says_which_it_was(cli, tmp_path):
+    settings = (*PAIR, "evolution.generations=1")
+    code, out, err = cli("train", NAME, *settings, folder=tmp_path)
+    assert (code, out) == (0, f"runs/{NAME}\n"), err
+    meta = json.loads((tmp_path / out.strip() / "meta.json").read_text())
+    assert meta["shipped_config"] == NAME
+    assert meta["config"] == str(REPOSITORY / "configs" / f"{NAME}.yaml")
+
+
+def test_a_copy_is_not_what_is_shipped(cli, tmp_path):
+    cli("configs", "copy", NAME, folder=tmp_path)
+    settings = (*PAIR, "evolution.generations=1")
+    code, out, err = cli("train", f"{NAME}.yaml", *settings, folder=tmp_path)
+    assert code == 0, err
+    meta = json.loads((tmp_path / out.strip() / "meta.json").read_text())
+    assert "shipped_config" not in meta
+
+
+@pytest.mark.parametrize(
+    ("arguments", "made"),
+    [
+        (("validate", "hexapod", "starfish"), "starfish: 16 bodies"),
+        (("preview", "hexapod", "--size", "64x36"), "hexapod.png"),
+        (("export", "hexapod", "hexapod.xml"), "hexapod.xml"),
+    ],
+)
+def test_commands_take_names(cli, tmp_path, arguments, made):
+    code, out, err = cli(*arguments, folder=tmp_path)
+    assert code == 0, err
+    assert made in out
+
+
+@pytest.mark.parametrize(
+    "command", ["train", "preview", "validate", "cpg", "sweep", "export", "fit"]
+)
+def test_an_unknown_name_is_answered_by_every_command(cli, tmp_path, command):
+    more = {"sweep": ["--grid", "seed=1,2"], "export": ["x.xml"], "fit": ["x.csv", "a.b"]}
+    code, out, err = cli(command, "hexapodd", *more.get(command, []), folder=tmp_path)
+    assert (code, out) == (2, "")
+    assert err.startswith("evo-cpg: hexapodd: no such file here") and err.count("\n") == 1
+    assert "did you mean 'hexapod'?" in err
+
+
+def test_what_a_shell_completes(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for folder in ("runs/one", "runs/two", ".hidden", "hex"):
+        (tmp_path / folder).mkdir(parents=True)
+    (tmp_path / "runs" / "one" / "config.yaml").touch()
+    (tmp_path / "hexa.yaml").touch()
+    (tmp_path / "hex.txt").touch()
+    assert complete_config("hex") == ["hexapod", "hex/", "hexa.yaml"]
+    assert complete_config("") == [*shipped_names(), "hex/", "hexa.yaml", "runs/"]
+    assert complete_shipped("starfish") == ["starfish", "starfish_land"]
+    assert complete_folder("") == ["hex/", "runs/"]
+    assert complete_folder(".h") == [".hidden/"]
+    assert complete_folder("runs/") == ["runs/one", "runs/two/"]
+    assert complete_folder("runs/o") == ["runs/one"]
+    assert complete_folder(f"{tmp_path}/r") == [f"{tmp_path}/runs/"]
+    assert complete_folder("nowhere/") == []
+
+
+def test_bash_is_answered_and_jax_is_not_started(tmp_path):
+    """As a shell asks: what is typed is in the environment, what fits is printed."""
+    words = {"COMP_WORDS": f"evo-cpg train {NAME[:8]}", "COMP_CWORD": "2"}
+    asked = subprocess.run(
+        [
+            sys.executable,
+            "-c",
+            "import atexit, sys\n"
+            "atexit.register(lambda: print('jax' in sys.modules, file=sys.stderr))\n"
+            "sys.argv = ['evo-cpg']\n"
+            "from evo_cpg.cli.main import main\n"
+            "main()",
+        ],
+        env={"_EVO_CPG_COMPLETE": "complete_bash", "PYTHONPATH": str(REPOSITORY), **words},
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert asked.stdout.split() == [name for name in shipped_names() if name.startswith("iwadate")]
+    assert asked.stderr == "False\n"

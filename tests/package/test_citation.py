@@ -1,0 +1,32 @@
+"""CITATION.cff says what the package says of itself, and names the two studies."""
+
+from importlib import metadata
+
+import yaml
+
+from tiny_run import REPOSITORY
+
+
+def test_the_citation_is_of_this_package():
+    citation = yaml.safe_load((REPOSITORY / "CITATION.cff").read_text())
+    package = metadata.metadata("evo-cpg")
+    assert citation["cff-version"] == "1.2.0"
+    assert citation["version"] == package["Version"]
+    assert citation["license"] == package["License-Expression"]
+    assert [author["name"] for author in citation["authors"]] == [package["Author"]]
+    assert ",".join(citation["keywords"]) == package["Keywords"]
+    named = [(part["authors"][0]["family-names"], part["year"]) for part in citation["references"]]
+    assert named == [("Iwadate", 2010), ("Fukui", 2003)]
+
+
+def test_every_source_that_the_paper_names_is_in_its_list():
+    folder = REPOSITORY / "docs" / "paper"
+    text = (folder / "paper.md").read_text().split("---", 2)[2]
+    named = {word.strip("[];.,:") for word in text.split() if word.strip("[").startswith("@")}
+    listed = [
+        line.partition("{")[2].rstrip(",")
+        for line in (folder / "paper.bib").read_text().splitlines()
+        if line.startswith("@")
+    ]
+    assert sorted(listed) == sorted(name.removeprefix("@") for name in named)
+    assert 700 <= len(text.split()) <= 1000
