@@ -1,0 +1,43 @@
+"""Which state of the source this is."""
+
+import subprocess
+from collections.abc import Sequence
+from pathlib import Path
+
+import evo_cpg
+
+
+def checkout() -> Path | None:
+    """The checkout that this program lies in; None where it was installed."""
+    folder = Path(evo_cpg.__file__).parents[1]
+    # An installed package may lie in a folder that is somebody else's checkout.
+    return folder if (folder / ".git").exists() else None
+
+
+def commit(paths: Sequence[str] = (".",)) -> str | None:
+    """Short name of the checkout's commit, with "-dirty" where files were changed since.
+
+    None where there is no checkout, or no git.
+
+    Args:
+        paths: of the checkout, whose changes count.
+    """
+    folder = checkout()
+    if folder is None:
+        return None
+    try:
+        name = _git(folder, "rev-parse", "--short", "HEAD")
+        changed = _git(folder, "status", "--porcelain", "--untracked-files=no", "--", *paths)
+    except (OSError, subprocess.CalledProcessError):
+        return None
+    return f"{name}-dirty" if changed else name or None
+
+
+def program_commit() -> str | None:
+    """`commit`, where only what results depend on counts: the program and its configurations."""
+    return commit(("evo_cpg", "configs", "pyproject.toml"))
+
+
+def _git(folder: Path, *arguments: str) -> str:
+    command = ["git", "-C", str(folder), *arguments]
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
