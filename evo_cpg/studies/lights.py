@@ -1,11 +1,13 @@
 """Tables of champions that came to a light, beside random search and an animal that is still."""
 
+import dataclasses
 from typing import TYPE_CHECKING
 
 import jax.numpy as jnp
 import numpy as np
 
 from evo_cpg.control.brain_cpg import BrainCpg
+from evo_cpg.simulation.noise import Noise
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.studies.study import Table, beside, middle, percent
 from evo_cpg.training.devices import population_mesh
@@ -73,14 +75,15 @@ def still(workshop: "Workshop", name: str) -> list[str]:
     scales = {key: jnp.asarray(x) for key, x in workshop.champions(name)[0].scales.items()}
     fitness = simulation.task.fitness({key: jnp.asarray(x) for key, x in terms.items()}, scales)
     shown = f"{float(fitness):.3f}", percent(terms["distance"]), f"{terms['light']:.2f}"
-    return ["motionless", "", *shown, f"{terms['energy']:.0f}", ""]
+    return ["brain gives no drive", "", *shown, f"{terms['energy']:.0f}", ""]
 
 
 def lived(simulation: Simulation, genes: np.ndarray) -> dict[str, np.ndarray]:
-    """Terms of animals ``(genes, n)``, a row for each and a column for each situation.
+    """Terms of animals ``(genes, n)`` without noise, NaN of those that diverged.
 
-    Of those that diverged they are NaN.
+    A row for each animal and a column for each situation.
     """
+    simulation = dataclasses.replace(simulation, noise=Noise())
     count = len(simulation.situations)
     numbers = np.tile(np.arange(count), genes.shape[1]) if count > 1 else None
     outcome = compile_trials(simulation, population_mesh())(genes, None, numbers, count)

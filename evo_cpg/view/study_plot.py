@@ -9,6 +9,7 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from evo_cpg.view.output import PLOT_SUFFIXES, in_one_piece, output_path
 
@@ -51,6 +52,8 @@ def plot_generations(
         axes.plot(generation[known], middle, color=colour, lw=2, label=name)
     axes.set_xlabel("generation")
     axes.set_ylabel(label)
+    axes.set_ylim(bottom=0)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     title = f"median of {runs} runs, half of them in the band" if runs > 1 else None
     axes.legend(frameon=False, title=title)
     return _save(figure, path)
