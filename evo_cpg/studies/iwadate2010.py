@@ -103,7 +103,10 @@ def audit(workshop: Workshop) -> list[Table]:
         rows.append([str(row["seed"]), *(f"{measured[key] or 0:.3g}" for key in keys)])
     head = ["seed", "largest torque, N m", "power, mean, W/kg", "power, largest, W/kg",
             "fastest joint, rad/s"]  # fmt: skip
-    return [audit_table("", {"shared": found}), Table("What the motors are asked for:", head, rows)]
+    return [
+        audit_table("", {"swimmer": found}),
+        Table("What the motors are asked for:", head, rows),
+    ]
 
 
 def _untrained(workshop: Workshop) -> dict[str, int]:

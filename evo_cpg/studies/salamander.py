@@ -44,7 +44,7 @@ def land(workshop: Workshop) -> list[Table]:
 
 def audit(workshop: Workshop) -> list[Table]:
     """Champions on land, audited."""
-    return [audit_table("", {"land": audited(workshop, "land")})]
+    return [audit_table("", {"on land": audited(workshop, "land")})]
 
 
 def shore(workshop: Workshop) -> list[Table]:
