@@ -14,28 +14,35 @@ def checkout() -> Path | None:
     return folder if (folder / ".git").exists() else None
 
 
-def commit(paths: Sequence[str] = (".",)) -> str | None:
-    """Short name of the checkout's commit, with "-dirty" where files were changed since.
+def commit() -> str | None:
+    """The state of this program's checkout, see `commit_of`."""
+    folder = checkout()
+    return folder and commit_of(folder)
 
-    None where there is no checkout, or no git.
+
+def program_commit() -> str | None:
+    """`commit`, where only what results depend on counts: the program and its configurations."""
+    folder = checkout()
+    return folder and commit_of(folder, ("evo_cpg", "configs", "pyproject.toml"))
+
+
+def commit_of(folder: Path, paths: Sequence[str] = (".",)) -> str | None:
+    """Short name of a checkout's commit, with "-dirty" where files were changed since.
+
+    None where it is no checkout, or there is no git.
 
     Args:
-        paths: of the checkout, whose changes count.
+        folder: of the checkout.
+        paths: of it, whose changes count.
     """
-    folder = checkout()
-    if folder is None:
+    if not (folder / ".git").exists():
         return None
     try:
         name = _git(folder, "rev-parse", "--short", "HEAD")
         changed = _git(folder, "status", "--porcelain", "--untracked-files=no", "--", *paths)
     except (OSError, subprocess.CalledProcessError):
         return None
-    return f"{name}-dirty" if changed else name or None
-
-
-def program_commit() -> str | None:
-    """`commit`, where only what results depend on counts: the program and its configurations."""
-    return commit(("evo_cpg", "configs", "pyproject.toml"))
+    return f"{name}-dirty" if changed else name
 
 
 def _git(folder: Path, *arguments: str) -> str:
