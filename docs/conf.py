@@ -8,7 +8,8 @@ project_copyright = author
 release = version = installed_version("evo-cpg")
 
 extensions = ["myst_parser", "sphinx.ext.mathjax"]
-exclude_patterns = ["_build", "paper"]
+# Of the studies the pages include what `evo-cpg reproduce` made.
+exclude_patterns = ["_build", "paper", "reproduction/*/*"]
 nitpicky = True
 
 myst_enable_extensions = ["amsmath", "colon_fence", "deflist", "dollarmath"]

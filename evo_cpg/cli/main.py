@@ -287,6 +287,44 @@ def sweep(
 
 
 @app.command()
+def reproduce(
+    study: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="STUDY",
+            help="iwadate2010, fukui2003, salamander, hexapod, starfish or search.",
+        ),
+    ] = None,
+    parts: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[PART]...", help="Parts of it; all by default."),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            "-o",
+            help="Folder; docs/reproduction/STUDY of a clone, else reproduction/STUDY.",
+        ),
+    ] = None,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Scaled down: does everything run? No results.")
+    ] = False,
+    listed: Annotated[
+        bool, typer.Option("--list", help="Show the studies, their parts, and how each was made.")
+    ] = False,
+    fresh: Annotated[
+        bool, typer.Option("--fresh", help="Throw finished runs of these parts away first.")
+    ] = False,
+    cores: Cores = None,
+) -> None:
+    """Make the tables and pictures of a study anew."""
+    from evo_cpg.cli.reproduce import reproduce_study
+
+    reproduce_study(study, parts or [], out, quick, listed, fresh, cores)
+
+
+@app.command()
 def refine(
     run: Run,
     keys: Annotated[

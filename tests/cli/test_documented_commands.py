@@ -1,6 +1,5 @@
 """The commands of README, docs and configs: every one parses, and the README's session is run."""
 
-import importlib
 import re
 import shlex
 import shutil
@@ -10,6 +9,7 @@ import pytest
 import typer
 
 from evo_cpg.cli.main import app
+from evo_cpg.studies.catalogue import study
 from tiny_run import PAIR
 
 ROOT = Path(__file__).parents[2]
@@ -53,22 +53,23 @@ def test_every_command_is_one_that_the_program_takes(page, words):
             assert (ROOT / word).is_file(), page
 
 
-def test_every_make_target_and_study_exists():
+def test_every_make_target_exists():
     targets = re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
     made = [words[1] for _, words in commands() if words[0] == "make"]
     assert made and set(made) <= set(targets)
-    studies = {
-        study
+
+
+def test_every_study_and_part_that_is_named_exists():
+    asked = [
+        [word for word in words[2:] if not word.startswith("-")]
         for page in PAGES
-        for study in re.findall(r"python (benchmarks/\w+\.py)", page.read_text())
-    }
-    assert len(studies) >= 3
-    assert all((ROOT / study).is_file() for study in studies)
-
-
-@pytest.mark.parametrize("study", ["fukui2003", "iwadate2010", "salamander"])
-def test_every_study_can_be_imported(study):
-    assert callable(importlib.import_module(f"benchmarks.{study}").main)
+        for words in map(
+            shlex.split, re.findall(r"evo-cpg reproduce [a-z0-9_ ]+", page.read_text())
+        )
+    ]
+    assert len(asked) > 5
+    for name, *parts in asked:
+        assert set(parts) <= set(study(name).parts), name
 
 
 def test_every_picture_is_there():

@@ -103,11 +103,11 @@ def test_the_version_says_why_there_is_no_native_code(monkeypatch):
 def test_the_version_names_the_commit_of_a_checkout(tmp_path):
     import subprocess
 
-    from evo_cpg.cli.version import _commit
+    from evo_cpg.api.commit import commit_of
 
-    assert _commit(tmp_path) is None
+    assert commit_of(tmp_path) is None
     (tmp_path / ".git").mkdir()
-    assert _commit(tmp_path) is None
+    assert commit_of(tmp_path) is None
     (tmp_path / ".git").rmdir()
     subprocess.run(["git", "init", "-q", tmp_path], check=True)
     who = ["-c", "user.name=a", "-c", "user.email=a@b", "-c", "commit.gpgsign=false"]
@@ -116,7 +116,9 @@ def test_the_version_names_the_commit_of_a_checkout(tmp_path):
     subprocess.run(["git", "-C", tmp_path, *who, "commit", "-qm", "x"], check=True)
     command = ["git", "-C", str(tmp_path), "rev-parse", "HEAD"]
     head = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-    commit = _commit(tmp_path)
+    commit = commit_of(tmp_path)
     assert commit and head.startswith(commit) and len(commit) >= 4
     (tmp_path / "file").write_text("two")
-    assert _commit(tmp_path) == f"{commit}-dirty"
+    assert commit_of(tmp_path) == f"{commit}-dirty"
+    # Where only other files count it is as it was.
+    assert commit_of(tmp_path, ("other",)) == commit

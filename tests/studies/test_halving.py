@@ -3,9 +3,9 @@
 import jax
 import numpy as np
 
-from benchmarks.halving import Ways, kept, ways
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import load_config
+from evo_cpg.studies.halving import Ways, kept, ways
 from tiny_run import CONFIG, PAIR
 
 

@@ -1,0 +1,50 @@
+"""Which state of the source this is."""
+
+import subprocess
+from collections.abc import Sequence
+from pathlib import Path
+
+import evo_cpg
+
+
+def checkout() -> Path | None:
+    """The checkout that this program lies in; None where it was installed."""
+    folder = Path(evo_cpg.__file__).parents[1]
+    # An installed package may lie in a folder that is somebody else's checkout.
+    return folder if (folder / ".git").exists() else None
+
+
+def commit() -> str | None:
+    """The state of this program's checkout, see `commit_of`."""
+    folder = checkout()
+    return folder and commit_of(folder)
+
+
+def program_commit() -> str | None:
+    """`commit`, where only what results depend on counts: the program and its configurations."""
+    folder = checkout()
+    return folder and commit_of(folder, ("evo_cpg", "configs", "pyproject.toml"))
+
+
+def commit_of(folder: Path, paths: Sequence[str] = (".",)) -> str | None:
+    """Short name of a checkout's commit, with "-dirty" where files were changed since.
+
+    None where it is no checkout, or there is no git.
+
+    Args:
+        folder: of the checkout.
+        paths: of it, whose changes count.
+    """
+    if not (folder / ".git").exists():
+        return None
+    try:
+        name = _git(folder, "rev-parse", "--short", "HEAD")
+        changed = _git(folder, "status", "--porcelain", "--untracked-files=no", "--", *paths)
+    except (OSError, subprocess.CalledProcessError):
+        return None
+    return f"{name}-dirty" if changed else name
+
+
+def _git(folder: Path, *arguments: str) -> str:
+    command = ["git", "-C", str(folder), *arguments]
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()

@@ -1,0 +1,107 @@
+"""The audits of a study's champions, as a table."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from evo_cpg.studies.study import Table, middle, percent
+
+if TYPE_CHECKING:
+    from evo_cpg.studies.workshop import Workshop
+
+# Checks that a table shows as shares of the way, and what each is called there.
+_KEPT = {
+    "pose": "in other poses or draws",
+    "half_step": "at half the step",
+    "quarter_step": "at a quarter",
+    "friction": "friction 10 % off",
+    "drag": "drag 10 % off",
+}
+
+
+def audited(workshop: "Workshop", name: str) -> list[dict[str, Any]]:
+    """What the audits of a run's champions found, a row for each; the first alone where quick."""
+
+    def measure() -> list[dict[str, Any]]:
+        from evo_cpg.api.audit import audits
+
+        member = workshop.member(name)
+        champions = workshop.champions(name)[: 1 if workshop.quick else None]
+        config, source = member.config, workshop.source(name)
+        made = audits(member.experiment, champions, config.audit.limits(), config, source)
+        return [
+            {
+                "seed": member.experiment.seed + champion.run,
+                "passed": done.verdict.passed,
+                "reasons": done.verdict.reasons,
+                "measured": {
+                    each.key: float(each.measured) if np.isfinite(each.measured) else None
+                    for each in done.verdict.checks
+                },
+                "opinions": [
+                    {"program": one.program, "way": _way(one.path), "upright": one.upright}
+                    for one in done.opinions
+                ],
+            }
+            for champion, done in zip(champions, made, strict=True)
+        ]
+
+    return workshop.kept(f"audit_{name}", [name], measure)
+
+
+def audit_table(title: str, rows: dict[str, list[dict[str, Any]]]) -> Table:
+    """A line for every champion.
+
+    Args:
+        title: above the table.
+        rows: from `audited`, by what their runs are called.
+    """
+    keys = [
+        key for key in _KEPT if any(key in r["measured"] for each in rows.values() for r in each)
+    ]
+    head = ["", "seed", "way, m", *(_KEPT[key] for key in keys), "MuJoCo, m", "passes"]
+    lines = []
+    for name, found in rows.items():
+        for row in found:
+            own = row["measured"]
+            lines.append(
+                [
+                    name,
+                    str(row["seed"]),
+                    _number(own.get("way")),
+                    *(_share(own.get(key)) for key in keys),
+                    ", ".join(f"{one['way']:.2g}" for one in row["opinions"][1:]),
+                    "yes" if row["passed"] else "no: " + "; ".join(row["reasons"]),
+                ]
+            )
+    return Table(title, head, lines)
+
+
+def kept_table(title: str, rows: dict[str, list[dict[str, Any]]]) -> Table:
+    """A line for every run: medians and ranges of what its champions keep."""
+    head = ["", "way, m", *_KEPT.values(), "pass"]
+    lines = []
+    for name, found in rows.items():
+        columns = [[row["measured"].get(key) for row in found] for key in ("way", *_KEPT)]
+        known = [[value for value in column if value is not None] for column in columns]
+        lines.append(
+            [
+                name,
+                middle(known[0]),
+                *(f"{middle(100 * np.array(each), 0)} %" if each else "" for each in known[1:]),
+                f"{sum(row['passed'] for row in found)} of {len(found)}",
+            ]
+        )
+    return Table(title, head, lines)
+
+
+def _way(path: np.ndarray) -> float:
+    return float(np.linalg.norm((path[:, -1] - path[:, 0])[:2]))
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None else f"{value:.2f}"
+
+
+def _share(value: float | None) -> str:
+    return "" if value is None else percent(value)

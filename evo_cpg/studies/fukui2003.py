@@ -1,0 +1,359 @@
+"""Chapter 4 of Fukui 2003: which walker goes farthest, and how lineages are lost.
+
+What the thesis leaves open (strength of the springs, sizes, how restitutions combine, whether a
+mutated gene is flipped) is varied too, one at a time.
+"""
+
+from collections.abc import Sequence
+from functools import partial
+
+import jax
+import numpy as np
+from scipy import stats
+
+from evo_cpg.control.controller import Controller
+from evo_cpg.control.postures import PostureController
+from evo_cpg.studies.audits import audit_table, audited, kept_table
+from evo_cpg.studies.halving import kept, ways
+from evo_cpg.studies.study import Part, Runs, Study, Table, beside, in_order, middle
+from evo_cpg.studies.workshop import Workshop
+from evo_cpg.training.devices import population_mesh
+from evo_cpg.training.experiment import compile_trials
+
+TORSO = 0.6  # m
+_LEGS = range(1, 9)  # bodies of Model 1 after its torso; every second one is a lower box
+# Of a fall of the best distance from its highest so far that counts as the loss of a lineage.
+COLLAPSE = 0.25
+HELD_ANGLE = 170.0  # degrees; of the allowed angles one of the two next to straight down
+
+MODELS = ("model1", "model2", "model3")
+_NOISE = ("noise.joint_angle_deg=1", "noise.tilt_deg=1", "noise.push=0.02")
+_SHORT = ("evolution.generations=250",)
+# The weights of configs/hexapod.yaml, as they were before the first of these runs.
+_WALK = (
+    "task.type=walk",
+    "task.tilt_weight=20",
+    "task.bounce_weight=20",
+    "task.airborne_weight=10",
+)
+_RANDOM = "evolution={type: random, generations: 500, population: 15}"
+
+
+def _springs(factor: float) -> tuple[str, ...]:
+    """Springs, dampers and limits of all joints of Model 1 times a factor."""
+    strength = {"stiffness": 150, "gain": 3, "torque_limit": 40}
+    return tuple(
+        f"creature.bodies.{leg}.joint.actuator.{key}={value * factor:g}"
+        for leg in _LEGS
+        for key, value in strength.items()
+    )
+
+
+def _legs(length: float) -> tuple[str, ...]:
+    """Leg boxes of Model 1 with another length, m."""
+    changes = []
+    for leg in _LEGS:
+        body = f"creature.bodies.{leg}"
+        changes += [f"{body}.shape.size.2={length}", f"{body}.joint.child_at.2={length / 2}"]
+        if leg % 2 == 0:
+            changes.append(f"{body}.joint.at.2={-length / 2}")
+    return tuple(changes)
+
+
+def _model1(*overrides: str) -> Runs:
+    return Runs("fukui2003_model1", overrides)
+
+
+RUNS = {
+    **{model: Runs(f"fukui2003_{model}") for model in MODELS},
+    "long": _model1("evolution.generations=2000"),
+    "long_noise": _model1(*_NOISE, "evolution.generations=2000"),
+    "single": Runs("fukui2003_model1", (*_NOISE, "seed=100"), 2),
+    **{f"random{n}": Runs(f"fukui2003_model{n}", (_RANDOM,)) for n in (1, 2, 3)},
+    **{f"walk{n}": Runs(f"fukui2003_model{n}", (*_WALK, *_SHORT)) for n in (1, 2, 3)},
+    "noise_7": _model1(*_NOISE, *_SHORT),
+    "noise_5": _model1(*_NOISE, *_SHORT, "evolution.elites=5"),
+    "noise_copies": _model1(*_NOISE, *_SHORT, "evolution.best_copies=3"),
+    "noise_trials": _model1(*_NOISE, *_SHORT, "simulation.trials=3"),
+    **{f"robust{n}": Runs(f"fukui2003_model{n}_robust", (), 5) for n in (1, 2, 3)},
+    "springs_half": _model1(*_springs(0.5)),
+    "springs_double": _model1(*_springs(2.0)),
+    "period": _model1("controller.period=0.3"),
+    "flip": _model1("evolution.mutation=flip"),
+    "restitution_average": _model1("world.ground.restitution_rule=average"),
+    "restitution_min": _model1("world.ground.restitution_rule=min"),
+    "legs_short": _model1(*_legs(0.18)),
+    "legs_long": _model1(*_legs(0.30)),
+}
+_NOISES = {
+    "model1": "without noise (500 generations)",
+    "noise_7": "noise, 7 kept and 8 replaced",
+    "noise_5": "noise, 5 kept and 10 replaced",
+    "noise_copies": "noise, 7 kept and 3 copies of the best",
+    "noise_trials": "noise, 7 kept, mean of 3 trials (three times the work)",
+}
+
+
+def models(workshop: Workshop) -> list[Table]:
+    """Which of the three models goes farthest."""
+    from evo_cpg.view.study_plot import plot_generations
+
+    best = {_title(model): _ends(workshop, model) for model in MODELS}
+    against = beside(best, _title("model2"))
+    rows = [
+        [name, in_order(ways), f"{np.median(ways):.2f}", f"{np.median(ways) / TORSO:.1f}",
+         against[name]]
+        for name, ways in best.items()
+    ]  # fmt: skip
+    head = ["", "best of each run, m (sorted)", "median, m", "torso lengths", "beats Model 2"]
+    p = float(stats.kruskal(*best.values()).pvalue) if _differ(list(best.values())) else 1.0
+    rows.append(["all three alike (Kruskal-Wallis)", "", "", "", f"p = {p:.2g}"])
+    curves = {_title(model): _best(workshop, model) for model in MODELS}
+    plot_generations(curves, _LABEL, workshop.picture(), single_runs=True)
+    return [Table("", head, rows)]
+
+
+def long(workshop: Workshop) -> list[Table]:
+    """Model 1 for 2000 generations, as in Fig. 4-2, with noise and without."""
+    from evo_cpg.view.study_plot import plot_generations
+
+    names = {"long": "without noise", "long_noise": "noise, 7 kept"}
+    curves = {title: _best(workshop, name) for name, title in names.items()}
+    plot_generations(curves, _LABEL, workshop.picture(), single_runs=True)
+    return [_collapse(workshop, names)]
+
+
+def single(workshop: Workshop) -> list[Table]:
+    """Two single runs of Model 1 with noise, as in Fig. 4-5 and 4-6."""
+    from evo_cpg.view.study_plot import plot_generations
+
+    best, first = _best(workshop, "single"), workshop.experiment("single").seed
+    curves = {f"seed {first + run}": best[:, run : run + 1] for run in range(best.shape[1])}
+    plot_generations(curves, _LABEL, workshop.picture())
+    rows = []
+    for name, own in curves.items():
+        falls, share = _falls(own)
+        deepest = float(np.nanmin(own[len(own) // 10 :] / _highest(own)[len(own) // 10 :]))
+        cells = f"{np.nanmax(own):.2f}", f"{own[-1, 0]:.2f}", f"{falls[0]}", f"{100 * share:.0f} %"
+        rows.append([name, *cells, f"{100 * deepest:.0f} %"])
+    head = ["", "best ever, m", "best of the last generation, m", "falls", "generations fallen",
+            "lowest, of the highest before"]  # fmt: skip
+    return [Table("", head, rows)]
+
+
+def halving(workshop: Workshop) -> list[Table]:
+    """How far the champions go at smaller steps."""
+
+    def measure() -> dict[str, list[list[float]]]:
+        found = {}
+        for model in MODELS:
+            genes = np.stack([each.genes for each in workshop.champions(model)]).astype(np.float32)
+            gone = ways(workshop.experiment(model).simulation, genes)
+            found[model] = [way.tolist() for way in gone]
+        return found
+
+    rows = []
+    for model, gone in workshop.kept("halving", MODELS, measure).items():
+        own, half, quarter, hair = (np.array(way, float) for way in gone)
+        shares = f"{100 * kept(own, half):.0f}", f"{100 * kept(own, hair):.0f}"
+        rows.append([_title(model), *(middle(way) for way in (own, half, quarter)), *shares])
+    head = ["", "goes at its step (1/240 s), m", "at half of it, m", "at a quarter, m",
+            "kept at half (median), %", "kept after a hair, %"]  # fmt: skip
+    return [Table("", head, rows)]
+
+
+def robust(workshop: Workshop) -> list[Table]:
+    """Walkers that evolve with noise, audited."""
+    rows = {f"Model {n}": audited(workshop, f"robust{n}") for n in (1, 2, 3)}
+    return [kept_table("Medians and ranges:", rows), audit_table("Every champion:", rows)]
+
+
+def random(workshop: Workshop) -> list[Table]:
+    """The models beside random search and beside an animal that holds one posture."""
+
+    def measure() -> dict[str, float]:
+        return {model: _held(workshop, model) for model in MODELS}
+
+    held = workshop.kept("held", MODELS, measure)
+    rows = []
+    for model in MODELS:
+        name = f"random{model[-1]}"
+        own, drawn = _ends(workshop, model), _ends(workshop, name)
+        words = beside({"evolved": own, "random": drawn}, "random")["evolved"]
+        middling = float(np.nanmedian(workshop.column(name, "median")))
+        cells = middle(own), middle(drawn), words, f"{middling:.2f}", f"{held[model]:.2f}"
+        rows.append([_title(model), *cells])
+    head = ["", "evolved, m", "random search, as many evaluations, m",
+            "evolution beats random search", "median random agent, m",
+            "one posture held (170 degrees), m"]  # fmt: skip
+    return [Table("", head, rows)]
+
+
+def walk(workshop: Workshop) -> list[Table]:
+    """The three models scored for their posture, too, as section 4.3 proposes."""
+    from evo_cpg.view.study_plot import plot_champions
+
+    rows, dots = [], {}
+    for n in (1, 2, 3):
+        found = {
+            "run": _measured(workshop, f"walk{n}", f"model{n}"),
+            "walk": _measured(workshop, f"walk{n}", f"walk{n}"),
+        }
+        for aim, terms in found.items():
+            name = f"Model {n}, evolved to {aim}"
+            cells = in_order(terms["distance"]), in_order(terms["tilt"]), middle(terms["score"], 1)
+            rows.append([name, *cells])
+            dots[name] = terms["tilt"], terms["distance"]
+    labels = "mean tilt of the torso: 0 upright, 1 on its side, 2 on its back", "distance (m)"
+    plot_champions(dots, labels, workshop.picture())
+    head = ["", "distance, m (sorted)", "tilt (0 upright, 1 on its side), sorted", "score to walk"]
+    return [Table("", head, rows)]
+
+
+def noise(workshop: Workshop) -> list[Table]:
+    """How lineages are lost where there is chance, and the thesis's remedies."""
+    from evo_cpg.view.study_plot import plot_generations
+
+    curves = {title: _best(workshop, name) for name, title in _NOISES.items()}
+    shortest = min(map(len, curves.values()))
+    cut = {title: best[:shortest] for title, best in curves.items()}
+    plot_generations(cut, _LABEL, workshop.picture())
+    return [_collapse(workshop, _NOISES, "noise_7")]
+
+
+def choices(workshop: Workshop, names: dict[str, str]) -> list[Table]:
+    """What the thesis leaves open, beside what was chosen."""
+    best = {title: _ends(workshop, name) for name, title in names.items()}
+    first = next(iter(best))
+    against = beside(best, first)
+    rows = [[name, middle(ways), in_order(ways), against[name]] for name, ways in best.items()]
+    head = ["", "median (range), m", "best of each run, m (sorted)", f"beats {first}"]
+    return [Table("", head, rows)]
+
+
+_LABEL = "best distance in 20 s (m)"
+
+
+def _title(model: str) -> str:
+    return f"Model {model[-1]}"
+
+
+def _best(workshop: Workshop, name: str) -> np.ndarray:
+    return workshop.column(name, "best_distance")
+
+
+def _ends(workshop: Workshop, name: str) -> list[float]:
+    """What the runs came to, m."""
+    return [champion.terms["distance"] for champion in workshop.champions(name)]
+
+
+def _differ(values: Sequence[Sequence[float]]) -> bool:
+    """Whether not all are the same; there would be nothing to test."""
+    return len({value for each in values for value in each}) > 1
+
+
+def _highest(best: np.ndarray) -> np.ndarray:
+    return np.maximum.accumulate(np.nan_to_num(best), 0)
+
+
+def _falls(best: np.ndarray) -> tuple[np.ndarray, float]:
+    """Falls of each run, and the share of generations in which runs have fallen."""
+    fallen = best < (1 - COLLAPSE) * _highest(best)
+    return (np.diff(fallen.astype(int), axis=0) == 1).sum(0), float(fallen.mean())
+
+
+def _collapse(workshop: Workshop, names: dict[str, str], first: str | None = None) -> Table:
+    """What was found and what is held."""
+    best = {name: _best(workshop, name) for name in names}
+    ever = {name: np.nanmax(own, 0).tolist() for name, own in best.items()}
+    last = {name: own[-max(len(own) // 10, 1) :] for name, own in best.items()}
+    held = {name: np.median(own, 0).tolist() for name, own in last.items()}
+    first = first or next(iter(names))
+    tests = beside(ever, first), beside(held, first)
+    rows = []
+    for name, title in names.items():
+        falls, share = _falls(best[name])
+        rows.append(
+            [
+                title,
+                middle(ever[name]),
+                middle(held[name]),
+                f"{np.median(falls):g}",
+                f"{100 * share:.0f} %",
+                *(test[name] for test in tests),
+            ]
+        )
+    against = f"best ever beats {names[first]}", "last tenth beats it"
+    head = ["", "best ever, m", "best of a generation, last tenth, m", "falls per run, median",
+            "generations fallen", *against]  # fmt: skip
+    return Table("", head, rows)
+
+
+def one_posture(controller: Controller, angle: float) -> np.ndarray:
+    """The genome in whose every posture all joints have one angle (degrees)."""
+    assert isinstance(controller, PostureController)
+    settings = controller.settings
+    number = round((angle - settings.lowest_angle) / settings.angle_step)
+    bits = [number >> place & 1 for place in reversed(range(settings.bits_per_joint))]
+    return np.tile(np.array(bits, np.float32), controller.gene_count // settings.bits_per_joint)
+
+
+def _held(workshop: Workshop, model: str) -> float:
+    simulation = workshop.experiment(model).simulation
+    genes = one_posture(simulation.controller, HELD_ANGLE)[:, None]
+    return float(compile_trials(simulation, population_mesh())(genes).terms["distance"][0])
+
+
+def _measured(workshop: Workshop, world: str, name: str) -> dict[str, list[float]]:
+    """What champions of some runs are worth where others evolved."""
+
+    def measure() -> dict[str, list[float]]:
+        simulation = workshop.experiment(world).simulation
+        genes = np.stack([each.genes for each in workshop.champions(name)], axis=1)
+        outcome = compile_trials(simulation, population_mesh())(genes)
+        terms = {key: np.where(outcome.alive, x, np.nan) for key, x in outcome.terms.items()}
+        score = simulation.task.fitness(jax.tree.map(jax.numpy.asarray, terms), {})
+        wanted = {"distance": terms["distance"], "tilt": terms["tilt"], "score": score}
+        return {key: np.nan_to_num(np.asarray(x, float)).tolist() for key, x in wanted.items()}
+
+    return workshop.kept(f"{name}_in_{world}", [name], measure)
+
+
+def _choice(title: str, names: dict[str, str]) -> Part:
+    return Part(title, tuple(names), partial(choices, names=names))
+
+
+STUDY = Study(
+    "fukui2003",
+    "Fukui 2003: the walkers",
+    RUNS,
+    {
+        "models": Part("which of the three models goes farthest", MODELS, models),
+        "long": Part("Model 1 for 2000 generations (Fig. 4-2)", ("long", "long_noise"), long),
+        "single": Part("two single runs of Model 1 (Fig. 4-5, 4-6)", ("single",), single),
+        "halving": Part("the champions at smaller steps", MODELS, halving),
+        "robust": Part("evolved with noise, audited", ("robust1", "robust2", "robust3"), robust),
+        "random": Part("beside random search", (*MODELS, "random1", "random2", "random3"), random),
+        "walk": Part("scored for posture too", (*MODELS, "walk1", "walk2", "walk3"), walk),
+        "noise": Part("noise and the loss of lineages", tuple(_NOISES), noise),
+        "springs": _choice(
+            "strength of the dashpots",
+            {"model1": "150 N m/rad, 3 N m s/rad, 40 N m", "springs_half": "half of all three",
+             "springs_double": "twice all three"},
+        ),
+        "period": _choice(
+            "0.3 against 1/3 s to a posture", {"model1": "1/3 s", "period": "0.3 s"}
+        ),
+        "mutation": _choice(
+            "genes flipped against drawn anew", {"model1": "drawn anew", "flip": "flipped"}
+        ),
+        "restitution": _choice(
+            "how restitutions of animal and floor combine",
+            {"model1": "product", "restitution_average": "mean", "restitution_min": "smaller one"},
+        ),
+        "sizes": _choice(
+            "length of the leg boxes",
+            {"model1": "0.24 m", "legs_short": "0.18 m", "legs_long": "0.30 m"},
+        ),
+    },
+)  # fmt: skip

@@ -1,0 +1,134 @@
+"""The swimmer of Iwadate 2010: does it reach the light, and with a wave along its body?"""
+
+import jax
+import numpy as np
+
+from evo_cpg.analysis.gait import gait
+from evo_cpg.simulation.rollout import as_recording, record
+from evo_cpg.studies.audits import audit_table, audited
+from evo_cpg.studies.lights import light_table, still
+from evo_cpg.studies.study import Part, Runs, Study, Table, percent
+from evo_cpg.studies.workshop import Workshop
+from evo_cpg.training.experiment import first_population
+
+_UNTRAINED = 96  # animals with random brains
+_CONFIG = "iwadate2010_swimmer"
+
+RUNS = {
+    "shared": Runs(_CONFIG, (), 5),
+    "random": Runs(_CONFIG, ("evolution={type: random, generations: 50, population: 200}",), 5),
+    "per_joint": Runs(_CONFIG, ("controller.drive=per_joint",), 3),
+    "per_dof": Runs(_CONFIG, ("controller.drive=per_dof",), 3),
+}
+
+
+def swim(workshop: Workshop) -> list[Table]:
+    """Five champions, random search with as many evaluations, and an animal that is still."""
+    from evo_cpg.training.run_folder import history_columns
+    from evo_cpg.view.plots import plot_fitness, plot_path
+
+    history = history_columns(workshop.checkpoint("shared").history)
+    plot_fitness(history | {"best_so_far": history["champion"]}, workshop.picture("fitness"))
+    best = workshop.checkpoint("shared").champion
+    for champion, recording in workshop.recordings("shared"):
+        if best is not None and champion.run == best.run:
+            plot_path(recording, workshop.picture("path"))
+    table = light_table(workshop, "shared", "random")
+    return [table._replace(rows=[*table.rows, still(workshop, "shared")])]
+
+
+def lags(workshop: Workshop) -> list[Table]:
+    """Figure 3: the phase lag of the joint angles, and how many untrained animals have one."""
+    from evo_cpg.view.plots import plot_joint_signals
+
+    best, rows = workshop.checkpoint("shared").champion, []
+    for champion, recording in workshop.recordings("shared"):
+        found = gait(recording)
+        frequency, lag = found.frequency, found.lag
+        middle = float(np.median(frequency))
+        size = np.rad2deg(found.amplitude)
+        rows.append(
+            [
+                str(workshop.experiment("shared").seed + champion.run),
+                found.axis,
+                f"{middle:.2f}",
+                percent(float(np.abs(frequency - middle).max()) / middle) if middle else "",
+                " ".join(f"{each:.0f}" for each in lag),
+                f"{size.min():.0f} to {size.max():.0f}",
+                "yes" if found.has_wave() else "no",
+            ]
+        )
+        if best is not None and champion.run == best.run:
+            plot_joint_signals(recording, workshop.picture())
+    head = ["seed", "axis", "frequency (Hz)", "spread", "lags from head to tail (degrees)",
+            "amplitude (degrees)", "orderly wave"]  # fmt: skip
+    waves = workshop.kept("untrained", ["shared"], lambda: _untrained(workshop))
+    words = f"{waves['waves']} of {waves['animals']}"
+    rows.append(["untrained", "", "", "", "", "", words])
+    return [Table("", head, rows)]
+
+
+def drives(workshop: Workshop) -> list[Table]:
+    """Other readings of what the brain sets."""
+    rows = []
+    for name in ("per_joint", "per_dof"):
+        experiment = workshop.experiment(name)
+        for champion, recording in workshop.recordings(name):
+            found = gait(recording)
+            low, high = found.frequency.min(), found.frequency.max()
+            rows.append(
+                [
+                    f"`{name}`",
+                    str(experiment.simulation.controller.gene_count),
+                    str(experiment.seed + champion.run),
+                    f"{champion.fitness:.3f}",
+                    percent(champion.terms["distance"]),
+                    f"{low:.2f} to {high:.2f}",
+                    " ".join(f"{each:.0f}" for each in found.lag),
+                    "yes" if found.has_wave() else "no",
+                ]
+            )
+    head = ["drive", "genes", "seed", "fitness", "distance left", "frequency (Hz)",
+            "lags (degrees)", "orderly wave"]  # fmt: skip
+    return [Table("", head, rows)]
+
+
+def audit(workshop: Workshop) -> list[Table]:
+    """The champions audited, and what their motors are asked for."""
+    found = audited(workshop, "shared")
+    rows = []
+    for row in found:
+        measured = row["measured"]
+        keys = ("peak_torque", "mean_power", "power", "peak_rate")
+        rows.append([str(row["seed"]), *(f"{measured[key] or 0:.3g}" for key in keys)])
+    head = ["seed", "largest torque, N m", "power, mean, W/kg", "power, largest, W/kg",
+            "fastest joint, rad/s"]  # fmt: skip
+    return [
+        audit_table("", {"swimmer": found}),
+        Table("What the motors are asked for:", head, rows),
+    ]
+
+
+def _untrained(workshop: Workshop) -> dict[str, int]:
+    """How many animals with random brains have a wave along the body."""
+    experiment = workshop.experiment("shared")
+    simulation = experiment.simulation
+    genes = first_population(experiment)[:, :_UNTRAINED]
+    count = genes.shape[1]
+    frames = jax.jit(lambda genes: record(simulation, genes, count))(genes)
+    names = [body.name for body in experiment.creature.bodies]
+    waves = sum(gait(as_recording(simulation, frames, names, i)).has_wave() for i in range(count))
+    return {"animals": count, "waves": int(waves)}
+
+
+STUDY = Study(
+    "iwadate2010",
+    "Iwadate et al. 2010: the swimmer",
+    RUNS,
+    {
+        "swim": Part("five champions beside random search", ("shared", "random"), swim),
+        "lags": Part("the phase lag along the body (Fig. 3)", ("shared",), lags),
+        "drives": Part("other readings of what the brain sets", ("per_joint", "per_dof"), drives),
+        "audit": Part("the champions audited", ("shared",), audit),
+    },
+)

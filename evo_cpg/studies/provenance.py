@@ -1,0 +1,76 @@
+"""How every table and picture of a study was made, in `provenance.json` beside them."""
+
+import hashlib
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from evo_cpg.training.run_folder import RunFolderError, write_whole
+
+FILE = "provenance.json"
+
+
+def digest(path: Path) -> str:
+    """SHA-256 of a file."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def read(folder: Path) -> dict[str, Any]:
+    """What is known of a folder's parts, by name; empty where there is no file.
+
+    Raises:
+        RunFolderError: the file is damaged.
+    """
+    path = folder / FILE
+    if not path.is_file():
+        return {}
+    try:
+        parts = json.loads(path.read_text(encoding="utf-8"))["parts"]
+        if not all(isinstance(part["files"], dict) for part in parts.values()):
+            raise ValueError("files are no mapping")
+    except (AttributeError, KeyError, OSError, RecursionError, TypeError, ValueError) as error:
+        raise RunFolderError(f"{path} is damaged ({error})") from None
+    return parts
+
+
+def note(folder: Path, part: str, told: Mapping[str, Any]) -> None:
+    """Write down how a part was made."""
+    parts = read(folder) | {part: dict(told)}
+    text = json.dumps({"parts": parts}, indent=1, allow_nan=False) + "\n"
+    write_whole(folder / FILE, lambda file: file.write(text.encode()))
+
+
+def problems(folder: Path) -> list[str]:
+    """Of the tables and pictures in a folder, which do not come from where its file says."""
+    parts, found, known = read(folder), [], set()
+    for name, part in parts.items():
+        for file, sha256 in part["files"].items():
+            known.add(file)
+            if not (folder / file).is_file():
+                found.append(f"{folder / file} of part {name} is missing")
+            elif digest(folder / file) != sha256:
+                found.append(f"{folder / file} was changed after part {name} was made")
+    for path in sorted(folder.iterdir()) if folder.is_dir() else ():
+        if path.suffix in (".md", ".png") and path.name not in known:
+            found.append(f"{path} is of no part in {FILE}")
+    return found
+
+
+def caption(study: str, part: str, told: Mapping[str, Any]) -> str:
+    """The line under every table that says how it was made."""
+    if told.get("made"):
+        return f"*Made {told['made']}: commit {told['commit']}.*"
+    words = (
+        f"*Made by `evo-cpg reproduce {study} {part}` with evo-cpg {told['versions']['evo-cpg']}"
+    )
+    commits = told["run_commits"]
+    if told["commit"]:
+        words += f" at commit {told['commit']}"
+    elsewhere = sorted({each or "unknown" for each in commits} - {told["commit"] or "unknown"})
+    if elsewhere:
+        words += f" of runs evolved at {', '.join(elsewhere)}"
+    words += f" on {told['date'][:10]}, {told['processor']}, {told['devices']} cores.*"
+    if told["quick"]:
+        words = f"**Quick: scaled down, a test of the program and no result.** {words}"
+    return words

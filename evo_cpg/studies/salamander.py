@@ -1,0 +1,139 @@
+"""The salamander in water, on land, across a shore, among boulders; a swimmer with two eyes."""
+
+import numpy as np
+
+from evo_cpg.config.build import build_experiment
+from evo_cpg.config.load import load_config
+from evo_cpg.studies.audits import audit_table, audited
+from evo_cpg.studies.lights import light_table, lived, still
+from evo_cpg.studies.study import Part, Runs, Study, Table, middle, percent
+from evo_cpg.studies.workshop import Workshop
+from evo_cpg.training.probe import Probe, around, blinded, probe
+
+_REACHED = 0.2  # of the distance left
+_BEARINGS = np.deg2rad(np.linspace(-75, 75, 20))
+_RANDOM = "evolution={type: random, generations: 50, population: 200}"
+
+RUNS = {
+    "water": Runs("iwadate2010_salamander_water", (), 5),
+    "water_random": Runs("iwadate2010_salamander_water", (_RANDOM,), 5),
+    "land": Runs("iwadate2010_salamander_land", (), 5),
+    "land_random": Runs("iwadate2010_salamander_land", (_RANDOM,), 5),
+    "shore": Runs("salamander_amphibious", (), 5),
+    "shore_random": Runs(
+        "salamander_amphibious",
+        ("evolution={type: random, generations: 60, population: 400}",),
+        5,
+    ),
+    "boulders": Runs("salamander_boulders", ("evolution.generations=25",), 5),
+    "eyes": Runs("two_eyed_swimmer", (), 1),
+}
+
+
+def water(workshop: Workshop) -> list[Table]:
+    """Champions in water, random search, and champions of land put into water."""
+    table = light_table(workshop, "water", "water_random")
+    return [table._replace(rows=[*table.rows, still(workshop, "water"), _guests(workshop)])]
+
+
+def land(workshop: Workshop) -> list[Table]:
+    """Champions on land, and random search."""
+    table = light_table(workshop, "land", "land_random")
+    return [table._replace(rows=[*table.rows, still(workshop, "land")])]
+
+
+def audit(workshop: Workshop) -> list[Table]:
+    """Champions on land, audited."""
+    return [audit_table("", {"on land": audited(workshop, "land")})]
+
+
+def shore(workshop: Workshop) -> list[Table]:
+    """Champions across the shore, in each of its situations, and others put there."""
+    situations = len(workshop.experiment("shore").simulation.situations)
+    rows = []
+    for title, name in (("evolved", "shore"), ("random search", "shore_random")):
+        for champion, left in zip(
+            workshop.champions(name), _left(workshop, "shore", name), strict=True
+        ):
+            seed = str(workshop.experiment(name).seed + champion.run)
+            rows.append([title, seed, f"{champion.fitness:.3f}", *map(percent, left)])
+            title = ""
+    left = np.array(_left(workshop, "shore", "land"))
+    cells = [f"{middle(100 * column, 1)} %" for column in left.T]
+    rows.append(["champions of land", "all", "", *cells])
+    both = (np.array(_left(workshop, "shore", "shore"))[:, :2] <= _REACHED).all(1)
+    rows.append(
+        ["cross both ways (20 % left)", f"{both.sum()} of {both.size}", "", *[""] * situations]
+    )
+    ways = ["into the water", "back on land", "from the water's edge to land"]
+    heads = [f"{way}: distance left" for way in ways]
+    return [Table("", ["", "seed", "fitness", *heads], rows)]
+
+
+def boulders(workshop: Workshop) -> list[Table]:
+    """Champions among boulders."""
+    return [light_table(workshop, "boulders")]
+
+
+def eyes(workshop: Workshop) -> list[Table]:
+    """A swimmer with two eyes is shown lights that it never saw, seeing and blind."""
+    from evo_cpg.view.probe_plot import plot_probe
+
+    simulation = workshop.experiment("eyes").simulation
+    champion = workshop.champions("eyes")[0]
+    first = simulation.situations[0]._replace(light=simulation.lights[0])
+    lights, rows = around(first, _BEARINGS), []
+    for title, name, animal in (
+        ("with its eyes", "", simulation),
+        ("blind", "blind", blinded(simulation)),
+    ):
+        found = probe(animal, champion.genes, lights)
+        rows.append([title, *_probed(found)])
+        plot_probe(found, _REACHED, f"two-eyed swimmer, {title}", workshop.picture(name))
+    head = ["", "lights reached (20 % left or less)", "distance left, median", "worst"]
+    return [Table("", head, rows)]
+
+
+def _probed(found: Probe) -> list[str]:
+    reached = found.reached(_REACHED)
+    left = found.distance
+    ends = percent(float(np.nanmedian(left))), percent(float(np.nanmax(left)))
+    return [f"{reached.sum()} of {reached.size}", *ends]
+
+
+def _guests(workshop: Workshop) -> list[str]:
+    """The line of land's champions in water."""
+    left = np.array(_left(workshop, "water", "land"))
+    return ["champions of land", "all", "", f"{middle(100 * left, 1)} %", "", "", ""]
+
+
+def _left(workshop: Workshop, world: str, name: str) -> list[list[float]]:
+    """Share of the distance that champions leave in each of a world's situations, without noise."""
+
+    def measure() -> list[list[float]]:
+        simulation = workshop.experiment(world).simulation
+        if world == "shore" and not name.startswith("shore"):
+            # Who did not evolve at the shore has no depth gauge.
+            declared, source = workshop.member(world).config, workshop.source(world)
+            steps = f"simulation.steps={declared.simulation.steps}"
+            config = load_config(source, ["creature.depth_sensors=[]", steps])
+            simulation = build_experiment(config, source).simulation
+        genes = np.stack([each.genes for each in workshop.champions(name)], axis=1)
+        return np.nan_to_num(lived(simulation, genes)["distance"].astype(float), nan=9.0).tolist()
+
+    return workshop.kept(f"{name}_in_{world}", [name], measure)
+
+
+STUDY = Study(
+    "salamander",
+    "Salamander: water, land, and the shore between",
+    RUNS,
+    {
+        "water": Part("in water", ("water", "water_random", "land"), water),
+        "land": Part("on land", ("land", "land_random"), land),
+        "audit": Part("the champions on land, audited", ("land",), audit),
+        "shore": Part("across the shore", ("shore", "shore_random", "land"), shore),
+        "boulders": Part("among boulders", ("boulders",), boulders),
+        "eyes": Part("a swimmer with two eyes", ("eyes",), eyes),
+    },
+)

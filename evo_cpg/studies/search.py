@@ -1,0 +1,106 @@
+"""Which search is best, and how much of a map of gaits each fills.
+
+The settings stand in `searches/`, for `evo-cpg sweep` to take as well.
+"""
+
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from evo_cpg.config.settings import Setting, read_settings
+from evo_cpg.studies.study import Part, Runs, Study, Table, beside, middle
+from evo_cpg.studies.workshop import Workshop
+
+_FOLDER = Path(__file__).parent / "searches"
+_GENETIC, _RANDOM = "genetic algorithm", "random search"
+
+# Settings, configuration, and runs of each.
+_FILES = {
+    "swimmer": ("iwadate2010_swimmer", 8),
+    "walker": ("fukui2003_model1", 8),
+    "swimmer_map": ("iwadate2010_swimmer", 1),
+    "walker_map": ("fukui2003_model1", 1),
+}
+
+
+def _declared(part: str) -> dict[str, Runs]:
+    config, count = _FILES[part]
+    return {
+        f"{part} {name}": Runs(config, tuple(Setting(name, dict(values)).overrides), count)
+        for name, values in read_settings(_FOLDER / f"{part}.yaml").items()
+    }
+
+
+RUNS = {name: runs for part in _FILES for name, runs in _declared(part).items()}
+
+
+def searches(workshop: Workshop, part: str) -> list[Table]:
+    """Every search beside the genetic algorithm and random search."""
+    from evo_cpg.view.sweep_plot import Curves, plot_sweep
+
+    names = [name for name in RUNS if name.startswith(f"{part} ")]
+    fitness = {_own(name): _fitness(workshop, name) for name in names}
+    against = {first: beside(fitness, first) for first in (_GENETIC, _RANDOM)}
+    rows, curves = [], []
+    for name in sorted(names, key=lambda name: -float(np.median(fitness[_own(name)]))):
+        own = _own(name)
+        population = workshop.experiment(name).strategy.population
+        best = workshop.column(name, "champion").T
+        tried = population * np.arange(1, best.shape[1] + 1)
+        curves.append(Curves(own, tried, best))
+        left = [champion.terms["distance"] for champion in workshop.champions(name)]
+        words = [against[first][own] for first in (_GENETIC, _RANDOM)]
+        rows.append([own, f"{tried[-1]:,}", middle(fitness[own], 3), middle(left, 3), *words])
+    plot_sweep(curves, f"{part}: {len(names)} searches", workshop.picture())
+    head = ["search", "evaluations", "fitness, median (range)", "distance (of 1 left, or m)",
+            f"beats {_GENETIC}", f"beats {_RANDOM}"]  # fmt: skip
+    return [Table("", head, rows)]
+
+
+def maps(workshop: Workshop, part: str) -> list[Table]:
+    """How much of a map each search fills."""
+    from evo_cpg.training.elites import gait_map
+    from evo_cpg.view.map_plot import plot_map
+
+    rows = []
+    for name in (name for name in RUNS if name.startswith(f"{part} ")):
+        experiment, found = workshop.experiment(name), workshop.checkpoint(name)
+        tried = experiment.strategy.population * found.generation
+        last = found.history[-1]
+        own = _own(name)
+        rows.append([own, f"{tried:,}", f"{last['coverage']:.1%}", f"{last['mean_elite']:.3f}"])
+        cells = gait_map(experiment, found, 0)
+        if cells is not None:
+            picture = workshop.picture(own.replace(" ", "_").lower())
+            plot_map(cells.axes, cells.fitness, picture, f"{part}, {own}")
+    head = ["search", "evaluations", "cells filled", "mean fitness of elites"]
+    return [Table("", head, rows)]
+
+
+def _own(name: str) -> str:
+    """A setting's name without that of its part."""
+    return name.partition(" ")[2]
+
+
+def _fitness(workshop: Workshop, name: str) -> list[float]:
+    return [champion.fitness for champion in workshop.champions(name)]
+
+
+def _part(part: str, title: str) -> Part:
+    make = maps if part.endswith("_map") else searches
+    names = tuple(name for name in RUNS if name.startswith(f"{part} "))
+    return Part(title, names, partial(make, part=part))
+
+
+STUDY = Study(
+    "search",
+    "Searches beside each other",
+    RUNS,
+    {
+        "swimmer": _part("swimmer", "eight searches for the swimmer"),
+        "walker": _part("walker", "eight searches for Fukui's first walker"),
+        "swimmer_map": _part("swimmer_map", "maps of a swimmer's gaits"),
+        "walker_map": _part("walker_map", "maps of a walker's gaits"),
+    },
+)

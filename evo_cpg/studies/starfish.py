@@ -1,0 +1,59 @@
+"""The starfish: how far behind the one before it each arm of a champion is, around its ring."""
+
+import itertools
+
+import numpy as np
+
+from evo_cpg.analysis.gait import ring_lags
+from evo_cpg.control.brain_cpg import BrainCpg
+from evo_cpg.control.couplings import ring_members
+from evo_cpg.simulation.recording import Recording
+from evo_cpg.studies.study import Part, Runs, Study, Table
+from evo_cpg.studies.workshop import Workshop
+
+# Of the second half of a trial, in which lags are looked at one by one.
+_WINDOWS = 3
+
+RUNS = {name: Runs(name, (), 1) for name in ("starfish", "starfish_land")}
+
+
+def lags(workshop: Workshop) -> list[Table]:
+    """Mean lags over the second half of the trial, and the least and largest in its thirds."""
+    rows, head = [], ["", "fitness", "distance, m"]
+    for name in RUNS:
+        simulation = workshop.experiment(name).simulation
+        controller, tree = simulation.controller, simulation.world.tree
+        assert isinstance(controller, BrainCpg)
+        for champion, recording in workshop.recordings(name):
+            for number, ring in enumerate(controller.settings.cpg.rings):
+                joints = [tree.dof_names[i] for i in ring_members(tree, ring, number)]
+                whole = ring_lags(recording, joints)
+                pieces = [ring_lags(part, joints, last=1.0) for part in _parts(recording)]
+                low, high = np.min(pieces, 0), np.max(pieces, 0)
+                cells = [
+                    f"{a:.1f} ({b:.1f} to {c:.1f})"
+                    for a, b, c in zip(whole, low, high, strict=True)
+                ]
+                way = f"{recording.distance[0]:.2f} to {recording.distance[-1]:.2f}"
+                rows.append([f"`{name}`", f"{champion.fitness:.3f}", way, *cells])
+                head = [*head[:3], *(f"`{joint}`, degrees" for joint in joints)]
+    return [Table("", head, rows)]
+
+
+def _parts(recording: Recording) -> list[Recording]:
+    """The second half of a recording, in equal parts."""
+    edges = (np.linspace(0.5, 1, _WINDOWS + 1) * len(recording.time)).astype(int)
+    return [
+        recording._replace(
+            time=recording.time[start:stop], joint_angle=recording.joint_angle[start:stop]
+        )
+        for start, stop in itertools.pairwise(edges)
+    ]
+
+
+STUDY = Study(
+    "starfish",
+    "The starfish",
+    RUNS,
+    {"lags": Part("lags around the ring of arms", tuple(RUNS), lags)},
+)

@@ -1,0 +1,200 @@
+"""`evo-cpg reproduce`: a study's parts, made, stopped, gone on with, and told from one another."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from evo_cpg.cli import reproduce
+from evo_cpg.cli.errors import UsageError
+from evo_cpg.cli.reproduce import default_folder, make, reproduce_study
+from evo_cpg.studies import provenance, workshop
+from evo_cpg.studies.catalogue import NAMES, study
+from evo_cpg.studies.study import Part, Runs, Study, Table, beside, in_order, middle, percent
+from evo_cpg.studies.workshop import Workshop
+from evo_cpg.training.run_folder import RunFolder, RunFolderError
+from tiny_run import PAIR
+
+SHORT = (*PAIR, "simulation.steps=30", "evolution.generations=3")
+CONFIG = "iwadate2010_swimmer"
+
+
+def report(shop: Workshop) -> list[Table]:
+    """A table of what the runs came to, and a picture."""
+    from evo_cpg.view.study_plot import plot_generations
+
+    best = {name: shop.column(name, "best_distance") for name in ("few", "many")}
+    plot_generations(best, "distance", shop.picture("best"), single_runs=True)
+    ends = shop.kept("ends", ["few"], lambda: [each.fitness for each in shop.champions("few")])
+    return [Table("Ends:", ["", "fitness"], [["few", in_order(ends, 4)]])]
+
+
+TWIN = Study(
+    "twin",
+    "a study that a test can afford",
+    {
+        "few": Runs(CONFIG, SHORT, 2),
+        "many": Runs(CONFIG, (*SHORT, "evolution.mutation_rate=0.5"), 2),
+    },
+    {"ends": Part("what they come to", ("few", "many"), report)},
+)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """The twin, made."""
+    folder = tmp_path_factory.mktemp("twin")
+    make(TWIN, ["ends"], folder, False, False, 2)
+    return folder
+
+
+def test_a_part_leaves_a_table_a_picture_and_how_they_were_made(made):
+    text = (made / "ends.md").read_text()
+    assert text.startswith("Ends:\n\n|  | fitness |\n| --- | --- |\n| few | ")
+    told = provenance.read(made)["ends"]
+    assert set(told["files"]) == {"ends.md", "ends_best.png"}
+    assert provenance.problems(made) == []
+    assert provenance.caption("twin", "ends", told) in text
+    assert "Made by `evo-cpg reproduce twin ends` with evo-cpg " in text
+    assert "Quick" not in text
+    assert told["quick"] is False and told["devices"] == 2
+    assert told["runs"]["many"]["seeds"] == [0, 1] and told["runs"]["many"]["generations"] == 3
+    assert told["runs"]["few"]["config_sha256"] == RunFolder(made / "runs" / "few").config_digest()
+    assert told["run_commits"] == [told["commit"]]
+
+
+def test_what_is_finished_is_not_evolved_again(made, tmp_path, monkeypatch):
+    folder = tmp_path / "again"
+    shutil.copytree(made, folder)
+    before = RunFolder(folder / "runs" / "few").load()
+    monkeypatch.setattr(workshop, "run_group", lambda *_: pytest.fail("evolved again"))
+    monkeypatch.setattr(workshop, "program_commit", lambda: "0ther")
+    make(TWIN, ["ends"], folder, False, False, 2)
+    after = RunFolder(folder / "runs" / "few").load()
+    assert before is not None and after is not None
+    np.testing.assert_array_equal(before.genes, after.genes)
+    # The runs are those of another commit, and the table says so.
+    first = provenance.read(made)["ends"]["commit"]
+    assert f"at commit 0ther of runs evolved at {first} on" in (folder / "ends.md").read_text()
+
+
+def test_what_was_stopped_goes_on_to_the_same_bits(made, tmp_path, monkeypatch, capsys):
+    folder, group = tmp_path / "stopped", workshop.run_group
+
+    def stopping(members, source, devices, tell):
+        def stop(member, rows):
+            tell(member, rows)
+            if member.setting.name == "few" and rows[0]["generation"] == 1:
+                raise KeyboardInterrupt
+
+        group(members, source, devices, stop)
+
+    monkeypatch.setattr(workshop, "run_group", stopping)
+    with pytest.raises(KeyboardInterrupt):
+        make(TWIN, ["ends"], folder, False, False, 2)
+    assert "the same command goes on" in capsys.readouterr().err
+    assert not (folder / "ends.md").exists()
+    monkeypatch.setattr(workshop, "run_group", group)
+    make(TWIN, ["ends"], folder, False, False, 2)
+    for name in TWIN.runs:
+        one, other = (RunFolder(place / "runs" / name).load() for place in (made, folder))
+        assert one is not None and other is not None
+        np.testing.assert_array_equal(one.genes, other.genes)
+    first, second = ((place / "ends.md").read_text() for place in (made, folder))
+    assert first.splitlines()[:5] == second.splitlines()[:5]
+
+
+def test_runs_of_another_configuration_are_not_taken(made, tmp_path):
+    folder = tmp_path / "other"
+    shutil.copytree(made, folder)
+    runs = {**TWIN.runs, "few": Runs(CONFIG, (*SHORT, "seed=7"), 2)}
+    other = TWIN._replace(runs=runs)
+    with pytest.raises(RunFolderError, match="few was made with another configuration"):
+        make(other, ["ends"], folder, False, False, 2)
+    make(other, ["ends"], folder, False, True, 2)
+    assert provenance.read(folder)["ends"]["runs"]["few"]["seeds"] == [7, 8]
+    assert (folder / "ends.md").read_text() != (made / "ends.md").read_text()
+
+
+def test_quick_results_say_so_and_stay_apart(made, tmp_path):
+    with pytest.raises(RunFolderError, match=r"holds full results \(ends\); choose another --out"):
+        make(TWIN, ["ends"], made, True, False, 2)
+    folder = tmp_path / "quick"
+    make(TWIN, ["ends"], folder, True, False, 2)
+    assert (
+        "**Quick: scaled down, a test of the program and no result.**"
+        in (folder / "ends.md").read_text()
+    )
+    told = provenance.read(folder)["ends"]
+    assert told["quick"] is True
+    assert told["runs"]["few"]["generations"] == 2
+    with pytest.raises(RunFolderError, match="holds quick results"):
+        make(TWIN, ["ends"], folder, False, False, 2)
+
+
+def test_what_was_measured_is_kept_until_champions_change(made, tmp_path):
+    folder = tmp_path / "kept"
+    shutil.copytree(made, folder)
+    shop = Workshop(TWIN, folder, False, 2)
+    assert shop.kept("one", ["few"], lambda: (1, 2)) == [1, 2]
+    assert shop.kept("one", ["few"], lambda: (3, 4)) == [1, 2]
+    assert shop.kept("one", ["many"], lambda: (3, 4)) == [3, 4]
+    (folder / "runs" / "one.json").write_text("{")
+    assert shop.kept("one", ["many"], lambda: 5) == 5
+
+
+def test_wrong_studies_and_parts_are_named_with_the_nearest(tmp_path):
+    def call(name, parts=(), listed=False):
+        reproduce_study(name, parts, tmp_path, True, listed, False, 2)
+
+    with pytest.raises(UsageError, match=r"there is no study 'fukui'; did you mean 'fukui2003'"):
+        call("fukui")
+    with pytest.raises(UsageError, match="starfish has no part 'lag'; did you mean 'lags'"):
+        call("starfish", ["lag"])
+    with pytest.raises(UsageError, match="name a study: iwadate2010, fukui2003"):
+        call(None)
+    (tmp_path / "file").touch()
+    with pytest.raises(RunFolderError, match="cannot write"):
+        Workshop(TWIN, tmp_path / "file" / "in", False, 2).claim()
+    with pytest.raises(RunFolderError, match="few has no finished generation"):
+        Workshop(TWIN, tmp_path, False, 2).checkpoint("few")
+
+
+def test_the_list_tells_how_each_part_was_made(capsys):
+    reproduce_study(None, [], None, False, True, False, None)
+    shown = capsys.readouterr().out
+    assert all(name in shown for name in NAMES)
+    for part in study("fukui2003").parts:
+        assert part in shown
+
+
+def test_files_go_beside_the_pages_of_a_clone(monkeypatch, tmp_path):
+    monkeypatch.setattr(reproduce, "checkout", lambda: tmp_path)
+    assert default_folder("starfish", False) == tmp_path / "docs" / "reproduction" / "starfish"
+    assert default_folder("starfish", True).parts == ("reproduction", "starfish_quick")
+    monkeypatch.setattr(reproduce, "checkout", lambda: None)
+    assert default_folder("starfish", False).parts == ("reproduction", "starfish")
+
+
+def test_words_of_tables():
+    assert percent(0.0345) == "3.5 %"
+    assert middle([3.0, 1.0, float("nan"), 2.0], 1) == "2.0 (1.0 to 3.0)"
+    assert middle([float("nan")]) == "none"
+    assert in_order([2, 1], 1) == "1.0, 2.0"
+    words = beside({"a": [1, 2, 3, 4], "b": [5, 6, 7, 8], "c": [1, 2, 3, 5]}, "a")
+    # Exactly 2 of 70 orders are as far apart; Holm takes it twice.
+    assert words["a"] == "" and words["b"] == "in 100% of pairs, p = 0.057"
+    assert words["c"].startswith("in 53% of pairs, p = 1")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "part"), [(name, part) for name in NAMES for part in study(name).parts]
+)
+def test_every_part_of_every_study_runs(name, part, tmp_path_factory):
+    # Parts of a study share runs.
+    folder = tmp_path_factory.getbasetemp() / f"quick_{name}"
+    make(study(name), [part], folder, True, False, 2)
+    assert provenance.problems(folder) == []
+    assert json.loads((folder / provenance.FILE).read_text())["parts"][part]["quick"] is True

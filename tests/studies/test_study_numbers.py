@@ -1,0 +1,89 @@
+"""What studies measure, where the answer is known."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from evo_cpg.config.build import build_experiment
+from evo_cpg.config.load import load_config
+from evo_cpg.config.shipped import shipped
+from evo_cpg.control.brain import think
+from evo_cpg.control.brain_cpg import BrainCpg
+from evo_cpg.control.postures import PostureController
+from evo_cpg.studies import fukui2003
+from evo_cpg.studies.audits import audit_table, kept_table
+from evo_cpg.studies.lights import _still, lived
+from evo_cpg.studies.study import Table
+from evo_cpg.studies.workshop import markdown
+from tiny_run import CONFIG, PAIR
+
+
+def test_falls_are_counted_from_the_highest_before():
+    best = np.array([[4.0, 1.0], [2.9, 2.0], [4.0, 3.0], [3.1, 4.0], [1.0, 5.0], [1.0, 6.0]])
+    falls, share = fukui2003._falls(best)
+    # Below 3 m in the generations 1, 4 and 5; the other run only rises.
+    np.testing.assert_array_equal(falls, [2, 0])
+    assert share == 3 / 12
+
+
+def test_an_animal_that_holds_one_posture_has_one_angle_everywhere():
+    path = shipped("fukui2003_model1").path
+    controller = build_experiment(load_config(path), path).simulation.controller
+    assert isinstance(controller, PostureController)
+    genes = fukui2003.one_posture(controller, 170.0)
+    # Of 110, 130, 150, 170 the fourth, number 3: 011.
+    np.testing.assert_array_equal(genes.reshape(-1, 3), np.tile([0, 1, 1], (64, 1)))
+
+
+def test_springs_and_legs_change_in_all_eight_boxes():
+    path = shipped("fukui2003_model1").path
+    strong = load_config(path, fukui2003._springs(2.0)).creature.bodies
+    for body in strong[1:]:
+        assert body.joint is not None
+        motor = body.joint.actuator
+        assert (motor.stiffness, motor.gain, motor.torque_limit) == (300, 6, 80)
+    config = load_config(path, fukui2003._legs(0.3))
+    standing = build_experiment(config, path).creature
+    plain = build_experiment(load_config(path), path).creature
+    heavier = 1 + 8 * (0.3 - 0.24) * 0.08**2 / (0.6 * 0.3 * 0.16 + 8 * 0.24 * 0.08**2)
+    assert float(standing.mass / plain.mass) == pytest.approx(heavier, rel=1e-5)
+    for body in config.creature.bodies[1:]:
+        assert body.joint is not None
+        assert body.joint.child_at[2] == 0.15
+        assert body.joint.at[2] == (-0.15 if body.name.endswith("lower") else -0.08)
+
+
+def test_an_animal_without_drive_stays_where_it_is():
+    config = load_config(CONFIG, [*PAIR, "simulation.steps=120", "noise.push=0.02"])
+    simulation = build_experiment(config, CONFIG).simulation
+    genes, controller = _still(simulation), simulation.controller
+    assert isinstance(controller, BrainCpg)
+    assert np.abs(lived(simulation, genes)["distance"] - 1).item() < 1e-3
+    inputs = np.linspace(-1, 1, controller.brain.sizes[0], dtype=np.float32)[:, None]
+    outputs = think(controller.brain, controller.decode(jnp.asarray(genes)), jnp.asarray(inputs))
+    assert np.abs(controller.cpg_inputs(outputs)[0]).max() < 1e-12
+
+
+def test_tables_of_audits_show_shares_and_reasons():
+    opinions = [{"program": name, "way": way, "upright": 1.0} for name, way in (("a", 2), ("b", 1))]
+    row = {
+        "seed": 3,
+        "passed": False,
+        "reasons": ["half the step: 50 %, less than 90 %"],
+        "measured": {"way": 2.0, "half_step": 0.5, "pose": None},
+        "opinions": opinions,
+    }
+    every = audit_table("", {"animal": [row]})
+    assert every.head == ["", "seed", "way, m", "in other poses or draws", "at half the step",
+                          "MuJoCo, m", "passes"]  # fmt: skip
+    assert every.rows == [
+        ["animal", "3", "2.00", "", "50.0 %", "1", "no: half the step: 50 %, less than 90 %"]
+    ]
+    kept = kept_table("", {"animal": [row, row | {"passed": True}]})
+    assert kept.rows[0][:4] == ["animal", "2.00 (2.00 to 2.00)", "", "50 (50 to 50) %"]
+    assert kept.rows[0][-1] == "1 of 2"
+
+
+def test_a_table_is_one_of_markdown():
+    shown = markdown(Table("Title:", ["a", "b"], [["1", "2"]]))
+    assert shown == "Title:\n\n| a | b |\n| --- | --- |\n| 1 | 2 |"

@@ -1,0 +1,104 @@
+"""Pages of studies show what `evo-cpg reproduce` made, as it made it."""
+
+import json
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+
+from evo_cpg.studies import provenance
+from evo_cpg.studies.catalogue import NAMES, study
+from evo_cpg.training.run_folder import RunFolderError
+
+DOCS = Path(__file__).parents[2] / "docs"
+FOLDER = DOCS / "reproduction"
+PAGES = sorted(path for path in DOCS.rglob("*.md") if "_build" not in path.parts)
+STUDIES = sorted(path.parent for path in FOLDER.glob("*/" + provenance.FILE))
+# What a page takes from a study's folder.
+TAKEN = r"```\{(?:include|figure)\} (\S+)"
+
+
+def own_tables(text: str) -> list[str]:
+    """Heads of the tables that stand in a page itself."""
+    return re.findall(r"^\|.*\|\n\|(?:\s*:?-+:?\s*\|)+$", text, re.MULTILINE)
+
+
+def faults(page: Path) -> list[str]:
+    """What is wrong with what a page takes from studies."""
+    found = []
+    for taken in re.findall(TAKEN, page.read_text()):
+        path = (page.parent / taken).resolve()
+        if not path.is_relative_to(FOLDER):
+            continue
+        parts = provenance.read(path.parent).values()
+        part = next((part for part in parts if path.name in part["files"]), None)
+        if part is None:
+            found.append(f"{taken}: no part made it")
+        elif part["quick"]:
+            found.append(f"{taken}: is a quick result")
+        elif not path.is_file() or provenance.digest(path) != part["files"][path.name]:
+            found.append(f"{taken}: is not as it was made")
+    return found
+
+
+def test_no_page_of_a_study_has_tables_of_its_own():
+    pages = sorted(FOLDER.glob("*.md"))
+    assert len(pages) > 3
+    for page in pages:
+        assert not own_tables(page.read_text()), page
+
+
+def test_what_pages_take_is_as_it_was_made():
+    taken = [name for page in PAGES for name in re.findall(TAKEN, page.read_text())]
+    assert len(taken) > 15
+    for page in PAGES:
+        assert not faults(page), page
+
+
+@pytest.mark.parametrize("folder", STUDIES, ids=lambda folder: folder.name)
+def test_every_file_of_a_study_has_a_provenance_and_a_caption(folder):
+    assert not provenance.problems(folder)
+    known = study(folder.name).parts
+    for name, told in provenance.read(folder).items():
+        assert name in known, f"{folder.name} has no part {name}"
+        line = provenance.caption(folder.name, name, told)
+        text = (folder / f"{name}.md").read_text()
+        assert text.count(line) == len(own_tables(text)) > 0, name
+
+
+def test_a_table_that_was_changed_or_is_quick_or_of_nobody_is_found(tmp_path, monkeypatch):
+    shutil.copytree(FOLDER / "starfish", tmp_path / "starfish", ignore=lambda *_: ["runs"])
+    monkeypatch.setattr("test_study_pages.FOLDER", tmp_path)
+    page = tmp_path / "page.md"
+    page.write_text("```{include} starfish/lags.md\n```\n")
+    folder = tmp_path / "starfish"
+    assert faults(page) == []
+    told = provenance.read(folder)["lags"]
+    provenance.note(folder, "lags", told | {"quick": True})
+    assert faults(page) == ["starfish/lags.md: is a quick result"]
+    provenance.note(folder, "lags", told)
+    (folder / "lags.md").write_text("| better |\n|---|\n| 1 |\n")
+    assert faults(page) == ["starfish/lags.md: is not as it was made"]
+    assert "was changed after part lags was made" in provenance.problems(folder)[0]
+    (folder / "lags.md").rename(folder / "other.md")
+    missing, unknown = provenance.problems(folder)
+    assert "lags.md of part lags is missing" in missing
+    assert "other.md is of no part" in unknown
+    page.write_text("```{include} starfish/other.md\n```\n")
+    assert faults(page) == ["starfish/other.md: no part made it"]
+    assert own_tables("| a | b |\n|---|:-:|\n") == ["| a | b |\n|---|:-:|"]
+
+
+def test_a_damaged_provenance_is_named(tmp_path):
+    for text in ("{", "[]", json.dumps({"parts": {"a": {"files": []}}})):
+        (tmp_path / provenance.FILE).write_text(text)
+        with pytest.raises(RunFolderError, match=r"provenance\.json is damaged"):
+            provenance.read(tmp_path)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_parts_name_runs_that_are_declared(name):
+    found = study(name)
+    assert found.name == name
+    assert {run for part in found.parts.values() for run in part.runs} == set(found.runs)
