@@ -1,6 +1,7 @@
 """One trial in named columns."""
 
 import csv
+import io
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
@@ -8,7 +9,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.simulation.recording import Recording
+from evo_cpg.simulation.rollout import NERVE, SENSE
 from evo_cpg.simulation.simulation import Simulation
+from evo_cpg.training.run_folder import write_whole
 
 _AXES = ("x", "y", "z")
 
@@ -37,11 +40,28 @@ class Record(Mapping[str, Float[np.ndarray, " t"]]):
         return f"Record({len(self['time'])} steps, {len(self)} columns: {', '.join(self)})"
 
     def to_csv(self, path: Path | str) -> None:
-        """Write it as a table whose header is the names."""
-        with Path(path).open("w", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(self)
-            writer.writerows(zip(*(x.tolist() for x in self.values()), strict=True))
+        """Write it as a table whose header is the names, each with its unit: ``time [s]``.
+
+        Raises:
+            RunFolderError: it cannot be written there.
+        """
+        table = io.StringIO()
+        writer = csv.writer(table, lineterminator="\n")
+        writer.writerow(f"{name} [{self.units[name]}]" for name in self)
+        writer.writerows(zip(*(x.tolist() for x in self.values()), strict=True))
+        write_whole(Path(path), lambda file: file.write(table.getvalue().encode()))
+
+    def to_npz(self, path: Path | str) -> None:
+        """Write it as arrays by the names of the columns, for `numpy.load`.
+
+        Two arrays of text go with them: ``columns``, the names, and ``units`` of each.
+
+        Raises:
+            RunFolderError: it cannot be written there.
+        """
+        names = np.array([list(self), [self.units[name] for name in self]])
+        arrays = {"columns": names[0], "units": names[1], **self}
+        write_whole(Path(path), lambda file: np.savez(file, **arrays))
 
 
 def as_record(simulation: Simulation, frames: Mapping[str, Array], recording: Recording) -> Record:
@@ -60,29 +80,39 @@ def as_record(simulation: Simulation, frames: Mapping[str, Array], recording: Re
 
     tree, footing = simulation.world.tree, simulation.world.footing
     owners = np.array(() if footing is None else footing.bodies, int)
-    force = np.asarray(frames["contact_force"])[..., 0]
-    position, rotation = (np.asarray(frames[name])[..., 0] for name in ("position", "rotation"))
+    arrays = {name: np.asarray(values)[..., 0] for name, values in frames.items()}
+    force, position, rotation = (arrays[n] for n in ("contact_force", "position", "rotation"))
     for i, body in enumerate(tree.names):
         for k, axis in enumerate(_AXES):
             add(f"{body}.{axis}", "m", position[:, k, i])
         for row, first in enumerate(_AXES):
             for column, second in enumerate(_AXES):
                 add(f"{body}.rotation_{first}{second}", "1", rotation[:, row, column, i])
+        for k, axis in enumerate(_AXES):
+            add(f"{body}.velocity_{axis}", "m/s", arrays["velocity"][:, k, i])
+        for k, axis in enumerate(_AXES):
+            add(f"{body}.angular_velocity_{axis}", "rad/s", arrays["angular_velocity"][:, k, i])
         for k, axis in enumerate(_AXES if footing is not None else ()):
             add(f"{body}.contact_force_{axis}", "N", force[:, k, owners == i].sum(1))
     pairs = simulation.world.pairs
     if pairs is not None:
-        pushes, points = np.asarray(frames["pair_force"])[..., 0], np.array(pairs.owners)
+        pushes, points = arrays["pair_force"], np.array(pairs.owners)
         for first, second in zip(pairs.first, pairs.second, strict=True):
             own = (points[0] == first) & (points[1] == second)
             add(f"{tree.names[first]}-{tree.names[second]}.push", "N", pushes[:, own].sum(1))
     for j, dof in enumerate(recording.dof_names):
         add(f"{dof}.angle", "rad", recording.joint_angle[:, j])
+        add(f"{dof}.rate", "rad/s", arrays["joint_rate"][:, j])
         add(f"{dof}.target_rate", "rad/s", recording.target_rate[:, j])
         add(f"{dof}.torque", "N m", recording.torque[:, j])
         add(f"{dof}.signal", "1", recording.cpg_output[:, j])
-    add("energy", "J", np.asarray(frames["energy"])[:, 0])
+    for name, values in arrays.items():
+        if name.startswith((SENSE, NERVE)):
+            rows = values.reshape(len(values), -1)
+            for k in range(rows.shape[1]):
+                add(f"{name}.{k}", "1", rows[:, k])
+    add("energy", "J", arrays["energy"])
     for name in ("solved_residual", "coulomb_residual"):
-        if name in frames:
-            add(name, "1", np.asarray(frames[name])[:, 0])
+        if name in arrays:
+            add(name, "1", arrays[name])
     return Record(columns, units, recording)

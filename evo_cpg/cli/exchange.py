@@ -5,15 +5,67 @@ from pathlib import Path
 
 from evo_cpg.cli.building import build
 from evo_cpg.cli.errors import UsageError
-from evo_cpg.cli.training import open_run
+from evo_cpg.cli.progress import working
+from evo_cpg.cli.training import champion_motion, champion_record, open_run
 from evo_cpg.config.load import dump_creature, load_config
 from evo_cpg.exchange.mjcf_export import mjcf_model, mjcf_text
 from evo_cpg.exchange.mjcf_import import read_mjcf
+from evo_cpg.training.run_folder import write_whole
 
 
-def export_model(source: Path, output: Path, overwrite: bool) -> None:
-    """`evo-cpg export`."""
+def export(
+    source: Path, output: Path, overwrite: bool, number: int | None, trial: int, cell: str | None
+) -> None:
+    """`evo-cpg export`: the suffix says what."""
     _require_free(output, overwrite)
+    suffix = output.suffix.lower()
+    if suffix not in (".xml", *MOTIONS):
+        named = f"ends in {output.suffix!r}" if output.suffix else "has no suffix"
+        raise UsageError(f"cannot write {output}: the name {named}; use .xml, {', '.join(MOTIONS)}")
+    if suffix == ".xml":
+        if number is not None or trial or cell is not None:
+            raise UsageError(f"{output}: has no motion; leave out --run, --trial, --cell")
+        export_model(source, output)
+        return
+    if not source.is_dir():
+        raise UsageError(f"{source} is no run folder: only a run has a motion for {output.name}")
+    MOTIONS[suffix](source, output, number, trial, cell)
+    print(output)
+
+
+def _export_scene(
+    run: Path, output: Path, number: int | None, trial: int, cell: str | None
+) -> None:
+    """An animated scene."""
+    experiment, _, recording, _ = champion_motion(run, number, trial, cell)
+    with working("writing the scene"):
+        from evo_cpg.exchange.gltf_film import gltf_film
+
+        world = experiment.simulation.world
+        scene = gltf_film(
+            experiment.creature,
+            recording,
+            title=experiment.name,
+            world="land" if world.water is None else "water",
+            ground=world.ground,
+            surface=None if world.water is None else world.water.surface,
+        )
+        write_whole(output, lambda file: file.write(scene))
+
+
+def _export_table(
+    run: Path, output: Path, number: int | None, trial: int, cell: str | None
+) -> None:
+    """The motion as named columns."""
+    record = champion_record(run, number, trial, cell)
+    record.to_csv(output) if output.suffix.lower() == ".csv" else record.to_npz(output)
+
+
+MOTIONS = {".glb": _export_scene, ".csv": _export_table, ".npz": _export_table}
+
+
+def export_model(source: Path, output: Path) -> None:
+    """A MuJoCo model."""
     if source.is_dir():
         _, _, experiment = open_run(source)
     else:

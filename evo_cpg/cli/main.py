@@ -594,13 +594,23 @@ def export(
             autocompletion=complete_config,
         ),
     ],
-    output: Annotated[Path, typer.Argument(metavar="OUT.xml", help="The MJCF file to write.")],
+    output: Annotated[
+        Path,
+        typer.Argument(
+            metavar="OUT",
+            help="A .xml file for a MuJoCo model; of a run also a .glb, .csv or .npz file for the "
+            "motion.",
+        ),
+    ],
+    number: Number = None,
+    trial: Trial = 0,
+    cell: Cell = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Write a creature and its world as a MuJoCo model."""
-    from evo_cpg.cli.exchange import export_model
+    """Write a creature as a MuJoCo model, or a run's motion as a 3D scene or a table."""
+    from evo_cpg.cli.exchange import export
 
-    export_model(source, output, overwrite)
+    export(source, output, overwrite, number, trial, cell)
 
 
 @app.command("import")

@@ -2,6 +2,7 @@
 
 import csv
 import math
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -15,6 +16,11 @@ if TYPE_CHECKING:
 
 # Columns of commands begin with this.
 TARGET = "target."
+
+_UNIT = re.compile(r"\s*\[[^]]*\]$")
+# By this a motion is known that `evo-cpg export` wrote; the root's comes first.
+_EXPORTED = ".rotation_xx"
+_ATTITUDE = ("xx", "yx", "zx", "zy", "zz")
 
 
 class MeasuredMotion(NamedTuple):
@@ -47,7 +53,8 @@ def read_motion(path: Path) -> MeasuredMotion:
         raise UsageError(f"{path}: cannot be read ({error})") from None
     if len(lines) < 2:
         raise UsageError(f"{path}: has no numbers; give a line of names and lines of numbers")
-    names = [name.strip() for name in lines[0][1]]
+    # A unit may stand behind a name: `time [s]`.
+    names = [_UNIT.sub("", name.strip()) for name in lines[0][1]]
     twice = [name for i, name in enumerate(names) if name in names[:i]]
     if twice:
         raise UsageError(f"{path}: the column {twice[0]!r} is there twice")
@@ -59,11 +66,11 @@ def read_motion(path: Path) -> MeasuredMotion:
             raise UsageError(f"{path}: line {line} has {len(row)} cells, not {len(names)}")
         for j, cell in enumerate(row):
             table[i, j] = _measured(cell, f"{path}: line {line}, {names[j]}")
-    columns = dict(zip(names, table.T, strict=True))
+    columns = _of_export(dict(zip(names, table.T, strict=True)))
     time = columns.pop("time")
     if not np.isfinite(time).all() or time.min() < 0 or (np.diff(time) <= 0).any():
         raise UsageError(f"{path}: time must grow from row to row, from 0 or later")
-    targets = {name: columns.pop(name) for name in names if name.startswith(TARGET)}
+    targets = {name: columns.pop(name) for name in [*columns] if name.startswith(TARGET)}
     for name, column in targets.items():
         if not np.isfinite(column).all():
             raise UsageError(f"{path}: {name} must be a number in every row")
@@ -71,6 +78,30 @@ def read_motion(path: Path) -> MeasuredMotion:
         raise UsageError(f"{path}: nothing was measured: there is only time")
     targets = {name.removeprefix(TARGET): column for name, column in targets.items()}
     return MeasuredMotion(time, tuple(columns), np.stack(list(columns.values()), 1), targets)
+
+
+def _of_export(columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """What a motion tracker would have seen of an exported motion; others as they are.
+
+    The attitude is yaw, then pitch, then roll about the root's own axes.
+    """
+    root = next((name.removesuffix(_EXPORTED) for name in columns if name.endswith(_EXPORTED)), "")
+    if not root:
+        return columns
+    xx, yx, zx, zy, zz = (columns[f"{root}.rotation_{axes}"] for axes in _ATTITUDE)
+    seen = {"time": columns["time"], **{axis: columns[f"{root}.{axis}"] for axis in "xyz"}}
+    seen |= {
+        "roll": np.arctan2(zy, zz),
+        "pitch": -np.arcsin(np.clip(zx, -1.0, 1.0)),
+        "yaw": np.arctan2(yx, xx),
+    }
+    for name, values in columns.items():
+        dof, _, what = name.rpartition(".")
+        if what == "angle":
+            seen[dof] = values
+        elif what == "target_rate":
+            seen[TARGET + dof] = values
+    return seen
 
 
 def commands(recording: MeasuredMotion, simulation: "Simulation") -> Commanded:

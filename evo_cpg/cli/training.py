@@ -40,6 +40,7 @@ from evo_cpg.training.memory import require_memory
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
 
 if TYPE_CHECKING:
+    from evo_cpg.api.record import Record
     from evo_cpg.training.processes import Team
 
 # The replayed fitness and terms must agree with those recorded to this relative accuracy. On the
@@ -277,16 +278,38 @@ def champion_motion(
         cell: see `open_champion`.
     """
     experiment, champion, recording, folder = open_champion(run, number, cell)
-    if trial >= experiment.trials:
-        raise UsageError(
-            f"--trial: an individual of {folder.path} has {experiment.trials} trial(s), counted "
-            "from 0"
-        )
+    _require_trial(experiment, folder, trial)
     # The folder keeps the motion in the first.
     if recording is None or trial > 0:
         devices = folder.read_meta().get("devices", 1)
         _, _, recording = live_again(experiment, champion, devices, trial)
     return experiment, champion, recording, folder
+
+
+def champion_record(
+    run: Path, number: int | None = None, trial: int = 0, cell: str | None = None
+) -> "Record":
+    """All that can be told of the champion's trial, lived again; see `champion_motion`."""
+    experiment, champion, _, folder = open_champion(run, number, cell)
+    _require_trial(experiment, folder, trial)
+    from evo_cpg.api.record import as_record
+    from evo_cpg.simulation.rollout import as_recording
+    from evo_cpg.training.loop import compile_life
+
+    with working("replaying the champion: compiling takes some seconds, a trial less"):
+        devices = folder.read_meta().get("devices", 1)
+        _, _, frames = compile_life(experiment, devices, trial)(champion)
+    names = [body.name for body in experiment.creature.bodies]
+    motion = as_recording(experiment.simulation, frames, names, trial=trial)
+    return as_record(experiment.simulation, frames, motion)
+
+
+def _require_trial(experiment: Experiment, folder: RunFolder, trial: int) -> None:
+    if trial >= experiment.trials:
+        raise UsageError(
+            f"--trial: an individual of {folder.path} has {experiment.trials} trial(s), counted "
+            "from 0"
+        )
 
 
 def use_cores_of(run: Path, cores: int | None = None) -> int:

@@ -5,13 +5,13 @@ Iwadate 2010), each as in `evo_cpg.simulation.control_step`.
 """
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int, UInt32
+from jaxtyping import Array, Bool, Float, Int, PyTree, UInt32
 
 from evo_cpg.creature.tree import Tree
 from evo_cpg.fusion.engine import using
@@ -25,12 +25,16 @@ from evo_cpg.simulation.recording import Recording
 from evo_cpg.simulation.rules import keeps
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.task import Task
-from evo_cpg.spatial.linear import expand_dims_like
+from evo_cpg.spatial.linear import cross, expand_dims_like
 
 # Beyond these rates (rad/s) and speeds (m/s) a trial counts as diverged: no animal of metre size
 # moves like that, and the step no longer resolves it.
 _WILDEST_RATE = 1e3
 _WILDEST_SPEED = 1e2
+
+
+# What frames call the readings of senses and the state of the controller.
+SENSE, NERVE = "sense.", "nerve."
 
 
 class Outcome(NamedTuple):
@@ -193,6 +197,7 @@ def _trial(
         frame = {}
         if recorded.stop:
             frame = fuse(functools.partial(_frame, tree), effects, batch_ndim=ndim)
+            frame |= nerve_frames(animal.nerves)
             frame = {name: values[..., recorded] for name, values in frame.items()}
         return (animal, tally, alive & sane), frame
 
@@ -227,10 +232,16 @@ def _frame(tree: Tree, effects: Effects) -> dict[str, Array]:
     kin = kinematics(tree, effects.before)
     com = expand_dims_like(tree.com, kin.origin)
     residual = {} if effects.residual is None else effects.residual._asdict()
+    # Joint angles and rates are those of the state.
+    senses = effects.observation._replace(joint_angle=None, joint_rate=None)._asdict()
+    lever = (kin.rotation * com[None]).sum(1)
     return {
-        "position": kin.origin + (kin.rotation * com[None]).sum(1),
+        "position": kin.origin + lever,
         "rotation": kin.rotation,
+        "velocity": kin.linear + cross(kin.angular, lever),
+        "angular_velocity": kin.angular,
         "joint_angle": effects.before.q,
+        "joint_rate": effects.before.qd,
         "target_rate": effects.command.target_rate,
         "cpg_output": effects.command.signal,
         "torque": effects.forces.torque,
@@ -238,12 +249,19 @@ def _frame(tree: Tree, effects: Effects) -> dict[str, Array]:
         "pair_force": effects.forces.pair_force,
         "energy": effects.energy,
         **{f"{name}_residual": values for name, values in residual.items()},
+        **{SENSE + name: values for name, values in senses.items() if values is not None},
     }
+
+
+def nerve_frames(nerves: PyTree[Array]) -> dict[str, Array]:
+    """What a controller remembers, by the names of its fields."""
+    leaves, _ = jax.tree_util.tree_flatten_with_path(nerves)
+    return {NERVE + jax.tree_util.keystr(path).strip("."): values for path, values in leaves}
 
 
 def as_recording(
     simulation: Simulation,
-    frames: dict[str, Array | np.ndarray],
+    frames: Mapping[str, Array | np.ndarray],
     names: list[str],
     individual: int = 0,
     trial: int = 0,

@@ -267,6 +267,21 @@ def compile_replay(
     native code whose results are what the trial amounted to, and the frames of all its individuals
     would take hundreds of megabytes. A recording takes a trial step by step.
     """
+    live = compile_life(experiment, devices, recorded)
+    names = [body.name for body in experiment.creature.bodies]
+
+    def of(champion: Champion) -> Replayed:
+        fitness, terms, frames = live(champion)
+        motion = as_recording(experiment.simulation, frames, names, trial=recorded)
+        return fitness, terms, motion
+
+    return of
+
+
+def compile_life(
+    experiment: Experiment, devices: int, recorded: int = 0
+) -> Callable[[Champion], tuple[float, dict[str, float], dict[str, Array]]]:
+    """As `compile_replay`, with all that was recorded of each control step in place of a motion."""
     simulation, genes = experiment.simulation, experiment.simulation.controller.gene_count
     numbers = situation_numbers(experiment)
     somebody = Champion(np.zeros(genes, np.float32), 0.0, 0, {}, {}, 0, 0)
@@ -280,15 +295,14 @@ def compile_replay(
     assessed = assess.lower(lived.out_info[0], scales).compile()
     run = lived.compile()
 
-    def of(champion: Champion) -> Replayed:
+    def of(champion: Champion) -> tuple[float, dict[str, float], dict[str, Array]]:
         given = np.asarray(champion.genes, np.float32), champion_keys(experiment, champion)
         outcome, frames = run(*given, numbers)
         fitness, mean = assessed(
             outcome, {name: jnp.float32(value) for name, value in champion.scales.items()}
         )
         terms = {name: float(value) for name, value in mean.terms.items()}
-        names = [body.name for body in experiment.creature.bodies]
-        return float(fitness), terms, as_recording(simulation, frames, names, trial=recorded)
+        return float(fitness), terms, frames
 
     return of
 

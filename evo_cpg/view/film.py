@@ -51,7 +51,7 @@ _STILL_OVERSAMPLING = 3.0
 # Window of the displayed speed, s: long enough to average a tail beat.
 _SPEED_WINDOW = 0.5
 # The floor lies this many radii of the animal below the lowest point of its way through water.
-_DEPTH = 0.55
+FLOOR_DEPTH = 0.55
 # Time in which the trail fades to a third, s.
 _TRAIL_FADE = 4.0
 # Angles of the camera that are tried in turn where something stands in its way, rad, and how far
@@ -61,7 +61,7 @@ _ELEVATIONS, _CLEARANCE, _HIDDEN = np.radians([16.0, 22.0, 28.0, 35.0, 45.0]), 0
 # Land rises out of the water within so many radii of the animal's way: the film shows the surface.
 _NEARBY = 4.0
 # The ground's mesh ends so many visibilities from the way, where it has faded to nothing.
-_HORIZON = 2.4
+HORIZON = 2.4
 
 
 class Stage(NamedTuple):
@@ -170,7 +170,7 @@ def film(
     width, height = (max(side // 2 * 2, 2) for side in size)
     rendered = (round(width * oversampling), round(height * oversampling))
 
-    if surface is not None and not _surface_is_seen(creature, clip, ground, surface):
+    if surface is not None and not surface_is_seen(creature, clip, ground, surface):
         surface = None
     stage = Stage(
         look=LOOKS[world] if surface is None else SHORE,
@@ -241,13 +241,18 @@ def camera_path(creature: Creature, recording: Recording, clip: Clip, stage: Sta
 
     def at(elevation: float) -> CameraPath:
         return follow(
-            clip.position, recording.goal, _reach(creature), stage.rate, width / height, elevation
+            clip.position,
+            recording.goal,
+            animal_reach(creature),
+            stage.rate,
+            width / height,
+            elevation,
         )
 
     path, ground = at(first), stage.ground
     if stage.surface is None and (ground is None or stage.level is not None):
         return path
-    margin = _CLEARANCE * _radius(creature, clip)
+    margin = _CLEARANCE * animal_radius(creature, clip)
 
     def top(place: np.ndarray) -> np.ndarray:
         if ground is None:
@@ -270,12 +275,12 @@ def _set_scene(
     look = stage.look
     camera = camera_path(creature, recording, clip, stage)
     half_extents = np.array([body.shape.half_extents for body in creature.bodies])
-    reach = _reach(creature)
-    radius = _radius(creature, clip)
+    reach = animal_reach(creature)
+    radius = animal_radius(creature, clip)
     lit = bool(np.isfinite(recording.goal).all())
     shown = np.concatenate([camera.focus, recording.goal[None]]) if lit else camera.focus
     lowest = min(clip.position[..., 2].min() - reach, shown[:, 2].min())
-    floor = lowest - _DEPTH * radius if stage.level is None else stage.level
+    floor = lowest - FLOOR_DEPTH * radius if stage.level is None else stage.level
     spacing = grid_spacing(2 * radius)
     centre = clip.position.mean(1)
     head = clip.position[:, head_index(creature)]
@@ -293,7 +298,7 @@ def _set_scene(
     if stage.surface is not None or (stage.ground is not None and stage.level is None):
         ground = Plane(height=floor) if stage.ground is None else stage.ground.floor
         filmed = np.concatenate([shown, clip.position.reshape(-1, 3)])[:, :2]
-        terrain = make_terrain(ground, filmed, radius, _HORIZON * look.visibility * radius)
+        terrain = make_terrain(ground, filmed, radius, HORIZON * look.visibility * radius)
     if stage.ground is not None:
         # Where it swims its way stays in the water.
         deep = np.inf if look.particles else None
@@ -387,7 +392,7 @@ def _add_terrain(
     away: float,
 ) -> tuple[list[Callable[[np.ndarray], None]], list[Callable[[np.ndarray, np.ndarray], None]]]:
     """Ground that is not level, its obstacles, and what lies on it."""
-    look, surface, radius = stage.look, stage.surface, _radius(creature, clip)
+    look, surface, radius = stage.look, stage.surface, animal_radius(creature, clip)
     net = marks or Marks(np.zeros(2), 0.0, CELLS * spacing)
     moving = [add_relief(plotter, look, terrain, radius, spacing, net, sight, sun, surface)]
 
@@ -430,7 +435,7 @@ def _laid_down(
     return np.column_stack([path[:, :2], np.clip(path[:, 2], low, top)])
 
 
-def _surface_is_seen(creature: Creature, clip: Clip, ground: Ground | None, surface: float) -> bool:
+def surface_is_seen(creature: Creature, clip: Clip, ground: Ground | None, surface: float) -> bool:
     """Whether the animal, or land near its way, rises out of the water."""
     for i, body in enumerate(creature.bodies):
         # Upwards, in the body's frame.
@@ -440,18 +445,18 @@ def _surface_is_seen(creature: Creature, clip: Clip, ground: Ground | None, surf
             return True
     if ground is None:
         return False
-    near = _NEARBY * _radius(creature, clip)
+    near = _NEARBY * animal_radius(creature, clip)
     way = clip.position.reshape(-1, 3)[:, :2]
     return bool(make_terrain(ground.floor, way, near / 4, near).z.max() > surface)
 
 
-def _radius(creature: Creature, clip: Clip) -> float:
+def animal_radius(creature: Creature, clip: Clip) -> float:
     """Distance of the animal's far ends from its middle at the start, m."""
     start = clip.position[0]
-    return float(np.linalg.norm(start - start.mean(0), axis=-1).max()) + _reach(creature)
+    return float(np.linalg.norm(start - start.mean(0), axis=-1).max()) + animal_reach(creature)
 
 
-def _reach(creature: Creature) -> float:
+def animal_reach(creature: Creature) -> float:
     """Largest distance from a body's centre that a part of it may have, m."""
     return max(body.shape.reach for body in creature.bodies)
 

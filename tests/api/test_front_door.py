@@ -133,8 +133,40 @@ def test_a_record_has_named_columns_and_becomes_a_table(experiment, genomes, tmp
     record.to_csv(tmp_path / "motion.csv")
     with (tmp_path / "motion.csv").open() as file:
         rows = list(csv.DictReader(file))
-    assert len(rows) == steps and list(rows[0]) == list(record)
-    assert float(rows[7]["head.z"]) == pytest.approx(float(record["head.z"][7]))
+    assert len(rows) == steps
+    assert list(rows[0]) == [f"{name} [{record.units[name]}]" for name in record]
+    assert float(rows[7]["head.z [m]"]) == pytest.approx(float(record["head.z"][7]))
+
+
+def test_a_record_holds_what_the_animal_senses_does_and_remembers(experiment, genomes, tmp_path):
+    record = experiment.record(0, genomes[0])
+    record.to_npz(tmp_path / "motion.npz")
+    with np.load(tmp_path / "motion.npz", allow_pickle=False) as file:
+        arrays = dict(file)
+    units = dict(zip(arrays.pop("columns"), arrays.pop("units"), strict=True))
+    assert units == record.units and set(arrays) == set(record)
+    for name, values in record.items():
+        np.testing.assert_array_equal(arrays[name], values)
+    # Central differences of the places and angles, of an animal that starts at rest.
+    dt = record["time"][1] - record["time"][0]
+    for place, rate in (
+        *(
+            (f"{body}.{axis}", f"{body}.velocity_{axis}")
+            for body in ("head", "segment2")
+            for axis in "xyz"
+        ),
+        ("segment1.z.angle", "segment1.z.rate"),
+    ):
+        found, slope = record[rate][1:-1], (record[place][2:] - record[place][:-2]) / (2 * dt)
+        assert np.abs(found - slope).max() < 0.25 * np.abs(found).max()
+    # An oscillator's signal is the difference of what its two neurons put out.
+    assert record["head.angular_velocity_z"].std() > 0
+    pairs = len([name for name in record if name.endswith(".signal")])
+    potential = np.stack([record[f"nerve.potential.{k}"] for k in range(2 * pairs)])
+    output = np.maximum(potential, 0)
+    signal = np.stack([record[n] for n in record if n.endswith(".signal")])
+    np.testing.assert_allclose(output[:pairs] - output[pairs:], signal, atol=1e-6)
+    assert 0 < record["sense.light.0"].max() <= 1
 
 
 def test_the_fitness_function_has_the_value_and_a_slope(experiment, genomes, evaluation):

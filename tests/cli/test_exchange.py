@@ -1,12 +1,18 @@
 """`evo-cpg export` and `evo-cpg import`: files that load, and nothing overwritten."""
 
+import csv
 import shutil
 
 import mujoco
+import numpy as np
 import pytest
+import trimesh
 import yaml
+from scipy.spatial.transform import Rotation
 
+from evo_cpg.cli.measured_motion import read_motion
 from evo_cpg.config.load import load_config
+from evo_cpg.training.run_folder import RunFolder
 from tiny_run import CONFIG, REPOSITORY
 
 WALKER = REPOSITORY / "configs" / "hexapod.yaml"
@@ -48,7 +54,8 @@ def test_a_run_goes_out_and_says_what_stays(cli, tmp_path):
 
 @pytest.mark.parametrize("command", ["export", "import"])
 def test_a_file_is_replaced_only_when_told(cli, tmp_path, command):
-    model, used = tmp_path / "in.xml", tmp_path / "out"
+    name = "out.xml" if command == "export" else "out.yaml"
+    model, used = tmp_path / "in.xml", tmp_path / name
     assert cli("export", WALKER, model)[0] == 0
     source = WALKER if command == "export" else model
     used.write_text("years of work")
@@ -60,11 +67,9 @@ def test_a_file_is_replaced_only_when_told(cli, tmp_path, command):
     assert used.read_text() == "years of work"
     assert cli(command, source, used, "--overwrite")[0] == 0
     assert "hexapod" in used.read_text()
-    code, out, err = cli(command, source, tmp_path / "no" / "out")
+    code, out, err = cli(command, source, tmp_path / "no" / name)
     assert (code, out) == (2, "")
-    assert (
-        err == f"evo-cpg: {tmp_path / 'no' / 'out'} cannot be written (No such file or directory)\n"
-    )
+    assert err.startswith(f"evo-cpg: {tmp_path / 'no' / name} cannot be written (No such file")
 
 
 def test_what_cannot_come_in_is_refused_and_nothing_written(cli, tmp_path):
@@ -80,3 +85,74 @@ def test_what_cannot_come_in_is_refused_and_nothing_written(cli, tmp_path):
     code, out, err = cli("import", model, animal, "--motor-gain", 0)
     assert (code, err) == (2, "evo-cpg: --motor-gain: must be greater than 0, got 0\n")
     assert not animal.exists()
+
+
+@pytest.fixture(scope="module")
+def exported(cli, finished_run, tmp_path_factory):
+    """What a run's motion goes out as, by suffix."""
+    place = tmp_path_factory.mktemp("exported")
+    for name in ("motion.csv", "motion.npz", "motion.glb"):
+        code, out, err = cli("export", finished_run, place / name)
+        assert (code, out) == (0, f"{place / name}\n"), err
+    return place
+
+
+def test_the_motion_of_a_run_goes_out_with_names_and_units(finished_run, exported):
+    _, motion, _ = RunFolder(finished_run).load_champion()
+    with (exported / "motion.csv").open() as file:
+        names = next(csv.reader(file))
+    table = np.loadtxt(exported / "motion.csv", delimiter=",", skiprows=1)
+    with np.load(exported / "motion.npz", allow_pickle=False) as file:
+        arrays = dict(file)
+    columns = arrays["columns"].tolist()
+    units = dict(zip(columns, arrays["units"].tolist(), strict=True))
+    assert names == [f"{name} [{units[name]}]" for name in columns]
+    for name, column in zip(columns, table.T, strict=True):
+        np.testing.assert_allclose(column, arrays[name], rtol=1e-6, atol=1e-12)
+    # That of the film.
+    np.testing.assert_allclose(arrays["head.y"], motion.position[:, 0, 1], atol=1e-6)
+    assert (units["head.y"], units["segment1.z.rate"]) == ("m", "rad/s")
+    # And of the scene, which holds single precision.
+    scene = trimesh.load_scene(exported / "motion.glb")
+    assert {"head", "segment1"} <= set(scene.geometry)
+
+
+def test_an_exported_table_is_a_measured_motion(exported):
+    """As `fit` reads it: attitudes are those of the rotation, yaw, then pitch, then roll."""
+    with np.load(exported / "motion.npz") as file:
+        arrays = dict(file)
+    measured = read_motion(exported / "motion.csv")
+    assert measured.columns == ("x", "y", "z", "roll", "pitch", "yaw", "segment1.z")
+    assert list(measured.targets) == ["segment1.z"]
+    seen = dict(zip(measured.columns, measured.data.T, strict=True))
+    np.testing.assert_allclose(seen["segment1.z"], arrays["segment1.z.angle"], atol=1e-7)
+    np.testing.assert_allclose(
+        measured.targets["segment1.z"], arrays["segment1.z.target_rate"], atol=1e-6
+    )
+    turn = Rotation.from_euler("ZYX", np.stack([seen[n] for n in ("yaw", "pitch", "roll")], 1))
+    given = np.stack([[arrays[f"head.rotation_{a}{b}"] for b in "xyz"] for a in "xyz"])
+    np.testing.assert_allclose(turn.as_matrix(), np.moveaxis(given, -1, 0), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("source", "name", "options", "words"),
+    [
+        (WALKER, "a.obj", (), "cannot write {out}: the name ends in '.obj'; use .xml, .glb, "),
+        (WALKER, "a", (), "cannot write {out}: the name has no suffix; use .xml, .glb, "),
+        (WALKER, "a.glb", (), f"{WALKER} is no run folder: only a run has a motion for a.glb"),
+        (WALKER, "a.xml", ("--trial", 1), "{out}: has no motion; leave out --run, --trial, --cell"),
+    ],
+)
+def test_what_cannot_go_out_is_refused(cli, tmp_path, source, name, options, words):
+    code, out, err = cli("export", source, tmp_path / name, *options)
+    assert (code, out) == (2, "")
+    assert words.format(out=tmp_path / name) in err
+    assert not (tmp_path / name).exists()
+
+
+def test_only_trials_that_there_are_go_out(cli, finished_run, tmp_path):
+    for name in ("a.csv", "a.glb"):
+        code, _, err = cli("export", finished_run, tmp_path / name, "--trial", 1)
+        assert code == 2 and "has 1 trial(s), counted from 0" in err
+    code, _, err = cli("export", finished_run, tmp_path / "none" / "a.csv")
+    assert code == 2 and "cannot write" in err

@@ -1,0 +1,178 @@
+"""Animated scenes: what the file says of the bodies is the trajectory's, and the file is sound."""
+
+import json
+import os
+import shutil
+import struct
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from evo_cpg.exchange.errors import ExchangeError
+from evo_cpg.exchange.gltf_film import Z_UP, gltf_film, quaternions
+from evo_cpg.physics.footing import Ground
+from evo_cpg.physics.terrain import Block, Boulder, Plane, Shore
+from view import synthetic
+
+# Where `npm install gltf-validator` was run; Node looks in the folders above the tests, too.
+_PACKAGES = os.environ.get("NODE_PATH", "")
+_VALIDATE = """
+const fs = require("fs"), validator = require("gltf-validator");
+validator.validateBytes(new Uint8Array(fs.readFileSync(process.argv[1])))
+  .then(report => console.log(JSON.stringify(report.issues)));
+"""
+_STONES = (Boulder((1.0, 0.5, 0.1), 0.2), Block((2.0, -0.5, 0.1), (0.2, 0.1, 0.1), 0.3))
+SCENES = {
+    "swimmer": (synthetic.swimmer, synthetic.swim, {"world": "water"}),
+    "walker": (synthetic.walker, synthetic.walk, {"world": "land", "ground": Ground()}),
+    "stones": (
+        synthetic.walker,
+        synthetic.walk,
+        {"world": "land", "ground": Ground(floor=Plane(), obstacles=_STONES)},
+    ),
+    "shore": (
+        synthetic.walker,
+        synthetic.walk,
+        {
+            "world": "water",
+            "ground": Ground(floor=Shore(start=1.0, stop=4.0, stop_height=1.0)),
+            "surface": 0.6,
+        },
+    ),
+}
+
+
+@pytest.fixture(scope="module", params=SCENES, ids=str)
+def scene(request):
+    make, move, settings = SCENES[request.param]
+    creature, recording = make(), move(4.0)
+    return creature, recording, gltf_film(creature, recording, title="a title", **settings)
+
+
+def decode(data):
+    """The JSON document of a file, and its accessors as arrays: written anew for the test."""
+    magic, version, length = struct.unpack_from("<4sII", data)
+    assert (magic, version, length) == (b"glTF", 2, len(data))
+    size, kind = struct.unpack_from("<I4s", data, 12)
+    assert kind == b"JSON"
+    document = json.loads(data[20 : 20 + size])
+    binary = data[20 + size + 8 :]
+    widths = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+    arrays = []
+    for accessor in document["accessors"]:
+        view = document["bufferViews"][accessor["bufferView"]]
+        dtype = {5126: "<f4", 5125: "<u4"}[accessor["componentType"]]
+        width = widths[accessor["type"]]
+        count = accessor["count"] * width
+        array = np.frombuffer(binary, dtype, count, view["byteOffset"]).reshape(-1, width)
+        arrays.append(array)
+    return document, arrays
+
+
+def matrix(quaternion):
+    """Rotations of unit quaternions x, y, z, w (Shoemake 1985)."""
+    x, y, z, w = np.moveaxis(quaternion, -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+
+
+def test_the_bodies_move_as_in_the_recording(scene):
+    creature, recording, data = scene
+    document, arrays = decode(data)
+    nodes, motion = document["nodes"], document["animations"][0]
+    moved = {}
+    for channel in motion["channels"]:
+        sampler = motion["samplers"][channel["sampler"]]
+        assert sampler["interpolation"] == "LINEAR"
+        np.testing.assert_allclose(arrays[sampler["input"]][:, 0], recording.time, atol=1e-5)
+        target = channel["target"]
+        moved[nodes[target["node"]]["name"], target["path"]] = arrays[sampler["output"]]
+    assert len(moved) == 2 * len(creature.bodies)
+    for i, body in enumerate(creature.bodies):
+        place, turn = moved[body.name, "translation"], moved[body.name, "rotation"]
+        np.testing.assert_allclose(place, recording.position[:, i], atol=1e-5)
+        np.testing.assert_allclose(matrix(turn.astype(float)), recording.rotation[:, i], atol=1e-5)
+        np.testing.assert_allclose(np.linalg.norm(turn, axis=1), 1, atol=1e-6)
+        assert ((turn[1:] * turn[:-1]).sum(1) > 0).all()
+
+
+def test_what_is_up_here_is_up_there(scene):
+    document, _ = decode(scene[2])
+    world = document["nodes"][document["scenes"][0]["nodes"][0]]
+    assert world["name"] == "world" and world["rotation"] == list(Z_UP)
+    np.testing.assert_allclose(matrix(np.array(Z_UP)) @ [0, 0, 1], [0, 1, 0], atol=1e-12)
+    np.testing.assert_allclose(matrix(np.array(Z_UP)) @ [1, 0, 0], [1, 0, 0], atol=1e-12)
+
+
+def test_another_reader_finds_the_animal_and_its_world(scene, tmp_path):
+    creature, recording, data = scene
+    (tmp_path / "scene.glb").write_bytes(data)
+    loaded = trimesh.load_scene(tmp_path / "scene.glb")
+    assert {body.name for body in creature.bodies} <= set(loaded.geometry)
+    for body in creature.bodies:
+        size = loaded.geometry[body.name].extents / 2
+        np.testing.assert_allclose(size, body.shape.half_extents, rtol=0.02)
+    document, _ = decode(data)
+    names = [node["name"] for node in document["nodes"]]
+    assert len(set(names)) == len(names) and {"ground", "sun"} <= set(names)
+    lit = bool(np.isfinite(recording.goal).all())
+    assert ("light" in names) == lit
+    if lit:
+        light = document["nodes"][names.index("light")]
+        np.testing.assert_allclose(light["translation"], recording.goal, atol=1e-5)
+
+
+def test_stones_and_water_are_where_they_are():
+    scenes = {}
+    for name in ("stones", "shore"):
+        make, move, settings = SCENES[name]
+        scenes[name] = decode(gltf_film(make(), move(1.0), title="", **settings))
+    document, _ = scenes["stones"]
+    stones = [node for node in document["nodes"] if node["name"].startswith("obstacle")]
+    assert [node["translation"] for node in stones] == [list(s.centre) for s in _STONES]
+    document, arrays = scenes["shore"]
+    (water,) = (mesh for mesh in document["meshes"] if mesh["name"] == "water")
+    height = arrays[water["primitives"][0]["attributes"]["POSITION"]][:, 2]
+    np.testing.assert_allclose(height, 0.6, rtol=1e-6)
+
+
+def test_quaternions_never_jump():
+    """A turn of 720 degrees about z, whose quaternions change sign on the way."""
+    angle = np.linspace(0, 4 * np.pi, 200)
+    c, s, o = np.cos(angle), np.sin(angle), np.zeros(200)
+    turn = np.moveaxis(np.array([[c, -s, o], [s, c, o], [o, o, o + 1]]), -1, 0)
+    found = quaternions(turn)
+    half = np.stack([o, o, np.sin(angle / 2), np.cos(angle / 2)], 1)
+    np.testing.assert_allclose(found * np.sign(found[0, 3]), half, atol=1e-9)
+
+
+def test_recordings_that_cannot_be_shown_are_refused():
+    creature, recording = synthetic.walker(), synthetic.walk(0.5)
+    with pytest.raises(ExchangeError, match="the recording is empty"):
+        gltf_film(creature, recording._replace(time=recording.time[:0]), title="", world="land")
+    broken = recording._replace(position=np.full_like(recording.position, np.nan))
+    with pytest.raises(ExchangeError, match="the recording diverges"):
+        gltf_film(creature, broken, title="", world="land")
+
+
+def test_the_khronos_validator_has_nothing_to_say(scene, tmp_path):
+    node = shutil.which("node")
+    if node is None:
+        pytest.skip("there is no node")
+    environment = os.environ | {"NODE_PATH": _PACKAGES}
+    place = {"cwd": Path(__file__).parent, "env": environment, "capture_output": True}
+    look = [node, "-e", 'require.resolve("gltf-validator")']
+    if subprocess.run(look, check=False, **place).returncode:
+        pytest.skip("node has no package gltf-validator (npm install gltf-validator)")
+    (tmp_path / "scene.glb").write_bytes(scene[2])
+    command = [node, "-e", _VALIDATE, str(tmp_path / "scene.glb")]
+    done = subprocess.run(command, check=True, text=True, **place)
+    issues = json.loads(done.stdout)
+    assert issues["messages"] == [] and issues["numErrors"] == 0
