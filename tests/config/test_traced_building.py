@@ -68,7 +68,8 @@ def check_elements(config, keys, accuracy=1e-14):
 
 
 @pytest.mark.usefixtures("x64")
-def test_a_swimmers_numbers():
+@pytest.mark.parametrize("every", [3, pytest.param(1, marks=pytest.mark.slow)], ids=["some", "all"])
+def test_a_swimmers_numbers(every):
     settings = (
         "world.water.added_mass=true",
         "simulation.substeps=1",
@@ -89,7 +90,7 @@ def test_a_swimmers_numbers():
         "controller.cpg.child_weight",
         "controller.steering_range",
     ]
-    check_elements(config, keys)
+    check_elements(config, keys[::every])
 
 
 SHAPES = """

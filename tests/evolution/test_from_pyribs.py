@@ -118,7 +118,13 @@ def require_same(strategy, generations, evaluate=worth):
     return restarts
 
 
-@pytest.mark.parametrize("es", ALGORITHMS)
+@pytest.mark.parametrize(
+    "es",
+    [
+        pytest.param(es, marks=[pytest.mark.slow] if es == "cma_es" else [], id=es)
+        for es in ALGORITHMS
+    ],
+)
 def test_it_is_pyribs_to_the_bit(es):
     """Also where emitters begin anew: they do as soon as a sample of theirs is all on a plateau."""
     options = (("lr", 0.05),) if es == "openai_es" else ()

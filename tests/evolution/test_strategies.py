@@ -140,10 +140,10 @@ def test_what_a_search_knows_goes_through_arrays(name):
     like = jax.eval_shape(lambda: state)
     again = jax.tree.map(jnp.asarray, state_from(arrays, like))
     last = jnp.asarray(populations[-1])
-    worth = sphere(last)
+    worth, tell = sphere(last), jax.jit(strategy.tell)
     for one, other in zip(
-        jax.tree.leaves(strategy.tell(jax.random.key(1), state, last, worth)),
-        jax.tree.leaves(strategy.tell(jax.random.key(1), again, last, worth)),
+        jax.tree.leaves(tell(jax.random.key(1), state, last, worth)),
+        jax.tree.leaves(tell(jax.random.key(1), again, last, worth)),
         strict=True,
     ):
         np.testing.assert_array_equal(one, other)
@@ -219,14 +219,17 @@ def test_islands_apart_evolve_as_if_each_were_alone():
     genetics = RealGenetics(8, 2, 0.5, 0.2, 0.3, 0.3, 8.0)
     islands = Islands(SIZE, genetics, 3, every=1000, migrants=1)
     genes = jax.random.normal(jax.random.key(1), (GENES, SIZE))
-    _, state = islands.ask(jax.random.key(0), islands.init(jax.random.key(0), genes))
     worth, key = sphere(genes), jax.random.key(2)
-    together, _ = islands.ask(key, islands.tell(key, state, genes, worth))
+
+    @jax.jit
+    def search_together(genes):
+        _, state = islands.ask(jax.random.key(0), islands.init(jax.random.key(0), genes))
+        return islands.ask(key, islands.tell(key, state, genes, worth))[0]
+
+    together, breed_alone = search_together(genes), jax.jit(genetics.next_generation)
     for i in range(3):
         own = slice(8 * i, 8 * i + 8)
-        alone = genetics.next_generation(
-            jax.random.fold_in(key, i), genes[:, own], worth.fitness[own]
-        )
+        alone = breed_alone(jax.random.fold_in(key, i), genes[:, own], worth.fitness[own])
         np.testing.assert_array_equal(together[:, own], alone)
 
 

@@ -107,7 +107,7 @@ def test_friction_differs_evenly_from_trial_to_trial():
 
 
 @pytest.mark.usefixtures("x64")
-@pytest.mark.parametrize("engine", ["auto", "jax"])
+@pytest.mark.parametrize("engine", ["auto", pytest.param("jax", marks=pytest.mark.slow)])
 def test_a_trial_on_rougher_ground_is_one_with_more_friction(engine):
     creature = swimmer(EYES)
     tree = build_tree(creature)
