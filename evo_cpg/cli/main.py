@@ -25,6 +25,14 @@ class What(enum.StrEnum):
     POPULATION = "population"
 
 
+class View(enum.StrEnum):
+    """From where a film shows the animal; those of `evo_cpg.view.camera.CAMERAS`."""
+
+    FOLLOW = "follow"
+    SIDE = "side"
+    TOP = "top"
+
+
 app = typer.Typer(
     name="evo-cpg",
     help="Evolve the motion of virtual creatures.",
@@ -355,6 +363,7 @@ def render(
         typer.Option("--output", "-o", help="A .mp4, .gif or .png file; in RUN/videos by default."),
     ] = None,
     size: Annotated[str, typer.Option(help="WIDTHxHEIGHT in pixels.")] = "1280x720",
+    camera: Annotated[View, typer.Option(help="From where the animal is seen.")] = View.FOLLOW,
     fps: Annotated[float, typer.Option(min=1, max=240, help="Frames per second.")] = 30.0,
     speed: Annotated[float, typer.Option(min=0.01, help="Speed of the film; 1 is real.")] = 1.0,
     seconds: Annotated[
@@ -367,7 +376,7 @@ def render(
     """Film the champion of a run, or anybody on its map of behaviour."""
     from evo_cpg.cli.pictures import render_run
 
-    render_run(run, output, size, fps, speed, seconds, number, trial, cell)
+    render_run(run, output, size, camera, fps, speed, seconds, number, trial, cell)
 
 
 @app.command()

@@ -25,6 +25,7 @@ def render_run(
     run: Path,
     output: Path | None,
     size: str,
+    camera: str,
     fps: float,
     speed: float,
     seconds: float | None,
@@ -40,7 +41,8 @@ def render_run(
     world = experiment.simulation.world
     name = "champion" if cell is None else f"cell_{cell.replace(',', '_')}"
     name += "" if number is None else f"_run{number}"
-    path = output or folder.path / "videos" / f"{name}{_of_trial(trial)}.mp4"
+    name += _of_trial(trial) + ("" if camera == "follow" else f"_{camera}")
+    path = output or folder.path / "videos" / f"{name}.mp4"
     with working("rendering", counted=True) as work:
         made = film(
             experiment.creature,
@@ -54,6 +56,7 @@ def render_run(
             world="land" if world.water is None else "water",
             ground=world.ground,
             surface=None if world.water is None else world.water.surface,
+            camera=camera,
             progress=work.reached,
         )
     print(made)

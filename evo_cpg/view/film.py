@@ -19,7 +19,7 @@ from evo_cpg.creature.creature import Creature
 from evo_cpg.physics.footing import Ground
 from evo_cpg.physics.terrain import Plane
 from evo_cpg.simulation.recording import Recording
-from evo_cpg.view.camera import CameraPath, course, follow, hidden, smooth
+from evo_cpg.view.camera import CameraPath, aspect_of, course, follow, hidden, smooth
 from evo_cpg.view.captions import add_captions
 from evo_cpg.view.goal_light import add_goal_light
 from evo_cpg.view.ground import Marks, add_floor, add_numbers, grid_spacing, mark_spacing
@@ -76,6 +76,7 @@ class Stage(NamedTuple):
         speed: recorded seconds per second of film.
         ground: None where there is none.
         surface: height of the water's surface, m; None where none is seen.
+        camera: from where the animal is seen, one of `evo_cpg.view.camera.CAMERAS`.
     """
 
     look: Look
@@ -86,6 +87,7 @@ class Stage(NamedTuple):
     speed: float
     ground: Ground | None = None
     surface: float | None = None
+    camera: str = "follow"
 
     @property
     def level(self) -> float | None:
@@ -124,6 +126,7 @@ def film(
     world: str = "water",
     ground: Ground | None = None,
     surface: float | None = None,
+    camera: str = "follow",
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:
     """Render a recording.
@@ -144,6 +147,8 @@ def film(
             there is none, and a floor is drawn below the animal's way.
         surface: height of the water's surface, m. It is shown, from above and in daylight, where
             the animal comes out of it or land near its way does.
+        camera: from where the animal is seen: ``follow`` (from behind towards the light, or else
+            from the side and a little ahead), ``side`` or ``top``.
         progress: called with the number of frames done and their total.
 
     Returns:
@@ -156,6 +161,7 @@ def film(
     """
     path = output_path(path, FILM_SUFFIXES)
     _check(creature, recording, size, fps, speed, world)
+    aspect_of(camera)
     if surface is not None and not np.isfinite(surface):
         raise ValueError(f"surface is {surface:g}; it must be finite, or None where there is none")
     if seconds is not None and seconds < 0:
@@ -181,6 +187,7 @@ def film(
         speed=speed,
         ground=ground,
         surface=surface,
+        camera=camera,
     )
     with canvas(rendered) as plotter:
         show = _set_scene(plotter, creature, recording, clip, stage)
@@ -237,7 +244,9 @@ def camera_path(creature: Creature, recording: Recording, clip: Clip, stage: Sta
     """The camera that looks at these frames, over whatever stands in its way."""
     width, height = stage.size
     look, lit = stage.look, np.isfinite(recording.goal).all()
-    first = look.elevation if lit else look.side_elevation
+    first, turn = look.elevation if lit else look.side_elevation, None
+    if (aspect := aspect_of(stage.camera)) is not None:
+        turn, first = aspect
 
     def at(elevation: float) -> CameraPath:
         return follow(
@@ -247,6 +256,7 @@ def camera_path(creature: Creature, recording: Recording, clip: Clip, stage: Sta
             stage.rate,
             width / height,
             elevation,
+            turn,
         )
 
     path, ground = at(first), stage.ground

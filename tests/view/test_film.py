@@ -12,6 +12,8 @@ import pytest
 import synthetic
 from PIL import Image
 
+from evo_cpg.physics.footing import Ground
+from evo_cpg.physics.terrain import Boulder, Plane
 from evo_cpg.view import output
 from evo_cpg.view.camera import follow, project, smooth
 from evo_cpg.view.film import Stage, camera_path, film, sample
@@ -113,6 +115,47 @@ def test_the_light_is_in_the_frame_from_the_start_and_never_near_the_camera(crea
     goals = np.repeat(recording.goal[None, None], len(clip.time), 0)
     assert np.abs(project(camera, goals, 1280 / 720)).max() < 1
     assert np.linalg.norm(camera.position - recording.goal, axis=1).min() > 2
+
+
+@pytest.mark.parametrize("world", ["water", "land"])
+@pytest.mark.parametrize("view", ["side", "top"])
+def test_from_the_side_and_from_above_the_animal_crosses_the_picture(
+    creature, recording, world, view
+):
+    clip = sample(recording, 30)
+    camera = camera_path(creature, recording, clip, stage(world)._replace(camera=view))
+    place = project(camera, clip.position, 1280 / 720)
+    assert np.abs(place).max() < 0.95
+    # Its way goes to the right, and what is above or to the left of it is higher in the picture.
+    way = recording.goal - clip.position[0].mean(0)
+    way /= np.linalg.norm(way)
+    upward = {"side": [0.0, 0.0, 1.0], "top": [-way[1], way[0], 0.0]}[view]
+    points = camera.focus[:, None] + 0.1 * np.stack([0 * way, way, upward])
+    middle, ahead, up = project(camera, points, 1280 / 720).swapaxes(0, 1)
+    assert np.allclose(middle, 0, atol=1e-9)
+    assert (ahead[:, 0] > 0.01).all() and np.abs(ahead[:, 1]).max() < 1e-3
+    assert (up[:, 1] > 0.02).all() and np.abs(up[:, 0]).max() < 1e-6
+
+
+def test_the_side_is_seen_over_what_stands_before_it(creature, recording):
+    """A low camera rises where a stone would hide the animal; the one above has no need to."""
+    clip = sample(recording, 30)
+    middle = clip.position.reshape(-1, 3).mean(0)
+    way = recording.goal - clip.position[0].mean(0)
+    aside = np.array([way[1], -way[0], 0.0]) / np.linalg.norm(way)
+    stone = Boulder(tuple(middle + 2.5 * aside - [0, 0, 1.0]), 1.6)
+    ground = Ground(floor=Plane(height=-1.0), obstacles=(stone,))
+    elevations = {}
+    for view in ("side", "top"):
+        for name, there in (("bare", None), ("stone", ground)):
+            camera = camera_path(
+                creature, recording, clip, stage("land")._replace(camera=view, ground=there)
+            )
+            offset = camera.position[0] - camera.focus[0]
+            elevations[view, name] = np.degrees(np.arcsin(offset[2] / np.linalg.norm(offset)))
+    assert elevations["side", "bare"] == pytest.approx(4)
+    assert elevations["side", "stone"] > 15
+    assert elevations["top", "bare"] == elevations["top", "stone"] == pytest.approx(88)
 
 
 def test_the_camera_is_calm(creature, recording):
@@ -244,6 +287,7 @@ def test_a_broken_film_leaves_the_old_one(creature, recording, tmp_path):
     ("settings", "words"),
     [
         ({"world": "air"}, "world is 'air'; choose water or land"),
+        ({"camera": "front"}, "camera is 'front'; choose follow or side or top"),
         ({"size": (8, 8)}, "8 x 8 pixels"),
         ({"fps": 0}, "fps is 0"),
         ({"speed": -1}, "speed is -1"),
