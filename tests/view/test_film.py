@@ -216,6 +216,48 @@ def test_a_gif_is_animated(creature, recording, tmp_path):
         assert (picture.size, picture.n_frames) == (SMALL, 3)
 
 
+def test_a_sheet_shows_moments_from_the_first_to_the_last(creature, recording, tmp_path):
+    """Each is the still of its instant, in rows."""
+    settings = {"size": SMALL, "title": "", "fps": 1}
+    sheet = film(creature, recording, tmp_path / "s.png", sheet=(2, 2), **settings)
+    image, (width, height), gap = synthetic.read(sheet).astype(int), SMALL, 4
+    assert image.shape == (2 * height + gap, 2 * width + gap, 3)
+    assert (image[height : height + gap] == 255).all()
+    assert len(sample(recording, 1).time) == 33
+    for i, instant in enumerate((0, 11, 21, 32)):
+        row, column = i // 2 * (height + gap), i % 2 * (width + gap)
+        still = film(creature, recording, tmp_path / "i.png", seconds=instant, **settings)
+        assert np.array_equal(
+            image[row : row + height, column : column + width], synthetic.read(still)
+        )
+
+
+def test_every_frame_gets_a_picture_of_its_own(creature, recording, tmp_path):
+    settings = {"size": SMALL, "title": "", "fps": 10, "seconds": 0.3}
+    folder = film(creature, recording, tmp_path / "frames" / "f%03d.png", **settings)
+    assert folder == tmp_path / "frames"
+    assert sorted(p.name for p in folder.iterdir()) == [f"f{i:03d}.png" for i in range(4)]
+    assert [p.name for p in tmp_path.iterdir()] == ["frames"]
+    movie = film(creature, recording, tmp_path / "film.mp4", **settings)
+    for i, frame in enumerate(decode(movie)):
+        difference = synthetic.read(folder / f"f{i:03d}.png").astype(int) - frame
+        # What the film's compression loses.
+        assert np.abs(difference).mean() < 6
+    with pytest.raises(OutputError, match="frames is not empty; name one that does not exist"):
+        film(creature, recording, folder / "%04d.png", **settings)
+    with pytest.raises(OutputError, match=r"there is no folder .*nowhere to make it in"):
+        film(creature, recording, tmp_path / "nowhere" / "frames" / "%04d.png", **settings)
+
+
+def test_broken_frames_leave_no_folder(creature, recording, tmp_path):
+    def interrupt(done, total):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        film(creature, recording, tmp_path / "new" / "%d.png", size=SMALL, progress=interrupt)
+    assert not list(tmp_path.iterdir())
+
+
 def test_an_odd_size_is_rounded_down(creature, recording, tmp_path):
     path = film(creature, recording, tmp_path / "s.mp4", size=(193, 109), fps=10, seconds=0.1)
     assert decode(path)[0].shape == (108, 192, 3)
@@ -261,6 +303,8 @@ def test_no_permission_is_refused(creature, recording, tmp_path, monkeypatch):
     monkeypatch.setattr("os.access", lambda *_: False)
     with pytest.raises(OutputError, match="no permission"):
         film(creature, recording, tmp_path / "swim.mp4", size=SMALL)
+    with pytest.raises(OutputError, match="no permission to write in"):
+        film(creature, recording, tmp_path / "frames" / "%04d.png", size=SMALL)
 
 
 def test_what_ffmpeg_complains_of_is_told(creature, recording, tmp_path, monkeypatch):
@@ -288,6 +332,8 @@ def test_a_broken_film_leaves_the_old_one(creature, recording, tmp_path):
     [
         ({"world": "air"}, "world is 'air'; choose water or land"),
         ({"camera": "front"}, "camera is 'front'; choose follow or side or top"),
+        ({"sheet": (0, 3)}, "sheet is 0x3; it needs a column"),
+        ({"sheet": (4, 3), "seconds": 0.1}, "has 4 frames, fewer than .* of 4x3"),
         ({"size": (8, 8)}, "8 x 8 pixels"),
         ({"fps": 0}, "fps is 0"),
         ({"speed": -1}, "speed is -1"),
@@ -295,8 +341,9 @@ def test_a_broken_film_leaves_the_old_one(creature, recording, tmp_path):
     ],
 )
 def test_settings_out_of_range_are_refused(creature, recording, tmp_path, settings, words):
+    name = "sheet.png" if "sheet" in settings else "swim.mp4"
     with pytest.raises(ValueError, match=words):
-        film(creature, recording, tmp_path / "swim.mp4", **settings)
+        film(creature, recording, tmp_path / name, **settings)
 
 
 def test_recordings_that_cannot_be_shown_are_refused(creature, recording, tmp_path):
