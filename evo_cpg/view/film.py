@@ -437,7 +437,8 @@ def _add_terrain(
     obstacles = () if stage.ground is None else stage.ground.obstacles
     add_obstacles(plotter, obstacles, look.ambient)
     if obstacles:
-        meshes, places, turns = zip(*map(obstacle_mesh, obstacles), strict=True)
+        shades = [obstacle_mesh(obstacle, shade=True) for obstacle in obstacles]
+        meshes, places, turns = zip(*shades, strict=True)
         half_extents = np.array([np.ptp(np.asarray(mesh.points), axis=0) / 2 for mesh in meshes])
         for lay in (
             add_draped_patches(plotter, look, terrain, half_extents, radius),
