@@ -25,6 +25,14 @@ class What(enum.StrEnum):
     POPULATION = "population"
 
 
+class View(enum.StrEnum):
+    """From where a film shows the animal; those of `evo_cpg.view.camera.CAMERAS`."""
+
+    FOLLOW = "follow"
+    SIDE = "side"
+    TOP = "top"
+
+
 app = typer.Typer(
     name="evo-cpg",
     help="Evolve the motion of virtual creatures.",
@@ -352,9 +360,24 @@ def render(
     run: Run,
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", help="A .mp4, .gif or .png file; in RUN/videos by default."),
+        typer.Option(
+            "--output",
+            "-o",
+            help="A .mp4, .gif or .png file, in RUN/videos by default; or FOLDER/%04d.png for a "
+            "picture of every frame.",
+        ),
     ] = None,
-    size: Annotated[str, typer.Option(help="WIDTHxHEIGHT in pixels.")] = "1280x720",
+    size: Annotated[
+        str | None,
+        typer.Option(help="WIDTHxHEIGHT in pixels: 1280x720, or 640x360 for each of a sheet."),
+    ] = None,
+    sheet: Annotated[
+        str | None,
+        typer.Option(
+            metavar="COLUMNSxROWS", help="One picture of so many moments of the film, such as 4x3."
+        ),
+    ] = None,
+    camera: Annotated[View, typer.Option(help="From where the animal is seen.")] = View.FOLLOW,
     fps: Annotated[float, typer.Option(min=1, max=240, help="Frames per second.")] = 30.0,
     speed: Annotated[float, typer.Option(min=0.01, help="Speed of the film; 1 is real.")] = 1.0,
     seconds: Annotated[
@@ -367,7 +390,7 @@ def render(
     """Film the champion of a run, or anybody on its map of behaviour."""
     from evo_cpg.cli.pictures import render_run
 
-    render_run(run, output, size, fps, speed, seconds, number, trial, cell)
+    render_run(run, output, size, sheet, camera, fps, speed, seconds, number, trial, cell)
 
 
 @app.command()

@@ -24,7 +24,9 @@ from evo_cpg.training.run_folder import RunFolder
 def render_run(
     run: Path,
     output: Path | None,
-    size: str,
+    size: str | None,
+    sheet: str | None,
+    camera: str,
     fps: float,
     speed: float,
     seconds: float | None,
@@ -33,14 +35,17 @@ def render_run(
     cell: str | None,
 ) -> None:
     """`evo-cpg render`."""
-    pixels = _pixels(size)
+    moments = None if sheet is None else _moments(sheet)
+    pixels = _pixels(size or ("1280x720" if sheet is None else "640x360"))
     experiment, _, recording, folder = champion_motion(run, number, trial, cell)
     from evo_cpg.view.film import film
 
     world = experiment.simulation.world
     name = "champion" if cell is None else f"cell_{cell.replace(',', '_')}"
     name += "" if number is None else f"_run{number}"
-    path = output or folder.path / "videos" / f"{name}{_of_trial(trial)}.mp4"
+    name += _of_trial(trial) + ("" if camera == "follow" else f"_{camera}")
+    kind = ".mp4" if sheet is None else "_sheet.png"
+    path = output or folder.path / "videos" / f"{name}{kind}"
     with working("rendering", counted=True) as work:
         made = film(
             experiment.creature,
@@ -54,6 +59,8 @@ def render_run(
             world="land" if world.water is None else "water",
             ground=world.ground,
             surface=None if world.water is None else world.water.surface,
+            camera=camera,
+            sheet=moments,
             progress=work.reached,
         )
     print(made)
@@ -144,4 +151,11 @@ def _pixels(size: str) -> tuple[int, int]:
     match = re.fullmatch(r"(\d{2,5})x(\d{2,5})", size)
     if not match:
         raise UsageError(f"--size: {size!r} is not WIDTHxHEIGHT, such as 1280x720")
+    return int(match[1]), int(match[2])
+
+
+def _moments(sheet: str) -> tuple[int, int]:
+    match = re.fullmatch(r"([1-9]\d?)x([1-9]\d?)", sheet)
+    if not match:
+        raise UsageError(f"--sheet: {sheet!r} is not COLUMNSxROWS of at most 99, such as 4x3")
     return int(match[1]), int(match[2])

@@ -1,6 +1,7 @@
 """A calm camera: it follows the smoothed middle of the animal from behind and above.
 
-Where there is no light to which the animal goes, it is seen from the side.
+Where there is no light to which the animal goes, it is seen from the side. Other cameras look from
+a fixed bearing to its way: right from the side, or from above.
 
 The whole recording is known before the first frame, so the path is smoothed with a symmetric
 window, which does not lag; the viewing direction and the distance stay fixed, so whatever moves
@@ -30,6 +31,12 @@ _BEARINGS = np.radians([32.0, 62.0, 90.0, 130.0, 180.0])
 # The same angle where there is no goal: the animal crosses the picture to the right, and shows
 # its side and a little of its front.
 _SIDE = np.radians(112.0)
+# The cameras that look from a fixed side: angle between the line of sight and the way, with which
+# the animal crosses the picture to the right, and elevation of the eye. Low from the side, but not
+# along the ground; from above a little less than upright, so that the picture has an upper edge.
+_SIDEWAYS = np.radians(90.0)
+_ASPECTS = {"side": np.radians(4.0), "top": np.radians(88.0)}
+CAMERAS = ("follow", *_ASPECTS)
 # Points along a line of sight at which it is looked whether something stands in the way, and the
 # number of frames in which that is done.
 _SAMPLES, _LOOKS = 24, 60
@@ -56,6 +63,7 @@ def follow(
     rate: float,
     aspect: float,
     elevation: float,
+    turn: float | None = None,
 ) -> CameraPath:
     """Plan the camera's path over a recording.
 
@@ -66,6 +74,8 @@ def follow(
         rate: frames per second of recorded time.
         aspect: width of the picture over its height.
         elevation: height of the eye above the focus as an angle, rad.
+        turn: angle between the line of sight and the animal's way, rad; None for one that has the
+            light in the picture or, where there is none, shows the animal's side.
     """
     centre = smooth(position.mean(1), SMOOTHING * rate)
     radius = np.linalg.norm(position - centre[:, None], axis=-1).max() + reach
@@ -84,7 +94,9 @@ def follow(
 
     half = np.radians(VIEW_ANGLE / 2)
     distance = radius / np.sin(min(half * _FILL, np.arctan(aspect * np.tan(half))))
-    if lit:
+    if turn is not None:
+        sight = _direction(bearing + turn, elevation)
+    elif lit:
         sight = _sight_of_goal(position, focus, goal, distance, bearing, elevation)
     else:
         sight = _direction(bearing + _SIDE, elevation)
@@ -93,6 +105,17 @@ def follow(
     while (overshoot := _overshoot(path, position, reach, aspect)) > 1:
         path = path._replace(position=focus + (path.position - focus) * min(overshoot, 1.5) * 1.02)
     return path
+
+
+def aspect_of(camera: str) -> tuple[float, float] | None:
+    """Turn and elevation of a camera that looks from a fixed side, rad; None of one that follows.
+
+    Raises:
+        ValueError: there is no such camera.
+    """
+    if camera not in CAMERAS:
+        raise ValueError(f"camera is {camera!r}; choose {' or '.join(CAMERAS)}")
+    return (_SIDEWAYS, _ASPECTS[camera]) if camera in _ASPECTS else None
 
 
 def hidden(

@@ -19,7 +19,7 @@ from evo_cpg.creature.creature import Creature
 from evo_cpg.physics.footing import Ground
 from evo_cpg.physics.terrain import Plane
 from evo_cpg.simulation.recording import Recording
-from evo_cpg.view.camera import CameraPath, course, follow, hidden, smooth
+from evo_cpg.view.camera import CameraPath, aspect_of, course, follow, hidden, smooth
 from evo_cpg.view.captions import add_captions
 from evo_cpg.view.goal_light import add_goal_light
 from evo_cpg.view.ground import Marks, add_floor, add_numbers, grid_spacing, mark_spacing
@@ -27,7 +27,13 @@ from evo_cpg.view.look import LOOKS, SHORE, Look
 from evo_cpg.view.meshes import add_bodies, head_index, shape_mesh
 from evo_cpg.view.obstacles import add_obstacles, obstacle_mesh, obstacle_top
 from evo_cpg.view.offscreen import canvas, pixels
-from evo_cpg.view.output import FILM_SUFFIXES, frame_writer, output_path
+from evo_cpg.view.output import (
+    FILM_SUFFIXES,
+    frame_writer,
+    is_numbered,
+    numbered_path,
+    output_path,
+)
 from evo_cpg.view.particles import add_particles
 from evo_cpg.view.relief import (
     LIFT,
@@ -64,6 +70,10 @@ _NEARBY = 4.0
 HORIZON = 2.4
 
 
+class SettingError(ValueError):
+    """A film cannot be made of this size, or have so many moments."""
+
+
 class Stage(NamedTuple):
     """How a film is made.
 
@@ -76,6 +86,7 @@ class Stage(NamedTuple):
         speed: recorded seconds per second of film.
         ground: None where there is none.
         surface: height of the water's surface, m; None where none is seen.
+        camera: from where the animal is seen, one of `evo_cpg.view.camera.CAMERAS`.
     """
 
     look: Look
@@ -86,6 +97,7 @@ class Stage(NamedTuple):
     speed: float
     ground: Ground | None = None
     surface: float | None = None
+    camera: str = "follow"
 
     @property
     def level(self) -> float | None:
@@ -124,6 +136,8 @@ def film(
     world: str = "water",
     ground: Ground | None = None,
     surface: float | None = None,
+    camera: str = "follow",
+    sheet: tuple[int, int] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Path:
     """Render a recording.
@@ -132,7 +146,8 @@ def film(
         creature: the animal.
         recording: its motion; without a light (the goal is not finite) the caption tells how far
             the animal has come.
-        path: ``.mp4`` (H.264) or ``.gif`` for a film, ``.png`` for a still.
+        path: ``.mp4`` (H.264) or ``.gif`` for a film, ``.png`` for a still or a sheet; a name such
+            as ``frames/%04d.png`` for a picture of every frame, counted from 0, in a new folder.
         size: width and height, pixels; rounded down to even numbers.
         fps: frames per second of the film.
         seconds: recorded time to show, s; all of it by default. Of a still: the instant it
@@ -144,29 +159,41 @@ def film(
             there is none, and a floor is drawn below the animal's way.
         surface: height of the water's surface, m. It is shown, from above and in daylight, where
             the animal comes out of it or land near its way does.
+        camera: from where the animal is seen: ``follow`` (from behind towards the light, or else
+            from the side and a little ahead), ``side`` or ``top``.
+        sheet: columns and rows of one picture of so many moments, the first and the last of the
+            film and others evenly in between; each is of the ``size``.
         progress: called with the number of frames done and their total.
 
     Returns:
-        The path.
+        The path, or the folder of the pictures.
 
     Raises:
         OutputError: nothing can be written there, or not this kind of file.
         ValueError: a setting out of range, or a recording that does not fit the creature, is
             empty or not finite.
     """
-    path = output_path(path, FILM_SUFFIXES)
+    path = Path(path)
+    numbered = sheet is None and is_numbered(path)
+    if numbered:
+        path = numbered_path(path)
+    else:
+        path = output_path(path, FILM_SUFFIXES if sheet is None else (".png",))
+    still = path.suffix.lower() == ".png" and sheet is None and not numbered
     _check(creature, recording, size, fps, speed, world)
+    aspect_of(camera)
     if surface is not None and not np.isfinite(surface):
         raise ValueError(f"surface is {surface:g}; it must be finite, or None where there is none")
     if seconds is not None and seconds < 0:
         raise ValueError(f"seconds is {seconds:g}; it must not be negative")
-    clip = sample(recording, fps, speed, None if path.suffix.lower() == ".png" else seconds)
+    clip = sample(recording, fps, speed, None if still else seconds)
     frames = range(len(clip.time))
-    oversampling = _FILM_OVERSAMPLING
-    if path.suffix.lower() == ".png":
+    if still:
         instant = recording.time[0] + seconds if seconds is not None else np.median(clip.time)
         frames = [int(np.abs(clip.time - instant).argmin())]
-        oversampling = _STILL_OVERSAMPLING
+    elif sheet is not None:
+        frames = _moments(len(clip.time), sheet)
+    oversampling = _STILL_OVERSAMPLING if still or sheet is not None else _FILM_OVERSAMPLING
     width, height = (max(side // 2 * 2, 2) for side in size)
     rendered = (round(width * oversampling), round(height * oversampling))
 
@@ -181,16 +208,17 @@ def film(
         speed=speed,
         ground=ground,
         surface=surface,
+        camera=camera,
     )
     with canvas(rendered) as plotter:
         show = _set_scene(plotter, creature, recording, clip, stage)
-        with frame_writer(path, (width, height), rendered, fps) as write:
+        with frame_writer(path, (width, height), rendered, fps, sheet) as write:
             for done, frame in enumerate(frames):
                 show(frame)
                 write(pixels(plotter))
                 if progress is not None:
                     progress(done + 1, len(frames))
-    return path
+    return path.parent if numbered else path
 
 
 def sample(
@@ -237,7 +265,9 @@ def camera_path(creature: Creature, recording: Recording, clip: Clip, stage: Sta
     """The camera that looks at these frames, over whatever stands in its way."""
     width, height = stage.size
     look, lit = stage.look, np.isfinite(recording.goal).all()
-    first = look.elevation if lit else look.side_elevation
+    first, turn = look.elevation if lit else look.side_elevation, None
+    if (aspect := aspect_of(stage.camera)) is not None:
+        turn, first = aspect
 
     def at(elevation: float) -> CameraPath:
         return follow(
@@ -247,6 +277,7 @@ def camera_path(creature: Creature, recording: Recording, clip: Clip, stage: Sta
             stage.rate,
             width / height,
             elevation,
+            turn,
         )
 
     path, ground = at(first), stage.ground
@@ -406,7 +437,8 @@ def _add_terrain(
     obstacles = () if stage.ground is None else stage.ground.obstacles
     add_obstacles(plotter, obstacles, look.ambient)
     if obstacles:
-        meshes, places, turns = zip(*map(obstacle_mesh, obstacles), strict=True)
+        shades = [obstacle_mesh(obstacle, shade=True) for obstacle in obstacles]
+        meshes, places, turns = zip(*shades, strict=True)
         half_extents = np.array([np.ptp(np.asarray(mesh.points), axis=0) / 2 for mesh in meshes])
         for lay in (
             add_draped_patches(plotter, look, terrain, half_extents, radius),
@@ -461,6 +493,19 @@ def animal_reach(creature: Creature) -> float:
     return max(body.shape.reach for body in creature.bodies)
 
 
+def _moments(frames: int, sheet: tuple[int, int]) -> list[int]:
+    """The frames that a sheet of so many columns and rows shows."""
+    columns, rows = sheet
+    if min(sheet) < 1:
+        raise SettingError(f"sheet is {columns}x{rows}; it needs a column and a row at least")
+    if frames < columns * rows:
+        raise SettingError(
+            f"the film has {frames} frames, fewer than a sheet of {columns}x{rows} shows; "
+            "more frames per second or fewer moments would do"
+        )
+    return np.linspace(0, frames - 1, columns * rows).round().astype(int).tolist()
+
+
 def _check(
     creature: Creature,
     recording: Recording,
@@ -472,7 +517,7 @@ def _check(
     if world not in LOOKS:
         raise ValueError(f"world is {world!r}; choose {' or '.join(LOOKS)}")
     if min(size) < 16:
-        raise ValueError(f"size is {size[0]} x {size[1]} pixels; the smallest is 16 x 16")
+        raise SettingError(f"size is {size[0]} x {size[1]} pixels; the smallest is 16 x 16")
     for name, value in (("fps", fps), ("speed", speed)):
         if not 0 < value < np.inf:
             raise ValueError(f"{name} is {value:g}; it must be positive")

@@ -9,13 +9,15 @@ from typing import NamedTuple
 import numpy as np
 import pyvista as pv
 
+from evo_cpg.view.camera import VIEW_ANGLE
 from evo_cpg.view.look import Look
 from evo_cpg.view.textures import CELLS, floor_texture
 
 # Numbers on the ground: height of a digit and distance from the way, in radii of the animal.
-# They fade between these shares of the way from the focus to the camera, below which captions are.
+# They fade between these shares of the way from the focus to the camera, and from above already
+# between these shares of the way down from the middle of the picture: captions are below.
 _DIGIT, _BESIDE = 0.1, 0.45
-_FADES = (0.33, 0.43)
+_FADES, _FADES_DOWN = (0.33, 0.43), (0.57, 0.8)
 
 
 class Marks(NamedTuple):
@@ -130,6 +132,7 @@ def add_numbers(
     side = nearer * (nearer * along[:, 1]).max() + nearer * _BESIDE * radius
     last = int(np.ceil((along[:, 0].max() + 2 * radius) / marks.spacing))
     first = int(np.floor(min(along[:, 0].min(), 0.0) / marks.spacing))
+    fades = np.minimum(_FADES, [_nearer(-sight[2], down) for down in _FADES_DOWN])
     size = _DIGIT * radius
     # Lying flat they look as low as the sight is slanting.
     stretch = 0.7 / max(-sight[2] / np.linalg.norm(sight), 0.15)
@@ -157,8 +160,22 @@ def add_numbers(
     def update(focus: np.ndarray) -> None:
         offset = place - focus[:2]
         gone = np.linalg.norm(offset, axis=1) / (0.4 * look.visibility * radius)
-        near = np.interp(-(offset @ ahead) / away, _FADES, (1.0, 0.0))
+        near = np.interp(-(offset @ ahead) / away, fades, (1.0, 0.0))
         rgba[:, 3] = 200 * near * np.exp(-(gone**2))
         mesh["rgba"] = rgba
 
     return update
+
+
+def _nearer(steep: float, down: float) -> float:
+    """How much nearer than the focus the level ground is that is seen lower in the picture.
+
+    Args:
+        steep: sine of the camera's elevation above the focus.
+        down: from the middle of the picture, 0, to its lower edge, 1.
+
+    Returns:
+        Level distance, in distances of the camera from the focus.
+    """
+    below = np.arcsin(steep) + np.arctan(down * np.tan(np.radians(VIEW_ANGLE / 2)))
+    return float(np.sqrt(1 - steep**2) - steep / np.tan(below))

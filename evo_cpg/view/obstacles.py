@@ -13,24 +13,33 @@ _SEED = 20102
 # they change its brightness, and how far they tilt its normals.
 _WAVES, _LOWEST, _HIGHEST = 60, 2.0, 30.0
 _GRAIN, _ROUGHNESS = 0.07, 0.25
-# Facets along an edge of a block and around a boulder.
-_EDGE, _ROUND = 40, 144
+# Facets along an edge of a block and around a boulder, as they are seen and as they cast a shadow.
+# With five boulders and two blocks a frame of 1280 x 720 took 82 ms to draw at twice as many of
+# both, 58 ms at these, and 43 ms without the sides that face away.
+_SEEN, _SHADE = (24, 72), (8, 36)
 
 
-def obstacle_mesh(obstacle: Part) -> tuple[pv.PolyData, np.ndarray, np.ndarray]:
+def obstacle_mesh(
+    obstacle: Part, *, shade: bool = False
+) -> tuple[pv.PolyData, np.ndarray, np.ndarray]:
     """Surface of an obstacle in its own frame, its place ``(3,)`` and rotation ``(3, 3)``, m.
+
+    Args:
+        obstacle: of the ground.
+        shade: whether it is only to cast a shadow, for which fewer facets do.
 
     Raises:
         TypeError: an obstacle that this module does not know.
     """
+    edge, around = _SHADE if shade else _SEEN
     if isinstance(obstacle, Boulder):
         mesh = pv.Sphere(
-            radius=float(obstacle.radius), theta_resolution=_ROUND, phi_resolution=_ROUND // 2
+            radius=float(obstacle.radius), theta_resolution=around, phi_resolution=around // 2
         )
         return mesh, np.array(obstacle.centre, float), np.eye(3)
     if isinstance(obstacle, Block):
         half = np.array(obstacle.half_extents, float)
-        mesh = pv.Box((-1, 1, -1, 1, -1, 1), level=_EDGE, quads=True).triangulate()
+        mesh = pv.Box((-1, 1, -1, 1, -1, 1), level=edge, quads=True).triangulate()
         faces = mesh.regular_faces
         mesh = pv.PolyData.from_regular_faces(np.asarray(mesh.points) * half, faces)
         mesh = cast(pv.PolyData, mesh.compute_normals(split_vertices=True, feature_angle=30.0))
@@ -91,6 +100,7 @@ def add_obstacles(plotter: pv.Plotter, obstacles: tuple[Part, ...], ambient: flo
             scalars="rgb",
             rgb=True,
             smooth_shading=True,
+            culling="back",
             ambient=ambient,
             diffuse=0.75,
             specular=0.05,

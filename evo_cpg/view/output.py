@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import re
 import subprocess
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
@@ -31,8 +32,11 @@ _ENCODERS = {
     ".gif": ["-c:v", "gif", "-loop", "0"],
     ".png": ["-c:v", "png", "-pix_fmt", "rgb24", "-update", "1"],
 }
+_NUMBERED = ["-c:v", "png", "-pix_fmt", "rgb24", "-start_number", "0"]
 FILM_SUFFIXES = tuple(_ENCODERS)
 PLOT_SUFFIXES = (".png", ".svg", ".pdf")
+# Between the pictures of a sheet, pixels.
+_GUTTER = 4
 
 
 class OutputError(OSError):
@@ -63,6 +67,45 @@ def output_path(path: str | os.PathLike[str], suffixes: Sequence[str]) -> Path:
     return path
 
 
+def is_numbered(path: Path) -> bool:
+    """Whether a name such as ``%04d.png`` asks for a picture of every frame."""
+    return re.fullmatch(r"[^%]*%(0\d)?d[^%]*\.png", path.name, re.IGNORECASE) is not None
+
+
+def numbered_path(path: Path) -> Path:
+    """Check that a new folder of numbered pictures can be written here.
+
+    Args:
+        path: wanted by the user, such as ``frames/%04d.png``.
+
+    Raises:
+        OutputError: the folder exists and is not empty, or cannot be made.
+    """
+    folder = path.parent
+    if folder.is_dir() and any(folder.iterdir()):
+        raise OutputError(
+            f"cannot write {path}: the folder {folder} is not empty; name one that does not exist"
+        )
+    if not folder.is_dir() and not folder.parent.is_dir():
+        raise OutputError(f"cannot write {path}: there is no folder {folder.parent} to make it in")
+    if not os.access(folder.parent, os.W_OK):
+        raise OutputError(f"cannot write {path}: no permission to write in {folder.parent}")
+    return path
+
+
+@contextlib.contextmanager
+def folder_in_one_piece(folder: Path) -> Iterator[Path]:
+    """Fill a neighbour of ``folder``, which is new or empty; it takes its place at the end."""
+    folder = folder.absolute()
+    with tempfile.TemporaryDirectory(prefix=".frames.", dir=folder.parent) as kept:
+        partial = Path(kept) / "frames"
+        partial.mkdir()
+        yield partial
+        if folder.is_dir():
+            folder.rmdir()
+        os.rename(partial, folder)
+
+
 @contextlib.contextmanager
 def in_one_piece(path: Path) -> Iterator[Path]:
     """Write to a neighbour of ``path`` that takes its place at the end, whole or not at all."""
@@ -76,15 +119,21 @@ def in_one_piece(path: Path) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def frame_writer(
-    path: Path, size: tuple[int, int], rendered: tuple[int, int], fps: float
+    path: Path,
+    size: tuple[int, int],
+    rendered: tuple[int, int],
+    fps: float,
+    sheet: tuple[int, int] | None = None,
 ) -> Iterator[Callable[[np.ndarray], None]]:
-    """Write frames to a film (H.264 or GIF) or, if there is only one, to a picture.
+    """Write frames to a film (H.264 or GIF), to a picture, or each to a picture of its own.
 
     Args:
-        path: checked by `output_path`; its suffix decides the kind.
+        path: checked by `output_path` or, if it is numbered, by `numbered_path`; its suffix
+            decides the kind.
         size: width and height of the film, pixels; even numbers for ``.mp4``.
         rendered: width and height of the frames, pixels; ffmpeg averages them down to ``size``.
         fps: frames per second.
+        sheet: columns and rows of a picture that shows all frames; None where it shows one.
 
     Yields:
         A function that takes one frame ``(height, width, 3)`` of bytes, bottom row first as
@@ -97,12 +146,22 @@ def frame_writer(
     filters = f"vflip,scale={size[0]}:{size[1]}:flags=area"
     if suffix == ".gif":
         filters = f"{filters},{_GIF_PALETTE}"
+    encoder = _ENCODERS[suffix]
+    if sheet is not None:
+        filters = f"{filters},tile={sheet[0]}x{sheet[1]}:padding={_GUTTER}:color=white"
+    elif is_numbered(path):
+        encoder = _NUMBERED
     command = [imageio_ffmpeg.get_ffmpeg_exe(), "-v", "error", "-y"]
     command += ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{rendered[0]}x{rendered[1]}"]
-    command += ["-r", f"{fps:.6f}", "-i", "-", "-vf", filters, *_ENCODERS[suffix]]
-    with in_one_piece(path) as partial, tempfile.TemporaryFile() as complaints:
+    command += ["-r", f"{fps:.6f}", "-i", "-", "-vf", filters, *encoder]
+    numbered = encoder is _NUMBERED
+    whole = folder_in_one_piece(path.parent) if numbered else in_one_piece(path)
+    with whole as partial, tempfile.TemporaryFile() as complaints:
         process = subprocess.Popen(
-            [*command, str(partial)], stdin=subprocess.PIPE, stderr=complaints
+            [*command, path.name if numbered else str(partial)],
+            stdin=subprocess.PIPE,
+            stderr=complaints,
+            cwd=partial if numbered else None,
         )
         try:
             with contextlib.suppress(BrokenPipeError), cast(IO[bytes], process.stdin) as pipe:

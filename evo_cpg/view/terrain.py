@@ -16,7 +16,7 @@ from evo_cpg.physics.terrain import Part, Plane, Relief, Shore
 # Distance of the grid's lines near the way and how far to both sides they are as close, in radii of
 # the animal; most lines of that kind; growth of their distance further out. A frame of 960 x 540
 # with 100,000 crossings took 126 ms on one core of a software renderer.
-_STEP, _NEAR, _LINES, _GROWTH = 0.08, 5.0, 150, 1.18
+_STEP, _NEAR, _LINES, _GROWTH = 0.08, 5.0, 100, 1.18
 
 # Places whose heights are asked for at once: a mesh has tens of thousands, the camera's way some
 # hundreds, and each number of them would be a program of its own to compile.

@@ -5,9 +5,11 @@ import pytest
 import yaml
 
 from evo_cpg.cli import training
+from evo_cpg.cli.main import View
 from evo_cpg.cli.pictures import plot_run
 from evo_cpg.training import loop
 from evo_cpg.training.run_folder import RunFolder
+from evo_cpg.view.camera import CAMERAS
 from tiny_run import CONFIG, PAIR
 
 TRIALS = (
@@ -42,6 +44,16 @@ def test_pictures_are_made_of_any_trial(situated_run, cli, tmp_path):
     picture = tmp_path / "film.png"
     code, out, err = cli("render", situated_run, "--trial", 1, "--size", "64x48", "-o", picture)
     assert (code, out) == (0, f"{picture}\n"), err
+
+
+def test_films_from_other_sides_have_files_of_their_own(situated_run, cli):
+    assert tuple(View) == CAMERAS
+    small = ("--size", "64x48", "--seconds", "0.1")
+    code, out, err = cli("render", situated_run, "--camera", "top", "--trial", 1, *small)
+    assert (code, out) == (0, f"{situated_run / 'videos' / 'champion_trial1_top.mp4'}\n"), err
+    code, out, err = cli("render", situated_run, "--camera", "front")
+    assert (code, out) == (2, "")
+    assert "'front' is not one of 'follow', 'side', 'top'" in " ".join(err.split())
 
 
 def test_the_first_trial_is_shown_from_the_folder_and_others_are_replayed(

@@ -199,6 +199,13 @@ def test_a_film_of_unknown_kind_or_size_is_refused(refused, finished_run, tmp_pa
     assert "there is no folder" in refused("render", finished_run, "-o", "no/film.mp4")
     message = refused("render", finished_run, "--size", "big")
     assert message == "--size: 'big' is not WIDTHxHEIGHT, such as 1280x720"
+    assert "the smallest is 16 x 16" in refused("render", finished_run, "--size", "10x10")
+    message = refused("render", finished_run, "--sheet", "4x0")
+    assert message == "--sheet: '4x0' is not COLUMNSxROWS of at most 99, such as 4x3"
+    message = refused("render", finished_run, "--sheet", "9x9", "--seconds", "0.1")
+    assert message.startswith("the film has 4 frames, fewer than a sheet of 9x9 shows")
+    message = refused("render", finished_run, "--sheet", "4x3", "-o", "film.mp4")
+    assert "the name ends in '.mp4'; use .png" in message
     assert "the name ends in '.mp4'" in refused("preview", CONFIG, "-o", "body.mp4")
 
 

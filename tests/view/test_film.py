@@ -12,6 +12,8 @@ import pytest
 import synthetic
 from PIL import Image
 
+from evo_cpg.physics.footing import Ground
+from evo_cpg.physics.terrain import Boulder, Plane
 from evo_cpg.view import output
 from evo_cpg.view.camera import follow, project, smooth
 from evo_cpg.view.film import Stage, camera_path, film, sample
@@ -115,6 +117,47 @@ def test_the_light_is_in_the_frame_from_the_start_and_never_near_the_camera(crea
     assert np.linalg.norm(camera.position - recording.goal, axis=1).min() > 2
 
 
+@pytest.mark.parametrize("world", ["water", "land"])
+@pytest.mark.parametrize("view", ["side", "top"])
+def test_from_the_side_and_from_above_the_animal_crosses_the_picture(
+    creature, recording, world, view
+):
+    clip = sample(recording, 30)
+    camera = camera_path(creature, recording, clip, stage(world)._replace(camera=view))
+    place = project(camera, clip.position, 1280 / 720)
+    assert np.abs(place).max() < 0.95
+    # Its way goes to the right, and what is above or to the left of it is higher in the picture.
+    way = recording.goal - clip.position[0].mean(0)
+    way /= np.linalg.norm(way)
+    upward = {"side": [0.0, 0.0, 1.0], "top": [-way[1], way[0], 0.0]}[view]
+    points = camera.focus[:, None] + 0.1 * np.stack([0 * way, way, upward])
+    middle, ahead, up = project(camera, points, 1280 / 720).swapaxes(0, 1)
+    assert np.allclose(middle, 0, atol=1e-9)
+    assert (ahead[:, 0] > 0.01).all() and np.abs(ahead[:, 1]).max() < 1e-3
+    assert (up[:, 1] > 0.02).all() and np.abs(up[:, 0]).max() < 1e-6
+
+
+def test_the_side_is_seen_over_what_stands_before_it(creature, recording):
+    """A low camera rises where a stone would hide the animal; the one above has no need to."""
+    clip = sample(recording, 30)
+    middle = clip.position.reshape(-1, 3).mean(0)
+    way = recording.goal - clip.position[0].mean(0)
+    aside = np.array([way[1], -way[0], 0.0]) / np.linalg.norm(way)
+    stone = Boulder(tuple(middle + 2.5 * aside - [0, 0, 1.0]), 1.6)
+    ground = Ground(floor=Plane(height=-1.0), obstacles=(stone,))
+    elevations = {}
+    for view in ("side", "top"):
+        for name, there in (("bare", None), ("stone", ground)):
+            camera = camera_path(
+                creature, recording, clip, stage("land")._replace(camera=view, ground=there)
+            )
+            offset = camera.position[0] - camera.focus[0]
+            elevations[view, name] = np.degrees(np.arcsin(offset[2] / np.linalg.norm(offset)))
+    assert elevations["side", "bare"] == pytest.approx(4)
+    assert elevations["side", "stone"] > 15
+    assert elevations["top", "bare"] == elevations["top", "stone"] == pytest.approx(88)
+
+
 def test_the_camera_is_calm(creature, recording):
     """It moves as fast as the animal travels, without the tail beat."""
     clip = sample(recording, 30)
@@ -173,6 +216,48 @@ def test_a_gif_is_animated(creature, recording, tmp_path):
         assert (picture.size, picture.n_frames) == (SMALL, 3)
 
 
+def test_a_sheet_shows_moments_from_the_first_to_the_last(creature, recording, tmp_path):
+    """Each is the still of its instant, in rows."""
+    settings = {"size": SMALL, "title": "", "fps": 1}
+    sheet = film(creature, recording, tmp_path / "s.png", sheet=(2, 2), **settings)
+    image, (width, height), gap = synthetic.read(sheet).astype(int), SMALL, 4
+    assert image.shape == (2 * height + gap, 2 * width + gap, 3)
+    assert (image[height : height + gap] == 255).all()
+    assert len(sample(recording, 1).time) == 33
+    for i, instant in enumerate((0, 11, 21, 32)):
+        row, column = i // 2 * (height + gap), i % 2 * (width + gap)
+        still = film(creature, recording, tmp_path / "i.png", seconds=instant, **settings)
+        assert np.array_equal(
+            image[row : row + height, column : column + width], synthetic.read(still)
+        )
+
+
+def test_every_frame_gets_a_picture_of_its_own(creature, recording, tmp_path):
+    settings = {"size": SMALL, "title": "", "fps": 10, "seconds": 0.3}
+    folder = film(creature, recording, tmp_path / "frames" / "f%03d.png", **settings)
+    assert folder == tmp_path / "frames"
+    assert sorted(p.name for p in folder.iterdir()) == [f"f{i:03d}.png" for i in range(4)]
+    assert [p.name for p in tmp_path.iterdir()] == ["frames"]
+    movie = film(creature, recording, tmp_path / "film.mp4", **settings)
+    for i, frame in enumerate(decode(movie)):
+        difference = synthetic.read(folder / f"f{i:03d}.png").astype(int) - frame
+        # What the film's compression loses.
+        assert np.abs(difference).mean() < 6
+    with pytest.raises(OutputError, match="frames is not empty; name one that does not exist"):
+        film(creature, recording, folder / "%04d.png", **settings)
+    with pytest.raises(OutputError, match=r"there is no folder .*nowhere to make it in"):
+        film(creature, recording, tmp_path / "nowhere" / "frames" / "%04d.png", **settings)
+
+
+def test_broken_frames_leave_no_folder(creature, recording, tmp_path):
+    def interrupt(done, total):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        film(creature, recording, tmp_path / "new" / "%d.png", size=SMALL, progress=interrupt)
+    assert not list(tmp_path.iterdir())
+
+
 def test_an_odd_size_is_rounded_down(creature, recording, tmp_path):
     path = film(creature, recording, tmp_path / "s.mp4", size=(193, 109), fps=10, seconds=0.1)
     assert decode(path)[0].shape == (108, 192, 3)
@@ -218,6 +303,8 @@ def test_no_permission_is_refused(creature, recording, tmp_path, monkeypatch):
     monkeypatch.setattr("os.access", lambda *_: False)
     with pytest.raises(OutputError, match="no permission"):
         film(creature, recording, tmp_path / "swim.mp4", size=SMALL)
+    with pytest.raises(OutputError, match="no permission to write in"):
+        film(creature, recording, tmp_path / "frames" / "%04d.png", size=SMALL)
 
 
 def test_what_ffmpeg_complains_of_is_told(creature, recording, tmp_path, monkeypatch):
@@ -244,6 +331,9 @@ def test_a_broken_film_leaves_the_old_one(creature, recording, tmp_path):
     ("settings", "words"),
     [
         ({"world": "air"}, "world is 'air'; choose water or land"),
+        ({"camera": "front"}, "camera is 'front'; choose follow or side or top"),
+        ({"sheet": (0, 3)}, "sheet is 0x3; it needs a column"),
+        ({"sheet": (4, 3), "seconds": 0.1}, "has 4 frames, fewer than .* of 4x3"),
         ({"size": (8, 8)}, "8 x 8 pixels"),
         ({"fps": 0}, "fps is 0"),
         ({"speed": -1}, "speed is -1"),
@@ -251,8 +341,9 @@ def test_a_broken_film_leaves_the_old_one(creature, recording, tmp_path):
     ],
 )
 def test_settings_out_of_range_are_refused(creature, recording, tmp_path, settings, words):
+    name = "sheet.png" if "sheet" in settings else "swim.mp4"
     with pytest.raises(ValueError, match=words):
-        film(creature, recording, tmp_path / "swim.mp4", **settings)
+        film(creature, recording, tmp_path / name, **settings)
 
 
 def test_recordings_that_cannot_be_shown_are_refused(creature, recording, tmp_path):
