@@ -313,6 +313,23 @@ def plot(
     plot_run(run, output, trial, cell)
 
 
+@app.command()
+def analyse(
+    run: Run,
+    output: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", help="A .html file; RUN/analysis.html by default."),
+    ] = None,
+    number: Number = None,
+    trial: Trial = 0,
+    overwrite: Overwrite = False,
+) -> None:
+    """Make a page of a run: the champion in 3D, its gait in numbers and charts."""
+    from evo_cpg.cli.analyse import analyse_run
+
+    analyse_run(run, output, number, trial, overwrite)
+
+
 @app.command("probe")
 def probe_(
     run: Run,

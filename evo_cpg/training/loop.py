@@ -36,6 +36,9 @@ from evo_cpg.training.strategy_state import StrategyError, state_arrays, state_f
 # Fitness, terms and motion of an individual that lives again.
 Replayed = tuple[float, dict[str, float], Recording]
 
+# Likewise with all that is recorded of every control step (`evo_cpg.simulation.rollout.record`).
+Lived = tuple[float, dict[str, float], dict[str, Array]]
+
 # Columns of metrics.csv that differ from run to run.
 TIMING_COLUMNS = ("seconds", "steps_per_second")
 
@@ -237,6 +240,20 @@ def compile_replay(
     native code whose results are what the trial amounted to, and the frames of all its individuals
     would take hundreds of megabytes. A recording takes a trial step by step.
     """
+    live, simulation = compile_frames(experiment, devices, recorded), experiment.simulation
+    names = [body.name for body in experiment.creature.bodies]
+
+    def of(champion: Champion) -> Replayed:
+        fitness, terms, frames = live(champion)
+        return fitness, terms, as_recording(simulation, frames, names, trial=recorded)
+
+    return of
+
+
+def compile_frames(
+    experiment: Experiment, devices: int, recorded: int = 0
+) -> Callable[[Champion], Lived]:
+    """`compile_replay`, but for the forces and energies of every control step, too."""
     simulation, genes = experiment.simulation, experiment.simulation.controller.gene_count
     numbers = situation_numbers(experiment)
     somebody = Champion(np.zeros(genes, np.float32), 0.0, 0, {}, {}, 0, 0)
@@ -250,15 +267,13 @@ def compile_replay(
     assessed = assess.lower(lived.out_info[0], scales).compile()
     run = lived.compile()
 
-    def of(champion: Champion) -> Replayed:
+    def of(champion: Champion) -> Lived:
         given = np.asarray(champion.genes, np.float32), champion_keys(experiment, champion)
         outcome, frames = run(*given, numbers)
         fitness, mean = assessed(
             outcome, {name: jnp.float32(value) for name, value in champion.scales.items()}
         )
-        terms = {name: float(value) for name, value in mean.terms.items()}
-        names = [body.name for body in experiment.creature.bodies]
-        return float(fitness), terms, as_recording(simulation, frames, names, trial=recorded)
+        return float(fitness), {name: float(value) for name, value in mean.terms.items()}, frames
 
     return of
 

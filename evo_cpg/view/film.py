@@ -170,7 +170,7 @@ def film(
     width, height = (max(side // 2 * 2, 2) for side in size)
     rendered = (round(width * oversampling), round(height * oversampling))
 
-    if surface is not None and not _surface_is_seen(creature, clip, ground, surface):
+    if surface is not None and not surface_is_seen(creature, clip, ground, surface):
         surface = None
     stage = Stage(
         look=LOOKS[world] if surface is None else SHORE,
@@ -247,7 +247,7 @@ def camera_path(creature: Creature, recording: Recording, clip: Clip, stage: Sta
     path, ground = at(first), stage.ground
     if stage.surface is None and (ground is None or stage.level is not None):
         return path
-    margin = _CLEARANCE * _radius(creature, clip)
+    margin = _CLEARANCE * animal_radius(creature, clip)
 
     def top(place: np.ndarray) -> np.ndarray:
         if ground is None:
@@ -271,7 +271,7 @@ def _set_scene(
     camera = camera_path(creature, recording, clip, stage)
     half_extents = np.array([body.shape.half_extents for body in creature.bodies])
     reach = _reach(creature)
-    radius = _radius(creature, clip)
+    radius = animal_radius(creature, clip)
     lit = bool(np.isfinite(recording.goal).all())
     shown = np.concatenate([camera.focus, recording.goal[None]]) if lit else camera.focus
     lowest = min(clip.position[..., 2].min() - reach, shown[:, 2].min())
@@ -387,7 +387,7 @@ def _add_terrain(
     away: float,
 ) -> tuple[list[Callable[[np.ndarray], None]], list[Callable[[np.ndarray, np.ndarray], None]]]:
     """Ground that is not level, its obstacles, and what lies on it."""
-    look, surface, radius = stage.look, stage.surface, _radius(creature, clip)
+    look, surface, radius = stage.look, stage.surface, animal_radius(creature, clip)
     net = marks or Marks(np.zeros(2), 0.0, CELLS * spacing)
     moving = [add_relief(plotter, look, terrain, radius, spacing, net, sight, sun, surface)]
 
@@ -430,7 +430,7 @@ def _laid_down(
     return np.column_stack([path[:, :2], np.clip(path[:, 2], low, top)])
 
 
-def _surface_is_seen(creature: Creature, clip: Clip, ground: Ground | None, surface: float) -> bool:
+def surface_is_seen(creature: Creature, clip: Clip, ground: Ground | None, surface: float) -> bool:
     """Whether the animal, or land near its way, rises out of the water."""
     for i, body in enumerate(creature.bodies):
         # Upwards, in the body's frame.
@@ -440,12 +440,12 @@ def _surface_is_seen(creature: Creature, clip: Clip, ground: Ground | None, surf
             return True
     if ground is None:
         return False
-    near = _NEARBY * _radius(creature, clip)
+    near = _NEARBY * animal_radius(creature, clip)
     way = clip.position.reshape(-1, 3)[:, :2]
     return bool(make_terrain(ground.floor, way, near / 4, near).z.max() > surface)
 
 
-def _radius(creature: Creature, clip: Clip) -> float:
+def animal_radius(creature: Creature, clip: Clip) -> float:
     """Distance of the animal's far ends from its middle at the start, m."""
     start = clip.position[0]
     return float(np.linalg.norm(start - start.mean(0), axis=-1).max()) + _reach(creature)

@@ -9,7 +9,7 @@ from creatures import quick_jit
 from evo_cpg.physics.footing import Ground
 from evo_cpg.physics.terrain import Block, Boulder, Plane, Relief, Shore
 from evo_cpg.view.camera import hidden, project
-from evo_cpg.view.film import Stage, _surface_is_seen, camera_path, film, sample
+from evo_cpg.view.film import Stage, camera_path, film, sample, surface_is_seen
 from evo_cpg.view.look import SHORE
 from evo_cpg.view.obstacles import obstacle_mesh, obstacle_top
 from evo_cpg.view.particles import add_particles
@@ -228,8 +228,8 @@ def test_the_surface_is_shown_where_something_comes_out_of_it(creature, surface,
     walk = synthetic.walk(2)
     clip = sample(walk._replace(position=walk.position - [0.0, 0.0, 0.5]), 30)
     ridge = Ground(floor=Shore("y", -1.0, 1.0, -0.5, 0.4))
-    assert _surface_is_seen(creature, clip, ridge, surface) == seen
-    assert not _surface_is_seen(creature, clip, None, 0.2)
+    assert surface_is_seen(creature, clip, ridge, surface) == seen
+    assert not surface_is_seen(creature, clip, None, 0.2)
 
 
 def test_deep_under_the_surface_the_film_is_as_ever(tmp_path):
