@@ -92,6 +92,12 @@ Patience = Annotated[
 ]
 
 
+Tensorboard = Annotated[
+    bool,
+    typer.Option("--tensorboard", help="Write RUN/tensorboard, with the columns of metrics.csv."),
+]
+
+
 def _show_version(wanted: bool) -> bool:
     if wanted:
         from evo_cpg.cli.version import version
@@ -152,6 +158,7 @@ def train(
     local: Local = None,
     join_timeout: JoinTimeout = 60.0,
     patience: Patience = None,
+    tensorboard: Tensorboard = False,
 ) -> None:
     """Evolve a population and keep the champion."""
     from evo_cpg.cli.distributed import Distribution
@@ -165,7 +172,7 @@ def train(
     asked.start_local(cores, check)
     from evo_cpg.cli.training import start_run
 
-    start_run(config, overrides or [], out, cores, strict, earlier, what.value, asked)
+    start_run(config, overrides or [], out, cores, strict, earlier, what.value, asked, tensorboard)
 
 
 @app.command()
@@ -181,6 +188,7 @@ def resume(
     local: Local = None,
     join_timeout: JoinTimeout = 60.0,
     patience: Patience = None,
+    tensorboard: Tensorboard = False,
 ) -> None:
     """Go on with a run from its newest checkpoint."""
     from evo_cpg.cli.distributed import Distribution
@@ -194,7 +202,7 @@ def resume(
     asked.start_local(cores, check)
     from evo_cpg.cli.training import resume_run
 
-    resume_run(run, generations, cores, asked)
+    resume_run(run, generations, cores, asked, tensorboard)
 
 
 @app.command()
