@@ -129,6 +129,12 @@ Patience = Annotated[
 ]
 
 
+Tensorboard = Annotated[
+    bool,
+    typer.Option("--tensorboard", help="Write RUN/tensorboard, with the columns of metrics.csv."),
+]
+
+
 def _show_version(wanted: bool) -> bool:
     if wanted:
         from evo_cpg.cli.version import version
@@ -190,6 +196,7 @@ def train(
     local: Local = None,
     join_timeout: JoinTimeout = 60.0,
     patience: Patience = None,
+    tensorboard: Tensorboard = False,
 ) -> None:
     """Evolve a population and keep the champion."""
     from evo_cpg.cli.distributed import Distribution
@@ -203,7 +210,7 @@ def train(
     asked.start_local(cores, check)
     from evo_cpg.cli.training import start_run
 
-    start_run(config, overrides or [], out, cores, strict, earlier, what.value, asked)
+    start_run(config, overrides or [], out, cores, strict, earlier, what.value, asked, tensorboard)
 
 
 @app.command()
@@ -219,6 +226,7 @@ def resume(
     local: Local = None,
     join_timeout: JoinTimeout = 60.0,
     patience: Patience = None,
+    tensorboard: Tensorboard = False,
 ) -> None:
     """Go on with a run from its newest checkpoint."""
     from evo_cpg.cli.distributed import Distribution
@@ -232,7 +240,7 @@ def resume(
     asked.start_local(cores, check)
     from evo_cpg.cli.training import resume_run
 
-    resume_run(run, generations, cores, asked)
+    resume_run(run, generations, cores, asked, tensorboard)
 
 
 @app.command()
@@ -406,6 +414,23 @@ def plot(
     from evo_cpg.cli.pictures import plot_run
 
     plot_run(run, output, trial, cell)
+
+
+@app.command()
+def analyse(
+    run: Run,
+    output: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", help="A .html file; RUN/analysis.html by default."),
+    ] = None,
+    number: Number = None,
+    trial: Trial = 0,
+    overwrite: Overwrite = False,
+) -> None:
+    """Make a page of a run: the champion in 3D, its gait in numbers and charts."""
+    from evo_cpg.cli.analyse import analyse_run
+
+    analyse_run(run, output, number, trial, overwrite)
 
 
 @app.command("probe")

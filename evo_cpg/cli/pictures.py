@@ -78,7 +78,7 @@ def plot_run(run: Path, output: Path | None, trial: int, cell: str | None = None
     print(plot_fitness(history, place / "fitness.png"))
     if recording.dof_names:
         simulation = experiment.simulation
-        settings, signal = _rhythm_of(simulation.controller)
+        settings, signal = rhythm_of(simulation.controller)
         made = plot_joint_signals(
             recording,
             place / f"joint_signals{which}.png",
@@ -133,7 +133,7 @@ def _has_shape(ground: GroundConfig | None) -> bool:
     return ground is not None and (bool(ground.obstacles) or ground.floor != PlaneConfig())
 
 
-def _rhythm_of(controller: Controller) -> tuple[CpgSettings, str]:
+def rhythm_of(controller: Controller) -> tuple[CpgSettings, str]:
     """How the oscillators of a controller are joined, and what its signals are, with the unit."""
     if isinstance(controller, BrainCpg):
         return controller.settings.cpg, "CPG output (no unit)"

@@ -1,5 +1,6 @@
 """The commands that evolve and check: train, resume, verify, validate."""
 
+import contextlib
 import math
 import sys
 from collections.abc import Sequence
@@ -38,6 +39,7 @@ from evo_cpg.training.devices import use_cores
 from evo_cpg.training.experiment import Experiment
 from evo_cpg.training.memory import require_memory
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
+from evo_cpg.training.scalars import FOLDER, MissingWriterError, Scalars, require_writer
 
 if TYPE_CHECKING:
     from evo_cpg.api.record import Record
@@ -57,8 +59,11 @@ def start_run(
     earlier: Path | None = None,
     what: What = "champion",
     asked: Distribution = BY_ITSELF,
+    tensorboard: bool = False,
 ) -> None:
     """`evo-cpg train`."""
+    if tensorboard:
+        require_scalars()
     config = read_config(path, overrides, strict, asked.leads)
     folder = RunFolder(out or Path("runs") / config.name)
     # Finding a place to stand on uneven ground starts JAX.
@@ -72,13 +77,18 @@ def start_run(
                 with working("reading the earlier run"):
                     start = warm_start(experiment, earlier, what)
             begin_run(folder, config, experiment, devices, path, start, team.count)
-        _evolve(experiment, folder, first_look_asked(config), team)
+        _evolve(experiment, folder, first_look_asked(config), team, tensorboard)
 
 
 def resume_run(
-    run: Path, generations: int | None, cores: int | None, asked: Distribution = BY_ITSELF
+    run: Path,
+    generations: int | None,
+    cores: int | None,
+    asked: Distribution = BY_ITSELF,
+    tensorboard: bool = False,
 ) -> None:
     """`evo-cpg resume`."""
+    tensorboard = goes_on_with_scalars(run, tensorboard)
     # Several processes need not be on the machine that the run was last on.
     devices = use_cores(cores) if asked.wanted else use_cores_of(run, cores)
     if asked.leads:
@@ -101,7 +111,34 @@ def resume_run(
         require_same(team, fingerprint(config))
         if team.leads:
             _reopen(folder, config, experiment, devices, team.count)
-        _evolve(experiment, folder, first_look_asked(config), team)
+        _evolve(experiment, folder, first_look_asked(config), team, tensorboard)
+
+
+def require_scalars() -> None:
+    """Check that `--tensorboard` can be had.
+
+    Raises:
+        UsageError: it cannot.
+    """
+    try:
+        require_writer()
+    except MissingWriterError as error:
+        raise UsageError(f"--tensorboard: {error}") from None
+
+
+def goes_on_with_scalars(run: Path, asked: bool) -> bool:
+    """Whether scalars are written: where it is asked for, or the run has some already."""
+    if asked:
+        require_scalars()
+        return True
+    if not (run / FOLDER).is_dir():
+        return False
+    try:
+        require_writer()
+    except MissingWriterError as error:
+        print(f"evo-cpg: warning: {run}: no more scalars for TensorBoard: {error}", file=sys.stderr)
+        return False
+    return True
 
 
 def _reopen(
@@ -333,7 +370,11 @@ def live_again(experiment: Experiment, champion: Champion, devices: int, trial: 
 
 
 def _evolve(
-    experiment: Experiment, folder: RunFolder, least: float | None, team: "Team | None" = None
+    experiment: Experiment,
+    folder: RunFolder,
+    least: float | None,
+    team: "Team | None" = None,
+    tensorboard: bool = False,
 ) -> None:
     if team is not None and not team.leads:
         follow(experiment, folder, team)
@@ -343,6 +384,7 @@ def _evolve(
 
     done = folder.load()
     start = done.generation if done else 0
+    scalars = Scalars(folder.path, done.history if done else ()) if tensorboard else None
     try:
         with Recorder(experiment, folder, least) as recorder:
             with progress(
@@ -355,8 +397,11 @@ def _evolve(
 
                 def tell(rows: list[dict[str, float]]) -> None:
                     show(int(rows[0]["generation"]), _standing(rows), rows[0]["seconds"])
+                    if scalars is not None:
+                        scalars.add(rows)
 
-                champion = evolve(experiment, folder, tell, recorder, team)
+                with contextlib.closing(scalars) if scalars else contextlib.nullcontext():
+                    champion = evolve(experiment, folder, tell, recorder, team)
             with working("recording the champion's motion, and trying it at half the step"):
                 recorder.keep(champion)
     except KeyboardInterrupt:

@@ -38,6 +38,9 @@ from evo_cpg.training.strategy_state import StrategyError, state_arrays, state_f
 # Fitness, terms and motion of an individual that lives again.
 Replayed = tuple[float, dict[str, float], Recording]
 
+# Likewise with all that is recorded of every control step (`evo_cpg.simulation.rollout.record`).
+Lived = tuple[float, dict[str, float], dict[str, Array]]
+
 # Columns of metrics.csv that differ from run to run.
 TIMING_COLUMNS = ("seconds", "steps_per_second")
 
@@ -280,7 +283,7 @@ def compile_replay(
 
 def compile_life(
     experiment: Experiment, devices: int, recorded: int = 0
-) -> Callable[[Champion], tuple[float, dict[str, float], dict[str, Array]]]:
+) -> Callable[[Champion], Lived]:
     """As `compile_replay`, with all that was recorded of each control step in place of a motion."""
     simulation, genes = experiment.simulation, experiment.simulation.controller.gene_count
     numbers = situation_numbers(experiment)
@@ -295,7 +298,7 @@ def compile_life(
     assessed = assess.lower(lived.out_info[0], scales).compile()
     run = lived.compile()
 
-    def of(champion: Champion) -> tuple[float, dict[str, float], dict[str, Array]]:
+    def of(champion: Champion) -> Lived:
         given = np.asarray(champion.genes, np.float32), champion_keys(experiment, champion)
         outcome, frames = run(*given, numbers)
         fitness, mean = assessed(

@@ -47,6 +47,11 @@ def plot_fitness(history: Mapping[str, np.ndarray], path: str | os.PathLike[str]
         ValueError: a column is missing or there are no rows.
     """
     path = output_path(path, PLOT_SUFFIXES)
+    return _save(fitness_figure(history), path)
+
+
+def fitness_figure(history: Mapping[str, np.ndarray]) -> Figure:
+    """What `plot_fitness` draws."""
     missing = [key for key in ("generation", "best", "mean", "diverged") if key not in history]
     if missing:
         raise ValueError(f"the history has no column {missing[0]!r}; it has {', '.join(history)}")
@@ -57,7 +62,7 @@ def plot_fitness(history: Mapping[str, np.ndarray], path: str | os.PathLike[str]
     run = columns.get("run", np.zeros(len(generation)))
     runs = np.unique(run)
 
-    figure = _figure(7.2, 4.8)
+    figure = empty_figure(7.2, 4.8)
     top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(4, 1))
     several = len(runs) > 1
     if several:
@@ -93,7 +98,7 @@ def plot_fitness(history: Mapping[str, np.ndarray], path: str | os.PathLike[str]
     for axes in (top, bottom):
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     bottom.yaxis.set_major_locator(MaxNLocator(integer=True, nbins=3))
-    return _save(figure, path)
+    return _finished(figure)
 
 
 def plot_joint_signals(
@@ -131,6 +136,20 @@ def plot_joint_signals(
         ValueError: no joint has this axis, or the window holds fewer than two instants.
     """
     path = output_path(path, PLOT_SUFFIXES)
+    made = joint_signals_figure(recording, axis, window, chains=chains, title=title, signal=signal)
+    return _save(made, path)
+
+
+def joint_signals_figure(
+    recording: Recording,
+    axis: str | None = None,
+    window: tuple[float, float] | None = None,
+    *,
+    chains: Sequence[Sequence[int]] = (),
+    title: str = "",
+    signal: str = "CPG output (no unit)",
+) -> Figure:
+    """What `plot_joint_signals` draws."""
     names = [name.rpartition(".") for name in recording.dof_names]
     available = list(dict.fromkeys(letter for _, _, letter in names))
     if not available:
@@ -152,7 +171,7 @@ def plot_joint_signals(
     angle = np.degrees(recording.joint_angle[shown][:, rows])
     output = recording.cpg_output[shown][:, rows]
 
-    figure = _figure(8.0, 1.3 + 0.72 * len(rows))
+    figure = empty_figure(8.0, 1.3 + 0.72 * len(rows))
     panels = figure.subplots(len(rows), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
     tallest = max(float(np.abs(angle).max()), 1e-3) * 1.25
     loudest = max(float(np.abs(output).max()), 1e-3) * 1.25
@@ -205,7 +224,7 @@ def plot_joint_signals(
         frameon=False,
         fontsize=9,
     )
-    return _save(figure, path)
+    return _finished(figure)
 
 
 def _in_chains(rows: list[int], chains: Sequence[Sequence[int]]) -> list[list[int]]:
@@ -235,7 +254,12 @@ def plot_path(recording: Recording, path: str | os.PathLike[str]) -> Path:
         OutputError: nothing can be written there, or not this kind of file.
     """
     path = output_path(path, PLOT_SUFFIXES)
-    figure = _figure(10.5, 4.4)
+    return _save(path_figure(recording), path)
+
+
+def path_figure(recording: Recording) -> Figure:
+    """What `plot_path` draws."""
+    figure = empty_figure(10.5, 4.4)
     above, later = figure.subplots(1, 2, width_ratios=(1.45, 1))
     centre = recording.position.mean(1)
     steps = np.stack([centre[:-1, :2], centre[1:, :2]], 1)
@@ -264,20 +288,25 @@ def plot_path(recording: Recording, path: str | os.PathLike[str]) -> Path:
     later.set_ylabel("distance to the light (m)" if lit else "way made (m)")
     later.set_ylim(bottom=0)
     later.set_xlim(recording.time[0], recording.time[-1])
-    return _save(figure, path)
+    return _finished(figure)
 
 
-def _figure(width: float, height: float) -> Figure:
+def empty_figure(width: float, height: float) -> Figure:
     """An empty figure, inches."""
     figure = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
     return figure
 
 
-def _save(figure: Figure, path: Path) -> Path:
+def _finished(figure: Figure) -> Figure:
+    """The figure without frames."""
     for axes in figure.axes:
         axes.spines[["top", "right"]].set_visible(axes.yaxis.get_ticks_position() == "right")
         axes.spines["top"].set_visible(False)
+    return figure
+
+
+def _save(figure: Figure, path: Path) -> Path:
     with in_one_piece(path) as partial:
         figure.savefig(partial, dpi=160)
     return path

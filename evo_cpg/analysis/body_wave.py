@@ -1,0 +1,93 @@
+"""The wave of bending that runs along a body: how many there are of it, how fast it runs.
+
+    phi(s) = phi_0 - k s,    wave length = 2 pi / k,    waves on the body = L k / (2 pi)
+    speed along the body = wave length x frequency               (Gray 1933; Lighthill 1960)
+
+with the phase phi of the bending at the place s along the body, whose length is L. A wave runs from
+head to tail where all of these are positive.
+
+Whether it runs at all is told by the travelling index of Feeny 2008: of the complex amplitudes w of
+all places the reciprocal condition number of (Re w, Im w), 0 for a wave that stands and 1 for whole
+waves that run.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from evo_cpg.analysis.gait import fourier_component
+
+_NOT_A_NUMBER = float("nan")
+
+
+class BodyWave(NamedTuple):
+    """The wave; all NaN where nothing bends, or fewer than three places do.
+
+    Attributes:
+        count: waves on the body.
+        length: of a wave, m.
+        speed: along the body, m/s.
+        lag: mean of neighbours, degrees; positive where it runs from head to tail.
+        travelling: 0 stands, 1 runs.
+        straightness: how much of the phases' variance a constant lag by length explains, up to 1.
+        phase: at each place behind the first, degrees, without jumps.
+        amplitude: at each place, unit of the signals.
+    """
+
+    count: float
+    length: float
+    speed: float
+    lag: float
+    travelling: float
+    straightness: float
+    phase: Float[np.ndarray, " j"]
+    amplitude: Float[np.ndarray, " j"]
+
+
+def body_wave(
+    bending: Float[np.ndarray, "t j"],
+    place: Float[np.ndarray, " j"],
+    length: float,
+    step: float,
+    frequency: float,
+) -> BodyWave:
+    """See `BodyWave`.
+
+    Args:
+        bending: at each place, such as the angles of the joints about one axis, rad.
+        place: along the body from the head, ascending, m.
+        length: of the body, m.
+        step: between samples, s.
+        frequency: of the wave, Hz.
+    """
+    number = bending.shape[1]
+    nothing = np.full(number, np.nan)
+    nan = _NOT_A_NUMBER
+    none = BodyWave(nan, nan, nan, nan, nan, nan, nothing, np.zeros(number))
+    if number < 3 or not frequency > 0 or len(bending) * step < 1.0 / frequency:
+        return none
+    component = fourier_component(bending, step, frequency)
+    amplitude = np.abs(component)
+    if not amplitude.min() > 1e-9:
+        return none._replace(amplitude=amplitude)
+    lag = np.angle(component[:-1] / component[1:])
+    behind = np.concatenate([[0.0], np.cumsum(lag)])
+    slope, start = np.polyfit(place, behind, 1, w=amplitude)
+    left = np.square(amplitude * (behind - start - slope * place)).sum()
+    middle = np.average(behind, weights=np.square(amplitude))
+    all_of_it = np.square(amplitude * (behind - middle)).sum()
+    singular = np.linalg.svd(
+        np.stack([np.real(component), np.imag(component)], -1), compute_uv=False
+    )
+    wave = 2 * np.pi / slope if abs(slope) > 1e-9 else _NOT_A_NUMBER
+    return BodyWave(
+        count=float(length * slope / (2 * np.pi)),
+        length=float(abs(wave)),
+        speed=float(wave * frequency),
+        lag=float(np.degrees(lag.mean())),
+        travelling=float(singular[1] / singular[0]),
+        straightness=float(1 - left / all_of_it) if all_of_it > 1e-12 else _NOT_A_NUMBER,
+        phase=np.degrees(behind),
+        amplitude=amplitude,
+    )

@@ -1,0 +1,372 @@
+"""All that can be told in numbers of how an animal moved in one trial.
+
+Speed, power, cost of transport, duty factor and airborne share are those of the whole trial, as in
+`evo_cpg.simulation.measures`. What is about strides, lags and waves is taken from the second half
+of the trial, when the animal is under way. Where a number does not exist it is said why.
+"""
+
+import math
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from evo_cpg.analysis import footfalls, stride
+from evo_cpg.analysis.body_wave import BodyWave, body_wave
+from evo_cpg.analysis.chains import chains
+from evo_cpg.analysis.footfalls import Phases
+from evo_cpg.analysis.phase_lags import PhaseLags, phase_lags
+from evo_cpg.control.brain_cpg import BrainCpg
+from evo_cpg.control.matsuoka import CpgSettings
+from evo_cpg.creature.creature import Creature, length_of, neutral_pose
+from evo_cpg.simulation.recording import Recording
+from evo_cpg.simulation.simulation import Simulation
+
+# Share of the trial, at its end, in which strides are looked for.
+LAST = 0.5
+# Contacts and breaks that last less are chatter, s.
+_CHATTER = 0.05
+
+# A body whose joints swing by less makes no wave, rad.
+_FAINT = math.radians(1.0)
+
+_NO_STRIDE = "the joints do not repeat themselves twice in the second half of the trial"
+
+
+class Quantity(NamedTuple):
+    """A number with its name, as a table has it.
+
+    Attributes:
+        key: short name, of letters and underscores.
+        name: in words.
+        value: NaN where it does not exist.
+        unit: empty where it has none.
+        definition: what it is, and whose formula.
+        missing: why it does not exist.
+    """
+
+    key: str
+    name: str
+    value: float
+    unit: str
+    definition: str
+    missing: str = ""
+
+
+class Feet(NamedTuple):
+    """What touches the ground.
+
+    Attributes:
+        names: of the bodies that ever touch it, in the order of the creature.
+        touched: whether each touches in each control step.
+        steady: the same without chatter.
+        duty_factor: of each.
+        phases: of their touch-downs in the second half of the trial.
+        slip: speed of each over the ground while it touches, m/s.
+        airborne: whether nothing, the root included, touches in each control step.
+    """
+
+    names: tuple[str, ...]
+    touched: Bool[np.ndarray, "t f"]
+    steady: Bool[np.ndarray, "t f"]
+    duty_factor: Float[np.ndarray, " f"]
+    phases: Phases
+    slip: Float[np.ndarray, " f"]
+    airborne: Bool[np.ndarray, " t"]
+
+
+class GaitNumbers(NamedTuple):
+    """How an animal moved.
+
+    Attributes:
+        quantities: the numbers.
+        step: between samples, s.
+        first: sample with which the part begins that strides are taken from.
+        frequency: strides a second; NaN where nothing is repeated.
+        lags: between the joints, in the order of the recording's degrees of freedom.
+        chain: degrees of freedom along the body; none where fewer than three are in a row.
+        wave: along them; None where there is no chain, or none of it swings by a degree.
+        feet: what touches the ground; None where there is none.
+        power: of all motors, without regard to its sign, in each control step, W.
+        peak_torque: of each motor, N m.
+        rms_torque: root of the mean square of each, N m.
+    """
+
+    quantities: tuple[Quantity, ...]
+    step: float
+    first: int
+    frequency: float
+    lags: PhaseLags
+    chain: tuple[int, ...]
+    wave: BodyWave | None
+    feet: Feet | None
+    power: Float[np.ndarray, " t"]
+    peak_torque: Float[np.ndarray, " d"]
+    rms_torque: Float[np.ndarray, " d"]
+
+    def value(self, key: str) -> float:
+        """Of a quantity; NaN where it does not exist."""
+        return next((each.value for each in self.quantities if each.key == key), math.nan)
+
+
+def gait_numbers(
+    simulation: Simulation,
+    creature: Creature,
+    frames: Mapping[str, Array],
+    recording: Recording,
+) -> GaitNumbers:
+    """Measure a motion.
+
+    Args:
+        simulation: the trial.
+        creature: the animal.
+        frames: of one individual, see `evo_cpg.simulation.rollout.record`.
+        recording: the same in the order of the creature.
+    """
+    step = 1.0 / simulation.control_rate
+    first = round(len(recording.time) * (1 - LAST))
+    angle = np.asarray(recording.joint_angle, float)[first:]
+    frequency = stride.stride_frequency(angle, step)
+    power = np.asarray(frames["energy"], float)[:, 0] / step
+    chain = _chain(simulation, recording)
+    wave = None
+    if chain:
+        place = chain_places(simulation, creature, chain)
+        length = float(length_of(creature))
+        wave = body_wave(angle[:, chain], place, length, step, frequency)
+        if wave.amplitude.max() < _FAINT:
+            wave = None
+    feet = _feet(simulation, creature, frames, recording, first)
+    numbers = GaitNumbers(
+        quantities=(),
+        step=step,
+        first=first,
+        frequency=frequency,
+        lags=phase_lags(angle, step, frequency),
+        chain=chain,
+        wave=wave,
+        feet=feet,
+        power=power,
+        peak_torque=np.abs(recording.torque).max(0, initial=0.0),
+        rms_torque=np.sqrt(np.square(recording.torque).mean(0)),
+    )
+    found = _quantities(simulation, creature, recording, numbers)
+    told = [each if math.isnan(each.value) else each._replace(missing="") for each in found]
+    return numbers._replace(quantities=tuple(told))
+
+
+def _quantities(
+    simulation: Simulation, creature: Creature, recording: Recording, numbers: GaitNumbers
+) -> list[Quantity]:
+    step, frequency = numbers.step, numbers.frequency
+    duration = len(recording.time) * step
+    root = next(i for i, body in enumerate(creature.bodies) if body.joint is None)
+    place = np.asarray(recording.position, float)
+    on_ground = simulation.world.footing is not None
+    straight = (place[-1, root] - place[0, root])[: 2 if on_ground else 3]
+    distance = float(np.linalg.norm(straight))
+    speed = distance / (duration - step) if duration > step else math.nan
+    length, mass = float(length_of(creature)), float(creature.mass)
+    tree = simulation.world.tree
+    order = [tree.names.index(body.name) for body in creature.bodies]
+    weights = np.asarray(tree.mass, float)[order]
+    middle = np.average(place, axis=1, weights=weights)[numbers.first :]
+    along = stride.path_speed(middle, step, frequency)
+    gravity = float(simulation.world.gravity)
+    energy = float(numbers.power.sum() * step)
+    no_stride = "" if frequency > 0 else _NO_STRIDE
+    stride_length = stride.stride_length(along, frequency)
+    found = [
+        Quantity("duration", "duration", duration, "s", "of the trial"),
+        Quantity("length", "body length", length, "m", "largest extent with all joints at zero"),
+        Quantity("mass", "mass", mass, "kg", "of all bodies"),
+        Quantity(
+            "speed", "speed", speed, "m/s",
+            "of the root's centre in a straight line from start to end"
+            + (", over the ground" if on_ground else ""),
+        ),
+        Quantity("speed_in_lengths", "relative speed", speed / length, "lengths/s",
+                 "speed by body length"),
+        Quantity("path_speed", "path speed", along, "m/s",
+                 "of the centre of mass along its way in the second half, smoothed over a stride"),
+        Quantity("stride_frequency", "stride frequency", frequency, "Hz",
+                 "inverse of the shortest time after which all joints are as they were: "
+                 "autocorrelation (Moe-Nilssen and Helbostad 2004)", no_stride),
+        Quantity("stride_length", "stride length", stride_length, "m",
+                 "path speed by stride frequency (Alexander 2003)", no_stride),
+        Quantity("relative_stride", "relative stride length", stride_length / length, "lengths",
+                 "stride length by body length", no_stride),
+    ]  # fmt: skip
+    found += _of_the_ground(numbers, along)
+    found += _of_the_wave(simulation, creature, recording, numbers, middle, along, no_stride)
+    found += [
+        Quantity("power", "mean power", energy / duration, "W",
+                 "of all motors, |torque x rate| summed over the joints"),
+        Quantity("peak_power", "peak power", float(numbers.power.max(initial=0.0)), "W",
+                 "the largest mean of a control step"),
+        Quantity("energy", "energy", energy, "J", "mean power x duration"),
+        Quantity("cost_of_transport", "cost of transport",
+                 stride.cost_of_transport(energy, mass, gravity, distance), "",
+                 "energy by weight and distance in a straight line (Tucker 1975)",
+                 "it gets nowhere, or weighs nothing"),
+        Quantity("peak_torque", "peak torque", float(numbers.peak_torque.max(initial=0.0)), "N m",
+                 "of any motor, mean of a control step"),
+    ]  # fmt: skip
+    return found
+
+
+def _of_the_ground(numbers: GaitNumbers, along: float) -> list[Quantity]:
+    feet = numbers.feet
+    if feet is None:
+        return []
+    limbs = feet.duty_factor if len(feet.names) else np.array([math.nan])
+    never = "" if len(feet.names) else "nothing but the root ever touches the ground"
+    slip = math.nan
+    if len(feet.names):
+        # Every foot counts by the time that it is on the ground.
+        slip = float(np.average(feet.slip, weights=feet.duty_factor))
+    return [
+        Quantity("duty_factor", "duty factor", float(limbs.mean()), "",
+                 "share of the time on the ground (Alexander and Jayes 1983), mean of the bodies "
+                 "that ever touch it but for the root", never),
+        Quantity("airborne", "airborne share", float(feet.airborne.mean()), "",
+                 "share of the control steps in which nothing touches the ground"),
+        Quantity("slip", "slip", slip, "m/s",
+                 "horizontal speed of each foot's lowest point while it touches, mean of all",
+                 never),
+        Quantity("relative_slip", "relative slip",
+                 slip / along if along > 0 else math.nan, "",
+                 "slip by path speed", never or "it gets nowhere"),
+    ]  # fmt: skip
+
+
+def _of_the_wave(
+    simulation: Simulation,
+    creature: Creature,
+    recording: Recording,
+    numbers: GaitNumbers,
+    middle: Float[np.ndarray, "n 3"],
+    along: float,
+    no_stride: str,
+) -> list[Quantity]:
+    wave = numbers.wave
+    if wave is None:
+        return []
+    stands = no_stride or "no wave runs along the body"
+    found = [
+        Quantity("wave_count", "waves on the body", wave.count, "",
+                 "body length by wave length; positive from head to tail", stands),
+        Quantity("wave_speed", "wave speed", wave.speed, "m/s",
+                 "along the body: wave length x stride frequency (Gray 1933)", stands),
+        Quantity("lag", "lag per joint", wave.lag, "deg",
+                 "mean phase lag of neighbours along the body", stands),
+        Quantity("travelling_index", "travelling index", wave.travelling, "",
+                 "0 for a wave that stands, 1 for whole waves that run (Feeny 2008)", stands),
+    ]  # fmt: skip
+    if simulation.world.water is not None:
+        point = _tail_tip(simulation, creature, recording, numbers.chain)[numbers.first :]
+        swing = stride.excursion(point, middle, numbers.step, numbers.frequency)
+        found += [
+            Quantity("wave_slip", "speed by wave speed", along / abs(wave.speed), "",
+                     "path speed by wave speed, the slip U/V of Lighthill 1960", stands),
+            Quantity("tail_excursion", "excursion of the tail", swing, "m",
+                     "of its tip, from side to side in a stride", no_stride),
+            Quantity("strouhal", "Strouhal number",
+                     stride.strouhal_number(numbers.frequency, swing, along), "",
+                     "stride frequency x excursion of the tail by path speed "
+                     "(Triantafyllou et al. 1993)", no_stride or "it gets nowhere"),
+        ]  # fmt: skip
+    return found
+
+
+def _feet(
+    simulation: Simulation,
+    creature: Creature,
+    frames: Mapping[str, Array],
+    recording: Recording,
+    first: int,
+) -> Feet | None:
+    footing, tree = simulation.world.footing, simulation.world.tree
+    if footing is None:
+        return None
+    step = 1.0 / simulation.control_rate
+    force = np.asarray(frames["contact_force"])[..., 0]
+    owners = np.array(footing.bodies, int)
+    names = [body.name for body in creature.bodies]
+    limbs = sorted({int(i) for i in owners if i > 0}, key=lambda i: names.index(tree.names[i]))
+    touched = footfalls.touching(force, owners, limbs) if limbs else np.zeros((len(force), 0), bool)
+    ever = np.flatnonzero(touched.any(0))
+    limbs, touched = [limbs[i] for i in ever], touched[:, ever]
+    places = [names.index(tree.names[limb]) for limb in limbs]
+    rotation = np.asarray(recording.rotation, float)[:, places]
+    lowest = np.zeros((*touched.shape, 3))
+    for k, place in enumerate(places):
+        shape = creature.bodies[place].shape
+        # Only where it counts: it is asked for one by one.
+        for t in np.flatnonzero(touched[:, k]):
+            lowest[t, k] = shape.support(-rotation[t, k, 2])
+    steady = footfalls.settled(touched, step, _CHATTER)
+    position = np.asarray(recording.position, float)[:, places]
+    return Feet(
+        names=tuple(tree.names[limb] for limb in limbs),
+        touched=touched,
+        steady=steady,
+        duty_factor=footfalls.duty_factors(touched),
+        phases=footfalls.phases(steady[first:], step),
+        slip=footfalls.slip_speeds(position, rotation, lowest, touched, step),
+        airborne=~(force != 0).any((1, 2)),
+    )
+
+
+def _chain(simulation: Simulation, recording: Recording) -> tuple[int, ...]:
+    """Three or more degrees of freedom in a row along the body, as many as there are.
+
+    Of rows that are as long that which bends most; not twist, which is about x, unless all is.
+    """
+    controller = simulation.controller
+    settings = controller.settings.cpg if isinstance(controller, BrainCpg) else CpgSettings()
+    swing = np.asarray(recording.joint_angle).std(0)
+    found = [
+        row
+        for row in (chain.oscillators for chain in chains(simulation.world.tree, settings))
+        if len(row) > 2
+    ]
+    across = [row for row in found if not recording.dof_names[row[0]].endswith(".x")]
+    return max(across or found, key=lambda row: (len(row), swing[list(row)].sum()), default=())
+
+
+def chain_places(
+    simulation: Simulation, creature: Creature, chain: tuple[int, ...]
+) -> Float[np.ndarray, " j"]:
+    """Where joints are along the body, m behind the first.
+
+    Args:
+        simulation: the trial.
+        creature: the animal.
+        chain: degrees of freedom in a row.
+    """
+    if not chain:
+        return np.zeros(0)
+    tree = simulation.world.tree
+    centres, turns = neutral_pose(creature)
+    joints = []
+    for dof in chain:
+        place = creature.body_index(tree.names[tree.dof_bodies[dof]])
+        joint = creature.bodies[place].joint
+        assert joint is not None
+        joints.append(centres[place] + turns[place] @ np.array(joint.child_anchor, float))
+    apart = np.linalg.norm(np.diff(joints, axis=0), axis=-1)
+    return np.concatenate([[0.0], np.cumsum(apart)])
+
+
+def _tail_tip(
+    simulation: Simulation, creature: Creature, recording: Recording, chain: tuple[int, ...]
+) -> Float[np.ndarray, "t 3"]:
+    """The end of the chain's last body that lies opposite of its joint, m."""
+    tree = simulation.world.tree
+    place = creature.body_index(tree.names[tree.dof_bodies[chain[-1]]])
+    joint = creature.bodies[place].joint
+    assert joint is not None
+    end = -np.array(joint.child_anchor, float)
+    return recording.position[:, place] + recording.rotation[:, place] @ end

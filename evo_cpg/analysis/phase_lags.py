@@ -1,0 +1,65 @@
+"""Phase lags between signals at one frequency, and how much they can be trusted.
+
+    S_ij = mean over segments of X_i conj(X_j)          cross-spectrum (Welch 1967)
+    lag_ij = arg S_ij                                   by how much j is behind i
+    C_ij = |S_ij|^2 / (S_ii S_jj)                       coherence (Bendat and Piersol 2010)
+
+with the component X of each signal at the frequency, seen through a Hann window in segments of
+some periods that overlap by half.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from evo_cpg.analysis.gait import fourier_component
+
+# Periods of a segment: few are many segments, of which the coherence is known better.
+_PERIODS = 4.0
+
+
+class PhaseLags(NamedTuple):
+    """How signals follow each other.
+
+    Attributes:
+        lag: of signal j behind signal i, degrees from -180 to 180; NaN where one of them does not
+            oscillate at this frequency.
+        coherence: from 0 (nothing to do with each other) to 1; NaN where there is only one segment,
+            which is coherent with anything.
+    """
+
+    lag: Float[np.ndarray, "j j"]
+    coherence: Float[np.ndarray, "j j"]
+
+
+def phase_lags(signals: Float[np.ndarray, "t j"], step: float, frequency: float) -> PhaseLags:
+    """See `PhaseLags`.
+
+    Args:
+        signals: any unit.
+        step: between samples, s.
+        frequency: that of the stride, Hz.
+
+    Returns:
+        NaN where the record is shorter than a period.
+    """
+    count, number = signals.shape
+    unknown = np.full((number, number), np.nan)
+    if not frequency > 0 or count * step < 1.0 / frequency or not number:
+        return PhaseLags(unknown, unknown.copy())
+    length = min(count, max(8, round(_PERIODS / (frequency * step))))
+    starts = range(0, count - length + 1, max(1, length // 2))
+    # Every segment's phases begin with it, which is enough: what counts are differences.
+    parts = np.stack(
+        [fourier_component(signals[first : first + length], step, frequency) for first in starts]
+    )
+    cross = np.einsum("si,sj->ij", parts, parts.conj()) / len(parts)
+    power = np.real(np.diag(cross))
+    scale = np.outer(power, power)
+    # A signal that is silent beside the loudest has no phase.
+    silent = scale <= 1e-18 * power.max(initial=0.0) ** 2
+    lag = np.where(silent, np.nan, np.degrees(np.angle(cross)))
+    coherence = np.square(np.abs(cross)) / np.where(silent, 1.0, scale)
+    several = len(parts) > 1
+    return PhaseLags(lag, np.where(silent | (not several), np.nan, coherence))

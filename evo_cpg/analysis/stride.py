@@ -1,0 +1,179 @@
+"""The stride: how long an animal takes until it does the same again, how far that carries it.
+
+| word | meaning | source |
+|---|---|---|
+| stride frequency | strides a second | Moe-Nilssen and Helbostad 2004 (autocorrelation) |
+| path speed | speed along the way, smoothed over a stride | |
+| stride length | path speed by stride frequency | Alexander 2003 |
+| excursion | from side to side across the way, in a stride | Triantafyllou et al. 1993 |
+| Strouhal number | frequency x excursion / speed | Triantafyllou et al. 1993 |
+| cost of transport | energy by weight and distance | Tucker 1975 |
+"""
+
+import math
+
+import numpy as np
+from jaxtyping import Float
+
+# Below this autocorrelation nothing is repeated: white noise of 600 samples reaches 0.2.
+_ALIKE = 0.3
+# Among peaks that are as high but for so much, the first is a stride and the others are several.
+_AS_HIGH = 0.9
+# Least number of strides in a record.
+_STRIDES = 2.0
+# Nobody has gone nowhere (m), as in `evo_cpg.simulation.measures`.
+_NOWHERE = 1e-6
+
+
+def stride_frequency(signals: Float[np.ndarray, "t j"], step: float) -> float:
+    """Strides a second, by the autocorrelation of all joints together.
+
+    The stride is the shortest time after which all joints are again as they were: the first peak
+    of
+
+        r(m) = sum_j cov_m(x_j, x_j) / sqrt(sum_j var_m(x_j) sum_j var'_m(x_j))
+
+    over the parts of the record that overlap, among those at least 0.9 as high as the highest
+    (unbiased autocorrelation, Moe-Nilssen and Helbostad 2004). Unlike the peak of a
+    spectrum it is not that of a joint that swings twice in a stride.
+
+    Args:
+        signals: such as the joints' angles, any unit.
+        step: between samples, s.
+
+    Returns:
+        Hz; NaN where nothing is repeated, or the record is shorter than two strides.
+    """
+    count = len(signals)
+    level = signals - signals.mean(0)
+    if count < 8 or not signals.shape[1] or not np.square(level).sum() > 1e-12 * count:
+        return math.nan
+    most = int(count / _STRIDES)
+    alike = _autocorrelation(level, most)
+    inner = alike[1:-1]
+    peak = 1 + np.flatnonzero((inner >= alike[:-2]) & (inner > alike[2:]))
+    # What changes slowly is like itself before it ever changed.
+    below = np.flatnonzero(alike < 0.5 * (1 + alike.min()))
+    peak = peak[peak > below[0]] if len(below) else peak[:0]
+    if not len(peak) or alike[peak].max() < _ALIKE:
+        return math.nan
+    first = int(peak[alike[peak] >= _AS_HIGH * alike[peak].max()][0])
+    left, middle, right = alike[first - 1 : first + 2]
+    bend = left - 2 * middle + right
+    shift = 0.5 * (left - right) / bend if bend < 0 else 0.0
+    return float(1.0 / (step * (first + shift)))
+
+
+def path_speed(path: Float[np.ndarray, "t 3"], step: float, frequency: float) -> float:
+    """Speed along the way, smoothed over a stride so that swaying does not count, m/s.
+
+    Args:
+        path: of the animal's middle, m.
+        step: between samples, s.
+        frequency: strides a second; where it is NaN the way is a straight line.
+    """
+    smooth = _over_strides(path, step, frequency)
+    if len(smooth) < 2:
+        return math.nan
+    return float(np.linalg.norm(np.diff(smooth, axis=0), axis=-1).sum() / (step * len(smooth[1:])))
+
+
+def stride_length(speed: float, frequency: float) -> float:
+    """How far a stride carries, m: speed by frequency (Alexander 2003).
+
+    Args:
+        speed: m/s.
+        frequency: strides a second; no stride if NaN.
+    """
+    return speed / frequency if frequency > 0 else math.nan
+
+
+def excursion(
+    point: Float[np.ndarray, "t 3"], path: Float[np.ndarray, "t 3"], step: float, frequency: float
+) -> float:
+    """How far a point of the animal swings from side to side across the way in a stride, m.
+
+    The point's own way is smoothed over a stride; what is left of it across the course, in the
+    direction in which most is left, goes from its least to its most in every whole stride; the
+    median of those.
+
+    Args:
+        point: such as the tip of the tail, m.
+        path: of the animal's middle, whose course counts, m.
+        step: between samples, s.
+        frequency: strides a second.
+
+    Returns:
+        m; NaN where there is no stride.
+    """
+    if not frequency > 0:
+        return math.nan
+    width = _samples(step, frequency)
+    smooth = _over_strides(point, step, frequency)
+    if len(smooth) < width:
+        return math.nan
+    first = (len(point) - len(smooth)) // 2
+    swing = point[first : first + len(smooth)] - smooth
+    course = np.gradient(_over_strides(path, step, frequency), axis=0)[: len(smooth)]
+    length = np.linalg.norm(course, axis=-1, keepdims=True)
+    ahead = course / np.where(length > 0, length, 1.0)
+    across = swing - (swing * ahead).sum(-1, keepdims=True) * ahead
+    direction = np.linalg.svd(across, full_matrices=False)[2][0]
+    side = across @ direction
+    whole = side[: len(side) // width * width].reshape(-1, width)
+    return float(np.median(np.ptp(whole, axis=1)))
+
+
+def strouhal_number(frequency: float, amplitude: float, speed: float) -> float:
+    """St = f A / U, no unit (Triantafyllou, Triantafyllou and Grosenbaugh 1993).
+
+    Args:
+        frequency: f, of the tail's beat, Hz.
+        amplitude: A, the tip's excursion from side to side, m.
+        speed: U, m/s; no number if it is 0.
+    """
+    return frequency * amplitude / speed if speed > 0 else math.nan
+
+
+def cost_of_transport(energy: float, mass: float, gravity: float, distance: float) -> float:
+    """Energy by weight and distance, E / (m g d), no unit (Tucker 1975).
+
+    Args:
+        energy: E, of the motors, J.
+        mass: m, kg.
+        gravity: g, m/s^2.
+        distance: d, m.
+
+    Returns:
+        NaN for an animal that gets nowhere or weighs nothing.
+    """
+    work = mass * gravity * distance
+    return energy / work if distance > _NOWHERE and work > 0 else math.nan
+
+
+def _autocorrelation(level: Float[np.ndarray, "t j"], most: int) -> Float[np.ndarray, " lags"]:
+    """Of all signals together, for lags from 0 to ``most`` samples."""
+    count = len(level)
+    spectrum = np.fft.rfft(level, 2 * count, axis=0)
+    product = np.fft.irfft(np.square(np.abs(spectrum)).sum(1), 2 * count)[: most + 1]
+    power = np.concatenate([[0.0], np.cumsum(np.square(level).sum(1))])
+    lags = np.arange(most + 1)
+    before, after = power[count - lags], power[count] - power[lags]
+    scale = np.sqrt(before * after)
+    return product / np.where(scale > 0, scale, 1.0)
+
+
+def _samples(step: float, frequency: float) -> int:
+    """Of a stride."""
+    return max(1, round(1.0 / (frequency * step)))
+
+
+def _over_strides(
+    path: Float[np.ndarray, "t 3"], step: float, frequency: float
+) -> Float[np.ndarray, "n 3"]:
+    """Means over every stride; a straight line where there is none."""
+    width = _samples(step, frequency) if frequency > 0 else len(path)
+    if width >= len(path):
+        return np.linspace(path[0], path[-1], len(path))
+    total = np.concatenate([np.zeros((1, 3)), np.cumsum(path - path[0], axis=0)])
+    return path[0] + (total[width:] - total[:-width]) / width

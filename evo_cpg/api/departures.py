@@ -1,0 +1,125 @@
+"""How a configuration departs from the shipped one of its name, and that one from its paper.
+
+The shipped files say beside every value whether it is the paper's or ours, in comments: "# paper:
+2000 steps", "# ours". They are read here, so that nothing has to be said twice.
+"""
+
+import re
+from pathlib import Path
+from typing import Any
+
+from evo_cpg.config.errors import ConfigError
+from evo_cpg.config.load import load_config
+from evo_cpg.config.schema.experiment import ExperimentConfig
+from evo_cpg.view.page.departures import Departures, Difference, Note
+
+_PACKAGE = Path(__file__).parents[1]
+# `  steps: 2000   # paper`; what stands before the comment, and the comment.
+_LINE = re.compile(r"^( *)([A-Za-z_]\w*):\s*(.*?)\s*(?:# ?(.*))?$")
+# "paper: not said" is ours; "ours: half the paper's times" is not the paper's.
+_WHOSE = re.compile(r"\bours\b|\bpaper\b(?!')")
+_CONTINUED = re.compile(r"^\s+# ?(.*)$")
+
+
+def departures(config: ExperimentConfig) -> Departures | None:
+    """See `Departures`; None where no configuration of this name is shipped."""
+    folder = _shipped_folder()
+    path = None if folder is None else folder / f"{config.name}.yaml"
+    if path is None or Path(config.name).name != config.name or not path.is_file():
+        return None
+    try:
+        shipped = load_config(path)
+    except ConfigError:
+        return None
+    text = path.read_text(encoding="utf-8")
+    found = list(notes(text))
+    for note in found:
+        if note.key == "creature" and (path.parent / note.value).is_file():
+            creature = (path.parent / note.value).read_text(encoding="utf-8")
+            found += [n._replace(key=f"creature.{n.key}") for n in notes(creature)]
+    listed = [note for note in found if note.text]
+    return Departures(_head(text), tuple(differences(config, shipped)), tuple(listed))
+
+
+def differences(config: ExperimentConfig, shipped: ExperimentConfig) -> list[Difference]:
+    """Values that differ, by their keys, in the order of the shipped one.
+
+    Args:
+        config: whose values are asked for.
+        shipped: the one that it is compared with.
+    """
+    own, other = (_flat(each.model_dump(mode="json")) for each in (config, shipped))
+    keys = [*other, *(key for key in own if key not in other)]
+    return [
+        Difference(key, other.get(key), own.get(key))
+        for key in keys
+        if own.get(key) != other.get(key) or (key in own) != (key in other)
+    ]
+
+
+def notes(text: str) -> list[Note]:
+    """Values with comments that say whose they are; of ``creature`` also without.
+
+    Args:
+        text: of a YAML file; comments of several lines are one, lists are left out.
+    """
+    found: list[Note] = []
+    above: list[tuple[int, str]] = []
+    # Of the comment that a line may continue.
+    open_note = False
+    for line in text.splitlines():
+        more = _CONTINUED.match(line)
+        if more and open_note:
+            found[-1] = found[-1]._replace(text=f"{found[-1].text} {more[1]}")
+            continue
+        match = _LINE.match(line)
+        open_note = False
+        if not match:
+            continue
+        indent, name, value, comment = len(match[1]), match[2], match[3], match[4] or ""
+        above = [(depth, key) for depth, key in above if depth < indent]
+        key = ".".join([*(key for _, key in above), name])
+        if not value:
+            above.append((indent, name))
+        whose = _WHOSE.search(comment)
+        if whose or key == "creature":
+            value = re.sub(r"^&\w+ ?", "", value)
+            ours = whose is None or whose[0] == "ours" or "not sa" in comment
+            found.append(Note(key, value, comment, ours))
+            open_note = whose is not None
+    return found
+
+
+def _flat(value: Any, key: str = "") -> dict[str, Any]:
+    """Values by their keys; empty lists and dictionaries are values."""
+    inner = {}
+    if isinstance(value, dict):
+        inner = value
+    elif isinstance(value, list):
+        inner = dict(enumerate(value))
+    if not inner:
+        return {key: value}
+    found: dict[str, Any] = {}
+    for name, each in inner.items():
+        found |= _flat(each, f"{key}.{name}" if key else str(name))
+    return found
+
+
+def _head(text: str) -> str:
+    """The paragraph at the top of a file."""
+    lines = []
+    for line in text.splitlines():
+        if not line.startswith("#") or line.strip() == "#":
+            break
+        lines.append(line.lstrip("# "))
+    return " ".join(lines)
+
+
+def _shipped_folder() -> Path | None:
+    """Where the shipped configurations lie: in a wheel beside the modules, else in the checkout."""
+    if (_PACKAGE / "configs").is_dir():
+        return _PACKAGE / "configs"
+    checkout = _PACKAGE.parent
+    if (checkout / "pyproject.toml").is_file() and (checkout / "configs").is_dir():
+        return checkout / "configs"
+    return None

@@ -1,0 +1,75 @@
+"""HTML that cannot be broken into: whatever is no `Html` is text, and escaped."""
+
+import html
+from typing import Any
+
+
+class Html(str):
+    """Text that is HTML already."""
+
+    __slots__ = ()
+
+
+def tag(name: str, /, *children: Any, **attributes: Any) -> Html:
+    """An element.
+
+    Args:
+        name: of the element.
+        children: `Html` as it is, anything else as text; None is left out.
+        attributes: of the element, with ``_`` for ``-`` and a trailing ``_`` dropped (``class_``);
+            True is an attribute without a value, None and False are left out.
+    """
+    words = [name]
+    for key, value in attributes.items():
+        key = key.rstrip("_").replace("_", "-")
+        if value is True:
+            words.append(key)
+        elif value is not None and value is not False:
+            words.append(f'{key}="{html.escape(str(value))}"')
+    inner = join(*children)
+    if name in _VOID:
+        return Html(f"<{' '.join(words)}>")
+    return Html(f"<{' '.join(words)}>{inner}</{name}>")
+
+
+def join(*parts: Any) -> Html:
+    """One after the other: `Html` as it is, anything else as text; None is left out."""
+    return Html("".join(_inner(part) for part in parts if part is not None))
+
+
+def table(head: list[Any], rows: list[list[Any]], *, numbers: tuple[int, ...] = ()) -> Html:
+    """A table.
+
+    Args:
+        head: of the columns.
+        rows: cells.
+        numbers: columns that are set flush right.
+    """
+
+    def row(cells: list[Any], name: str) -> Html:
+        made = (
+            tag(name, cell, class_="number" if i in numbers else None)
+            for i, cell in enumerate(cells)
+        )
+        return tag("tr", *made)
+
+    body = tag("tbody", *(row(cells, "td") for cells in rows))
+    inner = tag("table", tag("thead", row(head, "th")), body)
+    return tag("div", inner, class_="wide")
+
+
+def long_table(head: list[Any], rows: list[list[Any]], *, numbers: tuple[int, ...] = ()) -> Html:
+    """A table whose rows beyond the first dozen are folded away."""
+    first = table(head, rows[:_DOZEN], numbers=numbers)
+    if len(rows) <= _DOZEN:
+        return first
+    rest = table(head, rows[_DOZEN:], numbers=numbers)
+    return join(first, tag("details", tag("summary", f"{len(rows) - _DOZEN} more"), rest))
+
+
+_DOZEN = 12
+_VOID = ("img", "input", "meta", "br")
+
+
+def _inner(part: Any) -> str:
+    return part if isinstance(part, Html) else html.escape(str(part))

@@ -1,0 +1,179 @@
+"""What the viewer of a page shows: meshes, places and colours, as JSON.
+
+Arrays are base64 of little-endian numbers; equal ones, such as the triangles of all boxes, are
+written once.
+"""
+
+import base64
+from typing import Any, cast
+
+import numpy as np
+import pyvista as pv
+from jaxtyping import Float
+
+from evo_cpg.creature.creature import Creature
+from evo_cpg.physics.footing import Ground
+from evo_cpg.physics.terrain import Plane
+from evo_cpg.simulation.recording import Recording
+from evo_cpg.view.camera import course, smooth
+from evo_cpg.view.film import animal_radius, sample, surface_is_seen
+from evo_cpg.view.ground import grid_spacing, mark_spacing
+from evo_cpg.view.look import LOOKS, SHORE
+from evo_cpg.view.meshes import body_colors, eye_meshes, head_index, shape_mesh
+from evo_cpg.view.obstacles import obstacle_mesh
+from evo_cpg.view.terrain import make_terrain
+from evo_cpg.view.textures import CELLS
+
+# Places a second: between them the viewer interpolates.
+RATE = 30.0
+# Window over which the way of the camera's focus is smoothed, s.
+_CALM = 1.0
+# The floor lies this many radii of the animal below the lowest point of its way through water, as
+# in films; the mesh of uneven ground ends so many radii from the way.
+_DEPTH, _FAR = 0.55, 14.0
+# Range of a signed number of 16 bits.
+_SHORT = 32767
+_STONE = "#999188"
+_WHITE, _PUPIL = "#fdfdf8", "#10151c"
+
+
+class _Arrays:
+    """Arrays by number, each written once."""
+
+    def __init__(self) -> None:
+        self.written: list[str] = []
+        self._numbers: dict[bytes, int] = {}
+
+    def add(self, values: Any, kind: str) -> int:
+        data = np.ascontiguousarray(values, kind).tobytes()
+        if data not in self._numbers:
+            self._numbers[data] = len(self.written)
+            self.written.append(base64.b64encode(data).decode())
+        return self._numbers[data]
+
+
+def scene(
+    creature: Creature,
+    recording: Recording,
+    ground: Ground | None,
+    surface: float | None,
+    in_water: bool,
+) -> dict[str, Any]:
+    """All that moves and stands.
+
+    Args:
+        creature: the animal.
+        recording: its motion.
+        ground: that carries it; None where a floor is only drawn.
+        surface: height of the water's surface, m; None where there is none.
+        in_water: whether there is water.
+    """
+    clip = sample(recording, RATE)
+    arrays = _Arrays()
+    radius = animal_radius(creature, clip)
+    if surface is not None and not surface_is_seen(creature, clip, ground, surface):
+        surface = None
+    look = LOOKS["water" if in_water else "land"] if surface is None else SHORE
+    lit = bool(np.isfinite(recording.goal).all())
+    level = ground.level if ground is not None else None
+    lowest = clip.position[..., 2].min() - max(body.shape.reach for body in creature.bodies)
+    if lit:
+        lowest = min(lowest, recording.goal[2])
+    floor = float(level) if level is not None else float(lowest - _DEPTH * radius)
+    terrain = None
+    if ground is not None and level is None:
+        way = clip.position.reshape(-1, 3)[:, :2]
+        terrain = make_terrain(ground.floor, way, radius, _FAR * radius)
+    elif ground is None and surface is not None:
+        terrain = make_terrain(
+            Plane(height=floor), clip.position.reshape(-1, 3)[:, :2], radius, _FAR * radius
+        )
+    focus = smooth(clip.position.mean(1), _CALM * RATE)
+    bearing = course(clip.position[:, head_index(creature)], recording.goal, radius / 10)
+    spacing = grid_spacing(2 * radius) if ground is None else mark_spacing(2 * radius) / CELLS
+    made = {
+        "rate": RATE,
+        "start": float(clip.time[0]),
+        "count": len(clip.time),
+        "bodies": _bodies(creature, arrays),
+        "position": arrays.add(clip.position, "<f4"),
+        "rotation": arrays.add(_quaternions(clip.rotation) * _SHORT, "<i2"),
+        "focus": arrays.add(focus, "<f4"),
+        "head": head_index(creature),
+        "speed": arrays.add(clip.speed, "<f4"),
+        "distance": arrays.add(clip.distance, "<f4"),
+        "measured": "to the light" if lit else "way made",
+        "radius": radius,
+        "bearing": float(bearing),
+        "floor": floor,
+        "spacing": float(spacing),
+        "terrain": None,
+        "obstacles": [],
+        "goal": [float(x) for x in recording.goal] if lit else None,
+        "surface": None if surface is None else float(surface),
+        "water": in_water and surface is None,
+        "look": {
+            "distance": look.distance,
+            "floor": look.floor,
+            "grid": look.grid,
+            "sun": look.sun,
+            "fill": look.fill,
+            "trail": look.trail,
+            "light": look.light,
+            "halo": look.halo,
+            "zenith": look.zenith,
+            "checkered": look.checkered,
+            "text": look.text,
+            "particles": look.particles,
+        },
+    }
+    if terrain is not None:
+        made["terrain"] = {
+            "points": arrays.add(terrain.points(), "<f4"),
+            "normals": arrays.add(terrain.normals() * 127, "i1"),
+            "triangles": arrays.add(terrain.triangles(), "<u4"),
+        }
+    for obstacle in ground.obstacles if ground is not None else ():
+        mesh, place, turn = obstacle_mesh(obstacle)
+        coarse = mesh.triangulate()
+        made["obstacles"].append(
+            _mesh(cast(pv.PolyData, coarse), _STONE, arrays)
+            | {"place": place.tolist(), "turn": _quaternions(turn[None])[0].tolist()}
+        )
+    made["arrays"] = arrays.written
+    return made
+
+
+def _bodies(creature: Creature, arrays: _Arrays) -> list[dict[str, Any]]:
+    colors = [pv.Color(color).hex_rgb for color in body_colors(creature)]
+    found = [
+        {"name": body.name, "parts": [_mesh(shape_mesh(body.shape), color, arrays)]}
+        for body, color in zip(creature.bodies, colors, strict=True)
+    ]
+    for sensor in creature.light_sensors:
+        parts = found[creature.body_index(sensor.body)]["parts"]
+        for mesh, color in zip(eye_meshes(creature, sensor), (_WHITE, _PUPIL), strict=True):
+            parts.append(_mesh(cast(pv.PolyData, mesh.decimate(0.7)), color, arrays))
+    return found
+
+
+def _mesh(mesh: pv.PolyData, color: str, arrays: _Arrays) -> dict[str, Any]:
+    normals = mesh.point_data.active_normals
+    if normals is None:
+        mesh = cast(pv.PolyData, mesh.compute_normals(split_vertices=False))
+        normals = mesh.point_data.active_normals
+    return {
+        "points": arrays.add(mesh.points, "<f4"),
+        "normals": arrays.add(np.asarray(normals) * 127, "i1"),
+        "triangles": arrays.add(mesh.regular_faces, "<u4"),
+        "color": color,
+    }
+
+
+def _quaternions(rotation: Float[np.ndarray, "*n 3 3"]) -> Float[np.ndarray, "*n 4"]:
+    """``x, y, z, w`` of rotation matrices."""
+    # SciPy takes long to import.
+    from scipy.spatial.transform import Rotation
+
+    flat = np.asarray(rotation, float).reshape(-1, 3, 3)
+    return Rotation.from_matrix(flat).as_quat().reshape(*rotation.shape[:-2], 4)

@@ -1,0 +1,410 @@
+// The animal in 3D: play, scrub, look from where you like. Needs THREE and the scene's JSON.
+"use strict";
+(() => {
+  const told = JSON.parse(document.getElementById("scene").textContent);
+  const stage = document.getElementById("animal");
+  const canvas = stage.querySelector("canvas");
+  const button = stage.querySelector(".play");
+  const slider = stage.querySelector("input[type=range]");
+  const clock = stage.querySelector(".clock");
+  const caption = stage.querySelector(".caption");
+  const pace = stage.querySelector(".pace");
+  const following = stage.querySelector(".follow");
+  const duration = (told.count - 1) / told.rate;
+  slider.max = duration;
+  slider.step = 1 / told.rate;
+
+  // ---- arrays
+  const kinds = { f4: Float32Array, i2: Int16Array, i1: Int8Array, u4: Uint32Array };
+  const decoded = new Map();
+  function array(number, kind) {
+    const key = number + kind;
+    if (!decoded.has(key)) {
+      const text = atob(told.arrays[number]);
+      const bytes = Uint8Array.from(text, (letter) => letter.charCodeAt(0));
+      decoded.set(key, new kinds[kind](bytes.buffer));
+    }
+    return decoded.get(key);
+  }
+
+  // ---- the world
+  let renderer;
+  try {
+    renderer = new THREE.WebGLRenderer({ canvas, antialias: true });
+  } catch (error) {
+    // No WebGL: the still picture stays.
+    stage.classList.add("still-only");
+    return;
+  }
+  const look = told.look;
+  const radius = told.radius;
+  renderer.outputColorSpace = THREE.SRGBColorSpace;
+  renderer.shadowMap.enabled = true;
+  renderer.shadowMap.type = THREE.PCFShadowMap;
+  const scene = new THREE.Scene();
+  const horizon = new THREE.Color(look.distance);
+  scene.background = horizon;
+  const sight = (told.water ? 13 : 20) * radius;
+  scene.fog = new THREE.Fog(horizon, (told.water ? 0.3 : 0.25) * sight, sight);
+  const camera = new THREE.PerspectiveCamera(32, 16 / 9, 0.02 * radius, 80 * radius);
+  camera.up.set(0, 0, 1);
+
+  scene.add(new THREE.HemisphereLight(look.fill, look.floor[0], told.water ? 2.6 : 1.7));
+  const sun = new THREE.DirectionalLight(look.sun, told.water ? 2.6 : 2.4);
+  sun.castShadow = true;
+  sun.shadow.mapSize.set(2048, 2048);
+  const reach = 2.2 * radius;
+  Object.assign(sun.shadow.camera, {
+    left: -reach, right: reach, top: reach, bottom: -reach, near: 0.1 * radius, far: 16 * radius,
+  });
+  sun.shadow.radius = told.water ? 6 : 3;
+  sun.shadow.bias = -0.0005;
+  sun.shadow.normalBias = 0.006 * radius;
+  scene.add(sun, sun.target);
+  const beside = told.bearing - 0.9;
+  const fromSun = new THREE.Vector3(
+    0.55 * Math.cos(beside), 0.55 * Math.sin(beside), told.water ? 1.6 : 1.0,
+  ).normalize().multiplyScalar(6 * radius);
+
+  function geometry(mesh) {
+    const made = new THREE.BufferGeometry();
+    made.setAttribute("position", new THREE.BufferAttribute(array(mesh.points, "f4"), 3));
+    made.setAttribute("normal", new THREE.BufferAttribute(array(mesh.normals, "i1"), 3, true));
+    made.setIndex(new THREE.BufferAttribute(array(mesh.triangles, "u4"), 1));
+    return made;
+  }
+  function solid(mesh) {
+    const material = new THREE.MeshStandardMaterial({ color: mesh.color, roughness: 0.55 });
+    const made = new THREE.Mesh(geometry(mesh), material);
+    made.castShadow = made.receiveShadow = true;
+    return made;
+  }
+
+  // The floor's pattern: cells of which every other is darker, and lines between them.
+  function pattern() {
+    const side = 512;
+    const picture = document.createElement("canvas");
+    picture.width = picture.height = side;
+    const pen = picture.getContext("2d");
+    const [dark, pale] = look.floor;
+    const half = side / 2;
+    for (let i = 0; i < 2; i++) {
+      for (let j = 0; j < 2; j++) {
+        pen.globalAlpha = 1;
+        pen.fillStyle = pale;
+        pen.fillRect(i * half, j * half, half, half);
+        pen.globalAlpha = (i + j) % 2 ? (look.checkered ? 0.3 : 0.62) : look.checkered ? 0.12 : 0.62;
+        pen.fillStyle = dark;
+        pen.fillRect(i * half, j * half, half, half);
+      }
+    }
+    pen.globalAlpha = 0.55;
+    pen.fillStyle = look.grid;
+    for (const at of [0, half]) {
+      pen.fillRect(at - 2, 0, 4, side);
+      pen.fillRect(0, at - 2, side, 4);
+    }
+    pen.fillRect(side - 2, 0, 4, side);
+    pen.fillRect(0, side - 2, side, 4);
+    const texture = new THREE.CanvasTexture(picture);
+    texture.wrapS = texture.wrapT = THREE.RepeatWrapping;
+    texture.colorSpace = THREE.SRGBColorSpace;
+    texture.anisotropy = renderer.capabilities.getMaxAnisotropy();
+    return texture;
+  }
+  const tile = 2 * told.spacing;
+  let floor = null;
+  if (told.terrain) {
+    const land = geometry(told.terrain);
+    const place = land.getAttribute("position");
+    const uv = new Float32Array(2 * place.count);
+    for (let i = 0; i < place.count; i++) {
+      uv[2 * i] = place.getX(i) / tile;
+      uv[2 * i + 1] = place.getY(i) / tile;
+    }
+    land.setAttribute("uv", new THREE.BufferAttribute(uv, 2));
+    const made = new THREE.Mesh(
+      land, new THREE.MeshStandardMaterial({ map: pattern(), roughness: 1, side: THREE.DoubleSide }),
+    );
+    made.receiveShadow = true;
+    scene.add(made);
+  } else {
+    // It travels with the animal in whole tiles, so that its pattern stays where it is.
+    const tiles = 2 * Math.ceil((1.1 * sight) / tile);
+    const texture = pattern();
+    texture.repeat.set(tiles, tiles);
+    floor = new THREE.Mesh(
+      new THREE.PlaneGeometry(tiles * tile, tiles * tile),
+      new THREE.MeshStandardMaterial({ map: texture, roughness: 1 }),
+    );
+    floor.receiveShadow = true;
+    scene.add(floor);
+  }
+  for (const stone of told.obstacles) {
+    const made = solid(stone);
+    made.position.fromArray(stone.place);
+    made.quaternion.fromArray(stone.turn);
+    scene.add(made);
+  }
+  let sky = null;
+  // Above the water it is lighter, too.
+  const above = look.zenith || (told.water ? look.floor[1] : null);
+  if (above) {
+    const dome = new THREE.SphereGeometry(60 * radius, 24, 24);
+    const place = dome.getAttribute("position");
+    const colors = new Float32Array(3 * place.count);
+    const zenith = new THREE.Color(above);
+    const color = new THREE.Color();
+    for (let i = 0; i < place.count; i++) {
+      const high = Math.max(0, place.getY(i) / (60 * radius));
+      color.lerpColors(horizon, zenith, Math.min(1, (told.water ? 0.9 : 2.2) * high)).toArray(colors, 3 * i);
+    }
+    dome.setAttribute("color", new THREE.BufferAttribute(colors, 3));
+    dome.rotateX(Math.PI / 2);
+    sky = new THREE.Mesh(dome, new THREE.MeshBasicMaterial({
+      vertexColors: true, side: THREE.BackSide, fog: false, depthWrite: false,
+    }));
+    scene.add(sky);
+  }
+  let surface = null;
+  if (told.surface !== null) {
+    surface = new THREE.Mesh(
+      new THREE.PlaneGeometry(2 * sight, 2 * sight),
+      new THREE.MeshStandardMaterial({
+        color: "#2f86a8", transparent: true, opacity: 0.42, roughness: 0.15,
+        side: THREE.DoubleSide, depthWrite: false,
+      }),
+    );
+    scene.add(surface);
+  }
+  function glow(color) {
+    const picture = document.createElement("canvas");
+    picture.width = picture.height = 128;
+    const pen = picture.getContext("2d");
+    const round = pen.createRadialGradient(64, 64, 0, 64, 64, 64);
+    round.addColorStop(0, color);
+    round.addColorStop(1, "transparent");
+    pen.fillStyle = round;
+    pen.fillRect(0, 0, 128, 128);
+    return new THREE.CanvasTexture(picture);
+  }
+  if (told.goal) {
+    const light = new THREE.Mesh(
+      new THREE.SphereGeometry(0.09 * radius, 24, 24),
+      new THREE.MeshBasicMaterial({ color: look.light, fog: false }),
+    );
+    const halo = new THREE.Sprite(new THREE.SpriteMaterial({
+      map: glow(look.halo), transparent: true, opacity: 0.75, depthWrite: false, fog: false,
+    }));
+    halo.scale.setScalar(0.9 * radius);
+    light.position.fromArray(told.goal);
+    halo.position.fromArray(told.goal);
+    scene.add(light, halo);
+  }
+
+  // ---- the animal
+  const bodies = told.bodies.map((body) => {
+    const group = new THREE.Group();
+    body.parts.forEach((part) => group.add(solid(part)));
+    scene.add(group);
+    return group;
+  });
+  const position = array(told.position, "f4");
+  const rotation = array(told.rotation, "i2");
+  const focus = array(told.focus, "f4");
+  const speed = array(told.speed, "f4");
+  const distance = array(told.distance, "f4");
+
+  // Where its head has been; on the ground it is drawn there.
+  const way = new Float32Array(3 * told.count);
+  const low = told.floor + 0.012 * radius;
+  for (let i = 0; i < told.count; i++) {
+    for (let k = 0; k < 3; k++) way[3 * i + k] = position[3 * (i * bodies.length + told.head) + k];
+    if (!told.water && !told.terrain && told.surface === null) way[3 * i + 2] = low;
+  }
+  const trail = new THREE.BufferGeometry();
+  trail.setAttribute("position", new THREE.BufferAttribute(way, 3));
+  const line = new THREE.Line(trail, new THREE.LineBasicMaterial({
+    color: look.trail, transparent: true, opacity: 0.8,
+  }));
+  line.frustumCulled = false;
+  scene.add(line);
+
+  // Specks in the water, by which one sees that it moves; always the same ones.
+  if (look.particles && told.water) {
+    let seed = 1;
+    const chance = () => ((seed = (seed * 16807) % 2147483647) / 2147483647);
+    const least = [Infinity, Infinity, Infinity], most = [-Infinity, -Infinity, -Infinity];
+    for (let i = 0; i < focus.length; i++) {
+      least[i % 3] = Math.min(least[i % 3], focus[i]);
+      most[i % 3] = Math.max(most[i % 3], focus[i]);
+    }
+    const specks = new Float32Array(3 * 1500);
+    for (let i = 0; i < specks.length; i++) {
+      const k = i % 3;
+      const from = k === 2 ? told.floor : least[k] - 4 * radius;
+      const to = k === 2 ? most[k] + 2 * radius : most[k] + 4 * radius;
+      specks[i] = from + chance() * (to - from);
+    }
+    const cloud = new THREE.BufferGeometry();
+    cloud.setAttribute("position", new THREE.BufferAttribute(specks, 3));
+    scene.add(new THREE.Points(cloud, new THREE.PointsMaterial({
+      color: "#bfeee8", size: 0.016 * radius, transparent: true, opacity: 0.6,
+    })));
+  }
+
+  // ---- the camera
+  const controls = new THREE.OrbitControls(camera, canvas);
+  controls.enableDamping = false;
+  controls.minDistance = 1.2 * radius;
+  controls.maxDistance = 0.9 * sight;
+  // On a page the wheel scrolls; with a key held it comes nearer.
+  controls.enableZoom = false;
+  canvas.addEventListener("wheel", (event) => {
+    if (!event.ctrlKey && !event.shiftKey) return;
+    event.preventDefault();
+    const by = event.deltaY || event.deltaX;
+    zoom(Math.exp(Math.max(-60, Math.min(60, by)) / 300));
+  }, { passive: false });
+  function zoom(factor) {
+    const arm = camera.position.clone().sub(controls.target).multiplyScalar(factor);
+    const length = Math.max(controls.minDistance, Math.min(controls.maxDistance, arm.length()));
+    camera.position.copy(controls.target).add(arm.setLength(length));
+    draw();
+  }
+  const away = (told.water ? 4.3 : 4.4) * radius;
+  const views = {
+    side: [told.bearing - Math.PI / 2 + 0.35, told.water ? 0.42 : 0.24],
+    top: [told.bearing - Math.PI / 2, 1.5],
+    behind: [told.bearing + Math.PI + 0.12, 0.35],
+    front: [told.bearing + 0.3, 0.25],
+  };
+  function from(view) {
+    const [around, up] = views[view];
+    camera.position.set(
+      Math.cos(around) * Math.cos(up), Math.sin(around) * Math.cos(up), Math.sin(up),
+    ).multiplyScalar(away).add(controls.target);
+    controls.update();
+    draw();
+  }
+
+  // ---- time
+  let now = 0, playing = false, last = 0, waiting = false;
+  const here = new THREE.Vector3(), there = new THREE.Vector3();
+  const turn = new THREE.Quaternion(), next = new THREE.Quaternion();
+  const cursors = [...document.querySelectorAll(".timed")].map((drawing) => {
+    const bar = document.createElement("div");
+    bar.className = "cursor";
+    drawing.append(bar);
+    const { left, right, start, stop } = drawing.dataset;
+    const axis = { left: +left, right: +right, start: +start, stop: +stop };
+    drawing.addEventListener("click", (event) => {
+      const box = drawing.getBoundingClientRect();
+      const share = ((event.clientX - box.left) / box.width - axis.left) / (axis.right - axis.left);
+      if (share >= 0 && share <= 1) {
+        seek(axis.start + share * (axis.stop - axis.start) - told.start);
+      }
+    });
+    return { bar, axis };
+  });
+
+  function show() {
+    const frame = Math.min(now * told.rate, told.count - 1);
+    const i = Math.min(Math.floor(frame), told.count - 2 < 0 ? 0 : told.count - 2);
+    const share = told.count > 1 ? frame - i : 0;
+    const j = Math.min(i + 1, told.count - 1);
+    bodies.forEach((body, b) => {
+      const one = i * bodies.length + b, two = j * bodies.length + b;
+      here.fromArray(position, 3 * one);
+      body.position.copy(here.lerp(there.fromArray(position, 3 * two), share));
+      turn.fromArray(rotation, 4 * one).normalize();
+      body.quaternion.copy(turn.slerp(next.fromArray(rotation, 4 * two).normalize(), share));
+    });
+    here.fromArray(focus, 3 * i).lerp(there.fromArray(focus, 3 * j), share);
+    if (following.checked) {
+      camera.position.add(there.copy(here).sub(controls.target));
+      controls.target.copy(here);
+    }
+    sun.target.position.copy(here);
+    sun.position.copy(here).add(fromSun);
+    if (floor) {
+      const whole = (x) => tile * Math.round(x / tile);
+      floor.position.set(whole(here.x), whole(here.y), told.floor);
+    }
+    if (surface) surface.position.set(here.x, here.y, told.surface);
+    trail.setDrawRange(Math.max(0, i - 8 * told.rate), Math.min(i, 8 * told.rate) + 1);
+    slider.value = now;
+    const told_time = told.start + now;
+    clock.textContent = `${told_time.toFixed(1)} / ${(told.start + duration).toFixed(1)} s`;
+    slider.setAttribute("aria-valuetext", `${told_time.toFixed(1)} s`);
+    const grid = `grid ${+told.spacing.toPrecision(3)} m`;
+    caption.textContent =
+      `${speed[i].toFixed(2)} m/s · ${distance[i].toFixed(2)} m ${told.measured} · ${grid}`;
+    for (const { bar, axis } of cursors) {
+      const part = (told_time - axis.start) / (axis.stop - axis.start);
+      bar.hidden = part < 0 || part > 1;
+      bar.style.left = `${100 * (axis.left + (axis.right - axis.left) * part)}%`;
+    }
+    draw();
+  }
+  function draw() {
+    if (waiting) return;
+    waiting = true;
+    requestAnimationFrame((instant) => {
+      waiting = false;
+      if (playing) {
+        now += Math.min(instant - last, 100) / 1000 * +pace.value;
+        last = instant;
+        if (now > duration) now = 0;
+        show();
+      }
+      if (sky) sky.position.copy(camera.position);
+      renderer.render(scene, camera);
+    });
+  }
+  function seek(instant) {
+    now = Math.max(0, Math.min(duration, instant));
+    show();
+  }
+  function play(on) {
+    playing = on;
+    last = performance.now();
+    button.textContent = on ? "Pause" : "Play";
+    button.setAttribute("aria-pressed", on);
+    draw();
+  }
+  button.addEventListener("click", () => play(!playing));
+  slider.addEventListener("input", () => { play(false); seek(+slider.value); });
+  following.addEventListener("change", show);
+  stage.querySelectorAll("[data-view]").forEach((each) => {
+    each.addEventListener("click", () => from(each.dataset.view));
+  });
+  stage.querySelectorAll("[data-zoom]").forEach((each) => {
+    each.addEventListener("click", () => zoom(+each.dataset.zoom));
+  });
+  controls.addEventListener("change", draw);
+  canvas.addEventListener("keydown", (event) => {
+    const by = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
+    if (event.key === " ") play(!playing);
+    else if (by) { play(false); seek(now + by / told.rate); }
+    else return;
+    event.preventDefault();
+  });
+  function fit() {
+    const box = canvas.getBoundingClientRect();
+    if (!box.width) return;
+    renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
+    renderer.setSize(box.width, box.height, false);
+    camera.aspect = box.width / box.height;
+    // A narrow window shows as much of the animal.
+    camera.fov = camera.aspect < 1.4 ? 32 * Math.min(1.8, 1.4 / camera.aspect) : 32;
+    camera.updateProjectionMatrix();
+    draw();
+  }
+  new ResizeObserver(fit).observe(canvas);
+  stage.classList.add("ready");
+  fit();
+  show();
+  from("side");
+  if (!matchMedia("(prefers-reduced-motion: reduce)").matches) play(true);
+})();

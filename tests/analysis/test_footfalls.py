@@ -1,0 +1,123 @@
+"""Feet that touch the ground at known times, slide at known speeds, or never do."""
+
+import numpy as np
+import pytest
+
+from evo_cpg.analysis import footfalls
+
+STEP = 1 / 60
+
+
+def square_waves(frequency: float, duty: float, phases: list[float], count: int = 1200):
+    """Feet that are down for a share of every stride, from their phase on."""
+    time = (np.arange(count) + 0.5) * STEP
+    return np.stack([(frequency * time - phase) % 1.0 < duty for phase in phases], -1)
+
+
+@pytest.mark.parametrize("duty", [0.3, 0.65])
+@pytest.mark.parametrize("frequency", [0.7, 1.3])
+def test_duty_factors_and_phases_of_square_waves(frequency, duty):
+    """A walk of four feet; what the samples' grid leaves open is one sample of a stride."""
+    wanted = [0.0, 0.5, 0.75, 0.25]
+    touched = square_waves(frequency, duty, wanted)
+    np.testing.assert_allclose(footfalls.duty_factors(touched), duty, atol=0.02)
+    found = footfalls.phases(touched, STEP)
+    assert found.reference == 0
+    np.testing.assert_allclose(found.phase, wanted, atol=STEP * frequency)
+    assert (found.regularity > 0.99).all()
+
+
+def test_touch_downs_and_lift_offs_are_where_they_were_put():
+    touched = np.zeros(20, bool)
+    touched[:3] = touched[5:9] = touched[15:] = True
+    # What stands at the start has not touched down, what stands at the end not lifted off.
+    np.testing.assert_allclose(footfalls.touch_downs(touched, 0.1), [0.5, 1.5])
+    np.testing.assert_allclose(footfalls.lift_offs(touched, 0.1), [0.3, 0.9])
+    np.testing.assert_allclose(
+        footfalls.stances(touched, 0.1), [[0.0, 0.3], [0.5, 0.9], [1.5, 2.0]]
+    )
+
+
+def test_airborne_share_of_a_hop():
+    """Both feet are up together for 0.4 of the time."""
+    touched = square_waves(1.0, 0.6, [0.0, 0.0])
+    assert footfalls.airborne_share(touched) == pytest.approx(0.4, abs=0.01)
+    # With half a stride between them one is always down.
+    assert footfalls.airborne_share(square_waves(1.0, 0.6, [0.0, 0.5])) == 0.0
+
+
+def test_chatter_is_taken_out_and_what_the_record_cuts_stays():
+    touched = np.zeros((40, 1), bool)
+    touched[0] = touched[10:20] = touched[30] = True
+    touched[14] = False
+    clean = footfalls.settled(touched, 0.01, 0.03)
+    assert footfalls.stances(clean[:, 0], 0.01).tolist() == [[0.0, 0.01], [0.1, 0.2]]
+    assert footfalls.settled(touched, 0.01, 0.01).sum() == touched.sum()
+    assert not touched[14, 0]
+
+
+def test_noise_at_touch_down_costs_regularity_but_no_bias():
+    generator = np.random.default_rng(1)
+    touched = np.zeros((6000, 2), bool)
+    for stride in range(99):
+        touched[60 * stride : 60 * stride + 30, 0] = True
+        late = 60 * stride + 20 + int(generator.integers(-9, 10))
+        touched[late : late + 25, 1] = True
+    found = footfalls.phases(touched, STEP)
+    assert found.reference == 0
+    assert found.phase[1] == pytest.approx(1 / 3, abs=0.02)
+    assert 0.8 < found.regularity[1] < 0.95
+
+
+def test_feet_that_never_touch_or_never_leave_have_no_phase():
+    touched = np.zeros((600, 3), bool)
+    touched[:, 1] = True
+    duty = footfalls.duty_factors(touched)
+    assert np.isnan(duty[[0, 2]]).all() and duty[1] == 1.0
+    found = footfalls.phases(touched, STEP)
+    assert found.reference is None and np.isnan(found.phase).all()
+    assert footfalls.airborne_share(touched) == 0.0
+    assert footfalls.airborne_share(touched[:, [0, 2]]) == 1.0
+
+
+def test_a_foot_with_one_stride_is_no_reference_where_another_has_several():
+    touched = square_waves(1.0, 0.5, [0.3, 0.0])
+    touched[150:, 0] = False
+    assert footfalls.phases(touched, STEP).reference == 1
+
+
+def test_bodies_touch_where_a_force_acts_on_a_point_of_theirs():
+    force = np.zeros((3, 3, 4))
+    force[1, 2, 3] = 5.0
+    force[2, 0, 0] = -0.1
+    found = footfalls.touching(force, np.array([7, 7, 2, 2]), [2, 7])
+    assert found.tolist() == [[False, False], [True, False], [False, True]]
+
+
+def turned(angle: np.ndarray) -> np.ndarray:
+    """Rotations about y ``(t, 3, 3)``."""
+    matrix = np.zeros((len(angle), 3, 3))
+    matrix[:, 1, 1] = 1
+    matrix[:, 0, 0] = matrix[:, 2, 2] = np.cos(angle)
+    matrix[:, 0, 2], matrix[:, 2, 0] = np.sin(angle), -np.sin(angle)
+    return matrix
+
+
+def test_a_sliding_foot_slips_and_a_rolling_one_does_not():
+    """Both go at 0.3 m/s; only stance counts, and not how high the foot hops."""
+    time, speed, radius = np.arange(600) * STEP, 0.3, 0.05
+    place = np.zeros((600, 2, 3))
+    place[:, :, 0], place[:, :, 2] = speed * time[:, None], radius
+    rotation = np.stack([turned(0 * time), turned(speed / radius * time)], 1)
+    lowest = np.einsum("tfji,j->tfi", rotation, [0.0, 0.0, -radius])
+    touched = np.ones((600, 2), bool)
+    touched[300:, 0] = False
+    place[300:, 0, 0] += 10 * (time[300:] - time[300])
+    place[:, :, 2] += 0.01 * np.sin(40 * time)[:, None]
+    slip = footfalls.slip_speeds(place, rotation, lowest, touched, STEP)
+    # The jump belongs to the sample before the first in the air.
+    assert slip[0] == pytest.approx(speed, rel=1e-6)
+    # A polygon of 10 sides a radian: second order in the angle of a step.
+    assert slip[1] < 0.06 * speed
+    never = footfalls.slip_speeds(place, rotation, lowest, ~np.ones_like(touched), STEP)
+    assert np.isnan(never).all()

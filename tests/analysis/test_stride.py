@@ -1,0 +1,88 @@
+"""Strides, speeds and excursions of animals that were made up."""
+
+import math
+
+import numpy as np
+import pytest
+
+from evo_cpg.analysis import stride
+
+STEP = 1 / 60
+TIME = np.arange(1200) * STEP
+
+
+@pytest.mark.parametrize("frequency", [0.31, 1.0, 2.7])
+@pytest.mark.parametrize("noise", [0.0, 0.3])
+def test_the_frequency_of_a_noisy_wave(frequency, noise):
+    phase = 2 * np.pi * frequency * TIME[:, None] - np.arange(6)
+    signals = np.sin(phase) + noise * np.random.default_rng(0).normal(size=phase.shape)
+    assert stride.stride_frequency(signals, STEP) == pytest.approx(frequency, rel=0.01)
+
+
+def test_a_joint_that_swings_twice_in_a_stride_does_not_double_the_frequency():
+    beat = 2 * np.pi * 0.8 * TIME
+    signals = np.stack([0.4 * np.sin(beat), np.sin(2 * beat), np.sin(2 * beat + 1)], -1)
+    assert stride.stride_frequency(signals, STEP) == pytest.approx(0.8, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    "signals",
+    [
+        np.zeros((600, 3)),
+        np.ones((600, 3)) * [1, 2, 3],
+        np.zeros((600, 0)),
+        np.sin(2 * np.pi * np.arange(600)[:, None] / 900),
+        np.linspace(0, 1, 600)[:, None],
+        np.random.default_rng(3).normal(size=(600, 1)),
+        np.zeros((4, 1)),
+    ],
+    ids=["nothing", "still", "no joint", "too slow", "drift", "noise", "too short"],
+)
+def test_what_is_not_repeated_has_no_stride(signals):
+    assert math.isnan(stride.stride_frequency(signals, STEP))
+
+
+def test_path_speed_leaves_out_the_sway():
+    """It sways by 5 cm at 2 Hz, at up to 0.63 m/s, across a way of 0.2 m/s."""
+    path = np.stack([0.2 * TIME, 0.05 * np.sin(4 * np.pi * TIME), 0 * TIME], -1)
+    assert stride.path_speed(path, STEP, 2.0) == pytest.approx(0.2, rel=1e-3)
+    circle = np.stack([np.cos(0.3 * TIME), np.sin(0.3 * TIME), 0 * TIME], -1)
+    assert stride.path_speed(circle, STEP, 2.0) == pytest.approx(0.3, rel=0.01)
+    # Without a stride the way is straight: two strides out of two on a circle's chord.
+    chord = np.linalg.norm(circle[-1] - circle[0]) / (TIME[-1] - TIME[0])
+    assert stride.path_speed(circle, STEP, math.nan) == pytest.approx(chord, rel=1e-3)
+    assert stride.path_speed(0 * path, STEP, 2.0) == 0.0
+    assert math.isnan(stride.path_speed(path[:1], STEP, math.nan))
+
+
+@pytest.mark.parametrize("course", [0.0, 1.1])
+@pytest.mark.parametrize("upright", [False, True], ids=["sideways", "up and down"])
+def test_the_excursion_of_a_tail_and_its_strouhal_number(course, upright):
+    """From side to side twice 0.07 m, while the animal gets ahead at 0.5 m/s."""
+    along = np.array([math.cos(course), math.sin(course), 0.0])
+    across = np.array([0.0, 0.0, 1.0]) if upright else np.cross([0.0, 0.0, 1.0], along)
+    beat = 2 * np.pi * 1.5 * TIME
+    path = 0.5 * TIME[:, None] * along
+    # To and fro along the way it may swing as it likes.
+    tip = path - along + 0.07 * np.sin(beat)[:, None] * across
+    tip = tip + 0.2 * np.cos(2 * beat)[:, None] * along
+    found = stride.excursion(tip, path, STEP, 1.5)
+    assert found == pytest.approx(0.14, rel=0.01)
+    speed = stride.path_speed(path, STEP, 1.5)
+    assert stride.strouhal_number(1.5, found, speed) == pytest.approx(0.42, rel=0.02)
+
+
+def test_nobody_who_stands_still_has_these_numbers():
+    still = np.zeros((600, 3))
+    assert stride.excursion(still, still, STEP, 1.0) == 0.0
+    assert math.isnan(stride.excursion(still, still, STEP, math.nan))
+    assert math.isnan(stride.excursion(still, still, STEP, 0.01))
+    assert math.isnan(stride.strouhal_number(1.0, 0.1, 0.0))
+    assert math.isnan(stride.stride_length(0.3, math.nan))
+    assert math.isnan(stride.cost_of_transport(5.0, 2.0, 9.81, 0.0))
+    assert math.isnan(stride.cost_of_transport(5.0, 2.0, 0.0, 1.0))
+
+
+def test_stride_length_and_cost_of_transport():
+    assert stride.stride_length(0.6, 1.5) == pytest.approx(0.4)
+    assert stride.cost_of_transport(98.1, 2.0, 9.81, 10.0) == pytest.approx(0.5)

@@ -1,0 +1,209 @@
+"""A headless Chromium that is driven through a pipe, by its DevTools protocol.
+
+It needs no library and no port: `--remote-debugging-pipe` takes messages on file descriptor 3 and
+answers on 4, each ended by a zero byte (https://chromedevtools.github.io/devtools-protocol/).
+"""
+
+import base64
+import contextlib
+import json
+import os
+import select
+import shutil
+import subprocess
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
+
+# WebGL without a graphics card.
+_FLAGS = (
+    "--headless=new",
+    "--no-sandbox",
+    "--no-first-run",
+    "--disable-gpu-sandbox",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--disable-dev-shm-usage",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--hide-scrollbars",
+    "--mute-audio",
+)
+_PATIENCE = 60.0
+
+
+def found() -> str | None:
+    """The program; None where there is none."""
+    return next((path for name in NAMES if (path := shutil.which(name))), None)
+
+
+class Page:
+    """A tab."""
+
+    def __init__(self, send: int, receive: int):
+        self._send, self._receive, self._number = send, receive, 0
+        self._left = b""
+        self._session: str | None = None
+        self.events: list[dict[str, Any]] = []
+        target = self.call("Target.createTarget", url="about:blank")["targetId"]
+        made = self.call("Target.attachToTarget", targetId=target, flatten=True)
+        self._session = made["sessionId"]
+        for domain in ("Page", "Runtime", "Network", "Log"):
+            self.call(f"{domain}.enable")
+
+    def call(self, method: str, **given: Any) -> dict[str, Any]:
+        """Send a command and wait for its answer."""
+        self._number += 1
+        message = {"id": self._number, "method": method, "params": given}
+        if self._session:
+            message["sessionId"] = self._session
+        os.write(self._send, json.dumps(message).encode() + b"\0")
+        until = time.monotonic() + _PATIENCE
+        while True:
+            told = self._next(until)
+            if told.get("id") == self._number:
+                if "error" in told:
+                    raise RuntimeError(f"{method}: {told['error']}")
+                return told["result"]
+            self.events.append(told)
+
+    def open(self, path: Path, size: tuple[int, int] = (1280, 900), dark: bool = False) -> None:
+        """Open a file, with the network gone, and wait until it is loaded."""
+        self.call("Network.emulateNetworkConditions", offline=True, latency=0,
+                  downloadThroughput=-1, uploadThroughput=-1)  # fmt: skip
+        self.resize(size)
+        features = [
+            {"name": "prefers-color-scheme", "value": "dark" if dark else "light"},
+            {"name": "prefers-reduced-motion", "value": "reduce"},
+        ]
+        self.call("Emulation.setEmulatedMedia", features=features)
+        self.call("Page.navigate", url=path.resolve().as_uri())
+        self.wait("document.readyState === 'complete'")
+
+    def resize(self, size: tuple[int, int]) -> None:
+        """Give the window another size, pixels."""
+        self.call("Emulation.setDeviceMetricsOverride", width=size[0], height=size[1],
+                  deviceScaleFactor=1, mobile=False)  # fmt: skip
+
+    def run(self, script: str) -> Any:
+        """The value of an expression of JavaScript; a promise is waited for."""
+        told = self.call(
+            "Runtime.evaluate", expression=script, awaitPromise=True, returnByValue=True
+        )
+        if "exceptionDetails" in told:
+            raise RuntimeError(f"{script}: {told['exceptionDetails']}")
+        return told["result"].get("value")
+
+    def wait(self, condition: str) -> None:
+        """Until an expression of JavaScript holds."""
+        until = time.monotonic() + _PATIENCE
+        while not self.run(condition):
+            if time.monotonic() > until:
+                raise TimeoutError(condition)
+            time.sleep(0.05)
+
+    def picture(self, selector: str | None = None) -> bytes:
+        """PNG of an element, or of all of the page."""
+        element = f"document.querySelector({(selector or 'html')!r})"
+        box = self.run(
+            f"(() => {{ const b = {element}.getBoundingClientRect();"
+            " return {x: b.x + scrollX, y: b.y + scrollY, width: b.width, height: b.height}; })()"
+        )
+        # What was drawn last is on the screen with the next frame but one.
+        self.run("new Promise(r => requestAnimationFrame(() => requestAnimationFrame(r)))")
+        told = self.call("Page.captureScreenshot", format="png", captureBeyondViewport=True,
+                         clip=box | {"scale": 1})  # fmt: skip
+        return base64.b64decode(told["data"])
+
+    def click(self, selector: str) -> None:
+        """Click into the middle of an element, with the mouse."""
+        self.run(f"document.querySelector({selector!r}).scrollIntoView({{block: 'center'}})")
+        box = self.run(
+            f"(() => {{ const b = document.querySelector({selector!r}).getBoundingClientRect();"
+            " return [b.x + b.width / 2, b.y + b.height / 2]; })()"
+        )
+        self.mouse("mousePressed", box)
+        self.mouse("mouseReleased", box)
+
+    def mouse(self, what: str, place: list[float]) -> None:
+        """Press, move or release the left button."""
+        self.call("Input.dispatchMouseEvent", type=what, x=place[0], y=place[1], button="left",
+                  buttons=0 if what == "mouseReleased" else 1, clickCount=1)  # fmt: skip
+
+    def paper(self) -> bytes:
+        """PDF of the page."""
+        told = self.call("Page.printToPDF", printBackground=True, preferCSSPageSize=True,
+                         paperWidth=8.27, paperHeight=11.69)  # fmt: skip
+        return base64.b64decode(told["data"])
+
+    @property
+    def requests(self) -> list[str]:
+        """Addresses that were asked for."""
+        return [
+            event["params"]["request"]["url"]
+            for event in self.events
+            if event.get("method") == "Network.requestWillBeSent"
+        ]
+
+    @property
+    def complaints(self) -> list[str]:
+        """Errors and warnings of the console, and what was thrown."""
+        found = []
+        for event in self.events:
+            told = event.get("params", {})
+            if event.get("method") == "Runtime.exceptionThrown":
+                found.append(str(told["exceptionDetails"]))
+            if event.get("method") == "Runtime.consoleAPICalled" and told["type"] in (
+                "error",
+                "warning",
+                "assert",
+            ):
+                found.append(str(told["args"]))
+            if event.get("method") == "Log.entryAdded" and told["entry"]["level"] == "error":
+                found.append(told["entry"]["text"])
+        return found
+
+    def _next(self, until: float) -> dict[str, Any]:
+        while b"\0" not in self._left:
+            ready, _, _ = select.select([self._receive], [], [], max(0.0, until - time.monotonic()))
+            part = os.read(self._receive, 1 << 16) if ready else b""
+            if not part:
+                raise TimeoutError("Chromium does not answer")
+            self._left += part
+        message, _, self._left = self._left.partition(b"\0")
+        return json.loads(message)
+
+
+@contextlib.contextmanager
+def browser(folder: Path) -> Iterator[Page]:
+    """A browser with a profile of its own; skips where there is none.
+
+    Args:
+        folder: for the profile.
+    """
+    program = found()
+    assert program is not None
+    their_input, send = os.pipe()
+    receive, their_output = os.pipe()
+    flags = (*_FLAGS, "--remote-debugging-pipe", f"--user-data-dir={folder}")
+    # The shell puts the pipes where Chromium looks for them: after a fork JAX would complain.
+    command = f'exec "$@" 3<&{their_input} 4>&{their_output}'
+    process = subprocess.Popen(
+        ["bash", "-c", command, "bash", program, *flags, "about:blank"],
+        pass_fds=(their_input, their_output),
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    os.close(their_input)
+    os.close(their_output)
+    try:
+        yield Page(send, receive)
+    finally:
+        process.kill()
+        process.wait()
+        os.close(send)
+        os.close(receive)

@@ -1,0 +1,318 @@
+"""`evo-cpg analyse`: the numbers of its page, what it refuses, and the page in a browser."""
+
+import html
+import json
+import math
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import chromium
+from evo_cpg.api import departures as departing
+from evo_cpg.api.departures import departures, notes
+from evo_cpg.config.load import load_config
+from evo_cpg.training.run_folder import RunFolder
+from tiny_run import CONFIG, REPOSITORY, TINY
+
+WALKER = REPOSITORY / "configs" / "fukui2003_model2.yaml"
+MEASURES = ("speed", "power", "cost_of_transport", "duty_factor", "airborne")
+SMALL_WALK = (
+    "simulation.steps=120",
+    "runs=1",
+    "evolution.population=4",
+    "evolution.elites=2",
+    "evolution.rank_probabilities=[0.4,0.3,0.2,0.1]",
+    "evolution.generations=2",
+    "audit.after_training=false",
+    f"measures=[{','.join(MEASURES)}]",
+)
+browsing = pytest.mark.skipif(
+    chromium.found() is None, reason="there is no Chromium here to open the page in"
+)
+
+
+@pytest.fixture(scope="module")
+def swimmer(cli, tmp_path_factory) -> Path:
+    """A run of three bodies that swim for two seconds, with its page."""
+    run = tmp_path_factory.mktemp("swimmer") / "run"
+    settings = (*TINY, "simulation.steps=240", "evolution.generations=2")
+    code, _, complaint = cli("train", CONFIG, *settings, "--out", run)
+    assert code == 0, complaint
+    code, out, complaint = cli("analyse", run)
+    assert code == 0, complaint
+    assert out == f"{run / 'analysis.html'}\n"
+    return run
+
+
+@pytest.fixture(scope="module")
+def walker(cli, tmp_path_factory) -> Path:
+    """A run of a walker, on postures, with its page."""
+    run = tmp_path_factory.mktemp("walker") / "run"
+    code, _, complaint = cli("train", WALKER, *SMALL_WALK, "--out", run)
+    assert code == 0, complaint
+    code, _, complaint = cli("analyse", run)
+    assert code == 0, complaint
+    return run
+
+
+def page_of(run: Path) -> str:
+    return (run / "analysis.html").read_text()
+
+
+def rows_of(page: str, section: str) -> dict[str, list[str]]:
+    """Cells of the tables of a section, by the first of each row."""
+    part = page.split(f'id="{section}"')[1].split("</section>")[0]
+    rows = [re.findall(r"<td[^>]*>(.*?)</td>", row) for row in re.findall(r"<tr>(.*?)</tr>", part)]
+    return {row[0]: row[1:] for row in rows if row}
+
+
+def test_the_numbers_are_those_that_the_trial_measured(walker):
+    """The page's come from a replay's frames, the terms from the trial as it was lived."""
+    terms = RunFolder(walker).load_champion()[0].terms
+    shown = rows_of(page_of(walker), "numbers")
+    names = {
+        "speed": "speed",
+        "power": "mean power",
+        "duty_factor": "duty factor",
+        "cost_of_transport": "cost of transport",
+    }
+    for key, name in names.items():
+        # Positions are those at the beginning of each control step: a step less of the way.
+        assert float(shown[name][0]) == pytest.approx(terms[key], rel=0.03), key
+    # Shares of the physics steps there, of the control steps here.
+    assert float(shown["airborne share"][0]) == pytest.approx(terms["airborne"], abs=0.1)
+
+
+def test_a_walker_has_footfalls_and_a_swimmer_a_tail(walker, swimmer):
+    on_land, in_water = page_of(walker), page_of(swimmer)
+    assert "Footfalls" in on_land and "Strouhal" not in on_land
+    assert "Footfalls" not in in_water
+    assert "CPG output" in in_water and "angle of the posture" in on_land
+
+
+def test_nothing_is_asked_of_the_network_and_the_page_is_small(swimmer, walker):
+    for run in (swimmer, walker):
+        page = page_of(run)
+        assert len(page) < 5e6
+        # But for names of XML's namespaces, which nobody fetches.
+        addresses = set(re.findall(r"(?:src|href|url\()=?[\"']?(?!#|data:)[^\s\"'>)]+", page))
+        assert not {a for a in addresses if "://" in a and "www.w3.org" not in a}
+        assert "default-src 'none'" in html.unescape(page)
+
+
+def test_what_strangers_write_stays_text(cli, swimmer, tmp_path):
+    """In the name, in the notes of the run, in an audit, in the configuration."""
+    run = tmp_path / "run"
+    shutil.copytree(swimmer, run)
+    evil = "</script><script>window.broken=1</script><img src=x onerror=window.broken=1>"
+    config = (run / "config.yaml").read_text()
+    config = re.sub(r"(?m)^name: .*$", f"name: {json.dumps('x' + evil)}", config)
+    (run / "config.yaml").write_text(f"# {evil}\n{config}")
+    meta = json.loads((run / "meta.json").read_text())
+    meta |= {"versions": {evil: evil}, "started": evil, "system": evil, "command": [evil]}
+    (run / "meta.json").write_text(json.dumps(meta))
+    check = {"question": evil, "measured": 1.0, "limit": None, "unit": evil, "passed": True}
+    audit = {"passed": True, "reasons": [evil], "checks": [check], "made": evil, "fitness": evil}
+    (run / "audit.json").write_text(json.dumps(audit))
+    code, _, complaint = cli("analyse", run)
+    if code == 2:
+        # A name like that is refused before anything is made of it.
+        assert "name" in complaint
+        (run / "config.yaml").write_text(f"# {evil}\n" + (swimmer / "config.yaml").read_text())
+        code, _, complaint = cli("analyse", run)
+    assert code == 0, complaint
+    page = page_of(run)
+    assert "window.broken" in page
+    assert evil not in page and "<img src=x" not in page
+    # Two scripts that run, and the data.
+    assert len(re.findall("<script", page)) == 3
+    assert "another champion" in page
+    if chromium.found():
+        with chromium.browser(tmp_path / "profile") as tab:
+            tab.open(run / "analysis.html")
+            assert tab.run("window.broken === undefined")
+            assert not tab.complaints
+
+
+def test_the_audit_is_told(cli, walker, tmp_path):
+    assert "It was not audited" in page_of(walker)
+    run = tmp_path / "run"
+    shutil.copytree(walker, run)
+    champion = RunFolder(run).load_champion()[0]
+    checks = [
+        {"question": "way kept", "measured": 0.3, "limit": 0.9, "least": True, "unit": "%",
+         "passed": False},
+        {"question": "speed", "measured": None, "limit": None, "least": False, "unit": "m/s",
+         "passed": None},
+    ]  # fmt: skip
+    told = {"passed": False, "reasons": ["way kept: 30 %"], "checks": checks, "made": "today",
+            "run": champion.run, "generation": champion.generation,
+            "fitness": champion.fitness}  # fmt: skip
+    (run / "audit.json").write_text(json.dumps(told))
+    (run / "analysis.html").unlink()
+    code, _, complaint = cli("analyse", run)
+    assert code == 0, complaint
+    page = page_of(run)
+    assert "does not pass" in page and "another champion" not in page
+    rows = rows_of(page, "audit")
+    assert rows["way kept"][:2] == ["30 %", "at least 90 %"]
+    assert rows["speed"][0] == "diverged"
+
+
+def test_departures_are_those_of_the_run(walker):
+    """From the shipped configuration, and what that says of the thesis."""
+    page = page_of(walker)
+    row = "<tr><td><code>simulation.steps</code></td><td>1200</td><td>{}</td>"
+    assert row.format("120") in page and row.format("paper") in page
+    found = departures(load_config(walker / "config.yaml"))
+    assert found is not None
+    changed = {each.key: (each.shipped, each.own) for each in found.differences}
+    assert changed["simulation.steps"] == (1200, 120)
+    assert changed["runs"] == (8, 1)
+    assert changed["measures"] == ([], None) and changed["measures.0"] == (None, "speed")
+    whose = {note.key: note.ours for note in found.notes}
+    assert whose["simulation.control_rate_hz"] and not whose["world.gravity"]
+    assert not any(each.key.startswith("creature.bodies") for each in found.differences)
+
+
+def test_notes_are_read_as_they_stand():
+    text = """# A head.
+steps: 2000  # paper
+world:
+  drag: 1.0  # C_d; ours, as
+             # nobody says
+  law: normal
+  floor: [1, 2]  # paper: not said
+scale: 0.5  # ours: half the paper's times
+"""
+    assert [(note.key, note.value, note.ours) for note in notes(text)] == [
+        ("steps", "2000", False),
+        ("world.drag", "1.0", True),
+        ("world.floor", "[1, 2]", True),
+        ("scale", "0.5", True),
+    ]
+    assert notes(text)[1].text == "C_d; ours, as nobody says"
+
+
+def test_a_name_that_nothing_shipped_has_departs_from_nothing(walker, monkeypatch):
+    config = load_config(walker / "config.yaml")
+    assert departures(config.model_copy(update={"name": "mine"})) is None
+    assert departures(config.model_copy(update={"name": "../configs/hexapod"})) is None
+    monkeypatch.setattr(departing, "_shipped_folder", lambda: None)
+    assert departures(config) is None
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--out", "page.txt"), "is not the name of a page; let it end in .html"),
+        (("--out", "nowhere/page.html"), "there is no folder nowhere; create it first"),
+        (("--out", "folder.html"), "is a folder; give the name of a file"),
+        (("--out", "there.html"), "there.html exists; --overwrite replaces it"),
+        (("--trial", "3"), "has 1 trial(s), counted from 0"),
+        (("--run", "3"), "holds 1 run(s), counted from 0"),
+    ],
+)
+def test_what_cannot_be_made_is_refused(cli, swimmer, tmp_path, arguments, words):
+    (tmp_path / "folder.html").mkdir()
+    (tmp_path / "there.html").write_text("mine")
+    code, _, complaint = cli("analyse", swimmer, *arguments, folder=tmp_path)
+    assert code == 2 and words in complaint
+    assert (tmp_path / "there.html").read_text() == "mine"
+
+
+def test_a_folder_without_a_run_is_refused(cli, tmp_path):
+    code, _, complaint = cli("analyse", tmp_path)
+    assert code == 2 and "is not a run folder" in complaint
+
+
+def test_a_page_goes_where_it_is_asked_for(cli, swimmer, tmp_path):
+    (tmp_path / "there.html").write_text("mine")
+    code, out, complaint = cli(
+        "analyse", swimmer, "--out", "there.html", "--overwrite", folder=tmp_path
+    )
+    assert code == 0, complaint
+    assert out == "there.html\n"
+    assert "<canvas" in (tmp_path / "there.html").read_text()
+
+
+@browsing
+@pytest.mark.parametrize("animal", ["swimmer", "walker"])
+def test_the_page_plays_and_scrubs_in_a_browser_without_a_network(request, tmp_path, animal):
+    run = request.getfixturevalue(animal)
+    with chromium.browser(tmp_path / "profile") as tab:
+        tab.open(run / "analysis.html")
+        tab.wait("document.querySelector('#animal.ready, #animal.still-only') !== null")
+        assert tab.run("document.querySelector('#animal.ready') !== null"), "no WebGL"
+        start = seen(tab, tmp_path)
+        # The canvas shows more than one colour: an animal on a floor.
+        assert len(np.unique(start.reshape(-1, 3), axis=0)) > 100
+
+        scrub = (
+            "(share => { const s = document.querySelector('#animal input[type=range]');"
+            " s.value = share * s.max; s.dispatchEvent(new Event('input'));"
+            " return [+s.value, +s.max]; })"
+        )
+        value, most = tab.run(f"{scrub}(0.5)")
+        assert value == pytest.approx(0.5 * most, abs=0.02)
+        middle = seen(tab, tmp_path)
+        assert differs(start, middle)
+        # Back again, it is the same picture.
+        tab.run(f"{scrub}(0)")
+        assert not differs(start, seen(tab, tmp_path))
+
+        tab.click("#animal .play")
+        assert tab.run("document.querySelector('.play').textContent") == "Pause"
+        tab.wait("+document.querySelector('#animal input[type=range]').value > 0.1")
+        tab.click("#animal .play")
+        instant = tab.run("+document.querySelector('#animal input[type=range]').value")
+        played = seen(tab, tmp_path)
+        assert differs(start, played)
+        assert tab.run("+document.querySelector('#animal input[type=range]').value") == instant
+
+        # Another camera, another picture.
+        tab.click("[data-view=top]")
+        assert differs(played, seen(tab, tmp_path))
+
+        # A click into a chart over time moves the animal there.
+        drawing = "document.querySelector('#effort .timed')"
+        tab.run(f"{drawing}.scrollIntoView({{block: 'center'}})")
+        box = tab.run(
+            f"(() => {{ const b = {drawing}.getBoundingClientRect(), d = {drawing}.dataset;"
+            " return [b.x + b.width * (0.25 * d.left + 0.75 * d.right), b.y + b.height / 2,"
+            " +d.stop]; })()"
+        )
+        tab.mouse("mousePressed", box[:2])
+        tab.mouse("mouseReleased", box[:2])
+        now = tab.run("+document.querySelector('#animal input[type=range]').value")
+        assert now == pytest.approx(0.75 * box[2], abs=0.1)
+
+        assert not tab.complaints
+        asked = [address for address in tab.requests if not address.startswith("data:")]
+        assert asked == [(run / "analysis.html").resolve().as_uri()]
+        assert tab.paper().startswith(b"%PDF")
+
+
+def seen(tab: chromium.Page, folder: Path) -> np.ndarray:
+    """What the screen shows of the animal."""
+    place = folder / "seen.png"
+    place.write_bytes(tab.picture("#animal canvas"))
+    with Image.open(place) as picture:
+        # Below is the caption, which changes anyway.
+        return np.array(picture.convert("RGB")).astype(int)[: int(picture.height * 0.88)]
+
+
+def differs(one: np.ndarray, other: np.ndarray) -> bool:
+    """Whether more than a thousandth of the picture is another."""
+    return float((np.abs(one - other).max(-1) > 12).mean()) > 1e-3
+
+
+def test_numbers_are_written_with_three_digits():
+    from evo_cpg.view.page.document import _number
+
+    assert _number(0.12345) == "0.123" and _number(11120.0) == "11120"
+    assert _number(math.nan) == "\N{EN DASH}" and _number(-2.0) == "\N{MINUS SIGN}2"

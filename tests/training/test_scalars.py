@@ -1,0 +1,120 @@
+"""Event files for TensorBoard, read back byte by byte."""
+
+import math
+import struct
+import sys
+
+import pytest
+
+from evo_cpg.training.run_folder import RunFolderError
+from evo_cpg.training.scalars import MissingWriterError, Scalars, require_writer
+
+pytest.importorskip("tensorboardX")
+
+
+def checksum(data: bytes) -> int:
+    """CRC-32C (Castagnoli) as TFRecord masks it, bit by bit."""
+    register = 0xFFFFFFFF
+    for byte in data:
+        register ^= byte
+        for _ in range(8):
+            register = (register >> 1) ^ (0x82F63B78 if register & 1 else 0)
+    register ^= 0xFFFFFFFF
+    return (((register >> 15) | (register << 17)) + 0xA282EAD8) & 0xFFFFFFFF
+
+
+def events(path) -> list:
+    """Of a file that must be whole."""
+    from tensorboardX.proto.event_pb2 import Event
+
+    data, found = path.read_bytes(), []
+    while data:
+        length, check = struct.unpack("<QI", data[:12])
+        assert check == checksum(data[:8])
+        body = data[12 : 12 + length]
+        assert struct.unpack("<I", data[12 + length : 16 + length])[0] == checksum(body)
+        found.append(Event.FromString(body))
+        data = data[16 + length :]
+    return found
+
+
+def told(path) -> dict[int, dict[str, float]]:
+    """Scalars by generation."""
+    first, *rest = events(path)
+    assert first.file_version == "brain.Event:2"
+    steps = [event.step for event in rest]
+    assert steps == sorted(set(steps))
+    return {event.step: {v.tag: v.simple_value for v in event.summary.value} for event in rest}
+
+
+def row(generation: int, **more: float) -> dict[str, float]:
+    return {"generation": generation, "best": generation / 2, "mean": -1.0, **more}
+
+
+FILE = "tensorboard/events.out.tfevents.evo-cpg"
+
+
+def test_rows_come_back_by_the_names_of_their_columns(tmp_path):
+    scalars = Scalars(tmp_path)
+    scalars.add([row(0)])
+    scalars.add([row(1, best_distance=math.nan)])
+    scalars.close()
+    found = told(tmp_path / FILE)
+    assert found == {0: {"best": 0.0, "mean": -1.0}, 1: {"best": 0.5, "mean": -1.0}}
+
+
+def test_runs_side_by_side_have_a_file_each(tmp_path):
+    scalars = Scalars(tmp_path)
+    scalars.add([row(0, run=0), row(0, run=1)])
+    scalars.close()
+    for run in (0, 1):
+        path = tmp_path / "tensorboard" / f"run_{run}" / "events.out.tfevents.evo-cpg"
+        assert told(path) == {0: {"best": 0.0, "mean": -1.0}}
+
+
+@pytest.mark.parametrize("cut", [0, 1, 30])
+def test_it_goes_on_in_the_same_file_after_a_kill(tmp_path, cut):
+    """Whatever a kill left of the last record, no generation is told twice or left out."""
+    scalars = Scalars(tmp_path)
+    scalars.add([row(i) for i in range(3)])
+    scalars.close()
+    path = tmp_path / FILE
+    before = path.read_bytes()
+    path.write_bytes(before[: len(before) - cut])
+    scalars = Scalars(tmp_path, [row(i) for i in range(4)])
+    scalars.add([row(4)])
+    scalars.close()
+    assert sorted(told(path)) == [0, 1, 2, 3, 4]
+    assert path.read_bytes().startswith(before[:-60])
+
+
+def test_what_was_taken_back_is_taken_back(tmp_path):
+    """The newest checkpoint was damaged, and the run goes on from the one before it."""
+    scalars = Scalars(tmp_path)
+    scalars.add([row(i) for i in range(5)])
+    scalars.close()
+    scalars = Scalars(tmp_path, [row(i) for i in range(3)])
+    scalars.add([row(3) | {"best": 77.0}])
+    scalars.close()
+    found = told(tmp_path / FILE)
+    assert sorted(found) == [0, 1, 2, 3] and found[3]["best"] == 77.0
+
+
+@pytest.mark.parametrize("rubbish", [b"x" * 5, b"rubbish" * 40])
+def test_rubbish_is_written_over(tmp_path, rubbish):
+    (tmp_path / "tensorboard").mkdir()
+    (tmp_path / FILE).write_bytes(rubbish)
+    Scalars(tmp_path, [row(0)]).close()
+    assert sorted(told(tmp_path / FILE)) == [0]
+
+
+def test_a_folder_that_cannot_be_written_is_named(tmp_path):
+    (tmp_path / "tensorboard").write_text("a file")
+    with pytest.raises(RunFolderError, match=r"cannot write .*tensorboard"):
+        Scalars(tmp_path, [row(0)])
+
+
+def test_a_missing_package_is_named_with_its_extra(monkeypatch):
+    monkeypatch.setitem(sys.modules, "tensorboardX.proto.event_pb2", None)
+    with pytest.raises(MissingWriterError, match=r"pip install 'evo-cpg\[tensorboard\]'"):
+        require_writer()
