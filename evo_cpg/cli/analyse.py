@@ -1,8 +1,9 @@
 """The command that makes a page of a run: analyse."""
 
+import io
 import json
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from evo_cpg.analysis.chains import chains
 from evo_cpg.api.departures import departures
@@ -17,6 +18,9 @@ from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.experiment import Experiment
 from evo_cpg.training.run_folder import RunFolder, write_whole
+
+if TYPE_CHECKING:
+    from PIL import Image
 
 # Of the picture for paper, pixels, and the quality of its JPEG.
 _STILL, _QUALITY = (1280, 720), 88
@@ -73,6 +77,7 @@ def _page(
         work.doing("drawing")
         from evo_cpg.view.film import sample
         from evo_cpg.view.page import document, scene
+        from evo_cpg.view.watch_picture import still
 
         water = simulation.world.water
         motion = document.Motion(
@@ -86,7 +91,7 @@ def _page(
                 None if water is None else water.surface,
                 water is not None,
             ),
-            still=_still(experiment, recording),
+            still=_jpeg(still(experiment, recording, _STILL, experiment.name)),
             history=folder.history(),
             chain_places=chain_places(simulation, experiment.creature, numbers.chain),
         )
@@ -115,30 +120,9 @@ def _page(
         return document.document(subject, motion)
 
 
-def _still(experiment: Experiment, recording: Any) -> bytes:
-    """A picture of the animal, for paper and where there is no WebGL; JPEG."""
-    import io
-    import tempfile
-
-    from PIL import Image
-
-    from evo_cpg.view.film import film
-
-    world = experiment.simulation.world
-    with tempfile.TemporaryDirectory() as place:
-        made = film(
-            experiment.creature,
-            recording,
-            Path(place) / "still.png",
-            size=_STILL,
-            title=experiment.name,
-            world="land" if world.water is None else "water",
-            ground=world.ground,
-            surface=None if world.water is None else world.water.surface,
-        )
-        written = io.BytesIO()
-        with Image.open(made) as picture:
-            picture.convert("RGB").save(written, "JPEG", quality=_QUALITY)
+def _jpeg(picture: "Image.Image") -> bytes:
+    written = io.BytesIO()
+    picture.save(written, "JPEG", quality=_QUALITY)
     return written.getvalue()
 
 

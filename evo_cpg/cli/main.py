@@ -433,6 +433,20 @@ def analyse(
     analyse_run(run, output, number, trial, overwrite)
 
 
+@app.command()
+def watch(
+    run: Run,
+    once: Annotated[bool, typer.Option("--once", help="Look once, and end.")] = False,
+    picture: Annotated[
+        bool, typer.Option(help="Draw the newest champion into RUN/watch.png.")
+    ] = True,
+) -> None:
+    """Look on while a run evolves: curves, and a picture of the newest champion."""
+    from evo_cpg.cli.watch import watch_run
+
+    watch_run(run, once, picture)
+
+
 @app.command("probe")
 def probe_(
     run: Run,

@@ -1,0 +1,302 @@
+"""The command that looks on while a run evolves: watch.
+
+It reads what the trainer leaves after every generation, and asks nothing of the trainer. Of the run
+folder it writes one file, the picture of the newest champion; what that takes is computed by a
+process that gives way to all others.
+"""
+
+import contextlib
+import math
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from rich.console import Console, Group, RenderableType
+from rich.live import Live
+from rich.panel import Panel
+from rich.table import Table
+from rich.text import Text
+
+from evo_cpg.cli.curve import curve
+from evo_cpg.training.checkpoint import Champion, Checkpoint
+from evo_cpg.training.run_folder import RunFolder, RunFolderError
+
+PICTURE = "watch.png"
+# Between two looks at the folder, s.
+LOOK = 1.0
+# A picture is made at most so often, s, and takes at most this share of the time.
+_SELDOM, _SHARE = 10.0, 0.2
+# The trainer has the first claim on the cores.
+_NICE = 15
+_HEIGHT, _MARGIN = 9, 16
+_COLORS = (("champion", "bright_blue"), ("mean", "grey58"))
+
+
+class Standing(NamedTuple):
+    """How a run stands.
+
+    Attributes:
+        checkpoint: the newest; None before the first generation is done.
+        generations: that are wanted in all.
+        changed: when the checkpoint was written, s since the epoch; None without one.
+    """
+
+    checkpoint: Checkpoint | None
+    generations: int
+    changed: float | None
+
+    @property
+    def finished(self) -> bool:
+        """Whether all generations are done."""
+        return self.checkpoint is not None and self.checkpoint.generation >= self.generations
+
+
+def watch_run(run: Path, once: bool, picture: bool) -> None:
+    """`evo-cpg watch`.
+
+    Args:
+        run: the run folder.
+        once: look once, and end.
+        picture: draw the newest champion.
+
+    Raises:
+        RunFolderError: there is no run.
+    """
+    folder = RunFolder(run)
+    # `require` would put in order what was interrupted, which is for the trainer to do.
+    if not folder.config.is_file():
+        raise RunFolderError(f"{run} is not a run folder (it has no config.yaml)")
+    give_way()
+    draw = _Pictures(folder).draw if picture else lambda champion, standing: None
+    console = Console()
+    if once or not console.is_terminal:
+        _in_lines(folder, console, draw, once)
+        return
+    with Live(console=console, refresh_per_second=4, screen=False) as live:
+        seen = None
+        while True:
+            now = standing(folder, seen)
+            if now is not seen:
+                live.update(_panel(folder, now, console.width), refresh=True)
+                seen = now
+            _newest(now, draw)
+            if now.finished:
+                return
+            live.update(_panel(folder, now, console.width))
+            time.sleep(LOOK)
+
+
+def give_way() -> None:
+    """Let everybody else have the cores first, the trainer above all.
+
+    Where the system knows work for idle cores only, it is that; being nice still takes a share.
+    """
+    if hasattr(os, "nice"):
+        os.nice(max(0, _NICE - os.nice(0)))
+    if hasattr(os, "SCHED_IDLE"):
+        with contextlib.suppress(OSError):
+            os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+
+
+def standing(folder: RunFolder, before: Standing | None = None) -> Standing:
+    """How the run stands; what was read before where nothing is new.
+
+    Args:
+        folder: of the run.
+        before: the last that was seen.
+    """
+    done = folder.newest
+    if before is not None and before.checkpoint and before.checkpoint.generation == done:
+        return before
+    # The trainer may take a checkpoint away while it is read, and then there is a newer one.
+    checkpoint = folder.load()
+    changed = None
+    if checkpoint is not None:
+        with contextlib.suppress(OSError):
+            changed = folder.metrics.stat().st_mtime
+    return Standing(checkpoint, _generations(folder), changed)
+
+
+def _generations(folder: RunFolder) -> int:
+    """As the configuration has it; `resume` writes it anew."""
+    from evo_cpg.config.load import load_config
+
+    return load_config(folder.config).evolution.generations
+
+
+def _in_lines(
+    folder: RunFolder, console: Console, draw: Callable[[Champion, Standing], Any], once: bool
+) -> None:
+    """Elsewhere than on a terminal: a line for every generation."""
+    seen: Standing | None = None
+    told = 0
+    while True:
+        now = standing(folder, seen)
+        if now is not seen or once:
+            history = now.checkpoint.history if now.checkpoint else []
+            for row in [row for row in history if row["generation"] >= told]:
+                print(_line(row, now), flush=True)
+            if history:
+                told = int(history[-1]["generation"]) + 1
+            elif once:
+                print(f"{folder.path}: not one generation is finished", flush=True)
+            seen = now
+        made = _newest(now, draw)
+        if made is not None:
+            print(made, flush=True)
+        if once or now.finished:
+            return
+        time.sleep(LOOK)
+
+
+def _line(row: dict[str, float], now: Standing) -> str:
+    run = f"  run {int(row['run'])}" if "run" in row else ""
+    return (
+        f"generation {int(row['generation']) + 1:4d}/{now.generations}{run}  "
+        f"champion {row['champion']:8.4f}  best {row['best']:8.4f}  mean {row['mean']:8.4f}  "
+        f"{row['seconds']:6.2f} s"
+    )
+
+
+def _newest(now: Standing, draw: Callable[[Champion, Standing], Any]) -> Path | None:
+    champion = now.checkpoint.champion if now.checkpoint else None
+    return None if champion is None else draw(champion, now)
+
+
+def _panel(folder: RunFolder, now: Standing, width: int) -> RenderableType:
+    """Numbers and curves."""
+    checkpoint = now.checkpoint
+    name = Text(str(folder.path))
+    if checkpoint is None or not checkpoint.history:
+        return Panel(Text("not one generation is finished yet"), title=name, title_align="left")
+    columns = _over_generations(checkpoint.history)
+    plots = [
+        part for key, color in _COLORS for part in _plot(key, columns[key], width - _MARGIN, color)
+    ]
+    inner = Group(_table(now), Text(), *plots)
+    return Panel(inner, title=name, title_align="left", subtitle="Ctrl-C ends the watching only")
+
+
+def _over_generations(history: list[dict[str, float]]) -> dict[str, np.ndarray]:
+    """Of several runs the best champion and the mean of the means of every generation."""
+    instants = np.array([row["generation"] for row in history])
+    found = {}
+    for key, over in (("champion", np.nanmax), ("mean", np.nanmean)):
+        values = np.array([row[key] for row in history], float)
+        found[key] = np.array(
+            [
+                over(own) if np.isfinite(own := values[instants == g]).any() else math.nan
+                for g in np.unique(instants)
+            ]
+        )
+    return found
+
+
+def _plot(key: str, values: np.ndarray, width: int, color: str) -> list[Text]:
+    """A curve with its highest and lowest value beside it."""
+    lines = curve(values.tolist(), max(width, 10), _HEIGHT // (1 if key == "champion" else 2))
+    finite = values[np.isfinite(values)]
+    marks = [""] * len(lines)
+    if len(finite):
+        marks[0], marks[-1] = f"{finite.max():.4g}", f"{finite.min():.4g}"
+    made = [Text(key, style="bold")]
+    for mark, line in zip(marks, lines, strict=True):
+        made.append(Text.assemble((f"{mark:>10} ", "dim"), (line, color)))
+    return made
+
+
+def _table(now: Standing) -> Table:
+    assert now.checkpoint is not None
+    history, champion = now.checkpoint.history, now.checkpoint.champion
+    rows = [row for row in history if row["generation"] == history[-1]["generation"]]
+    table = Table.grid(padding=(0, 3))
+    done, left = now.checkpoint.generation, now.generations - now.checkpoint.generation
+    seconds = float(np.median([row["seconds"] for row in history[-20:]]))
+    when = "finished" if not left else f"about {_duration(left * seconds)} to go"
+    table.add_row(
+        Text(f"generation {done}/{now.generations}", style="bold"), f"{seconds:.3g} s each", when
+    )
+    if now.changed is not None and left:
+        quiet = time.time() - now.changed
+        if quiet > max(60.0, 10 * seconds):
+            table.add_row(Text(f"nothing new for {_duration(quiet)}", style="yellow"), "", "")
+    if champion is not None:
+        whose = f" of run {champion.run}" if len(now.checkpoint.champions) > 1 else ""
+        table.add_row(
+            f"champion {champion.fitness:.4f}",
+            f"of generation {champion.generation}{whose}",
+            ", ".join(f"{name} {value:.3g}" for name, value in champion.terms.items()),
+        )
+    mean = np.mean([row["mean"] for row in rows])
+    diverged = int(sum(row["diverged"] for row in rows))
+    table.add_row(f"mean {mean:.4f}", f"diverged {diverged}", "")
+    return table
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 100:
+        return f"{seconds:.0f} s"
+    if seconds < 6000:
+        return f"{seconds / 60:.0f} min"
+    return f"{seconds / 3600:.1f} h"
+
+
+class _Pictures:
+    """Pictures of champions, one after the other, not too often.
+
+    Args:
+        folder: of the run.
+    """
+
+    def __init__(self, folder: RunFolder):
+        self._folder = folder
+        self._drawn: tuple[float, ...] | None = None
+        self._next = -math.inf
+        self._built: Any = None
+
+    def draw(self, champion: Champion, now: Standing) -> Path | None:
+        """Draw a champion that was not drawn before, if it is time; the picture's path."""
+        which = (champion.run, champion.generation, champion.fitness)
+        began = time.monotonic()
+        if which == self._drawn or (began < self._next and not now.finished):
+            return None
+        self._drawn = which
+        made = self._make(champion, now)
+        took = time.monotonic() - began
+        self._next = time.monotonic() + max(_SELDOM, took / _SHARE)
+        return made
+
+    def _make(self, champion: Champion, now: Standing) -> Path:
+        if self._built is None:
+            self._built = self._build()
+        experiment, live = self._built
+        from evo_cpg.training.checkpoint import history_columns
+        from evo_cpg.view.watch_picture import watch_picture
+
+        assert now.checkpoint is not None
+        _, _, recording = live(champion)
+        return watch_picture(
+            experiment,
+            recording,
+            history_columns(now.checkpoint.history),
+            f"{experiment.name}: champion of generation {champion.generation}, "
+            f"fitness {champion.fitness:.4f}",
+            self._folder.path / PICTURE,
+        )
+
+    def _build(self) -> tuple[Any, Any]:
+        """The experiment and its compiled replay, on one core."""
+        from evo_cpg.api.load import class_folders
+        from evo_cpg.cli.building import build
+        from evo_cpg.config.load import load_config
+        from evo_cpg.training.devices import use_cores
+        from evo_cpg.training.loop import compile_replay
+
+        use_cores(1)
+        config = load_config(self._folder.config)
+        experiment = build(config, self._folder.config, class_folders(self._folder))
+        devices = self._folder.read_meta().get("devices", 1)
+        return experiment, compile_replay(experiment, devices)

@@ -1,0 +1,88 @@
+"""The picture that `evo-cpg watch` keeps: the newest champion, the fitness, and its way."""
+
+import io
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+from PIL import Image
+
+from evo_cpg.simulation.recording import Recording
+from evo_cpg.training.experiment import Experiment
+from evo_cpg.view.film import film
+from evo_cpg.view.output import in_one_piece
+from evo_cpg.view.plots import fitness_figure, path_figure
+
+# Of the animal, pixels; the charts below are as wide together.
+_SIZE = (1280, 560)
+
+
+def watch_picture(
+    experiment: Experiment,
+    recording: Recording,
+    history: Mapping[str, np.ndarray],
+    title: str,
+    path: Path,
+) -> Path:
+    """Draw it.
+
+    Args:
+        experiment: that the animal lives in.
+        recording: its motion.
+        history: columns of metrics.csv.
+        title: of the animal.
+        path: a .png file, which is replaced.
+
+    Returns:
+        The path.
+    """
+    charts = [_pixels(fitness_figure(history)), _pixels(path_figure(recording))]
+    # As high as makes them as wide as the animal.
+    height = round(_SIZE[0] / sum(chart.width / chart.height for chart in charts))
+    sizes = [(round(chart.width * height / chart.height), height) for chart in charts]
+    scaled = [chart.resize(size) for chart, size in zip(charts, sizes, strict=True)]
+    with Image.new("RGB", (_SIZE[0], _SIZE[1] + height), "white") as sheet:
+        with still(experiment, recording, _SIZE, title) as animal:
+            sheet.paste(animal, (0, 0))
+        left = 0
+        for chart in scaled:
+            sheet.paste(chart, (left, _SIZE[1]))
+            left += chart.width
+        with in_one_piece(path) as partial:
+            sheet.save(partial)
+    return path
+
+
+def still(
+    experiment: Experiment, recording: Recording, size: tuple[int, int], title: str
+) -> Image.Image:
+    """A picture of the animal in the middle of its motion.
+
+    Args:
+        experiment: that it lives in.
+        recording: its motion.
+        size: width and height, pixels.
+        title: caption.
+    """
+    world = experiment.simulation.world
+    with tempfile.TemporaryDirectory() as place:
+        made = film(
+            experiment.creature,
+            recording,
+            Path(place) / "still.png",
+            size=size,
+            title=title,
+            world="land" if world.water is None else "water",
+            ground=world.ground,
+            surface=None if world.water is None else world.water.surface,
+        )
+        with Image.open(made) as picture:
+            return picture.convert("RGB")
+
+
+def _pixels(figure: Figure) -> Image.Image:
+    drawn = io.BytesIO()
+    figure.savefig(drawn, format="png", dpi=160)
+    return Image.open(drawn).convert("RGB")

@@ -1,0 +1,166 @@
+"""`evo-cpg watch`: what it tells of a run, and that it leaves the run alone."""
+
+import io
+import math
+import shutil
+import signal
+import time
+
+import numpy as np
+import pytest
+from PIL import Image
+from rich.console import Console
+
+from evo_cpg.cli import watch
+from evo_cpg.cli.curve import curve
+from evo_cpg.training import devices
+from evo_cpg.training.run_folder import RunFolder
+from tiny_run import CONFIG, LONG, PAIR
+
+
+@pytest.fixture(scope="module")
+def run(cli, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("watched") / "run"
+    code, _, complaint = cli("train", CONFIG, *PAIR, "evolution.generations=3", "--out", folder)
+    assert code == 0, complaint
+    return folder
+
+
+@pytest.fixture(autouse=True)
+def polite(monkeypatch):
+    """This process stays as it is."""
+    monkeypatch.setattr(watch, "give_way", lambda: None)
+    monkeypatch.setattr(devices, "use_cores", lambda count=None: 2)
+
+
+def contents(folder) -> dict[str, bytes]:
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file()
+    }
+
+
+def test_a_run_that_is_done_is_told_and_drawn(cli, run, tmp_path):
+    """It ends by itself, and of the folder it changes nothing but its own picture."""
+    folder = tmp_path / "run"
+    shutil.copytree(run, folder)
+    before = contents(folder)
+    code, out, complaint = cli("watch", folder)
+    assert code == 0, complaint
+    lines = out.splitlines()
+    assert [line[: len("generation    1/3")] for line in lines[:3]] == [
+        f"generation    {i}/3" for i in (1, 2, 3)
+    ]
+    assert lines[3] == str(folder / "watch.png")
+    fitness = RunFolder(folder).load_champion()[0].fitness
+    assert f"champion {fitness:8.4f}" in lines[2]
+    after = contents(folder)
+    drawn = after.pop("watch.png")
+    assert after == before
+    with Image.open(io.BytesIO(drawn)) as picture:
+        assert picture.width == 1280
+        assert len(np.unique(np.array(picture.convert("RGB")).reshape(-1, 3), axis=0)) > 1000
+
+
+def test_once_without_a_picture(cli, run, tmp_path):
+    folder = tmp_path / "run"
+    shutil.copytree(run, folder)
+    code, out, _ = cli("watch", folder, "--once", "--no-picture")
+    assert code == 0 and len(out.splitlines()) == 3
+    assert not (folder / "watch.png").exists()
+
+
+def test_before_the_first_generation_there_is_nothing_to_tell(cli, run, tmp_path):
+    folder = tmp_path / "run"
+    shutil.copytree(run, folder)
+    shutil.rmtree(folder / "checkpoints")
+    code, out, _ = cli("watch", folder, "--once")
+    assert code == 0 and out == f"{folder}: not one generation is finished\n"
+
+
+def test_a_folder_without_a_run_is_refused(cli, tmp_path):
+    code, _, complaint = cli("watch", tmp_path)
+    assert code == 2 and "is not a run folder (it has no config.yaml)" in complaint
+
+
+def test_what_was_interrupted_is_left_to_the_trainer(run, tmp_path):
+    """`require`, which others call, would move what waits in a folder of its own."""
+    folder = tmp_path / "run"
+    shutil.copytree(run, folder)
+    (folder / ".decided").mkdir()
+    (folder / ".decided" / "config.yaml").write_text((run / "config.yaml").read_text())
+    watch.watch_run(folder, once=True, picture=False)
+    assert (folder / ".decided" / "config.yaml").is_file()
+
+
+def test_a_terminal_sees_numbers_and_curves(run):
+    folder = RunFolder(run)
+    seen = watch.standing(folder)
+    assert seen.finished and watch.standing(folder, seen) is seen
+    screen = Console(file=io.StringIO(), width=100, force_terminal=False)
+    screen.print(watch._panel(folder, seen, 100))
+    told = screen.file.getvalue()
+    champion = RunFolder(run).load_champion()[0]
+    for words in ("generation 3/3", "finished", f"champion {champion.fitness:.4f}", "diverged"):
+        assert words in told
+    # Braille dots.
+    assert any(0x2800 < ord(letter) < 0x2900 for letter in told)
+    waiting = seen._replace(generations=100, changed=time.time() - 7200)
+    screen.print(watch._panel(folder, waiting, 100))
+    assert "nothing new for 2.0 h" in screen.file.getvalue() or "120 min" in screen.file.getvalue()
+
+
+def test_of_several_runs_the_best_counts():
+    history = [
+        {"generation": g, "run": r, "champion": c, "mean": m}
+        for g, r, c, m in ((0, 0, 1.0, 0.0), (0, 1, 3.0, 2.0), (1, 0, math.nan, 1.0),
+                           (1, 1, 4.0, 3.0))
+    ]  # fmt: skip
+    found = watch._over_generations(history)
+    assert found["champion"].tolist() == [3.0, 4.0] and found["mean"].tolist() == [1.0, 2.0]
+
+
+def test_it_looks_on_while_a_run_evolves_and_ends_at_control_c(start, tmp_path):
+    """Lines come while the trainer works, whose result is that of a run alone."""
+    folder = tmp_path / "run"
+    with start("train", CONFIG, *LONG, "evolution.generations=500", "--out", folder) as trainer:
+        until = time.monotonic() + 120
+        while not (folder / "metrics.csv").exists() and time.monotonic() < until:
+            time.sleep(0.1)
+        with start("watch", folder, "--no-picture") as watcher:
+            first = watcher.stdout.readline()
+            later = watcher.stdout.readline()
+            assert first.startswith("generation    1/500")
+            assert later.startswith("generation    2/500")
+            assert trainer.poll() is None
+            watcher.send_signal(signal.SIGINT)
+            _, complaint = watcher.communicate(timeout=60)
+            assert watcher.returncode == 130 and "Traceback" not in complaint
+        assert trainer.poll() is None
+        trainer.send_signal(signal.SIGINT)
+        trainer.communicate(timeout=60)
+
+
+def dots(lines: list[str]) -> list[tuple[int, int]]:
+    """Row and column of every dot that is set."""
+    bits = {0x01: (0, 0), 0x02: (1, 0), 0x04: (2, 0), 0x40: (3, 0), 0x08: (0, 1), 0x10: (1, 1),
+            0x20: (2, 1), 0x80: (3, 1)}  # fmt: skip
+    return sorted(
+        (4 * r + row, 2 * c + column)
+        for r, line in enumerate(lines)
+        for c, letter in enumerate(line)
+        for bit, (row, column) in bits.items()
+        if (ord(letter) - 0x2800) & bit
+    )
+
+
+def test_a_curve_goes_from_its_lowest_to_its_highest():
+    assert dots(curve([0.0, 1.0, 2.0, 3.0], 2, 1)) == [
+        (0, 3), (1, 2), (1, 3), (2, 1), (2, 2), (3, 0), (3, 1)
+    ]  # fmt: skip
+    # Level, a single value, none, and a gap.
+    assert dots(curve([2.0, 2.0], 1, 1)) == [(3, 0), (3, 1)]
+    assert dots(curve([5.0], 2, 1)) == [(3, 0), (3, 1), (3, 2), (3, 3)]
+    assert dots(curve([math.nan], 2, 1)) == [] == dots(curve([], 2, 1))
+    assert {c for _, c in dots(curve([1.0, math.inf, 1.0, 1.0], 2, 1))} == {0, 2, 3}
