@@ -353,7 +353,8 @@
     requestAnimationFrame((instant) => {
       waiting = false;
       if (playing) {
-        now += Math.min(instant - last, 100) / 1000 * +pace.value;
+        // A frame may bear an earlier time than the click that began.
+        now += Math.max(0, Math.min(instant - last, 100)) / 1000 * +pace.value;
         last = instant;
         if (now > duration) now = 0;
         show();
