@@ -86,7 +86,7 @@ class GaitNumbers(NamedTuple):
         frequency: strides a second; NaN where nothing is repeated.
         lags: between the joints, in the order of the recording's degrees of freedom.
         chain: degrees of freedom along the body; none where fewer than three are in a row.
-        wave: along them; None where there is no chain, or none of it swings by a degree.
+        wave: along them; None where there is no chain, or it swings by less than a degree.
         feet: what touches the ground; None where there is none.
         power: of all motors, without regard to its sign, in each control step, W.
         peak_torque: of each motor, N m.
@@ -135,7 +135,7 @@ def gait_numbers(
         place = chain_places(simulation, creature, chain)
         length = float(length_of(creature))
         wave = body_wave(angle[:, chain], place, length, step, frequency)
-        if wave.amplitude.max() < _FAINT:
+        if frequency > 0 and wave.amplitude.max() < _FAINT:
             wave = None
     feet = _feet(simulation, creature, frames, recording, first)
     numbers = GaitNumbers(

@@ -10,6 +10,9 @@
     refine.csv       what `refine` gained, round by round; champion_before.npz and
                      config_before.yaml are what it began with
     videos/, plots/  what `render` and `plot` make
+    analysis.html    a page of the run, by `analyse`
+    watch.png        the newest champion, by `watch`
+    tensorboard/     the columns of metrics.csv for TensorBoard, where these were asked for
     probe.csv, sensitivity.csv, audit.json, and their pictures, what these commands find
 
 Files are written beside their place and then moved into it, which is atomic. Those that belong

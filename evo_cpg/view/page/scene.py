@@ -33,6 +33,8 @@ _CALM = 1.0
 _DEPTH, _FAR = 0.55, 14.0
 # Range of a signed number of 16 bits.
 _SHORT = 32767
+# Corners of a stone that are enough for a page.
+_FINE = 1500
 _STONE = "#999188"
 _WHITE, _PUPIL = "#fdfdf8", "#10151c"
 
@@ -129,13 +131,16 @@ def scene(
     }
     if terrain is not None:
         made["terrain"] = {
-            "points": arrays.add(terrain.points(), "<f4"),
+            "x": arrays.add(terrain.x, "<f4"),
+            "y": arrays.add(terrain.y, "<f4"),
+            "z": arrays.add(terrain.z, "<f4"),
             "normals": arrays.add(terrain.normals() * 127, "i1"),
-            "triangles": arrays.add(terrain.triangles(), "<u4"),
         }
     for obstacle in ground.obstacles if ground is not None else ():
         mesh, place, turn = obstacle_mesh(obstacle)
         coarse = mesh.triangulate()
+        if coarse.n_points > _FINE:
+            coarse = coarse.decimate(1 - _FINE / coarse.n_points)
         made["obstacles"].append(
             _mesh(cast(pv.PolyData, coarse), _STONE, arrays)
             | {"place": place.tolist(), "turn": _quaternions(turn[None])[0].tolist()}

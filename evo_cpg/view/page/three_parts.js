@@ -1,3 +1,9 @@
+// What `viewer.js` needs of three.js (MIT, three.LICENSE). `three.min.js` is three 0.187.0, bundled
+// from this file by esbuild 0.28.2 in a folder with both of them:
+//
+//   npm install three@0.187.0 esbuild@0.28.2
+//   npx esbuild three_parts.js --bundle --minify --format=iife --global-name=THREE
+//       --legal-comments=inline --outfile=three.min.js
 export {
   BackSide, BufferAttribute, BufferGeometry, CanvasTexture, Color, DirectionalLight, DoubleSide,
   Fog, Group, HemisphereLight, Line, LineBasicMaterial, Mesh, MeshBasicMaterial,

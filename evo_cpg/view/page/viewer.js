@@ -115,14 +115,26 @@
   const tile = 2 * told.spacing;
   let floor = null;
   if (told.terrain) {
-    const land = geometry(told.terrain);
-    const place = land.getAttribute("position");
-    const uv = new Float32Array(2 * place.count);
-    for (let i = 0; i < place.count; i++) {
-      uv[2 * i] = place.getX(i) / tile;
-      uv[2 * i + 1] = place.getY(i) / tile;
+    // Heights at the crossings of lines; two triangles to a cell.
+    const [x, y, z] = ["x", "y", "z"].map((name) => array(told.terrain[name], "f4"));
+    const place = new Float32Array(3 * z.length), uv = new Float32Array(2 * z.length);
+    const corners = [];
+    for (let i = 0, k = 0; i < x.length; i++) {
+      for (let j = 0; j < y.length; j++, k++) {
+        place.set([x[i], y[j], z[k]], 3 * k);
+        uv.set([x[i] / tile, y[j] / tile], 2 * k);
+        if (i + 1 < x.length && j + 1 < y.length) {
+          const over = k + y.length;
+          corners.push(k, over, over + 1, k, over + 1, k + 1);
+        }
+      }
     }
+    const land = new THREE.BufferGeometry();
+    const normals = array(told.terrain.normals, "i1");
+    land.setAttribute("position", new THREE.BufferAttribute(place, 3));
+    land.setAttribute("normal", new THREE.BufferAttribute(normals, 3, true));
     land.setAttribute("uv", new THREE.BufferAttribute(uv, 2));
+    land.setIndex(corners);
     const made = new THREE.Mesh(
       land, new THREE.MeshStandardMaterial({ map: pattern(), roughness: 1, side: THREE.DoubleSide }),
     );
