@@ -84,7 +84,8 @@ def test_the_wheel_says_what_it_is(wheel):
     for line in (
         "Name: evo-cpg",
         "Author: The evo_cpg authors",
-        "License-Expression: Apache-2.0",
+        "License-Expression: Apache-2.0 AND MIT",
+        "License-File: evo_cpg/view/page/three.LICENSE",
         "Requires-Python: >=3.11",
         "Classifier: Programming Language :: Python :: 3.13",
         "Classifier: Typing :: Typed",
