@@ -11,9 +11,9 @@ from typing import Any
 from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.load import load_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
+from evo_cpg.config.shipped import shipped_folder
 from evo_cpg.view.page.departures import Departures, Difference, Note
 
-_PACKAGE = Path(__file__).parents[1]
 # `  steps: 2000   # paper`; what stands before the comment, and the comment.
 _LINE = re.compile(r"^( *)([A-Za-z_]\w*):\s*(.*?)\s*(?:# ?(.*))?$")
 # "paper: not said" is ours; "ours: half the paper's times" is not the paper's.
@@ -23,7 +23,7 @@ _CONTINUED = re.compile(r"^\s+# ?(.*)$")
 
 def departures(config: ExperimentConfig) -> Departures | None:
     """See `Departures`; None where no configuration of this name is shipped."""
-    folder = _shipped_folder()
+    folder = shipped_folder()
     path = None if folder is None else folder / f"{config.name}.yaml"
     if path is None or Path(config.name).name != config.name or not path.is_file():
         return None
@@ -113,13 +113,3 @@ def _head(text: str) -> str:
             break
         lines.append(line.lstrip("# "))
     return " ".join(lines)
-
-
-def _shipped_folder() -> Path | None:
-    """Where the shipped configurations lie: in a wheel beside the modules, else in the checkout."""
-    if (_PACKAGE / "configs").is_dir():
-        return _PACKAGE / "configs"
-    checkout = _PACKAGE.parent
-    if (checkout / "pyproject.toml").is_file() and (checkout / "configs").is_dir():
-        return checkout / "configs"
-    return None

@@ -202,7 +202,7 @@ def test_a_name_that_nothing_shipped_has_departs_from_nothing(walker, monkeypatc
     config = load_config(walker / "config.yaml")
     assert departures(config.model_copy(update={"name": "mine"})) is None
     assert departures(config.model_copy(update={"name": "../configs/hexapod"})) is None
-    monkeypatch.setattr(departing, "_shipped_folder", lambda: None)
+    monkeypatch.setattr(departing, "shipped_folder", lambda: None)
     assert departures(config) is None
 
 
