@@ -64,7 +64,7 @@ class Feet(NamedTuple):
         duty_factor: of each.
         phases: of their touch-downs in the second half of the trial.
         slip: speed of each over the ground while it touches, m/s.
-        airborne: whether nothing, the root included, touches in each control step.
+        airborne: share of the control steps in which nothing touches, the root included.
     """
 
     names: tuple[str, ...]
@@ -73,7 +73,7 @@ class Feet(NamedTuple):
     duty_factor: Float[np.ndarray, " f"]
     phases: Phases
     slip: Float[np.ndarray, " f"]
-    airborne: Bool[np.ndarray, " t"]
+    airborne: float
 
 
 class GaitNumbers(NamedTuple):
@@ -230,7 +230,7 @@ def _of_the_ground(numbers: GaitNumbers, along: float) -> list[Quantity]:
         Quantity("duty_factor", "duty factor", float(limbs.mean()), "",
                  "share of the time on the ground (Alexander and Jayes 1983), mean of the bodies "
                  "that ever touch it but for the root", never),
-        Quantity("airborne", "airborne share", float(feet.airborne.mean()), "",
+        Quantity("airborne", "airborne share", feet.airborne, "",
                  "share of the control steps in which nothing touches the ground"),
         Quantity("slip", "slip", slip, "m/s",
                  "horizontal speed of each foot's lowest point while it touches, mean of all",
@@ -315,7 +315,7 @@ def _feet(
         duty_factor=footfalls.duty_factors(touched),
         phases=footfalls.phases(steady[first:], step),
         slip=footfalls.slip_speeds(position, rotation, lowest, touched, step),
-        airborne=~(force != 0).any((1, 2)),
+        airborne=footfalls.airborne_share((force != 0).any(1)),
     )
 
 

@@ -5,13 +5,11 @@ The shipped files say beside every value whether it is the paper's or ours, in c
 """
 
 import re
-from pathlib import Path
 from typing import Any
 
-from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.load import load_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
-from evo_cpg.config.shipped import shipped_folder
+from evo_cpg.config.shipped import shipped, shipped_names
 from evo_cpg.view.page.departures import Departures, Difference, Note
 
 # `  steps: 2000   # paper`; what stands before the comment, and the comment.
@@ -23,14 +21,10 @@ _CONTINUED = re.compile(r"^\s+# ?(.*)$")
 
 def departures(config: ExperimentConfig) -> Departures | None:
     """See `Departures`; None where no configuration of this name is shipped."""
-    folder = shipped_folder()
-    path = None if folder is None else folder / f"{config.name}.yaml"
-    if path is None or Path(config.name).name != config.name or not path.is_file():
+    if config.name not in shipped_names():
         return None
-    try:
-        shipped = load_config(path)
-    except ConfigError:
-        return None
+    ours = shipped(config.name)
+    path = ours.path
     text = path.read_text(encoding="utf-8")
     found = list(notes(text))
     for note in found:
@@ -38,7 +32,8 @@ def departures(config: ExperimentConfig) -> Departures | None:
             creature = (path.parent / note.value).read_text(encoding="utf-8")
             found += [n._replace(key=f"creature.{n.key}") for n in notes(creature)]
     listed = [note for note in found if note.text]
-    return Departures(_head(text), tuple(differences(config, shipped)), tuple(listed))
+    differ = tuple(differences(config, load_config(path)))
+    return Departures(ours.about, differ, tuple(listed))
 
 
 def differences(config: ExperimentConfig, shipped: ExperimentConfig) -> list[Difference]:
@@ -103,13 +98,3 @@ def _flat(value: Any, key: str = "") -> dict[str, Any]:
     for name, each in inner.items():
         found |= _flat(each, f"{key}.{name}" if key else str(name))
     return found
-
-
-def _head(text: str) -> str:
-    """The paragraph at the top of a file."""
-    lines = []
-    for line in text.splitlines():
-        if not line.startswith("#") or line.strip() == "#":
-            break
-        lines.append(line.lstrip("# "))
-    return " ".join(lines)

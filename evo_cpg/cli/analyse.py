@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 from evo_cpg.analysis.chains import chains
 from evo_cpg.api.departures import departures
 from evo_cpg.api.training import now, require_configured
-from evo_cpg.cli.errors import UsageError
+from evo_cpg.cli.errors import UsageError, require_free
 from evo_cpg.cli.pictures import rhythm_of
 from evo_cpg.cli.progress import working
-from evo_cpg.cli.training import open_champion
+from evo_cpg.cli.training import live_again_in_full, open_champion, require_trial
 from evo_cpg.cli.version import version
 from evo_cpg.config.load import load_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
@@ -47,10 +47,7 @@ def analyse_run(
         _require_place(output, overwrite)
     experiment, champion, _, folder = open_champion(run, number)
     require_configured(folder)
-    if trial >= experiment.trials:
-        raise UsageError(
-            f"--trial: an individual of {run} has {experiment.trials} trial(s), counted from 0"
-        )
+    require_trial(experiment, folder, trial)
     if output is None and (number is not None or trial):
         which = f"_run{champion.run}" if number is not None else ""
         path = path.with_stem(path.stem + which + (f"_trial{trial}" if trial else ""))
@@ -65,13 +62,8 @@ def _page(
     config, simulation = load_config(folder.config), experiment.simulation
     with working("replaying the champion: compiling takes some seconds, a trial less") as work:
         from evo_cpg.analysis.gait_numbers import chain_places, gait_numbers
-        from evo_cpg.simulation.rollout import as_recording
-        from evo_cpg.training.loop import compile_life
 
-        devices = folder.read_meta().get("devices", 1)
-        _, _, frames = compile_life(experiment, devices, trial)(champion)
-        names = [body.name for body in experiment.creature.bodies]
-        recording = as_recording(simulation, frames, names, trial=trial)
+        frames, recording = live_again_in_full(experiment, champion, folder, trial)
         work.doing("measuring the gait")
         numbers = gait_numbers(simulation, experiment.creature, frames, recording)
         work.doing("drawing")
@@ -164,5 +156,4 @@ def _require_place(output: Path, overwrite: bool) -> None:
         raise UsageError(f"--out: there is no folder {output.parent}; create it first")
     if output.is_dir():
         raise UsageError(f"--out: {output} is a folder; give the name of a file")
-    if output.exists() and not overwrite:
-        raise UsageError(f"--out: {output} exists; --overwrite replaces it")
+    require_free(output, overwrite)

@@ -1,6 +1,7 @@
 """Which errors are about the user's input."""
 
 import sys
+from pathlib import Path
 
 _ELSEWHERE = (
     ("evo_cpg.view.output", "OutputError"),
@@ -14,6 +15,16 @@ _ELSEWHERE = (
 
 class UsageError(Exception):
     """Input that no other part of the program is responsible for."""
+
+
+def require_free(output: Path, overwrite: bool) -> None:
+    """Check that a file of the user's is not replaced without being told.
+
+    Raises:
+        UsageError: it is there.
+    """
+    if output.exists() and not overwrite:
+        raise UsageError(f"{output} exists already; --overwrite replaces it")
 
 
 def is_users_fault(error: Exception) -> bool:

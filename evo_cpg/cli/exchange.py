@@ -4,7 +4,7 @@ import sys
 from pathlib import Path
 
 from evo_cpg.cli.building import build
-from evo_cpg.cli.errors import UsageError
+from evo_cpg.cli.errors import UsageError, require_free
 from evo_cpg.cli.progress import working
 from evo_cpg.cli.training import champion_motion, champion_record, open_run
 from evo_cpg.config.load import dump_creature, load_config
@@ -17,7 +17,7 @@ def export(
     source: Path, output: Path, overwrite: bool, number: int | None, trial: int, cell: str | None
 ) -> None:
     """`evo-cpg export`: the suffix says what."""
-    _require_free(output, overwrite)
+    require_free(output, overwrite)
     suffix = output.suffix.lower()
     if suffix not in (".xml", *MOTIONS):
         named = f"ends in {output.suffix!r}" if output.suffix else "has no suffix"
@@ -94,17 +94,12 @@ def import_model(path: Path, output: Path, motor_gain: float | None, overwrite: 
     """`evo-cpg import`."""
     if motor_gain is not None and not motor_gain > 0:
         raise UsageError(f"--motor-gain: must be greater than 0, got {motor_gain:g}")
-    _require_free(output, overwrite)
+    require_free(output, overwrite)
     creature, left_out = read_mjcf(path, motor_gain)
     _write(output, dump_creature(creature))
     if left_out:
         print(f"left out: {', '.join(left_out)}", file=sys.stderr)
     print(output)
-
-
-def _require_free(output: Path, overwrite: bool) -> None:
-    if output.exists() and not overwrite:
-        raise UsageError(f"{output} exists already; --overwrite replaces it")
 
 
 def _write(output: Path, text: str) -> None:

@@ -10,7 +10,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from evo_cpg.cli.errors import UsageError
+from evo_cpg.cli.errors import UsageError, require_free
 from evo_cpg.cli.measured_motion import TARGET, MeasuredMotion, commands, read_motion
 from evo_cpg.cli.progress import Work, working
 from evo_cpg.cli.training import open_champion
@@ -45,8 +45,8 @@ def fit_data(
 ) -> None:
     """`evo-cpg fit`."""
     for file, suffixes in ((out, (".yaml", ".yml")), (plot, PLOT_SUFFIXES)):
-        if file is not None and output_path(file, suffixes).exists() and not overwrite:
-            raise UsageError(f"{file} exists already; --overwrite replaces it")
+        if file is not None:
+            require_free(output_path(file, suffixes), overwrite)
     recording = read_motion(data)
     own = [text for text in settings if not text.startswith(_INITIAL)]
     whole = load_config(path, own)

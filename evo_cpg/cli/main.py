@@ -4,33 +4,38 @@ Every command imports what it needs only when it runs: `--help` must be quick, a
 not load VTK.
 """
 
-import enum
 import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from evo_cpg.cli.completion import complete_config, complete_folder
+from evo_cpg.cli.completion import complete_config
 from evo_cpg.cli.configs import app as configs_app
+from evo_cpg.cli.options import (
+    Cell,
+    Config,
+    Cores,
+    Distributed,
+    Hosts,
+    JoinTimeout,
+    Local,
+    Number,
+    Overrides,
+    Overwrite,
+    Patience,
+    Process,
+    Run,
+    Strict,
+    Tensorboard,
+    Trial,
+    View,
+    What,
+    find_config_or_folder,
+)
 
 # Exit codes: 0 done, 1 a fault of ours, 2 wrong input, 4 another process lost, 130 interrupted.
 _FAULT, _WRONG_INPUT, _INTERRUPTED = 1, 2, 130
-
-
-class What(enum.StrEnum):
-    """What a run begins with."""
-
-    CHAMPION = "champion"
-    POPULATION = "population"
-
-
-class View(enum.StrEnum):
-    """From where a film shows the animal; those of `evo_cpg.view.camera.CAMERAS`."""
-
-    FOLLOW = "follow"
-    SIDE = "side"
-    TOP = "top"
 
 
 app = typer.Typer(
@@ -41,98 +46,6 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 app.add_typer(configs_app, name="configs")
-
-
-def _find_config(given: Path) -> Path:
-    from evo_cpg.config.shipped import find_config
-
-    return find_config(given)
-
-
-def _find_config_or_folder(given: Path) -> Path:
-    from evo_cpg.config.shipped import find_config
-
-    return find_config(given, folders=True)
-
-
-Config = Annotated[
-    Path,
-    typer.Argument(
-        metavar="CONFIG",
-        help="A YAML configuration file, or the name of one that `evo-cpg configs` lists.",
-        callback=_find_config,
-        autocompletion=complete_config,
-    ),
-]
-Run = Annotated[
-    Path,
-    typer.Argument(
-        metavar="RUN", help="A run folder made by `train`.", autocompletion=complete_folder
-    ),
-]
-Overrides = Annotated[
-    list[str] | None,
-    typer.Argument(metavar="[KEY=VALUE]...", help="Settings to change, such as seed=3."),
-]
-Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the file if it exists.")]
-Number = Annotated[
-    int | None,
-    typer.Option("--run", min=0, help="Of several runs side by side, which; the best by default."),
-]
-Trial = Annotated[
-    int,
-    typer.Option("--trial", min=0, help="Of the champion's trials, which; counted from 0."),
-]
-Cell = Annotated[
-    str | None,
-    typer.Option(
-        "--cell",
-        help="Instead of the champion the elite of this cell of the run's map, such as 3,0,7: a "
-        "number for each axis, from 0.",
-    ),
-]
-Strict = Annotated[
-    bool, typer.Option("--strict", help="Refuse values that are allowed but hardly meant.")
-]
-Cores = Annotated[int | None, typer.Option(min=1, help="Cores to use; all by default.")]
-Distributed = Annotated[
-    bool,
-    typer.Option(
-        "--distributed",
-        help="Evolve with other processes: those of SLURM or Open MPI, of --hosts or of --local.",
-    ),
-]
-Hosts = Annotated[
-    str | None,
-    typer.Option(
-        metavar="HOST[:PORT],HOST,...",
-        help="Hosts of the processes, or a file with one on each line; the first leads.",
-    ),
-]
-Process = Annotated[
-    int | None,
-    typer.Option(
-        min=0, help="Which of --hosts this process is, from 0; by the name of its host by default."
-    ),
-]
-Local = Annotated[int | None, typer.Option(min=1, help="Start so many processes on this machine.")]
-JoinTimeout = Annotated[
-    float, typer.Option(min=0.1, help="Seconds that the processes may take to come together.")
-]
-Patience = Annotated[
-    float | None,
-    typer.Option(
-        min=0,
-        help="Seconds, beyond twice what its own part took, that a process waits for the others; "
-        "20 by default.",
-    ),
-]
-
-
-Tensorboard = Annotated[
-    bool,
-    typer.Option("--tensorboard", help="Write RUN/tensorboard, with the columns of metrics.csv."),
-]
 
 
 def _show_version(wanted: bool) -> bool:
@@ -251,7 +164,7 @@ def sweep(
             metavar="CONFIG",
             help="A YAML configuration file or the name of a shipped one; or a sweep, to go on "
             "with it.",
-            callback=_find_config_or_folder,
+            callback=find_config_or_folder,
             autocompletion=complete_config,
         ),
     ],
@@ -652,7 +565,7 @@ def export(
         typer.Argument(
             metavar="CONFIG_OR_RUN",
             help="A configuration file, the name of a shipped one, or a run folder.",
-            callback=_find_config_or_folder,
+            callback=find_config_or_folder,
             autocompletion=complete_config,
         ),
     ],

@@ -42,7 +42,10 @@ from evo_cpg.training.run_folder import RunFolder, RunFolderError
 from evo_cpg.training.scalars import FOLDER, MissingWriterError, Scalars, require_writer
 
 if TYPE_CHECKING:
+    from jaxtyping import Array
+
     from evo_cpg.api.record import Record
+    from evo_cpg.simulation.recording import Recording
     from evo_cpg.training.processes import Team
 
 # The replayed fitness and terms must agree with those recorded to this relative accuracy. On the
@@ -315,7 +318,7 @@ def champion_motion(
         cell: see `open_champion`.
     """
     experiment, champion, recording, folder = open_champion(run, number, cell)
-    _require_trial(experiment, folder, trial)
+    require_trial(experiment, folder, trial)
     # The folder keeps the motion in the first.
     if recording is None or trial > 0:
         devices = folder.read_meta().get("devices", 1)
@@ -328,20 +331,33 @@ def champion_record(
 ) -> "Record":
     """All that can be told of the champion's trial, lived again; see `champion_motion`."""
     experiment, champion, _, folder = open_champion(run, number, cell)
-    _require_trial(experiment, folder, trial)
+    require_trial(experiment, folder, trial)
     from evo_cpg.api.record import as_record
-    from evo_cpg.simulation.rollout import as_recording
-    from evo_cpg.training.loop import compile_life
 
     with working("replaying the champion: compiling takes some seconds, a trial less"):
-        devices = folder.read_meta().get("devices", 1)
-        _, _, frames = compile_life(experiment, devices, trial)(champion)
-    names = [body.name for body in experiment.creature.bodies]
-    motion = as_recording(experiment.simulation, frames, names, trial=trial)
+        frames, motion = live_again_in_full(experiment, champion, folder, trial)
     return as_record(experiment.simulation, frames, motion)
 
 
-def _require_trial(experiment: Experiment, folder: RunFolder, trial: int) -> None:
+def live_again_in_full(
+    experiment: Experiment, champion: Champion, folder: RunFolder, trial: int
+) -> "tuple[dict[str, Array], Recording]":
+    """All that is recorded of a champion's control steps, and its motion, see `live_again`."""
+    from evo_cpg.simulation.rollout import as_recording
+    from evo_cpg.training.loop import compile_life
+
+    devices = folder.read_meta().get("devices", 1)
+    _, _, frames = compile_life(experiment, devices, trial)(champion)
+    names = [body.name for body in experiment.creature.bodies]
+    return frames, as_recording(experiment.simulation, frames, names, trial=trial)
+
+
+def require_trial(experiment: Experiment, folder: RunFolder, trial: int) -> None:
+    """Check that an individual has a trial of that number, from 0.
+
+    Raises:
+        UsageError: it has not.
+    """
     if trial >= experiment.trials:
         raise UsageError(
             f"--trial: an individual of {folder.path} has {experiment.trials} trial(s), counted "

@@ -1,13 +1,13 @@
 """Copies of the configurations that come with the program, for a user to change."""
 
 import filecmp
-import shutil
 from pathlib import Path
 
 from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.load import load_config
 from evo_cpg.config.shipped import shipped
 from evo_cpg.config.trust import noting
+from evo_cpg.training.run_folder import write_whole
 
 
 def copy_shipped(name: str, folder: Path) -> Path:
@@ -23,7 +23,8 @@ def copy_shipped(name: str, folder: Path) -> Path:
     Raises:
         ConfigError: there is none of this name, or a file that is there already has other contents;
             then nothing was copied.
-        OSError: a file cannot be written.
+        OSError: a folder cannot be made.
+        RunFolderError: a file cannot be written.
     """
     source = shipped(name).path
     with noting() as named:
@@ -40,15 +41,6 @@ def copy_shipped(name: str, folder: Path) -> Path:
         copy = folder / part
         if not copy.exists():
             copy.parent.mkdir(parents=True, exist_ok=True)
-            _copy_whole(path, copy)
+            contents = path.read_bytes()
+            write_whole(copy, lambda file, contents=contents: file.write(contents))
     return folder / parts[source]
-
-
-def _copy_whole(path: Path, copy: Path) -> None:
-    """Copy a file so that it is there as a whole or not at all."""
-    partial = copy.with_name(f".{copy.name}.partial")
-    try:
-        shutil.copyfile(path, partial)
-        partial.replace(copy)
-    finally:
-        partial.unlink(missing_ok=True)

@@ -22,12 +22,14 @@ class Shipped(NamedTuple):
     Attributes:
         name: that it goes by.
         path: its file.
-        summary: what it is, the first sentence of the file.
+        about: the comment at the top of the file, on one line.
+        summary: what it is, the first sentence of that.
         study: that it repeats or starts from, as "Fukui 2003"; empty where it is ours alone.
     """
 
     name: str
     path: Path
+    about: str
     summary: str
     study: str
 
@@ -66,7 +68,7 @@ def shipped(name: str) -> Shipped:
     about = _head(path.read_text(encoding="utf-8"))
     summary = re.split(r"(?<=\.) (?=[A-Z])", about, maxsplit=1)[0].removesuffix(".")
     study = _STUDY.search(about)
-    return Shipped(name, path, summary, " ".join(study.groups()) if study else "")
+    return Shipped(name, path, about, summary, " ".join(study.groups()) if study else "")
 
 
 def find_config(given: Path | str, folders: bool = False) -> Path:

@@ -202,7 +202,7 @@ def test_a_name_that_nothing_shipped_has_departs_from_nothing(walker, monkeypatc
     config = load_config(walker / "config.yaml")
     assert departures(config.model_copy(update={"name": "mine"})) is None
     assert departures(config.model_copy(update={"name": "../configs/hexapod"})) is None
-    monkeypatch.setattr(departing, "shipped_folder", lambda: None)
+    monkeypatch.setattr(departing, "shipped_names", lambda: [])
     assert departures(config) is None
 
 
@@ -212,7 +212,7 @@ def test_a_name_that_nothing_shipped_has_departs_from_nothing(walker, monkeypatc
         (("--out", "page.txt"), "is not the name of a page; let it end in .html"),
         (("--out", "nowhere/page.html"), "there is no folder nowhere; create it first"),
         (("--out", "folder.html"), "is a folder; give the name of a file"),
-        (("--out", "there.html"), "there.html exists; --overwrite replaces it"),
+        (("--out", "there.html"), "there.html exists already; --overwrite replaces it"),
         (("--trial", "3"), "has 1 trial(s), counted from 0"),
         (("--run", "3"), "holds 1 run(s), counted from 0"),
     ],

@@ -5,7 +5,7 @@ import pytest
 import yaml
 
 from evo_cpg.cli import training
-from evo_cpg.cli.main import View
+from evo_cpg.cli.options import View
 from evo_cpg.cli.pictures import plot_run
 from evo_cpg.training import loop
 from evo_cpg.training.run_folder import RunFolder

@@ -69,11 +69,11 @@ def test_a_sentence_ends_at_its_point_and_a_study_has_a_year(tmp_path, monkeypat
         "# Ten of them (Poe, Dickens and Melville 1951), of 1.5 m. They\n# swim.\n#\n# More 1999.\n"
     )
     (tmp_path / "b.yaml").write_text("name: b\n# Not at the head 2000\n")
-    assert shipped("a")[2:] == (
+    assert shipped("a")[3:] == (
         "Ten of them (Poe, Dickens and Melville 1951), of 1.5 m",
         "Poe 1951",
     )
-    assert shipped("b")[2:] == ("", "")
+    assert shipped("b")[3:] == ("", "")
 
 
 def test_a_file_that_is_there_wins_over_the_name(tmp_path):
