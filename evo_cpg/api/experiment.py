@@ -290,7 +290,9 @@ class Experiment:
 
     @functools.cached_property
     def _record(self) -> Callable:
-        return jax.jit(lambda *given: record(self.parts.simulation, given[0], 1, *given[1:]))
+        return jax.jit(
+            lambda *given: record(self.parts.simulation, given[0], 1, *given[1:], full=True)
+        )
 
     def _no_terms(self) -> dict[str, Array]:
         steps = self.parts.simulation.steps

@@ -11,7 +11,7 @@ from evo_cpg.api.training import now, require_configured
 from evo_cpg.cli.errors import UsageError, require_free
 from evo_cpg.cli.pictures import rhythm_of
 from evo_cpg.cli.progress import working
-from evo_cpg.cli.training import live_again_in_full, open_champion, require_trial
+from evo_cpg.cli.training import frames_again, open_champion, require_trial
 from evo_cpg.cli.version import version
 from evo_cpg.config.load import load_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
@@ -63,7 +63,7 @@ def _page(
     with working("replaying the champion: compiling takes some seconds, a trial less") as work:
         from evo_cpg.analysis.gait_numbers import chain_places, gait_numbers
 
-        frames, recording = live_again_in_full(experiment, champion, folder, trial)
+        frames, recording = frames_again(experiment, champion, folder, trial)
         work.doing("measuring the gait")
         numbers = gait_numbers(simulation, experiment.creature, frames, recording)
         work.doing("drawing")

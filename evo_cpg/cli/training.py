@@ -335,19 +335,27 @@ def champion_record(
     from evo_cpg.api.record import as_record
 
     with working("replaying the champion: compiling takes some seconds, a trial less"):
-        frames, motion = live_again_in_full(experiment, champion, folder, trial)
+        frames, motion = frames_again(experiment, champion, folder, trial, full=True)
     return as_record(experiment.simulation, frames, motion)
 
 
-def live_again_in_full(
-    experiment: Experiment, champion: Champion, folder: RunFolder, trial: int
+def frames_again(
+    experiment: Experiment, champion: Champion, folder: RunFolder, trial: int, full: bool = False
 ) -> "tuple[dict[str, Array], Recording]":
-    """All that is recorded of a champion's control steps, and its motion, see `live_again`."""
+    """What is recorded of a champion's control steps, and its motion.
+
+    Args:
+        experiment: that it evolved in.
+        champion: the individual.
+        folder: of its run.
+        trial: which of its trials, from 0.
+        full: see `evo_cpg.simulation.rollout.record`.
+    """
     from evo_cpg.simulation.rollout import as_recording
     from evo_cpg.training.loop import compile_life
 
     devices = folder.read_meta().get("devices", 1)
-    _, _, frames = compile_life(experiment, devices, trial)(champion)
+    _, _, frames = compile_life(experiment, devices, trial, full)(champion)
     names = [body.name for body in experiment.creature.bodies]
     return frames, as_recording(experiment.simulation, frames, names, trial=trial)
 

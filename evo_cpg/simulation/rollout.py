@@ -80,6 +80,7 @@ def record(
     count: int = 1,
     keys: UInt32[Array, "w n"] | None = None,
     trial: Int[Array, " n"] | None = None,
+    full: bool = False,
 ) -> dict[str, Array]:
     """The trials of the first individuals, step by step; see `as_recording`.
 
@@ -89,8 +90,9 @@ def record(
         count: individuals to record.
         keys: see `rollout`.
         trial: see `rollout`.
+        full: with velocities, senses and what the controller remembers, too.
     """
-    return _live(simulation, genes, slice(count), keys, trial)[1]
+    return _live(simulation, genes, slice(count), keys, trial, full=full)[1]
 
 
 def rollout_and_record(
@@ -99,6 +101,7 @@ def rollout_and_record(
     individual: int,
     keys: UInt32[Array, "w n"] | None = None,
     trial: Int[Array, " n"] | None = None,
+    full: bool = False,
 ) -> tuple[Outcome, dict[str, Array]]:
     """`rollout` of all and `record` of one individual, in one program: it compiles but once.
 
@@ -109,8 +112,10 @@ def rollout_and_record(
         individual: which is recorded.
         keys: see `rollout`.
         trial: see `rollout`.
+        full: see `record`.
     """
-    return _live(simulation, genes, slice(individual, individual + 1), keys, trial)
+    recorded = slice(individual, individual + 1)
+    return _live(simulation, genes, recorded, keys, trial, full=full)
 
 
 def motion(
@@ -146,6 +151,7 @@ def _live(
     keys: Array | None,
     trial: Array | None,
     backward: Backward | None = None,
+    full: bool = False,
 ) -> tuple[Outcome, dict[str, Array]]:
     """What the trials of all amounted to, and some of them step by step."""
     ndim = genes.ndim - 1
@@ -158,7 +164,7 @@ def _live(
 
     with using(simulation.engine):
         if recorded.stop or backward is not None:
-            return _trial(simulation, genes, recorded, keys, trial, backward)
+            return _trial(simulation, genes, recorded, keys, trial, backward, full)
         return fuse(whole, genes, keys, trial, batch_ndim=ndim, name="a trial"), {}
 
 
@@ -169,6 +175,7 @@ def _trial(
     keys: Array | None,
     trial: Array | None,
     backward: Backward | None,
+    full: bool = False,
 ) -> tuple[Outcome, dict[str, Array]]:
     """One trial: its control steps are programs of their own, or parts of one."""
     batch, task, steps = genes.shape[1:], simulation.task, simulation.steps
@@ -196,8 +203,9 @@ def _trial(
             sane &= fuse(keep, *given, batch_ndim=ndim, name="rules")
         frame = {}
         if recorded.stop:
-            frame = fuse(functools.partial(_frame, tree), effects, batch_ndim=ndim)
-            frame |= nerve_frames(animal.nerves)
+            frame = fuse(functools.partial(_frame, tree, full), effects, batch_ndim=ndim)
+            if full:
+                frame |= nerve_frames(animal.nerves)
             frame = {name: values[..., recorded] for name, values in frame.items()}
         return (animal, tally, alive & sane), frame
 
@@ -227,21 +235,16 @@ def _trial(
     return Outcome(terms, alive), frames
 
 
-def _frame(tree: Tree, effects: Effects) -> dict[str, Array]:
+def _frame(tree: Tree, full: bool, effects: Effects) -> dict[str, Array]:
     """What is recorded of one control step."""
     kin = kinematics(tree, effects.before)
     com = expand_dims_like(tree.com, kin.origin)
     residual = {} if effects.residual is None else effects.residual._asdict()
-    # Joint angles and rates are those of the state.
-    senses = effects.observation._replace(joint_angle=None, joint_rate=None)._asdict()
     lever = (kin.rotation * com[None]).sum(1)
-    return {
+    frame = {
         "position": kin.origin + lever,
         "rotation": kin.rotation,
-        "velocity": kin.linear + cross(kin.angular, lever),
-        "angular_velocity": kin.angular,
         "joint_angle": effects.before.q,
-        "joint_rate": effects.before.qd,
         "target_rate": effects.command.target_rate,
         "cpg_output": effects.command.signal,
         "torque": effects.forces.torque,
@@ -249,8 +252,17 @@ def _frame(tree: Tree, effects: Effects) -> dict[str, Array]:
         "pair_force": effects.forces.pair_force,
         "energy": effects.energy,
         **{f"{name}_residual": values for name, values in residual.items()},
-        **{SENSE + name: values for name, values in senses.items() if values is not None},
     }
+    if full:
+        # Joint angles and rates are those of the state.
+        senses = effects.observation._replace(joint_angle=None, joint_rate=None)._asdict()
+        frame |= {
+            "velocity": kin.linear + cross(kin.angular, lever),
+            "angular_velocity": kin.angular,
+            "joint_rate": effects.before.qd,
+            **{SENSE + name: values for name, values in senses.items() if values is not None},
+        }
+    return frame
 
 
 def nerve_frames(nerves: PyTree[Array]) -> dict[str, Array]:

@@ -327,6 +327,7 @@ def replay(
     keys: UInt32[Array, "w trials"] | None = None,
     numbers: Int[Array, " trials"] | None = None,
     recorded: int = 0,
+    full: bool = False,
 ) -> tuple[Outcome, dict[str, Array]]:
     """One individual's trials, on one device, in chunks as wide as those of training.
 
@@ -341,6 +342,7 @@ def replay(
         keys: of its trials; None without noise.
         numbers: of its trials, see `situation_numbers`.
         recorded: which of its trials is recorded.
+        full: see `evo_cpg.simulation.rollout.record`.
 
     Returns:
         What each of its trials amounted to, and one of them step by step.
@@ -360,7 +362,7 @@ def replay(
     for start in range(0, trials, lanes):
         if start <= recorded < start + lanes:
             outcome, frames = rollout_and_record(
-                simulation, crowd, recorded - start, *beginning_with(start)
+                simulation, crowd, recorded - start, *beginning_with(start), full
             )
         else:
             outcome = rollout(simulation, crowd, *beginning_with(start))

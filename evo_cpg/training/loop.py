@@ -2,9 +2,8 @@
 
 import functools
 import time
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +14,6 @@ from jaxtyping import Array, Float, Int, PyTree, UInt32
 from evo_cpg.evolution.generation import Genetics
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.simulation.rollout import Outcome, as_recording
-from evo_cpg.simulation.task import term_names
 from evo_cpg.training.checkpoint import Champion, Checkpoint
 from evo_cpg.training.devices import population_mesh
 from evo_cpg.training.experiment import (
@@ -38,7 +36,7 @@ from evo_cpg.training.strategy_state import StrategyError, state_arrays, state_f
 # Fitness, terms and motion of an individual that lives again.
 Replayed = tuple[float, dict[str, float], Recording]
 
-# Likewise with all that is recorded of every control step (`evo_cpg.simulation.rollout.record`).
+# Likewise with what is recorded of every control step (`evo_cpg.simulation.rollout.record`).
 Lived = tuple[float, dict[str, float], dict[str, Array]]
 
 # Columns of metrics.csv that differ from run to run.
@@ -102,13 +100,11 @@ def train(
     """
     mesh = mesh or population_mesh()
     running = Running(experiment, folder, mesh, team)
-    bred = compile_breeding([running])
     live = compile_trials(experiment.simulation, mesh)
     compiled = False
     while not running.finished:
         began = time.perf_counter()
         part = live(*running.trials(), experiment.trials)
-        bred()
         if not compiled:
             on_compiled()
             compiled = True
@@ -174,18 +170,6 @@ class Running:
         )
         return Trials(self.checkpoint.genes[:, share], keys, numbers)
 
-    def compile(self) -> None:
-        """Compile what breeds, by breeding from trials that came to nothing."""
-        experiment, now = self._experiment, self.checkpoint
-        simulation, trials = experiment.simulation, now.genes.shape[1] * experiment.trials
-        measures = () if simulation.measures is None else simulation.measures.names
-        names = (*term_names(simulation.task), *measures)
-        nothing: Any = dict.fromkeys(names, np.zeros(trials, np.float32)), np.ones(trials, bool)
-        index, yardsticks = np.int32(now.generation), _float32(now.scales)
-        jax.block_until_ready(
-            self._programs.breed(now.genes, Outcome(*nothing), index, yardsticks, self._state)
-        )
-
     def tell(self, part: Outcome, began: float) -> list[dict[str, float]]:
         """What the trials came to: breed, and leave a checkpoint.
 
@@ -222,20 +206,6 @@ class Running:
         if self._team.leads:
             self._folder.save(self.checkpoint)
         return rows
-
-
-def compile_breeding(running: Sequence[Running]) -> Callable[[], object]:
-    """Compile in a thread what some breed with, while the program of the trials compiles.
-
-    Returns:
-        What waits for it; to be called before `Running.tell`.
-    """
-    thread = ThreadPoolExecutor(1, "breeding")
-    for each in running:
-        if not each.finished:
-            # What fails in the thread fails again where it is told.
-            thread.submit(each.compile)
-    return thread.shutdown
 
 
 def compile_evolution(experiment: Experiment) -> Evolution:
@@ -282,14 +252,17 @@ def compile_replay(
 
 
 def compile_life(
-    experiment: Experiment, devices: int, recorded: int = 0
+    experiment: Experiment, devices: int, recorded: int = 0, full: bool = False
 ) -> Callable[[Champion], Lived]:
-    """As `compile_replay`, with all that was recorded of each control step in place of a motion."""
+    """As `compile_replay`, with what was recorded of each control step in place of a motion.
+
+    With ``full`` that is all of it, see `evo_cpg.simulation.rollout.record`.
+    """
     simulation, genes = experiment.simulation, experiment.simulation.controller.gene_count
     numbers = situation_numbers(experiment)
     somebody = Champion(np.zeros(genes, np.float32), 0.0, 0, {}, {}, 0, 0)
     keys = jax.eval_shape(lambda: champion_keys(experiment, somebody))
-    live = jax.jit(functools.partial(replay, experiment, devices, recorded=recorded))
+    live = jax.jit(functools.partial(replay, experiment, devices, recorded=recorded, full=full))
     lived = live.lower(jax.ShapeDtypeStruct((genes,), jnp.float32), keys, numbers)
     # Compiled as in training: a multiplication and an addition may become one operation, with one
     # rounding.

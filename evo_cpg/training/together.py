@@ -16,7 +16,7 @@ from evo_cpg.simulation.rollout import Outcome
 from evo_cpg.training.checkpoint import Checkpoint
 from evo_cpg.training.devices import population_mesh
 from evo_cpg.training.experiment import Experiment, compile_trials
-from evo_cpg.training.loop import Running, Trials, compile_breeding
+from evo_cpg.training.loop import Running, Trials
 from evo_cpg.training.run_folder import RunFolder
 
 # Number of the experiment, and its new rows of metrics.csv.
@@ -51,13 +51,11 @@ def train_together(
         for experiment, folder in zip(experiments, folders, strict=True)
     ]
     trials = experiments[0].trials
-    bred = compile_breeding(running)
     live = compile_trials(experiments[0].simulation, mesh)
     while behind := _behind(running):
         began = time.perf_counter()
         taken = [running[number].trials() for number in behind]
         outcome = live(*_joined(taken), trials)
-        bred()
         widths = [part.genes.shape[1] for part in taken]
         waited = time.perf_counter() - began
         parts = _apart(outcome, widths, trials)

@@ -40,7 +40,7 @@ def trial(name, overrides, engine):
     simulation = dataclasses.replace(build_experiment(config, path).simulation, steps=STEPS)
     keys = jax.random.key_data(jax.random.split(jax.random.key(1), INDIVIDUALS)).T
     genes = simulation.controller.random_genes(jax.random.key(0), (INDIVIDUALS,), jnp.float64)
-    live = jax.jit(lambda genes, keys: rollout_and_record(simulation, genes, 0, keys))
+    live = jax.jit(lambda genes, keys: rollout_and_record(simulation, genes, 0, keys, full=True))
     outcome, frames = jax.device_get(live(genes, keys))
     assert outcome.alive.all()
     return {**outcome.terms, **frames}

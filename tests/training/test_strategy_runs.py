@@ -2,7 +2,6 @@
 
 import importlib
 import importlib.util
-import threading
 
 import equinox as eqx
 import jax
@@ -14,7 +13,6 @@ from evo_cpg.evolution.generation import RealGenetics
 from evo_cpg.evolution.islands import Islands
 from evo_cpg.evolution.map_elites import AlongTheLine, Axis, MapElites
 from evo_cpg.evolution.strategy import Strategy
-from evo_cpg.training import loop
 from evo_cpg.training.elites import elite, gait_map
 from evo_cpg.training.loop import TIMING_COLUMNS, replay_champion, train
 from evo_cpg.training.run_folder import RunFolder
@@ -103,21 +101,6 @@ class Blank(Strategy):
 
     def tell(self, key, state, genes, evaluation):
         return state[0], state[1] + 1
-
-
-@pytest.mark.parametrize("name", STRATEGIES)
-def test_what_breeds_is_compiled_once_while_the_trials_compile(name, tmp_path, monkeypatch):
-    """What the thread compiles is what the loop then takes."""
-    traced = []
-    whole = loop.breed
-
-    def counted(*given):
-        traced.append(threading.current_thread().name)
-        return whole(*given)
-
-    monkeypatch.setattr(loop, "breed", counted)
-    train(made(STRATEGIES[name]()), folder_at(tmp_path))
-    assert len(traced) == 1 and traced[0].startswith("breeding")
 
 
 def test_a_strategy_that_asks_for_no_numbers_ends_the_run_and_loses_nothing(tmp_path):
