@@ -69,7 +69,7 @@ def as_record(simulation: Simulation, frames: Mapping[str, Array], recording: Re
 
     Args:
         simulation: the trial.
-        frames: of one individual, see `evo_cpg.simulation.rollout.record`.
+        frames: of one individual, ``full`` ones of `evo_cpg.simulation.rollout.record`.
         recording: the same in the order of the creature.
     """
     columns: dict[str, np.ndarray] = {"time": recording.time}

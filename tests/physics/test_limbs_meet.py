@@ -184,7 +184,7 @@ def test_a_record_has_the_mean_push_of_every_pair(x64):
         situations=(place,),
     )
     genes = np.array([[4.0], [1.0]])
-    frames = quick_jit(lambda g: record(trial, g, 1))(genes)
+    frames = quick_jit(lambda g: record(trial, g, 1, full=True))(genes)
     found = as_record(trial, frames, as_recording(trial, frames, [*world.tree.names]))
 
     def advance(carry, k):
