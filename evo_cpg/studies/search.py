@@ -19,6 +19,8 @@ _GENETIC, _RANDOM = "genetic algorithm", "random search"
 _FILES = {
     "swimmer": ("iwadate2010_swimmer", 8),
     "walker": ("fukui2003_model1", 8),
+    "two_eyes": ("two_eyed_swimmer", 8),
+    "salamander": ("iwadate2010_salamander_land", 8),
     "swimmer_map": ("iwadate2010_swimmer", 1),
     "walker_map": ("fukui2003_model1", 1),
 }
@@ -100,6 +102,8 @@ STUDY = Study(
     {
         "swimmer": _part("swimmer", "eight searches for the swimmer"),
         "walker": _part("walker", "eight searches for Fukui's first walker"),
+        "two_eyes": _part("two_eyes", "six searches for a swimmer with two eyes"),
+        "salamander": _part("salamander", "six searches for the salamander on land"),
         "swimmer_map": _part("swimmer_map", "maps of a swimmer's gaits"),
         "walker_map": _part("walker_map", "maps of a walker's gaits"),
     },
