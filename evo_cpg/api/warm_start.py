@@ -92,7 +92,7 @@ def _first_population(
     count = kept.shape[1]
     crowd = jnp.asarray(np.resize(kept.T, (size, len(kept))).T)
     key = jax.random.fold_in(jax.random.key(experiment.seed + run), _AROUND)
-    return np.concatenate([kept, np.asarray(strategy.around(key, crowd))[:, count:]], axis=1)
+    return np.concatenate([kept, np.asarray(jax.jit(strategy.around)(key, crowd))[:, count:]], 1)
 
 
 def _require_same_plan(experiment: Experiment, earlier: Experiment, path: Path) -> None:

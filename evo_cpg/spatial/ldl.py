@@ -11,6 +11,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from evo_cpg.spatial.inlined import inlined
+
 
 class Factors(NamedTuple):
     """L and D of some matrices.
@@ -24,6 +26,7 @@ class Factors(NamedTuple):
     inverse_pivots: Float[Array, "v *n"]
 
 
+@inlined
 def factorize(H: Float[Array, "v v *n"]) -> Factors:
     """L and D; the lower triangle of H counts."""
     rows, inverse_pivots, left = [], [], H
@@ -36,6 +39,7 @@ def factorize(H: Float[Array, "v v *n"]) -> Factors:
     return Factors(tuple(reversed(rows)), jnp.stack(inverse_pivots[::-1]))
 
 
+@inlined
 def solve_factorized(factors: Factors, b: Float[Array, "v *n"]) -> Float[Array, "v *n"]:
     """``H^-1 b``."""
     z, left = [], b

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from evo_cpg.spatial.inlined import inlined
 from evo_cpg.spatial.numerics import is_traced
 from evo_cpg.spatial.partly import PartlyTraced
 
@@ -68,16 +69,19 @@ def cosine_sine(angle: Any) -> tuple[Any, Any]:
     return float(np.cos(angle)), float(np.sin(angle))
 
 
+@inlined
 def dot(a: Float[Array, "n *#rest"], b: Float[Array, "n *#rest"]) -> Float[Array, "*#rest"]:
     """Scalar product over the leading axis."""
     return (a * b).sum(0)
 
 
+@inlined
 def matvec(m: Float[Array, "i j *#rest"], v: Float[Array, "j *#rest"]) -> Float[Array, "i *#rest"]:
     """Matrix times vector, ``m v``."""
     return (m * v[None]).sum(1)
 
 
+@inlined
 def matvec_t(
     m: Float[Array, "i j *#rest"], v: Float[Array, "i *#rest"]
 ) -> Float[Array, "j *#rest"]:
@@ -85,6 +89,7 @@ def matvec_t(
     return (m * v[:, None]).sum(0)
 
 
+@inlined
 def matmul(
     a: Float[Array, "i j *#rest"], b: Float[Array, "j k *#rest"]
 ) -> Float[Array, "i k *#rest"]:
@@ -92,6 +97,7 @@ def matmul(
     return (a[:, :, None] * b[None]).sum(1)
 
 
+@inlined
 def matmul_t(
     a: Float[Array, "i j *#rest"], b: Float[Array, "k j *#rest"]
 ) -> Float[Array, "i k *#rest"]:
@@ -99,6 +105,7 @@ def matmul_t(
     return (a[:, None] * b[None]).sum(2)
 
 
+@inlined
 def t_matmul(
     a: Float[Array, "j i *#rest"], b: Float[Array, "j k *#rest"]
 ) -> Float[Array, "i k *#rest"]:
@@ -111,6 +118,7 @@ def transpose(m: Float[Array, "i j *#rest"]) -> Float[Array, "j i *#rest"]:
     return jnp.swapaxes(m, 0, 1)
 
 
+@inlined
 def cross(a: Float[Array, "3 *#rest"], b: Float[Array, "3 *#rest"]) -> Float[Array, "3 *#rest"]:
     """Vector product ``a x b``."""
     a0, a1, a2 = jnp.unstack(a)
@@ -118,6 +126,7 @@ def cross(a: Float[Array, "3 *#rest"], b: Float[Array, "3 *#rest"]) -> Float[Arr
     return jnp.stack([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0])
 
 
+@inlined
 def skew(v: Float[Array, "3 *#rest"]) -> Float[Array, "3 3 *#rest"]:
     """Cross-product matrix: ``skew(v) @ w == cross(v, w)``."""
     x, y, z = jnp.unstack(v)
@@ -125,6 +134,7 @@ def skew(v: Float[Array, "3 *#rest"]) -> Float[Array, "3 3 *#rest"]:
     return jnp.stack([zero, -z, y, z, zero, -x, -y, x, zero]).reshape(3, *v.shape)
 
 
+@inlined
 def inverse_symmetric(m: Float[Array, "k k *#rest"]) -> Float[Array, "k k *#rest"]:
     """Inverse of a symmetric positive definite matrix of size 1, 2 or 3, in closed form.
 

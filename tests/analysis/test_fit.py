@@ -153,6 +153,7 @@ def test_the_friction_of_a_sliding_block():
     assert FEWEST <= held[0] <= MOST
 
 
+@pytest.mark.slow
 def test_the_drag_of_a_coasting_plate():
     """Form drag brakes it broadside, skin drag along; from 60 places in a second, 1 mm of noise."""
     plate = {"name": "plate", "shape": {"type": "box", "size": [0.3, 0.2, 0.05]}, "material": "a"}

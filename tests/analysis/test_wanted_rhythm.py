@@ -70,6 +70,7 @@ def within_reach(joints: int, rng: np.random.Generator) -> float:
             return float(lag * rng.choice([-1, 1]))
 
 
+@pytest.mark.slow
 def test_frequency_and_lag_are_reached():
     is_reached(3, solved(3, 1.3, 30.0), 1.3, 30.0)
 

@@ -206,6 +206,7 @@ def test_a_killed_worker_ends_the_job(compiled, tmp_path):
     assert done is not None and done.generation >= 1
 
 
+@pytest.mark.slow
 def test_a_stopped_worker_is_not_waited_for_longer_than_allowed(compiled, tmp_path):
     ends = lose(compiled, tmp_path, 1, signal.SIGSTOP, "--patience", 1, count=2)
     assert_lost(ends, tmp_path / "run", "for the others' results of generation ")

@@ -130,6 +130,7 @@ def test_a_task_and_a_controller_of_ones_own_train_and_verify(finish, tmp_path):
     assert out.endswith("comes out as recorded (exactly)\n")
 
 
+@pytest.mark.slow
 def test_a_fitness_without_slopes_is_not_refined_in_silence(anew, tmp_path):
     config = race(tmp_path, {"type": "my_animal:Slopeless", "options": {"bonus": 0.0}})
     run = tmp_path / "run"

@@ -62,6 +62,7 @@ def test_evolution_goes_on_from_it(refined, cli, tmp_path):
     np.testing.assert_allclose(last, done.champion.fitness, rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_numbers_of_the_configuration_are_refined_with_the_genes(finished_run, cli, tmp_path):
     folder = RunFolder(shutil.copytree(finished_run, tmp_path / "run"))
     keys = "controller.cpg.time_scale", "creature.bodies.1.shape.size.0"

@@ -59,6 +59,7 @@ def swept(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_each_setting_comes_to_what_it_comes_to_alone(swept, tmp_path):
     for name, changes in (
         ("plain", {}),

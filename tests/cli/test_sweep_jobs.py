@@ -70,6 +70,7 @@ def untimed(rows):
     return [{k: v for k, v in row.items() if k not in TIMING_COLUMNS} for row in rows]
 
 
+@pytest.mark.slow
 def test_jobs_come_to_what_comes_of_them_in_turn(tmp_path, quick, capfd):
     assert sweep(tmp_path / "jobs", "2")
     said = capfd.readouterr().err

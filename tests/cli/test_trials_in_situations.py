@@ -85,6 +85,7 @@ def test_a_trial_that_is_not_there_is_refused(situated_run, cli, command):
     assert code == 2 and "--trial" in err
 
 
+@pytest.mark.slow
 def test_a_run_over_uneven_ground_trains_and_verifies(cli, finish, tmp_path):
     """Its start and its light are looked at before training, which must not fix the cores."""
     folder, floor = tmp_path / "run", "{type: plane, slope_deg: 5, height: -3}"

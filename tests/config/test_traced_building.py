@@ -68,7 +68,7 @@ def check_elements(config, keys, accuracy=1e-14):
 
 
 @pytest.mark.usefixtures("x64")
-@pytest.mark.parametrize("every", [3, pytest.param(1, marks=pytest.mark.slow)], ids=["some", "all"])
+@pytest.mark.parametrize("every", [5, pytest.param(1, marks=pytest.mark.slow)], ids=["some", "all"])
 def test_a_swimmers_numbers(every):
     settings = (
         "world.water.added_mass=true",
@@ -149,6 +149,7 @@ def test_numbers_of_every_shape_over_a_slope():
     check_elements(shapes(water=None, ground=ground), keys)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("x64")
 def test_bodies_that_cross_a_surface():
     water = {"surface": 0.0, "added_mass": True}

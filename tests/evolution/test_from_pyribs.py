@@ -121,7 +121,7 @@ def require_same(strategy, generations, evaluate=worth):
 @pytest.mark.parametrize(
     "es",
     [
-        pytest.param(es, marks=[pytest.mark.slow] if es == "cma_es" else [], id=es)
+        pytest.param(es, marks=[pytest.mark.slow] if es in ("cma_es", "sep_cma_es") else [], id=es)
         for es in ALGORITHMS
     ],
 )

@@ -122,7 +122,13 @@ def search(strategy, generations=40, seed=0, evaluate=sphere, genes=GENES):
     return populations, found, state
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(
+    "name",
+    [
+        *(name for name in NAMES if name.values != ("CMA-MAE",)),
+        pytest.param("CMA-MAE", marks=pytest.mark.slow),
+    ],
+)
 def test_a_search_gets_better_and_asks_for_numbers(name):
     populations, found, _ = search(STRATEGIES[name](), genes=genes_of(name))
     assert all(genes.shape == (genes_of(name), SIZE) for genes in populations)
@@ -361,7 +367,7 @@ def test_what_evosax_does_not_have_is_refused():
 def test_a_population_about_an_individual_keeps_it(name):
     strategy = BitGenetics(SIZE, mutated_genes_max=3) if name == "bits" else STRATEGIES[name]()
     one = jnp.tile(jnp.array([1.0, 0, 1, 1, 0, 1]), genes_of(name) // GENES)
-    around = strategy.around(jax.random.key(0), jnp.tile(one[:, None], (1, SIZE)))
+    around = jax.jit(strategy.around)(jax.random.key(0), jnp.tile(one[:, None], (1, SIZE)))
     assert around.shape == (len(one), SIZE)
     np.testing.assert_array_equal(around[:, 0], one)
     if name not in ("climber", "islands of climbers", "random"):

@@ -20,9 +20,9 @@ from evo_cpg.simulation.rollout import rollout_and_record
 CONFIGS = Path(__file__).parents[2] / "configs"
 # Those that evolve with noise have the animals of others.
 EVERY = sorted(p.stem for p in CONFIGS.glob("*.yaml") if not p.stem.endswith("_robust"))
-# In water with three of its ten bodies, and on the ground: the others compile longer.
+# In water with three of its ten bodies: the others compile longer. One step on the ground is
+# compared in `tests/physics/test_walker_contacts.py`.
 SMALL = pytest.param("iwadate2010_swimmer", ("creature.bodies.1.repeat=1",), id="three bodies")
-ON_GROUND = "fukui2003_model3"
 STEPS, INDIVIDUALS = 3, 2
 
 # Two ways to round are 2e-16 apart in every operation, and what touches the ground multiplies that
@@ -50,10 +50,7 @@ def trial(name, overrides, engine):
     ("name", "overrides"),
     [
         SMALL,
-        *[
-            pytest.param(name, (), id=name, marks=() if name == ON_GROUND else pytest.mark.slow)
-            for name in EVERY
-        ],
+        *[pytest.param(name, (), id=name, marks=pytest.mark.slow) for name in EVERY],
     ],
 )
 def test_the_same_trial_with_native_code_and_without(x64, name, overrides):

@@ -62,6 +62,7 @@ def make_swim(torque_limit: float, bodies: int = 3, axes: str = "yz", steps: int
     return swim
 
 
+@pytest.mark.slow
 @LIMITS
 def test_gradients_equal_central_differences(torque_limit):
     """Reverse and forward mode within 1e-6 of (f(p + e) - f(p - e)) / 2e, relative, in float64.

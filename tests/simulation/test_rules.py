@@ -30,7 +30,8 @@ def simulation():
 def kept(world: World, state, energy=0.0, **rules):
     count = state.position.shape[1]
     energies = jnp.broadcast_to(jnp.asarray(energy), (count,))
-    return np.asarray(keeps(Rules(**rules), world, state, energies, STEP)).tolist()
+    keep = quick_jit(lambda state, energies: keeps(Rules(**rules), world, state, energies, STEP))
+    return np.asarray(keep(state, energies)).tolist()
 
 
 def test_speed_is_that_of_the_root_whatever_its_direction(simulation):

@@ -36,6 +36,7 @@ def test_what_elites_learn_shows_in_the_next_generation(learned, tmp_path):
     assert with_it[2]["mean"] > without[2]["mean"] + 1e-5
 
 
+@pytest.mark.slow
 def test_a_run_learns_the_same_beside_another(learned, tmp_path):
     pair = evolve(MADE._replace(seed=SEED - 1, runs=2), tmp_path / "run")
     beside = [row for row in pair.history if row["run"] == 1]

@@ -61,7 +61,13 @@ def untimed(rows):
     return [{k: v for k, v in row.items() if k not in TIMING_COLUMNS} for row in rows]
 
 
-@pytest.mark.parametrize("name", STRATEGIES)
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=[pytest.mark.slow] if name == "pyribs" else [])
+        for name in STRATEGIES
+    ],
+)
 def test_a_stopped_run_goes_on_to_the_same_bits(name, tmp_path):
     strategy = STRATEGIES[name]()
     whole = train(made(strategy), folder_at(tmp_path / "whole"))
