@@ -59,7 +59,11 @@ def audit_table(title: str, rows: dict[str, list[dict[str, Any]]]) -> Table:
     keys = [
         key for key in _KEPT if any(key in r["measured"] for each in rows.values() for r in each)
     ]
-    head = ["", "seed", "way, m", *(_KEPT[key] for key in keys), "MuJoCo, m", "passes"]
+    programs = list(
+        dict.fromkeys(o["program"] for each in rows.values() for r in each for o in _others(r))
+    )
+    head = ["", "seed", "way, m", *(_KEPT[key] for key in keys)]
+    head += [*(f"{program}: way, m" for program in programs), "passes"]
     lines = []
     for name, found in rows.items():
         for row in found:
@@ -70,7 +74,7 @@ def audit_table(title: str, rows: dict[str, list[dict[str, Any]]]) -> Table:
                     str(row["seed"]),
                     _number(own.get("way")),
                     *(_share(own.get(key)) for key in keys),
-                    ", ".join(f"{one['way']:.2g}" for one in row["opinions"][1:]),
+                    *(_number(_ways(row).get(program)) for program in programs),
                     "yes" if row["passed"] else "no: " + "; ".join(row["reasons"]),
                 ]
             )
@@ -78,11 +82,15 @@ def audit_table(title: str, rows: dict[str, list[dict[str, Any]]]) -> Table:
 
 
 def kept_table(title: str, rows: dict[str, list[dict[str, Any]]]) -> Table:
-    """A line for every run: medians and ranges of what its champions keep."""
-    head = ["", "way, m", *_KEPT.values(), "pass"]
+    """A line for every run: medians and ranges of what its champions keep.
+
+    In MuJoCo they are asked as nearly as can be what they are asked here: the last of its opinions.
+    """
+    head = ["", "way, m", *_KEPT.values(), "in MuJoCo", "pass"]
     lines = []
     for name, found in rows.items():
         columns = [[row["measured"].get(key) for row in found] for key in ("way", *_KEPT)]
+        columns.append([_second_opinion(row) for row in found])
         known = [[value for value in column if value is not None] for column in columns]
         lines.append(
             [
@@ -93,6 +101,21 @@ def kept_table(title: str, rows: dict[str, list[dict[str, Any]]]) -> Table:
             ]
         )
     return Table(title, head, lines)
+
+
+def _others(row: dict[str, Any]) -> list[dict[str, Any]]:
+    """Opinions of other programs than ours, which is the first."""
+    return row["opinions"][1:]
+
+
+def _ways(row: dict[str, Any]) -> dict[str, float]:
+    return {one["program"]: one["way"] for one in _others(row)}
+
+
+def _second_opinion(row: dict[str, Any]) -> float | None:
+    """Share of our own way of the same trial that is made in the last program."""
+    others = _others(row)
+    return others[-1]["way"] / row["opinions"][0]["way"] if others else None
 
 
 def _way(path: np.ndarray) -> float:

@@ -65,7 +65,8 @@ def test_an_animal_without_drive_stays_where_it_is():
 
 
 def test_tables_of_audits_show_shares_and_reasons():
-    opinions = [{"program": name, "way": way, "upright": 1.0} for name, way in (("a", 2), ("b", 1))]
+    ways = ("own", 2.0), ("b", 1.9), ("b, hard", 1.0)
+    opinions = [{"program": name, "way": way, "upright": 1.0} for name, way in ways]
     row = {
         "seed": 3,
         "passed": False,
@@ -75,13 +76,16 @@ def test_tables_of_audits_show_shares_and_reasons():
     }
     every = audit_table("", {"animal": [row]})
     assert every.head == ["", "seed", "way, m", "in other poses or draws", "at half the step",
-                          "MuJoCo, m", "passes"]  # fmt: skip
+                          "b: way, m", "b, hard: way, m", "passes"]  # fmt: skip
     assert every.rows == [
-        ["animal", "3", "2.00", "", "50.0 %", "1", "no: half the step: 50 %, less than 90 %"]
-    ]
+        ["animal", "3", "2.00", "", "50.0 %", "1.90", "1.00",
+         "no: half the step: 50 %, less than 90 %"]
+    ]  # fmt: skip
     kept = kept_table("", {"animal": [row, row | {"passed": True}]})
     assert kept.rows[0][:4] == ["animal", "2.00 (2.00 to 2.00)", "", "50 (50 to 50) %"]
-    assert kept.rows[0][-1] == "1 of 2"
+    assert kept.rows[0][-2:] == ["50 (50 to 50) %", "1 of 2"]
+    alone = kept_table("", {"animal": [row | {"opinions": opinions[:1]}]})
+    assert alone.rows[0][-2] == ""
 
 
 def test_a_table_is_one_of_markdown():
