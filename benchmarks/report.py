@@ -1,4 +1,4 @@
-"""The rows as tables on the screen."""
+"""The rows as tables, on the screen and for a page."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -8,8 +8,18 @@ from rich.table import Table
 
 from benchmarks.compare import Verdict
 from benchmarks.rows import SECONDS, Row
+from evo_cpg.studies.study import Table as PageTable
 
 _SCALES = ((1e9, "G"), (1e6, "M"), (1e3, "k"))
+
+# Packages whose versions stand at a page's table.
+_PACKAGES = {
+    "jax": "JAX",
+    "mujoco": "MuJoCo",
+    "mujoco-mjx": "MJX",
+    "brax": "Brax",
+    "evosax": "evosax",
+}
 
 
 def tables(rows: list[Row], machine: dict[str, Any]) -> tuple[Table, Table]:
@@ -45,11 +55,38 @@ def tables(rows: list[Row], machine: dict[str, Any]) -> tuple[Table, Table]:
 
 def line(row: Row) -> str:
     """What a row says in short, for whoever waits for the others."""
-    rate = _rate(row.rate, row.unit) + ("" if row.unit == SECONDS else f" {row.unit}")
-    words = f"{_name(row)}, {row.size}: {rate}"
+    words = f"{_name(row)}, {row.size}: {_with_unit(row.rate, row.unit)}"
     if row.peer is None:
         return words
     return f"{words}; {times(row.ratio)} {row.peer}" if row.ratio else f"{words}; no {row.peer}"
+
+
+def page_table(rows: list[Row], machine: dict[str, Any]) -> PageTable:
+    """Everything measured, as one table; columns of which nothing is known are left out.
+
+    Args:
+        rows: what was measured.
+        machine: from `benchmarks.machine.describe`.
+    """
+    head = ["", "n", "ours", "compile", "memory, MiB", "error", "of the peak", "beside", "theirs",
+            "error", "ratio (quartiles)"]  # fmt: skip
+    lines, known = [], set()
+    for row in rows:
+        first = row.key[:3] not in known
+        known.add(row.key[:3])
+        ours = (_with_unit(row.rate, row.unit), *_ours(row)[1:]) if first else ("",) * 5
+        theirs = _beside(row) if row.peer else ("",) * 4
+        lines.append([row.part if first else "", str(row.size) if first else "", *ours, *theirs])
+    kept = [place for place in range(len(head)) if any(line[place] for line in lines)]
+    versions = [
+        f"{words} {machine['versions'][name]}"
+        for name, words in _PACKAGES.items()
+        if machine["versions"].get(name)
+    ]
+    title = f"Peak: {amount(machine['float32_peak'])}FLOP/s; {', '.join(versions)}."
+    return PageTable(
+        title, [head[place] for place in kept], [[line[i] for i in kept] for line in lines]
+    )
 
 
 def notes(rows: list[Row]) -> list[str]:
@@ -131,6 +168,14 @@ def _theirs(row: Row) -> tuple[str, ...]:
     return row.peer or "", rate, _error(row.peer_error), ratio, spread
 
 
+def _beside(row: Row) -> tuple[str, ...]:
+    theirs = _with_unit(row.peer_rate, row.unit) if row.peer_rate else row.note or "none"
+    ratio = times(row.ratio) if row.ratio else ""
+    if row.ratio and row.ratio_spread:
+        ratio += f" ({' to '.join(times(end) for end in row.ratio_spread)})"
+    return row.peer or "", theirs, _error(row.peer_error), ratio
+
+
 def times(ratio: float) -> str:
     """A ratio in three digits."""
     return f"{ratio:,.0f}x" if ratio >= 1000 else f"{ratio:.3g}x"
@@ -140,6 +185,10 @@ def _rate(value: float, unit: str) -> str:
     if unit == SECONDS:
         return f"{value:.2f} s"
     return amount(value).strip()
+
+
+def _with_unit(value: float, unit: str) -> str:
+    return _rate(value, unit) if unit == SECONDS else f"{_rate(value, unit)} {unit}"
 
 
 def _error(value: float | None) -> str:

@@ -221,7 +221,7 @@ def reproduce(
         str | None,
         typer.Argument(
             metavar="STUDY",
-            help="iwadate2010, fukui2003, salamander, hexapod, starfish or search.",
+            help="iwadate2010, fukui2003, salamander, hexapod, starfish, search or benchmarks.",
         ),
     ] = None,
     parts: Annotated[

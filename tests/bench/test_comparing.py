@@ -6,7 +6,7 @@ import pytest
 
 from benchmarks import rows
 from benchmarks.compare import compare
-from benchmarks.report import comparison, notes, tables
+from benchmarks.report import comparison, notes, page_table, tables
 from benchmarks.rows import Row, RowsError
 
 MACHINE = {"processor": "abacus", "cores": 2, "float32_peak": 1e11, "quick": False}
@@ -110,3 +110,22 @@ def test_a_number_that_json_lacks_is_not_written(tmp_path):
     assert rows.finite(float("nan")) is None
     with pytest.raises(ValueError, match="JSON"):
         rows.save(tmp_path / "bench.json", MACHINE, [changed(ALONE, rate=float("nan"))])
+
+
+def test_a_page_has_what_is_known_in_one_table():
+    """Ours once for all its peers; why a peer gave no rate; nothing of columns that are empty."""
+    where = {"float32_peak": 2.5e11, "versions": {"jax": "1.2", "mujoco": "4.5", "brax": None}}
+    other = changed(BESIDE, peer="Brax", peer_rate=None, peer_error=None, ratio=None,
+                    ratio_spread=None, note="not installed")  # fmt: skip
+    found = page_table([BESIDE, other, TIMED], where)
+    assert found.title == "Peak: 250 GFLOP/s; JAX 1.2, MuJoCo 4.5."
+    assert [dict(zip(found.head, row, strict=True)) for row in found.rows] == [
+        {"": "physics", "n": "200", "ours": "2.5 M steps/s", "compile": "10 s",
+         "memory, MiB": "256", "error": "0.012", "of the peak": "30.0%", "beside": "MuJoCo",
+         "theirs": "50 k steps/s", "ratio (quartiles)": "50x (49x to 51x)"},
+        {"": "", "n": "", "ours": "", "compile": "", "memory, MiB": "", "error": "",
+         "of the peak": "", "beside": "Brax", "theirs": "not installed", "ratio (quartiles)": ""},
+        {"": "again", "n": "200", "ours": "20.00 s", "compile": "", "memory, MiB": "", "error": "",
+         "of the peak": "", "beside": "", "theirs": "", "ratio (quartiles)": ""},
+    ]  # fmt: skip
+    assert page_table([TIMED], where).head == ["", "n", "ours"]
