@@ -50,7 +50,7 @@ app.add_typer(configs_app, name="configs")
 
 def _show_version(wanted: bool) -> bool:
     if wanted:
-        from evo_cpg.cli.version import version
+        from evo_cpg.api.version import version
 
         print(version())
         raise typer.Exit
