@@ -493,11 +493,12 @@ def audit(
     every: Annotated[
         bool, typer.Option("--all", help="Of several runs side by side, all champions.")
     ] = False,
+    cell: Cell = None,
 ) -> None:
     """Ask whether the champion's gait is one, or a trick of the simulation."""
     from evo_cpg.cli.audit import audit_run
 
-    audit_run(run, limits or [], number, every)
+    audit_run(run, limits or [], number, every, cell)
 
 
 @app.command()

@@ -33,8 +33,9 @@ def render_run(
     """`evo-cpg render`."""
     moments = None if sheet is None else _moments(sheet)
     pixels = _pixels(size or ("1280x720" if sheet is None else "640x360"))
-    experiment, _, recording, folder = champion_motion(run, number, trial, cell)
+    experiment, shown, recording, folder = champion_motion(run, number, trial, cell)
     from evo_cpg.view.film import film
+    from evo_cpg.view.units import told
 
     world = experiment.simulation.world
     name = "champion" if cell is None else f"cell_{cell.replace(',', '_')}"
@@ -51,7 +52,9 @@ def render_run(
             fps=fps,
             seconds=seconds,
             speed=speed,
-            title=experiment.name,
+            title=experiment.name if cell is None else f"{experiment.name}, cell {cell}",
+            # Of an elite the map keeps what it is told apart by, and nothing else.
+            note="" if cell is None else told(shown.terms),
             world="land" if world.water is None else "water",
             ground=world.ground,
             surface=None if world.water is None else world.water.surface,
