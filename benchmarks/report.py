@@ -61,32 +61,46 @@ def line(row: Row) -> str:
     return f"{words}; {times(row.ratio)} {row.peer}" if row.ratio else f"{words}; no {row.peer}"
 
 
-def page_table(rows: list[Row], machine: dict[str, Any]) -> PageTable:
-    """Everything measured, as one table; columns of which nothing is known are left out.
+def page_tables(rows: list[Row], machine: dict[str, Any]) -> list[PageTable]:
+    """Everything measured: what is known of ours, and, where there is anybody, who stands beside.
+
+    Columns of which nothing is known are left out.
 
     Args:
         rows: what was measured.
         machine: from `benchmarks.machine.describe`.
     """
-    head = ["", "n", "ours", "compile", "memory, MiB", "error", "of the peak", "beside", "theirs",
-            "error", "ratio (quartiles)"]  # fmt: skip
-    lines, known = [], set()
+    units = sorted({row.unit for row in rows})
+    # One unit stands in the head.
+    head, cell = (f", {units[0]}", _rate) if len(units) == 1 else ("", _with_unit)
+    ours: dict[Any, list[str]] = {}
+    beside = []
     for row in rows:
-        first = row.key[:3] not in known
-        known.add(row.key[:3])
-        ours = (_with_unit(row.rate, row.unit), *_ours(row)[1:]) if first else ("",) * 5
-        theirs = _beside(row) if row.peer else ("",) * 4
-        lines.append([row.part if first else "", str(row.size) if first else "", *ours, *theirs])
-    kept = [place for place in range(len(head)) if any(line[place] for line in lines)]
+        name = [row.part, str(row.size)]
+        ours.setdefault(row.key[:3], [*name, cell(row.rate, row.unit), *_ours(row)[1:]])
+        if row.peer:
+            theirs = cell(row.peer_rate, row.unit) if row.peer_rate else row.note or "none"
+            ratio = times(row.ratio) if row.ratio else ""
+            if row.ratio and row.ratio_spread:
+                ratio += f" ({' to '.join(map(times, row.ratio_spread))})"
+            beside.append([*name, row.peer, theirs, _error(row.peer_error), ratio])
     versions = [
         f"{words} {machine['versions'][name]}"
         for name, words in _PACKAGES.items()
         if machine["versions"].get(name)
     ]
     title = f"Peak: {amount(machine['float32_peak'])}FLOP/s; {', '.join(versions)}."
-    return PageTable(
-        title, [head[place] for place in kept], [[line[i] for i in kept] for line in lines]
-    )
+    names = ["", "n", f"ours{head}", "compile", "memory, MiB", "error", "of the peak"]
+    found = [_known_columns(title, names, list(ours.values()))]
+    if beside:
+        names = ["", "n", "beside", f"theirs{head}", "error", "ratio (quartiles)"]
+        found.append(_known_columns("Beside others:", names, beside))
+    return found
+
+
+def _known_columns(title: str, head: list[str], rows: list[list[str]]) -> PageTable:
+    kept = [place for place in range(len(head)) if any(row[place] for row in rows)]
+    return PageTable(title, [head[i] for i in kept], [[row[i] for i in kept] for row in rows])
 
 
 def notes(rows: list[Row]) -> list[str]:
@@ -166,14 +180,6 @@ def _theirs(row: Row) -> tuple[str, ...]:
         low, high = row.ratio_spread
         spread = f"{(high - low) / 2 / row.ratio:.0%}"
     return row.peer or "", rate, _error(row.peer_error), ratio, spread
-
-
-def _beside(row: Row) -> tuple[str, ...]:
-    theirs = _with_unit(row.peer_rate, row.unit) if row.peer_rate else row.note or "none"
-    ratio = times(row.ratio) if row.ratio else ""
-    if row.ratio and row.ratio_spread:
-        ratio += f" ({' to '.join(times(end) for end in row.ratio_spread)})"
-    return row.peer or "", theirs, _error(row.peer_error), ratio
 
 
 def times(ratio: float) -> str:

@@ -46,7 +46,7 @@ def measure(workshop: Workshop, case: str) -> list[Table]:
     machine, rows = suite.measure(wanted, workshop.devices, workshop.work)
     if case in _MOVING:
         suite.picture.draw(rows, machine, workshop.picture())
-    return [suite.report.page_table(rows, machine)]
+    return suite.report.page_tables(rows, machine)
 
 
 _TITLES = {
