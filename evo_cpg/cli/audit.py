@@ -157,7 +157,7 @@ def _summary(champions: Sequence[Champion], made: Sequence["Audit"]) -> Table:
     for column in table.columns[1:-1]:
         column.justify = "right"
     for each, done in zip(champions, made, strict=True):
-        ways = [float(np.linalg.norm((o.path[:, -1] - o.path[:, 0])[:2])) for o in done.opinions]
+        ways = [one.way for one in done.opinions]
         rights = [one.upright for one in done.opinions]
         table.add_row(
             str(each.run),
@@ -220,10 +220,9 @@ def _opinions(opinions: tuple) -> Table:
 
 
 def _opinion(one: Any) -> dict[str, Any]:
-    first, last = one.path[:, 0], one.path[:, -1]
     return {
         "program": one.program,
-        "way_m": float(np.linalg.norm((last - first)[:2])),
+        "way_m": one.way,
         "heading_deg": math.degrees(one.heading),
         "upright": one.upright,
         "nothing_touches": one.airborne,

@@ -34,7 +34,8 @@ from evo_cpg.cli.options import (
     find_config_or_folder,
 )
 
-# Exit codes: 0 done, 1 a fault of ours, 2 wrong input, 4 another process lost, 130 interrupted.
+# Exit codes: 0 done, 1 a fault of ours, 2 wrong input, 3 an audit that is not passed, 4 another
+# process lost, 130 interrupted.
 _FAULT, _WRONG_INPUT, _INTERRUPTED = 1, 2, 130
 
 

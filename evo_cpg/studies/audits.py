@@ -39,7 +39,7 @@ def audited(workshop: "Workshop", name: str) -> list[dict[str, Any]]:
                     for each in done.verdict.checks
                 },
                 "opinions": [
-                    {"program": one.program, "way": _way(one.path), "upright": one.upright}
+                    {"program": one.program, "way": one.way, "upright": one.upright}
                     for one in done.opinions
                 ],
             }
@@ -93,10 +93,6 @@ def kept_table(title: str, rows: dict[str, list[dict[str, Any]]]) -> Table:
             ]
         )
     return Table(title, head, lines)
-
-
-def _way(path: np.ndarray) -> float:
-    return float(np.linalg.norm((path[:, -1] - path[:, 0])[:2]))
 
 
 def _number(value: float | None) -> str:
