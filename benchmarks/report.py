@@ -1,4 +1,4 @@
-"""The rows as tables on the screen."""
+"""The rows as tables, on the screen and for a page."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -8,8 +8,18 @@ from rich.table import Table
 
 from benchmarks.compare import Verdict
 from benchmarks.rows import SECONDS, Row
+from evo_cpg.studies.study import Table as PageTable
 
 _SCALES = ((1e9, "G"), (1e6, "M"), (1e3, "k"))
+
+# Packages whose versions stand at a page's table.
+_PACKAGES = {
+    "jax": "JAX",
+    "mujoco": "MuJoCo",
+    "mujoco-mjx": "MJX",
+    "brax": "Brax",
+    "evosax": "evosax",
+}
 
 
 def tables(rows: list[Row], machine: dict[str, Any]) -> tuple[Table, Table]:
@@ -45,11 +55,52 @@ def tables(rows: list[Row], machine: dict[str, Any]) -> tuple[Table, Table]:
 
 def line(row: Row) -> str:
     """What a row says in short, for whoever waits for the others."""
-    rate = _rate(row.rate, row.unit) + ("" if row.unit == SECONDS else f" {row.unit}")
-    words = f"{_name(row)}, {row.size}: {rate}"
+    words = f"{_name(row)}, {row.size}: {_with_unit(row.rate, row.unit)}"
     if row.peer is None:
         return words
     return f"{words}; {times(row.ratio)} {row.peer}" if row.ratio else f"{words}; no {row.peer}"
+
+
+def page_tables(rows: list[Row], machine: dict[str, Any]) -> list[PageTable]:
+    """Everything measured: what is known of ours, and, where there is anybody, who stands beside.
+
+    Columns of which nothing is known are left out.
+
+    Args:
+        rows: what was measured.
+        machine: from `benchmarks.machine.describe`.
+    """
+    units = sorted({row.unit for row in rows})
+    # One unit stands in the head.
+    head, cell = (f", {units[0]}", _rate) if len(units) == 1 else ("", _with_unit)
+    ours: dict[Any, list[str]] = {}
+    beside = []
+    for row in rows:
+        name = [row.part, str(row.size)]
+        ours.setdefault(row.key[:3], [*name, cell(row.rate, row.unit), *_ours(row)[1:]])
+        if row.peer:
+            theirs = cell(row.peer_rate, row.unit) if row.peer_rate else row.note or "none"
+            ratio = times(row.ratio) if row.ratio else ""
+            if row.ratio and row.ratio_spread:
+                ratio += f" ({' to '.join(map(times, row.ratio_spread))})"
+            beside.append([*name, row.peer, theirs, _error(row.peer_error), ratio])
+    versions = [
+        f"{words} {machine['versions'][name]}"
+        for name, words in _PACKAGES.items()
+        if machine["versions"].get(name)
+    ]
+    title = f"Peak: {amount(machine['float32_peak'])}FLOP/s; {', '.join(versions)}."
+    names = ["", "n", f"ours{head}", "compile", "memory, MiB", "error", "of the peak"]
+    found = [_known_columns(title, names, list(ours.values()))]
+    if beside:
+        names = ["", "n", "beside", f"theirs{head}", "error", "ratio (quartiles)"]
+        found.append(_known_columns("Beside others:", names, beside))
+    return found
+
+
+def _known_columns(title: str, head: list[str], rows: list[list[str]]) -> PageTable:
+    kept = [place for place in range(len(head)) if any(row[place] for row in rows)]
+    return PageTable(title, [head[i] for i in kept], [[row[i] for i in kept] for row in rows])
 
 
 def notes(rows: list[Row]) -> list[str]:
@@ -140,6 +191,10 @@ def _rate(value: float, unit: str) -> str:
     if unit == SECONDS:
         return f"{value:.2f} s"
     return amount(value).strip()
+
+
+def _with_unit(value: float, unit: str) -> str:
+    return _rate(value, unit) if unit == SECONDS else f"{_rate(value, unit)} {unit}"
 
 
 def _error(value: float | None) -> str:

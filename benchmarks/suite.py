@@ -5,10 +5,11 @@ medians over these rounds, ratios medians of the ratios within a round. Compilin
 docs/benchmarks.md says how each figure is measured.
 """
 
+import contextlib
 import functools
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 from rich.console import Console
@@ -32,7 +33,7 @@ from benchmarks.animals import ANIMALS
 from benchmarks.compare import Verdict, compare
 from benchmarks.plan import Plan
 from benchmarks.rows import Row
-from evo_cpg.cli.progress import working
+from evo_cpg.cli.progress import Work, working
 from evo_cpg.training.devices import use_cores
 
 # How long a call lasts, and how many rounds there are.
@@ -108,23 +109,10 @@ def main(wanted: Wanted) -> bool:
     """
     # Read first: measuring takes long, and the file may be no benchmark.
     earlier = rows.load(wanted.earlier) if wanted.earlier else None
-    cores = _prepare_jax()
+    cores = use_cores()
     console = Console()
-    found: list[Row] = []
     with working("the machine's peak") as work:
-        peak = machine.matrix_product_rate()
-        where = machine.describe(cores, peak) | {"quick": wanted.quick}
-        call_seconds, repeats = _QUICK if wanted.quick else _THOROUGH
-        limit = min(wanted.limit, _QUICK_LIMIT) if wanted.quick else wanted.limit
-        plan = Plan(cores, wanted.sizes, call_seconds, repeats, limit, wanted.quick, work.doing)
-        for name in CASES:
-            if not wanted.cases or name in wanted.cases:
-                for row in CASES[name].measure(plan, peak):
-                    found.append(row)
-                    work.say(report.line(row))
-                    # Cases take minutes; what is measured is not lost where the next one fails.
-                    if wanted.json is not None:
-                        rows.save(wanted.json, where, found)
+        where, found = measure(wanted, cores, work)
     for table in report.tables(found, where):
         console.print(table)
     for line in report.notes(found):
@@ -143,8 +131,41 @@ def main(wanted: Wanted) -> bool:
     return not verdict.slower
 
 
-def _prepare_jax() -> int:
-    """Make every core a device, and let nothing that was compiled before look quick."""
-    cores = use_cores()
+def measure(wanted: Wanted, cores: int, work: Work) -> tuple[dict[str, Any], list[Row]]:
+    """Measure what is asked for, and keep it as JSON where that is asked for.
+
+    Args:
+        wanted: cases, sizes, and how thoroughly.
+        cores: that are JAX's devices.
+        work: is told what is being done, and of every row.
+
+    Returns:
+        The machine, from `benchmarks.machine.describe`, and the rows.
+    """
+    found: list[Row] = []
+    with _nothing_kept():
+        peak = machine.matrix_product_rate()
+        where = machine.describe(cores, peak) | {"quick": wanted.quick}
+        call_seconds, repeats = _QUICK if wanted.quick else _THOROUGH
+        limit = min(wanted.limit, _QUICK_LIMIT) if wanted.quick else wanted.limit
+        plan = Plan(cores, wanted.sizes, call_seconds, repeats, limit, wanted.quick, work.doing)
+        for name in CASES:
+            if not wanted.cases or name in wanted.cases:
+                for row in CASES[name].measure(plan, peak):
+                    found.append(row)
+                    work.say(report.line(row))
+                    # Cases take minutes; what is measured is not lost where the next one fails.
+                    if wanted.json is not None:
+                        rows.save(wanted.json, where, found)
+    return where, found
+
+
+@contextlib.contextmanager
+def _nothing_kept() -> Iterator[None]:
+    """What was compiled before, and kept, would look quick."""
+    before = jax.config.values["jax_enable_compilation_cache"]
     jax.config.update("jax_enable_compilation_cache", False)
-    return cores
+    try:
+        yield
+    finally:
+        jax.config.update("jax_enable_compilation_cache", before)

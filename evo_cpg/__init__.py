@@ -8,6 +8,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from evo_cpg.api.analyse import analyse
     from evo_cpg.api.environment import Environment, EnvironmentState
     from evo_cpg.api.experiment import Experiment, Trials
     from evo_cpg.api.load import load
@@ -38,6 +39,7 @@ _HOMES = {
     "Trained": "api.training",
     "Transition": "simulation.task",
     "Trials": "api.experiment",
+    "analyse": "api.analyse",
     "load": "api.load",
     "train": "api.training",
 }
@@ -52,6 +54,7 @@ __all__ = [  # noqa: RUF022 - as the reference has them
     "EnvironmentState",
     "train",
     "Trained",
+    "analyse",
     "Task",
     "Transition",
     "Snapshot",

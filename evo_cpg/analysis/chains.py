@@ -8,8 +8,11 @@ import numpy as np
 from jaxtyping import Float
 
 from evo_cpg.analysis.limit_cycle import parts
+from evo_cpg.control.brain_cpg import BrainCpg
+from evo_cpg.control.controller import Controller
 from evo_cpg.control.couplings import explicit_weights
 from evo_cpg.control.matsuoka import CpgSettings, build_network, inhibition_matrix
+from evo_cpg.control.postures import PostureController
 from evo_cpg.creature.tree import Tree
 
 
@@ -58,3 +61,12 @@ def chains(tree: Tree, settings: CpgSettings) -> list[Chain]:
             )
         )
     return sorted(found, key=lambda chain: (-len(chain.oscillators), chain.oscillators[0]))
+
+
+def rhythm_of(controller: Controller) -> tuple[CpgSettings, str]:
+    """How the oscillators of a controller are joined, and what its signals are, with the unit."""
+    if isinstance(controller, BrainCpg):
+        return controller.settings.cpg, "CPG output (no unit)"
+    if isinstance(controller, PostureController):
+        return CpgSettings(), "angle of the posture (rad)"
+    return CpgSettings(), "controller's signal"

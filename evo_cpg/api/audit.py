@@ -109,6 +109,7 @@ def audits(
     tell("living as it evolved", 0, total)
     live = variations.compile_lives(experiment, own)
     lived = [live(champion) for champion in champions]
+    champions = [_complete(*both) for both in zip(champions, lived, strict=True)]
     tell("step by step", 1, total)
     step_by_step = compile_lived_trials(experiment)
     trials = [step_by_step(champion) for champion in champions]
@@ -130,6 +131,12 @@ def audits(
         verdict = Verdict(tuple(checks))
         made.append(Audit(verdict, steps, simulation.step_length, opinions, missing))
     return made
+
+
+def _complete(champion: Champion, lived: Kept) -> Champion:
+    """With all its terms: of whom a map holds, only those of its axes are kept."""
+    terms = {name: float(values[0]) for name, values in lived.terms.items()}
+    return champion._replace(terms=terms | champion.terms)
 
 
 def _opinions(

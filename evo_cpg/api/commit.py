@@ -21,9 +21,9 @@ def commit() -> str | None:
 
 
 def program_commit() -> str | None:
-    """`commit`, where only what results depend on counts: the program and its configurations."""
+    """`commit`, where only what results depend on counts: program, configurations, benchmarks."""
     folder = checkout()
-    return folder and commit_of(folder, ("evo_cpg", "configs", "pyproject.toml"))
+    return folder and commit_of(folder, ("evo_cpg", "configs", "benchmarks", "pyproject.toml"))
 
 
 def commit_of(folder: Path, paths: Sequence[str] = (".",)) -> str | None:

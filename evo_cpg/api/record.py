@@ -9,9 +9,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.simulation.recording import Recording
-from evo_cpg.simulation.rollout import NERVE, SENSE
+from evo_cpg.simulation.rollout import NERVE, SENSE, as_recording
 from evo_cpg.simulation.simulation import Simulation
-from evo_cpg.training.run_folder import write_whole
+from evo_cpg.training.checkpoint import Champion
+from evo_cpg.training.experiment import Experiment
+from evo_cpg.training.run_folder import RunFolder, write_whole
 
 _AXES = ("x", "y", "z")
 
@@ -116,3 +118,24 @@ def as_record(simulation: Simulation, frames: Mapping[str, Array], recording: Re
         if name in arrays:
             add(name, "1", arrays[name])
     return Record(columns, units, recording)
+
+
+def frames_again(
+    experiment: Experiment, champion: Champion, folder: RunFolder, trial: int, full: bool = False
+) -> tuple[dict[str, Array], Recording]:
+    """What is recorded of a champion's control steps, and its motion.
+
+    Args:
+        experiment: that it evolved in.
+        champion: the individual.
+        folder: of its run.
+        trial: which of its trials, from 0.
+        full: see `evo_cpg.simulation.rollout.record`.
+    """
+    # Importing the loop starts nothing, but it takes JAX a second.
+    from evo_cpg.training.loop import compile_life
+
+    devices = folder.read_meta().get("devices", 1)
+    _, _, frames = compile_life(experiment, devices, trial, full)(champion)
+    names = [body.name for body in experiment.creature.bodies]
+    return frames, as_recording(experiment.simulation, frames, names, trial=trial)

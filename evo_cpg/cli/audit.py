@@ -43,7 +43,13 @@ _WIDTH = 110
 _WORDS = {True: "passed", False: "FAILED", None: ""}
 
 
-def audit_run(run: Path, settings: Sequence[str], number: int | None, every: bool = False) -> None:
+def audit_run(
+    run: Path,
+    settings: Sequence[str],
+    number: int | None,
+    every: bool = False,
+    cell: str | None = None,
+) -> None:
     """`evo-cpg audit`.
 
     Args:
@@ -51,16 +57,19 @@ def audit_run(run: Path, settings: Sequence[str], number: int | None, every: boo
         settings: limits to change, ``key=value``.
         number: whose champion, where the folder holds several runs; None for the best.
         every: audit the champions of all of its runs.
+        cell: of the run's map, whose elite is audited instead, as ``3,0,7``.
 
     Raises:
-        UsageError: a limit that does not exist, or one run and all.
+        UsageError: a limit that does not exist, or one run or cell and all.
         SystemExit: with `NOT_PASSED`, where a champion does not pass.
     """
     # Before anything that takes long.
     _limits(settings)
     if every and number is not None:
         raise UsageError("--all and --run: give one of them")
-    experiment, champion, _, folder = open_champion(run, number)
+    if every and cell is not None:
+        raise UsageError("--all and --cell: give one of them")
+    experiment, champion, _, folder = open_champion(run, number, cell)
     require_configured(folder)
     config = load_config(folder.config)
     limits = _limits(settings, config.audit.limits())
@@ -77,7 +86,8 @@ def audit_run(run: Path, settings: Sequence[str], number: int | None, every: boo
         made = audits(experiment, champions, limits, config, folder.config, beside, tell)
     console = Console()
     for each, done in zip(champions, made, strict=True):
-        name = f"audit_run{each.run}" if every or number is not None else "audit"
+        name = "audit" if cell is None else f"audit_cell_{cell.replace(',', '_')}"
+        name += f"_run{each.run}" if every or number is not None else ""
         _write(folder, name, each, done)
         if not every:
             console.print(_table(done.verdict.checks))
@@ -86,13 +96,13 @@ def audit_run(run: Path, settings: Sequence[str], number: int | None, every: boo
             else:
                 print(f"no second opinion: {done.missing}")
         title = f"{experiment.name}: audit" + (f" of run {each.run}" if every else "")
-        _draw(folder, name, title, done)
+        _draw(folder, name, title + ("" if cell is None else f" of cell {cell}"), done)
     if every:
         Console(width=max(_WIDTH, console.width)).print(_summary(champions, made))
-    _say(run, champions, made)
+    _say(run, champions, made, "the champion" if cell is None else f"the elite of cell {cell}")
 
 
-def _say(run: Path, champions: Sequence[Champion], made: Sequence["Audit"]) -> None:
+def _say(run: Path, champions: Sequence[Champion], made: Sequence["Audit"], who: str) -> None:
     """The verdict, and the exit code that goes with it."""
     for each, done in zip(champions, made, strict=True):
         for reason in done.verdict.reasons:
@@ -102,7 +112,7 @@ def _say(run: Path, champions: Sequence[Champion], made: Sequence["Audit"]) -> N
     if len(made) > 1:
         print(f"{run}: {passed} of {len(made)} champions pass their audit")
     else:
-        print(f"{run}: the champion {'passes' if passed else 'does not pass'} its audit")
+        print(f"{run}: {who} {'passes' if passed else 'does not pass'} its audit")
     if passed < len(made):
         raise SystemExit(NOT_PASSED)
 
@@ -147,7 +157,7 @@ def _summary(champions: Sequence[Champion], made: Sequence["Audit"]) -> Table:
     for column in table.columns[1:-1]:
         column.justify = "right"
     for each, done in zip(champions, made, strict=True):
-        ways = [float(np.linalg.norm((o.path[:, -1] - o.path[:, 0])[:2])) for o in done.opinions]
+        ways = [one.way for one in done.opinions]
         rights = [one.upright for one in done.opinions]
         table.add_row(
             str(each.run),
@@ -210,10 +220,9 @@ def _opinions(opinions: tuple) -> Table:
 
 
 def _opinion(one: Any) -> dict[str, Any]:
-    first, last = one.path[:, 0], one.path[:, -1]
     return {
         "program": one.program,
-        "way_m": float(np.linalg.norm((last - first)[:2])),
+        "way_m": one.way,
         "heading_deg": math.degrees(one.heading),
         "upright": one.upright,
         "nothing_touches": one.airborne,

@@ -1,17 +1,14 @@
 """The command that measures: bench. The suite itself lies in the checkout's benchmarks/."""
 
-import importlib
-import sys
 from collections.abc import Sequence
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import typer
 
-import evo_cpg
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.config.errors import nearest
+from evo_cpg.studies.benchmarks import bench_suite
 from evo_cpg.view.output import output_path
 
 # Individuals beyond which a population does not fit a machine that people have.
@@ -31,11 +28,12 @@ def run_suite(
     """`evo-cpg bench`.
 
     Raises:
-        UsageError: something is wrong with the input, or there is no suite.
+        UsageError: something is wrong with the input.
+        SuiteError: there is no suite.
         Exit: with 1, where something became slower.
     """
     numbers = _sizes(sizes) if sizes is not None else None
-    suite = _suite()
+    suite = bench_suite()
     for case in cases:
         if case not in suite.CASES:
             raise UsageError(f"there is no case {case!r}; {nearest(case, suite.CASES)}")
@@ -70,19 +68,3 @@ def _sizes(text: str) -> tuple[int, ...]:
                 f"allowed: whole numbers from 1 to {_LARGEST} with commas between, such as 1,15,200"
             )
     return tuple(dict.fromkeys(map(int, words)))
-
-
-def _suite() -> ModuleType:
-    checkout = Path(evo_cpg.__file__).parents[1]
-    if not (checkout / "benchmarks" / "suite.py").is_file():
-        raise UsageError(
-            f"the benchmark suite is part of a checkout of evo_cpg; there is none in {checkout}"
-        )
-    if str(checkout) not in sys.path:
-        sys.path.insert(0, str(checkout))
-    try:
-        return importlib.import_module("benchmarks.suite")
-    except ModuleNotFoundError as error:
-        raise UsageError(
-            f"the benchmark suite needs {error.name}; install it with pip install 'evo-cpg[test]'"
-        ) from None

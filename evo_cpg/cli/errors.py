@@ -10,6 +10,7 @@ _ELSEWHERE = (
     ("evo_cpg.training.processes", "Disagreement"),
     ("evo_cpg.training.roll_call", "JoinError"),
     ("evo_cpg.view.film", "SettingError"),
+    ("evo_cpg.studies.benchmarks", "SuiteError"),
 )
 
 

@@ -34,7 +34,8 @@ from evo_cpg.cli.options import (
     find_config_or_folder,
 )
 
-# Exit codes: 0 done, 1 a fault of ours, 2 wrong input, 4 another process lost, 130 interrupted.
+# Exit codes: 0 done, 1 a fault of ours, 2 wrong input, 3 an audit that is not passed, 4 another
+# process lost, 130 interrupted.
 _FAULT, _WRONG_INPUT, _INTERRUPTED = 1, 2, 130
 
 
@@ -50,7 +51,7 @@ app.add_typer(configs_app, name="configs")
 
 def _show_version(wanted: bool) -> bool:
     if wanted:
-        from evo_cpg.cli.version import version
+        from evo_cpg.api.version import version
 
         print(version())
         raise typer.Exit
@@ -221,7 +222,7 @@ def reproduce(
         str | None,
         typer.Argument(
             metavar="STUDY",
-            help="iwadate2010, fukui2003, salamander, hexapod, starfish or search.",
+            help="iwadate2010, fukui2003, salamander, hexapod, starfish, search or benchmarks.",
         ),
     ] = None,
     parts: Annotated[
@@ -493,11 +494,12 @@ def audit(
     every: Annotated[
         bool, typer.Option("--all", help="Of several runs side by side, all champions.")
     ] = False,
+    cell: Cell = None,
 ) -> None:
     """Ask whether the champion's gait is one, or a trick of the simulation."""
     from evo_cpg.cli.audit import audit_run
 
-    audit_run(run, limits or [], number, every)
+    audit_run(run, limits or [], number, every, cell)
 
 
 @app.command()

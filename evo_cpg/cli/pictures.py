@@ -4,17 +4,13 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from evo_cpg.analysis.chains import chains
+from evo_cpg.analysis.chains import chains, rhythm_of
 from evo_cpg.cli.building import read_config
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.progress import working
 from evo_cpg.cli.training import champion_motion
 from evo_cpg.config.build import build_creature, build_experiment
 from evo_cpg.config.schema.ground import GroundConfig, PlaneConfig
-from evo_cpg.control.brain_cpg import BrainCpg
-from evo_cpg.control.controller import Controller
-from evo_cpg.control.matsuoka import CpgSettings
-from evo_cpg.control.postures import PostureController
 from evo_cpg.simulation.situation import starting_pose
 from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.experiment import Experiment
@@ -37,8 +33,9 @@ def render_run(
     """`evo-cpg render`."""
     moments = None if sheet is None else _moments(sheet)
     pixels = _pixels(size or ("1280x720" if sheet is None else "640x360"))
-    experiment, _, recording, folder = champion_motion(run, number, trial, cell)
+    experiment, shown, recording, folder = champion_motion(run, number, trial, cell)
     from evo_cpg.view.film import film
+    from evo_cpg.view.units import told
 
     world = experiment.simulation.world
     name = "champion" if cell is None else f"cell_{cell.replace(',', '_')}"
@@ -55,7 +52,9 @@ def render_run(
             fps=fps,
             seconds=seconds,
             speed=speed,
-            title=experiment.name,
+            title=experiment.name if cell is None else f"{experiment.name}, cell {cell}",
+            # Of an elite the map keeps what it is told apart by, and nothing else.
+            note="" if cell is None else told(shown.terms),
             world="land" if world.water is None else "water",
             ground=world.ground,
             surface=None if world.water is None else world.water.surface,
@@ -131,15 +130,6 @@ def preview_config(
 def _has_shape(ground: GroundConfig | None) -> bool:
     """Whether there is more to see of the ground than that it is level."""
     return ground is not None and (bool(ground.obstacles) or ground.floor != PlaneConfig())
-
-
-def rhythm_of(controller: Controller) -> tuple[CpgSettings, str]:
-    """How the oscillators of a controller are joined, and what its signals are, with the unit."""
-    if isinstance(controller, BrainCpg):
-        return controller.settings.cpg, "CPG output (no unit)"
-    if isinstance(controller, PostureController):
-        return CpgSettings(), "angle of the posture (rad)"
-    return CpgSettings(), "controller's signal"
 
 
 def _of_trial(trial: int) -> str:

@@ -16,7 +16,7 @@ from evo_cpg.config.errors import nearest
 from evo_cpg.studies import provenance
 from evo_cpg.studies.catalogue import NAMES, study
 from evo_cpg.studies.study import Study
-from evo_cpg.studies.workshop import Workshop
+from evo_cpg.studies.workshop import Work, Workshop
 from evo_cpg.training.devices import use_cores
 
 
@@ -60,15 +60,17 @@ def make(
     if fresh:
         for part in parts:
             workshop.forget(part)
-    try:
-        for number, part in enumerate(parts):
-            if len(parts) > 1:
-                print(f"part {number + 1} of {len(parts)}: {part}", file=sys.stderr)
+    for number, part in enumerate(parts):
+        if len(parts) > 1:
+            print(f"part {number + 1} of {len(parts)}: {part}", file=sys.stderr)
+        try:
             for path in workshop.make(part, _Shown()):
                 print(path)
-    except KeyboardInterrupt:
-        print("interrupted; the same command goes on", file=sys.stderr)
-        raise
+        except KeyboardInterrupt:
+            left = f"evo-cpg reproduce {chosen.name} {' '.join(parts[number:])} makes the rest"
+            again = "the same command goes on" if chosen.runs else left
+            print(f"interrupted; {again}", file=sys.stderr)
+            raise
 
 
 def default_folder(name: str, quick: bool) -> Path:
@@ -91,7 +93,7 @@ class _Shown:
         print(title, file=sys.stderr)
         return progress(title.partition(",")[0], "generation", total, done)
 
-    def measuring(self, title: str) -> AbstractContextManager[object]:
+    def measuring(self, title: str) -> AbstractContextManager[Work]:
         """A line that moves."""
         return working(title)
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from evo_cpg.analysis.verdict import Check, shown
-from evo_cpg.api.load import class_folders
+from evo_cpg.api.load import class_folders, misfit
 from evo_cpg.api.surroundings import differences as changed_surroundings
 from evo_cpg.api.surroundings import surroundings
 from evo_cpg.api.training import (
@@ -42,10 +42,7 @@ from evo_cpg.training.run_folder import RunFolder, RunFolderError
 from evo_cpg.training.scalars import FOLDER, MissingWriterError, Scalars, require_writer
 
 if TYPE_CHECKING:
-    from jaxtyping import Array
-
     from evo_cpg.api.record import Record
-    from evo_cpg.simulation.recording import Recording
     from evo_cpg.training.processes import Team
 
 # The replayed fitness and terms must agree with those recorded to this relative accuracy. On the
@@ -332,32 +329,11 @@ def champion_record(
     """All that can be told of the champion's trial, lived again; see `champion_motion`."""
     experiment, champion, _, folder = open_champion(run, number, cell)
     require_trial(experiment, folder, trial)
-    from evo_cpg.api.record import as_record
+    from evo_cpg.api.record import as_record, frames_again
 
     with working("replaying the champion: compiling takes some seconds, a trial less"):
         frames, motion = frames_again(experiment, champion, folder, trial, full=True)
     return as_record(experiment.simulation, frames, motion)
-
-
-def frames_again(
-    experiment: Experiment, champion: Champion, folder: RunFolder, trial: int, full: bool = False
-) -> "tuple[dict[str, Array], Recording]":
-    """What is recorded of a champion's control steps, and its motion.
-
-    Args:
-        experiment: that it evolved in.
-        champion: the individual.
-        folder: of its run.
-        trial: which of its trials, from 0.
-        full: see `evo_cpg.simulation.rollout.record`.
-    """
-    from evo_cpg.simulation.rollout import as_recording
-    from evo_cpg.training.loop import compile_life
-
-    devices = folder.read_meta().get("devices", 1)
-    _, _, frames = compile_life(experiment, devices, trial, full)(champion)
-    names = [body.name for body in experiment.creature.bodies]
-    return frames, as_recording(experiment.simulation, frames, names, trial=trial)
 
 
 def require_trial(experiment: Experiment, folder: RunFolder, trial: int) -> None:
@@ -489,14 +465,6 @@ def _elite_of(folder: RunFolder, experiment: Experiment, cell: str, number: int)
     checkpoint = folder.load()
     assert checkpoint is not None
     return elite(experiment, checkpoint, place, number)
-
-
-def misfit(experiment: Experiment, champion: Champion) -> str | None:
-    """What is wrong where the champion cannot even live in the experiment."""
-    expected = experiment.simulation.controller.gene_count
-    if champion.genes.shape == (expected,):
-        return None
-    return f"the genome has {champion.genes.size} genes, not {expected}"
 
 
 def _report(run: Path, differences: list[str]) -> None:

@@ -66,6 +66,11 @@ class Opinion(NamedTuple):
     joint_angle: Float[np.ndarray, "d t"]
 
     @property
+    def way(self) -> float:
+        """From start to end over the ground, m."""
+        return float(np.linalg.norm((self.path[:, -1] - self.path[:, 0])[:2]))
+
+    @property
     def heading(self) -> float:
         """Direction from start to end over the ground, rad to the left of the world's x."""
         x, y, _ = self.path[:, -1] - self.path[:, 0]

@@ -39,7 +39,7 @@ def audited(workshop: "Workshop", name: str) -> list[dict[str, Any]]:
                     for each in done.verdict.checks
                 },
                 "opinions": [
-                    {"program": one.program, "way": _way(one.path), "upright": one.upright}
+                    {"program": one.program, "way": one.way, "upright": one.upright}
                     for one in done.opinions
                 ],
             }
@@ -116,10 +116,6 @@ def _second_opinion(row: dict[str, Any]) -> float | None:
     """Share of our own way of the same trial that is made in the last program."""
     others = _others(row)
     return others[-1]["way"] / row["opinions"][0]["way"] if others else None
-
-
-def _way(path: np.ndarray) -> float:
-    return float(np.linalg.norm((path[:, -1] - path[:, 0])[:2]))
 
 
 def _number(value: float | None) -> str:

@@ -4,7 +4,7 @@ import importlib
 
 from evo_cpg.studies.study import Study
 
-NAMES = ("iwadate2010", "fukui2003", "salamander", "hexapod", "starfish", "search")
+NAMES = ("iwadate2010", "fukui2003", "salamander", "hexapod", "starfish", "search", "benchmarks")
 
 
 def study(name: str) -> Study:

@@ -44,7 +44,7 @@ class Part(NamedTuple):
 
     Attributes:
         title: what it is about, for a list.
-        runs: names of the study's runs that it takes.
+        runs: names of the study's runs that it takes; none where it measures without them.
         report: makes its tables, and its pictures by `Workshop.picture`.
     """
 

@@ -30,6 +30,7 @@ from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import dump_config, load_config
 from evo_cpg.config.settings import Setting
 from evo_cpg.config.shipped import shipped
+from evo_cpg.fusion.engine import Engine
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.studies import provenance
 from evo_cpg.studies.study import Part, Study, Table
@@ -43,6 +44,18 @@ _QUICK_RUNS, _QUICK_GENERATIONS, _QUICK_STEPS = 2, 2, 60
 _QUICK_POPULATION, _QUICK_ELITES = 20, 2
 
 
+class Work(Protocol):
+    """Making tables and pictures: what may be called to say how far it is."""
+
+    def say(self, line: str) -> None:
+        """A line that stays."""
+        ...
+
+    def doing(self, what: str) -> None:
+        """From now on something else is being done."""
+        ...
+
+
 class Show(Protocol):
     """Who shows how far the work is."""
 
@@ -52,8 +65,8 @@ class Show(Protocol):
         """Generations of a group of runs; what is yielded is told of each."""
         ...
 
-    def measuring(self, title: str) -> AbstractContextManager[object]:
-        """Tables and pictures are made."""
+    def measuring(self, title: str) -> AbstractContextManager[Work]:
+        """Tables and pictures are made; what is yielded may be told of it."""
         ...
 
 
@@ -65,7 +78,12 @@ class Workshop:
         folder: where its tables and pictures go.
         quick: scaled down, to see that everything runs.
         devices: that share the populations.
+
+    Attributes:
+        work: where a part that is being made says what it does.
     """
+
+    work: Work
 
     def __init__(self, study: Study, folder: Path, quick: bool, devices: int):
         self.study, self.folder, self.quick, self.devices = study, folder, quick, devices
@@ -116,7 +134,7 @@ class Workshop:
         declared = self.study.parts[part]
         self._evolve(part, declared, show)
         self._pictures, self._part = [], part
-        with show.measuring(f"{self.study.name} {part}: tables and pictures"):
+        with show.measuring(f"{self.study.name} {part}: tables and pictures") as self.work:
             tables = declared.report(self)
         return self._write(part, declared, tables, time.perf_counter() - began)
 
@@ -233,8 +251,9 @@ class Workshop:
         run_group(group, source, self.devices, tell)
 
     def _write(self, part: str, declared: Part, tables: list[Table], seconds: float) -> list[Path]:
-        engine = self.experiment(declared.runs[0]).simulation.engine
-        folders = {name: self._run(name) for name in declared.runs}
+        runs = declared.runs
+        engine = self.experiment(runs[0]).simulation.engine if runs else Engine()
+        folders = {name: self._run(name) for name in runs}
         commits = [each for run in folders.values() for each in run.read_meta().get("commits", [])]
         told: dict[str, Any] = {
             "study": self.study.name,
@@ -243,7 +262,7 @@ class Workshop:
             "run_commits": list(dict.fromkeys(commits)),
             "date": now(),
             "seconds": round(seconds, 1),
-            "training_seconds": round(sum(map(self._seconds, declared.runs)), 1),
+            "training_seconds": round(sum(map(self._seconds, runs)), 1),
             "runs": {
                 name: {
                     "config": self.study.runs[name].config,

@@ -1,20 +1,26 @@
 """How much memory a run needs, and whether the machine has it: known before it starts.
 
 Trials run in blocks that are small whatever the population; what grows with it are its genomes, of
-which breeding holds several copies. 20,000 to 500,000 individuals took four times their genomes. A
-map of behaviour has a genome in every cell.
+which breeding holds several copies: 20,000 to 500,000 individuals took four times their genomes.
+Beside them is what a search remembers from one generation to the next, such as a genome in every
+cell of a map of behaviour, or a covariance matrix.
 """
 
 import contextlib
+import math
 import os
 from pathlib import Path
 
-from evo_cpg.evolution.map_elites import MapStrategy
-from evo_cpg.training.experiment import Experiment
+import jax
 
-# Bytes of everything else, and copies of all genomes at the worst moment, with room to spare.
+from evo_cpg.training.experiment import Experiment, begin
+
+# Bytes of everything else, and copies of all genomes, and of what a search remembers, at the worst
+# moment, with room to spare.
 _REST, _COPIES = 2**29, 6
 _GENE = 4  # bytes
+# What a search remembers is told from so many bytes on.
+_TOLD = 2**20
 
 _CONTROL_GROUPS = (
     "/sys/fs/cgroup/memory.max",
@@ -29,8 +35,17 @@ class TooLargeError(Exception):
 def needed(experiment: Experiment) -> int:
     """Bytes that training will need at most."""
     genes = experiment.simulation.controller.gene_count
-    genomes = experiment.strategy.population + _cells(experiment)
-    return _REST + _COPIES * _GENE * genes * experiment.runs * genomes
+    genomes = _GENE * genes * experiment.runs * experiment.strategy.population
+    return _REST + _COPIES * (genomes + remembered(experiment))
+
+
+def remembered(experiment: Experiment) -> int:
+    """Bytes of what the searches of all runs remember beside their populations.
+
+    That is what checkpoints hold of them. Nothing is computed for it.
+    """
+    state = jax.eval_shape(lambda: begin(experiment))[1]
+    return sum(math.prod(x.shape) * x.dtype.itemsize for x in jax.tree.leaves(state))
 
 
 def available() -> int | None:
@@ -58,17 +73,13 @@ def require_memory(experiment: Experiment) -> None:
         return
     genes = experiment.simulation.controller.gene_count
     individuals = experiment.runs * experiment.strategy.population
-    cells = _cells(experiment)
-    most = (there - _REST) // (_COPIES * _GENE * genes) // experiment.runs - cells
-    beside = f" and {cells} cells of a map" if cells else ""
+    state = remembered(experiment)
+    most = (there - _REST - _COPIES * state) // (_COPIES * _GENE * genes) // experiment.runs
+    beside = (
+        f" and the {state / 2**30:.2g} GiB that their search remembers" if state > _TOLD else ""
+    )
     raise TooLargeError(
-        f"evolution.population: {individuals} individuals in all{beside}, of {genes} genes, need "
+        f"evolution.population: {individuals} individuals in all, of {genes} genes,{beside} need "
         f"up to {asked / 2**30:.1f} GiB, and there are {there / 2**30:.1f}; allowed here: "
         f"{max(0, most)}"
     )
-
-
-def _cells(experiment: Experiment) -> int:
-    """Of a map of behaviour, in one run."""
-    strategy = experiment.strategy
-    return strategy.cells if isinstance(strategy, MapStrategy) else 0

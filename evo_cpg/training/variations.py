@@ -49,11 +49,13 @@ class Kept(NamedTuple):
         way: mean over its trials, m; NaN where it diverged.
         fitness: likewise; -inf where it diverged.
         alive: False where it diverged in any trial.
+        terms: the task's terms and the measures, means likewise.
     """
 
     way: Float[np.ndarray, " n"]
     fitness: Float[np.ndarray, " n"]
     alive: Bool[np.ndarray, " n"]
+    terms: dict[str, Float[np.ndarray, " n"]]
 
     def mean_ways(self, variation: Variation) -> Float[np.ndarray, " simulations"]:
         """Means over the draws of chance, m; a life that diverged made none."""
@@ -96,7 +98,8 @@ def compile_lives(experiment: Experiment, variation: Variation) -> Callable[[Cha
             scales = {name: jnp.asarray(value, dtype) for name, value in champion.scales.items()}
             fitness, mean = jax.device_get(judge(sims[0].task, shaped, scales))
         way = np.where(mean.alive, mean.terms[WAY], np.nan)
-        return Kept(way.astype(float), fitness.astype(float), np.asarray(mean.alive))
+        terms = {name: np.asarray(x, float) for name, x in mean.terms.items() if name != WAY}
+        return Kept(way.astype(float), fitness.astype(float), np.asarray(mean.alive), terms)
 
     return of
 

@@ -80,6 +80,7 @@ class Stage(NamedTuple):
     Attributes:
         look: of the world.
         title: caption.
+        note: below it.
         size: width and height of the film, pixels.
         oversampling: pixels rendered per pixel of the film, a side.
         rate: frames per second of recorded time.
@@ -98,6 +99,7 @@ class Stage(NamedTuple):
     ground: Ground | None = None
     surface: float | None = None
     camera: str = "follow"
+    note: str = ""
 
     @property
     def level(self) -> float | None:
@@ -133,6 +135,7 @@ def film(
     seconds: float | None = None,
     speed: float = 1.0,
     title: str | None = None,
+    note: str = "",
     world: str = "water",
     ground: Ground | None = None,
     surface: float | None = None,
@@ -154,6 +157,7 @@ def film(
             shows, the middle by default.
         speed: recorded seconds per second of film.
         title: caption; the creature's name by default.
+        note: below it, in small letters.
         world: where the animal lives, ``water`` or ``land``.
         ground: that carries the animal, with distances from the start painted on it; by default
             there is none, and a floor is drawn below the animal's way.
@@ -209,6 +213,7 @@ def film(
         ground=ground,
         surface=surface,
         camera=camera,
+        note=note,
     )
     with canvas(rendered) as plotter:
         show = _set_scene(plotter, creature, recording, clip, stage)
@@ -368,12 +373,13 @@ def _set_scene(
         flow = add_water(plotter, look, terrain, stage.surface, radius, sight)
         shadows.append(add_waterlines(plotter, stage.surface, half_extents, radius))
     bodies = add_bodies(plotter, creature, look.ambient)
+    grid = f"grid {spacing:g} m" + (f", {stage.speed:g} x speed" if stage.speed != 1 else "")
     caption = add_captions(
         plotter,
         look,
         stage.title,
         distance="to the light" if lit else "way made",
-        note=f"grid {spacing:g} m" + (f", {stage.speed:g} x speed" if stage.speed != 1 else ""),
+        note=f"{stage.note}; {grid}" if stage.note else grid,
         height=stage.size[1],
         scale=stage.oversampling,
     )

@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from evo_cpg.evolution.map_elites import Axis
 from evo_cpg.view.legible import legible
 from evo_cpg.view.output import PLOT_SUFFIXES, in_one_piece, output_path
+from evo_cpg.view.units import UNITS, in_words
 
 _INK, _EMPTY, _MARK = "#1f2937", "#eef0f3", "#D55E00"
 _COLOURS = "viridis"
@@ -24,12 +25,6 @@ _PANEL, _BESIDE, _ABOVE = 2.6, 1.5, 1.0
 _ALONE = 4.6
 _PANELS_IN_A_ROW = 5
 _MOST_PANELS = 25
-
-# Of what descriptors are measured in; others have none.
-_UNITS = {
-    "amplitude": "rad", "bounce": "m", "distance": "m", "energy": "J", "forward": "m",
-    "frequency": "Hz", "power": "W", "speed": "m/s", "turning": "rad/s",
-}  # fmt: skip
 
 
 def plot_map(
@@ -107,8 +102,8 @@ def _panels(axes: Sequence[Axis], fitness: np.ndarray, scale: Normalize) -> Figu
         _picture(panel, axes, slices[i], scale)
         if len(slices) > 1:
             low, high = axes[2].edges[i : i + 2]
-            unit = _UNITS.get(axes[2].name, "")
-            head = f"{_name(axes[2])} {low:.3g} to {high:.3g} {unit}".strip()
+            unit = UNITS.get(axes[2].name, "")
+            head = f"{in_words(axes[2].name)} {low:.3g} to {high:.3g} {unit}".strip()
             panel.set_title(head, fontsize=8, color=_INK)
         if best is not None and (len(slices) == 1 or best[2] == i):
             x, y = (axes[k].edges[best[k] : best[k] + 2].mean() for k in (0, 1))
@@ -136,13 +131,9 @@ def _any(fitness: np.ndarray) -> bool:
     return bool(np.isfinite(fitness).any())
 
 
-def _name(axis: Axis) -> str:
-    return legible(axis.name.replace("_", " "))
-
-
 def _label(axis: Axis) -> str:
-    unit = _UNITS.get(axis.name)
-    return f"{_name(axis)} ({unit})" if unit else _name(axis)
+    unit = UNITS.get(axis.name)
+    return f"{in_words(axis.name)} ({unit})" if unit else in_words(axis.name)
 
 
 def _figure(width: float, height: float) -> Figure:

@@ -12,10 +12,11 @@ import pytest
 from PIL import Image
 
 import chromium
+import evo_cpg as evo
 from evo_cpg.api import departures as departing
 from evo_cpg.api.departures import departures, notes
 from evo_cpg.config.load import load_config
-from evo_cpg.training.run_folder import RunFolder
+from evo_cpg.training.run_folder import RunFolder, RunFolderError
 from tiny_run import CONFIG, REPOSITORY, TINY
 
 WALKER = REPOSITORY / "configs" / "fukui2003_model2.yaml"
@@ -57,6 +58,26 @@ def walker(cli, tmp_path_factory) -> Path:
     code, _, complaint = cli("analyse", run)
     assert code == 0, complaint
     return run
+
+
+def test_from_python_it_is_the_same_page(swimmer, tmp_path):
+    run = tmp_path / "run"
+    shutil.copytree(swimmer, run)
+    first = page_of(run)
+    (run / "analysis.html").unlink()
+    assert evo.analyse(run) == run / "analysis.html"
+    # Charts have names drawn at random.
+    parts = r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d[+-]\d{4}|<svg.*?</svg>"
+    kept, again = (re.sub(parts, "", page, flags=re.DOTALL) for page in (first, page_of(run)))
+    assert again == kept and "cost of transport" in kept
+    with pytest.raises(ValueError, match="trial must be 0 to 0, got 1"):
+        evo.analyse(str(run), trial=1)
+    config = run / "config.yaml"
+    config.write_text(re.sub(r"(hidden:\s+(?:- |\[))4", r"\g<1>5", config.read_text()))
+    with pytest.raises(RunFolderError, match=r"changed after training: the genome has \d+ genes"):
+        evo.analyse(run)
+    with pytest.raises(RunFolderError, match="nowhere"):
+        evo.analyse(tmp_path / "nowhere")
 
 
 def page_of(run: Path) -> str:

@@ -15,7 +15,7 @@ QUICK = ("bench", "brain", "--quick", "--sizes", "3,17")
 @pytest.fixture(autouse=True)
 def two_devices(monkeypatch):
     # JAX has its two devices already, and other tests need what it keeps.
-    monkeypatch.setattr(suite, "_prepare_jax", lambda: 2)
+    monkeypatch.setattr(suite, "use_cores", lambda: 2)
 
 
 def test_help_names_every_case():

@@ -87,7 +87,7 @@ def test_the_version_is_that_of_the_package(cli):
 
 
 def test_the_version_says_why_there_is_no_native_code(monkeypatch):
-    from evo_cpg.cli.version import version
+    from evo_cpg.api.version import version
 
     reason = "llvmlite is not installed"
 

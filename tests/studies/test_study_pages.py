@@ -43,8 +43,8 @@ def faults(page: Path) -> list[str]:
 
 
 def test_no_page_of_a_study_has_tables_of_its_own():
-    pages = sorted(FOLDER.glob("*.md"))
-    assert len(pages) > 3
+    pages = [*sorted(FOLDER.glob("*.md")), DOCS / "benchmarks.md"]
+    assert len(pages) > 4
     for page in pages:
         assert not own_tables(page.read_text()), page
 

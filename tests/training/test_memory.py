@@ -4,6 +4,8 @@ import dataclasses
 
 import pytest
 
+from evo_cpg.evolution.from_evosax import Evosax
+from evo_cpg.evolution.from_pyribs import Ribs
 from evo_cpg.evolution.map_elites import Axis, Mapped
 from evo_cpg.training import memory
 from trials import experiment
@@ -25,10 +27,38 @@ def test_a_map_counts_with_its_cells(monkeypatch):
     genetics = experiment(population=11).strategy
     axes = tuple(Axis(name, 0.0, 1.0, 300) for name in ("distance", "energy"))
     mapped = experiment()._replace(strategy=Mapped(11, axes, genetics))
-    assert memory.needed(mapped) == memory.needed(sized(11 + 90_000))
+    # Two genes, two descriptors, fitness, generation and number, of four bytes each.
+    assert memory.remembered(mapped) == pytest.approx(7 * 4 * 90_000, rel=1e-3)
+    assert memory.needed(mapped) == memory.needed(sized(11)) + 6 * memory.remembered(mapped)
     monkeypatch.setattr(memory, "available", lambda: 2**29 + 2**20)
-    with pytest.raises(memory.TooLargeError, match=r"and 90000 cells of a map, .* allowed here: 0"):
+    with pytest.raises(
+        memory.TooLargeError,
+        match=r"of 2 genes, and the 0\.0023 GiB that their search remembers need .* here: 0",
+    ):
         memory.require_memory(mapped)
+
+
+def test_what_evosax_and_pyribs_remember_counts():
+    """A full covariance matrix grows with the square of the genes; a map of pyribs is a second."""
+
+    def of(strategy, genes):
+        simulation = experiment().simulation
+        controller = dataclasses.replace(simulation.controller, gene_count=genes)
+        own = dataclasses.replace(simulation, controller=controller)
+        return memory.remembered(experiment()._replace(simulation=own, strategy=strategy))
+
+    pytest.importorskip("evosax")
+    pytest.importorskip("ribs")
+    full = [of(Evosax("CMA_ES", 12, genes), genes) for genes in (100, 200)]
+    assert full[0] > 4 * 100**2 and 3.5 < full[1] / full[0] < 4.1
+    axes = tuple(Axis(name, 0.0, 1.0, 40) for name in ("distance", "energy"))
+    alone = Mapped(12, axes, dataclasses.replace(experiment().strategy, population=12))
+    assert 1.9 < of(Ribs(12, 100, axes, emitters=2), 100) / of(alone, 100) < 2.2
+    matrices = of(Ribs(12, 200, axes, emitters=2, es="cma_es"), 200) - of(
+        Ribs(12, 200, axes, emitters=2), 200
+    )
+    # Three matrices for each emitter, kept as float64.
+    assert matrices == pytest.approx(2 * 3 * 8 * 200**2, rel=0.05)
 
 
 def test_the_machine_is_known():

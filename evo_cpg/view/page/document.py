@@ -244,7 +244,7 @@ def _gait(motion: Motion) -> Html:
     parts += [
         tag("h3", "Its way"),
         charts.chart(
-            path_figure(_every(recording, places)), "From above, and how far it is from where."
+            path_figure(_every(recording, places)), "From above, and the distance over time."
         ),
     ]
     return join(*parts)

@@ -1,0 +1,169 @@
+"""A page of a run, as `evo-cpg analyse` makes it: the champion in 3D, its gait in numbers."""
+
+import io
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from evo_cpg.analysis.chains import chains, rhythm_of
+from evo_cpg.api.departures import departures
+from evo_cpg.api.load import load, misfit
+from evo_cpg.api.record import frames_again
+from evo_cpg.api.training import now, require_configured
+from evo_cpg.api.version import version
+from evo_cpg.config.load import load_config
+from evo_cpg.config.schema.experiment import ExperimentConfig
+from evo_cpg.training.checkpoint import Champion
+from evo_cpg.training.experiment import Experiment
+from evo_cpg.training.run_folder import RunFolder, RunFolderError, write_whole
+
+if TYPE_CHECKING:
+    from PIL import Image
+
+# Of the picture for paper, pixels, and the quality of its JPEG.
+_STILL, _QUALITY = (1280, 720), 88
+
+
+def analyse(run: Path | str, trial: int = 0, trust: bool = False) -> Path:
+    """Make the page of a run's champion, as `evo-cpg analyse` does.
+
+    Args:
+        run: a run folder.
+        trial: in which of its trials, from 0.
+        trust: see `load`.
+
+    Returns:
+        The page in the run folder, ``analysis.html``; one that was there is replaced.
+
+    Raises:
+        ConfigError: the configuration of the run is wrong.
+        RunFolderError: there is no run, or it has no champion, or its ``config.yaml`` is not what
+            it evolved in.
+        ValueError: there is no such trial.
+    """
+    folder = RunFolder(run)
+    folder.require()
+    require_configured(folder)
+    experiment = load(run, trust=trust).parts
+    champion, _, _ = folder.load_champion()
+    wrong = misfit(experiment, champion)
+    if wrong:
+        raise RunFolderError(f"{folder.config} was changed after training: {wrong}")
+    if not 0 <= trial < experiment.trials:
+        raise ValueError(f"trial must be 0 to {experiment.trials - 1}, got {trial}")
+    path, text = page_path(folder, trial), page(experiment, champion, folder, trial)
+    write_whole(path, lambda file: file.write(text.encode()))
+    return path
+
+
+def page_path(folder: RunFolder, trial: int = 0, number: int | None = None) -> Path:
+    """Where a page goes; see `page`."""
+    which = "" if number is None else f"_run{number}"
+    return folder.path / f"analysis{which}{f'_trial{trial}' if trial else ''}.html"
+
+
+def page(
+    experiment: Experiment,
+    champion: Champion,
+    folder: RunFolder,
+    trial: int = 0,
+    number: int | None = None,
+    doing: Callable[[str], object] = lambda what: None,
+) -> str:
+    """The text of a page.
+
+    Args:
+        experiment: that the champion evolved in.
+        champion: whose page it is.
+        folder: of its run.
+        trial: which of its trials, from 0.
+        number: of several runs the one that was asked for; None where it is the best.
+        doing: is told what is being done, once the champion has lived again.
+    """
+    from evo_cpg.analysis.gait_numbers import chain_places, gait_numbers
+    from evo_cpg.view.film import sample
+    from evo_cpg.view.page import document, scene
+    from evo_cpg.view.watch_picture import still
+
+    config, simulation = load_config(folder.config), experiment.simulation
+    frames, recording = frames_again(experiment, champion, folder, trial)
+    doing("measuring the gait")
+    numbers = gait_numbers(simulation, experiment.creature, frames, recording)
+    doing("drawing")
+    water = simulation.world.water
+    motion = document.Motion(
+        recording=recording,
+        clip=sample(recording, scene.RATE),
+        numbers=numbers,
+        scene=scene.scene(
+            experiment.creature,
+            recording,
+            simulation.world.ground,
+            None if water is None else water.surface,
+            water is not None,
+        ),
+        still=_jpeg(still(experiment, recording, _STILL, experiment.name)),
+        history=folder.history(),
+        chain_places=chain_places(simulation, experiment.creature, numbers.chain),
+    )
+    settings, signal = rhythm_of(simulation.controller)
+    audit = _audit(folder, champion, number)
+    subject = document.Subject(
+        name=experiment.name,
+        folder=folder.path.resolve().name,
+        sentence=_sentence(experiment, config),
+        champion={"fitness": champion.fitness, **champion.terms},
+        generation=champion.generation,
+        generations=int(motion.history["generation"].max()) + 1,
+        run=champion.run if experiment.runs > 1 else None,
+        trial=trial if experiment.trials > 1 else None,
+        seed=config.seed + champion.run,
+        chains=[chain.oscillators for chain in chains(simulation.world.tree, settings)],
+        signal=signal,
+        config=folder.config.read_text(encoding="utf-8"),
+        meta=folder.read_meta(),
+        audit=audit,
+        stale=bool(audit) and not _is_of(audit, champion),
+        departures=departures(config),
+        program=version().splitlines()[0],
+        made=now(),
+    )
+    return document.document(subject, motion)
+
+
+def _jpeg(picture: "Image.Image") -> bytes:
+    written = io.BytesIO()
+    picture.save(written, "JPEG", quality=_QUALITY)
+    return written.getvalue()
+
+
+def _sentence(experiment: Experiment, config: ExperimentConfig) -> str:
+    simulation, creature = experiment.simulation, experiment.creature
+    where = "in water" if simulation.world.water is not None else "on land"
+    if simulation.world.water is not None and simulation.world.footing is not None:
+        where = "in water and on the ground"
+    bodies = f"{len(creature.bodies)} bodies and {simulation.world.tree.dof_count} joint axes"
+    return (
+        f"An animal of {bodies} ({float(creature.mass):.3g} kg) {where}, driven by the controller "
+        f"{config.controller.type!r} with {simulation.controller.gene_count} genes, that evolved "
+        f"for the task {config.task.type!r}."
+    )
+
+
+def _audit(folder: RunFolder, champion: Champion, number: int | None) -> dict[str, Any] | None:
+    """What `evo-cpg audit` found, of this run's champion where it looked at that."""
+    names = ["audit.json"] if number is None else []
+    for name in [*names, f"audit_run{champion.run}.json", "audit.json"]:
+        try:
+            told = json.loads((folder.path / name).read_text(encoding="utf-8"))
+        except (OSError, RecursionError, ValueError):
+            continue
+        if isinstance(told, dict):
+            return told
+    return None
+
+
+def _is_of(audit: dict[str, Any] | None, champion: Champion) -> bool:
+    keys = "run", "generation", "fitness"
+    return audit is not None and all(audit.get(key) == getattr(champion, key) for key in keys)

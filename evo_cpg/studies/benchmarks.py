@@ -1,0 +1,73 @@
+"""How fast the program is: the cases of `evo-cpg bench`, a part each, which evolve nothing."""
+
+import importlib
+import sys
+from functools import partial
+from pathlib import Path
+from types import ModuleType
+
+import evo_cpg
+from evo_cpg.studies.study import Part, Study, Table
+from evo_cpg.studies.workshop import Workshop
+
+# What moves is drawn as well.
+_MOVING = ("swimmer", "salamander-water", "salamander-land", "quadruped")
+
+
+class SuiteError(Exception):
+    """There is no suite of benchmarks; the message is for the user as it stands."""
+
+
+def bench_suite() -> ModuleType:
+    """The suite, ``benchmarks/suite.py`` of the checkout that this program lies in.
+
+    Raises:
+        SuiteError: it lies in none, or MuJoCo is missing.
+    """
+    checkout = Path(evo_cpg.__file__).parents[1]
+    if not (checkout / "benchmarks" / "suite.py").is_file():
+        raise SuiteError(
+            f"the benchmark suite is part of a checkout of evo_cpg; there is none in {checkout}"
+        )
+    if str(checkout) not in sys.path:
+        sys.path.insert(0, str(checkout))
+    try:
+        return importlib.import_module("benchmarks.suite")
+    except ModuleNotFoundError as error:
+        raise SuiteError(
+            f"the benchmark suite needs {error.name}; install it with pip install 'evo-cpg[test]'"
+        ) from None
+
+
+def measure(workshop: Workshop, case: str) -> list[Table]:
+    """The rows of a case."""
+    suite = bench_suite()
+    wanted = suite.Wanted((case,), quick=workshop.quick)
+    machine, rows = suite.measure(wanted, workshop.devices, workshop.work)
+    if case in _MOVING:
+        suite.picture.draw(rows, machine, workshop.picture())
+    return suite.report.page_tables(rows, machine)
+
+
+_TITLES = {
+    "swimmer": "a chain of ten boxes in water, beside MuJoCo, MJX and Brax",
+    "salamander-water": "sixteen ellipsoids and capsules in water, beside MuJoCo",
+    "salamander-land": "the same on hills, beside MuJoCo",
+    "quadruped": "nine boxes on flat ground, beside MuJoCo, MJX and Brax",
+    "cpg": "the swimmer's oscillators alone",
+    "brain": "the swimmer's network alone",
+    "ga": "a step of the genetic algorithm, beside evosax",
+    "generation": "a whole generation of the swimmer",
+    "gradient": "fitness and its gradient, beside fitness alone",
+    "bodies": "a body of its own for everybody, beside one for all",
+    "engines": "every shipped configuration on native code, beside plain JAX",
+    "scaling": "all cores, beside one and beside processes",
+    "startup": "from the prompt to the end of generation 1",
+}
+
+STUDY = Study(
+    "benchmarks",
+    "How fast the program is",
+    {},
+    {case: Part(title, (), partial(measure, case=case)) for case, title in _TITLES.items()},
+)

@@ -1,0 +1,22 @@
+"""Units of a task's terms and of measures of gait, as pictures tell them."""
+
+from evo_cpg.view.legible import legible
+
+# Others have none.
+UNITS = {
+    "amplitude": "rad", "bounce": "m", "distance": "m", "energy": "J", "forward": "m",
+    "frequency": "Hz", "power": "W", "speed": "m/s", "turning": "rad/s",
+}  # fmt: skip
+
+
+def in_words(name: str) -> str:
+    """The name of a term, such as ``duty factor``."""
+    return legible(name.replace("_", " "))
+
+
+def told(terms: dict[str, float]) -> str:
+    """Terms with their values and units, such as ``speed 0.31 m/s, duty factor 0.62``."""
+    return ", ".join(
+        f"{in_words(name)} {value:.3g} {UNITS.get(name, '')}".rstrip()
+        for name, value in terms.items()
+    )

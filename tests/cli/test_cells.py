@@ -1,0 +1,100 @@
+"""Anybody on a map of gaits is filmed and audited by the number of his cell."""
+
+import json
+
+import numpy as np
+import pytest
+
+from evo_cpg.analysis.verdict import Check, Verdict
+from evo_cpg.api import audit
+from evo_cpg.api.audit import Audit
+from evo_cpg.config.build import build_experiment
+from evo_cpg.config.load import load_config
+from evo_cpg.training.elites import gait_map
+from evo_cpg.training.run_folder import RunFolder
+from evo_cpg.training.variations import Variation, compile_lives
+from evo_cpg.view import film
+from evo_cpg.view.units import told
+from tiny_run import CONFIG, PAIR
+
+MAPPED = (
+    *(setting for setting in PAIR if not setting.startswith("evolution.")),
+    "evolution={type: map_elites, generations: 2, population: 8, axes: [{name: speed, range: [0, "
+    "0.1], cells: 3}, {name: frequency, range: [0, 9], cells: 2}]}",
+)
+
+
+@pytest.fixture(scope="module")
+def mapped(cli, tmp_path_factory):
+    """A run with a map, and the cell of somebody on it."""
+    run = tmp_path_factory.mktemp("mapped") / "run"
+    code, _, complaint = cli("train", CONFIG, *MAPPED, "--out", run)
+    assert code == 0, complaint
+    folder = RunFolder(run)
+    found = gait_map(built(run), folder.load(), 0)
+    cell = tuple(np.argwhere(np.isfinite(found.fitness))[0].tolist())
+    return run, cell, found
+
+
+def built(run):
+    return build_experiment(load_config(run / "config.yaml"), run / "config.yaml")
+
+
+def test_terms_are_told_with_their_units():
+    assert told({"speed": 0.3141, "duty_factor": 0.5, "power": 12.0}) == (
+        "speed 0.314 m/s, duty factor 0.5, power 12 W"
+    )
+
+
+def test_a_film_says_whose_cell_it_is(cli, mapped, monkeypatch):
+    run, cell, found = mapped
+    seen = {}
+    monkeypatch.setattr(film, "film", lambda *_, **given: seen.update(given) or "made")
+    name = ",".join(map(str, cell))
+    code, _, complaint = cli("render", run, "--cell", name)
+    assert code == 0, complaint
+    place = np.ravel_multi_index(cell, found.fitness.shape)
+    speed, frequency = found.archive.descriptors[:, place]
+    assert seen["title"] == f"iwadate2010_swimmer, cell {name}"
+    assert seen["note"] == f"speed {speed:.3g} m/s, frequency {frequency:.3g} Hz"
+    assert cli("render", run)[0] == 0
+    assert (seen["title"], seen["note"]) == ("iwadate2010_swimmer", "")
+
+
+def test_an_elite_is_audited_and_not_the_champion(cli, mapped, monkeypatch):
+    run, cell, found = mapped
+    name = ",".join(map(str, cell))
+    asked = []
+
+    def audits(experiment, champions, *_):
+        asked.extend(champions)
+        check = Check("half_step", "way kept: half the step", 0.5, 0.9, True, "%")
+        return [Audit(Verdict((check,)), (), 0.01, missing="a test")]
+
+    monkeypatch.setattr(audit, "audits", audits)
+    monkeypatch.setattr("evo_cpg.cli.audit._draw", lambda *_: None)
+    code, out, err = cli("audit", run, "--cell", name)
+    assert code == 3 and f"the elite of cell {name} does not pass its audit" in out, err
+    place = np.ravel_multi_index(cell, found.fitness.shape)
+    np.testing.assert_array_equal(asked[0].genes, found.archive.genes[:, place])
+    kept = json.loads((run / f"audit_cell_{'_'.join(map(str, cell))}.json").read_text())
+    assert kept["fitness"] == asked[0].fitness and kept["passed"] is False
+    assert not (run / "audit.json").exists()
+    code, _, complaint = cli("audit", run, "--cell", name, "--all")
+    assert code == 2 and "--all and --cell: give one of them" in complaint
+    code, _, complaint = cli("audit", run, "--cell", "9,9")
+    assert code == 2 and "there is no cell 9,9; a cell is speed 0 to 2" in complaint
+
+
+def test_an_elite_is_audited_with_all_its_terms(mapped):
+    """Its map keeps those of the axes; the most energy that is free goes by another."""
+    run = mapped[0]
+    experiment, folder = built(run), RunFolder(run)
+    checkpoint = folder.load()
+    assert checkpoint is not None and checkpoint.champion is not None
+    champion = checkpoint.champion
+    lived = compile_lives(experiment, Variation("", (experiment.simulation,)))(champion)
+    only = {name: champion.terms[name] for name in ("speed", "frequency")}
+    whole = audit._complete(champion._replace(terms=only), lived)
+    assert set(whole.terms) == set(champion.terms) > set(only)
+    assert whole.terms == pytest.approx(champion.terms, rel=1e-5)

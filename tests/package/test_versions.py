@@ -1,0 +1,49 @@
+"""The version, and what it is tested with, are the same wherever they stand."""
+
+import datetime
+import re
+import tomllib
+
+import yaml
+
+from tiny_run import REPOSITORY
+
+PROJECT = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]
+SUPPORT = (REPOSITORY / "docs" / "support.md").read_text()
+CHANGELOG = (REPOSITORY / "CHANGELOG.md").read_text()
+
+
+def test_the_newest_release_is_this_version():
+    heads = re.findall(r"^## \[(.+?)\](?: - (\S+))?$", CHANGELOG, re.MULTILINE)
+    assert len(heads) == len(re.findall(r"^## ", CHANGELOG, re.MULTILINE))
+    # What comes after it may stand above it.
+    if heads[0] == ("Unreleased", ""):
+        heads = heads[1:]
+    version, date = heads[0]
+    assert version == PROJECT["version"]
+    citation = yaml.safe_load((REPOSITORY / "CITATION.cff").read_text())
+    assert citation["version"] == version
+    assert citation["date-released"] == datetime.date.fromisoformat(date)
+    dates = [each[1] for each in heads]
+    assert dates == sorted(dates, reverse=True)
+
+
+def test_what_is_stable_is_so_since_this_major_version():
+    named = set(re.findall(r"[Ss]ince (\d+\.\d+)|Before (\d+\.\d+)", SUPPORT))
+    assert {"".join(each) for each in named} == {PROJECT["version"].split(".")[0] + ".0"}
+
+
+def test_what_is_supported_is_what_the_package_asks_for():
+    oldest, tested = {}, {}
+    for line in SUPPORT.splitlines():
+        if match := re.match(r"\| (Python|JAX|llvmlite) \| ([\d.]+) \| ([\d.]+)", line):
+            oldest[match[1].lower()], tested[match[1].lower()] = match[2], match[3]
+    asked = {"python": PROJECT["requires-python"].removeprefix(">=")}
+    for words in PROJECT["dependencies"]:
+        if match := re.match(r"(jax|llvmlite)>=([\d.]+)", words):
+            asked[match[1]] = match[2]
+    assert oldest == asked and set(asked) == {"python", "jax", "llvmlite"}
+    pins = dict(re.findall(r"^(\S+)==(\S+)", (REPOSITORY / "constraints.txt").read_text(), re.M))
+    for name in ("jax", "llvmlite"):
+        assert pins[name] == tested[name] or pins[name] == f"{tested[name]}.0"
+    assert tested["python"] == oldest["python"]
