@@ -18,7 +18,7 @@ import numpy as np
 from evo_cpg.training.checkpoint import Champion
 
 # Of each run. Landmarks take three in a factor of ten: 19 of a million generations.
-KEPT = 64
+KEPT = 32
 
 _OF_ALL = ("fitness", "generation", "run", "index")
 _TERM_PREFIX, _SCALE_PREFIX = "term.", "scale."

@@ -7,7 +7,7 @@
     checkpoints/     the last two generations; `resume` goes on from the newest
     champion.npz     genome, fitness and terms of the best individual ever evaluated, its motion;
                      of several runs the best, the champions of all are in the checkpoints
-    lineage.npz      the champions on the way there, at most 64 of each run, see
+    lineage.npz      the champions on the way there, at most 32 of each run, see
                      `evo_cpg.training.lineage`
     refine.csv       what `refine` gained, round by round; champion_before.npz and
                      config_before.yaml are what it began with
