@@ -10,7 +10,7 @@ import contextlib
 import os
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyvista as pv
@@ -174,18 +174,13 @@ def film(
     recording: Recording,
     path: str | os.PathLike[str],
     *,
-    size: tuple[int, int] = (1280, 720),
-    fps: float = 30.0,
-    seconds: float | None = None,
-    speed: float = 1.0,
     title: str | None = None,
     world: str = "water",
     ground: Ground | None = None,
     surface: float | None = None,
-    camera: str = "follow",
-    sheet: tuple[int, int] | None = None,
     signals: Signals | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    size: tuple[int, int] = (1280, 720),
+    **settings: Any,
 ) -> Path:
     """Render a recording; several of them by `side_by_side`.
 
@@ -193,38 +188,22 @@ def film(
         creature: the animal.
         recording: its motion; without a light (the goal is not finite) the caption tells how far
             the animal has come.
-        path: ``.mp4`` (H.264), ``.webp`` or ``.gif`` for a film, ``.png`` for a still or a sheet;
-            a name such as ``frames/%04d.png`` for a picture of every frame, counted from 0, in a
-            new folder.
-        size: width and height, pixels; rounded down to even numbers.
-        fps: frames per second of the film.
-        seconds: recorded time to show, s; all of it by default. Of a still: the instant it
-            shows, the middle by default.
-        speed: recorded seconds per second of film.
+        path: see `side_by_side`, likewise the settings and what is raised.
         title: caption; the creature's name by default.
         world: where the animal lives, ``water`` or ``land``.
         ground: that carries the animal, with distances from the start painted on it; by default
             there is none, and a floor is drawn below the animal's way.
         surface: height of the water's surface, m. It is shown, from above and in daylight, where
             the animal comes out of it or land near its way does.
-        camera: from where the animal is seen: ``follow`` (from behind towards the light, or else
-            from the side and a little ahead), ``side``, ``top`` or ``orbit`` (once around).
-        sheet: columns and rows of one picture of so many moments, the first and the last of the
-            film and others evenly in between; each is of the ``size``.
         signals: of the animal, shown in a strip at the foot of the picture; None for none.
-        progress: called with the number of frames done and their total.
+        size: width and height, pixels.
+        settings: of `side_by_side`.
 
     Returns:
         The path, or the folder of the pictures.
-
-    Raises:
-        OutputError: nothing can be written there, or not this kind of file.
-        ValueError: a setting out of range, or a recording that does not fit the creature, is
-            empty or not finite.
     """
     panel = Panel(creature, recording, title, world, ground, surface, signals)
-    settings = {"size": size, "fps": fps, "seconds": seconds, "speed": speed}
-    return side_by_side([panel], path, camera=camera, sheet=sheet, progress=progress, **settings)
+    return side_by_side([panel], path, size=size, **settings)
 
 
 def side_by_side(
@@ -244,13 +223,18 @@ def side_by_side(
 
     Args:
         panels: the animals.
-        path: see `film`.
-        size: width and height of each animal's picture, pixels.
-        fps: see `film`, likewise the others.
-        seconds: of each recording.
+        path: ``.mp4`` (H.264), ``.webp`` or ``.gif`` for a film, ``.png`` for a still or a sheet;
+            a name such as ``frames/%04d.png`` for a picture of every frame, counted from 0, in a
+            new folder.
+        size: width and height of each animal's picture, pixels; rounded down to even numbers.
+        fps: frames per second of the film.
+        seconds: recorded time to show, s; all of it by default. Of a still: the instant it
+            shows, the middle by default.
         speed: recorded seconds per second of film.
-        camera: from where all of them are seen.
-        sheet: columns and rows of moments, each of which shows all animals; those of a shorter
+        camera: from where the animals are seen: ``follow`` (from behind towards the light, or else
+            from the side and a little ahead), ``side``, ``top`` or ``orbit`` (once around).
+        sheet: columns and rows of one picture of so many moments, the first and the last of the
+            film and others evenly in between, each of which shows all animals; those of a shorter
             recording lie closer together.
         columns: of animals; as many as rows, or one more, by default.
         progress: called with the number of frames done and their total.
