@@ -111,6 +111,7 @@ def contents(run: Path) -> dict[str, str]:
         "genes": checkpoint.genes.tobytes(),
         "history": json.dumps(rows).encode(),
         "scales": json.dumps(checkpoint.scales).encode(),
+        "lineage": folder.lineage.read_bytes(),
         "champion": champion.genes.tobytes() + json.dumps(champion[1:]).encode(),
         "motion": b"".join(np.asarray(each).tobytes() for each in recording),
     }

@@ -285,13 +285,16 @@ def render(
         typer.Option(
             "--output",
             "-o",
-            help="A .mp4, .gif or .png file, in RUN/videos by default; or FOLDER/%04d.png for a "
-            "picture of every frame.",
+            help="A .mp4, .webp, .gif or .png file, in RUN/videos by default; or FOLDER/%04d.png "
+            "for a picture of every frame.",
         ),
     ] = None,
     size: Annotated[
         str | None,
-        typer.Option(help="WIDTHxHEIGHT in pixels: 1280x720, or 640x360 for each of a sheet."),
+        typer.Option(
+            help="WIDTHxHEIGHT in pixels: 1280x720, or 640x360 for each of a sheet and of animals "
+            "side by side."
+        ),
     ] = None,
     sheet: Annotated[
         str | None,
@@ -299,7 +302,29 @@ def render(
             metavar="COLUMNSxROWS", help="One picture of so many moments of the film, such as 4x3."
         ),
     ] = None,
+    title: Annotated[
+        list[str] | None,
+        typer.Option(metavar="TEXT", help="Caption of the champion, then of every one beside it."),
+    ] = None,
     camera: Annotated[View, typer.Option(help="From where the animal is seen.")] = View.FOLLOW,
+    signals: Annotated[
+        bool,
+        typer.Option("--signals", help="Show joint angles, what drives them, and footfalls, too."),
+    ] = False,
+    lineage: Annotated[
+        str | None,
+        typer.Option(
+            metavar="GENERATIONS",
+            help="Side by side those who were champion in these generations, such as 0,5,20,49; "
+            "auto for four.",
+        ),
+    ] = None,
+    beside: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="RUN", help="Another run, whose champion is shown beside; repeatable."
+        ),
+    ] = None,
     fps: Annotated[float, typer.Option(min=1, max=240, help="Frames per second.")] = 30.0,
     speed: Annotated[float, typer.Option(min=0.01, help="Speed of the film; 1 is real.")] = 1.0,
     seconds: Annotated[
@@ -310,9 +335,10 @@ def render(
     cell: Cell = None,
 ) -> None:
     """Film the champion of a run, or anybody on its map of behaviour."""
-    from evo_cpg.cli.pictures import render_run
+    from evo_cpg.cli.render import Film, render_run
 
-    render_run(run, output, size, sheet, camera, fps, speed, seconds, number, trial, cell)
+    film = Film(output, size, sheet, camera.value, fps, speed, seconds, signals, title or [])
+    render_run(run, film, number, trial, cell, lineage, beside or [])
 
 
 @app.command()

@@ -22,6 +22,7 @@ class View(enum.StrEnum):
     FOLLOW = "follow"
     SIDE = "side"
     TOP = "top"
+    ORBIT = "orbit"
 
 
 def _find_config(given: Path) -> Path:

@@ -1,4 +1,4 @@
-"""The commands that make films and pictures: render, plot, preview."""
+"""The commands that make pictures: plot, preview."""
 
 import re
 from collections.abc import Sequence
@@ -17,60 +17,12 @@ from evo_cpg.training.experiment import Experiment
 from evo_cpg.training.run_folder import RunFolder
 
 
-def render_run(
-    run: Path,
-    output: Path | None,
-    size: str | None,
-    sheet: str | None,
-    camera: str,
-    fps: float,
-    speed: float,
-    seconds: float | None,
-    number: int | None,
-    trial: int,
-    cell: str | None,
-) -> None:
-    """`evo-cpg render`."""
-    moments = None if sheet is None else _moments(sheet)
-    pixels = _pixels(size or ("1280x720" if sheet is None else "640x360"))
-    experiment, shown, recording, folder = champion_motion(run, number, trial, cell)
-    from evo_cpg.view.film import film
-    from evo_cpg.view.units import told
-
-    world = experiment.simulation.world
-    name = "champion" if cell is None else f"cell_{cell.replace(',', '_')}"
-    name += "" if number is None else f"_run{number}"
-    name += _of_trial(trial) + ("" if camera == "follow" else f"_{camera}")
-    kind = ".mp4" if sheet is None else "_sheet.png"
-    path = output or folder.path / "videos" / f"{name}{kind}"
-    with working("rendering", counted=True) as work:
-        made = film(
-            experiment.creature,
-            recording,
-            path,
-            size=pixels,
-            fps=fps,
-            seconds=seconds,
-            speed=speed,
-            title=experiment.name if cell is None else f"{experiment.name}, cell {cell}",
-            # Of an elite the map keeps what it is told apart by, and nothing else.
-            note="" if cell is None else told(shown.terms),
-            world="land" if world.water is None else "water",
-            ground=world.ground,
-            surface=None if world.water is None else world.water.surface,
-            camera=camera,
-            sheet=moments,
-            progress=work.reached,
-        )
-    print(made)
-
-
 def plot_run(run: Path, output: Path | None, trial: int, cell: str | None = None) -> None:
     """`evo-cpg plot`."""
     experiment, champion, recording, folder = champion_motion(run, trial=trial, cell=cell)
     from evo_cpg.view.plots import plot_fitness, plot_joint_signals, plot_path
 
-    place, which = output or folder.path / "plots", _of_trial(trial)
+    place, which = output or folder.path / "plots", of_trial(trial)
     which += "" if cell is None else f"_cell_{cell.replace(',', '_')}"
     history = folder.history()
     history["best_so_far"] = history["champion"]
@@ -107,7 +59,7 @@ def preview_config(
     path: Path, overrides: Sequence[str], output: Path | None, size: str, strict: bool = False
 ) -> None:
     """`evo-cpg preview`."""
-    pixels = _pixels(size)
+    pixels = pixels_of(size)
     config = read_config(path, overrides, strict)
     creature = build_creature(config, path)
     pose, ground = None, config.world.ground is not None
@@ -132,20 +84,18 @@ def _has_shape(ground: GroundConfig | None) -> bool:
     return ground is not None and (bool(ground.obstacles) or ground.floor != PlaneConfig())
 
 
-def _of_trial(trial: int) -> str:
+def of_trial(trial: int) -> str:
     """What is added to the name of a picture of another trial than the first."""
     return f"_trial{trial}" if trial else ""
 
 
-def _pixels(size: str) -> tuple[int, int]:
+def pixels_of(size: str) -> tuple[int, int]:
+    """Width and height that are asked for.
+
+    Raises:
+        UsageError: it is no size.
+    """
     match = re.fullmatch(r"(\d{2,5})x(\d{2,5})", size)
     if not match:
         raise UsageError(f"--size: {size!r} is not WIDTHxHEIGHT, such as 1280x720")
-    return int(match[1]), int(match[2])
-
-
-def _moments(sheet: str) -> tuple[int, int]:
-    match = re.fullmatch(r"([1-9]\d?)x([1-9]\d?)", sheet)
-    if not match:
-        raise UsageError(f"--sheet: {sheet!r} is not COLUMNSxROWS of at most 99, such as 4x3")
     return int(match[1]), int(match[2])

@@ -15,6 +15,7 @@ from evo_cpg.control.controller import Controller
 from evo_cpg.control.postures import PostureController
 from evo_cpg.studies.audits import audit_table, audited, kept_table
 from evo_cpg.studies.halving import kept, ways
+from evo_cpg.studies.stills import stills
 from evo_cpg.studies.study import Part, Runs, Study, Table, beside, in_order, middle
 from evo_cpg.studies.workshop import Workshop
 from evo_cpg.training.devices import population_mesh
@@ -231,6 +232,19 @@ def choices(workshop: Workshop, names: dict[str, str]) -> list[Table]:
     return [Table("", head, rows)]
 
 
+_SHOWN = {
+    "Model 1": "model1",
+    "Model 2": "model2",
+    "Model 3": "model3",
+    "Model 2, to walk": "walk2",
+}
+
+
+def pictures(workshop: Workshop) -> list[Table]:
+    """The best champions of the three models, and of Model 2 as it evolved to walk."""
+    return [stills(workshop, _SHOWN)]
+
+
 _LABEL = "best distance in 20 s (m)"
 
 
@@ -336,6 +350,7 @@ STUDY = Study(
         "random": Part("beside random search", (*MODELS, "random1", "random2", "random3"), random),
         "walk": Part("scored for posture too", (*MODELS, "walk1", "walk2", "walk3"), walk),
         "noise": Part("noise and the loss of lineages", tuple(_NOISES), noise),
+        "pictures": Part("moments of the best champions", tuple(_SHOWN.values()), pictures),
         "springs": _choice(
             "strength of the dashpots",
             {"model1": "150 N m/rad, 3 N m s/rad, 40 N m", "springs_half": "half of all three",

@@ -1,6 +1,7 @@
 """The hexapod, a walker of our own: how far and how upright it goes, and its audits."""
 
 from evo_cpg.studies.audits import audit_table, audited, kept_table
+from evo_cpg.studies.stills import stills
 from evo_cpg.studies.study import Part, Runs, Study, Table, in_order, middle
 from evo_cpg.studies.workshop import Workshop
 
@@ -26,6 +27,11 @@ def audit(workshop: Workshop) -> list[Table]:
     return [kept_table("Medians and ranges:", rows), audit_table("Every champion:", rows)]
 
 
+def pictures(workshop: Workshop) -> list[Table]:
+    """The best champion."""
+    return [stills(workshop, {"hexapod": "hexapod"})]
+
+
 STUDY = Study(
     "hexapod",
     "The hexapod",
@@ -33,5 +39,6 @@ STUDY = Study(
     {
         "walk": Part("five champions", ("hexapod",), walk),
         "audit": Part("the champions audited", ("hexapod",), audit),
+        "pictures": Part("moments of the best champion", ("hexapod",), pictures),
     },
 )

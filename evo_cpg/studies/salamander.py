@@ -6,6 +6,7 @@ from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import load_config
 from evo_cpg.studies.audits import audit_table, audited
 from evo_cpg.studies.lights import light_table, lived, still
+from evo_cpg.studies.stills import stills
 from evo_cpg.studies.study import Part, Runs, Study, Table, middle, percent
 from evo_cpg.studies.workshop import Workshop
 from evo_cpg.training.probe import Probe, around, blinded, probe
@@ -94,6 +95,13 @@ def eyes(workshop: Workshop) -> list[Table]:
     return [Table("", head, rows)]
 
 
+def pictures(workshop: Workshop) -> list[Table]:
+    """The best champions in water, on land and across the shore, and another among boulders."""
+    shown = {"in water": "water", "on land": "land", "across the shore": "shore"}
+    worlds = stills(workshop, shown)
+    return [worlds, stills(workshop, {"among boulders": "boulders"}, "boulders")]
+
+
 def _probed(found: Probe) -> list[str]:
     reached = found.reached(_REACHED)
     left = found.distance
@@ -135,5 +143,8 @@ STUDY = Study(
         "shore": Part("across the shore", ("shore", "shore_random", "land"), shore),
         "boulders": Part("among boulders", ("boulders",), boulders),
         "eyes": Part("a swimmer with two eyes", ("eyes",), eyes),
+        "pictures": Part(
+            "moments of the best champions", ("water", "land", "shore", "boulders"), pictures
+        ),
     },
 )

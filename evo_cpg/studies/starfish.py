@@ -8,6 +8,7 @@ from evo_cpg.analysis.gait import ring_lags
 from evo_cpg.control.brain_cpg import BrainCpg
 from evo_cpg.control.couplings import ring_members
 from evo_cpg.simulation.recording import Recording
+from evo_cpg.studies.stills import stills
 from evo_cpg.studies.study import Part, Runs, Study, Table
 from evo_cpg.studies.workshop import Workshop
 
@@ -40,6 +41,11 @@ def lags(workshop: Workshop) -> list[Table]:
     return [Table("", head, rows)]
 
 
+def pictures(workshop: Workshop) -> list[Table]:
+    """One that swims up to a light, and one that walks."""
+    return [stills(workshop, {"in water": "starfish", "on land": "starfish_land"})]
+
+
 def _parts(recording: Recording) -> list[Recording]:
     """The second half of a recording, in equal parts."""
     edges = (np.linspace(0.5, 1, _WINDOWS + 1) * len(recording.time)).astype(int)
@@ -55,5 +61,8 @@ STUDY = Study(
     "starfish",
     "The starfish",
     RUNS,
-    {"lags": Part("lags around the ring of arms", tuple(RUNS), lags)},
+    {
+        "lags": Part("lags around the ring of arms", tuple(RUNS), lags),
+        "pictures": Part("moments of the champions", tuple(RUNS), pictures),
+    },
 )

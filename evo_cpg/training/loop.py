@@ -28,9 +28,10 @@ from evo_cpg.training.experiment import (
     replay,
     situation_numbers,
 )
+from evo_cpg.training.lineage import extended, until
 from evo_cpg.training.memetic import compile_learning
 from evo_cpg.training.processes import ALONE, Team, load_together, start_together
-from evo_cpg.training.run_folder import RunFolder
+from evo_cpg.training.run_folder import RunFolder, RunFolderError
 from evo_cpg.training.strategy_state import StrategyError, state_arrays, state_from
 
 # Fitness, terms and motion of an individual that lives again.
@@ -153,6 +154,7 @@ class Running:
                 # A kill may have come between the checkpoint and the table.
                 folder.write_metrics(checkpoint.history)
         self.checkpoint = checkpoint
+        self._lineage = _lineage_until(folder, checkpoint) if team.leads else []
 
     @property
     def finished(self) -> bool:
@@ -204,6 +206,15 @@ class Running:
         history, remembered = [*before.history, *rows], state_arrays(self._state)
         self.checkpoint = Checkpoint(done, population, champions, history, scales, remembered)
         if self._team.leads:
+            # Before the checkpoint: a kill in between leaves a lineage that is ahead of it.
+            found = [
+                new
+                for new, old in zip(champions, before.champions, strict=True)
+                if new is not None and new is not old
+            ]
+            if found:
+                self._lineage = extended(self._lineage, found)
+                self._folder.save_lineage(self._lineage)
             self._folder.save(self.checkpoint)
         return rows
 
@@ -290,6 +301,16 @@ def _no_scales(experiment: Experiment) -> dict[str, tuple[float, ...]]:
         lambda: task.scales(task.terms(task.begin((1,), jnp.dtype("float32"), steps), steps))
     )
     return dict.fromkeys(shapes, (1.0,) * experiment.runs)
+
+
+def _lineage_until(folder: RunFolder, checkpoint: Checkpoint) -> list[Champion]:
+    """The champions on the way to a checkpoint; where their file is lost, those of its end."""
+    try:
+        lineage = folder.load_lineage()
+    except RunFolderError:
+        lineage = []
+    lineage = [each for each in lineage if each.genes.shape == checkpoint.genes.shape[:1]]
+    return until(lineage, checkpoint.champions, checkpoint.generation)
 
 
 def _float32(scales: dict[str, tuple[float, ...]]) -> dict[str, np.ndarray]:

@@ -7,6 +7,8 @@
     checkpoints/     the last two generations; `resume` goes on from the newest
     champion.npz     genome, fitness and terms of the best individual ever evaluated, its motion;
                      of several runs the best, the champions of all are in the checkpoints
+    lineage.npz      the champions on the way there, at most 32 of each run, see
+                     `evo_cpg.training.lineage`
     refine.csv       what `refine` gained, round by round; champion_before.npz and
                      config_before.yaml are what it began with
     videos/, plots/  what `render` and `plot` make
@@ -33,7 +35,7 @@ import shutil
 import struct
 import tempfile
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any
 
@@ -50,6 +52,7 @@ from evo_cpg.training.checkpoint import (
     read_champion,
     read_checkpoint,
 )
+from evo_cpg.training.lineage import lineage_arrays, read_lineage
 
 _KEPT_CHECKPOINTS = 2
 # Where files that belong together gather, and where they wait to be moved to their places.
@@ -105,6 +108,11 @@ class RunFolder:
     def champion(self) -> Path:
         """The best individual."""
         return self.path / "champion.npz"
+
+    @property
+    def lineage(self) -> Path:
+        """The champions on the way to the best individual."""
+        return self.path / "lineage.npz"
 
     @property
     def start(self) -> Path:
@@ -272,6 +280,30 @@ class RunFolder:
             writes[place] = lambda file: np.savez(file, **arrays)
         writes[self.champion] = _champion_writer(best, hashlib.sha256(config).hexdigest())
         self._write_together(writes)
+
+    def save_lineage(self, lineage: Sequence[Champion]) -> None:
+        """Write lineage.npz, of one champion or more."""
+        arrays = lineage_arrays(lineage)
+        write_whole(self.lineage, lambda file: np.savez(file, **arrays))
+
+    def load_lineage(self) -> list[Champion]:
+        """The champions on the way, run by run, each in the order of generations.
+
+        Raises:
+            RunFolderError: there are none, or their file cannot be read.
+        """
+        if not self.lineage.is_file():
+            raise RunFolderError(
+                f"{self.path} has no lineage.npz: no champion was found yet, or it evolved with "
+                "a version that kept none on the way"
+            )
+        try:
+            return read_lineage(_read_arrays(self.lineage))
+        except _DAMAGED as error:
+            raise RunFolderError(
+                f"{self.lineage} is damaged ({error}); the run can go on, but the champions on "
+                "its way so far are lost"
+            ) from None
 
     def write_table(self, name: str, rows: list[dict[str, float]]) -> None:
         """Write rows with equal columns as a .csv file of the folder."""

@@ -1,13 +1,14 @@
 """A calm camera: it follows the smoothed middle of the animal from behind and above.
 
 Where there is no light to which the animal goes, it is seen from the side. Other cameras look from
-a fixed bearing to its way: right from the side, or from above.
+a fixed bearing to its way: right from the side, or from above. One goes once around the animal.
 
 The whole recording is known before the first frame, so the path is smoothed with a symmetric
-window, which does not lag; the viewing direction and the distance stay fixed, so whatever moves
-in the picture moves in the world. The distance is the smallest at which a sphere around the
-focus that holds every body fits the frame: at every instant where there is a light, else in half
-of them, and then as much more as keeps every body inside the frame.
+window, which does not lag; the distance stays fixed, as does the viewing direction but of the one
+that goes around, so whatever moves in the picture moves in the world. The distance is the smallest
+at which a sphere around the focus that holds every body fits the frame: at every instant where
+there is a light, else in half of them, and then as much more as keeps every body inside the
+frame.
 """
 
 from collections.abc import Callable
@@ -36,7 +37,9 @@ _SIDE = np.radians(112.0)
 # along the ground; from above a little less than upright, so that the picture has an upper edge.
 _SIDEWAYS = np.radians(90.0)
 _ASPECTS = {"side": np.radians(4.0), "top": np.radians(88.0)}
-CAMERAS = ("follow", *_ASPECTS)
+# One that goes around sees the ground behind the animal, and the horizon.
+_AROUND = np.radians(14.0)
+CAMERAS = ("follow", *_ASPECTS, "orbit")
 # Points along a line of sight at which it is looked whether something stands in the way, and the
 # number of frames in which that is done.
 _SAMPLES, _LOOKS = 24, 60
@@ -63,7 +66,7 @@ def follow(
     rate: float,
     aspect: float,
     elevation: float,
-    turn: float | None = None,
+    turn: float | Float[np.ndarray, " frames"] | None = None,
 ) -> CameraPath:
     """Plan the camera's path over a recording.
 
@@ -74,8 +77,9 @@ def follow(
         rate: frames per second of recorded time.
         aspect: width of the picture over its height.
         elevation: height of the eye above the focus as an angle, rad.
-        turn: angle between the line of sight and the animal's way, rad; None for one that has the
-            light in the picture or, where there is none, shows the animal's side.
+        turn: angle between the line of sight and the animal's way, rad, in every frame where it
+            changes; None for one that has the light in the picture or, where there is none, shows
+            the animal's side.
     """
     centre = smooth(position.mean(1), SMOOTHING * rate)
     radius = np.linalg.norm(position - centre[:, None], axis=-1).max() + reach
@@ -86,7 +90,9 @@ def follow(
         goal = centre.mean(0) + 1e3 * (radius + np.ptp(centre)) * _direction(bearing, 0.0)
     way = goal - centre
     away = np.linalg.norm(way, axis=-1, keepdims=True)
-    lead = way * ((_LEAD if lit else _LEAD_UNLIT) * radius / np.maximum(away, 2 * radius))
+    # Whoever is circled is in the middle.
+    ahead = 0.0 if isinstance(turn, np.ndarray) else _LEAD if lit else _LEAD_UNLIT
+    lead = way * (ahead * radius / np.maximum(away, 2 * radius))
     focus = smooth(centre + lead, SMOOTHING * rate)
     # An animal that leaps may come near the edge of the frame, rather than be small all the time.
     spread = np.linalg.norm(position - focus[:, None], axis=-1).max(1)
@@ -107,14 +113,22 @@ def follow(
     return path
 
 
-def aspect_of(camera: str) -> tuple[float, float] | None:
-    """Turn and elevation of a camera that looks from a fixed side, rad; None of one that follows.
+def aspect_of(
+    camera: str, frames: int = 1
+) -> tuple[float | Float[np.ndarray, " frames"], float] | None:
+    """Turn and elevation of a camera, rad; None of one that follows.
+
+    Args:
+        camera: one of `CAMERAS`.
+        frames: of the film, in each of which one that goes around has a turn of its own.
 
     Raises:
         ValueError: there is no such camera.
     """
     if camera not in CAMERAS:
         raise ValueError(f"camera is {camera!r}; choose {' or '.join(CAMERAS)}")
+    if camera == "orbit":
+        return _SIDE + 2 * np.pi * np.arange(frames) / frames, _AROUND
     return (_SIDEWAYS, _ASPECTS[camera]) if camera in _ASPECTS else None
 
 
@@ -178,6 +192,17 @@ def project(
     return np.stack([x, y], -1)
 
 
+def turned_about_vertical(vector: Float[np.ndarray, "3"], angle: float) -> Float[np.ndarray, "3"]:
+    """A vector, turned to the left as seen from above.
+
+    Args:
+        vector: to be turned.
+        angle: by which, rad.
+    """
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([c * vector[0] - s * vector[1], s * vector[0] + c * vector[1], vector[2]])
+
+
 def smooth(path: Float[np.ndarray, "frames 3"], width: float) -> Float[np.ndarray, "frames 3"]:
     """Gaussian average of a path ``(frames, 3)`` without lag.
 
@@ -219,10 +244,12 @@ def _sight_of_goal(
     return max((sights[i] for i in pair), key=lambda s: _apparent_width(position, s))
 
 
-def _direction(bearing: float, elevation: float) -> np.ndarray:
-    """Unit vector that points along a bearing and down by an elevation."""
-    flat = np.cos(elevation)
-    return np.array([flat * np.cos(bearing), flat * np.sin(bearing), -np.sin(elevation)])
+def _direction(
+    bearing: float | Float[np.ndarray, " frames"], elevation: float
+) -> Float[np.ndarray, "*frames 3"]:
+    """Unit vectors that point along bearings and down by an elevation."""
+    flat, down = np.cos(elevation), np.full(np.shape(bearing), -np.sin(elevation))
+    return np.stack([flat * np.cos(bearing), flat * np.sin(bearing), down], -1)
 
 
 def _apparent_width(position: np.ndarray, sight: np.ndarray) -> float:

@@ -11,6 +11,9 @@ from evo_cpg.view.look import Look
 _MARGIN = 34
 _SMALLEST = 0.62
 _COLUMNS = (0, 140, 290)
+_SMALL = 200
+# About as wide are a value and letters of the title and of the note; what has no room is left out.
+_VALUE, _TITLE_LETTER, _NOTE_LETTER = 105, 13.5, 9.0
 
 
 def add_captions(
@@ -27,7 +30,9 @@ def add_captions(
     Args:
         plotter: draws them.
         look: of the world.
-        title: bottom right; the upper part of the picture is left to the light.
+        title: bottom right; the upper part of the picture is left to the light. Where a picture is
+            too narrow for it and the values, the last of these are left out; a small one has but
+            title and time.
         distance: what the shown distance is.
         note: below the title.
         height: of the film, pixels.
@@ -57,16 +62,22 @@ def add_captions(
         plotter.renderer.AddViewProp(label)
         return label
 
-    write(title, right, bottom + 27 * unit, 25, side="right")
-    write(note, right, bottom, 17, dim=True, side="right")
+    small = height < _SMALL
+    write(title, right, bottom + (0 if small else 27) * unit, 25, side="right")
+    if not small:
+        write(note, right, bottom, 17, dim=True, side="right")
     values = []
+    beside = max(_TITLE_LETTER * len(title), _NOTE_LETTER * len(note)) + _MARGIN
+    room = plotter.window_size[0] / unit - _MARGIN - beside - _VALUE
     for name, column in zip(("time", distance, "speed"), _COLUMNS, strict=True):
+        if column > (0 if small else max(room, 0)):
+            break
         write(name, left + column * unit, bottom + 32 * unit, 16, dim=True)
         values.append(write("", left + column * unit, bottom, 25))
 
     def update(time: float, distance: float, speed: float) -> None:
         texts = (f"{time:.1f} s", f"{distance:.2f} m", f"{speed:.2f} m/s")
-        for actor, text in zip(values, texts, strict=True):
+        for actor, text in zip(values, texts, strict=False):
             actor.input = text
 
     return update

@@ -6,10 +6,11 @@ nothing is meshed again. Frames are rendered larger than the film and averaged d
 which smooths edges, thin lines and text.
 """
 
+import contextlib
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyvista as pv
@@ -19,16 +20,18 @@ from evo_cpg.creature.creature import Creature
 from evo_cpg.physics.footing import Ground
 from evo_cpg.physics.terrain import Plane
 from evo_cpg.simulation.recording import Recording
+from evo_cpg.training.experiment import Experiment
 from evo_cpg.view.camera import CameraPath, aspect_of, course, follow, hidden, smooth
 from evo_cpg.view.captions import add_captions
 from evo_cpg.view.goal_light import add_goal_light
-from evo_cpg.view.ground import Marks, add_floor, add_numbers, grid_spacing, mark_spacing
+from evo_cpg.view.ground import Marks, Update, add_floor, add_numbers, grid_spacing, mark_spacing
 from evo_cpg.view.look import LOOKS, SHORE, Look
 from evo_cpg.view.meshes import add_bodies, head_index, shape_mesh
 from evo_cpg.view.obstacles import add_obstacles, obstacle_mesh, obstacle_top
 from evo_cpg.view.offscreen import canvas, pixels
 from evo_cpg.view.output import (
     FILM_SUFFIXES,
+    GUTTER,
     frame_writer,
     is_numbered,
     numbered_path,
@@ -44,6 +47,7 @@ from evo_cpg.view.relief import (
     add_relief,
 )
 from evo_cpg.view.shadows import add_contacts, add_shadows, add_sun_shadows
+from evo_cpg.view.signals import LOWEST, SHARE, SMALLEST, Signals, Strip
 from evo_cpg.view.sky import add_sky, sun_direction
 from evo_cpg.view.terrain import Terrain, heights, make_terrain
 from evo_cpg.view.textures import CELLS
@@ -70,8 +74,57 @@ _NEARBY = 4.0
 HORIZON = 2.4
 
 
+# Columns of so many animals side by side; of more the square root, rounded up.
+_COLUMNS = (1, 1, 2, 3, 2)
+
+
 class SettingError(ValueError):
     """A film cannot be made of this size, or have so many moments."""
+
+
+class Panel(NamedTuple):
+    """An animal that a film shows.
+
+    Attributes:
+        creature: the animal.
+        recording: its motion.
+        title: caption; the creature's name by default.
+        world: where the animal lives, ``water`` or ``land``.
+        ground: that carries the animal; None where there is none.
+        surface: height of the water's surface, m.
+        signals: shown in a strip under it; None for none.
+        note: below the title, in small letters.
+    """
+
+    creature: Creature
+    recording: Recording
+    title: str | None = None
+    world: str = "water"
+    ground: Ground | None = None
+    surface: float | None = None
+    signals: Signals | None = None
+    note: str = ""
+
+
+def panel_of(
+    experiment: Experiment,
+    recording: Recording,
+    title: str,
+    signals: Signals | None = None,
+    note: str = "",
+) -> Panel:
+    """A motion in the world of the experiment that it was recorded in."""
+    world = experiment.simulation.world
+    return Panel(
+        experiment.creature,
+        recording,
+        title,
+        world="land" if world.water is None else "water",
+        ground=world.ground,
+        surface=None if world.water is None else world.water.surface,
+        signals=signals,
+        note=note,
+    )
 
 
 class Stage(NamedTuple):
@@ -130,32 +183,22 @@ def film(
     recording: Recording,
     path: str | os.PathLike[str],
     *,
-    size: tuple[int, int] = (1280, 720),
-    fps: float = 30.0,
-    seconds: float | None = None,
-    speed: float = 1.0,
     title: str | None = None,
     note: str = "",
     world: str = "water",
     ground: Ground | None = None,
     surface: float | None = None,
-    camera: str = "follow",
-    sheet: tuple[int, int] | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    signals: Signals | None = None,
+    size: tuple[int, int] = (1280, 720),
+    **settings: Any,
 ) -> Path:
-    """Render a recording.
+    """Render a recording; several of them by `side_by_side`.
 
     Args:
         creature: the animal.
         recording: its motion; without a light (the goal is not finite) the caption tells how far
             the animal has come.
-        path: ``.mp4`` (H.264) or ``.gif`` for a film, ``.png`` for a still or a sheet; a name such
-            as ``frames/%04d.png`` for a picture of every frame, counted from 0, in a new folder.
-        size: width and height, pixels; rounded down to even numbers.
-        fps: frames per second of the film.
-        seconds: recorded time to show, s; all of it by default. Of a still: the instant it
-            shows, the middle by default.
-        speed: recorded seconds per second of film.
+        path: see `side_by_side`, likewise the settings and what is raised.
         title: caption; the creature's name by default.
         note: below it, in small letters.
         world: where the animal lives, ``water`` or ``land``.
@@ -163,10 +206,48 @@ def film(
             there is none, and a floor is drawn below the animal's way.
         surface: height of the water's surface, m. It is shown, from above and in daylight, where
             the animal comes out of it or land near its way does.
-        camera: from where the animal is seen: ``follow`` (from behind towards the light, or else
-            from the side and a little ahead), ``side`` or ``top``.
+        signals: of the animal, shown in a strip at the foot of the picture; None for none.
+        size: width and height, pixels.
+        settings: of `side_by_side`.
+
+    Returns:
+        The path, or the folder of the pictures.
+    """
+    panel = Panel(creature, recording, title, world, ground, surface, signals, note)
+    return side_by_side([panel], path, size=size, **settings)
+
+
+def side_by_side(
+    panels: Sequence[Panel],
+    path: str | os.PathLike[str],
+    *,
+    size: tuple[int, int] = (640, 360),
+    fps: float = 30.0,
+    seconds: float | None = None,
+    speed: float = 1.0,
+    camera: str = "follow",
+    sheet: tuple[int, int] | None = None,
+    columns: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Path:
+    """Render recordings in one film, row by row; those that are shorter wait at their end.
+
+    Args:
+        panels: the animals.
+        path: ``.mp4`` (H.264), ``.webp`` or ``.gif`` for a film, ``.png`` for a still or a sheet;
+            a name such as ``frames/%04d.png`` for a picture of every frame, counted from 0, in a
+            new folder.
+        size: width and height of each animal's picture, pixels; rounded down to even numbers.
+        fps: frames per second of the film.
+        seconds: recorded time to show, s; all of it by default. Of a still: the instant it
+            shows, the middle by default.
+        speed: recorded seconds per second of film.
+        camera: from where the animals are seen: ``follow`` (from behind towards the light, or else
+            from the side and a little ahead), ``side``, ``top`` or ``orbit`` (once around).
         sheet: columns and rows of one picture of so many moments, the first and the last of the
-            film and others evenly in between; each is of the ``size``.
+            film and others evenly in between, each of which shows all animals; those of a shorter
+            recording lie closer together.
+        columns: of animals; as many as rows, or one more, by default.
         progress: called with the number of frames done and their total.
 
     Returns:
@@ -174,7 +255,7 @@ def film(
 
     Raises:
         OutputError: nothing can be written there, or not this kind of file.
-        ValueError: a setting out of range, or a recording that does not fit the creature, is
+        ValueError: a setting out of range, or a recording that does not fit its creature, is
             empty or not finite.
     """
     path = Path(path)
@@ -184,46 +265,90 @@ def film(
     else:
         path = output_path(path, FILM_SUFFIXES if sheet is None else (".png",))
     still = path.suffix.lower() == ".png" and sheet is None and not numbered
-    _check(creature, recording, size, fps, speed, world)
+    for panel in panels:
+        _check(panel, size, fps, speed)
     aspect_of(camera)
-    if surface is not None and not np.isfinite(surface):
-        raise ValueError(f"surface is {surface:g}; it must be finite, or None where there is none")
     if seconds is not None and seconds < 0:
         raise ValueError(f"seconds is {seconds:g}; it must not be negative")
-    clip = sample(recording, fps, speed, None if still else seconds)
-    frames = range(len(clip.time))
-    if still:
-        instant = recording.time[0] + seconds if seconds is not None else np.median(clip.time)
-        frames = [int(np.abs(clip.time - instant).argmin())]
-    elif sheet is not None:
-        frames = _moments(len(clip.time), sheet)
-    oversampling = _STILL_OVERSAMPLING if still or sheet is not None else _FILM_OVERSAMPLING
+    clips = [sample(one.recording, fps, speed, None if still else seconds) for one in panels]
+    frames = [_frames(clip, seconds, still, sheet) for clip in clips]
+    count = max(map(len, frames))
+    scale = _STILL_OVERSAMPLING if still or sheet is not None else _FILM_OVERSAMPLING
     width, height = (max(side // 2 * 2, 2) for side in size)
-    rendered = (round(width * oversampling), round(height * oversampling))
+    columns, rows = _grid(len(panels), columns)
+    whole = (columns * (width + GUTTER) - GUTTER, rows * (height + GUTTER) - GUTTER)
+    drawn_size = round(width * scale), round(height * scale)
+    pitch = round((width + GUTTER) * scale), round((height + GUTTER) * scale)
+    rendered = (columns - 1) * pitch[0] + drawn_size[0], (rows - 1) * pitch[1] + drawn_size[1]
+    # Filled where an animal is shown.
+    picture = np.full((rendered[1], rendered[0], 3), 255, np.uint8)
 
-    if surface is not None and not surface_is_seen(creature, clip, ground, surface):
+    with contextlib.ExitStack() as stack:
+        shows = [
+            stack.enter_context(
+                _panel(panel, clip, (width, height), scale, fps / speed, speed, camera)
+            )
+            for panel, clip in zip(panels, clips, strict=True)
+        ]
+        with frame_writer(path, whole, rendered, fps, sheet) as write:
+            for done in range(count):
+                for i, (show, own) in enumerate(zip(shows, frames, strict=True)):
+                    drawn = show(own[min(done, len(own) - 1)])
+                    if len(panels) == 1:
+                        picture = drawn
+                        break
+                    # The bottom row comes first.
+                    below = (rows - 1 - i // columns) * pitch[1]
+                    left = i % columns * pitch[0]
+                    picture[below : below + len(drawn), left : left + drawn.shape[1]] = drawn
+                write(picture)
+                if progress is not None:
+                    progress(done + 1, count)
+    return path.parent if numbered else path
+
+
+@contextlib.contextmanager
+def _panel(
+    panel: Panel,
+    clip: Clip,
+    size: tuple[int, int],
+    scale: float,
+    rate: float,
+    speed: float,
+    camera: str,
+) -> Iterator[Callable[[int], np.ndarray]]:
+    """An animal's picture, frame by frame: ``(height, width, 3)`` bytes, bottom row first."""
+    creature, surface = panel.creature, panel.surface
+    if surface is not None and not surface_is_seen(creature, clip, panel.ground, surface):
         surface = None
+    look = LOOKS[panel.world] if surface is None else SHORE
+    rendered = round(size[0] * scale), round(size[1] * scale)
+    strip, above = None, size[1]
+    if panel.signals is not None:
+        above = size[1] - max(round(SHARE * size[1]), LOWEST)
+        strip = Strip(panel.signals, look, (size[0], size[1] - above), scale)
     stage = Stage(
-        look=LOOKS[world] if surface is None else SHORE,
-        title=creature.name if title is None else title,
-        size=(width, height),
-        oversampling=oversampling,
-        rate=fps / speed,
+        look=look,
+        title=creature.name if panel.title is None else panel.title,
+        size=(size[0], above),
+        oversampling=scale,
+        rate=rate,
         speed=speed,
-        ground=ground,
+        ground=panel.ground,
         surface=surface,
         camera=camera,
-        note=note,
+        note=panel.note,
     )
-    with canvas(rendered) as plotter:
-        show = _set_scene(plotter, creature, recording, clip, stage)
-        with frame_writer(path, (width, height), rendered, fps, sheet) as write:
-            for done, frame in enumerate(frames):
-                show(frame)
-                write(pixels(plotter))
-                if progress is not None:
-                    progress(done + 1, len(frames))
-    return path.parent if numbered else path
+    high = rendered[1] if strip is None else rendered[1] - strip.height
+    with canvas((rendered[0], high)) as plotter:
+        show = _set_scene(plotter, creature, panel.recording, clip, stage)
+
+        def draw(frame: int) -> np.ndarray:
+            show(frame)
+            seen = pixels(plotter)
+            return seen if strip is None else np.concatenate([strip.at(clip.time[frame]), seen])
+
+        yield draw
 
 
 def sample(
@@ -271,7 +396,7 @@ def camera_path(creature: Creature, recording: Recording, clip: Clip, stage: Sta
     width, height = stage.size
     look, lit = stage.look, np.isfinite(recording.goal).all()
     first, turn = look.elevation if lit else look.side_elevation, None
-    if (aspect := aspect_of(stage.camera)) is not None:
+    if (aspect := aspect_of(stage.camera, len(clip.time))) is not None:
         turn, first = aspect
 
     def at(elevation: float) -> CameraPath:
@@ -297,8 +422,11 @@ def camera_path(creature: Creature, recording: Recording, clip: Clip, stage: Sta
         return np.maximum.reduce([heights(ground.floor, place), *tops])
 
     for elevation in _ELEVATIONS[first < _ELEVATIONS]:
-        dry = stage.surface is None or (path.position[:, 2] > stage.surface + margin).all()
-        if dry and hidden(path, clip.position, top, margin) <= _HIDDEN:
+        free = stage.surface is None or (path.position[:, 2] > stage.surface + margin).all()
+        if isinstance(turn, np.ndarray):
+            # Wherever it comes by it stays above the ground.
+            free = free and (path.position[:, 2] > top(path.position[:, :2]) + margin).all()
+        if free and hidden(path, clip.position, top, margin) <= _HIDDEN:
             break
         path = at(elevation)
     return path
@@ -320,9 +448,12 @@ def _set_scene(
     spacing = grid_spacing(2 * radius)
     centre = clip.position.mean(1)
     head = clip.position[:, head_index(creature)]
-    sight = camera.focus[0] - camera.position[0]
-    away = float(np.linalg.norm(sight))
-    sight = sight / away
+    sights = camera.focus - camera.position
+    away = float(np.linalg.norm(sights[0]))
+    sight = sights[0] / away
+    # Since the first frame.
+    turned = np.arctan2(sights[:, 1], sights[:, 0]) - np.arctan2(sight[1], sight[0])
+    turned[np.abs(np.sin(turned / 2)) < 1e-9] = 0.0
     marks = None
     if stage.ground is not None:
         # Of the root, as the distance of a recording without a light.
@@ -361,9 +492,10 @@ def _set_scene(
         )
         if lit:
             add_draped_light(plotter, look, terrain, recording.goal, radius)
+    face_viewer = None
     if lit:
         height = floor if terrain is None else None
-        add_goal_light(plotter, look, recording.goal, height, radius, sight)
+        face_viewer = add_goal_light(plotter, look, recording.goal, height, radius, sight)
     grow_trail = add_trail(plotter, look, head, 0.0065 * radius, _TRAIL_FADE * stage.rate)
     if look.particles:
         depths = floor if terrain is None else terrain
@@ -394,13 +526,15 @@ def _set_scene(
         plotter.camera.position = camera.position[frame]
         plotter.camera.focal_point = camera.focus[frame]
         plotter.camera.clipping_range = (0.05 * away, 20 * away)
-        move_sky(camera.position[frame])
+        move_sky(camera.position[frame], turned[frame])
+        if face_viewer is not None:
+            face_viewer(turned[frame])
         for move in moving:
-            move(camera.focus[frame])
+            move(camera.focus[frame], turned[frame])
         for move in shadows:
             move(clip.position[frame], clip.rotation[frame])
         if flow is not None:
-            flow(camera.focus[frame], camera.position[frame], clip.time[frame])
+            flow(camera.focus[frame], camera.position[frame], clip.time[frame], turned[frame])
         grow_trail(frame)
         for actors, place, turn in zip(
             bodies, clip.position[frame], clip.rotation[frame], strict=True
@@ -427,7 +561,7 @@ def _add_terrain(
     sight: np.ndarray,
     sun: np.ndarray,
     away: float,
-) -> tuple[list[Callable[[np.ndarray], None]], list[Callable[[np.ndarray, np.ndarray], None]]]:
+) -> tuple[list[Update], list[Callable[[np.ndarray, np.ndarray], None]]]:
     """Ground that is not level, its obstacles, and what lies on it."""
     look, surface, radius = stage.look, stage.surface, animal_radius(creature, clip)
     net = marks or Marks(np.zeros(2), 0.0, CELLS * spacing)
@@ -499,6 +633,16 @@ def animal_reach(creature: Creature) -> float:
     return max(body.shape.reach for body in creature.bodies)
 
 
+def _frames(
+    clip: Clip, seconds: float | None, still: bool, sheet: tuple[int, int] | None
+) -> Sequence[int]:
+    """The frames of a clip that are shown: all, that of an instant, or those of a sheet."""
+    if still:
+        instant = np.median(clip.time) if seconds is None else clip.time[0] + seconds
+        return [int(np.abs(clip.time - instant).argmin())]
+    return range(len(clip.time)) if sheet is None else _moments(len(clip.time), sheet)
+
+
 def _moments(frames: int, sheet: tuple[int, int]) -> list[int]:
     """The frames that a sheet of so many columns and rows shows."""
     columns, rows = sheet
@@ -512,18 +656,28 @@ def _moments(frames: int, sheet: tuple[int, int]) -> list[int]:
     return np.linspace(0, frames - 1, columns * rows).round().astype(int).tolist()
 
 
-def _check(
-    creature: Creature,
-    recording: Recording,
-    size: tuple[int, int],
-    fps: float,
-    speed: float,
-    world: str,
-) -> None:
+def _grid(count: int, columns: int | None) -> tuple[int, int]:
+    """Columns and rows of so many pictures."""
+    if columns is None:
+        columns = _COLUMNS[count] if count < len(_COLUMNS) else int(np.ceil(np.sqrt(count)))
+    return columns, -(-count // columns)
+
+
+def _check(panel: Panel, size: tuple[int, int], fps: float, speed: float) -> None:
+    creature, recording, world = panel.creature, panel.recording, panel.world
+    if panel.surface is not None and not np.isfinite(panel.surface):
+        raise ValueError(
+            f"surface is {panel.surface:g}; it must be finite, or None where there is none"
+        )
     if world not in LOOKS:
         raise ValueError(f"world is {world!r}; choose {' or '.join(LOOKS)}")
     if min(size) < 16:
         raise SettingError(f"size is {size[0]} x {size[1]} pixels; the smallest is 16 x 16")
+    if panel.signals is not None and (size[0] < SMALLEST[0] or size[1] < SMALLEST[1]):
+        raise SettingError(
+            f"size is {size[0]} x {size[1]} pixels; the smallest with signals is "
+            f"{SMALLEST[0]} x {SMALLEST[1]}"
+        )
     for name, value in (("fps", fps), ("speed", speed)):
         if not 0 < value < np.inf:
             raise ValueError(f"{name} is {value:g}; it must be positive")

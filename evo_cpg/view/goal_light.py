@@ -1,5 +1,7 @@
 """The light that the animal swims or walks to."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pyvista as pv
 
@@ -14,7 +16,7 @@ def add_goal_light(
     height: float | None,
     radius: float,
     sight: np.ndarray,
-) -> None:
+) -> Callable[[float], None]:
     """The goal: a glowing sphere, its halo, its pool on the floor, and the light it sheds.
 
     Args:
@@ -23,7 +25,10 @@ def add_goal_light(
         goal: place of the light ``(3,)``, m.
         height: z of the level floor, m; None to leave the pool to `evo_cpg.view.relief`.
         radius: of the animal, m.
-        sight: the camera's fixed direction of view ``(3,)``, which the halo faces.
+        sight: the camera's direction of view in the first frame ``(3,)``, which the halo faces.
+
+    Returns:
+        A function of how far the camera has turned since, rad.
     """
     if height is not None:
         pool = pv.Plane(
@@ -41,6 +46,7 @@ def add_goal_light(
         color=look.light,
         lighting=False,
     )
+    halos = []
     for size, strength, sharpness in ((1.6 * radius, look.glow, 3.6), (4.5 * core, 0.95, 2.4)):
         halo = pv.Plane(
             center=goal - 1.05 * core * sight,
@@ -51,9 +57,17 @@ def add_goal_light(
             j_resolution=1,
         )
         texture = spot_texture(look.halo, strength, sharpness)
-        plotter.add_mesh(halo, texture=texture, lighting=False)
+        halos.append(plotter.add_mesh(halo, texture=texture, lighting=False))
     lamp = pv.Light(position=goal, color=look.halo, intensity=0.9, light_type="scene light")
     lamp.positional = True
     lamp.cone_angle = 90
     lamp.attenuation_values = (1.0, 0.0, (0.7 / radius) ** 2)
     plotter.add_light(lamp)
+    for actor in halos:
+        actor.origin = tuple(goal)
+
+    def update(turned: float) -> None:
+        for actor in halos:
+            actor.orientation = (0.0, 0.0, float(np.degrees(turned)))
+
+    return update

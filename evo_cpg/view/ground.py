@@ -4,12 +4,12 @@ The floor writes no depth, so what lies in its plane does not flicker.
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import pyvista as pv
 
-from evo_cpg.view.camera import VIEW_ANGLE
+from evo_cpg.view.camera import VIEW_ANGLE, turned_about_vertical
 from evo_cpg.view.look import Look
 from evo_cpg.view.textures import CELLS, floor_texture
 
@@ -18,6 +18,13 @@ from evo_cpg.view.textures import CELLS, floor_texture
 # between these shares of the way down from the middle of the picture: captions are below.
 _DIGIT, _BESIDE = 0.1, 0.45
 _FADES, _FADES_DOWN = (0.33, 0.43), (0.57, 0.8)
+
+
+class Update(Protocol):
+    """Brings what lies on the ground up to date."""
+
+    def __call__(self, focus: np.ndarray, turned: float = 0.0) -> None:
+        """Take the focus ``(3,)``, m, and how far the camera has turned, rad."""
 
 
 class Marks(NamedTuple):
@@ -57,7 +64,7 @@ def add_floor(
     radius: float,
     spacing: float,
     marks: Marks | None = None,
-) -> Callable[[np.ndarray], None]:
+) -> Update:
     """A floor that reaches to the horizon.
 
     It is a disc that travels below the focus, while its texture stays where it is in the world.
@@ -71,7 +78,7 @@ def add_floor(
         marks: lie on the ground, with a strong line at each number; None where there are none.
 
     Returns:
-        A function of the focus ``(3,)``, m.
+        A function of the focus ``(3,)``, m; see `Update`.
     """
     visible = look.visibility * radius
     reach = np.concatenate([[0.0], np.geomspace(0.2, 3.0, 28)]) * visible
@@ -90,7 +97,8 @@ def add_floor(
     )
     origin, turn = (marks.origin, marks.turn()) if marks else (np.zeros(2), np.eye(2))
 
-    def update(focus: np.ndarray) -> None:
+    def update(focus: np.ndarray, turned: float = 0.0) -> None:
+        del turned
         actor.position = (focus[0], focus[1], height)
         world = place + focus[:2] - origin
         disc.active_texture_coordinates = world @ turn / (CELLS * spacing)
@@ -107,7 +115,7 @@ def add_numbers(
     radius: float,
     sight: np.ndarray,
     away: float,
-) -> Callable[[np.ndarray], None]:
+) -> Update:
     """Distances from the start, painted on the ground on the viewer's side of the way.
 
     Args:
@@ -118,11 +126,11 @@ def add_numbers(
         height: z of the ground, m; where it varies a function of x and y ``(n, 2)``, which is not
             finite where no number shall stand.
         radius: of the animal, m.
-        sight: the camera's fixed direction of view ``(3,)``, from which they are read.
+        sight: the camera's direction of view in the first frame ``(3,)``, from which they are read.
         away: distance of the camera from its focus, m.
 
     Returns:
-        A function of the focus ``(3,)``, m.
+        A function of the focus ``(3,)``, m; see `Update`.
     """
     along = (path[:, :2] - marks.origin) @ marks.turn()
     ahead = sight[:2] / np.hypot(*sight[:2])
@@ -149,7 +157,7 @@ def add_numbers(
         if np.isfinite(high).all():
             digits.append(digit)
     if not digits:
-        return lambda focus: None
+        return lambda focus, turned=0.0: None
     mesh = pv.merge(digits).extract_surface(algorithm=None)
     place = np.asarray(mesh.points)[:, :2].copy()
     rgba = np.tile(pv.Color(look.text).int_rgba, (len(place), 1)).astype(np.uint8)
@@ -157,10 +165,12 @@ def add_numbers(
     actor = plotter.add_mesh(mesh, scalars="rgba", rgba=True, lighting=False, show_scalar_bar=False)
     actor.ForceTranslucentOn()
 
-    def update(focus: np.ndarray) -> None:
+    def update(focus: np.ndarray, turned: float = 0.0) -> None:
         offset = place - focus[:2]
+        seen = turned_about_vertical(sight, turned)
+        now_ahead = seen[:2] / np.hypot(*seen[:2])
         gone = np.linalg.norm(offset, axis=1) / (0.4 * look.visibility * radius)
-        near = np.interp(-(offset @ ahead) / away, fades, (1.0, 0.0))
+        near = np.interp(-(offset @ now_ahead) / away, fades, (1.0, 0.0))
         rgba[:, 3] = 200 * near * np.exp(-(gone**2))
         mesh["rgba"] = rgba
 

@@ -29,14 +29,26 @@ _ENCODERS = {
         "-movflags",
         "+faststart",
     ],
+    ".webp": [
+        "-c:v",
+        "libwebp_anim",
+        "-pix_fmt",
+        "yuv420p",
+        "-quality",
+        "60",
+        "-compression_level",
+        "5",
+        "-loop",
+        "0",
+    ],
     ".gif": ["-c:v", "gif", "-loop", "0"],
     ".png": ["-c:v", "png", "-pix_fmt", "rgb24", "-update", "1"],
 }
 _NUMBERED = ["-c:v", "png", "-pix_fmt", "rgb24", "-start_number", "0"]
 FILM_SUFFIXES = tuple(_ENCODERS)
 PLOT_SUFFIXES = (".png", ".svg", ".pdf")
-# Between the pictures of a sheet, pixels.
-_GUTTER = 4
+# Between the pictures of a sheet and animals side by side, pixels.
+GUTTER = 4
 
 
 class OutputError(OSError):
@@ -125,7 +137,7 @@ def frame_writer(
     fps: float,
     sheet: tuple[int, int] | None = None,
 ) -> Iterator[Callable[[np.ndarray], None]]:
-    """Write frames to a film (H.264 or GIF), to a picture, or each to a picture of its own.
+    """Write frames to a film (H.264, WebP or GIF), to a picture, or each to a picture of its own.
 
     Args:
         path: checked by `output_path` or, if it is numbered, by `numbered_path`; its suffix
@@ -148,7 +160,7 @@ def frame_writer(
         filters = f"{filters},{_GIF_PALETTE}"
     encoder = _ENCODERS[suffix]
     if sheet is not None:
-        filters = f"{filters},tile={sheet[0]}x{sheet[1]}:padding={_GUTTER}:color=white"
+        filters = f"{filters},tile={sheet[0]}x{sheet[1]}:padding={GUTTER}:color=white"
     elif is_numbered(path):
         encoder = _NUMBERED
     command = [imageio_ffmpeg.get_ffmpeg_exe(), "-v", "error", "-y"]

@@ -10,7 +10,8 @@ import numpy as np
 import pyvista as pv
 
 from evo_cpg.creature.creature import Creature
-from evo_cpg.view.ground import Marks
+from evo_cpg.view.camera import turned_about_vertical
+from evo_cpg.view.ground import Marks, Update
 from evo_cpg.view.look import Look
 from evo_cpg.view.offscreen import write_depth
 from evo_cpg.view.shadows import CONTACT, patch_under, soles, spot_under
@@ -31,7 +32,9 @@ _PATCH = 9
 # Likewise of the pool of light, which is larger, and how high it lies.
 _POOL, _POOL_LIFT = 41, 0.02
 
-Update = Callable[[np.ndarray], None]
+# Triangles are sorted anew when the camera has turned so far, rad.
+_RESORT = np.radians(8.0)
+
 Pose = Callable[[np.ndarray, np.ndarray], None]
 
 
@@ -55,16 +58,20 @@ def add_relief(
         radius: of the animal, m.
         spacing: of the grid, m.
         marks: where the grid lies.
-        sight: the camera's fixed direction of view ``(3,)``.
+        sight: the camera's direction of view in the first frame ``(3,)``.
         sun: unit vector towards the sun ``(3,)``.
         surface: of the water, m; None where there is none.
 
     Returns:
-        A function of the focus ``(3,)``, m.
+        A function of the focus ``(3,)``, m; see `evo_cpg.view.ground.Update`.
     """
     points, triangles = terrain.points(), terrain.triangles()
-    ahead = points[triangles].mean(1) @ sight
-    mesh = pv.PolyData.from_regular_faces(points, triangles[np.argsort(ahead)])
+    middle = points[triangles].mean(1)
+
+    def sorted_for(turned: float) -> np.ndarray:
+        return triangles[np.argsort(middle @ turned_about_vertical(sight, turned))]
+
+    mesh, sorted_at = pv.PolyData.from_regular_faces(points, sorted_for(0.0)), 0.0
     shade = np.clip(_LEVEL + _SLOPE * (terrain.normals() @ sun - sun[2]), _DARKEST, 1.0)
     tint = np.repeat(shade[:, None], 3, 1)
     if surface is not None:
@@ -84,7 +91,10 @@ def add_relief(
     write_depth(actor)
     visible = look.visibility * radius
 
-    def update(focus: np.ndarray) -> None:
+    def update(focus: np.ndarray, turned: float = 0.0) -> None:
+        nonlocal sorted_at
+        if abs(turned - sorted_at) > _RESORT:
+            mesh.regular_faces, sorted_at = sorted_for(turned), turned
         away = ((points[:, :2] - focus[:2]) ** 2).sum(1)
         rgba[:, 3] = 255 * np.exp(-away / visible**2)
         mesh["rgba"] = rgba

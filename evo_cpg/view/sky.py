@@ -21,7 +21,7 @@ def sun_direction(look: Look, sight: np.ndarray) -> np.ndarray:
 
     Args:
         look: of the world.
-        sight: the camera's fixed direction of view ``(3,)``.
+        sight: the camera's direction of view in the first frame ``(3,)``.
     """
     towards = np.array(_SUN_AT_SEA)
     if look.cast_strength:
@@ -32,7 +32,7 @@ def sun_direction(look: Look, sight: np.ndarray) -> np.ndarray:
 
 def add_sky(
     plotter: pv.Plotter, look: Look, sight: np.ndarray, away: float
-) -> Callable[[np.ndarray], None]:
+) -> Callable[[np.ndarray, float], None]:
     """Background, sky and sun.
 
     A backdrop stands behind the floor's far end: VTK's own gradient costs 18 ms a frame, this 2.
@@ -40,11 +40,11 @@ def add_sky(
     Args:
         plotter: draws them.
         look: of the world.
-        sight: the camera's fixed direction of view ``(3,)``.
+        sight: the camera's direction of view in the first frame ``(3,)``.
         away: distance of the camera from its focus, m.
 
     Returns:
-        A function of the camera's place ``(3,)``, m.
+        A function of the camera's place ``(3,)``, m, and how far it has turned since, rad.
     """
     plotter.background_color = pv.Color(look.distance)
     sun = pv.Light(
@@ -58,7 +58,7 @@ def add_sky(
     fill.positional = False
     plotter.add_light(fill)
     if look.zenith is None:
-        return lambda eye: None
+        return lambda eye, turned: None
 
     across, ahead = _level_axes(sight)
     blue = np.linspace(0, 1, 12)
@@ -76,8 +76,9 @@ def add_sky(
         backdrop, scalars="rgb", rgb=True, lighting=False, show_scalar_bar=False
     )
 
-    def update(eye: np.ndarray) -> None:
+    def update(eye: np.ndarray, turned: float) -> None:
         actor.position = tuple(eye)
+        actor.orientation = (0.0, 0.0, float(np.degrees(turned)))
 
     return update
 

@@ -11,7 +11,7 @@ from PIL import Image
 
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.training.experiment import Experiment
-from evo_cpg.view.film import film
+from evo_cpg.view.film import panel_of, side_by_side
 from evo_cpg.view.output import in_one_piece
 from evo_cpg.view.plots import fitness_figure, path_figure
 
@@ -66,18 +66,9 @@ def still(
         size: width and height, pixels.
         title: caption.
     """
-    world = experiment.simulation.world
     with tempfile.TemporaryDirectory() as place:
-        made = film(
-            experiment.creature,
-            recording,
-            Path(place) / "still.png",
-            size=size,
-            title=title,
-            world="land" if world.water is None else "water",
-            ground=world.ground,
-            surface=None if world.water is None else world.water.surface,
-        )
+        panel = panel_of(experiment, recording, title)
+        made = side_by_side([panel], Path(place) / "still.png", size=size)
         with Image.open(made) as picture:
             return picture.convert("RGB")
 

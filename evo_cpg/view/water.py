@@ -11,6 +11,7 @@ from collections.abc import Callable
 import numpy as np
 import pyvista as pv
 
+from evo_cpg.view.camera import turned_about_vertical
 from evo_cpg.view.look import Look
 from evo_cpg.view.terrain import Terrain
 from evo_cpg.view.textures import spot_texture
@@ -68,7 +69,7 @@ def add_water(
     surface: float,
     radius: float,
     sight: np.ndarray,
-) -> Callable[[np.ndarray, np.ndarray, float], None]:
+) -> Callable[[np.ndarray, np.ndarray, float, float], None]:
     """The surface of the water.
 
     Args:
@@ -77,18 +78,19 @@ def add_water(
         terrain: what lies below it.
         surface: its height, m.
         radius: of the animal, m.
-        sight: the camera's fixed direction of view ``(3,)``.
+        sight: the camera's direction of view in the first frame ``(3,)``; the sun glints there.
 
     Returns:
-        A function of the focus ``(3,)`` and the camera's place ``(3,)``, m, and time, s.
+        A function of the focus ``(3,)`` and the camera's place ``(3,)``, m, time, s, and how far
+        the camera has turned since, rad.
     """
     visible = look.visibility * radius
     tint = _add_tint(plotter, terrain, surface, radius, visible)
     mirror = _add_mirror(plotter, look, surface, radius, visible, sight)
 
-    def update(focus: np.ndarray, eye: np.ndarray, time: float) -> None:
+    def update(focus: np.ndarray, eye: np.ndarray, time: float, turned: float) -> None:
         tint(focus)
-        mirror(focus, eye, time)
+        mirror(focus, eye, time, turned)
 
     return update
 
@@ -175,7 +177,7 @@ def _add_mirror(
     radius: float,
     visible: float,
     sight: np.ndarray,
-) -> Callable[[np.ndarray, np.ndarray, float], None]:
+) -> Callable[[np.ndarray, np.ndarray, float, float], None]:
     """The sheet that mirrors the sky: a disc below the focus."""
     reach = np.concatenate([[0.0], np.geomspace(0.02, 2.5, 28)]) * visible
     bearing = np.linspace(0, 2 * np.pi, 49)
@@ -202,15 +204,16 @@ def _add_mirror(
     pixels = pv.wrap(texture.GetInput())
     haze, zenith = (np.array(pv.Color(c).int_rgb) for c in (look.distance, look.zenith))
     level = np.hypot(*sight[:2])
-    # Half-way between the viewer and a sun that stands ahead of him.
+    # A sun that stands ahead of the viewer at first.
     sun = np.array([*(sight[:2] / level * np.sqrt(1 - _GLINT_HEIGHT**2)), _GLINT_HEIGHT])
-    half = (sun - sight) / np.linalg.norm(sun - sight)
 
-    def update(focus: np.ndarray, eye: np.ndarray, time: float) -> None:
+    def update(focus: np.ndarray, eye: np.ndarray, time: float, turned: float) -> None:
+        seen = turned_about_vertical(sight, turned)
+        half = (sun - seen) / np.linalg.norm(sun - seen)
         along_x, along_y = ripples.slopes(time)
         upward = 1 / np.sqrt(1 + along_x**2 + along_y**2)
         normal = np.stack([-along_x * upward, -along_y * upward, upward], -1)
-        facing = np.clip(-(normal @ sight), 0.0, 1.0)
+        facing = np.clip(-(normal @ seen), 0.0, 1.0)
         share = _REFLECTION + (1 - _REFLECTION) * (1 - facing) ** 5
         mirrored = np.clip(2 * facing * upward + sight[2], 0.0, 1.0)[..., None]
         glint = _GLINT * np.clip(normal @ half, 0.0, 1.0) ** _GLINT_SHARPNESS

@@ -5,12 +5,14 @@ import shutil
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from evo_cpg.cli import reproduce
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.reproduce import default_folder, make, reproduce_study
 from evo_cpg.studies import provenance, workshop
 from evo_cpg.studies.catalogue import NAMES, study
+from evo_cpg.studies.stills import stills
 from evo_cpg.studies.study import Part, Runs, Study, Table, beside, in_order, middle, percent
 from evo_cpg.studies.workshop import Workshop
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
@@ -131,6 +133,33 @@ def test_quick_results_say_so_and_stay_apart(made, tmp_path):
     assert told["runs"]["few"]["generations"] == 2
     with pytest.raises(RunFolderError, match="holds quick results"):
         make(TWIN, ["ends"], folder, False, False, 2)
+
+
+def test_moments_of_the_best_champions_are_drawn(made, tmp_path, monkeypatch):
+    """A row for each run, in the picture and in the table; nobody where nobody lives."""
+    folder = tmp_path / "drawn"
+    shutil.copytree(made, folder)
+
+    def pictures(shop):
+        return [stills(shop, {"a few": "few", "many": "many"}), stills(shop, {"one": "few"}, "one")]
+
+    drawn = TWIN._replace(parts={"pictures": Part("moments", ("few", "many"), pictures)})
+    monkeypatch.setattr("evo_cpg.studies.stills._SIZE", (64, 36))
+    make(drawn, ["pictures"], folder, False, False, 2)
+    told = provenance.read(folder)["pictures"]
+    assert set(told["files"]) == {"pictures.md", "pictures.png", "pictures_one.png"}
+    with Image.open(folder / "pictures.png") as picture:
+        assert picture.size == (3 * 64 + 2 * 4, 2 * 36 + 4)
+    best = RunFolder(folder / "runs" / "few").load().champion
+    row = f"| a few | {best.run} | {best.generation} | {best.fitness:.3f} | "
+    lines = (folder / "pictures.md").read_text().splitlines()
+    (line,) = [line for line in lines if line.startswith("| a few")]
+    assert line.startswith(row) and line.endswith(" m to the light | 0.0, 0.2, 0.5 |")
+
+    shop = Workshop(drawn, folder, False, 2)
+    dead = shop.checkpoint("few")._replace(champions=(None, None))
+    monkeypatch.setattr(Workshop, "checkpoint", lambda self, name: dead)
+    assert stills(shop, {"x": "few"}).rows == [["x", "nobody lives", "", "", "", ""]]
 
 
 def test_what_was_measured_is_kept_until_champions_change(made, tmp_path):

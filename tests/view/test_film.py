@@ -16,7 +16,7 @@ from evo_cpg.physics.footing import Ground
 from evo_cpg.physics.terrain import Boulder, Plane
 from evo_cpg.view import output
 from evo_cpg.view.camera import follow, project, smooth
-from evo_cpg.view.film import Stage, camera_path, film, sample
+from evo_cpg.view.film import Panel, Stage, camera_path, film, sample, side_by_side
 from evo_cpg.view.look import LOOKS
 from evo_cpg.view.meshes import body_colors
 from evo_cpg.view.output import OutputError
@@ -158,6 +158,100 @@ def test_the_side_is_seen_over_what_stands_before_it(creature, recording):
     assert elevations["top", "bare"] == elevations["top", "stone"] == pytest.approx(88)
 
 
+@pytest.mark.parametrize("world", ["water", "land"])
+def test_the_camera_goes_around_once(creature, recording, world):
+    """Evenly, at one height and distance, with the animal in the middle."""
+    for motion in (recording, recording._replace(goal=np.full(3, np.nan))):
+        clip = sample(motion, 30)
+        camera = camera_path(creature, motion, clip, stage(world)._replace(camera="orbit"))
+        offset = camera.position - camera.focus
+        bearing = np.unwrap(np.arctan2(offset[:, 1], offset[:, 0]))
+        turns = np.diff(bearing)
+        assert np.allclose(turns, 2 * np.pi / len(bearing), rtol=0.01)
+        assert np.allclose(np.linalg.norm(offset, axis=1), np.linalg.norm(offset[0]))
+        assert np.allclose(offset[:, 2], offset[0, 2])
+        assert np.degrees(np.arcsin(offset[0, 2] / np.linalg.norm(offset[0]))) == pytest.approx(14)
+        place = project(camera, clip.position, 1280 / 720)
+        assert np.abs(place).max() < 0.95
+        assert np.abs(np.median(place.mean(1), axis=0)).max() < 0.1
+
+
+def test_around_a_hill_the_camera_stays_above_it(creature, recording):
+    """A boulder that it would come through lifts the whole orbit."""
+    clip = sample(recording, 30)
+    bare = camera_path(creature, recording, clip, stage("land")._replace(camera="orbit"))
+    place = bare.position[len(bare.position) // 2]
+    stone = Boulder(place - [0, 0, 1.0], 1.6)
+    ground = Ground(floor=Plane(height=-1.0), obstacles=(stone,))
+    camera = camera_path(
+        creature, recording, clip, stage("land")._replace(camera="orbit", ground=ground)
+    )
+    assert np.linalg.norm(camera.position - place + [0, 0, 1.0], axis=1).min() > 1.6
+    assert np.linalg.norm(bare.position - place + [0, 0, 1.0], axis=1).min() < 1.6
+
+
+def test_what_faces_the_viewer_does_so_all_around(creature, recording, tmp_path):
+    """The light's halo and the sky are seen from behind as from before."""
+    settings = {"size": SMALL, "title": "", "fps": 2, "camera": "orbit"}
+    resting = recording._replace(
+        position=np.repeat(recording.position[-1:], len(recording.time), 0),
+        rotation=np.repeat(recording.rotation[-1:], len(recording.time), 0),
+    )
+    glows = []
+    for quarter in range(4):
+        seconds = quarter / 4 * recording.time[-1]
+        path = film(creature, resting, tmp_path / "q.png", seconds=seconds, **settings)
+        image = synthetic.read(path)
+        glows.append(((image[..., 0] > 150) & (image[..., 1] > 130)).sum())
+    assert min(glows) > 0.5 * max(glows) > 20
+    walker, walk = synthetic.walker(), synthetic.walk(8.0)
+    for quarter in range(4):
+        path = film(
+            walker, walk, tmp_path / "q.png", seconds=2.0 * quarter, world="land",
+            ground=Ground(floor=Plane()), **settings,
+        )  # fmt: skip
+        # Blue above, sand below.
+        above, below = (synthetic.read(path)[rows].mean((0, 1)) for rows in (np.s_[:3], np.s_[60:]))
+        assert above[2] > below[2] + 20 and below[0] > below[2] + 20
+
+
+def test_animals_stand_side_by_side(creature, recording, tmp_path):
+    """Each in its place, row by row; one that is shorter waits at its end."""
+    short = recording._replace(
+        **{
+            name: getattr(recording, name)[:61]
+            for name in recording._fields
+            if name not in ("goal", "dof_names")
+        }
+    )
+    walk = synthetic.walk(2.0)
+    panels = [
+        Panel(creature, recording, ""),
+        Panel(creature, short, ""),
+        Panel(synthetic.walker(), walk, "", world="land", ground=Ground(floor=Plane())),
+        Panel(creature, short, ""),
+    ]
+    settings = {"size": SMALL, "fps": 10, "seconds": 3}
+    image = synthetic.read(side_by_side(panels, tmp_path / "all.png", **settings))
+    (width, height), gap = SMALL, 4
+    assert image.shape == (2 * height + gap, 2 * width + gap, 3)
+    assert (image[height : height + gap] == 255).all()
+    cells = [
+        image[row : row + height, column : column + width]
+        for row in (0, height + gap)
+        for column in (0, width + gap)
+    ]
+    alone = film(creature, recording, tmp_path / "i.png", size=SMALL, fps=10, seconds=3, title="")
+    assert np.abs(cells[0] - synthetic.read(alone)).mean() < 1.0
+    assert np.array_equal(cells[1], cells[3])
+    alone = film(creature, short, tmp_path / "i.png", size=SMALL, fps=10, seconds=3, title="")
+    assert np.abs(cells[1] - synthetic.read(alone)).mean() < 1.0
+    # Land: bright, and blue above.
+    assert cells[2].mean() > cells[0].mean() + 60
+    movie = side_by_side(panels[:3], tmp_path / "all.mp4", size=SMALL, fps=10, seconds=0.2)
+    assert decode(movie)[0].shape == (height, 3 * width + 2 * gap, 3)
+
+
 def test_the_camera_is_calm(creature, recording):
     """It moves as fast as the animal travels, without the tail beat."""
     clip = sample(recording, 30)
@@ -210,8 +304,9 @@ def test_sampling_interpolates_between_steps(recording):
     assert sample(recording, 30).speed.mean() == pytest.approx(7.7 / 33, rel=0.1)
 
 
-def test_a_gif_is_animated(creature, recording, tmp_path):
-    path = film(creature, recording, tmp_path / "swim.gif", size=SMALL, fps=10, seconds=0.2)
+@pytest.mark.parametrize("kind", ["gif", "webp"])
+def test_a_small_film_is_animated(creature, recording, tmp_path, kind):
+    path = film(creature, recording, tmp_path / f"swim.{kind}", size=SMALL, fps=10, seconds=0.2)
     with Image.open(path) as picture:
         assert (picture.size, picture.n_frames) == (SMALL, 3)
 
@@ -287,7 +382,7 @@ def test_the_floor_moves_with_the_world_not_with_the_camera(creature, recording,
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("swim.avi", r"ends in '\.avi'; use \.mp4 or \.gif or \.png"),
+        ("swim.avi", r"ends in '\.avi'; use \.mp4 or \.webp or \.gif or \.png"),
         ("swim", "has no suffix"),
         ("nowhere/swim.mp4", "there is no folder .*nowhere"),
         ("folder.mp4", "it is a folder"),
@@ -331,7 +426,7 @@ def test_a_broken_film_leaves_the_old_one(creature, recording, tmp_path):
     ("settings", "words"),
     [
         ({"world": "air"}, "world is 'air'; choose water or land"),
-        ({"camera": "front"}, "camera is 'front'; choose follow or side or top"),
+        ({"camera": "front"}, "camera is 'front'; choose follow or side or top or orbit"),
         ({"sheet": (0, 3)}, "sheet is 0x3; it needs a column"),
         ({"sheet": (4, 3), "seconds": 0.1}, "has 4 frames, fewer than .* of 4x3"),
         ({"size": (8, 8)}, "8 x 8 pixels"),

@@ -1,0 +1,286 @@
+"""A strip under a film: the joints' angles, what drives them, and the feet on the ground.
+
+It shows a page of some seconds, over which a cursor moves; then it turns to the next. A page is
+drawn once.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from evo_cpg.analysis import footfalls
+from evo_cpg.analysis.gait import bending_axis
+from evo_cpg.simulation.recording import Recording
+from evo_cpg.view.legible import legible
+from evo_cpg.view.look import Look
+
+# Of a picture's height, but no less than so many pixels; the smallest picture that leaves room.
+SHARE, LOWEST, SMALLEST = 0.3, 44, (160, 110)
+# The least, in pixels, of what is written and of a row of each kind.
+_LETTER, _ROW, _FOOT = 9.0, 16.0, 11.0
+# Letters in shares of the strip's height, where that is more.
+_LETTERS = 0.062
+# A page shows about so much time for every hundred pixels of width, and no more than this, s.
+_PACE, _LONGEST = 0.75, 8.0
+# Joints that swing by less than this share of the one that swings most are still.
+_STILL = 0.05
+# Curves are as high as their rows where they are larger than in this share of the time.
+_TYPICAL = 0.99
+# Feet that come down in less than this share of the steps of the busiest one are left out.
+_SELDOM = 0.2
+# Angle, signal and feet in a dark look and in a bright one.
+_DARK, _BRIGHT = ("#8fe3ff", "#ffb454", "#8fe3a8"), ("#0067a8", "#c2410c", "#2f7d4f")
+
+
+class Signals(NamedTuple):
+    """What a strip shows.
+
+    Attributes:
+        names: of the joints' axes.
+        angle: of each, rad.
+        signal: of the controller for each.
+        word: what the controller's signal is.
+        same_unit: whether it is an angle, too, to be drawn on the same scale.
+        time: of the samples, s.
+        feet: names of what touches the ground; none where there is no ground.
+        touched: whether each does.
+    """
+
+    names: tuple[str, ...]
+    angle: Float[np.ndarray, "t d"]
+    signal: Float[np.ndarray, "t d"]
+    word: str
+    same_unit: bool
+    time: Float[np.ndarray, " t"]
+    feet: tuple[str, ...] = ()
+    touched: Bool[np.ndarray, "t f"] | None = None
+
+
+def signals_of(
+    recording: Recording,
+    word: str,
+    same_unit: bool = False,
+    feet: tuple[str, ...] = (),
+    touched: Bool[np.ndarray, "t f"] | None = None,
+) -> Signals:
+    """The signals of a recording: of every joint the axis about which the animal bends most.
+
+    A joint that has no such axis is shown with the one about which it turns most.
+
+    Args:
+        recording: the motion.
+        word: what the controller's signal is.
+        same_unit: whether it is an angle, too.
+        feet: names of what touches the ground.
+        touched: whether each does, at the recording's times.
+    """
+    swing = recording.joint_angle.std(0)
+    bending = bending_axis(recording) if recording.dof_names else ""
+    joints: dict[str, int] = {}
+    for i, name in enumerate(recording.dof_names):
+        body, _, axis = name.rpartition(".")
+        best = joints.setdefault(body, i)
+        bends = recording.dof_names[best] == f"{body}.{bending}"
+        if axis == bending or (not bends and swing[i] > swing[best]):
+            joints[body] = i
+    most = max((swing[i] for i in joints.values()), default=0.0)
+    chosen = [i for i in joints.values() if swing[i] >= _STILL * most]
+    return Signals(
+        tuple(recording.dof_names[i] for i in chosen),
+        recording.joint_angle[:, chosen],
+        recording.cpg_output[:, chosen],
+        word,
+        same_unit,
+        recording.time,
+        feet,
+        touched,
+    )
+
+
+class Strip:
+    """The strip of a film.
+
+    Args:
+        signals: what it shows.
+        look: of the world, whose colours it has.
+        size: width and height, pixels of the film.
+        scale: pixels drawn per pixel of the film.
+    """
+
+    def __init__(self, signals: Signals, look: Look, size: tuple[int, int], scale: float):
+        self._signals, self._look, self._scale = signals, look, scale
+        self._size = round(size[0] * scale), round(size[1] * scale)
+        self._letter = scale * max(_LETTER, _LETTERS * size[1])
+        height = size[1] - 2.6 * self._letter / scale
+        self._joints, self._feet = _rows(signals, height, max(1.0, self._letter / scale / _LETTER))
+        first, last = float(signals.time[0]), float(signals.time[-1])
+        self._length = max(min(_PACE * size[0] / 100, _LONGEST, last - first), 1e-3)
+        # A last page of next to nothing would be turned to for a moment only.
+        self._pages = max(round((last - first) / self._length), 1)
+        self._length = (last - first) / self._pages or self._length
+        self._drawn, self._picture, self._box = -1, np.zeros(0), (0, 0, 0, 0)
+
+    @property
+    def height(self) -> int:
+        """Of the strip as it is drawn, pixels."""
+        return self._size[1]
+
+    def at(self, time: float) -> np.ndarray:
+        """The strip at an instant of the recording, s: ``(height, width, 3)``, bottom row first."""
+        first = float(self._signals.time[0])
+        page = int(np.clip((time - first) / self._length, 0, self._pages - 1))
+        if page != self._drawn:
+            self._picture, self._box = self._page(first + page * self._length)
+            self._drawn = page
+        picture = self._picture.copy()
+        left, right, bottom, top = self._box
+        share = (time - first - page * self._length) / self._length
+        place = left + round(min(max(share, 0.0), 1.0) * (right - left))
+        half = max(round(0.75 * self._scale), 1)
+        ink = np.array(_rgb(self._look.text), np.uint8)
+        picture[bottom:top, max(place - half, 0) : place + half] = ink
+        return picture
+
+    def _page(self, start: float) -> tuple[np.ndarray, tuple[int, int, int, int]]:
+        """A page from an instant on, and the edges of its axes: left, right, bottom, top."""
+        signals, look, (width, height) = self._signals, self._look, self._size
+        figure = Figure(figsize=(width / 100, height / 100), dpi=100, facecolor=look.distance)
+        canvas = FigureCanvasAgg(figure)
+        names = [legible(signals.names[i]) for i in self._joints]
+        names += [legible(signals.feet[i]) for i in self._feet]
+        letter = self._letter
+        longest = max((len(name) for name in names), default=0)
+        left = round(min(0.62 * letter * longest + 1.4 * letter, 0.3 * width))
+        right, bottom, top = round(width - 1.2 * letter), round(1.45 * letter), round(1.35 * letter)
+        axes = figure.add_axes(
+            (
+                left / width,
+                bottom / height,
+                (right - left) / width,
+                (height - bottom - top) / height,
+            )
+        )
+        axes.set_facecolor("none")
+        for side in axes.spines.values():
+            side.set_visible(False)
+        end = start + self._length
+        axes.set_xlim(start, end)
+        self._curves(axes, start, end)
+        points = letter * 72 / 100
+        axes.tick_params(
+            axis="both", length=0, pad=0.25 * points, labelsize=points, labelcolor=look.text
+        )
+        for label in axes.get_yticklabels():
+            label.set_parse_math(False)
+        axes.grid(axis="x", color=look.text, alpha=0.16, lw=0.5 * self._scale)
+        axes.xaxis.set_major_formatter(lambda value, place: f"{value:g} s")
+        self._legend(figure, left / width, (height - 0.2 * letter) / height, points)
+        canvas.draw()
+        picture = np.asarray(canvas.buffer_rgba())[::-1, :, :3].copy()
+        return picture, (left, right, bottom, height - top)
+
+    def _curves(self, axes: Axes, start: float, end: float) -> None:
+        """Rows of joints, then of feet, from the top down; a foot's row is lower."""
+        signals, joints, feet = self._signals, self._joints, self._feet
+        inside = (signals.time >= start) & (signals.time <= end)
+        time = signals.time[inside]
+        colours = _DARK if self._look.zenith is None else _BRIGHT
+        tallest, loudest = _largest(signals)
+        places: list[float] = []
+        for row, i in enumerate(joints):
+            middle = row + 0.5
+            places.append(middle)
+            axes.axhline(middle, color=self._look.text, alpha=0.12, lw=0.5 * self._scale)
+            shown = (
+                (signals.signal[inside, i] / loudest, colours[1], 0.9, (0, (3.5, 1.5))),
+                (signals.angle[inside, i] / tallest, colours[0], 1.5, "solid"),
+            )
+            for values, colour, wide, style in shown:
+                axes.plot(
+                    time,
+                    middle - 0.46 * np.clip(values, -1.0, 1.0),
+                    color=colour,
+                    lw=0.72 * wide * self._scale,
+                    ls=style,
+                )
+        high = _FOOT / _ROW
+        step = float(np.median(np.diff(signals.time))) if len(signals.time) > 1 else 1.0
+        for row, i in enumerate(feet):
+            assert signals.touched is not None
+            middle = len(joints) + (row + 0.5) * high
+            places.append(middle)
+            bars = signals.time[0] + footfalls.stances(signals.touched[:, i], step)
+            bars = bars[(bars[:, 1] > start) & (bars[:, 0] < end)].clip(start, end)
+            axes.broken_barh(
+                [(a, b - a) for a, b in bars],
+                (middle - 0.32 * high, 0.64 * high),
+                facecolors=colours[2],
+            )
+        names = [signals.names[i] for i in joints] + [signals.feet[i] for i in feet]
+        axes.set_yticks(places, [legible(name) for name in names])
+        axes.set_ylim(len(joints) + len(feet) * high, 0.0)
+
+    def _legend(self, figure: Figure, left: float, top: float, points: float) -> None:
+        """What the lines and bars are, in a line above them."""
+        signals = self._signals
+        colours = _DARK if self._look.zenith is None else _BRIGHT
+        degrees = np.degrees(_largest(signals)[0])
+        words: list[tuple[str, str]] = []
+        if self._joints:
+            words = [(f"joint angle, to {degrees:.0f} deg", colours[0])]
+            if np.abs(signals.signal).max(initial=0.0) > 0:
+                words.append((f"- - {signals.word}", colours[1]))
+        if self._feet:
+            words.append(("on the ground", colours[2]))
+        for word, colour in words:
+            figure.text(
+                left, top, legible(word), color=colour, fontsize=points, va="top", parse_math=False
+            )
+            left += (0.58 * len(word) + 2) * self._letter / self._size[0]
+
+
+def _rows(signals: Signals, height: float, larger: float) -> tuple[list[int], list[int]]:
+    """Which joints and which feet have room.
+
+    Args:
+        signals: all of them.
+        height: of the rows together, pixels of the film.
+        larger: than the least rows are those of this strip.
+    """
+    room = height / larger
+    feet = _most_stepping(signals, max(int(0.45 * room / _FOOT), 1)) if signals.feet else []
+    left = int((room - len(feet) * _FOOT) / _ROW)
+    if not signals.names:
+        return [], feet
+    # Every second or third one, so that they are evenly along the body.
+    every = -(-len(signals.names) // max(left, 1))
+    return list(range(0, len(signals.names), every)), feet
+
+
+def _most_stepping(signals: Signals, most: int) -> list[int]:
+    """The feet that come down most often, in their order."""
+    assert signals.touched is not None
+    steps = [len(footfalls.touch_downs(foot, 1.0)) for foot in signals.touched.T]
+    # Who hardly ever comes down leaves its row empty.
+    often = [i for i, count in enumerate(steps) if count >= _SELDOM * max(steps)]
+    return sorted(sorted(often, key=lambda i: -steps[i])[:most])
+
+
+def _largest(signals: Signals) -> tuple[float, float]:
+    """What a curve is drawn as high as its row for: an angle and a signal."""
+    if not signals.names:
+        return 1.0, 1.0
+    angle = max(float(np.quantile(np.abs(signals.angle), _TYPICAL)), 1e-3)
+    signal = float(np.quantile(np.abs(signals.signal), _TYPICAL)) or 1.0
+    if signals.same_unit:
+        return max(angle, signal), max(angle, signal)
+    return angle, signal
+
+
+def _rgb(colour: str) -> Sequence[int]:
+    return [int(colour[i : i + 2], 16) for i in (1, 3, 5)]

@@ -1,0 +1,150 @@
+"""`evo-cpg render`: cameras, signals, the lineage of a run, runs beside each other."""
+
+import shutil
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from evo_cpg.training.lineage import lineage_arrays
+from evo_cpg.training.run_folder import RunFolder
+from tiny_run import CONFIG, PAIR
+
+SMALL = ("--size", "96x54", "--seconds", "0.2")
+
+
+@pytest.fixture(scope="module")
+def film(cli, tmp_path_factory):
+    """Make a picture: its size, and what was said."""
+    place = tmp_path_factory.mktemp("pictures") / "a.png"
+
+    def made(*arguments):
+        code, out, err = cli("render", *SMALL, *arguments, "-o", place)
+        assert (code, out) == (0, f"{place}\n"), err
+        with Image.open(place) as picture:
+            return picture.size, err
+
+    return made
+
+
+@pytest.fixture(scope="module")
+def two_runs(cli, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("two") / "run"
+    overrides = (*PAIR, "runs=2", "evolution.generations=5", "simulation.steps=30")
+    code, _, err = cli("train", CONFIG, *overrides, "--out", folder, "--cores", 2)
+    assert code == 0, err
+    return folder
+
+
+@pytest.fixture
+def refuse(cli):
+    """What is complained of in a line."""
+
+    def refused(*arguments):
+        code, out, err = cli("render", *arguments)
+        assert (code, out) == (2, "") and err.startswith("evo-cpg: ")
+        return err.removeprefix("evo-cpg: ").rstrip("\n")
+
+    return refused
+
+
+def test_the_lineage_of_a_run_is_in_its_folder(two_runs):
+    folder = RunFolder(two_runs)
+    lineage, checkpoint = folder.load_lineage(), folder.load()
+    assert {each.run for each in lineage} == {0, 1}
+    for run in (0, 1):
+        own = [each for each in lineage if each.run == run]
+        rows = [row for row in checkpoint.history if row["run"] == run]
+        assert own[0].generation == 0
+        # A champion for every generation that found a better one, and nobody else.
+        best = [row["champion"] for row in rows]
+        better = [0] + [g for g in range(1, len(best)) if best[g] > best[g - 1]]
+        assert [each.generation for each in own] == better
+        assert [each.fitness for each in own] == [best[g] for g in better]
+        np.testing.assert_array_equal(own[-1].genes, checkpoint.champions[run].genes)
+
+
+def test_champions_on_the_way_stand_side_by_side(film, two_runs):
+    lineage = RunFolder(two_runs).load_lineage()
+    count = {run: sum(each.run == run for each in lineage) for run in (0, 1)}
+    size, err = film(two_runs, "--lineage", "0", "--run", 1)
+    assert size == (96, 54) and err == ""
+    best = RunFolder(two_runs).load().champion.run
+    size, err = film(two_runs, "--lineage", "auto")
+    columns = {1: 1, 2: 2, 3: 3}.get(count[best], 2)
+    assert size[0] == 100 * columns - 4 and err == ""
+    # Nobody is shown twice.
+    last = [each.generation for each in lineage if each.run == best][-1]
+    size, _ = film(two_runs, "--lineage", f"{last},{last},4", "--signals", "--size", "160x110")
+    assert size == (160, 110)
+
+
+def test_runs_stand_beside_each_other(film, two_runs, finished_run):
+    size, _ = film(two_runs, "--beside", finished_run, "--beside", two_runs, "--camera", "orbit")
+    assert size == (296, 54)
+    named, _ = film(two_runs, "--beside", finished_run, "--title", "small", "--title", "long")
+    assert named == (196, 54)
+
+
+def test_names_tell_what_a_film_shows(cli, finished_run, tmp_path):
+    run = tmp_path / "run"
+    shutil.copytree(finished_run, run)
+    for options, name in (
+        (("--signals", "--size", "160x110"), "champion_signals.mp4"),
+        (("--lineage", "0", "--camera", "orbit"), "lineage_orbit.mp4"),
+        (("--beside", finished_run), "champion_beside_others.mp4"),
+    ):
+        code, out, err = cli("render", run, *SMALL, *options, "--fps", 5)
+        assert (code, out) == (0, f"{run / 'videos' / name}\n"), err
+
+
+def test_what_changed_since_is_told(film, two_runs, tmp_path):
+    run = tmp_path / "run"
+    shutil.copytree(two_runs, run)
+    lineage = RunFolder(run).load_lineage()
+    RunFolder(run).save_lineage([each._replace(fitness=each.fitness + 1) for each in lineage])
+    _, err = film(run, "--lineage", "0")
+    assert "the champion of generation 0 comes to" in err and "as recorded" in err
+
+
+def test_wrong_lineages_are_refused(refuse, two_runs, tmp_path):
+    assert refuse(two_runs, "--lineage", "first") == (
+        "--lineage: 'first' is not auto and no list of generations, such as 0,5,20,49"
+    )
+    assert "10 generations are too many; 9 have room" in refuse(
+        two_runs, "--lineage", "0,1,2,3,4,5,6,7,8,9"
+    )
+    assert "leave --cell out" in refuse(two_runs, "--lineage", "auto", "--cell", "0")
+    assert "leave --beside out" in refuse(two_runs, "--lineage", "auto", "--beside", two_runs)
+    assert refuse(two_runs, "--lineage", "5") == (
+        f"--lineage: {two_runs} has done 5 generations; 4 is the last"
+    )
+    assert refuse(two_runs, "--title", "a", "--title", "b") == (
+        "--title: 2 for 1 animals; give one for each"
+    )
+    assert "of a lineage every one has its generation" in refuse(
+        two_runs, "--lineage", "auto", "--title", "a"
+    )
+    assert "10 runs are too many; 9 have room" in refuse(two_runs, *["--beside", two_runs] * 9)
+    run = tmp_path / "run"
+    shutil.copytree(two_runs, run)
+    folder = RunFolder(run)
+    lineage = folder.load_lineage()
+    folder.save_lineage([each._replace(generation=3) for each in lineage[:1]])
+    assert refuse(run, "--lineage", "2", "--run", 0) == (
+        f"--lineage: the first champion that {run} knows is that of generation 3"
+    )
+    assert "knows no champion of run 1" in refuse(run, "--lineage", "auto", "--run", 1)
+    other = lineage[0]._replace(genes=lineage[0].genes[1:])
+    np.savez(folder.lineage, **lineage_arrays([other]))
+    assert "lineage.npz: generation 0: the genome has" in refuse(run, "--lineage", "0", "--run", 0)
+    folder.lineage.write_bytes(b"")
+    assert "lineage.npz is damaged" in refuse(run, "--lineage", "auto")
+    folder.lineage.unlink()
+    assert "has no lineage.npz" in refuse(run, "--lineage", "auto")
+
+
+def test_signals_have_limits(refuse, two_runs):
+    assert refuse(two_runs, "--signals", "--size", "100x90") == (
+        "size is 100 x 90 pixels; the smallest with signals is 160 x 110"
+    )

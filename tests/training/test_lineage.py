@@ -1,0 +1,149 @@
+"""The champions of a run on its way: kept, bounded, and the same after a kill."""
+
+import numpy as np
+import pytest
+
+from evo_cpg.training import loop
+from evo_cpg.training.checkpoint import Champion
+from evo_cpg.training.lineage import (
+    KEPT,
+    champion_at,
+    extended,
+    landmarks,
+    lineage_arrays,
+    read_lineage,
+    telling,
+    until,
+)
+from evo_cpg.training.run_folder import RunFolder, RunFolderError
+
+
+def found_in(generation: int, run: int = 0, genes: int = 2) -> Champion:
+    """A champion that is the better the later it was found."""
+    own = np.full(genes, generation, np.float32)
+    return Champion(own, generation / 7, generation, {"way": 2.0}, {"energy": 3.0}, run, 5)
+
+
+def grown(generations, lineage=()) -> list[Champion]:
+    """A lineage in whose every one of these generations a champion was found."""
+    for generation in generations:
+        lineage = extended(lineage, [found_in(generation)])
+    return list(lineage)
+
+
+def assert_same(one, other) -> None:
+    assert len(one) == len(other)
+    for a, b in zip(one, other, strict=True):
+        np.testing.assert_array_equal(a.genes, b.genes)
+        assert a.genes.dtype == b.genes.dtype and a[1:] == b[1:]
+
+
+@pytest.fixture
+def folder(tmp_path):
+    made = RunFolder(tmp_path / "a")
+    made.create("name: a\n", {})
+    return made
+
+
+def test_a_lineage_comes_back_to_the_last_bit(folder):
+    lineage = extended([], [found_in(3, 1), found_in(0, 1), found_in(2, 0)])
+    assert [(each.run, each.generation) for each in lineage] == [(0, 2), (1, 0), (1, 3)]
+    folder.save_lineage(lineage)
+    assert_same(folder.load_lineage(), lineage)
+    with np.load(folder.lineage, allow_pickle=False) as arrays:
+        assert arrays["genes"].shape == (3, 2)
+
+
+def test_measures_that_came_later_are_unknown_before():
+    early, late = found_in(0), found_in(1)._replace(terms={"way": 1.0, "slip": 0.5})
+    first, second = read_lineage(
+        {k: np.asarray(v) for k, v in lineage_arrays([early, late]).items()}
+    )
+    assert np.isnan(first.terms["slip"]) and second.terms["slip"] == 0.5
+
+
+def test_it_is_bounded_and_knows_every_landmark():
+    lineage = grown(range(3000))
+    assert len(lineage) == KEPT
+    assert landmarks(300) == [0, 1, 2, 5, 10, 20, 50, 100, 200]
+    for mark in landmarks(2999):
+        assert champion_at(lineage, mark).generation == mark
+    generations = [each.generation for each in lineage]
+    assert generations[0] == 0 and generations[-1] == 2999
+    # No long stretch of the way is without anybody.
+    age = np.log1p(generations)
+    assert np.diff(age).max() < 0.95
+
+
+def test_landmarks_stay_exact_where_champions_are_rare():
+    """Who is champion at a landmark was found before it."""
+    generations = sorted({round(1.08**k) + k for k in range(120)})
+    lineage = grown(generations)
+    assert len(lineage) == KEPT < len(generations)
+    for mark in landmarks(generations[-1]):
+        expected = max((g for g in generations if g <= mark), default=None)
+        one = champion_at(lineage, mark)
+        assert (one and one.generation) == expected
+
+
+@pytest.mark.parametrize("lost", [1, 2])
+def test_generations_done_again_after_a_kill_leave_the_same_lineage(lost):
+    """The file may be one generation ahead of the checkpoint, or two where that was damaged."""
+    for last in (5, 90, 200):
+        whole = grown(range(last))
+        back = until(whole, [found_in(last - lost - 1)], last - lost)
+        assert back[-1].generation == last - lost - 1
+        assert_same(grown(range(last - lost, last), back), whole)
+
+
+def test_runs_have_their_own(folder):
+    lineage = grown(range(100)) + [found_in(g, 1) for g in (0, 50)]
+    lineage = extended(lineage, [found_in(100, 1)])
+    assert sum(each.run == 0 for each in lineage) == KEPT
+    assert [each.generation for each in lineage if each.run == 1] == [0, 50, 100]
+
+
+def test_a_champion_that_was_refined_takes_its_place():
+    lineage = grown(range(4))
+    better = lineage[-1]._replace(fitness=9.0)
+    assert_same(until(lineage, [better, None], 4), [*lineage[:-1], better])
+
+
+def test_who_is_shown():
+    lineage = grown((0, 1, 2, 3, 5, 9, 20, 33))
+    assert [each.generation for each in telling(lineage, 4)] == [0, 2, 9, 33]
+    assert telling(lineage, 9) == lineage
+    assert [each.generation for each in telling(lineage, 1)] == [33]
+    assert champion_at(lineage, 8).generation == 5
+    assert champion_at(lineage[1:], 0) is None
+
+
+def test_a_missing_or_damaged_lineage_is_named(folder):
+    with pytest.raises(RunFolderError, match=r"a has no lineage\.npz: no champion was found yet"):
+        folder.load_lineage()
+    lineage = grown(range(3))
+    for change in (
+        {"genes": np.zeros(3, np.float32)},
+        {"fitness": np.zeros(2)},
+        {"generation": np.zeros(3)},
+        {"term.way": np.float64(1.0)},
+    ):
+        np.savez(folder.lineage, **(lineage_arrays(lineage) | change))
+        with pytest.raises(RunFolderError, match=r"lineage\.npz is damaged \(its arrays are not"):
+            folder.load_lineage()
+    folder.lineage.write_bytes(b"no archive")
+    with pytest.raises(RunFolderError, match=r"damaged \(.+\); the run can go on, but"):
+        folder.load_lineage()
+
+
+def test_a_run_whose_lineage_is_lost_goes_on_with_its_champions(folder):
+    class Known:
+        champions, generation, genes = (found_in(3), None), 6, np.zeros((2, 4), np.float32)
+
+    folder.lineage.write_bytes(b"no archive")
+    assert_same(loop._lineage_until(folder, Known), [found_in(3)])
+    # Of another brain, before config.yaml was changed.
+    folder.save_lineage([found_in(2, genes=3)])
+    assert_same(loop._lineage_until(folder, Known), [found_in(3)])
+    folder.save_lineage([found_in(1)])
+    assert_same(loop._lineage_until(folder, Known), [found_in(1), found_in(3)])

@@ -1,0 +1,106 @@
+"""The strip of signals under a film."""
+
+import numpy as np
+import pytest
+import synthetic
+
+from evo_cpg.view.film import film
+from evo_cpg.view.look import LOOKS
+from evo_cpg.view.signals import Strip, signals_of
+
+SIZE = (640, 108)
+
+
+@pytest.fixture(scope="module")
+def recording():
+    return synthetic.swim(10.0)
+
+
+@pytest.fixture(scope="module")
+def walk():
+    return synthetic.walk(4.0)
+
+
+def bright(picture):
+    """Where the cursor is: the colour of the text in the whole height of the axes."""
+    ink = (np.abs(picture.astype(int) - [242, 251, 255]).max(-1) < 30).mean(0)
+    return np.flatnonzero(ink > 0.6)
+
+
+def test_one_axis_of_every_joint_is_shown_that_moves(recording):
+    shown = signals_of(recording, "CPG output")
+    assert shown.names == tuple(f"b{i}.z" for i in range(1, 10))
+    np.testing.assert_array_equal(shown.angle, recording.joint_angle[:, 2::3])
+    np.testing.assert_array_equal(shown.signal, recording.cpg_output[:, 2::3])
+    still = recording.joint_angle.copy()
+    still[:, :3] = 0.3
+    assert signals_of(recording._replace(joint_angle=still), "").names[0] == "b2.z"
+    # A joint without the axis about which the others bend.
+    names = ("b1.x", "b1.y", *recording.dof_names[3:])
+    part = [i for i in range(27) if i != 2]
+    other = recording._replace(
+        joint_angle=recording.joint_angle[:, part],
+        cpg_output=recording.cpg_output[:, part],
+        dof_names=names,
+    )
+    assert signals_of(other, "").names[:2] == ("b1.y", "b2.z")
+
+
+def test_the_cursor_moves_with_time_and_pages_turn(recording):
+    strip = Strip(signals_of(recording, "CPG output"), LOOKS["water"], SIZE, 1.0)
+    assert strip.at(0.0).shape == (108, 640, 3) and strip.height == 108
+    # 10 s in two pages of 5 s.
+    places = [bright(strip.at(instant)).mean() for instant in (0.5, 2.5, 4.5)]
+    assert np.diff(places) == pytest.approx([np.diff(places)[0]] * 2, abs=1.5)
+    assert 150 < np.diff(places)[0] < 320
+    again = strip.at(5.5)
+    assert bright(again).mean() == pytest.approx(places[0], abs=1.5)
+    assert np.abs(again.astype(int) - strip.at(0.5)).max() > 60
+    assert bright(strip.at(99.0)).mean() > 600
+
+
+@pytest.mark.parametrize(("height", "rows"), [(216, 5), (70, 2), (40, 1)])
+def test_as_many_joints_as_have_room_evenly_along_the_body(recording, height, rows):
+    strip = Strip(signals_of(recording, "CPG output"), LOOKS["water"], (640, height), 1.0)
+    assert len(strip._joints) == rows
+    assert len(set(np.diff(strip._joints))) <= 1 and strip._joints[0] == 0
+
+
+def test_feet_that_come_down_have_bars(walk):
+    touched = synthetic.lowest_points(synthetic.walker(), walk)[:, 2::2] < 1e-6
+    touched = np.column_stack([touched, np.arange(len(touched)) < 3])
+    feet = (*synthetic.HIPS, "tail")
+    shown = signals_of(walk, "posture", True, feet, touched)
+    strip = Strip(shown, LOOKS["land"], (640, 216), 1.0)
+    # The tail rests at first only.
+    assert strip._feet == [0, 1, 2, 3]
+    green = np.abs(strip.at(0.0).astype(int) - [47, 125, 79]).max(-1) < 40
+    below = green[: 216 // 2]
+    # All four feet rest for 60 % of the time.
+    share = below[:, 160:620].max(0).mean()
+    assert share > 0.9
+    assert (
+        not np.abs(
+            Strip(shown._replace(feet=()), LOOKS["land"], (640, 216), 1.0).at(0.0).astype(int)
+            - [47, 125, 79]
+        )
+        .max(-1)[:100]
+        .min()
+        < 10
+    )
+    only = shown._replace(names=(), angle=shown.angle[:, :0], signal=shown.signal[:, :0])
+    assert Strip(only, LOOKS["land"], (640, 100), 1.0).at(1.0).std() > 10
+
+
+def test_a_film_has_the_strip_at_its_foot(recording, tmp_path):
+    shown = signals_of(recording, "CPG output")
+    settings = {"size": (320, 180), "seconds": 3, "title": ""}
+    plain = film(synthetic.swimmer(), recording, tmp_path / "a.png", **settings)
+    with_strip = film(synthetic.swimmer(), recording, tmp_path / "b.png", signals=shown, **settings)
+    image = synthetic.read(with_strip)
+    assert image.shape == synthetic.read(plain).shape == (180, 320, 3)
+    # Blue-white curves and orange ones below; sea above.
+    foot = image[130:]
+    assert ((foot[..., 2] > 200) & (foot[..., 0] < 190)).sum() > 300
+    assert ((foot[..., 0] > 180) & (foot[..., 2] < 130)).sum() > 60
+    assert np.ptp(image[:120].mean((0, 1))) > 20
