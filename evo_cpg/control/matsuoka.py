@@ -91,7 +91,8 @@ class CpgSettings:
         parent_weight: inhibition from the parent's oscillator, in units of ``pair_weight``, at
             least 0.
         child_weight: inhibition from a child's oscillator, likewise.
-        cross_weight: mutual inhibition of successive axes of one joint, likewise; they then turn together, positive with positive.
+        cross_weight: mutual inhibition of successive axes of one joint, likewise; they then turn
+            together, positive with positive.
         opposite: bodies, or patterns such as ``front_*``, whose oscillators follow the other side
             of their parents' than their axes say; so front legs that step against hind legs.
         couplings: between chosen oscillators, in the place of what the tree would give them.

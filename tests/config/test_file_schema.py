@@ -105,7 +105,7 @@ def test_the_reference_has_every_key_of_every_section_that_a_file_may_have():
 def test_the_reference_says_values_units_and_defaults():
     text = config_keys.every_key()
     for row in (
-        "| `field_of_view_deg` | number above 0, up to 360 | degrees | `180` | full opening angle |",
+        "| `field_of_view_deg` | number above 0, up to 360 | degrees | `180` | full opening",
         "| `size` | 3 numbers above 0 | m | **required** | edges along x, y and z |",
         "| `mutated_genes` | 2 whole numbers from 1 to 1000000 |  | `[2, 30]` | fewest and most",
         "| `restitution_rule` | `multiply`, `average`, `geometric`, `min` or `max` |  |"
