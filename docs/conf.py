@@ -32,8 +32,8 @@ myst_heading_anchors = 3
 # What stands in single backticks in a docstring is a link where it can be one, and else code.
 default_role = "py:obj"
 add_module_names = False
-autodoc_class_signature = "separated"
 autodoc_member_order = "bysource"
+autodoc_preserve_defaults = True
 autodoc_typehints = "none"
 napoleon_attr_annotations = False
 napoleon_numpy_docstring = False
@@ -41,3 +41,13 @@ napoleon_use_ivar = True
 
 html_theme = "furo"
 html_title = f"evo_cpg {release}"
+
+
+def _without_constructor(app, what, name, *_):
+    """Nobody builds these classes but the program; a class of your own has fields of its own."""
+    return ("", None) if what in ("class", "exception") else None
+
+
+def setup(app):
+    """Called by Sphinx."""
+    app.connect("autodoc-process-signature", _without_constructor)
