@@ -1,4 +1,4 @@
-"""The commands about the configurations that come with the program: configs, configs copy."""
+"""The commands about configurations: configs, configs copy, configs schema."""
 
 from pathlib import Path
 from typing import Annotated
@@ -8,14 +8,14 @@ import typer
 from evo_cpg.cli.completion import complete_shipped
 
 app = typer.Typer(
-    help="List the configurations that come with the program, or copy one.",
+    help="List the configurations that come with the program, copy one, or print their schema.",
     rich_markup_mode=None,
 )
 
 
 @app.callback(invoke_without_command=True)
 def configs(context: typer.Context) -> None:
-    """List the configurations that come with the program, or copy one."""
+    """List the configurations that come with the program, copy one, or print their schema."""
     if context.invoked_subcommand is None:
         _list()
 
@@ -40,6 +40,16 @@ def copy(
         raise UsageError(
             f"configs copy: {error.filename or folder} cannot be written ({error.strerror})"
         ) from None
+
+
+@app.command()
+def schema() -> None:
+    """Print the JSON Schema of configuration files, by which editors complete and check keys."""
+    import json
+
+    from evo_cpg.config.file_schema import file_schema
+
+    print(json.dumps(file_schema(), indent=1))
 
 
 def _list() -> None:

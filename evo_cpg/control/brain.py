@@ -39,9 +39,10 @@ class BrainSettings:
     """Shape of the brain and range of its first weights.
 
     Attributes:
-        hidden: units in each hidden layer; empty for a single layer.
-        temperature: T of eq. 3; small values make the units switches.
-        init_range: genes of the first generation are uniform within plus and minus this.
+        hidden: units in each hidden layer, at least 1; empty for a single layer.
+        temperature: T of eq. 3, more than 0; small values make the units switches.
+        init_range: genes of the first generation are uniform within plus and minus this, more
+            than 0.
 
     Raises:
         ValueError: a value outside its range.

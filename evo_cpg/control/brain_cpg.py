@@ -64,8 +64,9 @@ class AxisSettings:
 
     Attributes:
         gain: factor on ``rate_gain``.
-        centring: 1/s; that of the whole animal if None.
-        steering_range: likewise, 0 to 1.
+        centring: rate at which these joints return to their neutral angle, 1/s; that of the whole
+            animal if None.
+        steering_range: likewise of these joints, 0 to 1.
 
     Raises:
         ValueError: a value outside its range.
@@ -86,17 +87,17 @@ class BrainCpgSettings:
     Attributes:
         cpg: the oscillators.
         brain: the network that sets them.
-        drive: what the brain sets: "shared", u and steering of each axis (of each group) and one b
-            for the whole animal; "per_joint", the three of each joint; "per_dof", the three of
-            each degree of freedom.
+        drive: what the brain sets: ``shared``, u and steering of each axis (of each group) and one
+            b for the whole animal; ``per_joint``, the three of each joint; ``per_dof``, the three
+            of each degree of freedom.
         groups: names of bodies, or patterns such as ``*_arm``, whose joints have axes of their
             own, named ``group/axis``; those of all other bodies are named by the axis alone.
         steering_range: largest relative difference between extensor and flexor drive, 0 to 1.
         rate_gain: G, joint rate per unit of output, rad/s.
-        centring: k_c, rate at which a joint returns to its neutral angle, 1/s; 0 is the literal
-            angular-velocity control.
-        max_rate: largest rate asked of a motor, rad/s.
-        axes: what is different about the axes named.
+        centring: k_c, rate at which a joint returns to its neutral angle, 1/s, at least 0, which
+            is the literal angular-velocity control.
+        max_rate: largest rate asked of a motor, rad/s, more than 0.
+        axes: what is different about the axes named, such as ``x`` or ``limbs/y``.
         joint_rates: let the brain sense the joint rates as well, which the paper's text lists
             but its Table 2 does not.
 

@@ -59,8 +59,8 @@ class Coupling:
             bodies, and one acts on several, or several on one.
         weight: in units of ``pair_weight``; without a lag, positive where the source inhibits the
             target's other side (they swing together), negative where its own (against each other).
-        lag_deg: what the target is to be behind the source, degrees; both then act on each other
-            by eq. 1. None for one way alone.
+        lag_deg: what the target is to be behind the source, degrees; both then act on each other.
+            None for one way alone, from source to target.
 
     Raises:
         ValueError: a value outside its range.
@@ -90,7 +90,7 @@ class Ring:
         lag_deg: of each behind the one before it, degrees; as many of them as there are oscillators
             make whole turns.
         weight: how much inhibition the others together may exert on one, in units of
-            ``pair_weight``, by eq. 2.
+            ``pair_weight``, at least 0.
 
     Raises:
         ValueError: a value outside its range.

@@ -83,22 +83,23 @@ class CpgSettings:
     """Constants of the Matsuoka network.
 
     Attributes:
-        constants: which of the two times of Table 3 is T_r: "swapped" (0.153 s) oscillates,
-            "as_printed" (1.182 s) does not.
-        time_scale: multiplies T_r and T_a; frequencies divide by it exactly and nothing else
-            changes.
-        pair_weight: a, between extensor and flexor of one oscillator.
-        parent_weight: inhibition from the parent's oscillator, in units of ``pair_weight``.
-        child_weight: inhibition from a child's oscillator, in units of ``pair_weight``.
-        cross_weight: mutual inhibition of successive axes of one joint, in units of
-            ``pair_weight``; they then turn together, positive with positive.
+        constants: which of the two times of Table 3 is T_r: ``swapped`` (0.153 s) oscillates,
+            ``as_printed`` (1.182 s) does not.
+        time_scale: multiplies T_r and T_a, more than 0; frequencies divide by it exactly and
+            nothing else changes.
+        pair_weight: a, between extensor and flexor of one oscillator, at least 0.
+        parent_weight: inhibition from the parent's oscillator, in units of ``pair_weight``, at
+            least 0.
+        child_weight: inhibition from a child's oscillator, likewise.
+        cross_weight: mutual inhibition of successive axes of one joint, likewise; they then turn
+            together, positive with positive.
         opposite: bodies, or patterns such as ``front_*``, whose oscillators follow the other side
             of their parents' than their axes say; so front legs that step against hind legs.
         couplings: between chosen oscillators, in the place of what the tree would give them.
         rings: of oscillators with a constant lag from one to the next, likewise.
         sensory_feedback: s, the same for every neuron.
-        max_tonic_input: u_max; outputs are proportional to it.
-        min_adaptation_gain: smallest b.
+        max_tonic_input: u_max, more than 0; outputs are proportional to it.
+        min_adaptation_gain: smallest b, more than 0.
         max_adaptation_gain: largest b.
 
     Raises:

@@ -61,11 +61,12 @@ class PostureSettings:
     """Settings of the postures; the defaults are those of Fukui 2003.
 
     Attributes:
-        postures: how many there are.
-        period: time for which each is held, s.
+        postures: how many there are, 1 to 1000.
+        period: time for which each is held, s, more than 0.
         lowest_angle: angle of a joint whose bits are all 0, degrees.
-        angle_step: between neighbouring angles, degrees.
-        bits_per_joint: bits for each joint of each posture, giving 2 to the power of it angles.
+        angle_step: between neighbouring angles, degrees, more than 0.
+        bits_per_joint: bits for each joint of each posture, 1 to 16, giving 2 to the power of it
+            angles.
         neutral_angle: angle that a joint has in the neutral pose, degrees.
         graded: let a gene count for what it is from 0 to 1, so that angles change smoothly and
             have slopes, instead of rounding it to a bit; genomes of bits mean the same either way.

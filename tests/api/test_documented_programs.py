@@ -83,7 +83,7 @@ def test_an_animal_of_ones_own_trains(here, monkeypatch):
 
 
 def test_an_optimiser_of_ones_own_trains(here, monkeypatch):
-    strategy, program = programs("docs/search.md")
+    strategy, program = programs("docs/searches.md")
     (here / "climber.py").write_text(strategy)
     monkeypatch.delitem(sys.modules, "climber", raising=False)
     names: dict = {}

@@ -8,6 +8,7 @@ import pytest
 
 from evo_cpg.cli.completion import complete_config, complete_folder, complete_shipped
 from evo_cpg.config import shipped as module
+from evo_cpg.config.file_schema import file_schema
 from evo_cpg.config.shipped import shipped, shipped_names
 from tiny_run import PAIR, REPOSITORY
 
@@ -30,6 +31,11 @@ def test_a_program_without_its_files_says_so(cli, monkeypatch):
     assert code == 2 and err == (
         "evo-cpg: configs: there are none beside the program; install it anew\n"
     )
+
+
+def test_the_schema_is_printed_as_json(cli):
+    code, out, err = cli("configs", "schema")
+    assert (code, err) == (0, "") and json.loads(out) == file_schema()
 
 
 def test_a_copy_goes_to_the_working_folder_or_another(cli, tmp_path):

@@ -13,7 +13,7 @@ RuleName = Literal["speed", "power", "penetration", "overlap"]
 
 
 class _AuditConfig(Section):
-    """The limits of `evo_cpg.analysis.verdict.Limits`, by their names, and two settings.
+    """What is asked of a champion, and two settings; shares of a way are of its own.
 
     Attributes:
         disqualify: limits that an individual is out for breaking, as if it had diverged.
@@ -37,4 +37,6 @@ _TYPES: dict[str, Any] = {
     for each in _FIELDS
 }
 
-AuditConfig: type[_AuditConfig] = create_model("AuditConfig", __base__=_AuditConfig, **_TYPES)
+AuditConfig: type[_AuditConfig] = create_model(
+    "AuditConfig", __base__=_AuditConfig, __doc__=_AuditConfig.__doc__, **_TYPES
+)

@@ -8,7 +8,12 @@ from evo_cpg.config.schema.section import Section
 
 
 class CustomConfig(Section):
-    """A class of your own: ``type: my_module:MyClass``, built with ``options``."""
+    """A class of your own.
+
+    Attributes:
+        type: ``my_module:MyClass``.
+        options: of its constructor.
+    """
 
     type: Annotated[str, Field(pattern=r"^[\w.]+:\w+$")]
     options: dict[str, Any] = Field(default_factory=dict)

@@ -56,7 +56,12 @@ class SolidConfig(Section):
 
 
 class BoxConfig(SolidConfig):
-    """Cuboid; edges along x, y and z (m)."""
+    """Cuboid.
+
+    Attributes:
+        type: ``box``.
+        size: edges along x, y and z, m.
+    """
 
     type: Literal["box"]
     size: Size
@@ -67,7 +72,12 @@ class BoxConfig(SolidConfig):
 
 
 class SphereConfig(SolidConfig):
-    """Sphere (m)."""
+    """Sphere.
+
+    Attributes:
+        type: ``sphere``.
+        radius: from centre to surface, m.
+    """
 
     type: Literal["sphere"]
     radius: Positive
@@ -78,7 +88,12 @@ class SphereConfig(SolidConfig):
 
 
 class EllipsoidConfig(SolidConfig):
-    """Ellipsoid; semi-axes along x, y and z (m)."""
+    """Ellipsoid.
+
+    Attributes:
+        type: ``ellipsoid``.
+        radii: semi-axes along x, y and z, m.
+    """
 
     type: Literal["ellipsoid"]
     radii: Size
@@ -89,7 +104,13 @@ class EllipsoidConfig(SolidConfig):
 
 
 class CapsuleConfig(SolidConfig):
-    """Cylinder along x with half-spherical ends; ``length`` is the cylinder's (m)."""
+    """Cylinder along x with half-spherical ends.
+
+    Attributes:
+        type: ``capsule``.
+        radius: of the cylinder and its ends, m.
+        length: of the cylinder, without its ends, m.
+    """
 
     type: Literal["capsule"]
     radius: Positive
@@ -105,7 +126,7 @@ class MeshConfig(SolidConfig):
 
     Attributes:
         type: ``mesh``.
-        vertices: m; with ``file`` they are read from there, and multiplied by ``scale``.
+        vertices: places of the corners, m; with ``file`` they are read from there.
         faces: triangles of three vertices, counted from 0, counterclockwise seen from outside.
     """
 
@@ -145,7 +166,14 @@ ShapeConfig = Annotated[
 
 
 class MaterialConfig(Section):
-    """Density (kg/m^3) and contact properties (Iwadate 2010, Table 1)."""
+    """What bodies are made of (Iwadate 2010, Table 1).
+
+    Attributes:
+        density: mass per volume, kg/m^3; that of water is 1000.
+        restitution: share of the speed that is left after an impact.
+        static_friction: coefficient of friction at rest.
+        dynamic_friction: coefficient of friction while it slides.
+    """
 
     density: Positive
     restitution: Share = 0.1
@@ -158,7 +186,7 @@ class ActuatorConfig(Section):
 
     Attributes:
         gain: torque per velocity error, N m s/rad.
-        torque_limit: N m; none if left out.
+        torque_limit: largest torque, N m; none if left out.
         stiffness: torque per angle error, N m/rad; 0 for a pure velocity servo.
     """
 
@@ -175,7 +203,8 @@ class JointConfig(Section):
         at: place of the joint in the parent's frame, m.
         child_at: place of the joint in this body's frame, m.
         axes: 1 to 3 axes that turn one after the other: x, y, z, -x, -y, -z or a vector.
-        limits_deg: lower and upper limit, for all axes or one pair for each, degrees.
+        limits_deg: lower and upper limit, for all axes or one pair for each, degrees; the middle
+            one of three axes turns by at most 85.
         rotation_deg: roll, pitch and yaw of this body against its parent at rest, degrees.
         stiffness: passive spring, N m/rad.
         damping: passive damping, N m s/rad.
@@ -288,7 +317,7 @@ class BodyConfig(Section):
 
     Attributes:
         name: unique; of bodies that stand for several it contains ``{i}``, ``{j}`` or ``{side}``
-            (see `evo_cpg.config.schema.copies`).
+            (see "Limbs that are written once" in the guide).
         shape: centred on the body's frame; a mesh lies in it as in its file.
         material: name of one of the creature's materials.
         joint: how it hangs on its parent; the root has none.
@@ -332,9 +361,13 @@ class BodyConfig(Section):
 
 
 class LightSensorConfig(Section):
-    """A directional eye (Iwadate 2010, eq. 1); the field of view is the full opening angle.
+    """A directional eye (Iwadate 2010, eq. 1).
 
-    A ``body`` with placeholders has one on each body that it stands for.
+    Attributes:
+        body: that carries it; a name with placeholders has one on each body that it stands for.
+        position: in the frame of the body, m.
+        axis: where it looks, in the frame of the body.
+        field_of_view_deg: full opening angle, degrees.
     """
 
     body: str
@@ -350,7 +383,13 @@ class LightSensorConfig(Section):
 
 
 class DepthSensorConfig(Section):
-    """A depth gauge: reads 0 at the surface and above it, and 1 from ``full_scale`` (m) down."""
+    """A depth gauge: reads 0 at the water's surface and above it, and 1 deep down.
+
+    Attributes:
+        body: that carries it; a name with placeholders has one on each body that it stands for.
+        position: in the frame of the body, m.
+        full_scale: depth from which down it reads 1, m.
+    """
 
     body: str
     position: Vector = (0.0, 0.0, 0.0)
@@ -365,7 +404,7 @@ class SelfCollisionConfig(Section):
 
     Attributes:
         exclude: pairs of names of bodies that may pass through each other.
-        include: of bodies that may not, although the rule would let them.
+        include: pairs of names of bodies that may not, although the rule would let them.
     """
 
     exclude: list[tuple[str, str]] = Field(default_factory=list)
@@ -377,7 +416,7 @@ class CreatureConfig(Section):
 
     Attributes:
         name: what you call it.
-        materials: by name.
+        materials: what its bodies are made of, by a name of your own.
         bodies: in any order; exactly one, the root, has no joint.
         light_sensors: its eyes.
         pressure_sensors: ``all`` bodies, or a list of names.

@@ -21,9 +21,9 @@ class IslandsConfig(Section):
     """Sub-populations that evolve apart, between which a few of the best wander.
 
     Attributes:
-        count: of the islands; they share the population equally.
+        count: number of islands; they share the population equally.
         every: so many generations the best of each take the places of the worst of the next.
-        migrants: from each.
+        migrants: how many go from each.
     """
 
     count: Annotated[int, Field(ge=2, le=1000)]

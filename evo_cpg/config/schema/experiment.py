@@ -29,9 +29,9 @@ class ExperimentConfig(Section):
         noise: what is left to chance in it.
         controller: the nervous system.
         task: what the animals are judged by.
-        measures: of gait, to be had beside the task's terms: names of
-            `evo_cpg.simulation.measures.MEASURES`. Those of a map's axes need not be said here.
-        evolution: the genetic algorithm.
+        measures: of gait, to be had beside the task's terms, by their names, such as ``speed``.
+            Those of a map's axes need not be said here.
+        evolution: the search, by default a genetic algorithm.
         audit: what is asked of the champion.
         engine: what computes the trials: ``auto`` and ``native`` take machine code made on the
             spot, the first only where it can be had; ``jax`` takes JAX alone, many times slower.

@@ -94,7 +94,7 @@ class ReliefConfig(Section):
 
     Attributes:
         type: ``relief``.
-        heights: rows along x, m; with ``file`` they are read from there.
+        heights: rows along x, m; with ``file`` they are read from there; at most 256 each way.
         spacing: of the grid, m.
         corner: x and y of the first height, m; the grid lies around the origin unless given.
     """
@@ -131,8 +131,8 @@ class BoulderConfig(Section):
 
     Attributes:
         type: ``boulder``.
-        centre: m.
-        radius: m.
+        centre: its place in the world, m.
+        radius: from centre to surface, m.
     """
 
     type: Literal["boulder"]
@@ -145,7 +145,7 @@ class BlockConfig(Section):
 
     Attributes:
         type: ``block``.
-        centre: m.
+        centre: its place in the world, m.
         size: edges along x, y and z before it is turned, m.
         heading_deg: by which it is turned to the left, degrees.
     """
@@ -169,8 +169,8 @@ class GroundConfig(Section):
         restitution: of the ground's material.
         static_friction: of the ground's material.
         dynamic_friction: of the ground's material.
-        restitution_rule: how the body's and the ground's restitution combine.
-        friction_rule: how their frictions combine.
+        restitution_rule: how the body's and the ground's restitution become one.
+        friction_rule: how their frictions become one.
         margin: points nearer than this are watched for an impact, m.
         stribeck_speed: sliding speed at which friction is half-way from static to dynamic, m/s.
         floor: its shape.

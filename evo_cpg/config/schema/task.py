@@ -22,9 +22,9 @@ class LightConfig(OpenSection):
     """Where the light is: as seen from the root at the start, or anywhere in the world.
 
     Attributes:
-        distance: m.
-        bearing_deg: to the left of straight ahead, degrees.
-        elevation_deg: above the horizon, degrees.
+        distance: from the root at the start, m; the default of `reach_light` is 8.
+        bearing_deg: to the left of straight ahead, degrees; likewise 30.
+        elevation_deg: above the horizon, degrees; likewise 0.
         at: its place in the world, m, instead of the other three.
     """
 
@@ -81,9 +81,9 @@ class ReachLightConfig(Section):
     Attributes:
         type: ``reach_light``.
         light: the goal.
-        distance_weight: a.
-        light_weight: c.
-        energy_weight: b.
+        distance_weight: a, of the distance that is left.
+        light_weight: c, of the light in sight; less than ``distance_weight``.
+        energy_weight: b, of the energy spent; less than ``light_weight``.
         final_seconds: time at the end over which the distance is averaged, s.
     """
 

@@ -30,14 +30,14 @@ class WaterConfig(Section):
     """Water around the whole creature, or up to a surface.
 
     Attributes:
-        density: kg/m^3.
+        density: mass per volume, kg/m^3.
         form_drag: C_d of the normal velocity at every surface point.
         skin_drag: C_f of the tangential velocity.
-        surface: height of its surface, m; null for water everywhere.
+        surface: height of its surface, m; ``null`` for water everywhere.
         added_mass: bodies set the water around them in motion, as in ideal fluid.
         current: velocity of the water, m/s; with a gradient, at the origin.
         current_gradient: how the current's components (rows) change along x, y and z, 1/s.
-        vortices: on top of the current.
+        vortices: that circle, on top of the current.
         law: ``normal`` splits the drag as above; ``isotropic`` is eq. 8 to the letter.
         sheltered: leave out faces that other bodies cover at rest.
         points: ``quadrature`` places the points evenly; ``random`` draws them once, as the paper
@@ -78,7 +78,13 @@ class WaterConfig(Section):
 
 
 class WorldConfig(Section):
-    """Gravity (m/s^2, downwards), water (none: ``water: null``) and ground (none unless given)."""
+    """Gravity, water and ground.
+
+    Attributes:
+        gravity: downwards, m/s^2.
+        water: in which they are; ``null`` for none.
+        ground: on which they are; none unless given.
+    """
 
     gravity: NotNegative = 9.81
     water: WaterConfig | None = WaterConfig()

@@ -1,0 +1,138 @@
+"""The JSON Schema of a configuration file: for editors, and for the reference in the docs.
+
+It says of every key what kind of value it takes, within which range, what it is if left out, and
+what it means. What several values must have in common is checked when a file is read, and is not in
+it. That a key is described is tested.
+"""
+
+import copy
+import inspect
+import re
+from typing import Any
+
+from evo_cpg.analysis.verdict import Limits
+from evo_cpg.config.schema.evolution import MapSection
+from evo_cpg.config.schema.experiment import ExperimentConfig
+
+Schema = dict[str, Any]
+
+_DIALECT = "https://json-schema.org/draft/2020-12/schema"
+
+# Where what a section inherits is described.
+_INHERITED = (MapSection, Limits)
+
+_CREATURE_FILE = {
+    "type": "string",
+    "description": "path of the creature's own file, seen from this one.",
+}
+_MESH_FILE: Schema = {
+    "file": {
+        "type": "string",
+        "description": "file (.stl, .obj) that vertices and faces are read from.",
+    },
+    "scale": {
+        "anyOf": [
+            {"type": "number", "exclusiveMinimum": 0},
+            {
+                "type": "array",
+                "items": {"type": "number", "exclusiveMinimum": 0},
+                "minItems": 3,
+                "maxItems": 3,
+            },
+        ],
+        "default": 1,
+        "description": "by which places in the file are multiplied, all alike or along x, y and z.",
+    },
+}
+_RELIEF_FILE: Schema = {
+    "file": {
+        "type": "string",
+        "description": "array (.npy), table (.csv, .txt) or image that the heights are read from.",
+    },
+    "lowest": {
+        "type": "number",
+        "default": 0,
+        "description": "height of an image's black, m.",
+    },
+    "highest": {
+        "type": "number",
+        "default": 1,
+        "description": "height of an image's white, m.",
+    },
+}
+
+
+def file_schema() -> Schema:
+    """The schema of a whole configuration file, as JSON Schema (draft 2020-12)."""
+    # Apart from the source: pydantic may hand out parts of what it keeps.
+    schema = copy.deepcopy(ExperimentConfig.model_json_schema())
+    kinds = schema["$defs"]
+    for kind in (schema, *kinds.values()):
+        _describe(kind)
+    for kind in (schema, *kinds.values()):
+        for value in kind["properties"].values():
+            _tell_apart(value, kinds)
+    _read_from_file(kinds["MeshConfig"], _MESH_FILE, ("vertices", "faces"))
+    _read_from_file(kinds["ReliefConfig"], _RELIEF_FILE, ("heights",))
+    whole = kinds["CreatureConfig"]
+    kinds["CreatureFile"] = {
+        **whole,
+        "description": "A creature's own file, and keys that replace those of the file.",
+        "properties": {"file": _CREATURE_FILE, **whole["properties"]},
+        "required": ["file"],
+    }
+    schema["properties"]["creature"] = {
+        "description": schema["properties"]["creature"]["description"],
+        "anyOf": [
+            _CREATURE_FILE,
+            {"$ref": "#/$defs/CreatureConfig"},
+            {"$ref": "#/$defs/CreatureFile"},
+        ],
+    }
+    return {"$schema": _DIALECT, **schema, "title": "An experiment of evo_cpg"}
+
+
+def documented_attributes(text: str) -> tuple[str, dict[str, str]]:
+    """A docstring in Google's style: what comes before its first section, and its attributes."""
+    about, *sections = re.split(r"^(?=\w+:$)", inspect.cleandoc(text), flags=re.MULTILINE)
+    attributes: dict[str, str] = {}
+    for section in sections:
+        if section.startswith("Attributes:\n"):
+            entries = re.findall(r"^ {4}(\w+): (.+(?:\n {5,}.+)*)", section, re.MULTILINE)
+            attributes |= {name: " ".join(words.split()) for name, words in entries}
+    return " ".join(about.split()), attributes
+
+
+def _describe(kind: Schema) -> None:
+    """Move what a docstring says of its attributes to these."""
+    about, own = documented_attributes(kind.get("description", ""))
+    inherited: dict[str, str] = {}
+    for other in _INHERITED:
+        inherited |= documented_attributes(other.__doc__ or "")[1]
+    kind["description"] = about
+    for name, value in kind.get("properties", {}).items():
+        # The key as words, which tells nobody more than the key.
+        value.pop("title", None)
+        if name in own or name in inherited:
+            value["description"] = own.get(name) or inherited[name]
+        elif "const" in value:
+            value["description"] = f"``{value['const']}``."
+
+
+def _tell_apart(value: Schema, kinds: Schema) -> None:
+    """Ask for the type of every kind but that which is meant where none is given."""
+    meant = value.get("default")
+    for option in value.get("oneOf") or value.get("items", {}).get("oneOf", ()):
+        if "$ref" not in option:
+            continue
+        kind = kinds[option["$ref"].rsplit("/", 1)[-1]]
+        own = kind["properties"]["type"].get("const")
+        if not isinstance(meant, dict) or own != meant["type"]:
+            kind["required"] = list(dict.fromkeys(("type", *kind.get("required", ()))))
+
+
+def _read_from_file(kind: Schema, keys: Schema, instead_of: tuple[str, ...]) -> None:
+    """Let keys that name a file stand in the place of those that are read from it."""
+    kind["properties"] |= keys
+    kind["required"] = [name for name in kind["required"] if name not in instead_of]
+    kind["anyOf"] = [{"required": ["file"]}, {"required": list(instead_of)}]

@@ -1,0 +1,137 @@
+"""The JSON Schema of configuration files, and the reference that the docs make of it."""
+
+import copy
+import re
+import sys
+
+import jsonschema
+import pytest
+import yaml
+
+from evo_cpg.config.file_schema import documented_attributes, file_schema
+from evo_cpg.config.load import dump_config, load_config
+from evo_cpg.config.shipped import shipped, shipped_names
+from tiny_run import REPOSITORY
+
+sys.path.insert(0, str(REPOSITORY / "docs" / "extensions"))
+import config_keys
+
+SCHEMA = file_schema()
+CHECK = jsonschema.Draft202012Validator(SCHEMA)
+
+
+def mistakes(data) -> list[str]:
+    return [f"{mistake.json_path}: {mistake.message}" for mistake in CHECK.iter_errors(data)]
+
+
+def written(name: str) -> dict:
+    return yaml.safe_load(shipped(name).path.read_text())
+
+
+def test_it_is_a_schema():
+    jsonschema.Draft202012Validator.check_schema(SCHEMA)
+
+
+@pytest.mark.parametrize("name", shipped_names())
+def test_what_the_program_takes_the_schema_takes(name):
+    data = written(name)
+    assert mistakes(data) == []
+    # With the creature in it, and with every default filled in.
+    folder = shipped(name).path.parent
+    given = data["creature"] if isinstance(data["creature"], str) else data["creature"]["file"]
+    data["creature"] = yaml.safe_load((folder / given).read_text())
+    assert mistakes(data) == []
+    assert mistakes(yaml.safe_load(dump_config(load_config(shipped(name).path)))) == []
+
+
+def test_what_is_read_from_other_files_may_be_named():
+    data = written("hexapod")
+    data["creature"] = {"file": "creatures/hexapod.yaml", "pressure_sensors": "all"}
+    data["world"]["ground"] = {"floor": {"type": "relief", "file": "hills.png", "highest": 0.5}}
+    assert mistakes(data) == []
+    part = {"name": "a", "material": "b", "shape": {"type": "mesh", "file": "a.stl", "scale": 0.1}}
+    data["creature"] = {"name": "c", "materials": {"b": {"density": 1}}, "bodies": [part]}
+    assert mistakes(data) == []
+    del part["shape"]["file"]
+    assert "shape" in mistakes(data)[0]
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "words"),
+    [
+        ("sead", 1, r"\$: .*'sead' was unexpected"),
+        ("seed", -1, r"\$\.seed: -1 is less than the minimum of 0"),
+        ("task", {"type": "walk", "light": {}}, r"\$\.task: .*is not valid under any"),
+        ("creature", {"name": "nobody"}, r"\$\.creature: .*is not valid under any"),
+    ],
+)
+def test_what_the_program_refuses_the_schema_refuses(key, value, words):
+    data = copy.deepcopy(written("hexapod")) | {key: value}
+    (mistake,) = mistakes(data)
+    assert re.search(words, mistake)
+
+
+def definitions():
+    yield "", SCHEMA
+    yield from SCHEMA["$defs"].items()
+
+
+def test_every_part_and_every_key_is_described():
+    for name, definition in definitions():
+        if name:
+            assert len(definition["description"]) > 5, name
+        for key, value in definition["properties"].items():
+            # A unit alone tells nobody what it is a number of.
+            assert len(value.get("description", "")) > 5, f"{name}.{key}"
+            assert "\n" not in value["description"]
+
+
+def test_the_reference_has_every_key_of_every_section_that_a_file_may_have():
+    text = config_keys.every_key()
+    page = (REPOSITORY / "docs/reference/configuration.md").read_text()
+    assert page.count(config_keys.MARK) == 1
+    for name, definition in definitions():
+        if name == "CreatureFile":
+            # `file`, and the keys of a creature; the page says so.
+            assert "`file:`" in page
+            continue
+        _, found, rest = text.partition(f"({config_keys.anchor(name)})=\n")
+        assert found, name
+        table = rest.partition("\n(config-")[0]
+        for key in definition["properties"]:
+            assert f"\n| `{key}` |" in table, f"{name}.{key}"
+
+
+def test_the_reference_says_values_units_and_defaults():
+    text = config_keys.every_key()
+    for row in (
+        "| `field_of_view_deg` | number above 0, up to 360 | degrees | `180` | full opening",
+        "| `size` | 3 numbers above 0 | m | **required** | edges along x, y and z |",
+        "| `mutated_genes` | 2 whole numbers from 1 to 1000000 |  | `[2, 30]` | fewest and most",
+        "| `restitution_rule` | `multiply`, `average`, `geometric`, `min` or `max` |  |"
+        " `multiply` |",
+        "| `type` | `hills` |  | **required** |",
+        "| `type` | `real` |  | `real` |",
+        "| `surface` | number | m | none | height of its surface; `null` for water everywhere |",
+        "### `simulation.trials.N.light`, `task.light`",
+        "### `creature.sensors.N`, `controller`, `task`: `type: my_module:MyClass`",
+    ):
+        assert row in text, row
+    assert "1000000000000" not in text and "Config" not in text.replace("(config-", "")
+
+
+def test_attributes_are_read_from_a_docstring():
+    about, attributes = documented_attributes(
+        """What it is.
+
+        Attributes:
+            a: one line.
+            b: a line: and
+                another.
+
+        Raises:
+            ValueError: c: not one.
+        """
+    )
+    assert about == "What it is."
+    assert attributes == {"a": "one line.", "b": "a line: and another."}
