@@ -40,6 +40,7 @@ def run(notebook: Notebook) -> Notebook:
     """The notebook with what its cells print and draw now."""
     import matplotlib.pyplot as plt
 
+    plt.close("all")  # what others left open is none of the notebook's
     names: dict[str, Any] = {"__name__": "__main__"}
     cells, count = [], 0
     for cell in notebook["cells"]:

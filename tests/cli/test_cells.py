@@ -48,17 +48,17 @@ def test_terms_are_told_with_their_units():
 
 def test_a_film_says_whose_cell_it_is(cli, mapped, monkeypatch):
     run, cell, found = mapped
-    seen = {}
-    monkeypatch.setattr(film, "film", lambda *_, **given: seen.update(given) or "made")
+    shown = []
+    monkeypatch.setattr(film, "side_by_side", lambda *given, **_: shown.extend(given[0]) or "made")
     name = ",".join(map(str, cell))
     code, _, complaint = cli("render", run, "--cell", name)
     assert code == 0, complaint
     place = np.ravel_multi_index(cell, found.fitness.shape)
     speed, frequency = found.archive.descriptors[:, place]
-    assert seen["title"] == f"iwadate2010_swimmer, cell {name}"
-    assert seen["note"] == f"speed {speed:.3g} m/s, frequency {frequency:.3g} Hz"
+    assert shown[-1].title == f"iwadate2010_swimmer, cell {name}"
+    assert shown[-1].note == f"speed {speed:.3g} m/s, frequency {frequency:.3g} Hz"
     assert cli("render", run)[0] == 0
-    assert (seen["title"], seen["note"]) == ("iwadate2010_swimmer", "")
+    assert (shown[-1].title, shown[-1].note) == ("iwadate2010_swimmer", "")
 
 
 def test_an_elite_is_audited_and_not_the_champion(cli, mapped, monkeypatch):
