@@ -17,7 +17,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -44,6 +44,7 @@ _QUICK_RUNS, _QUICK_GENERATIONS, _QUICK_STEPS = 2, 2, 60
 _QUICK_POPULATION, _QUICK_ELITES = 20, 2
 
 
+@runtime_checkable
 class Work(Protocol):
     """Making tables and pictures: what may be called to say how far it is."""
 
@@ -56,6 +57,7 @@ class Work(Protocol):
         ...
 
 
+@runtime_checkable
 class Show(Protocol):
     """Who shows how far the work is."""
 

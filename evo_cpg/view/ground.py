@@ -4,7 +4,7 @@ The floor writes no depth, so what lies in its plane does not flicker.
 """
 
 from collections.abc import Callable
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 import pyvista as pv
@@ -20,6 +20,7 @@ _DIGIT, _BESIDE = 0.1, 0.45
 _FADES, _FADES_DOWN = (0.33, 0.43), (0.57, 0.8)
 
 
+@runtime_checkable
 class Update(Protocol):
     """Brings what lies on the ground up to date."""
 
