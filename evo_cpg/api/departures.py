@@ -14,7 +14,7 @@ from evo_cpg.view.page.departures import Departures, Difference, Note
 
 # `  steps: 2000   # paper`; what stands before the comment, and the comment.
 _LINE = re.compile(r"^( *)([A-Za-z_]\w*):\s*(.*?)\s*(?:# ?(.*))?$")
-# "paper: not said" is ours; "ours: half the paper's times" is not the paper's.
+# "paper: not said" and "paper: 200; ours: 400" are ours; "ours: half the paper's times" is, too.
 _WHOSE = re.compile(r"\bours\b|\bpaper\b(?!')")
 _CONTINUED = re.compile(r"^\s+# ?(.*)$")
 
@@ -79,7 +79,7 @@ def notes(text: str) -> list[Note]:
         whose = _WHOSE.search(comment)
         if whose or key == "creature":
             value = re.sub(r"^&\w+ ?", "", value)
-            ours = whose is None or whose[0] == "ours" or "not sa" in comment
+            ours = whose is None or "ours" in _WHOSE.findall(comment) or "not sa" in comment
             found.append(Note(key, value, comment, ours))
             open_note = whose is not None
     return found

@@ -39,7 +39,10 @@ class Record(Mapping[str, Float[np.ndarray, " t"]]):
         return len(self._columns)
 
     def __repr__(self) -> str:
-        return f"Record({len(self['time'])} steps, {len(self)} columns: {', '.join(self)})"
+        # A swimmer has hundreds of columns.
+        names = list(self)
+        shown = names if len(names) <= 8 else [*names[:6], "...", names[-1]]
+        return f"Record({len(self['time'])} steps, {len(names)} columns: {', '.join(shown)})"
 
     def to_csv(self, path: Path | str) -> None:
         """Write it as a table whose header is the names, each with its unit: ``time [s]``.

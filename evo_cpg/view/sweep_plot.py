@@ -11,6 +11,7 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from evo_cpg.view.legible import legible
 from evo_cpg.view.output import PLOT_SUFFIXES, in_one_piece, output_path
@@ -104,6 +105,8 @@ def _draw_ends(axes: Axes, curves: Sequence[Curves], colours: Sequence) -> None:
         axes.plot([np.median(final)] * 2, [row - 0.32, row + 0.32], color=colour, lw=2.6)
     axes.set_yticks(range(len(curves)), [_label(curve) for curve in curves], fontsize=9)
     axes.set_ylim(len(curves) - 0.4, -0.6)
+    # Long numbers run into each other where there are many.
+    axes.xaxis.set_major_locator(MaxNLocator(4))
     axes.set_xlabel("fitness of the champions (line: median)")
 
 

@@ -209,12 +209,14 @@ world:
   law: normal
   floor: [1, 2]  # paper: not said
 scale: 0.5  # ours: half the paper's times
+population: 400  # paper: 200; ours: more seeds find a way
 """
     assert [(note.key, note.value, note.ours) for note in notes(text)] == [
         ("steps", "2000", False),
         ("world.drag", "1.0", True),
         ("world.floor", "[1, 2]", True),
         ("scale", "0.5", True),
+        ("population", "400", True),
     ]
     assert notes(text)[1].text == "C_d; ours, as nobody says"
 
