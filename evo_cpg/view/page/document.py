@@ -499,7 +499,7 @@ def _every(recording: Recording, step: int) -> Recording:
     return Recording(**arrays)
 
 
-def _number(value: float) -> str:
+def _number(value: float | np.floating) -> str:
     """Three digits; a dash where there is none."""
     if not math.isfinite(value):
         return "\N{EN DASH}"
