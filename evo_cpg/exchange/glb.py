@@ -13,7 +13,7 @@ from typing import Any
 
 import matplotlib.image
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, UInt8
 
 # Codes of the specification: kinds of numbers, and what a stretch of the buffer is for.
 _FLOAT, _UNSIGNED = 5126, 5125
@@ -77,7 +77,7 @@ class Glb:
             material["emissiveFactor"] = linear
         return self._add("materials", material)
 
-    def texture(self, image: Int[np.ndarray, "h w 3"]) -> int:
+    def texture(self, image: UInt8[np.ndarray, "h w 3"]) -> int:
         """Add a picture ``(height, width, 3)`` of bytes that repeats without end."""
         png = io.BytesIO()
         matplotlib.image.imsave(png, np.ascontiguousarray(image), format="png")

@@ -188,4 +188,5 @@ def _add_mesh(glb: Glb, name: str, surface: pv.PolyData, material: int) -> int:
     whole = surface.triangulate()
     normals = np.asarray(whole.point_data.active_normals, float)
     normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
-    return glb.mesh(name, np.asarray(whole.points), normals, whole.regular_faces, material)
+    corners = whole.regular_faces.astype(np.int64)
+    return glb.mesh(name, np.asarray(whole.points), normals, corners, material)

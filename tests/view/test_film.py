@@ -181,7 +181,7 @@ def test_around_a_hill_the_camera_stays_above_it(creature, recording):
     clip = sample(recording, 30)
     bare = camera_path(creature, recording, clip, stage("land")._replace(camera="orbit"))
     place = bare.position[len(bare.position) // 2]
-    stone = Boulder(place - [0, 0, 1.0], 1.6)
+    stone = Boulder(tuple(place - [0, 0, 1.0]), 1.6)
     ground = Ground(floor=Plane(height=-1.0), obstacles=(stone,))
     camera = camera_path(
         creature, recording, clip, stage("land")._replace(camera="orbit", ground=ground)
