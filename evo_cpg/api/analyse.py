@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from evo_cpg.analysis.chains import chains, rhythm_of
 from evo_cpg.api.departures import departures
 from evo_cpg.api.load import load, misfit
-from evo_cpg.api.record import frames_again
+from evo_cpg.api.record import lives_again
 from evo_cpg.api.training import now, require_configured
 from evo_cpg.api.version import version
 from evo_cpg.config.load import load_config
@@ -87,7 +87,7 @@ def page(
     from evo_cpg.view.watch_picture import still
 
     config, simulation = load_config(folder.config), experiment.simulation
-    frames, recording = frames_again(experiment, champion, folder, trial)
+    ((_, frames, recording),) = lives_again(experiment, [champion], folder, trial)
     doing("measuring the gait")
     numbers = gait_numbers(simulation, experiment.creature, frames, recording)
     doing("drawing")

@@ -2,8 +2,9 @@
 
 import csv
 import io
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Array, Float
@@ -123,22 +124,44 @@ def as_record(simulation: Simulation, frames: Mapping[str, Array], recording: Re
     return Record(columns, units, recording)
 
 
-def frames_again(
-    experiment: Experiment, champion: Champion, folder: RunFolder, trial: int, full: bool = False
-) -> tuple[dict[str, Array], Recording]:
-    """What is recorded of a champion's control steps, and its motion.
+class Life(NamedTuple):
+    """What an individual came to, and what was recorded of it.
+
+    Attributes:
+        fitness: as it counts in the run.
+        frames: see `evo_cpg.simulation.rollout.record`, of one individual.
+        recording: its motion.
+    """
+
+    fitness: float
+    frames: dict[str, Array]
+    recording: Recording
+
+
+def lives_again(
+    experiment: Experiment,
+    champions: Sequence[Champion],
+    folder: RunFolder,
+    trial: int,
+    full: bool = False,
+) -> list[Life]:
+    """Individuals of a run, living once more, one after the other in one program.
 
     Args:
-        experiment: that it evolved in.
-        champion: the individual.
-        folder: of its run.
-        trial: which of its trials, from 0.
+        experiment: that they evolved in.
+        champions: the individuals.
+        folder: of their run.
+        trial: which of their trials is recorded, from 0.
         full: see `evo_cpg.simulation.rollout.record`.
     """
     # Importing the loop starts nothing, but it takes JAX a second.
     from evo_cpg.training.loop import compile_life
 
-    devices = folder.read_meta().get("devices", 1)
-    _, _, frames = compile_life(experiment, devices, trial, full)(champion)
+    live = compile_life(experiment, folder.read_meta().get("devices", 1), trial, full)
     names = [body.name for body in experiment.creature.bodies]
-    return frames, as_recording(experiment.simulation, frames, names, trial=trial)
+    found = []
+    for champion in champions:
+        fitness, _, frames = live(champion)
+        recording = as_recording(experiment.simulation, frames, names, trial=trial)
+        found.append(Life(fitness, frames, recording))
+    return found

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from evo_cpg.analysis.chains import rhythm_of
 from evo_cpg.api.load import misfit
+from evo_cpg.api.record import Life, lives_again
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.pictures import of_trial, pixels_of
 from evo_cpg.cli.progress import working
@@ -24,22 +25,11 @@ from evo_cpg.training.lineage import champion_at, telling
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
 
 if TYPE_CHECKING:
-    from jaxtyping import Array
-
-    from evo_cpg.simulation.recording import Recording
     from evo_cpg.view.film import Panel
     from evo_cpg.view.signals import Signals
 
 # Animals side by side: of a lineage where nothing is said, and at most.
 _SHOWN, _MOST = 4, 9
-
-
-class _Life(NamedTuple):
-    """What an individual came to, and what was recorded of it."""
-
-    fitness: float
-    frames: "dict[str, Array]"
-    recording: "Recording"
 
 
 class Film(NamedTuple):
@@ -139,7 +129,7 @@ def _panel(run: Path, number: int | None, trial: int, cell: str | None, signals:
     if signals:
         experiment, champion, _, folder = open_champion(run, number, cell)
         require_trial(experiment, folder, trial)
-        (life,) = _lives(experiment, [champion], folder, trial)
+        (life,) = _replayed(experiment, [champion], folder, trial)
         recording, strip = life.recording, _signals(experiment, life)
     else:
         experiment, champion, recording, _ = champion_motion(run, number, trial, cell)
@@ -163,7 +153,7 @@ def _lineage(
         wrong = misfit(experiment, one)
         if wrong:
             raise RunFolderError(f"{folder.lineage}: generation {one.generation}: {wrong}")
-    for one, life in zip(chosen, _lives(experiment, chosen, folder, trial), strict=True):
+    for one, life in zip(chosen, _replayed(experiment, chosen, folder, trial), strict=True):
         if not math.isclose(
             life.fitness, one.fitness, rel_tol=REPLAY_TOLERANCE, abs_tol=REPLAY_TOLERANCE
         ):
@@ -204,25 +194,14 @@ def _chosen(folder: RunFolder, run: int, wanted: list[int] | None) -> list[Champ
     return found
 
 
-def _lives(
+def _replayed(
     experiment: Experiment, champions: Sequence[Champion], folder: RunFolder, trial: int
-) -> list[_Life]:
-    """Individuals, living once more."""
+) -> list[Life]:
     with working("replaying: compiling takes some seconds, a trial less"):
-        from evo_cpg.simulation.rollout import as_recording
-        from evo_cpg.training.loop import compile_life
-
-        live = compile_life(experiment, folder.read_meta().get("devices", 1), trial)
-        names = [body.name for body in experiment.creature.bodies]
-        found = []
-        for champion in champions:
-            fitness, _, frames = live(champion)
-            recording = as_recording(experiment.simulation, frames, names, trial=trial)
-            found.append(_Life(fitness, frames, recording))
-        return found
+        return lives_again(experiment, champions, folder, trial)
 
 
-def _signals(experiment: Experiment, life: _Life) -> "Signals":
+def _signals(experiment: Experiment, life: Life) -> "Signals":
     """What the controller of an individual did, and its feet."""
     from evo_cpg.analysis.gait_numbers import gait_numbers
     from evo_cpg.view.signals import signals_of

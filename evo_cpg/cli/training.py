@@ -329,10 +329,10 @@ def champion_record(
     """All that can be told of the champion's trial, lived again; see `champion_motion`."""
     experiment, champion, _, folder = open_champion(run, number, cell)
     require_trial(experiment, folder, trial)
-    from evo_cpg.api.record import as_record, frames_again
+    from evo_cpg.api.record import as_record, lives_again
 
     with working("replaying the champion: compiling takes some seconds, a trial less"):
-        frames, motion = frames_again(experiment, champion, folder, trial, full=True)
+        ((_, frames, motion),) = lives_again(experiment, [champion], folder, trial, full=True)
     return as_record(experiment.simulation, frames, motion)
 
 

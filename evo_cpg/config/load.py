@@ -281,7 +281,14 @@ def _worded(
     kind, given = problem["type"], problem.get("input")
     if kind in _UNKNOWN_KEY:
         valid = _siblings(ExperimentConfig, data, key[:-1])
-        return ConfigError(source, key, f"unknown key; {nearest(str(key[-1]), valid)}")
+        # A key of a section, without the section.
+        inner = [
+            f"{section}.{key[0]}"
+            for section in (valid if len(key) == 1 else ())
+            if section in data and key[0] in _siblings(ExperimentConfig, data, (section,))
+        ]
+        hint = f"did you mean {' or '.join(inner)}?" if inner else nearest(str(key[-1]), valid)
+        return ConfigError(source, key, f"unknown key; {hint}")
     if kind == "missing":
         return ConfigError(source, key, "is missing and has no default")
     message = problem["msg"].removeprefix("Value error, ")

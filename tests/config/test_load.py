@@ -102,6 +102,7 @@ def test_shipped_configs_build_and_survive_being_written_and_read(path, tmp_path
     ("key", "value", "expected"),
     [
         ("evolutoin", {}, "evolutoin: unknown key; did you mean 'evolution'?"),
+        ("generations", 3, "generations: unknown key; did you mean evolution.generations?"),
         ("evolution__elite", 3, "evolution.elite: unknown key; did you mean 'elites'?"),
         ("world__water__densty", 1, "world.water.densty: unknown key; did you mean 'density'?"),
         (
