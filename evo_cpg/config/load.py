@@ -285,7 +285,7 @@ def _worded(
         inner = [
             f"{section}.{key[0]}"
             for section in (valid if len(key) == 1 else ())
-            if section in data and key[0] in _siblings(ExperimentConfig, data, (section,))
+            if key[0] in _siblings(ExperimentConfig, {section: {}} | data, (section,))
         ]
         hint = f"did you mean {' or '.join(inner)}?" if inner else nearest(str(key[-1]), valid)
         return ConfigError(source, key, f"unknown key; {hint}")

@@ -51,7 +51,7 @@ def gltf_film(
     """A binary glTF file (.glb) of a recording.
 
     A node for each body, named as it, is moved by translation and rotation at every instant of
-    the recording. `evo_cpg.view.film.film` shows the same.
+    the recording. `evo_cpg.view.film.side_by_side` shows the same.
 
     Args:
         creature: the animal.

@@ -10,7 +10,7 @@ import contextlib
 import os
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pyvista as pv
@@ -176,45 +176,6 @@ class Clip(NamedTuple):
     rotation: Float[np.ndarray, "frames b 3 3"]
     distance: Float[np.ndarray, " frames"]
     speed: Float[np.ndarray, " frames"]
-
-
-def film(
-    creature: Creature,
-    recording: Recording,
-    path: str | os.PathLike[str],
-    *,
-    title: str | None = None,
-    note: str = "",
-    world: str = "water",
-    ground: Ground | None = None,
-    surface: float | None = None,
-    signals: Signals | None = None,
-    size: tuple[int, int] = (1280, 720),
-    **settings: Any,
-) -> Path:
-    """Render a recording; several of them by `side_by_side`.
-
-    Args:
-        creature: the animal.
-        recording: its motion; without a light (the goal is not finite) the caption tells how far
-            the animal has come.
-        path: see `side_by_side`, likewise the settings and what is raised.
-        title: caption; the creature's name by default.
-        note: below it, in small letters.
-        world: where the animal lives, ``water`` or ``land``.
-        ground: that carries the animal, with distances from the start painted on it; by default
-            there is none, and a floor is drawn below the animal's way.
-        surface: height of the water's surface, m. It is shown, from above and in daylight, where
-            the animal comes out of it or land near its way does.
-        signals: of the animal, shown in a strip at the foot of the picture; None for none.
-        size: width and height, pixels.
-        settings: of `side_by_side`.
-
-    Returns:
-        The path, or the folder of the pictures.
-    """
-    panel = Panel(creature, recording, title, world, ground, surface, signals, note)
-    return side_by_side([panel], path, size=size, **settings)
 
 
 def side_by_side(

@@ -68,7 +68,7 @@ def signals_of(
     feet: tuple[str, ...] = (),
     touched: Bool[np.ndarray, "t f"] | None = None,
 ) -> Signals:
-    """The signals of a recording: of every joint the axis about which the animal bends most.
+    """The signals of a recording: of every joint the axis about which the animal bends, y or z.
 
     A joint that has no such axis is shown with the one about which it turns most.
 

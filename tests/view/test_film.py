@@ -16,10 +16,11 @@ from evo_cpg.physics.footing import Ground
 from evo_cpg.physics.terrain import Boulder, Plane
 from evo_cpg.view import output
 from evo_cpg.view.camera import follow, project, smooth
-from evo_cpg.view.film import Panel, Stage, camera_path, film, sample, side_by_side
+from evo_cpg.view.film import Panel, Stage, camera_path, sample, side_by_side
 from evo_cpg.view.look import LOOKS
 from evo_cpg.view.meshes import body_colors
 from evo_cpg.view.output import OutputError
+from films import film
 
 SMALL = (192, 108)
 

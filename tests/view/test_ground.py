@@ -8,11 +8,12 @@ from evo_cpg.physics.footing import Ground
 from evo_cpg.physics.terrain import Plane
 from evo_cpg.view import plots
 from evo_cpg.view.camera import project
-from evo_cpg.view.film import Stage, camera_path, film, sample
+from evo_cpg.view.film import Stage, camera_path, sample
 from evo_cpg.view.ground import mark_spacing
 from evo_cpg.view.look import LOOKS
 from evo_cpg.view.meshes import body_colors
 from evo_cpg.view.preview import _apart, preview
+from films import film
 
 SIZE = (640, 360)
 INSTANT = 6.25

@@ -9,12 +9,13 @@ from creatures import quick_jit
 from evo_cpg.physics.footing import Ground
 from evo_cpg.physics.terrain import Block, Boulder, Plane, Relief, Shore
 from evo_cpg.view.camera import hidden, project
-from evo_cpg.view.film import Stage, camera_path, film, sample, surface_is_seen
+from evo_cpg.view.film import Stage, camera_path, sample, surface_is_seen
 from evo_cpg.view.look import SHORE
 from evo_cpg.view.obstacles import obstacle_mesh, obstacle_top
 from evo_cpg.view.particles import add_particles
 from evo_cpg.view.terrain import heights, make_terrain
 from evo_cpg.view.water import Ripples
+from films import film
 
 SIZE = (320, 180)
 INSTANT = 3.0

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import synthetic
 
-from evo_cpg.view.film import film
 from evo_cpg.view.look import LOOKS
 from evo_cpg.view.signals import Strip, signals_of
+from films import film
 
 SIZE = (640, 108)
 
