@@ -113,7 +113,7 @@ def page(
         name=experiment.name,
         folder=folder.path.resolve().name,
         sentence=_sentence(experiment, config),
-        champion={"fitness": champion.fitness, **champion.terms},
+        champion={"fitness": champion.fitness, **_expected(champion), **champion.terms},
         generation=champion.generation,
         generations=int(motion.history["generation"].max()) + 1,
         run=champion.run if experiment.runs > 1 else None,
@@ -130,6 +130,13 @@ def page(
         made=now(),
     )
     return document.document(subject, motion)
+
+
+def _expected(champion: Champion) -> dict[str, float]:
+    """What it came to in fresh draws of chance, if there were any."""
+    if champion.expected is None:
+        return {}
+    return {f"mean fitness in {champion.lives} fresh draws": champion.expected}
 
 
 def _jpeg(picture: "Image.Image") -> bytes:

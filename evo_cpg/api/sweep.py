@@ -16,6 +16,7 @@ import csv
 import hashlib
 import io
 import json
+import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -230,7 +231,8 @@ def summarise(folder: Path, members: Sequence[Member]) -> Summary:
         evaluated = experiment.strategy.population * np.arange(1, checkpoint.generation + 1)
         best = np.array([row["champion"] for row in checkpoint.history]).reshape(-1, runs).T
         curves.append(Curves(name, evaluated, best))
-        fitness[name] = best[:, -1].tolist()
+        worth = [math.nan if one is None else one.worth for one in checkpoint.champions]
+        fitness[name] = worth
         # Every run's row has the time that all of them took.
         seconds = sum(row["seconds"] for row in checkpoint.history) / runs
         for run, champion in enumerate(checkpoint.champions):
@@ -241,7 +243,7 @@ def summarise(folder: Path, members: Sequence[Member]) -> Summary:
                 "generations": checkpoint.generation,
                 "evaluations": int(evaluated[-1]),
                 "seconds": round(seconds / runs, 2),
-                "fitness": best[run, -1],
+                "fitness": worth[run],
                 "found_in": "" if champion is None else champion.generation,
             }
             last = checkpoint.history[run - runs]

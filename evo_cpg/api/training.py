@@ -36,8 +36,9 @@ class Trained:
 
     Attributes:
         folder: the run folder, for `evo-cpg render` and the other commands.
-        genome: of the best individual ever evaluated.
+        genome: of the champion.
         fitness: its fitness.
+        expected: its mean fitness in fresh draws of chance; None where chance has no say.
         terms: the task's terms of it.
         history: rows of metrics.csv.
     """
@@ -47,6 +48,7 @@ class Trained:
     fitness: float
     terms: dict[str, float]
     history: Rows
+    expected: float | None = None
 
 
 def train(
@@ -82,7 +84,8 @@ def train(
         recorder.keep(champion)
     checkpoint = folder.load()
     history = checkpoint.history if checkpoint else []
-    return Trained(folder.path, champion.genes, champion.fitness, champion.terms, history)
+    told = champion.genes, champion.fitness, champion.terms
+    return Trained(folder.path, *told, history, champion.expected)
 
 
 def begin_run(

@@ -61,7 +61,7 @@ def warm_start(experiment: Experiment, path: Path, what: What) -> Start:
         _first_population(experiment, checkpoint, champion, run, what)
         for run, champion in enumerate(chosen)
     ]
-    best = max(chosen, key=lambda champion: champion.fitness)
+    best = max(chosen, key=lambda champion: champion.worth)
     provenance = {
         "from": str(path.resolve()),
         "what": what,

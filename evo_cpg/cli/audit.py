@@ -125,6 +125,7 @@ def _write(folder: RunFolder, name: str, champion: Champion, done: "Audit") -> N
         "run": champion.run,
         "generation": champion.generation,
         "fitness": champion.fitness,
+        "expected": champion.expected,
         "checks": [_as_dict(check) for check in verdict.checks],
         "energy": [_energy(trial.ledger) for trial in done.trials],
         "second_opinion": [_opinion(each) for each in done.opinions] or done.missing,

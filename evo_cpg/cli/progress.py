@@ -198,7 +198,12 @@ def working(what: str, counted: bool = False) -> Iterator[Work]:
 
 @contextlib.contextmanager
 def progress(
-    title: str, step: str, total: int, completed: int = 0, first: str = "compiling"
+    title: str,
+    step: str,
+    total: int,
+    completed: int = 0,
+    first: str = "compiling",
+    last: str = "",
 ) -> Iterator[Callable[[int, str, float], None]]:
     """Show every step of some work.
 
@@ -208,6 +213,7 @@ def progress(
         total: steps in all.
         completed: steps done before.
         first: what is done before the first of them.
+        last: what is done after the last one.
 
     Yields:
         A function to call after every step, with its number (from 0), how things stand, and the
@@ -223,7 +229,8 @@ def progress(
             _say(f"{step} {number + 1:4d}/{total}  {state}  {seconds:6.2f} s")
             now = time.monotonic()
             heartbeat.heard(now)
-            heartbeat.doing(f"{step} {number + 2:4d}/{total}", now)
+            more = number + 1 < total
+            heartbeat.doing(f"{step} {number + 2:4d}/{total}" if more else last or title, now)
 
         with beating(heartbeat, _say):
             yield tell
@@ -240,8 +247,10 @@ def progress(
         bar = bars.add_task(title, total=total, completed=completed, state=first)
 
         def advance(number: int, state: str, seconds: float) -> None:
-            del number, seconds
+            del seconds
             bars.update(bar, advance=1, state=state)
+            if last and number + 1 == total:
+                bars.update(bar, description=last)
 
         yield advance
 

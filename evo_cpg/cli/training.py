@@ -393,6 +393,7 @@ def _evolve(
                 experiment.generations,
                 start,
                 "compiling, which takes 10 s to a minute for a new body",
+                "" if experiment.simulation.noise.silent else "choosing the champion",
             ) as show:
 
                 def tell(rows: list[dict[str, float]]) -> None:
@@ -411,7 +412,10 @@ def _evolve(
     origin = f"generation {champion.generation}"
     if experiment.runs > 1:
         origin += f" of run {champion.run}"
-    print(f"champion of {origin}: fitness {champion.fitness:.4f} ({terms})", file=sys.stderr)
+    fitness = f"fitness {champion.fitness:.4f}"
+    if champion.expected is not None:
+        fitness += f" in its own trials, {champion.expected:.4f} in {champion.lives} fresh draws"
+    print(f"champion of {origin}: {fitness} ({terms})", file=sys.stderr)
     if recorder.seen is not None:
         _say_first_look(recorder.seen, folder)
     print(folder.path)

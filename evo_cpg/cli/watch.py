@@ -226,7 +226,7 @@ def _table(now: Standing) -> Table:
     if champion is not None:
         whose = f" of run {champion.run}" if len(now.checkpoint.champions) > 1 else ""
         table.add_row(
-            f"champion {champion.fitness:.4f}",
+            f"champion {champion.worth:.4f}",
             f"of generation {champion.generation}{whose}",
             ", ".join(f"{name} {value:.3g}" for name, value in champion.terms.items()),
         )

@@ -12,8 +12,8 @@ def walk(workshop: Workshop) -> list[Table]:
     """What five champions come to."""
     champions = workshop.champions("hexapod")
     names = ("distance", "tilt", "bounce", "airborne")
-    rows = [["fitness", middle([each.fitness for each in champions]),
-             in_order([each.fitness for each in champions])]]  # fmt: skip
+    rows = [["fitness", middle([each.worth for each in champions]),
+             in_order([each.worth for each in champions])]]  # fmt: skip
     for name in names:
         values = [champion.terms[name] for champion in champions if name in champion.terms]
         if values:

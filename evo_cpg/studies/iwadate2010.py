@@ -82,7 +82,7 @@ def drives(workshop: Workshop) -> list[Table]:
                     f"`{name}`",
                     str(experiment.simulation.controller.gene_count),
                     str(experiment.seed + champion.run),
-                    f"{champion.fitness:.3f}",
+                    f"{champion.worth:.3f}",
                     percent(champion.terms["distance"]),
                     f"{low:.2f} to {high:.2f}",
                     " ".join(f"{each:.0f}" for each in found.lag),

@@ -47,7 +47,7 @@ def light_table(workshop: "Workshop", evolved: str, random: str | None = None) -
                 [
                     title,
                     str(seed + champion.run),
-                    f"{champion.fitness:.3f}",
+                    f"{champion.worth:.3f}",
                     percent(terms["distance"]),
                     f"{terms['light']:.2f}",
                     f"{terms['energy']:.0f}",
@@ -55,7 +55,7 @@ def light_table(workshop: "Workshop", evolved: str, random: str | None = None) -
                 ]
             )
             title = ""
-        fitness[name] = [champion.fitness for champion in found]
+        fitness[name] = [champion.worth for champion in found]
         left = [100 * champion.terms["distance"] for champion in found]
         cells = middle(fitness[name], 3), f"{middle(left, 1)} %", "", "", ""
         rows.append(["median (range)", "", *cells])

@@ -57,7 +57,7 @@ def shore(workshop: Workshop) -> list[Table]:
             workshop.champions(name), _left(workshop, "shore", name), strict=True
         ):
             seed = str(workshop.experiment(name).seed + champion.run)
-            rows.append([title, seed, f"{champion.fitness:.3f}", *map(percent, left)])
+            rows.append([title, seed, f"{champion.worth:.3f}", *map(percent, left)])
             title = ""
     left = np.array(_left(workshop, "shore", "land"))
     cells = [f"{middle(100 * column, 1)} %" for column in left.T]

@@ -86,7 +86,7 @@ def _own(name: str) -> str:
 
 
 def _fitness(workshop: Workshop, name: str) -> list[float]:
-    return [champion.fitness for champion in workshop.champions(name)]
+    return [champion.worth for champion in workshop.champions(name)]
 
 
 def _part(part: str, title: str) -> Part:

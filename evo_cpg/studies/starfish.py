@@ -36,7 +36,7 @@ def lags(workshop: Workshop) -> list[Table]:
                     for a, b, c in zip(whole, low, high, strict=True)
                 ]
                 way = f"{recording.distance[0]:.2f} to {recording.distance[-1]:.2f}"
-                rows.append([f"`{name}`", f"{champion.fitness:.3f}", way, *cells])
+                rows.append([f"`{name}`", f"{champion.worth:.3f}", way, *cells])
                 head = [*head[:3], *(f"`{joint}`, degrees" for joint in joints)]
     return [Table("", head, rows)]
 

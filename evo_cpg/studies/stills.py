@@ -44,7 +44,7 @@ def stills(
                 title,
                 str(experiment.seed + champion.run),
                 str(champion.generation),
-                f"{champion.fitness:.3f}",
+                f"{champion.worth:.3f}",
                 _way(recording),
                 ", ".join(f"{instant - recording.time[0]:.1f}" for instant in instants),
             ]

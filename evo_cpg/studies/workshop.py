@@ -36,6 +36,7 @@ from evo_cpg.studies import provenance
 from evo_cpg.studies.study import Part, Study, Table
 from evo_cpg.training.checkpoint import Champion, Checkpoint, genes_digest
 from evo_cpg.training.experiment import Experiment
+from evo_cpg.training.reevaluation import is_finished
 from evo_cpg.training.run_folder import RunFolder, RunFolderError, write_whole
 
 # What a run is cut down to with --quick. A second of a trial, for the terms of its last second.
@@ -326,12 +327,17 @@ def _smaller(source: Path, overrides: Sequence[str], count: int) -> list[str]:
 
 
 def _done(member: Member) -> int:
-    found = member.folder.load() if member.folder.config.is_file() else None
+    found = _checkpoint(member)
     return found.generation if found else 0
 
 
 def _finished(member: Member) -> bool:
-    return _done(member) >= member.experiment.generations
+    found = _checkpoint(member)
+    return found is not None and is_finished(member.experiment, found)
+
+
+def _checkpoint(member: Member) -> Checkpoint | None:
+    return member.folder.load() if member.folder.config.is_file() else None
 
 
 def _require_same(member: Member) -> None:

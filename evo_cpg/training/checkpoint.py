@@ -15,7 +15,7 @@ _STATE_PREFIX = "state."
 
 
 class Champion(NamedTuple):
-    """The best individual ever evaluated in a run.
+    """The best individual of a run.
 
     Attributes:
         genes: its genome.
@@ -26,6 +26,9 @@ class Champion(NamedTuple):
         run: number of its run.
         index: its place in its run's population; with the run and the generation it selects the
             random numbers of its trials.
+        lives: in fresh draws of chance, in which it was tried again; see
+            `evo_cpg.training.reevaluation`.
+        expected: its mean fitness in those that did not end early; None without any.
     """
 
     genes: np.ndarray
@@ -35,6 +38,13 @@ class Champion(NamedTuple):
     scales: dict[str, float]
     run: int = 0
     index: int = 0
+    lives: int = 0
+    expected: float | None = None
+
+    @property
+    def worth(self) -> float:
+        """Its fitness as far as that is known: in fresh draws of chance where it had any."""
+        return self.fitness if self.expected is None else self.expected
 
 
 class Checkpoint(NamedTuple):
@@ -43,24 +53,32 @@ class Checkpoint(NamedTuple):
     Attributes:
         generation: number of generations done.
         genes: the populations of the next generation, run by run.
-        champions: the best individual of each run so far.
+        records: the best individual that each run has evaluated so far.
         history: rows of metrics.csv.
         scales: the task's yardsticks in each run; empty before the first generation.
         state: what the strategy remembers, by `state_arrays`.
+        chosen: of each run the best in fresh draws of chance, where there is any and all
+            generations are done.
     """
 
     generation: int
     genes: np.ndarray
-    champions: tuple[Champion | None, ...]
+    records: tuple[Champion | None, ...]
     history: list[dict[str, float]]
     scales: dict[str, tuple[float, ...]]
     state: Mapping[str, np.ndarray] = MappingProxyType({})
+    chosen: tuple[Champion | None, ...] = ()
+
+    @property
+    def champions(self) -> tuple[Champion | None, ...]:
+        """The best individual of each run so far."""
+        return self.chosen or self.records
 
     @property
     def champion(self) -> Champion | None:
         """The best individual of all runs so far."""
         living = [champion for champion in self.champions if champion is not None]
-        return max(living, key=lambda champion: champion.fitness, default=None)
+        return max(living, key=lambda champion: champion.worth, default=None)
 
 
 def genes_digest(genes: np.ndarray) -> str:
@@ -97,6 +115,7 @@ def history_columns(
 
 def champion_arrays(champion: Champion) -> dict[str, Any]:
     """A champion as named arrays, with the digests that `verify` compares."""
+    told = {} if champion.expected is None else {"expected": champion.expected}
     return {
         "genes": champion.genes,
         "genes_sha256": genes_digest(champion.genes),
@@ -105,6 +124,8 @@ def champion_arrays(champion: Champion) -> dict[str, Any]:
         "generation": champion.generation,
         "run": champion.run,
         "index": champion.index,
+        "lives": champion.lives,
+        **told,
         **{_TERM_PREFIX + name: value for name, value in champion.terms.items()},
         **{_SCALE_PREFIX + name: value for name, value in champion.scales.items()},
     }
@@ -112,8 +133,8 @@ def champion_arrays(champion: Champion) -> dict[str, Any]:
 
 def read_champion(arrays: Mapping[str, np.ndarray]) -> Champion:
     """The inverse of `champion_arrays`; a missing array is a KeyError."""
-    # Absent from files that were written before there were several runs.
-    run, index = (int(arrays.get(name, 0)) for name in ("run", "index"))
+    # Absent from files that were written before there were several runs, or second lives.
+    run, index, lives = (int(arrays.get(name, 0)) for name in ("run", "index", "lives"))
     return Champion(
         arrays["genes"],
         arrays["fitness"].item(),
@@ -122,6 +143,8 @@ def read_champion(arrays: Mapping[str, np.ndarray]) -> Champion:
         _numbers(arrays, _SCALE_PREFIX),
         run,
         index,
+        lives,
+        arrays["expected"].item() if "expected" in arrays else None,
     )
 
 
@@ -139,15 +162,19 @@ def checkpoint_arrays(
     arrays: dict[str, Any] = {
         "generation": checkpoint.generation,
         "genes": checkpoint.genes,
-        "runs": len(checkpoint.champions),
+        "runs": len(checkpoint.records),
     }
     arrays |= {_HISTORY_PREFIX + name: column for name, column in columns.items()}
     arrays |= {_SCALE_PREFIX + name: values for name, values in checkpoint.scales.items()}
     arrays |= {_STATE_PREFIX + name: values for name, values in checkpoint.state.items()}
-    for run, champion in enumerate(checkpoint.champions):
-        if champion is not None:
-            prefix = _champion_prefix(run)
-            arrays |= {prefix + name: value for name, value in champion_arrays(champion).items()}
+    for kind, champions in (("champion", checkpoint.records), ("chosen", checkpoint.chosen)):
+        for run, champion in enumerate(champions):
+            if champion is not None:
+                prefix = _prefix(kind, run)
+                told = champion_arrays(champion)
+                arrays |= {prefix + name: value for name, value in told.items()}
+    if checkpoint.chosen:
+        arrays["chose"] = True
     return arrays
 
 
@@ -157,23 +184,31 @@ def read_checkpoint(arrays: Mapping[str, np.ndarray]) -> Checkpoint:
     rows = len(columns["generation"]) if columns else 0
     # Absent from files that were written before there were several.
     runs = int(arrays.get("runs", 1))
-    champions = [_below(arrays, _champion_prefix(run)) for run in range(runs)]
+    records, chosen = (
+        tuple(_champion_or_none(_below(arrays, _prefix(kind, run))) for run in range(runs))
+        for kind in ("champion", "chosen")
+    )
     return Checkpoint(
         arrays["generation"].item(),
         arrays["genes"],
-        tuple(read_champion(champion) if champion else None for champion in champions),
+        records,
         [{name: column[i].item() for name, column in columns.items()} for i in range(rows)],
         {
             name: tuple(np.atleast_1d(values).tolist())
             for name, values in _below(arrays, _SCALE_PREFIX).items()
         },
         _below(arrays, _STATE_PREFIX),
+        chosen if "chose" in arrays else (),
     )
 
 
-def _champion_prefix(run: int) -> str:
+def _champion_or_none(arrays: Mapping[str, np.ndarray]) -> Champion | None:
+    return read_champion(arrays) if arrays else None
+
+
+def _prefix(kind: str, run: int) -> str:
     """The first run's champion is named as that of a lone run."""
-    return f"champion{run or ''}."
+    return f"{kind}{run or ''}."
 
 
 def _numbers(arrays: Mapping[str, np.ndarray], prefix: str) -> dict[str, float]:

@@ -31,7 +31,8 @@ from evo_cpg.training.experiment import (
 from evo_cpg.training.lineage import extended, until
 from evo_cpg.training.memetic import compile_learning
 from evo_cpg.training.processes import ALONE, Team, load_together, start_together
-from evo_cpg.training.run_folder import RunFolder, RunFolderError
+from evo_cpg.training.reevaluation import CANDIDATES, Choice, Contest, is_finished
+from evo_cpg.training.run_folder import CANDIDATES_FILE, RunFolder, RunFolderError
 from evo_cpg.training.strategy_state import StrategyError, state_arrays, state_from
 
 # Fitness, terms and motion of an individual that lives again.
@@ -109,12 +110,18 @@ def train(
         if not compiled:
             on_compiled()
             compiled = True
-        on_generation(running.tell(part, began))
+        rows = running.tell(part, began)
+        if rows:
+            on_generation(rows)
     return running.checkpoint
 
 
 class Running:
     """A run that goes on: what its next generation takes, and what comes of that.
+
+    Where chance has a say, some rounds of trials follow the last generation, in which the champion
+    is chosen (`evo_cpg.training.reevaluation`). The first of them tries the population that the
+    run ends with, as the generation that it would have been.
 
     Args:
         experiment: what evolves.
@@ -155,22 +162,22 @@ class Running:
                 folder.write_metrics(checkpoint.history)
         self.checkpoint = checkpoint
         self._lineage = _lineage_until(folder, checkpoint) if team.leads else []
+        self._choice: Choice | None = None
 
     @property
     def finished(self) -> bool:
-        """Whether the last generation is done."""
-        return self.checkpoint.generation >= self._experiment.generations
+        """Whether the last generation is done, and the champion known."""
+        return is_finished(self._experiment, self.checkpoint)
 
     def trials(self) -> Trials:
-        """What the trials of the next generation take: this process's share of them."""
+        """What the trials of the next generation or round take: this process's share of them."""
         share, trials = self._share, self._experiment.trials
         of_share = slice(share.start * trials, share.stop * trials)
-        index = np.int32(self.checkpoint.generation)
-        keys = jax.tree.map(lambda x: x[:, of_share], jax.device_get(self._programs.keys(index)))
+        keys = jax.tree.map(lambda x: x[:, of_share], self._keys())
         numbers = jax.tree.map(
             lambda x: np.tile(x, share.stop - share.start), situation_numbers(self._experiment)
         )
-        return Trials(self.checkpoint.genes[:, share], keys, numbers)
+        return Trials(self._genes()[:, share], keys, numbers)
 
     def tell(self, part: Outcome, began: float) -> list[dict[str, float]]:
         """What the trials came to: breed, and leave a checkpoint.
@@ -180,9 +187,12 @@ class Running:
             began: when the generation did, by `time.perf_counter`, s.
 
         Returns:
-            The new rows of metrics.csv.
+            The new rows of metrics.csv; none after a round in which the champion is chosen.
         """
         experiment, before = self._experiment, self.checkpoint
+        if before.generation >= experiment.generations:
+            self._choose(part)
+            return []
         outcome = self._team.gather(part, before.genes, before.generation, experiment.trials)
         index, yardsticks = np.int32(before.generation), _float32(before.scales)
         result = jax.device_get(
@@ -195,28 +205,75 @@ class Running:
         if self._learn and experiment.learning and done % experiment.learning.every == 0:
             population = self._learn(population, done, scales)
         seconds = time.perf_counter() - began
-        champions = tuple(
+        records = tuple(
             _better(champion, result, before.generation, run)
-            for run, champion in enumerate(before.champions)
+            for run, champion in enumerate(before.records)
         )
         rows = [
             _metrics(experiment, before.generation, result, run, champion, seconds)
-            for run, champion in enumerate(champions)
+            for run, champion in enumerate(records)
         ]
         history, remembered = [*before.history, *rows], state_arrays(self._state)
-        self.checkpoint = Checkpoint(done, population, champions, history, scales, remembered)
+        self.checkpoint = Checkpoint(done, population, records, history, scales, remembered)
         if self._team.leads:
             # Before the checkpoint: a kill in between leaves a lineage that is ahead of it.
             found = [
                 new
-                for new, old in zip(champions, before.champions, strict=True)
+                for new, old in zip(records, before.records, strict=True)
                 if new is not None and new is not old
             ]
             if found:
                 self._lineage = extended(self._lineage, found)
                 self._folder.save_lineage(self._lineage)
+            if before.chosen and self.checkpoint.champion is not None:
+                # Chosen when this was to be the end of the run, which has gone on since.
+                self._folder.save_champion(self.checkpoint.champion)
             self._folder.save(self.checkpoint)
         return rows
+
+    def _choose(self, part: Outcome) -> None:
+        """Take a round in which champions are chosen, and write them when all are."""
+        experiment, checkpoint = self._experiment, self.checkpoint
+        genes, number = self._genes(), self._number
+        outcome = self._team.gather(part, genes, number, experiment.trials)
+        index, yardsticks = np.int32(number), _float32(checkpoint.scales)
+        # For the fitness alone: nothing is bred of it.
+        result = jax.device_get(
+            self._programs.breed(genes, outcome, index, yardsticks, self._state)
+        )
+        if self._choice is None:
+            by_run = np.split(genes, experiment.runs, axis=1)
+            population = experiment.strategy.population
+            self._choice = Choice(
+                [
+                    Contest(_candidates(record, own, result, number, run), population)
+                    for run, (record, own) in enumerate(
+                        zip(checkpoint.records, by_run, strict=True)
+                    )
+                ]
+            )
+        else:
+            self._choice.take(result.fitness)
+        if self._choice.done:
+            self.checkpoint = checkpoint._replace(chosen=self._choice.chosen())
+            rows = self._choice.rows()
+            if self._team.leads and rows:
+                self._folder.write_table(CANDIDATES_FILE, rows)
+                self._folder.save(self.checkpoint)
+
+    @property
+    def _number(self) -> int:
+        """Of the generation whose random numbers come next."""
+        return self._choice.generation if self._choice else self.checkpoint.generation
+
+    def _genes(self) -> np.ndarray:
+        """Who is tried next."""
+        return self._choice.genes(self.checkpoint.genes) if self._choice else self.checkpoint.genes
+
+    def _keys(self) -> np.ndarray | None:
+        """Of all trials that come next."""
+        keys = jax.device_get(self._programs.keys(np.int32(self._number)))
+        return self._choice.keys(keys, self._experiment.trials) if self._choice else keys
 
 
 def compile_evolution(experiment: Experiment) -> Evolution:
@@ -310,7 +367,7 @@ def _lineage_until(folder: RunFolder, checkpoint: Checkpoint) -> list[Champion]:
     except RunFolderError:
         lineage = []
     lineage = [each for each in lineage if each.genes.shape == checkpoint.genes.shape[:1]]
-    return until(lineage, checkpoint.champions, checkpoint.generation)
+    return until(lineage, checkpoint.records, checkpoint.generation)
 
 
 def _float32(scales: dict[str, tuple[float, ...]]) -> dict[str, np.ndarray]:
@@ -340,10 +397,31 @@ def _better(
     fitness = float(result.fitness[run, best])
     if not np.isfinite(fitness) or (champion is not None and fitness <= champion.fitness):
         return champion
-    terms = {name: float(values[run, best]) for name, values in result.terms.items()}
-    scales = {name: float(values[run]) for name, values in result.scales.items()}
     genes = np.asarray(result.best_genes[run])
-    return Champion(genes, fitness, generation, terms, scales, run, best)
+    return _individual(genes, result, generation, run, best)
+
+
+def _candidates(
+    record: Champion | None,
+    genes: Float[np.ndarray, "g n"],
+    result: Generation,
+    generation: int,
+    run: int,
+) -> list[Champion]:
+    """Who may become champion: the best so far, and the fittest of the last population."""
+    fittest = np.argsort(-result.fitness[run], kind="stable")[:CANDIDATES]
+    tried = [_individual(genes[:, i], result, generation, run, int(i)) for i in fittest]
+    return [one for one in (record, *tried) if one is not None and np.isfinite(one.fitness)]
+
+
+def _individual(
+    genes: Float[np.ndarray, " g"], result: Generation, generation: int, run: int, index: int
+) -> Champion:
+    """One of those that were tried."""
+    fitness = float(result.fitness[run, index])
+    terms = {name: float(values[run, index]) for name, values in result.terms.items()}
+    scales = {name: float(values[run]) for name, values in result.scales.items()}
+    return Champion(np.ascontiguousarray(genes), fitness, generation, terms, scales, run, index)
 
 
 def _metrics(

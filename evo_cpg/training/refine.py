@@ -194,6 +194,8 @@ def compile_evaluation(
                 genes=np.ascontiguousarray(genes[:, i]),
                 fitness=float(fitness[i]),
                 terms={name: float(values[i]) for name, values in mean.terms.items()},
+                lives=0,
+                expected=None,
             )
             for i in np.flatnonzero(np.isfinite(fitness))
         ]

@@ -5,8 +5,9 @@
     metrics.csv      a row per generation, and per run where there are several
     start.npz        genomes that the first population had, where these were not random
     checkpoints/     the last two generations; `resume` goes on from the newest
-    champion.npz     genome, fitness and terms of the best individual ever evaluated, its motion;
-                     of several runs the best, the champions of all are in the checkpoints
+    champion.npz     genome, fitness and terms of the best individual, its motion; of several runs
+                     the best, the champions of all are in the checkpoints
+    candidates.csv   where chance has a say: what those came to among whom the champion was chosen
     lineage.npz      the champions on the way there, at most 32 of each run, see
                      `evo_cpg.training.lineage`
     refine.csv       what `refine` gained, round by round; champion_before.npz and
@@ -53,6 +54,9 @@ from evo_cpg.training.checkpoint import (
     read_checkpoint,
 )
 from evo_cpg.training.lineage import lineage_arrays, read_lineage
+
+CANDIDATES_FILE = "candidates.csv"
+"""Of those among whom the champion was chosen, see `evo_cpg.training.reevaluation`."""
 
 _KEPT_CHECKPOINTS = 2
 # Where files that belong together gather, and where they wait to be moved to their places.
@@ -226,7 +230,9 @@ class RunFolder:
         """Write a checkpoint, metrics.csv and, with it, the champion where it is new."""
         champion = checkpoint.champion
         if champion is not None and (
-            not self.champion.exists() or champion.generation == checkpoint.generation - 1
+            not self.champion.exists()
+            or checkpoint.chosen
+            or champion.generation == checkpoint.generation - 1
         ):
             self.save_champion(champion)
         arrays = checkpoint_arrays(checkpoint, self._columns_of(checkpoint.history))
@@ -269,11 +275,16 @@ class RunFolder:
         writes: dict[Path, _Writer] = {self.config: lambda file: file.write(config)}
         checkpoint, best = self.load(), champion
         if checkpoint is not None:
-            champions, genes = list(checkpoint.champions), checkpoint.genes.copy()
-            champions[champion.run] = champion
-            population = genes.shape[1] // len(champions)
+            records, chosen = list(checkpoint.records), list(checkpoint.chosen)
+            for champions in (records, chosen):
+                if champions:
+                    champions[champion.run] = champion
+            genes = checkpoint.genes.copy()
+            population = genes.shape[1] // len(records)
             genes[:, (champion.run + 1) * population - 1] = champion.genes
-            checkpoint = checkpoint._replace(champions=tuple(champions), genes=genes)
+            checkpoint = checkpoint._replace(
+                records=tuple(records), chosen=tuple(chosen), genes=genes
+            )
             best = checkpoint.champion or champion
             arrays = checkpoint_arrays(checkpoint)
             place = self._checkpoint(checkpoint.generation)

@@ -62,7 +62,9 @@ def train_together(
         for number, part, width in zip(behind, parts, widths, strict=True):
             # The clock of each shows its own part of what all took.
             own = time.perf_counter() - waited * width / sum(widths)
-            on_generation(number, running[number].tell(part, own))
+            rows = running[number].tell(part, own)
+            if rows:
+                on_generation(number, rows)
     return [each.checkpoint for each in running]
 
 

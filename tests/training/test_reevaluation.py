@@ -1,0 +1,190 @@
+"""Under noise the champion is who is best in fresh draws of chance, and not who was lucky."""
+
+import csv
+import dataclasses
+
+import jax
+import numpy as np
+import pytest
+
+from evo_cpg.simulation.noise import Noise
+from evo_cpg.training.checkpoint import Champion
+from evo_cpg.training.experiment import generation_keys, trial_keys
+from evo_cpg.training.loop import replay_champion, train
+from evo_cpg.training.reevaluation import FIRST_ROUND, LIVES, Choice, Contest
+from evo_cpg.training.run_folder import RunFolder
+from trials import experiment
+
+NOISE = Noise(joint_angle=0.1, tilt=0.05, push=0.2)
+# Two populations of six, each individual tried twice.
+MADE = experiment(20, 6, seed=5)._replace(runs=2, trials=2, generations=2)
+NOISY = MADE._replace(simulation=dataclasses.replace(MADE.simulation, noise=NOISE))
+
+
+def candidate(number: int, fitness: float = 0.0) -> Champion:
+    return Champion(np.full(3, number, np.float32), fitness, 7, {}, {}, 0, number)
+
+
+def fight(contest: Contest, life) -> None:
+    """Rounds until the end; ``life`` of candidate, round and draw gives a fitness."""
+    number = 0
+    while not contest.done:
+        places = contest.places()
+        pairs = zip(places.candidates, places.draws, strict=True)
+        contest.take(np.array([life(int(who), number, int(draw)) for who, draw in pairs]))
+        number += 1
+
+
+@pytest.mark.parametrize("population", [4, 15, 200])
+def test_the_best_in_the_mean_wins_however_lucky_others_were(population):
+    rng = np.random.default_rng(3)
+    true = rng.permutation(min(population, 16)).astype(float)
+    lucky = [candidate(i, fitness=100.0 - true[i]) for i in range(len(true))]
+    contest = Contest(lucky, population)
+    fight(contest, lambda who, *_: true[who] + 0.2 * rng.normal())
+    chosen = contest.chosen()
+    assert chosen is not None
+    assert chosen.index == true.argmax()
+    assert chosen.expected == pytest.approx(true.max(), abs=0.5)
+    assert chosen.worth == chosen.expected
+    assert chosen.fitness == 100.0 - true.max()
+
+
+def test_candidates_share_their_draws_and_halve():
+    contest = Contest([candidate(i) for i in range(16)], 48)
+    places = contest.places()
+    np.testing.assert_array_equal(places.candidates, np.repeat(np.arange(16), 3))
+    np.testing.assert_array_equal(places.draws, np.tile(np.arange(3), 16))
+    contest.take(places.candidates.astype(float))
+    places = contest.places()
+    assert sorted(set(places.candidates)) == list(range(8, 16))
+    np.testing.assert_array_equal(places.draws, np.tile(np.arange(6), 8))
+    fight(contest, lambda who, *_: float(who))
+    rows = contest.rows()
+    # 3, 6 and 12 lives.
+    assert [row["lives"] for row in rows] == [3] * 8 + [9] * 4 + [21] * 4
+    assert [row["chosen"] for row in rows] == [0] * 15 + [1]
+    assert max(row["lives"] for row in rows) >= LIVES
+
+
+def test_who_ends_early_comes_behind_who_does_so_less_often():
+    contest = Contest([candidate(0), candidate(1)], 8)
+    fight(contest, lambda who, number, draw: -np.inf if who == 0 and draw == 0 else 1.0 - who)
+    chosen = contest.chosen()
+    assert chosen is not None and (chosen.index, chosen.expected) == (1, 0.0)
+    first = contest.rows()[0]
+    assert (first["ended_early"], first["expected"]) == (1, 1.0)
+
+
+def test_nobody_is_chosen_of_nobody_and_who_always_ends_early_has_no_mean():
+    nobody = Contest([], 4)
+    assert nobody.done and nobody.chosen() is None and nobody.rows() == []
+    contest = Contest([candidate(0)], 4)
+    fight(contest, lambda *_: -np.inf)
+    chosen = contest.chosen()
+    assert chosen is not None and chosen.expected is None and chosen.worth == chosen.fitness
+
+
+def test_equal_genomes_are_one_candidate():
+    twins = [candidate(4, 1.0), candidate(5, 0.5), candidate(4, 0.2)]
+    assert [one.fitness for one in Contest(twins, 8).candidates] == [1.0, 0.5]
+
+
+def test_runs_have_contests_of_their_own():
+    contests = [Contest([candidate(0), candidate(1)], 4), Contest([], 4)]
+    choice = Choice(contests)
+    genes = np.arange(24, dtype=np.float32).reshape(3, 8)
+    crowd = choice.genes(genes)
+    np.testing.assert_array_equal(crowd[:, :4], np.tile([0, 0, 1, 1], (3, 1)))
+    np.testing.assert_array_equal(crowd[:, 4:], genes[:, 4:])
+    keys = np.arange(2 * 8 * 3, dtype=np.uint32).reshape(2, -1)
+    given = choice.keys(keys, 3).reshape(2, 2, 4, 3)
+    own = keys.reshape(2, 2, 4, 3)
+    np.testing.assert_array_equal(given[:, 0], own[:, 0][:, [0, 1, 0, 1]])
+    np.testing.assert_array_equal(given[:, 1], own[:, 1])
+    choice.take(np.array([[0.0, 0.0, 1.0, 1.0], [9.0] * 4]))
+    assert choice.done and choice.generation == FIRST_ROUND + 1
+    first, second = choice.chosen()
+    assert first is not None and first.index == 1 and second is None
+
+
+@pytest.fixture(scope="module")
+def evolved(tmp_path_factory):
+    folder = RunFolder(tmp_path_factory.mktemp("noisy") / "run")
+    folder.create("", {})
+    rows = []
+    return folder, train(NOISY, folder, rows.extend), rows
+
+
+def test_a_noisy_run_ends_with_champions_of_fresh_draws(evolved):
+    folder, done, rows = evolved
+    assert len(rows) == 4 == len(done.history)
+    assert done.generation == 2
+    # Fewer than 16 lives: one of the six is left after rounds of 1, 2 and 3 lives.
+    assert all(one is not None and one.lives == 6 for one in done.chosen)
+    assert done.champions is done.chosen
+    assert all(one is not None and one.expected is None for one in done.records)
+    assert done.champion is max(done.chosen, key=lambda one: one.expected)
+    champion, _, _ = folder.load_champion()
+    assert champion.expected == done.champion.expected
+    np.testing.assert_array_equal(champion.genes, done.champion.genes)
+    with (folder.path / "candidates.csv").open() as file:
+        table = list(csv.DictReader(file))
+    assert [row["chosen"] for row in table].count("1") == 2
+    assert {row["generation"] for row in table} <= {"0", "1", "2"}
+
+
+def test_what_is_expected_of_a_champion_is_its_mean_fitness_in_the_draws_that_it_says(evolved):
+    _, done, _ = evolved
+    chosen = done.chosen[1]
+    fitness = []
+    # Six candidates have one life each, three two, two three.
+    for number, lives in enumerate((1, 2, 3)):
+        keys = generation_keys(NOISY, FIRST_ROUND + number)
+        assert keys is not None
+        for draw in range(lives):
+            trial = np.arange(2)
+            own = trial_keys(NOISY, FIRST_ROUND + number, np.full(2, 1), np.full(2, draw), trial)
+            place = (6 + draw) * 2
+            np.testing.assert_array_equal(np.asarray(keys)[:, place : place + 2], own)
+            again = chosen._replace(generation=FIRST_ROUND + number, index=draw)
+            fitness.append(replay_champion(NOISY, again, jax.local_device_count())[0])
+    assert chosen.expected == pytest.approx(np.mean(fitness), rel=1e-5)
+
+
+def test_champions_of_fresh_draws_come_out_as_recorded(evolved):
+    _, done, _ = evolved
+    for champion in done.chosen:
+        fitness, terms, _ = replay_champion(NOISY, champion, jax.local_device_count())
+        assert fitness == champion.fitness
+        assert terms == champion.terms
+
+
+def test_a_run_that_was_stopped_before_the_choice_comes_to_the_same(evolved, tmp_path):
+    _, done, _ = evolved
+    folder = RunFolder(tmp_path / "run")
+    folder.create("", {})
+    # Without noise nothing is chosen, and a generation is done.
+    silent = train(MADE._replace(generations=1), folder)
+    assert silent.chosen == () and silent.champions == silent.records
+    other = RunFolder(tmp_path / "other")
+    other.create("", {})
+    other.save(done._replace(chosen=()))
+    again = train(NOISY, other)
+    assert [one.expected for one in again.chosen] == [one.expected for one in done.chosen]
+    loaded = other.load()
+    assert loaded is not None
+    assert [one and one.lives for one in loaded.chosen] == [6, 6]
+
+
+def test_a_run_that_goes_on_forgets_whom_it_had_chosen(evolved, tmp_path):
+    _, done, _ = evolved
+    folder = RunFolder(tmp_path / "run")
+    folder.create("", {})
+    folder.save(done)
+    longer = train(NOISY._replace(generations=3), folder)
+    whole = RunFolder(tmp_path / "whole")
+    whole.create("", {})
+    straight = train(NOISY._replace(generations=3), whole)
+    assert [x.fitness for x in longer.records] == [x.fitness for x in straight.records]
+    assert [x.expected for x in longer.chosen] == [x.expected for x in straight.chosen]
