@@ -26,14 +26,13 @@ from evo_cpg.api.warm_start import What, warm_start
 from evo_cpg.cli.building import build, read_config
 from evo_cpg.cli.distributed import BY_ITSELF, Distribution, require_same, together
 from evo_cpg.cli.errors import UsageError
+from evo_cpg.cli.oscillators import warn_of_oscillators
 from evo_cpg.cli.progress import progress, working
 from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.fingerprint import changes, fingerprint
 from evo_cpg.config.load import dump_config, load_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.config.shipped import find_config
-from evo_cpg.control.brain_cpg import BrainCpg
-from evo_cpg.control.couplings import uncoupled
 from evo_cpg.training.checkpoint import Champion, genes_digest, outcome_digest
 from evo_cpg.training.devices import use_cores
 from evo_cpg.training.experiment import Experiment
@@ -77,6 +76,7 @@ def start_run(
                 with working("reading the earlier run"):
                     start = warm_start(experiment, earlier, what)
             begin_run(folder, config, experiment, devices, path, start, team.count)
+            warn_of_oscillators(path, experiment.simulation)
         _evolve(experiment, folder, first_look_asked(config), team, tensorboard)
 
 
@@ -245,23 +245,9 @@ def validate_configs(words: Sequence[str], strict: bool = False) -> None:
                 f"{experiment.creature.mass:.3g} kg, "
                 f"{experiment.simulation.controller.gene_count} genes"
             )
-            alone = _alone(experiment)
-            if alone:
-                print(
-                    f"{given}: warning: coupled to no other oscillator: {', '.join(alone)}; "
-                    "controller.cpg.couplings and rings couple them"
-                )
+            warn_of_oscillators(given, experiment.simulation)
     if wrong:
         raise SystemExit(2)
-
-
-def _alone(experiment: Experiment) -> list[str]:
-    """Degrees of freedom with a motor whose oscillators are coupled to nothing."""
-    controller, tree = experiment.simulation.controller, experiment.simulation.world.tree
-    if not isinstance(controller, BrainCpg):
-        return []
-    driven = (tree.servo_gain > 0) | (tree.servo_stiffness > 0)
-    return [tree.dof_names[i] for i in uncoupled(controller.network.matrix) if driven[i]]
 
 
 def open_run(run: Path) -> tuple[RunFolder, ExperimentConfig, Experiment]:

@@ -74,6 +74,8 @@ def test_an_interrupted_run_says_how_to_go_on_and_does(finished_run, start, cli,
     assert "Traceback" not in err
     code, out, err = cli("resume", folder)
     assert (code, out) == (0, f"{folder}\n"), err
+    # Said when it began, and not again.
+    assert "oscillator" not in err
     assert_same_run(folder, finished_run)
 
 
