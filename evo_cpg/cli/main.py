@@ -313,7 +313,9 @@ def render(
     sheet: Annotated[
         str | None,
         typer.Option(
-            metavar="COLUMNSxROWS", help="One picture of so many moments of the film, such as 4x3."
+            metavar="COLUMNSxROWS",
+            help="One picture of so many moments of the film, such as 4x3; of several animals "
+            "each moment is a column of them.",
         ),
     ] = None,
     title: Annotated[
