@@ -418,7 +418,7 @@ def _evolve(
         with Recorder(experiment, folder, least) as recorder:
             with progress(
                 experiment.name,
-                "generation",
+                "generations",
                 experiment.generations,
                 start,
                 "compiling, which takes 10 s to a minute for a new body",
