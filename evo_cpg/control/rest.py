@@ -4,6 +4,8 @@
 most, so that it can be asked before every run.
 """
 
+from typing import Any
+
 import numpy as np
 
 from evo_cpg.control.matsuoka import MatsuokaNetwork
@@ -50,7 +52,7 @@ def resting(
     slow, quick = max(rise_time, adaptation_time), min(rise_time, adaptation_time)
     end = (_SETTLING + _SEEN) * slow
     seen = np.arange(_SETTLING * slow, end, quick / 2)
-    errors = {"rtol": _RELATIVE, "atol": _ABSOLUTE * drive}
+    errors: dict[str, Any] = {"rtol": _RELATIVE, "atol": _ABSOLUTE * drive}
     found = solve_ivp(change, (0.0, end), start.ravel(), t_eval=seen, **errors)
     extensor, flexor = np.maximum(found.y.reshape(2, 2, count, len(gains), -1)[0], 0.0)
     swing = np.ptp(extensor - flexor, axis=-1).max(-1)
