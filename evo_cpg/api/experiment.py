@@ -273,8 +273,14 @@ class Experiment:
 
         Args:
             fitness: a JAX function of the terms by name; it is maximised.
+
+        Raises:
+            UnknownTermError: a `KeyError`: it takes a term that the task has not.
         """
-        return self.with_task(JudgedBy(self.task.light, self.task, fitness))
+        task = JudgedBy(self.task.light, self.task, fitness)
+        # Here, and not after some seconds of compiling.
+        jax.eval_shape(lambda: task.fitness(self._no_terms(), {}))
+        return self.with_task(task)
 
     @functools.cached_property
     def _run_trials(self) -> Callable[..., Outcome]:

@@ -10,6 +10,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
+from evo_cpg.config.errors import nearest
 from evo_cpg.config.parameters import Parameters
 from evo_cpg.simulation.backward import Backward, retention
 from evo_cpg.simulation.rollout import rollout
@@ -61,6 +62,26 @@ def fitness_function(
     return fitness
 
 
+class UnknownTermError(KeyError):
+    """A term that the task has not; the message says which it has."""
+
+    def __str__(self) -> str:
+        """Without the quotes of a key."""
+        return str(self.args[0])
+
+
+class Terms(dict):
+    """Terms by name; of one that is none it says which there are.
+
+    Raises:
+        UnknownTermError: by the look-up of another name.
+    """
+
+    def __missing__(self, name: object) -> Any:
+        """Complain."""
+        raise UnknownTermError(f"the task has no term {name!r}; {nearest(str(name), self)}")
+
+
 class JudgedBy(Task):
     """A task whose terms something else makes a fitness of.
 
@@ -93,4 +114,4 @@ class JudgedBy(Task):
     def fitness(self, terms, scales):
         """That of the function."""
         del scales
-        return self.function(terms)
+        return self.function(Terms(terms))

@@ -270,8 +270,11 @@ def require_configured(folder: RunFolder) -> None:
     replaced = folder.read_meta().get("replaced")
     if replaced:
         raise RunFolderError(
-            f"{folder.path} was begun in Python with another {' and '.join(replaced)} than its "
-            "config.yaml names; it can be filmed and plotted, but not gone on with here"
+            f"{folder.path} was begun in Python with another {' and '.join(replaced)} or fitness "
+            "than its config.yaml names, which only that program has; commands can film and plot "
+            "it, but neither try its champion again nor go on with it. In Python "
+            "`Experiment.evaluate` tries genomes again, and `evo.train(..., start=...)` begins a "
+            "new run with them"
         )
 
 

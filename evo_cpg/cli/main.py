@@ -6,9 +6,10 @@ not load VTK.
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 
 from evo_cpg.cli.completion import complete_config
 from evo_cpg.cli.configs import app as configs_app
@@ -39,8 +40,21 @@ from evo_cpg.cli.options import (
 _FAULT, _WRONG_INPUT, _INTERRUPTED = 1, 2, 130
 
 
+class _Commands(TyperGroup):
+    """The commands; what Typer says of a wrong option is in its words, but not in Pydantic's."""
+
+    def invoke(self, ctx: typer.Context) -> Any:
+        """Parse what is asked of a command, and do it."""
+        try:
+            return super().invoke(ctx)
+        except typer.BadParameter as error:
+            error.message = error.message.removeprefix("Value error, ")
+            raise
+
+
 app = typer.Typer(
     name="evo-cpg",
+    cls=_Commands,
     help="Evolve the motion of virtual creatures.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
@@ -299,7 +313,9 @@ def render(
     sheet: Annotated[
         str | None,
         typer.Option(
-            metavar="COLUMNSxROWS", help="One picture of so many moments of the film, such as 4x3."
+            metavar="COLUMNSxROWS",
+            help="One picture of so many moments of the film, such as 4x3; of several animals "
+            "each moment is a column of them.",
         ),
     ] = None,
     title: Annotated[

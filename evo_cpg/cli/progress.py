@@ -209,7 +209,8 @@ def progress(
 
     Args:
         title: of the bar.
-        step: what a step is called.
+        step: what several steps are called. How many are done is said, never which one this is:
+            generations and the like have numbers of their own, from 0.
         total: steps in all.
         completed: steps done before.
         first: what is done before the first of them.
@@ -221,16 +222,15 @@ def progress(
     """
     console = Console(stderr=True)
     if not console.is_terminal:
-        heartbeat = Heartbeat(
-            f"{step} {completed + 1:4d}/{total}  {first}", time.monotonic(), _said_at
-        )
+        heartbeat = Heartbeat(f"{completed:4d}/{total} {step}  {first}", time.monotonic(), _said_at)
 
         def tell(number: int, state: str, seconds: float) -> None:
-            _say(f"{step} {number + 1:4d}/{total}  {state}  {seconds:6.2f} s")
+            _say(f"{number + 1:4d}/{total} {step}  {state}  {seconds:6.2f} s")
             now = time.monotonic()
             heartbeat.heard(now)
+            done = f"{number + 1:4d}/{total} {step}"
             more = number + 1 < total
-            heartbeat.doing(f"{step} {number + 2:4d}/{total}" if more else last or title, now)
+            heartbeat.doing(f"{done}, and the next one" if more else last or done, now)
 
         with beating(heartbeat, _say):
             yield tell

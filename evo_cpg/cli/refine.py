@@ -87,7 +87,7 @@ def refine_run(
 
     recorded = champion.fitness
     try:
-        with progress("refine", "round", rounds, first=_COMPILING) as show:
+        with progress("refine", "rounds", rounds, first=_COMPILING) as show:
 
             def tell(done: Round) -> None:
                 keep(done)

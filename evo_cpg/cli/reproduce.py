@@ -91,7 +91,7 @@ class _Shown:
     ) -> AbstractContextManager[Callable[[int, str, float], None]]:
         """A bar with the time that is left, or lines."""
         print(title, file=sys.stderr)
-        return progress(title.partition(",")[0], "generation", total, done)
+        return progress(title.partition(",")[0], "generations", total, done)
 
     def measuring(self, title: str) -> AbstractContextManager[Work]:
         """A line that moves."""

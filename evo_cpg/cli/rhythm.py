@@ -11,6 +11,7 @@ from rich.table import Table
 from evo_cpg.analysis.limit_cycle import LimitCycle, NoRhythmError, limit_cycle, parts
 from evo_cpg.cli.building import build
 from evo_cpg.cli.errors import UsageError
+from evo_cpg.cli.oscillators import warn_of_oscillators
 from evo_cpg.config.load import load_config
 from evo_cpg.control.brain_cpg import BrainCpg
 from evo_cpg.control.couplings import ring_members
@@ -70,6 +71,7 @@ def show_rhythm(
             print(f"ring of {names}: {lags} deg behind the one before")
     for reason, who in rests.items():
         print(f"{', '.join(who)}: {reason}")
+    warn_of_oscillators(path, simulation)
 
 
 def _words(cycle: LimitCycle) -> tuple[str, ...]:

@@ -140,7 +140,7 @@ def _evolve(
         if done == total:
             continue
         print(f"{folder}: {head}", file=sys.stderr)
-        with progress(folder.name, "generation", total, done, "compiling") as show:
+        with progress(folder.name, "generations", total, done, "compiling") as show:
             watch = _Watch(show, done)
             try:
                 run_group(group, source, devices, watch.tell)

@@ -26,15 +26,14 @@ from evo_cpg.api.warm_start import What, warm_start
 from evo_cpg.cli.building import build, read_config
 from evo_cpg.cli.distributed import BY_ITSELF, Distribution, require_same, together
 from evo_cpg.cli.errors import UsageError
+from evo_cpg.cli.oscillators import warn_of_oscillators
 from evo_cpg.cli.progress import progress, working
 from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.fingerprint import changes, fingerprint
 from evo_cpg.config.load import dump_config, load_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.config.shipped import find_config
-from evo_cpg.control.brain_cpg import BrainCpg
-from evo_cpg.control.couplings import uncoupled
-from evo_cpg.training.checkpoint import Champion, genes_digest, outcome_digest
+from evo_cpg.training.checkpoint import Champion, Checkpoint, genes_digest, outcome_digest
 from evo_cpg.training.devices import use_cores
 from evo_cpg.training.experiment import Experiment
 from evo_cpg.training.memory import require_memory
@@ -77,6 +76,7 @@ def start_run(
                 with working("reading the earlier run"):
                     start = warm_start(experiment, earlier, what)
             begin_run(folder, config, experiment, devices, path, start, team.count)
+            warn_of_oscillators(path, experiment.simulation)
         _evolve(experiment, folder, first_look_asked(config), team, tensorboard)
 
 
@@ -110,6 +110,12 @@ def resume_run(
             experiment = experiment._replace(generations=generations)
         require_same(team, fingerprint(config))
         if team.leads:
+            done = _require_alike(folder, config, experiment)
+            # Several processes part when all have been through the loop.
+            by_itself = team.count == 1 and not tensorboard
+            if by_itself and _finished(folder, done, experiment.generations):
+                _say_finished(folder, experiment.generations)
+                return
             _reopen(folder, config, experiment, devices, team.count)
         _evolve(experiment, folder, first_look_asked(config), team, tensorboard)
 
@@ -141,14 +147,10 @@ def goes_on_with_scalars(run: Path, asked: bool) -> bool:
     return True
 
 
-def _reopen(
-    folder: RunFolder,
-    config: ExperimentConfig,
-    experiment: Experiment,
-    devices: int,
-    processes: int,
-) -> None:
-    """Check that a run can be gone on with, and note with what it is."""
+def _require_alike(
+    folder: RunFolder, config: ExperimentConfig, experiment: Experiment
+) -> Checkpoint | None:
+    """Check that a run can be gone on with so; its newest checkpoint."""
     run = folder.path
     done = folder.load()
     if done is not None and done.generation > config.evolution.generations:
@@ -166,6 +168,47 @@ def _reopen(
                 f"individuals in {asked[2]} run(s), the checkpoint has {found[0]}, {found[1]} and "
                 f"{found[2]}; start a new run instead"
             )
+    return done
+
+
+def _finished(folder: RunFolder, done: Checkpoint | None, generations: int) -> bool:
+    """Whether nothing is left to do, and nothing that a run leaves was lost or changed since."""
+    if done is None or done.generation < generations:
+        return False
+    try:
+        champion, recording, digests = folder.load_champion()
+    except RunFolderError:
+        return False
+    best = done.champion
+    return (
+        "finished" in folder.read_meta()
+        and folder.metrics.is_file()
+        and recording is not None
+        and digests["config_sha256"] == folder.config_digest()
+        and best is not None
+        and genes_digest(champion.genes) == genes_digest(best.genes)
+    )
+
+
+def _say_finished(folder: RunFolder, done: int) -> None:
+    print(
+        f"{folder.path} is finished: all {done} generations are done, and the champion is in "
+        f"{folder.champion}; to go on, ask for more than that in all, such as "
+        f"`evo-cpg resume {folder.path} --generations {2 * done}`",
+        file=sys.stderr,
+    )
+    print(folder.path)
+
+
+def _reopen(
+    folder: RunFolder,
+    config: ExperimentConfig,
+    experiment: Experiment,
+    devices: int,
+    processes: int,
+) -> None:
+    """Note with what a run is gone on with."""
+    run = folder.path
     require_memory(experiment)
     folder.reopen(dump_config(config))
     here = surroundings(experiment.simulation.engine, devices)
@@ -245,23 +288,9 @@ def validate_configs(words: Sequence[str], strict: bool = False) -> None:
                 f"{experiment.creature.mass:.3g} kg, "
                 f"{experiment.simulation.controller.gene_count} genes"
             )
-            alone = _alone(experiment)
-            if alone:
-                print(
-                    f"{given}: warning: coupled to no other oscillator: {', '.join(alone)}; "
-                    "controller.cpg.couplings and rings couple them"
-                )
+            warn_of_oscillators(given, experiment.simulation)
     if wrong:
         raise SystemExit(2)
-
-
-def _alone(experiment: Experiment) -> list[str]:
-    """Degrees of freedom with a motor whose oscillators are coupled to nothing."""
-    controller, tree = experiment.simulation.controller, experiment.simulation.world.tree
-    if not isinstance(controller, BrainCpg):
-        return []
-    driven = (tree.servo_gain > 0) | (tree.servo_stiffness > 0)
-    return [tree.dof_names[i] for i in uncoupled(controller.network.matrix) if driven[i]]
 
 
 def open_run(run: Path) -> tuple[RunFolder, ExperimentConfig, Experiment]:
@@ -389,7 +418,7 @@ def _evolve(
         with Recorder(experiment, folder, least) as recorder:
             with progress(
                 experiment.name,
-                "generation",
+                "generations",
                 experiment.generations,
                 start,
                 "compiling, which takes 10 s to a minute for a new body",

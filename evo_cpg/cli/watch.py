@@ -155,7 +155,7 @@ def _in_lines(
 def _line(row: dict[str, float], now: Standing) -> str:
     run = f"  run {int(row['run'])}" if "run" in row else ""
     return (
-        f"generation {int(row['generation']) + 1:4d}/{now.generations}{run}  "
+        f"{int(row['generation']) + 1:4d}/{now.generations} generations{run}  "
         f"champion {row['champion']:8.4f}  best {row['best']:8.4f}  mean {row['mean']:8.4f}  "
         f"{row['seconds']:6.2f} s"
     )
@@ -217,7 +217,7 @@ def _table(now: Standing) -> Table:
     seconds = float(np.median([row["seconds"] for row in history[-20:]]))
     when = "finished" if not left else f"about {_duration(left * seconds)} to go"
     table.add_row(
-        Text(f"generation {done}/{now.generations}", style="bold"), f"{seconds:.3g} s each", when
+        Text(f"{done}/{now.generations} generations", style="bold"), f"{seconds:.3g} s each", when
     )
     if now.changed is not None and left:
         quiet = time.time() - now.changed

@@ -168,7 +168,7 @@ def second_opinion(
         mujoco = importlib.import_module("mujoco")
     except ModuleNotFoundError:
         raise ExchangeError(
-            "a second opinion needs MuJoCo; install it with pip install 'evo-cpg[mujoco]'"
+            "MuJoCo is not installed; pip install 'evo-cpg[mujoco]' does that"
         ) from None
     world, h = simulation.world, simulation.step_length
     longest = _HARD_STEP if hard else h

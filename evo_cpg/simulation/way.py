@@ -9,8 +9,8 @@ from jaxtyping import Array, Float
 from evo_cpg.simulation.snapshot import Snapshot
 from evo_cpg.simulation.task import Task, Transition
 
-# Name of the term.
-WAY = "way"
+# Name of the term; no term of a task of one's own is called so.
+WAY = "(way of the root)"
 
 
 class _Way(NamedTuple):

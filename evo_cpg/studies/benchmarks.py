@@ -62,7 +62,7 @@ _TITLES = {
     "bodies": "a body of its own for everybody, beside one for all",
     "engines": "every shipped configuration on native code, beside plain JAX",
     "scaling": "all cores, beside one and beside processes",
-    "startup": "from the prompt to the end of generation 1",
+    "startup": "from the prompt to the end of generation 0",
 }
 
 STUDY = Study(

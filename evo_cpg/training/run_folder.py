@@ -148,10 +148,7 @@ class RunFolder:
             if self.path.exists() and not self.path.is_dir():
                 raise RunFolderError(f"{self.path} is a file; choose another --out")
             if self.config.exists():
-                raise RunFolderError(
-                    f"{self.path} already holds a run; go on with `evo-cpg resume {self.path}` "
-                    "or choose another --out"
-                )
+                raise RunFolderError(f"{self.path} already holds a run; {self._way_on()}")
             leftover = f".{self.config.name}.", f".{self.start.name}.", self.start.name
             if self.path.is_dir() and any(
                 not other.name.startswith(leftover) for other in self.path.iterdir()
@@ -168,6 +165,16 @@ class RunFolder:
         # Then the config: a folder that has one can be resumed.
         self.reopen(config_text)
         self.update_meta(**meta)
+
+    def _way_on(self) -> str:
+        """How one may go on with the run that is here."""
+        if self.read_meta().get("replaced"):
+            return (
+                "it was begun in Python, and goes on there in another folder only: `evo.train(..., "
+                "start=...)` begins with its genomes"
+            )
+        done = f" ({self.newest} generations are done)" if self.newest else ""
+        return f"go on with `evo-cpg resume {self.path}`{done} or choose another --out"
 
     def require(self) -> None:
         """Check that there is a run here, and finish what was interrupted as it was written.

@@ -51,7 +51,7 @@ def plot_audit(
         ledger: of a trial.
         step: length of its physics steps, s.
         kept: checks that are shares of the way.
-        paths: of the root, by program, m.
+        paths: of the root, by program, m; none where MuJoCo was not asked.
         title: above the picture.
         path: ``.png``, ``.svg`` or ``.pdf``.
 
@@ -66,8 +66,10 @@ def plot_audit(
     figure = Figure(figsize=(_WIDTH, _UPPER + lower), layout="constrained")
     FigureCanvasAgg(figure)
     places = figure.add_gridspec(2, 2, height_ratios=(_UPPER, lower), width_ratios=(4, 3))
-    _draw_energy(figure.add_subplot(places[0, 0]), ledger, step)
-    _draw_paths(figure.add_subplot(places[0, 1]), paths)
+    # Without a second opinion there are no paths to compare.
+    _draw_energy(figure.add_subplot(places[0, 0] if paths else places[0, :]), ledger, step)
+    if paths:
+        _draw_paths(figure.add_subplot(places[0, 1]), paths)
     _draw_shares(figure.add_subplot(places[1, :]), kept)
     figure.suptitle(legible(title), parse_math=False, fontsize=13, fontweight="bold", color=_INK)
     with in_one_piece(path) as partial:
@@ -96,10 +98,6 @@ def _draw_energy(axes: Axes, ledger: Ledger, step: float) -> None:
 def _draw_paths(axes: Axes, paths: Mapping[str, Float[np.ndarray, "3 t"]]) -> None:
     """Seen from above: the same commands in two programs."""
     axes.set_title("Same commands, from above", fontsize=11, color=_INK)
-    if not paths:
-        axes.set_axis_off()
-        axes.text(0.5, 0.5, "no second opinion", ha="center", color=_GREY, transform=axes.transAxes)
-        return
     colours = (_INK, "#0072B2", "#56B4E9")
     for (name, path), colour in zip(paths.items(), colours, strict=False):
         axes.plot(path[0], path[1], color=colour, lw=1.6, label=name)

@@ -25,6 +25,7 @@ from evo_cpg.view.camera import CameraPath, aspect_of, course, follow, hidden, s
 from evo_cpg.view.captions import add_captions
 from evo_cpg.view.goal_light import add_goal_light
 from evo_cpg.view.ground import Marks, Update, add_floor, add_numbers, grid_spacing, mark_spacing
+from evo_cpg.view.heading import heading
 from evo_cpg.view.look import LOOKS, SHORE, Look
 from evo_cpg.view.meshes import add_bodies, head_index, shape_mesh
 from evo_cpg.view.obstacles import add_obstacles, obstacle_mesh, obstacle_top
@@ -58,6 +59,8 @@ from evo_cpg.view.water import add_water, add_waterlines
 # 1280 x 720 costs 46 ms at 1.25, 58 ms at 1.5, which looks hardly better, and 100 ms at 2.
 _FILM_OVERSAMPLING = 1.25
 _STILL_OVERSAMPLING = 3.0
+# On a sheet of several animals: the heading of a moment, and what sets moments apart, pixels.
+_HEAD, _GAP = 40, 24
 # Window of the displayed speed, s: long enough to average a tail beat.
 _SPEED_WINDOW = 0.5
 # The floor lies this many radii of the animal below the lowest point of its way through water.
@@ -207,8 +210,9 @@ def side_by_side(
             from the side and a little ahead), ``side``, ``top`` or ``orbit`` (once around).
         sheet: columns and rows of one picture of so many moments, the first and the last of the
             film and others evenly in between, each of which shows all animals; those of a shorter
-            recording lie closer together.
-        columns: of animals; as many as rows, or one more, by default.
+            recording lie closer together. Of several animals each moment is a column with a
+            heading: its time or, where their recordings are not equally long, its number.
+        columns: of animals; as many as rows, or one more, by default, and one on a sheet.
         progress: called with the number of frames done and their total.
 
     Returns:
@@ -236,11 +240,17 @@ def side_by_side(
     count = max(map(len, frames))
     scale = _STILL_OVERSAMPLING if still or sheet is not None else _FILM_OVERSAMPLING
     width, height = (max(side // 2 * 2, 2) for side in size)
-    columns, rows = _grid(len(panels), columns)
-    whole = (columns * (width + GUTTER) - GUTTER, rows * (height + GUTTER) - GUTTER)
+    # Of several animals a sheet has a column for each moment, with a heading.
+    grouped = sheet is not None and len(panels) > 1
+    columns, rows = _grid(len(panels), 1 if grouped and columns is None else columns)
+    head = _HEAD if grouped else 0
+    whole = (columns * (width + GUTTER) - GUTTER, rows * (height + GUTTER) - GUTTER + head)
     drawn_size = round(width * scale), round(height * scale)
     pitch = round((width + GUTTER) * scale), round((height + GUTTER) * scale)
-    rendered = (columns - 1) * pitch[0] + drawn_size[0], (rows - 1) * pitch[1] + drawn_size[1]
+    rendered = (
+        (columns - 1) * pitch[0] + drawn_size[0],
+        (rows - 1) * pitch[1] + drawn_size[1] + round(head * scale),
+    )
     # Filled where an animal is shown.
     picture = np.full((rendered[1], rendered[0], 3), 255, np.uint8)
 
@@ -251,8 +261,18 @@ def side_by_side(
             )
             for panel, clip in zip(panels, clips, strict=True)
         ]
-        with frame_writer(path, whole, rendered, fps, sheet) as write:
+        gap = _GAP if grouped else GUTTER
+        with frame_writer(path, whole, rendered, fps, sheet, gap) as write:
             for done in range(count):
+                if grouped:
+                    instants = {
+                        f"{clip.time[own[done]] - clip.time[0]:.1f} s"
+                        for clip, own in zip(clips, frames, strict=True)
+                    }
+                    # Recordings of different length have moments of their own.
+                    words = instants.pop() if len(instants) == 1 else f"moment {done + 1}"
+                    high = round(head * scale)
+                    picture[-high:] = heading(words, rendered[0], high)
                 for i, (show, own) in enumerate(zip(shows, frames, strict=True)):
                     drawn = show(own[min(done, len(own) - 1)])
                     if len(panels) == 1:

@@ -136,6 +136,7 @@ def frame_writer(
     rendered: tuple[int, int],
     fps: float,
     sheet: tuple[int, int] | None = None,
+    gap: int = GUTTER,
 ) -> Iterator[Callable[[np.ndarray], None]]:
     """Write frames to a film (H.264, WebP or GIF), to a picture, or each to a picture of its own.
 
@@ -146,6 +147,7 @@ def frame_writer(
         rendered: width and height of the frames, pixels; ffmpeg averages them down to ``size``.
         fps: frames per second.
         sheet: columns and rows of a picture that shows all frames; None where it shows one.
+        gap: between the frames of a sheet, pixels.
 
     Yields:
         A function that takes one frame ``(height, width, 3)`` of bytes, bottom row first as
@@ -160,7 +162,7 @@ def frame_writer(
         filters = f"{filters},{_GIF_PALETTE}"
     encoder = _ENCODERS[suffix]
     if sheet is not None:
-        filters = f"{filters},tile={sheet[0]}x{sheet[1]}:padding={GUTTER}:color=white"
+        filters = f"{filters},tile={sheet[0]}x{sheet[1]}:padding={gap}:color=white"
     elif is_numbered(path):
         encoder = _NUMBERED
     command = [imageio_ffmpeg.get_ffmpeg_exe(), "-v", "error", "-y"]

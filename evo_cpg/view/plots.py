@@ -6,6 +6,7 @@ Drawn with matplotlib's object interface on the Agg canvas: no display, no globa
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -21,8 +22,11 @@ from evo_cpg.view.output import PLOT_SUFFIXES, in_one_piece, output_path
 
 # Okabe and Ito's palette.
 _BLUE, _ORANGE, _RED, _GREEN, _GREY = "#0072B2", "#E69F00", "#D55E00", "#009E73", "#6b7280"
+_PALE = "#9fd0ee"
 # Recorded time that `plot_joint_signals` shows by default: about five beats of 1 Hz.
 _WINDOW = 5.0
+# Of the joints of a row.
+_NAME: dict[str, Any] = {"fontsize": 9, "fontweight": "bold", "pad": 2}
 _SNAPSHOTS = 7
 
 
@@ -75,7 +79,7 @@ def fitness_figure(history: Mapping[str, np.ndarray]) -> Figure:
         top.fill_between(
             instant, low, high, color=_BLUE, alpha=0.2, lw=0, label="half of the runs lie within"
         )
-    leading = "best" if several or "best_so_far" not in columns else "best_so_far"
+    alone = not several and "best_so_far" in columns
     shown = [
         ("best", "best of the generation", _ORANGE, 1.3),
         ("mean", "mean of the generation", _GREY, 1.3),
@@ -83,10 +87,14 @@ def fitness_figure(history: Mapping[str, np.ndarray]) -> Figure:
     if "best_so_far" in columns:
         shown.insert(int(several), ("best_so_far", "best so far", _ORANGE, 1.3))
     for key, label, color, width in shown:
-        color, width = (_BLUE, 2.2) if key == leading else (color, width)
+        if alone and key == "best_so_far":
+            # Where an elite keeps the two bests equal, it is wide enough to be seen below.
+            color, width = _PALE, 5.0
+        elif not alone and key == "best":
+            color, width = _BLUE, 2.2
         instant, value = _quantiles(generation, columns[key], (0.5,))
         label = f"{label}, median" if several else label
-        top.plot(instant, value, color=color, lw=width, label=label)
+        top.plot(instant, value, color=color, lw=width, label=label, solid_capstyle="butt")
     top.set_ylabel("fitness")
     top.legend(frameon=False, title=f"{len(runs)} runs" if several else None)
     instant = np.unique(generation)
@@ -171,7 +179,7 @@ def joint_signals_figure(
     angle = np.degrees(recording.joint_angle[shown][:, rows])
     output = recording.cpg_output[shown][:, rows]
 
-    figure = empty_figure(8.0, 1.3 + 0.72 * len(rows))
+    figure = empty_figure(8.0, 1.3 + 0.86 * len(rows))
     panels = figure.subplots(len(rows), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
     tallest = max(float(np.abs(angle).max()), 1e-3) * 1.25
     loudest = max(float(np.abs(output).max()), 1e-3) * 1.25
@@ -190,16 +198,9 @@ def joint_signals_figure(
             right.set_ylabel(signal, color=_RED)
         right.tick_params(labelsize=8)
         panel.tick_params(labelsize=8)
-        # On the right axes, which lie above the left ones, so that no curve crosses the name.
-        right.text(
-            *(0.008, 0.93),
-            legible(names[dof][0]),
-            parse_math=False,
-            transform=right.transAxes,
-            va="top",
-            fontweight="bold",
-            bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 1.5},
-        )
+        # Above the row, where no curve is.
+        name = panel.set_title(legible(names[dof][0]), loc="left", **_NAME)
+        name.set_parse_math(False)
     caption = f"{legible(title)}: joint signals about {axis}" if title else f"rotation about {axis}"
     first = 0
     for group in groups:
@@ -269,7 +270,9 @@ def path_figure(recording: Recording) -> Figure:
     chosen = np.linspace(0, len(recording.time) - 1, _SNAPSHOTS).astype(int)
     bodies = recording.position[chosen]
     instant = np.repeat(recording.time[chosen], bodies.shape[1])
-    above.scatter(bodies[..., 0], bodies[..., 1], s=14, c=instant, norm=way.norm, alpha=0.6, lw=0)
+    dots = above.scatter(bodies[..., 0], bodies[..., 1], s=14, c=instant, norm=way.norm, lw=0)
+    every = (recording.time[-1] - recording.time[0]) / (_SNAPSHOTS - 1)
+    dots.set(alpha=0.6, label=f"its bodies, every {every:.3g} s")
     above.plot(*centre[0, :2], "o", color="black", ms=6, label="start", zorder=3)
     lit = bool(np.isfinite(recording.goal).all())
     if lit:

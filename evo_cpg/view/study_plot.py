@@ -43,7 +43,7 @@ def plot_generations(
     runs = max(best.shape[1] for best in bests.values())
     for number, (name, best) in enumerate(bests.items()):
         colour = _COLOURS[number % len(_COLOURS)]
-        generation = np.arange(1, len(best) + 1)
+        generation = np.arange(len(best))
         known = np.isfinite(best).any(1)
         low, middle, high = np.nanquantile(best[known], (0.25, 0.5, 0.75), axis=1)
         if single_runs:

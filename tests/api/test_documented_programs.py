@@ -10,6 +10,9 @@ import numpy as np
 import pytest
 
 import evo_cpg as evo
+from evo_cpg.control.brain_cpg import BrainCpg
+from evo_cpg.control.couplings import uncoupled
+from evo_cpg.control.rest import resting
 
 ROOT = Path(__file__).parents[2]
 
@@ -19,6 +22,11 @@ def programs(page: str) -> list[str]:
     found = re.findall(r"```python\n(.+?)```", (ROOT / page).read_text(), re.S)
     short = [one.replace('"simulation.steps": 300', '"simulation.steps": 10') for one in found]
     return [re.sub(r"\b(32|64)\b", "8", one) for one in short]
+
+
+def configs(page: str) -> list[str]:
+    """The YAML blocks of a page."""
+    return re.findall(r"```yaml\n(.+?)```", (ROOT / page).read_text(), re.S)
 
 
 def run(program: str, names: dict) -> None:
@@ -70,16 +78,33 @@ def test_the_readme_runs(here, capsys):
 
 def test_an_animal_of_ones_own_trains(here, monkeypatch):
     classes, program = programs("docs/own.md")
-    (config,) = re.findall(r"```yaml\n(.+?)```", (ROOT / "docs/own.md").read_text(), re.S)
+    config, _ = configs("docs/own.md")
     (here / "wriggler.py").write_text(classes)
     (here / "wriggler.yaml").write_text(config)
     monkeypatch.delitem(sys.modules, "wriggler", raising=False)
     names: dict = {}
     run(program, names)
     trained = names["trained"]
-    assert trained.fitness == pytest.approx(-min(trained.terms["cost"], 30.0), rel=1e-5)
+    way, cost = trained.terms["way"], trained.terms["cost"]
+    assert cost == pytest.approx(0.01 * trained.terms["energy"], rel=1e-5) and cost > 0
+    # It has to beat standing still, which costs nothing and is worth nothing.
+    assert trained.fitness == pytest.approx(way - cost, rel=1e-4) and trained.fitness > 0
     assert set(names["experiment"].evaluate(0, trained.genome[None]).descriptors) == {"energy"}
     assert evo.load(trained.folder).gene_count == 3
+
+
+def test_an_animal_with_limbs_swings_without_a_warning(here, monkeypatch):
+    """All of its oscillators: the couplings of the page are those that it needs."""
+    _, config = configs("docs/own.md")
+    (here / "rower.yaml").write_text(config)
+    # As short and as few as a test can afford; the body is that of the page.
+    short = {"simulation.steps": 30, "evolution.generations": 1, "evolution.population": 8}
+    experiment = evo.load("rower.yaml", short | {"evolution.elites": 2})
+    controller = experiment.parts.simulation.controller
+    assert isinstance(controller, BrainCpg)
+    assert uncoupled(controller.network.matrix) == []
+    assert resting(controller.network, 1.0, 1.0, 10.0) == []
+    assert np.isfinite(evo.train(experiment, "runs/rower").fitness)
 
 
 def test_an_optimiser_of_ones_own_trains(here, monkeypatch):

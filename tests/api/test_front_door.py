@@ -1,8 +1,10 @@
 """`import evo_cpg as evo`: what it gives is what the commands and the library give."""
 
 import csv
+import re
 import subprocess
 import sys
+import textwrap
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +14,7 @@ import pytest
 import evo_cpg as evo
 from evo_cpg.cli import training
 from evo_cpg.cli.main import main
-from evo_cpg.training.run_folder import RunFolder
+from evo_cpg.training.run_folder import RunFolder, RunFolderError
 from shared_programs import programs_of_its_own, remember_programs
 from tiny_run import CONFIG, REPOSITORY, TINY, environment
 
@@ -105,14 +107,37 @@ def test_it_evolves_what_the_command_does(experiment, tmp_path):
     assert float(again.fitness[0]) == pytest.approx(trained.fitness, rel=1e-5)
 
 
-def test_a_run_with_a_fitness_of_its_own_is_not_resumed_as_another(tmp_path, capsys):
+def test_a_run_with_a_fitness_of_its_own_goes_on_in_python_only(tmp_path, capsys, monkeypatch):
     mine = evo.load(CONFIG, (*TINY, "evolution.generations=1"))
     mine = mine.with_fitness(lambda terms: terms["energy"])
     trained = evo.train(mine, tmp_path / "mine")
     assert trained.fitness == pytest.approx(trained.terms["energy"])
     for command in ("resume", "verify", "refine"):
         assert shell(command, trained.folder) == 2
-        assert "begun in Python with another task than its config.yaml" in capsys.readouterr().err
+        said = capsys.readouterr().err
+        assert "begun in Python with another task or fitness than its config.yaml" in said
+        assert "In Python `Experiment.evaluate` tries genomes again, and `evo.train(..." in said
+    # What is said there, and how the page of the API does it.
+    again = mine.evaluate(0, trained.genome[None]).fitness
+    assert float(again[0]) == pytest.approx(trained.fitness, rel=1e-5)
+    with pytest.raises(
+        RunFolderError, match="begun in Python, and goes on there in another folder"
+    ):
+        evo.train(mine, trained.folder)
+    (program,) = re.findall(
+        r"  ```python\n(.+?)  ```", (REPOSITORY / "docs/api.md").read_text(), re.S
+    )
+    monkeypatch.chdir(tmp_path)
+    exec(textwrap.dedent(program), {"evo": evo, "experiment": mine, "trained": trained})
+    start, newest = RunFolder("runs/more").load_start(), RunFolder(trained.folder).load()
+    assert newest is not None and start is not None
+    np.testing.assert_array_equal(start, newest.genes)
+
+
+def test_a_fitness_of_terms_that_are_none_is_refused_at_once(experiment):
+    known = r"the task has no term 'distanse'; did you mean 'distance'\? valid here: .*, light"
+    with pytest.raises(KeyError, match=known):
+        experiment.with_fitness(lambda terms: -terms["distanse"])
 
 
 def test_a_record_has_named_columns_and_becomes_a_table(experiment, genomes, tmp_path):

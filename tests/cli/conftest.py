@@ -123,5 +123,5 @@ def finished_run(shared: Path, finish) -> Path:
             done.touch()
         assert code == 0, err
         assert out == f"{folder}\n"
-        assert f"generation   {GENERATIONS}/{GENERATIONS}" in err
+        assert f"  {GENERATIONS}/{GENERATIONS} generations  best" in err
     return folder

@@ -24,8 +24,9 @@ def test_every_axis_has_a_row(cli):
 
 
 def test_constants_that_cannot_oscillate_are_said_to_rest(cli):
-    code, out, _ = cli("cpg", SWIMMER, *SMALL, "controller.cpg.constants=as_printed")
+    code, out, err = cli("cpg", SWIMMER, *SMALL, "controller.cpg.constants=as_printed")
     assert code == 0
+    assert f"evo-cpg: warning: {SWIMMER}: at rest under a constant drive: segment1.x, " in err
     assert out.count("none") == 3
     assert (
         out.count("segment1.x + 2, segment1.y + 2, segment1.z + 2: the network comes to rest") == 1

@@ -116,7 +116,7 @@ class Hosts:
     def said(self, index: int) -> str:
         """What a process complained of; what the lead says of generations is left out."""
         lines = (self._logs / f"{index}.err").read_text().splitlines(True)
-        return "".join(line for line in lines if not line.startswith("generation "))
+        return "".join(line for line in lines if "/" not in line or " generations" not in line)
 
     def ends(self, *which: int, within: float = 30.0) -> list[tuple[int, str]]:
         """Exit codes of processes, and what they complained of, where they end in time."""

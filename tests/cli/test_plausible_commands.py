@@ -67,6 +67,8 @@ def test_train_and_preview_warn_and_go_on(cli, tmp_path):
     code, _, err = cli("train", CONFIG, *PAIR, "evolution.generations=1", RADIANS, "--out", run)
     assert code == 0
     assert "task.light.bearing_deg: 0.524: in degrees this is hardly a turn; as radians" in err
+    # Of the one hinge of this animal, once.
+    assert err.count(f"{CONFIG}: coupled to no other oscillator, and at rest under a") == 1
     assert (run / "champion.npz").is_file()
 
 

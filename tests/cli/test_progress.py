@@ -109,12 +109,12 @@ def test_work_in_a_pipe_is_lines_on_standard_error(impatient, capsys):
 
 
 def test_steps_in_a_pipe_are_lines_with_what_comes_first(impatient, capsys):
-    with module.progress("mine", "generation", 3, 1, "compiling") as show:
+    with module.progress("mine", "generations", 3, 1, "compiling") as show:
         time.sleep(0.8)
         show(1, "best 2", 0.5)
     _, err = capsys.readouterr()
     assert err == (
-        "generation    2/3  compiling: 0 s so far\ngeneration    2/3  best 2    0.50 s\n"
+        "   1/3 generations  compiling: 0 s so far\n   2/3 generations  best 2    0.50 s\n"
     )
 
 
@@ -131,7 +131,7 @@ def test_on_a_terminal_it_is_one_line_that_moves(monkeypatch):
         work.doing("drawing")
         time.sleep(0.8)
     assert "drawing" in screen.getvalue()
-    with module.progress("mine", "generation", 3) as show:
+    with module.progress("mine", "generations", 3) as show:
         show(0, "best 2", 0.5)
         time.sleep(0.8)
     assert "best 2" in screen.getvalue() and "1/3" in screen.getvalue()

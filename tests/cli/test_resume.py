@@ -74,6 +74,8 @@ def test_an_interrupted_run_says_how_to_go_on_and_does(finished_run, start, cli,
     assert "Traceback" not in err
     code, out, err = cli("resume", folder)
     assert (code, out) == (0, f"{folder}\n"), err
+    # Said when it began, and not again.
+    assert "oscillator" not in err
     assert_same_run(folder, finished_run)
 
 
@@ -107,6 +109,25 @@ def test_what_a_kill_at_the_very_end_cost_is_written_anew(finished_run, cli, tmp
     code, _, err = cli("resume", folder, "--cores", 2)
     assert code == 0, err
     assert_same_run(folder, finished_run)
+
+
+def test_a_finished_run_says_so_and_how_to_go_on(finished_run, cli, tmp_path):
+    folder = tmp_path / "run"
+    shutil.copytree(finished_run, folder)
+    before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    code, out, err = cli("resume", folder)
+    assert (code, out) == (0, f"{folder}\n")
+    assert err == (
+        f"{folder} is finished: all {GENERATIONS} generations are done, and the champion is in "
+        f"{folder / 'champion.npz'}; to go on, ask for more than that in all, such as "
+        f"`evo-cpg resume {folder} --generations {2 * GENERATIONS}`\n"
+    )
+    assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
+    code, _, err = cli("train", CONFIG, *LONG, "--out", folder)
+    assert code == 2
+    assert f"`evo-cpg resume {folder}` ({GENERATIONS} generations are done)" in err
+    code, _, err = cli("resume", folder, "--generations", GENERATIONS + 1)
+    assert code == 0 and len(rows(folder)) == GENERATIONS + 1
 
 
 def test_resume_refuses_what_it_cannot_go_on_with(finished_run, cli, tmp_path):

@@ -24,7 +24,7 @@ def noisy_run(cli, tmp_path_factory):
     overrides = (*PAIR, *NOISY, "evolution.generations=2")
     code, _, err = cli("train", CONFIG, *overrides, "--out", folder, "--cores", 2)
     assert code == 0, err
-    assert "generation    2/2  best of 2 runs" in err and "  median" in err
+    assert "   2/2 generations  best of 2 runs" in err and "  median" in err
     assert "champion of generation" in err and " of run " in err
     return folder
 

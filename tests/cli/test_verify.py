@@ -10,6 +10,7 @@ import yaml
 from evo_cpg.training import loop
 from evo_cpg.training.checkpoint import Checkpoint, genes_digest, outcome_digest
 from evo_cpg.training.run_folder import RunFolder
+from tiny_run import GENERATIONS
 
 
 @pytest.fixture
@@ -134,6 +135,6 @@ def test_a_damaged_champion_is_named_with_the_way_out(copied_run, cli):
 def test_a_run_in_which_nobody_lived_says_so(copied_run, cli, monkeypatch):
     dead = Checkpoint(20, np.zeros((1, 8), np.float32), (None,), [], {})
     monkeypatch.setattr(loop, "train", lambda *_, **__: dead)
-    code, out, err = cli("resume", copied_run.path)
+    code, out, err = cli("resume", copied_run.path, "--generations", GENERATIONS + 1)
     assert (code, out) == (2, "") and err.count("\n") == 1
     assert "every individual of every generation diverged, so there is no champion; try" in err

@@ -49,8 +49,8 @@ def test_a_run_that_is_done_is_told_and_drawn(cli, run, tmp_path):
     code, out, complaint = cli("watch", folder)
     assert code == 0, complaint
     lines = out.splitlines()
-    assert [line[: len("generation    1/3")] for line in lines[:3]] == [
-        f"generation    {i}/3" for i in (1, 2, 3)
+    assert [line.partition("  champion")[0] for line in lines[:3]] == [
+        f"   {i}/3 generations" for i in (1, 2, 3)
     ]
     assert lines[3] == str(folder / "watch.png")
     fitness = RunFolder(folder).load_champion()[0].fitness
@@ -102,7 +102,7 @@ def test_a_terminal_sees_numbers_and_curves(run):
     screen.print(watch._panel(folder, seen, 100))
     told = screen.file.getvalue()
     champion = RunFolder(run).load_champion()[0]
-    for words in ("generation 3/3", "finished", f"champion {champion.fitness:.4f}", "diverged"):
+    for words in ("3/3 generations", "finished", f"champion {champion.fitness:.4f}", "diverged"):
         assert words in told
     # Braille dots.
     assert any(0x2800 < ord(letter) < 0x2900 for letter in told)
@@ -131,8 +131,8 @@ def test_it_looks_on_while_a_run_evolves_and_ends_at_control_c(start, tmp_path):
         with start("watch", folder, "--no-picture") as watcher:
             first = watcher.stdout.readline()
             later = watcher.stdout.readline()
-            assert first.split()[:2] == ["generation", "1/50000"]
-            assert later.split()[:2] == ["generation", "2/50000"]
+            assert first.split()[:2] == ["1/50000", "generations"]
+            assert later.split()[:2] == ["2/50000", "generations"]
             assert trainer.poll() is None
             watcher.send_signal(signal.SIGINT)
             _, complaint = watcher.communicate(timeout=60)

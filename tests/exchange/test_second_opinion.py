@@ -1,6 +1,7 @@
 """A champion's commands, and its controller with MuJoCo's senses, on the exported model."""
 
 import dataclasses
+import sys
 
 import equinox as eqx
 import jax
@@ -10,6 +11,7 @@ import pytest
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import load_config
 from evo_cpg.control.postures import PostureController
+from evo_cpg.exchange.errors import ExchangeError
 from evo_cpg.exchange.second_opinion import Brain, own_opinion, second_opinion
 from evo_cpg.simulation.physics_steps import physics_steps
 from tiny_run import CONFIG, PAIR
@@ -27,6 +29,13 @@ def lived(path, *overrides):
 @pytest.fixture(scope="module")
 def swimmer():
     return lived(CONFIG, *PAIR, "simulation.steps=90", "simulation.substeps=4")
+
+
+def test_without_mujoco_there_is_none(swimmer, monkeypatch):
+    experiment, _, steps = swimmer
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    with pytest.raises(ExchangeError, match="MuJoCo is not installed; pip"):
+        second_opinion(experiment.simulation, experiment.creature, steps)
 
 
 def test_in_water_commands_and_controller_lead_to_our_own_motion(swimmer):

@@ -14,9 +14,11 @@ from PIL import Image
 
 from evo_cpg.physics.footing import Ground
 from evo_cpg.physics.terrain import Boulder, Plane
+from evo_cpg.simulation.recording import Recording
 from evo_cpg.view import output
 from evo_cpg.view.camera import follow, project, smooth
 from evo_cpg.view.film import Panel, Stage, camera_path, sample, side_by_side
+from evo_cpg.view.heading import heading
 from evo_cpg.view.look import LOOKS
 from evo_cpg.view.meshes import body_colors
 from evo_cpg.view.output import OutputError
@@ -216,15 +218,16 @@ def test_what_faces_the_viewer_does_so_all_around(creature, recording, tmp_path)
         assert above[2] > below[2] + 20 and below[0] > below[2] + 20
 
 
+def beginning(recording: Recording, count: int) -> Recording:
+    """Its first instants."""
+    kept = {"goal", "dof_names"}
+    fields = {name: getattr(recording, name)[:count] for name in set(recording._fields) - kept}
+    return recording._replace(**fields)
+
+
 def test_animals_stand_side_by_side(creature, recording, tmp_path):
     """Each in its place, row by row; one that is shorter waits at its end."""
-    short = recording._replace(
-        **{
-            name: getattr(recording, name)[:61]
-            for name in recording._fields
-            if name not in ("goal", "dof_names")
-        }
-    )
+    short = beginning(recording, 61)
     walk = synthetic.walk(2.0)
     panels = [
         Panel(creature, recording, ""),
@@ -326,6 +329,40 @@ def test_a_sheet_shows_moments_from_the_first_to_the_last(creature, recording, t
         assert np.array_equal(
             image[row : row + height, column : column + width], synthetic.read(still)
         )
+
+
+def test_a_sheet_of_several_animals_has_a_column_for_each_moment(
+    creature, recording, tmp_path, monkeypatch
+):
+    """One animal below another, under the moment's time or, of unequal recordings, its number."""
+    said = []
+
+    def heard(text: str, width: int, height: int) -> np.ndarray:
+        said.append(text)
+        made = heading(text, width, height)
+        assert made.shape == (height, width, 3) and (made < 100).any() and (made == 255).any()
+        return made
+
+    monkeypatch.setattr("evo_cpg.view.film.heading", heard)
+    settings = {"size": SMALL, "fps": 1, "sheet": (2, 1)}
+    panels = [Panel(creature, recording, "")] * 3
+    image = synthetic.read(side_by_side(panels, tmp_path / "s.png", **settings))
+    (width, height), gap, head, apart = SMALL, 4, 40, 24
+    tall = head + 3 * height + 2 * gap
+    assert image.shape == (tall, 2 * width + apart, 3)
+    assert said == ["0.0 s", "32.0 s"]
+    assert (image[:, width : width + apart] == 255).all()
+    assert (image[head + height : head + height + gap] == 255).all()
+    # Headings are white and black; below them is the water.
+    assert np.ptp(image[:head].astype(int), axis=2).max() < 12
+    assert image[:head, :width].min() < 100 and image[head:, :width].mean() < 120
+    alone = film(creature, recording, tmp_path / "a.png", title="", **settings)
+    first = synthetic.read(alone)[:, :width].astype(int)
+    assert np.array_equal(image[head : head + height, :width], first)
+    said.clear()
+    unequal = [Panel(creature, recording, ""), Panel(creature, beginning(recording, 601), "")]
+    side_by_side(unequal, tmp_path / "u.png", **settings)
+    assert said == ["0.0 s", "moment 2"]
 
 
 def test_every_frame_gets_a_picture_of_its_own(creature, recording, tmp_path):

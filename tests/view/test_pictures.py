@@ -14,7 +14,14 @@ from evo_cpg.view import plots
 from evo_cpg.view.ground import grid_spacing
 from evo_cpg.view.meshes import eye_meshes, head_index, shape_mesh
 from evo_cpg.view.output import OutputError
-from evo_cpg.view.plots import _crests, plot_fitness, plot_joint_signals, plot_path
+from evo_cpg.view.plots import (
+    _crests,
+    fitness_figure,
+    path_figure,
+    plot_fitness,
+    plot_joint_signals,
+    plot_path,
+)
 from evo_cpg.view.preview import preview
 from evo_cpg.view.preview_ground import obstacles_near
 
@@ -168,7 +175,9 @@ def test_joint_signals_follow_chains(recording, tmp_path, monkeypatch):
         recording, tmp_path / "x.png", "z", chains=[others, first, second], title="mine"
     )
     (figure,) = figures
-    shown = [axes.texts[0].get_text() for axes in figure.axes if axes.texts]
+    # Above the rows: no curve is hidden by a name.
+    shown = [title for axes in figure.axes if (title := axes.get_title(loc="left"))]
+    assert not any(axes.texts for axes in figure.axes)
     rows = [*first, *second, about_z[3]]
     assert shown == [recording.dof_names[row].rpartition(".")[0] for row in rows]
     assert joined == [len(first), len(second), 1]
@@ -179,6 +188,23 @@ def test_joint_signals_follow_chains(recording, tmp_path, monkeypatch):
     assert f" {lag:.0f} deg of lag per joint from {shown[0]} to {shown[len(first) - 1]}" in title
     words = {axes.get_ylabel() for axes in figure.axes} - {""}
     assert words == {"joint angle (deg)", "CPG output (no unit)"}
+
+
+def test_a_path_says_what_its_dots_are(recording):
+    figure = path_figure(recording)
+    (dots, start, *_) = [text.get_text() for text in figure.axes[0].get_legend().get_texts()]
+    every = (recording.time[-1] - recording.time[0]) / 6
+    assert (dots, start) == (f"its bodies, every {every:.3g} s", "start")
+
+
+def test_the_best_so_far_is_seen_where_it_is_the_best_of_the_generation():
+    """The lower one of two equal lines is the wider one."""
+    equal = np.array([1.0, 2.0, 2.0])
+    columns = {"generation": np.arange(3), "best": equal, "best_so_far": equal, "mean": equal - 1}
+    figure = fitness_figure(columns | {"diverged": np.zeros(3)})
+    below, above, _ = figure.axes[0].get_lines()
+    assert (below.get_label(), above.get_label()) == ("best so far", "best of the generation")
+    assert below.get_linewidth() > 3 * above.get_linewidth()
 
 
 def test_joint_signals_of_a_still_animal(recording, tmp_path):

@@ -359,8 +359,8 @@ def _numbers(quantities: Sequence[Quantity]) -> Html:
 def _evolution(subject: Subject, motion: Motion) -> Html:
     rows = [[name, _number(value)] for name, value in subject.champion.items()]
     words = (
-        f"The champion comes from generation {subject.generation} of {subject.generations} "
-        f"(counted from 0), with the seed {subject.seed}"
+        f"The champion comes from generation {subject.generation} (counted from 0; "
+        f"{subject.generations} are done), with the seed {subject.seed}"
     )
     if subject.run is not None:
         words += f", run {subject.run}"

@@ -1,0 +1,61 @@
+"""What a user should know of a config's oscillators before they evolve: a line for each matter."""
+
+import sys
+from pathlib import Path
+
+from evo_cpg.control.brain_cpg import BrainCpg
+from evo_cpg.control.couplings import uncoupled
+from evo_cpg.control.rest import resting
+from evo_cpg.simulation.rollout import Simulation
+
+
+def warn_of_oscillators(path: Path, simulation: Simulation) -> None:
+    """Say which oscillators are coupled to nothing or come to rest, and which keys change that.
+
+    Args:
+        path: the configuration.
+        simulation: that it describes.
+    """
+    for line in _matters(simulation):
+        print(f"evo-cpg: warning: {path}: {line}", file=sys.stderr)
+
+
+def _matters(simulation: Simulation) -> list[str]:
+    controller, tree = simulation.controller, simulation.world.tree
+    if not isinstance(controller, BrainCpg):
+        return []
+    # Others move nothing, whether they swing or not.
+    driven = (tree.servo_gain > 0) | (tree.servo_stiffness > 0)
+    driven = driven & (controller.rate_gain != 0)
+    cpg, network = controller.settings.cpg, controller.network
+    gains = cpg.min_adaptation_gain, cpg.max_adaptation_gain
+    alone = [i for i in uncoupled(network.matrix) if driven[i]]
+    still = [i for i in resting(network, cpg.max_tonic_input, *gains) if driven[i]]
+    drive = cpg.max_tonic_input + cpg.sensory_feedback
+    least = 1 + network.rise_time / network.adaptation_time
+    if drive <= 0:
+        total = "controller.cpg.max_tonic_input + sensory_feedback"
+        cure = f"{total} is {drive:g}; it must be positive"
+    else:
+        cure = (
+            f"they swing where {least:.3g} < a < 1 + b; a is controller.cpg.pair_weight "
+            f"({cpg.pair_weight:.3g}) times what parent_weight, child_weight, couplings and rings "
+            f"make of it, b from min_adaptation_gain to max_adaptation_gain ({gains[0]:g} to "
+            f"{gains[1]:g}), and constants ({cpg.constants}) give the first number"
+        )
+    couple = "controller.cpg.couplings and rings couple them"
+    rest = "at rest under a constant drive"
+    matters = (
+        ("coupled to no other oscillator", couple, [i for i in alone if i not in still]),
+        (
+            f"coupled to no other oscillator, and {rest}",
+            f"{couple}; {cure}",
+            [i for i in alone if i in still],
+        ),
+        (rest, cure, [i for i in still if i not in alone]),
+    )
+    return [
+        f"{what}: {', '.join(tree.dof_names[i] for i in who)}; {change}"
+        for what, change, who in matters
+        if who
+    ]
