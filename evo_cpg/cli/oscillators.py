@@ -38,10 +38,9 @@ def _matters(simulation: Simulation) -> list[str]:
         cure = f"{total} is {drive:g}; it must be positive"
     else:
         cure = (
-            f"they swing where {least:.3g} < a < 1 + b; a is controller.cpg.pair_weight "
-            f"({cpg.pair_weight:.3g}) times what parent_weight, child_weight, couplings and rings "
-            f"make of it, b from min_adaptation_gain to max_adaptation_gain ({gains[0]:g} to "
-            f"{gains[1]:g}), and constants ({cpg.constants}) give the first number"
+            f"a pair alone swings where controller.cpg.pair_weight ({cpg.pair_weight:.3g}) is more "
+            f"than {least:.3g} (constants: {cpg.constants}) and less than 1 + the adaptation gain "
+            f"({gains[0]:g} to {gains[1]:g})"
         )
     couple = "controller.cpg.couplings and rings couple them"
     rest = "at rest under a constant drive"

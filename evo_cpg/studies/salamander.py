@@ -4,7 +4,7 @@ import numpy as np
 
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import load_config
-from evo_cpg.studies.audits import audit_table, audited
+from evo_cpg.studies.audits import audit_table, audited, kept_table
 from evo_cpg.studies.lights import light_table, lived, still
 from evo_cpg.studies.stills import stills
 from evo_cpg.studies.study import Part, Runs, Study, Table, middle, percent
@@ -46,6 +46,20 @@ def land(workshop: Workshop) -> list[Table]:
 def audit(workshop: Workshop) -> list[Table]:
     """Champions on land, audited."""
     return [audit_table("", {"on land": audited(workshop, "land")})]
+
+
+_ELSEWHERE = {
+    "in water": "water",
+    "across the shore": "shore",
+    "among boulders": "boulders",
+    "swimmer with two eyes": "eyes",
+}
+
+
+def audits(workshop: Workshop) -> list[Table]:
+    """Champions elsewhere, audited."""
+    found = {title: audited(workshop, name) for title, name in _ELSEWHERE.items()}
+    return [kept_table("Medians and ranges:", found), audit_table("Every champion:", found)]
 
 
 def shore(workshop: Workshop) -> list[Table]:
@@ -143,6 +157,7 @@ STUDY = Study(
         "shore": Part("across the shore", ("shore", "shore_random", "land"), shore),
         "boulders": Part("among boulders", ("boulders",), boulders),
         "eyes": Part("a swimmer with two eyes", ("eyes",), eyes),
+        "audits": Part("the champions elsewhere, audited", tuple(_ELSEWHERE.values()), audits),
         "pictures": Part(
             "moments of the best champions", ("water", "land", "shore", "boulders"), pictures
         ),

@@ -3,6 +3,7 @@
 import csv
 import json
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -84,6 +85,10 @@ def generations_done(folder: Path) -> int:
     return len(rows(folder)) if (folder / "metrics.csv").exists() else 0
 
 
+# Generations, and that the oscillators of so short an animal rest.
+_TOLD = re.compile(r" *\d+/\d+ generations|evo-cpg: warning: .* at rest ")
+
+
 class Hosts:
     """Processes that were started one by one, as on hosts."""
 
@@ -114,9 +119,9 @@ class Hosts:
             process.wait()
 
     def said(self, index: int) -> str:
-        """What a process complained of; what the lead says of generations is left out."""
+        """What a process complained of; what the lead says of the run is left out."""
         lines = (self._logs / f"{index}.err").read_text().splitlines(True)
-        return "".join(line for line in lines if "/" not in line or " generations" not in line)
+        return "".join(line for line in lines if not _TOLD.match(line))
 
     def ends(self, *which: int, within: float = 30.0) -> list[tuple[int, str]]:
         """Exit codes of processes, and what they complained of, where they end in time."""
