@@ -37,6 +37,7 @@ from evo_cpg.training.checkpoint import Champion, Checkpoint, genes_digest, outc
 from evo_cpg.training.devices import use_cores
 from evo_cpg.training.experiment import Experiment
 from evo_cpg.training.memory import require_memory
+from evo_cpg.training.reevaluation import is_finished
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
 from evo_cpg.training.scalars import FOLDER, MissingWriterError, Scalars, require_writer
 
@@ -113,7 +114,7 @@ def resume_run(
             done = _require_alike(folder, config, experiment)
             # Several processes part when all have been through the loop.
             by_itself = team.count == 1 and not tensorboard
-            if by_itself and _finished(folder, done, experiment.generations):
+            if by_itself and _finished(folder, done, experiment):
                 _say_finished(folder, experiment.generations)
                 return
             _reopen(folder, config, experiment, devices, team.count)
@@ -171,9 +172,9 @@ def _require_alike(
     return done
 
 
-def _finished(folder: RunFolder, done: Checkpoint | None, generations: int) -> bool:
+def _finished(folder: RunFolder, done: Checkpoint | None, experiment: Experiment) -> bool:
     """Whether nothing is left to do, and nothing that a run leaves was lost or changed since."""
-    if done is None or done.generation < generations:
+    if done is None or not is_finished(experiment, done):
         return False
     try:
         champion, recording, digests = folder.load_champion()

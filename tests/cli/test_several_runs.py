@@ -26,6 +26,7 @@ def noisy_run(cli, tmp_path_factory):
     assert code == 0, err
     assert "   2/2 generations  best of 2 runs" in err and "  median" in err
     assert "champion of generation" in err and " of run " in err
+    assert " in its own trials, " in err and " fresh draws (" in err
     return folder
 
 
@@ -39,6 +40,25 @@ def test_the_best_of_all_comes_out_exactly_noise_included(noisy_run, cli):
     code, out, err = cli("verify", noisy_run)
     assert (code, err) == (0, "")
     assert out.endswith("comes out as recorded (exactly)\n")
+
+
+def test_a_run_that_was_stopped_before_its_champion_was_chosen_is_not_finished(
+    noisy_run, cli, tmp_path
+):
+    code, _, err = cli("resume", noisy_run)
+    assert code == 0 and f"{noisy_run} is finished: all 2 generations are done" in err
+    folder = RunFolder(tmp_path / "run")
+    shutil.copytree(noisy_run, folder.path)
+    done = folder.load()
+    assert done is not None
+    folder.save(done._replace(chosen=()))
+    code, _, err = cli("resume", folder.path)
+    assert code == 0 and " fresh draws (" in err
+    again = folder.load()
+    assert again is not None
+    assert [one and one.expected for one in again.chosen] == [
+        one and one.expected for one in done.chosen
+    ]
 
 
 def test_the_champion_of_any_run_is_filmed(noisy_run, cli, tmp_path):
