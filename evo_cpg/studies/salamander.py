@@ -1,9 +1,12 @@
 """The salamander in water, on land, across a shore, among boulders; a swimmer with two eyes."""
 
+import dataclasses
+
 import numpy as np
 
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import load_config
+from evo_cpg.simulation.measures import Measures
 from evo_cpg.studies.audits import audit_table, audited, kept_table
 from evo_cpg.studies.lights import light_table, lived, still
 from evo_cpg.studies.stills import stills
@@ -12,6 +15,7 @@ from evo_cpg.studies.workshop import Workshop
 from evo_cpg.training.probe import Probe, around, blinded, probe
 
 _REACHED = 0.2  # of the distance left
+_BELLY_DOWN = 60  # degrees of tilt, from mean cosine
 _BEARINGS = np.deg2rad(np.linspace(-75, 75, 20))
 _RANDOM = "evolution={type: random, generations: 50, population: 200}"
 
@@ -67,21 +71,28 @@ def shore(workshop: Workshop) -> list[Table]:
     situations = len(workshop.experiment("shore").simulation.situations)
     rows = []
     for title, name in (("evolved", "shore"), ("random search", "shore_random")):
-        for champion, left in zip(
-            workshop.champions(name), _left(workshop, "shore", name), strict=True
+        found = _lived_in(workshop, "shore", name)
+        for champion, left, tilt in zip(
+            workshop.champions(name), found["distance"], found["tilt"], strict=True
         ):
             seed = str(workshop.experiment(name).seed + champion.run)
-            rows.append([title, seed, f"{champion.worth:.3f}", *map(percent, left)])
+            cells = *map(percent, left), f"{_angle(max(tilt)):.0f}"
+            rows.append([title, seed, f"{champion.worth:.3f}", *cells])
             title = ""
-    left = np.array(_left(workshop, "shore", "land"))
+    left = np.array(_lived_in(workshop, "shore", "land")["distance"])
     cells = [f"{middle(100 * column, 1)} %" for column in left.T]
-    rows.append(["champions of land", "all", "", *cells])
-    both = (np.array(_left(workshop, "shore", "shore"))[:, :2] <= _REACHED).all(1)
-    rows.append(
-        ["cross both ways (20 % left)", f"{both.sum()} of {both.size}", "", *[""] * situations]
-    )
+    rows.append(["champions of land", "all", "", *cells, ""])
+    own = _lived_in(workshop, "shore", "shore")
+    both = (np.array(own["distance"])[:, :2] <= _REACHED).all(1)
+    both &= _angle(np.max(own["tilt"], 1)) < _BELLY_DOWN
+    words = f"{both.sum()} of {both.size}"
+    blank = [""] * (situations + 2)
+    rows.append([f"both ways (20 % left), under {_BELLY_DOWN} degrees", words, *blank])
     ways = ["into the water", "back on land", "from the water's edge to land"]
-    heads = [f"{way}: distance left" for way in ways]
+    heads = [
+        *(f"{way}: distance left" for way in ways),
+        "head tilts by, the most of three, degrees",
+    ]
     return [Table("", ["", "seed", "fitness", *heads], rows)]
 
 
@@ -125,14 +136,23 @@ def _probed(found: Probe) -> list[str]:
 
 def _guests(workshop: Workshop) -> list[str]:
     """The line of land's champions in water."""
-    left = np.array(_left(workshop, "water", "land"))
+    left = np.array(_lived_in(workshop, "water", "land")["distance"])
     return ["champions of land", "all", "", f"{middle(100 * left, 1)} %", "", "", ""]
 
 
-def _left(workshop: Workshop, world: str, name: str) -> list[list[float]]:
-    """Share of the distance that champions leave in each of a world's situations, without noise."""
+def _angle(tilt: float | np.ndarray) -> np.ndarray:
+    """Of a mean of 1 - cos, degrees."""
+    return np.rad2deg(np.arccos(1 - np.asarray(tilt)))
 
-    def measure() -> list[list[float]]:
+
+def _lived_in(workshop: Workshop, world: str, name: str) -> dict[str, list[list[float]]]:
+    """What becomes of champions in each of a world's situations, without noise.
+
+    That is the share of the distance that is left, and the tilt: the mean of 1 - cos(angle of the
+    head's up to the vertical).
+    """
+
+    def measure() -> dict[str, list[list[float]]]:
         simulation = workshop.experiment(world).simulation
         if world == "shore" and not name.startswith("shore"):
             # Who did not evolve at the shore has no depth gauge.
@@ -141,7 +161,13 @@ def _left(workshop: Workshop, world: str, name: str) -> list[list[float]]:
             config = load_config(source, ["creature.depth_sensors=[]", steps])
             simulation = build_experiment(config, source).simulation
         genes = np.stack([each.genes for each in workshop.champions(name)], axis=1)
-        return np.nan_to_num(lived(simulation, genes)["distance"].astype(float), nan=9.0).tolist()
+        measured = dataclasses.replace(simulation, measures=Measures(("tilt",)))
+        terms = {key: x.astype(float) for key, x in lived(measured, genes).items()}
+        # Who diverged is far away, and on its back.
+        return {
+            "distance": np.nan_to_num(terms["distance"], nan=9.0).tolist(),
+            "tilt": np.nan_to_num(terms["tilt"], nan=2.0).tolist(),
+        }
 
     return workshop.kept(f"{name}_in_{world}", [name], measure)
 
