@@ -148,7 +148,7 @@ def _lineage(
 
     experiment, champion, _, folder = open_champion(run, number)
     require_trial(experiment, folder, trial)
-    chosen, panels = _chosen(folder, champion.run, wanted), []
+    chosen, panels = _chosen(folder, champion, wanted), []
     for one in chosen:
         wrong = misfit(experiment, one)
         if wrong:
@@ -164,18 +164,32 @@ def _lineage(
                 file=sys.stderr,
             )
         title = f"generation {one.generation}: fitness {one.fitness:.3g}"
+        if one.expected is not None:
+            title = f"champion: fitness {one.expected:.3g} in fresh draws"
         shown = _signals(experiment, life) if signals else None
         panels.append(panel_of(experiment, life.recording, title, shown))
     return panels, folder
 
 
-def _chosen(folder: RunFolder, run: int, wanted: list[int] | None) -> list[Champion]:
-    """Champions of a run, in the order of generations, nobody twice."""
+def _chosen(folder: RunFolder, champion: Champion, wanted: list[int] | None) -> list[Champion]:
+    """Champions of a run, in the order of generations, nobody twice.
+
+    Args:
+        folder: of the run.
+        champion: in the end.
+        wanted: generations; None for some that tell how it came to the champion.
+    """
+    run = champion.run
     lineage = [each for each in folder.load_lineage() if each.run == run]
     if not lineage:
         raise RunFolderError(f"{folder.lineage} knows no champion of run {run}")
     if wanted is None:
-        return telling(lineage, _SHOWN)
+        if champion.expected is None:
+            return telling(lineage, _SHOWN)
+        # Who had the best score on the way need not be who was chosen in the end.
+        places = (champion.generation, champion.index)
+        others = [each for each in lineage if (each.generation, each.index) != places]
+        return [*telling(others, _SHOWN - 1), champion]
     done = folder.newest
     found: list[Champion] = []
     for generation in sorted(set(wanted)):
@@ -189,7 +203,7 @@ def _chosen(folder: RunFolder, run: int, wanted: list[int] | None) -> list[Champ
                 f"--lineage: the first champion that {folder.path} knows is that of generation "
                 f"{lineage[0].generation}"
             )
-        if one not in found:
+        if all(one is not other for other in found):
             found.append(one)
     return found
 

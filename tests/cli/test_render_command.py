@@ -79,6 +79,15 @@ def test_champions_on_the_way_stand_side_by_side(film, two_runs):
     assert size == (160, 110)
 
 
+def test_champions_of_several_generations_are_asked_for_by_their_numbers(film, two_runs):
+    lineage = RunFolder(two_runs).load_lineage()
+    own = {run: [each.generation for each in lineage if each.run == run] for run in (0, 1)}
+    run, found = max(own.items(), key=lambda item: len(item[1]))
+    assert len(found) > 1
+    size, _ = film(two_runs, "--lineage", f"{found[0]},{found[1]}", "--run", run)
+    assert size == (196, 54)
+
+
 def test_runs_stand_beside_each_other(film, two_runs, finished_run):
     size, _ = film(two_runs, "--beside", finished_run, "--beside", two_runs, "--camera", "orbit")
     assert size == (296, 54)

@@ -70,6 +70,13 @@ def test_the_champion_of_any_run_is_filmed(noisy_run, cli, tmp_path):
     assert picture.stat().st_size > 0
 
 
+def test_the_lineage_of_a_noisy_run_ends_with_its_champion(noisy_run, cli, tmp_path):
+    picture = tmp_path / "lineage.png"
+    options = ("--lineage", "auto", "--size", "64x48", "--seconds", "0.2", "-o", picture)
+    code, out, err = cli("render", noisy_run, *options)
+    assert (code, out) == (0, f"{picture}\n"), err
+
+
 def test_a_run_that_is_not_there_is_refused(noisy_run, cli):
     code, out, err = cli("render", noisy_run, "--run", 2)
     assert (code, out) == (2, "")
