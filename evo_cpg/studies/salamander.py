@@ -10,7 +10,7 @@ from evo_cpg.simulation.measures import Measures
 from evo_cpg.studies.audits import audit_table, audited, kept_table
 from evo_cpg.studies.lights import light_table, lived, still
 from evo_cpg.studies.stills import stills
-from evo_cpg.studies.study import Part, Runs, Study, Table, middle, percent
+from evo_cpg.studies.study import Part, Runs, Study, Table, beside, middle, percent
 from evo_cpg.studies.workshop import Workshop
 from evo_cpg.training.probe import Probe, around, blinded, probe
 
@@ -68,32 +68,41 @@ def audits(workshop: Workshop) -> list[Table]:
 
 def shore(workshop: Workshop) -> list[Table]:
     """Champions across the shore, in each of its situations, and others put there."""
-    situations = len(workshop.experiment("shore").simulation.situations)
-    rows = []
-    for title, name in (("evolved", "shore"), ("random search", "shore_random")):
-        found = _lived_in(workshop, "shore", name)
-        for champion, left, tilt in zip(
-            workshop.champions(name), found["distance"], found["tilt"], strict=True
-        ):
-            seed = str(workshop.experiment(name).seed + champion.run)
-            cells = *map(percent, left), f"{_angle(max(tilt)):.0f}"
-            rows.append([title, seed, f"{champion.worth:.3f}", *cells])
-            title = ""
+    table = _crossings(workshop, "shore")
     left = np.array(_lived_in(workshop, "shore", "land")["distance"])
     cells = [f"{middle(100 * column, 1)} %" for column in left.T]
-    rows.append(["champions of land", "all", "", *cells, ""])
-    own = _lived_in(workshop, "shore", "shore")
-    both = (np.array(own["distance"])[:, :2] <= _REACHED).all(1)
-    both &= _angle(np.max(own["tilt"], 1)) < _BELLY_DOWN
-    words = f"{both.sum()} of {both.size}"
-    blank = [""] * (situations + 2)
-    rows.append([f"both ways (20 % left), under {_BELLY_DOWN} degrees", words, *blank])
+    return [table._replace(rows=[*table.rows, ["champions of land", "", *cells, ""]])]
+
+
+def shore_random(workshop: Workshop) -> list[Table]:
+    """Random search at the shore."""
+    fitness = {
+        name: [champion.worth for champion in workshop.champions(name)]
+        for name in ("shore", "shore_random")
+    }
+    table = _crossings(workshop, "shore_random")
+    blank = [""] * (len(table.head) - 2)
+    row = ["evolution beats it", beside(fitness, "shore_random")["shore"], *blank]
+    return [table._replace(rows=[*table.rows, row])]
+
+
+def _crossings(workshop: Workshop, name: str) -> Table:
+    """What champions of some runs leave of the way in each situation, and how they hold."""
+    found = _lived_in(workshop, "shore", name)
+    rows = []
+    for champion, left, tilt in zip(
+        workshop.champions(name), found["distance"], found["tilt"], strict=True
+    ):
+        cells = *map(percent, left), f"{_angle(max(tilt)):.0f}"
+        seed = workshop.experiment(name).seed + champion.run
+        rows.append([f"seed {seed}", f"{champion.worth:.3f}", *cells])
+    both = (np.array(found["distance"])[:, :2] <= _REACHED).all(1)
+    both &= _angle(np.max(found["tilt"], 1)) < _BELLY_DOWN
+    words = f"both ways (20 % left) under {_BELLY_DOWN} degrees", f"{both.sum()} of {both.size}"
     ways = ["into the water", "back on land", "from the water's edge to land"]
-    heads = [
-        *(f"{way}: distance left" for way in ways),
-        "head tilts by, the most of three, degrees",
-    ]
-    return [Table("", ["", "seed", "fitness", *heads], rows)]
+    heads = [*(f"{way}: distance left" for way in ways), "largest tilt of the head, degrees"]
+    head = ["", "fitness", *heads]
+    return Table("", head, [*rows, [*words, *[""] * len(heads)]])
 
 
 def boulders(workshop: Workshop) -> list[Table]:
@@ -180,7 +189,8 @@ STUDY = Study(
         "water": Part("in water", ("water", "water_random", "land"), water),
         "land": Part("on land", ("land", "land_random"), land),
         "audit": Part("the champions on land, audited", ("land",), audit),
-        "shore": Part("across the shore", ("shore", "shore_random", "land"), shore),
+        "shore": Part("across the shore", ("shore", "land"), shore),
+        "shore_random": Part("random search at the shore", ("shore", "shore_random"), shore_random),
         "boulders": Part("among boulders", ("boulders",), boulders),
         "eyes": Part("a swimmer with two eyes", ("eyes",), eyes),
         "audits": Part("the champions elsewhere, audited", tuple(_ELSEWHERE.values()), audits),
