@@ -257,8 +257,9 @@ class Running:
         if self._choice.done:
             self.checkpoint = checkpoint._replace(chosen=self._choice.chosen())
             rows = self._choice.rows()
-            if self._team.leads and rows:
-                self._folder.write_table(CANDIDATES_FILE, rows)
+            if self._team.leads:
+                if rows:
+                    self._folder.write_table(CANDIDATES_FILE, rows)
                 self._folder.save(self.checkpoint)
 
     @property
