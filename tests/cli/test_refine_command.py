@@ -30,7 +30,7 @@ def test_the_champion_is_better_and_verified(refined, finished_run, cli):
     before, after = (RunFolder(path).load_champion()[0] for path in (finished_run, folder.path))
     assert after.fitness > before.fitness
     assert f"fitness {before.fitness:.4f} -> {after.fitness:.4f}" in err
-    assert "round    1/1" in err
+    assert "   1/1 rounds  fitness" in err
     code, out, err = cli("verify", folder.path)
     assert (code, err) == (0, "")
     assert out.endswith("comes out as recorded (exactly)\n")

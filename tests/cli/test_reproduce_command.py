@@ -149,7 +149,8 @@ def test_moments_of_the_best_champions_are_drawn(made, tmp_path, monkeypatch):
     told = provenance.read(folder)["pictures"]
     assert set(told["files"]) == {"pictures.md", "pictures.png", "pictures_one.png"}
     with Image.open(folder / "pictures.png") as picture:
-        assert picture.size == (3 * 64 + 2 * 4, 2 * 36 + 4)
+        # With a heading above each moment.
+        assert picture.size == (3 * 64 + 2 * 24, 2 * 36 + 4 + 40)
     best = RunFolder(folder / "runs" / "few").load().champion
     row = f"| a few | {best.run} | {best.generation} | {best.fitness:.3f} | "
     lines = (folder / "pictures.md").read_text().splitlines()
@@ -157,7 +158,7 @@ def test_moments_of_the_best_champions_are_drawn(made, tmp_path, monkeypatch):
     assert line.startswith(row) and line.endswith(" m to the light | 0.0, 0.2, 0.5 |")
 
     shop = Workshop(drawn, folder, False, 2)
-    dead = shop.checkpoint("few")._replace(champions=(None, None))
+    dead = shop.checkpoint("few")._replace(records=(None, None))
     monkeypatch.setattr(Workshop, "checkpoint", lambda self, name: dead)
     assert stills(shop, {"x": "few"}).rows == [["x", "nobody lives", "", "", "", ""]]
 
