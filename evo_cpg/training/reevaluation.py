@@ -60,9 +60,10 @@ class Contest:
     """
 
     def __init__(self, candidates: Sequence[Champion], population: int):
-        known = {one.genes.tobytes(): one for one in reversed(candidates)}
-        different = [one for one in candidates if known[one.genes.tobytes()] is one]
-        self.candidates = different[: min(CANDIDATES, population)]
+        different: dict[bytes, Champion] = {}
+        for one in candidates:
+            different.setdefault(one.genes.tobytes(), one)
+        self.candidates = list(different.values())[: min(CANDIDATES, population)]
         self._population = population
         count = len(self.candidates)
         self._left = np.arange(count)
