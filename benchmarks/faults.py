@@ -83,7 +83,7 @@ _ODD_VALUES: tuple[Any, ...] = (
 
 def command(*words: object) -> list[str]:
     """`evo-cpg` as a process."""
-    return [sys.executable, "-m", "evo_cpg.cli.main", *map(str, words)]
+    return [sys.executable, "-m", "evo_cpg", *map(str, words)]
 
 
 def environment(out: Path) -> dict[str, str]:

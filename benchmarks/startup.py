@@ -51,7 +51,7 @@ def _start(folder: Path, part: str, overrides: tuple[str, ...]) -> float:
         filter(None, [str(ROOT), os.environ.get("PYTHONPATH")])
     )
     config = CONFIGS / "iwadate2010_swimmer.yaml"
-    command = [sys.executable, "-m", "evo_cpg.cli.main", "train", str(config), *overrides]
+    command = [sys.executable, "-m", "evo_cpg", "train", str(config), *overrides]
     start, taken = time.perf_counter(), None
     with subprocess.Popen(
         [*command, "--out", str(out)], env=environment, stderr=subprocess.PIPE, text=True

@@ -47,7 +47,7 @@ def program(
     interrupt = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         return subprocess.Popen(
-            [sys.executable, "-m", "evo_cpg.cli.main", *map(str, arguments)],
+            [sys.executable, "-m", "evo_cpg", *map(str, arguments)],
             env=environment(compiled),
             cwd=folder,
             stdout=subprocess.PIPE,

@@ -166,7 +166,8 @@ class Experiment:
         terms = {name: np.asarray(term) for name, term in mean.terms.items()}
         found = training.descriptors(self.parts.simulation, mean.terms)
         descriptors = {name: np.asarray(value) for name, value in found.items()}
-        return Evaluation(np.asarray(fitness), terms, descriptors)
+        each = training.judge_each(self.task, outcome, self.scales)
+        return Evaluation(np.asarray(fitness), terms, descriptors, np.asarray(each))
 
     @functools.cached_property
     def scales(self) -> dict[str, Float[Array, ""]]:

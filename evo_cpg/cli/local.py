@@ -40,7 +40,7 @@ def run_local(
     own = max(1, (cores or _cores()) // count)
     hosts = ",".join([f"localhost:{_free_port()}", *["localhost"] * (count - 1)])
     common = [*_without_local(arguments), "--cores", str(own), "--hosts", hosts]
-    command = [sys.executable, "-m", "evo_cpg.cli.main", *common, "--process"]
+    command = [sys.executable, "-m", "evo_cpg", *common, "--process"]
     processes: list[subprocess.Popen] = []
     with _ended(processes):
         for index in range(count):

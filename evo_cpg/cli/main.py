@@ -703,7 +703,3 @@ def main() -> None:
             raise
         print(f"evo-cpg: {error}", file=sys.stderr)
         raise SystemExit(_WRONG_INPUT) from None
-
-
-if __name__ == "__main__":
-    main()

@@ -105,7 +105,7 @@ def check_own_strategy(
         kept = None
         for state in (first, None):
             if state is None:
-                worth = Evaluation(fitness, dict.fromkeys(terms, fitness), {})
+                worth = Evaluation(fitness, dict.fromkeys(terms, fitness), {}, fitness[None])
                 given = draw, kept, random, worth
                 state = checked(key, strategy, "tell", lambda tell, x=given: tell(*x))
             found = checked(key, strategy, "ask", lambda ask, x=state: ask(draw, x))

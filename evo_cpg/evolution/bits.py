@@ -101,13 +101,18 @@ class BitGenetics(Genetics):
             raise ValueError(f"mutation must be {' or '.join(MUTATIONS)}, got {self.mutation!r}")
 
     def next_generation(
-        self, key: Array, genes: Float[Array, "g n"], fitness: Float[Array, " n"]
+        self,
+        key: Array,
+        genes: Float[Array, "g n"],
+        fitness: Float[Array, " n"],
+        trial_fitness: Float[Array, "trials n"] | None = None,
     ) -> Float[Array, "g n"]:
         """Elites, and children of parents drawn by rank; siblings stand side by side.
 
         Raises:
             ValueError: genomes with fewer genes than a mutation may change.
         """
+        del trial_fitness
         parent_key, cross_key, mutate_key = jax.random.split(key, 3)
         # Whole pairs for every place: how many elites there are is known only at run time.
         pairs = -(-self.population // 2)

@@ -14,7 +14,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from evo_cpg.evolution.selection import draw_parents, linear_rank_probabilities, rank_order
+from evo_cpg.evolution.selection import (
+    draw_by_lexicase,
+    draw_parents,
+    linear_rank_probabilities,
+    rank_order,
+)
 from evo_cpg.evolution.strategy import Evaluation, Strategy
 from evo_cpg.evolution.variation import gaussian_mutation, one_point_crossover
 
@@ -43,11 +48,15 @@ class Genetics(Strategy):
     ) -> Float[Array, "g n"]:
         """The next population."""
         del state
-        return self.next_generation(key, genes, evaluation.fitness)
+        return self.next_generation(key, genes, evaluation.fitness, evaluation.trial_fitness)
 
     @abc.abstractmethod
     def next_generation(
-        self, key: Array, genes: Float[Array, "g n"], fitness: Float[Array, " n"]
+        self,
+        key: Array,
+        genes: Float[Array, "g n"],
+        fitness: Float[Array, " n"],
+        trial_fitness: Float[Array, "trials n"] | None = None,
     ) -> Float[Array, "g n"]:
         """Genomes of the next generation: the elites, best first, then the children.
 
@@ -58,6 +67,7 @@ class Genetics(Strategy):
             key: random key.
             genes: the population.
             fitness: of each individual, maximised.
+            trial_fitness: likewise in each trial; None where there is but one.
         """
 
 
@@ -67,7 +77,8 @@ class RealGenetics(Genetics):
     Attributes:
         population: number of individuals.
         elite_count: best individuals that pass on unchanged.
-        parent_fraction: part of the population that may become parents.
+        selection: of parents, ``rank`` or ``lexicase``.
+        parent_fraction: part of the population that may become parents by rank.
         crossover_probability: that two parents' genomes are cut and rejoined.
         mutation_rate: probability that a gene of a child changes.
         mutation_sigma: standard deviation of a change.
@@ -81,16 +92,25 @@ class RealGenetics(Genetics):
     mutation_rate: float
     mutation_sigma: float
     gene_bound: float
+    selection: str = eqx.field(static=True, default="rank")
 
     def next_generation(
-        self, key: Array, genes: Float[Array, "g n"], fitness: Float[Array, " n"]
+        self,
+        key: Array,
+        genes: Float[Array, "g n"],
+        fitness: Float[Array, " n"],
+        trial_fitness: Float[Array, "trials n"] | None = None,
     ) -> Float[Array, "g n"]:
         """Elites, and children whose every gene may change a little."""
         count = self.population
         parent_key, cross_key, mutate_key = jax.random.split(key, 3)
         pairs = -(-count // 2)
-        probabilities = linear_rank_probabilities(count, self.parent_fraction)
-        parents = draw_parents(parent_key, fitness, probabilities, 2 * pairs)
+        if self.selection == "lexicase":
+            each = fitness[None] if trial_fitness is None else trial_fitness
+            parents = draw_by_lexicase(parent_key, fitness, each, 2 * pairs)
+        else:
+            probabilities = linear_rank_probabilities(count, self.parent_fraction)
+            parents = draw_parents(parent_key, fitness, probabilities, 2 * pairs)
         children = one_point_crossover(
             cross_key, genes, parents[:pairs], parents[pairs:], self.crossover_probability
         )[:, :count]

@@ -73,8 +73,8 @@ class Islands(Strategy):
         done = state.generation + 1
         arrived = self._arrivals(evaluation.fitness, done % self.every == 0)
         genes, evaluation = jax.tree.map(lambda x: x[..., arrived], (genes, evaluation))
-        told = jax.vmap(self.strategy.tell, in_axes=(0, 0, 1, 0))
-        apart = jax.tree.map(lambda x: x.reshape(self.count, -1), evaluation)
+        told = jax.vmap(self.strategy.tell, in_axes=(0, 0, 1, -2))
+        apart = jax.tree.map(lambda x: x.reshape(*x.shape[:-1], self.count, -1), evaluation)
         islands = told(self._keys(key), state.islands, self._apart(genes), apart)
         return Archipelago(done, islands)
 

@@ -27,11 +27,13 @@ class Evaluation(eqx.Module):
             diverged in any.
         terms: the task's terms by name, likewise averaged.
         descriptors: those terms that say how an individual behaves, see `Task.descriptors`.
+        trial_fitness: fitness in each trial, of which `fitness` is the mean.
     """
 
     fitness: Float[Any, " n"]
     terms: dict[str, Float[Any, " n"]]
     descriptors: dict[str, Float[Any, " n"]]
+    trial_fitness: Float[Any, "trials n"]
 
 
 class Strategy(eqx.Module):

@@ -264,7 +264,8 @@ def breed(
         scales = {name: jnp.where(index == 0, measured[name], scales[name]) for name in measured}
         fitness, mean = judge(task, outcome, scales)
         key = jax.random.fold_in(_stream(seed, _GENERATIONS), index)
-        worth = Evaluation(fitness, mean.terms, descriptors(simulation, mean.terms))
+        about = mean.terms, descriptors(simulation, mean.terms)
+        worth = Evaluation(fitness, *about, judge_each(task, outcome, scales))
         told = strategy.tell(key, state, genes, worth)
         asked, state = strategy.ask(_ask_key(seed, index + 1), told)
         best = jnp.argmax(fitness)
@@ -312,12 +313,16 @@ def judge(
         trials = values.shape[-1]
         return sum((values[..., i] for i in range(1, trials)), values[..., 0]) * (1 / trials)
 
-    def of_trial(outcome: Outcome) -> Float[Array, " *n"]:
-        return score(task, outcome, scales)
-
-    fitness = jax.vmap(of_trial, in_axes=-1, out_axes=-1)(outcome)
+    fitness = jnp.moveaxis(judge_each(task, outcome, scales), 0, -1)
     terms = {name: mean(term) for name, term in outcome.terms.items()}
     return mean(fitness), Outcome(terms, outcome.alive.all(-1))
+
+
+def judge_each(
+    task: Task, outcome: Outcome, scales: dict[str, Float[Array, ""]]
+) -> Float[Array, "trials *n"]:
+    """Fitness in each of the trials that `judge` takes together; -inf where it diverged."""
+    return jax.vmap(lambda trial: score(task, trial, scales), in_axes=-1)(outcome)
 
 
 def replay(

@@ -103,7 +103,7 @@ class Hosts:
             with (logs / f"{index}.err").open("w") as errors:
                 self.processes.append(
                     subprocess.Popen(
-                        [sys.executable, "-m", "evo_cpg.cli.main", *map(str, command)],
+                        [sys.executable, "-m", "evo_cpg", *map(str, command)],
                         env=environment(compiled),
                         stdout=subprocess.DEVNULL,
                         stderr=errors,
@@ -309,7 +309,7 @@ def test_configurations_that_differ(compiled, tmp_path):
         ]  # fmt: skip
         started.append(
             subprocess.Popen(
-                [sys.executable, "-m", "evo_cpg.cli.main", *map(str, command)],
+                [sys.executable, "-m", "evo_cpg", *map(str, command)],
                 env=environment(compiled),
                 stderr=subprocess.PIPE,
                 text=True,

@@ -60,7 +60,7 @@ def test_help_answers_at_once():
     for arguments in (["--help"], ["train", "--help"], ["render", "--help"]):
         start = processor_time_of_children()
         done = subprocess.run(
-            [sys.executable, "-m", "evo_cpg.cli.main", *arguments],
+            [sys.executable, "-m", "evo_cpg", *arguments],
             cwd=REPOSITORY,
             capture_output=True,
             text=True,

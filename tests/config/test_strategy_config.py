@@ -59,6 +59,15 @@ def test_islands_share_the_population():
     assert isinstance(strategy, Islands) and strategy.strategy.population == 15
 
 
+def test_lexicase_selection_wants_several_trials():
+    several = "evolution.selection=lexicase", "simulation.trials=3", "noise.push=0.01"
+    assert build(CONFIG, *several).strategy.selection == "lexicase"
+    # Without noise all trials are the same one.
+    for lacking in (several[:1], several[:2]):
+        with pytest.raises(ConfigError, match=r"evolution\.selection: .*have but one"):
+            build(CONFIG, *lacking)
+
+
 def test_a_map_measures_what_its_axes_are():
     made = build(WALKER, f"evolution={{type: map_elites, axes: {AXES}}}")
     assert isinstance(made.strategy, MapElites)

@@ -38,7 +38,8 @@ def worth(rows, flat=0.0):
 
 def evaluation(fitness, measures):
     first, second = jnp.asarray(np.asarray(measures).T)
-    return Evaluation(jnp.asarray(fitness), {}, {"first": first, "second": second})
+    fitness = jnp.asarray(fitness)
+    return Evaluation(fitness, {}, {"first": first, "second": second}, fitness[None])
 
 
 @functools.cache

@@ -1,4 +1,6 @@
-"""Rank roulette against its stated probabilities, ties and diverged individuals included."""
+"""Rank roulette against stated probabilities, lexicase selection against all orders of trials."""
+
+import itertools
 
 import jax
 import jax.numpy as jnp
@@ -8,7 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import chisquare
 
-from evo_cpg.evolution.selection import draw_parents, linear_rank_probabilities, rank_order
+from evo_cpg.evolution.selection import (
+    draw_by_lexicase,
+    draw_parents,
+    linear_rank_probabilities,
+    rank_order,
+)
 
 DRAWS = 100_000
 
@@ -69,3 +76,52 @@ def test_a_diverged_individual_is_never_likelier_than_a_living_one():
     assert counts[[1, 5, 3]].min() > counts[[0, 2, 4]].max()
     few = draw_parents(jax.random.key(3), fitness, linear_rank_probabilities(6, 0.5), DRAWS)
     assert set(np.asarray(few).tolist()) == {1, 5, 3}
+
+
+def lexicase_chances(trial_fitness: np.ndarray) -> np.ndarray:
+    """That of each of the living to become a parent: the mean over all orders of trials."""
+    middle = np.median(trial_fitness, 1, keepdims=True)
+    tolerance = np.median(np.abs(trial_fitness - middle), 1)
+    chances = np.zeros(trial_fitness.shape[1])
+    orders = list(itertools.permutations(range(len(trial_fitness))))
+    for order in orders:
+        left = np.arange(trial_fitness.shape[1])
+        for trial in order:
+            rivals = trial_fitness[trial, left]
+            left = left[rivals >= rivals.max() - tolerance[trial]]
+        chances[left] += 1 / (len(left) * len(orders))
+    return chances
+
+
+@pytest.mark.parametrize("trials", [1, 2, 4])
+def test_lexicase_parents_are_drawn_as_often_as_the_orders_of_trials_say(trials):
+    trial_fitness = np.random.default_rng(trials).normal(size=(trials, 9)).astype(np.float32)
+    chances = lexicase_chances(trial_fitness)
+    assert 1 < (chances > 0).sum() < 9
+    fitness = jnp.asarray(trial_fitness.mean(0))
+    drawn = draw_by_lexicase(jax.random.key(4), fitness, jnp.asarray(trial_fitness), DRAWS)
+    counts = np.bincount(np.asarray(drawn), minlength=9)
+    assert counts[chances == 0].sum() == 0
+    assert chisquare(counts[chances > 0], DRAWS * chances[chances > 0]).pvalue > 0.01
+
+
+def test_lexicase_keeps_who_does_well_in_one_trial_only():
+    """Its mean is the lowest of all, and no rank would draw it."""
+    specialist = np.array([[5.0], [-20.0]])
+    trial_fitness = np.concatenate([np.tile(np.linspace(0, 1, 9), (2, 1)), specialist], 1)
+    fitness = jnp.asarray(trial_fitness.mean(0), jnp.float32)
+    each = jnp.asarray(trial_fitness, jnp.float32)
+    drawn = np.asarray(draw_by_lexicase(jax.random.key(5), fitness, each, 1000))
+    assert 400 < (drawn == 9).sum() < 600
+    by_rank = draw_parents(jax.random.key(5), fitness, linear_rank_probabilities(10, 0.9), 1000)
+    assert 9 not in np.asarray(by_rank)
+
+
+def test_lexicase_draws_nobody_who_diverged_in_any_trial_while_others_live():
+    trial_fitness = jnp.asarray([[9.0, -1.0, -2.0, jnp.nan], [-jnp.inf, -1.0, 0.5, 3.0]])
+    fitness = trial_fitness.mean(0)
+    drawn = draw_by_lexicase(jax.random.key(6), fitness, trial_fitness, 1000)
+    assert set(np.asarray(drawn).tolist()) == {1, 2}
+    nobody = jnp.full((2, 4), -jnp.inf)
+    drawn = draw_by_lexicase(jax.random.key(6), nobody[0], nobody, 1000)
+    assert set(np.asarray(drawn).tolist()) == {0, 1, 2, 3}

@@ -1,5 +1,6 @@
 """Every search is asked and told, keeps what it knows in arrays, and gets better at a sphere."""
 
+import dataclasses
 import importlib
 
 import equinox as eqx
@@ -65,9 +66,14 @@ def genes_of(name):
 
 STRATEGIES = {
     "genetics": lambda: GENETICS,
+    "lexicase": lambda: dataclasses.replace(GENETICS, selection="lexicase"),
     "climber": lambda: Climber(SIZE),
     "islands": lambda: Islands(
-        SIZE, RealGenetics(SIZE // 3, 2, 0.5, 0.2, 0.3, 0.3, 8.0), 3, every=2, migrants=1
+        SIZE,
+        RealGenetics(SIZE // 3, 2, 0.5, 0.2, 0.3, 0.3, 8.0, "lexicase"),
+        3,
+        every=2,
+        migrants=1,
     ),
     "islands of climbers": lambda: Islands(SIZE, Climber(SIZE // 2), 2, 3, 1),
     "genetics with a map": lambda: Mapped(SIZE, AXES, GENETICS),
@@ -94,7 +100,8 @@ def sphere(genes):
     """Best where all genes are 0.7; a corner of the space is deadly."""
     fitness = -((genes - 0.7) ** 2).sum(0)
     fitness = jnp.where(genes[0] < -1.5, -jnp.inf, fitness)
-    return Evaluation(fitness, {"cost": -fitness}, {"first": genes[0], "second": genes[1]})
+    about = {"cost": -fitness}, {"first": genes[0], "second": genes[1]}
+    return Evaluation(fitness, *about, jnp.stack([fitness + genes[0], fitness - genes[0]]))
 
 
 def search(strategy, generations=40, seed=0, evaluate=sphere, genes=GENES):
@@ -160,7 +167,8 @@ def test_a_search_survives_that_nobody_does(name):
     def deadly(genes):
         nobody = jnp.full(genes.shape[1], -jnp.inf)
         lost = jnp.full(genes.shape[1], jnp.nan)
-        return Evaluation(nobody, {"cost": lost}, {"first": lost, "second": lost})
+        about = {"cost": lost}, {"first": lost, "second": lost}
+        return Evaluation(nobody, *about, jnp.stack([nobody, nobody]))
 
     populations, _, _ = search(STRATEGIES[name](), 5, evaluate=deadly, genes=genes_of(name))
     assert np.isfinite(np.array(populations)).all()
@@ -207,7 +215,7 @@ def told_genes(genes):
     islands = Islands(12, Echo(4), 3, every=2, migrants=2)
     _, state = islands.ask(jax.random.key(0), islands.init(jax.random.key(0), genes))
     for _ in range(2):
-        worth = Evaluation(genes[0], {}, {})
+        worth = Evaluation(genes[0], {}, {}, genes)
         told = islands.tell(jax.random.key(0), state, genes, worth)
         genes, state = islands.ask(jax.random.key(0), told)
     return np.asarray(genes[0])
@@ -247,7 +255,7 @@ def test_a_map_keeps_the_fittest_of_every_cell():
         found = sphere(genes)
         # Somebody has no place on the map.
         first = jnp.where(genes[2] > 1.0, jnp.nan, found.descriptors["first"])
-        return Evaluation(found.fitness, found.terms, found.descriptors | {"first": first})
+        return dataclasses.replace(found, descriptors=found.descriptors | {"first": first})
 
     populations, found, archive = search(strategy, 12, evaluate=evaluate)
     best: dict[int, tuple] = {}
@@ -323,7 +331,7 @@ def test_evosax_searches_bits(name):
 
     def agreeing(genes):
         fitness = (genes == pattern[:, None]).sum(0).astype(jnp.float32)
-        return Evaluation(fitness, {}, {})
+        return Evaluation(fitness, {}, {}, fitness[None])
 
     strategy = evosax(name, binary=True, gene_bound=None)
     populations, found, _ = search(strategy, 20, evaluate=agreeing)

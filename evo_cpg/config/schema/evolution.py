@@ -134,8 +134,10 @@ class RealEvolutionConfig(MapSection):
         generations: to evolve.
         population: individuals.
         elites: best individuals that pass on unchanged.
+        selection: how parents are drawn: by the rank of the mean over all trials, or by lexicase
+            selection, which looks at one trial after the other.
         parent_fraction: best part of the population that may become parents; the chance falls
-            linearly with the rank.
+            linearly with the rank; of no matter to lexicase selection.
         crossover_probability: that two parents' genomes are cut at one place and rejoined.
         mutation_rate: probability that a gene changes.
         mutation_sigma: standard deviation of a change.
@@ -148,6 +150,7 @@ class RealEvolutionConfig(MapSection):
     generations: Count = 50
     population: Population = 200
     elites: Annotated[int, Field(ge=0)] = 20
+    selection: Literal["rank", "lexicase"] = "rank"
     parent_fraction: Annotated[float, Field(gt=0, le=1)] = 0.5
     crossover_probability: Share = 0.2
     mutation_rate: Share = 0.05
@@ -170,6 +173,7 @@ class RealEvolutionConfig(MapSection):
             mutation_rate=self.mutation_rate,
             mutation_sigma=self.mutation_sigma,
             gene_bound=self.gene_bound,
+            selection=self.selection,
         )
 
     @model_validator(mode="after")
