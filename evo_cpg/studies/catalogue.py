@@ -4,7 +4,16 @@ import importlib
 
 from evo_cpg.studies.study import Study
 
-NAMES = ("iwadate2010", "fukui2003", "salamander", "hexapod", "starfish", "search", "benchmarks")
+NAMES = (
+    "iwadate2010",
+    "fukui2003",
+    "salamander",
+    "hexapod",
+    "starfish",
+    "turtle",
+    "search",
+    "benchmarks",
+)
 
 
 def study(name: str) -> Study:

@@ -31,7 +31,7 @@ RUNS = {
         5,
     ),
     "boulders": Runs("salamander_boulders", ("evolution.generations=25",), 5),
-    "eyes": Runs("two_eyed_swimmer", (), 1),
+    "eyes": Runs("two_eyed_swimmer", (), 5),
 }
 
 

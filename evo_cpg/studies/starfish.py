@@ -16,7 +16,7 @@ from evo_cpg.studies.workshop import Workshop
 # Of the second half of a trial, in which lags are looked at one by one.
 _WINDOWS = 3
 
-RUNS = {name: Runs(name, (), 1) for name in ("starfish", "starfish_land")}
+RUNS = {name: Runs(name, (), 5) for name in ("starfish", "starfish_land")}
 
 
 def lags(workshop: Workshop) -> list[Table]:

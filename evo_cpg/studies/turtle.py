@@ -1,0 +1,65 @@
+"""The turtle of the tutorial: what its three lights and the twist of its flippers are good for."""
+
+import dataclasses
+
+import numpy as np
+
+from evo_cpg.studies.audits import audit_table, audited
+from evo_cpg.studies.lights import lived
+from evo_cpg.studies.study import Part, Runs, Study, Table, beside, middle
+from evo_cpg.studies.workshop import Workshop
+from evo_cpg.training.probe import around
+
+_REACHED = 0.2  # of the distance left
+_BEARINGS = np.deg2rad(np.linspace(-75, 75, 11))
+
+# Title, and what is changed.
+_CHANGES = {
+    "turtle": ("as shipped", ()),
+    "one_light": (
+        "one light, 45 degrees to the left",
+        ("simulation.trials=[{light: {bearing_deg: 45}}]",),
+    ),
+    "no_twist": (
+        "without the twist",
+        ("controller.axes.left/y.gain=0", "controller.axes.right/y.gain=0"),
+    ),
+}
+RUNS = {name: Runs("turtle", changes, 5) for name, (_, changes) in _CHANGES.items()}
+
+
+def changes(workshop: Workshop) -> list[Table]:
+    """What champions that evolved otherwise come to, before their own lights and before others."""
+    rows, mean_left = [], {}
+    for name, (title, _) in _CHANGES.items():
+        simulation, champions = workshop.experiment(name).simulation, workshop.champions(name)
+        first = simulation.situations[0]._replace(light=simulation.lights[0])
+        before = dataclasses.replace(simulation, situations=around(first, _BEARINGS))
+        found = lived(before, np.stack([champion.genes for champion in champions], 1))["distance"]
+        mean_left[name] = found.mean(1)
+        own = [100 * champion.terms["distance"] for champion in champions]
+        worth = middle([champion.worth for champion in champions], 3)
+        reached = (found <= _REACHED).sum(1)
+        others = middle(100 * mean_left[name], 1)
+        rows.append([title, worth, f"{middle(own, 1)} %", middle(reached, 0), f"{others} %"])
+    against = beside({name: -left for name, left in mean_left.items()}, "turtle")
+    lights = f"{len(_BEARINGS)} lights"
+    head = ["", "fitness", "distance left", f"of {lights} reached", f"left of the way to {lights}",
+            "comes nearer to them than the shipped one"]  # fmt: skip
+    return [Table("", head, [[*row, against[name]] for row, name in zip(rows, RUNS, strict=True)])]
+
+
+def audit(workshop: Workshop) -> list[Table]:
+    """The champions audited."""
+    return [audit_table("", {"`turtle`": audited(workshop, "turtle")})]
+
+
+STUDY = Study(
+    "turtle",
+    "The turtle",
+    RUNS,
+    {
+        "changes": Part("what made the difference", tuple(RUNS), changes),
+        "audit": Part("the champions audited", ("turtle",), audit),
+    },
+)
