@@ -30,8 +30,10 @@ from evo_cpg.config.fingerprint import fingerprint
 from evo_cpg.config.load import load_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.config.settings import Setting
+from evo_cpg.training.checkpoint import Checkpoint
 from evo_cpg.training.experiment import Experiment
 from evo_cpg.training.memory import require_memory
+from evo_cpg.training.reevaluation import is_finished
 from evo_cpg.training.run_folder import RunFolder, RunFolderError, write_whole
 
 _PLAN = "sweep.json"
@@ -54,6 +56,25 @@ class Member(NamedTuple):
     config: ExperimentConfig
     experiment: Experiment
     folder: RunFolder
+
+    @property
+    def checkpoint(self) -> Checkpoint | None:
+        """The newest; None where there is none yet."""
+        return self.folder.load() if self.folder.config.is_file() else None
+
+    @property
+    def generation(self) -> int:
+        """Generations that are done."""
+        found = self.checkpoint
+        return found.generation if found else 0
+
+    @property
+    def finished(self) -> bool:
+        """Whether its last generation is done, and its champions known."""
+        if self.folder.newest < self.experiment.generations:
+            return False
+        found = self.checkpoint
+        return found is not None and is_finished(self.experiment, found)
 
 
 class Summary(NamedTuple):

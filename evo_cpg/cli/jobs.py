@@ -199,7 +199,7 @@ def run_jobs(
         UsageError: submitit does not take the options.
         KeyboardInterrupt: local jobs have ended, those of SLURM go on.
     """
-    waiting = [group for group in found if not all(map(_is_done, group))]
+    waiting = [group for group in found if not all(member.finished for member in group)]
     if not waiting:
         return []
     logs = _new_folder(folder)
@@ -335,7 +335,7 @@ def _job(folder: Path, group: Sequence[Member], cores: int | None, locks: bool) 
 
 def _fallen(one: _Running, work: Work) -> list[str]:
     """Which settings of a job that has ended are not done; it is said why."""
-    left = [member.setting.name for member in one.group if not _is_done(member)]
+    left = [member.setting.name for member in one.group if not member.finished]
     if left:
         path = Path(one.job.paths.stderr)
         text = path.read_text(errors="replace") if path.is_file() else ""
@@ -344,13 +344,6 @@ def _fallen(one: _Running, work: Work) -> list[str]:
         for line in last or ["(nothing)"]:
             work.say(f"    {line}")
     return left
-
-
-def _is_done(member: Member) -> bool:
-    if member.folder.newest < member.experiment.generations:
-        return False
-    checkpoint = member.folder.load()
-    return checkpoint is not None and checkpoint.generation >= member.experiment.generations
 
 
 def _recorded(folder: Path) -> list[dict[str, Any]]:

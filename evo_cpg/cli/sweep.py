@@ -67,7 +67,7 @@ def run_sweep(
     claim(folder, plan)
     with claimed(folder, asked):
         failed = _evolve(folder, Path(plan["config"]), chosen, devices, asked, cores)
-        if any(map(_done, members)) or not failed:
+        if any(member.generation for member in members) or not failed:
             _tell(folder, members)
     if failed:
         print(
@@ -135,10 +135,10 @@ def _evolve(
     for number, group in enumerate(found):
         names = ", ".join(member.setting.name for member in group)
         head = f"{number + 1} of {len(found)}: {names}" if len(found) > 1 else names
-        total = sum(member.experiment.generations for member in group)
-        done = sum(_done(member) for member in group)
-        if done == total:
+        if all(member.finished for member in group):
             continue
+        total = sum(member.experiment.generations for member in group)
+        done = sum(member.generation for member in group)
         print(f"{folder}: {head}", file=sys.stderr)
         with progress(folder.name, "generations", total, done, "compiling") as show:
             watch = _Watch(show, done)
@@ -179,11 +179,6 @@ class _Watch:
             return "nobody lives yet"
         best = max(known, key=lambda name: known[name])
         return f"ahead: {best}, median champion {known[best]:.4f}"
-
-
-def _done(member: Member) -> int:
-    checkpoint = member.folder.load() if member.folder.config.is_file() else None
-    return checkpoint.generation if checkpoint else 0
 
 
 def _tell(folder: Path, members: Sequence[Member]) -> None:

@@ -41,17 +41,21 @@ class Standing(NamedTuple):
     Attributes:
         checkpoint: the newest; None before the first generation is done.
         generations: that are wanted in all.
+        choosing: whether the champion is chosen in fresh draws of chance when they are done.
         changed: when the checkpoint was written, s since the epoch; None without one.
     """
 
     checkpoint: Checkpoint | None
     generations: int
+    choosing: bool
     changed: float | None
 
     @property
     def finished(self) -> bool:
-        """Whether all generations are done."""
-        return self.checkpoint is not None and self.checkpoint.generation >= self.generations
+        """Whether all generations are done, and the champion known."""
+        if self.checkpoint is None or self.checkpoint.generation < self.generations:
+            return False
+        return not self.choosing or bool(self.checkpoint.chosen)
 
 
 def watch_run(run: Path, once: bool, picture: bool) -> None:
@@ -109,22 +113,26 @@ def standing(folder: RunFolder, before: Standing | None = None) -> Standing:
         before: the last that was seen.
     """
     done = folder.newest
-    if before is not None and before.checkpoint and before.checkpoint.generation == done:
-        return before
+    if before is not None and before.checkpoint:
+        same = before.checkpoint.generation == done
+        # Of the last generation comes a second checkpoint, which knows who was chosen.
+        if same and (done < before.generations or before.finished):
+            return before
     # The trainer may take a checkpoint away while it is read, and then there is a newer one.
     checkpoint = folder.load()
     changed = None
     if checkpoint is not None:
         with contextlib.suppress(OSError):
             changed = folder.metrics.stat().st_mtime
-    return Standing(checkpoint, _generations(folder), changed)
+    return Standing(checkpoint, *_plan(folder), changed)
 
 
-def _generations(folder: RunFolder) -> int:
-    """As the configuration has it; `resume` writes it anew."""
+def _plan(folder: RunFolder) -> tuple[int, bool]:
+    """Generations, as the configuration has them (`resume` writes it anew); is there chance?"""
     from evo_cpg.config.load import load_config
 
-    return load_config(folder.config).evolution.generations
+    config = load_config(folder.config)
+    return config.evolution.generations, not config.noise.silent
 
 
 def _in_lines(

@@ -99,16 +99,9 @@ def build_experiment(
     elif simulation.noise.silent:
         # One trial is as good as many.
         trials = 1
-    if trials == 1 and getattr(config.evolution, "selection", "rank") == "lexicase":
-        raise ConfigError(
-            source,
-            ("evolution", "selection"),
-            "lexicase selection compares individuals in one trial after the other, and here they "
-            "have but one; several in simulation.trials, or rank",
-        )
     check_own_returns(config, simulation, source)
     strategy = build_strategy(config, simulation, source)
-    check_own_strategy(config, strategy, simulation, source)
+    check_own_strategy(config, strategy, simulation, trials, source)
     return Experiment(
         name=config.name,
         creature=creature,

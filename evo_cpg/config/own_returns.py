@@ -25,6 +25,7 @@ from evo_cpg.simulation.control_step import (
 )
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.task import term_names
+from evo_cpg.training.experiment import descriptors
 
 # As many as two individuals are told from one, and from what a creature has two of.
 _INDIVIDUALS = 7
@@ -81,6 +82,7 @@ def check_own_strategy(
     config: ExperimentConfig,
     strategy: Strategy,
     simulation: Simulation,
+    trials: int,
     source: Path | str,
 ) -> None:
     """Let a strategy of the user's own take part in two generations, of which only shapes matter.
@@ -93,10 +95,9 @@ def check_own_strategy(
         return
     while isinstance(strategy, Islands | Mapped):
         strategy = strategy.strategy
-    shape, terms = (
-        (simulation.controller.gene_count, strategy.population),
-        term_names(simulation.task),
-    )
+    shape = simulation.controller.gene_count, strategy.population
+    measures = simulation.measures.names if simulation.measures else ()
+    names = (*term_names(simulation.task), *measures)
     checked = _Checked([key], source)
 
     def go(random: jax.Array, fitness: jax.Array) -> None:
@@ -105,7 +106,9 @@ def check_own_strategy(
         kept = None
         for state in (first, None):
             if state is None:
-                worth = Evaluation(fitness, dict.fromkeys(terms, fitness), {}, fitness[None])
+                terms = dict.fromkeys(names, fitness)
+                in_trials = jnp.tile(fitness, (trials, 1))
+                worth = Evaluation(fitness, terms, descriptors(simulation, terms), in_trials)
                 given = draw, kept, random, worth
                 state = checked(key, strategy, "tell", lambda tell, x=given: tell(*x))
             found = checked(key, strategy, "ask", lambda ask, x=state: ask(draw, x))

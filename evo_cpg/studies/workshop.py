@@ -36,7 +36,6 @@ from evo_cpg.studies import provenance
 from evo_cpg.studies.study import Part, Study, Table
 from evo_cpg.training.checkpoint import Champion, Checkpoint, genes_digest
 from evo_cpg.training.experiment import Experiment
-from evo_cpg.training.reevaluation import is_finished
 from evo_cpg.training.run_folder import RunFolder, RunFolderError, write_whole
 
 # What a run is cut down to with --quick. A second of a trial, for the terms of its last second.
@@ -229,10 +228,10 @@ class Workshop:
         members = [self.member(name) for name in declared.runs]
         for member in members:
             _require_same(member)
-        found = groups([member for member in members if not _finished(member)])
+        found = groups([member for member in members if not member.finished])
         for number, group in enumerate(found):
             total = sum(member.experiment.generations for member in group)
-            done = sum(_done(member) for member in group)
+            done = sum(member.generation for member in group)
             names = ", ".join(member.setting.name for member in group)
             title = f"{self.study.name} {part}, {number + 1} of {len(found)}: {names}"
             with show.evolving(title, total, done) as tell:
@@ -324,20 +323,6 @@ def _smaller(source: Path, overrides: Sequence[str], count: int) -> list[str]:
         if "elites" in evolution:
             small.append(f"evolution.elites={min(evolution['elites'], _QUICK_ELITES)}")
     return small
-
-
-def _done(member: Member) -> int:
-    found = _checkpoint(member)
-    return found.generation if found else 0
-
-
-def _finished(member: Member) -> bool:
-    found = _checkpoint(member)
-    return found is not None and is_finished(member.experiment, found)
-
-
-def _checkpoint(member: Member) -> Checkpoint | None:
-    return member.folder.load() if member.folder.config.is_file() else None
 
 
 def _require_same(member: Member) -> None:

@@ -29,6 +29,7 @@ class Champion(NamedTuple):
         lives: in fresh draws of chance, in which it was tried again; see
             `evo_cpg.training.reevaluation`.
         expected: its mean fitness in those that did not end early; None without any.
+        ended_early: how many of them did, by a broken rule or because it diverged.
     """
 
     genes: np.ndarray
@@ -40,11 +41,17 @@ class Champion(NamedTuple):
     index: int = 0
     lives: int = 0
     expected: float | None = None
+    ended_early: int = 0
 
     @property
     def worth(self) -> float:
-        """Its fitness as far as that is known: in fresh draws of chance where it had any."""
-        return self.fitness if self.expected is None else self.expected
+        """Its fitness as far as that is known: in fresh draws of chance where it had any.
+
+        -inf where all of those ended early.
+        """
+        if self.expected is not None:
+            return self.expected
+        return -np.inf if self.lives else self.fitness
 
 
 class Checkpoint(NamedTuple):
@@ -76,9 +83,9 @@ class Checkpoint(NamedTuple):
 
     @property
     def champion(self) -> Champion | None:
-        """The best individual of all runs so far."""
+        """The best individual of all runs so far, as within a run: who ended early comes behind."""
         living = [champion for champion in self.champions if champion is not None]
-        return max(living, key=lambda champion: champion.worth, default=None)
+        return max(living, key=lambda one: (-one.ended_early, one.worth), default=None)
 
 
 def genes_digest(genes: np.ndarray) -> str:
@@ -125,6 +132,7 @@ def champion_arrays(champion: Champion) -> dict[str, Any]:
         "run": champion.run,
         "index": champion.index,
         "lives": champion.lives,
+        "ended_early": champion.ended_early,
         **told,
         **{_TERM_PREFIX + name: value for name, value in champion.terms.items()},
         **{_SCALE_PREFIX + name: value for name, value in champion.scales.items()},
@@ -134,7 +142,8 @@ def champion_arrays(champion: Champion) -> dict[str, Any]:
 def read_champion(arrays: Mapping[str, np.ndarray]) -> Champion:
     """The inverse of `champion_arrays`; a missing array is a KeyError."""
     # Absent from files that were written before there were several runs, or second lives.
-    run, index, lives = (int(arrays.get(name, 0)) for name in ("run", "index", "lives"))
+    names = "run", "index", "lives", "ended_early"
+    run, index, lives, ended_early = (int(arrays.get(name, 0)) for name in names)
     return Champion(
         arrays["genes"],
         arrays["fitness"].item(),
@@ -145,6 +154,7 @@ def read_champion(arrays: Mapping[str, np.ndarray]) -> Champion:
         index,
         lives,
         arrays["expected"].item() if "expected" in arrays else None,
+        ended_early,
     )
 
 

@@ -120,7 +120,9 @@ class Contest:
     def _told(self, number: int) -> Champion:
         mean = float(self._means()[number])
         return self.candidates[number]._replace(
-            expected=mean if np.isfinite(mean) else None, lives=int(self._lives[number])
+            lives=int(self._lives[number]),
+            expected=mean if np.isfinite(mean) else None,
+            ended_early=int(self._deaths[number]),
         )
 
     def _means(self) -> Float[np.ndarray, " candidates"]:

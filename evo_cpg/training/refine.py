@@ -196,6 +196,7 @@ def compile_evaluation(
                 terms={name: float(values[i]) for name, values in mean.terms.items()},
                 lives=0,
                 expected=None,
+                ended_early=0,
             )
             for i in np.flatnonzero(np.isfinite(fitness))
         ]

@@ -249,6 +249,18 @@ MISTAKES = {
         "creature.light_sensors",
         "a controller of type 'postures' senses nothing",
     ),
+    "lexicase in one trial": (
+        CONFIG,
+        ["evolution.selection=lexicase"],
+        "evolution.selection",
+        "individuals have but one trial",
+    ),
+    "lexicase in one trial over and over": (
+        CONFIG,
+        ["evolution.selection=lexicase", "simulation.trials=3"],
+        "evolution.selection",
+        "individuals have but one trial",
+    ),
     "free fall": (
         CONFIG,
         ["world.water=null"],

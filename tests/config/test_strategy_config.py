@@ -59,13 +59,9 @@ def test_islands_share_the_population():
     assert isinstance(strategy, Islands) and strategy.strategy.population == 15
 
 
-def test_lexicase_selection_wants_several_trials():
-    several = "evolution.selection=lexicase", "simulation.trials=3", "noise.push=0.01"
-    assert build(CONFIG, *several).strategy.selection == "lexicase"
-    # Without noise all trials are the same one.
-    for lacking in (several[:1], several[:2]):
-        with pytest.raises(ConfigError, match=r"evolution\.selection: .*have but one"):
-            build(CONFIG, *lacking)
+def test_parents_may_be_drawn_by_lexicase_selection():
+    assert build(CONFIG).strategy.selection == "rank"
+    assert build(CONFIG, "evolution.selection=lexicase").strategy.selection == "lexicase"
 
 
 def test_a_map_measures_what_its_axes_are():
@@ -215,17 +211,27 @@ def test_what_does_not_fit_is_said(path, settings, words):
         build(path, *settings)
 
 
-def own(tmp_path, monkeypatch, **changes):
+def own(tmp_path, monkeypatch, *settings, **changes):
     name = f"climbers_{abs(hash(str(changes)))}"
     (tmp_path / f"{name}.py").write_text(OWN.format(**GOOD | changes))
     monkeypatch.chdir(tmp_path)
     given = f"evolution={{type: '{name}:Climber', population: 9, options: {{sigma: 0.2}}}}"
-    return build(CONFIG, given)
+    return build(CONFIG, given, *settings)
 
 
 def test_a_strategy_of_ones_own(tmp_path, monkeypatch):
     strategy = own(tmp_path, monkeypatch).strategy
     assert (strategy.population, strategy.sigma) == (9, 0.2)
+
+
+def test_it_may_look_at_terms_measures_and_single_trials(tmp_path, monkeypatch):
+    tell = (
+        "genes[:, jnp.argmax(evaluation.trial_fitness[2] + evaluation.descriptors['speed']"
+        " + evaluation.terms['power'])]"
+    )
+    settings = "measures=[speed, power]", "simulation.trials=3", "noise.push=0.01"
+    strategy = own(tmp_path, monkeypatch, *settings, tell=tell).strategy
+    assert strategy.population == 9
 
 
 @pytest.mark.parametrize(

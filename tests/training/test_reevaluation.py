@@ -2,13 +2,23 @@
 
 import csv
 import dataclasses
+from typing import cast
 
 import jax
 import numpy as np
 import pytest
 
+from evo_cpg.api.sweep import Member
+from evo_cpg.cli.watch import Standing
+from evo_cpg.config.schema.experiment import ExperimentConfig
+from evo_cpg.config.settings import Setting
 from evo_cpg.simulation.noise import Noise
-from evo_cpg.training.checkpoint import Champion
+from evo_cpg.training.checkpoint import (
+    Champion,
+    Checkpoint,
+    champion_arrays,
+    read_champion,
+)
 from evo_cpg.training.experiment import generation_keys, trial_keys
 from evo_cpg.training.loop import replay_champion, train
 from evo_cpg.training.reevaluation import FIRST_ROUND, LIVES, Choice, Contest
@@ -82,7 +92,20 @@ def test_nobody_is_chosen_of_nobody_and_who_always_ends_early_has_no_mean():
     contest = Contest([candidate(0)], 4)
     fight(contest, lambda *_: -np.inf)
     chosen = contest.chosen()
-    assert chosen is not None and chosen.expected is None and chosen.worth == chosen.fitness
+    assert chosen is not None and chosen.expected is None and chosen.worth == -np.inf
+
+
+def test_the_best_of_several_runs_is_one_that_ended_early_least_often():
+    fit, steady, dead = (
+        candidate(0, 9.0)._replace(lives=8, expected=5.0, ended_early=2),
+        candidate(1, 2.0)._replace(lives=8, expected=1.0),
+        candidate(2, 9.0)._replace(lives=8, ended_early=8),
+    )
+    found = Checkpoint(2, np.zeros((3, 1)), (), [], {}, chosen=(fit, None, steady, dead))
+    assert found.champion is steady
+    assert found._replace(chosen=(dead, fit)).champion is fit
+    again = read_champion({name: np.asarray(x) for name, x in champion_arrays(fit).items()})
+    assert again.ended_early == 2
 
 
 def test_equal_genomes_are_one_candidate():
@@ -127,6 +150,7 @@ def test_a_noisy_run_ends_with_champions_of_fresh_draws(evolved):
     assert done.champion is max(done.chosen, key=lambda one: one.expected)
     champion, _, _ = folder.load_champion()
     assert champion.expected == done.champion.expected
+    assert champion.ended_early == done.champion.ended_early
     np.testing.assert_array_equal(champion.genes, done.champion.genes)
     with (folder.path / "candidates.csv").open() as file:
         table = list(csv.DictReader(file))
@@ -175,6 +199,20 @@ def test_a_run_that_was_stopped_before_the_choice_comes_to_the_same(evolved, tmp
     loaded = other.load()
     assert loaded is not None
     assert [one and one.lives for one in loaded.chosen] == [6, 6]
+
+
+def test_sweeps_and_watchers_wait_for_the_choice(evolved, tmp_path):
+    """Stopped with the last generation and before the choice, a run has not come to its end."""
+    _, done, _ = evolved
+    folder = RunFolder(tmp_path / "run")
+    folder.create("", {})
+    waiting = Standing(done._replace(chosen=()), 2, True, None)
+    assert not waiting.finished and Standing(done, 2, True, None).finished
+    assert waiting._replace(choosing=False).finished
+    for checkpoint, finished in ((done._replace(chosen=()), False), (done, True)):
+        folder.save(checkpoint)
+        member = Member(Setting("any", {}), cast(ExperimentConfig, None), NOISY, folder)
+        assert (member.generation, member.finished) == (2, finished)
 
 
 def test_a_run_that_goes_on_forgets_whom_it_had_chosen(evolved, tmp_path):

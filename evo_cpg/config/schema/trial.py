@@ -89,3 +89,8 @@ class NoiseConfig(Section):
     tilt_deg: Annotated[float, Field(ge=0, le=180)] = 0.0
     push: NotNegative = 0.0
     friction: Annotated[float, Field(ge=0, lt=1)] = 0.0
+
+    @property
+    def silent(self) -> bool:
+        """Whether nothing is left to chance."""
+        return not any(self.model_dump().values())
