@@ -111,7 +111,7 @@ def boulders(workshop: Workshop) -> list[Table]:
 
 
 def eyes(workshop: Workshop) -> list[Table]:
-    """A swimmer with two eyes is shown lights that it never saw, seeing and blind."""
+    """The two-eyed swimmer of seed 0 is shown lights that it never saw, seeing and blind."""
     from evo_cpg.view.probe_plot import plot_probe
 
     simulation = workshop.experiment("eyes").simulation

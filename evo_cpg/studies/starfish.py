@@ -21,7 +21,7 @@ RUNS = {name: Runs(name, (), 5) for name in ("starfish", "starfish_land")}
 
 def lags(workshop: Workshop) -> list[Table]:
     """Mean lags over the second half of the trial, and the least and largest in its thirds."""
-    rows, head = [], ["", "fitness", "distance, m"]
+    rows, head = [], []
     for name in RUNS:
         simulation = workshop.experiment(name).simulation
         controller, tree = simulation.controller, simulation.world.tree
@@ -37,8 +37,9 @@ def lags(workshop: Workshop) -> list[Table]:
                     for a, b, c in zip(whole, low, high, strict=True)
                 ]
                 way = f"{recording.distance[0]:.2f} to {recording.distance[-1]:.2f}"
-                rows.append([f"`{name}`", f"{champion.worth:.3f}", way, *cells])
-                head = [*head[:3], *(f"`{joint}`, degrees" for joint in joints)]
+                rows.append([f"`{name}`", str(champion.run), f"{champion.worth:.3f}", way, *cells])
+                lags = [f"`{joint}`, degrees" for joint in joints]
+                head = ["", "seed", "fitness", "distance, m", *lags]
     return [Table("", head, rows)]
 
 

@@ -10,7 +10,7 @@ from evo_cpg.studies.study import Part, Runs, Study, Table, beside, middle
 from evo_cpg.studies.workshop import Workshop
 from evo_cpg.training.probe import around
 
-_REACHED = 0.2  # of the distance left
+_REACHED, _LOST = 0.2, 9.0  # of the distance left; of who diverged
 _BEARINGS = np.deg2rad(np.linspace(-75, 75, 11))
 
 # Title, and what is changed.
@@ -36,6 +36,7 @@ def changes(workshop: Workshop) -> list[Table]:
         first = simulation.situations[0]._replace(light=simulation.lights[0])
         before = dataclasses.replace(simulation, situations=around(first, _BEARINGS))
         found = lived(before, np.stack([champion.genes for champion in champions], 1))["distance"]
+        found = np.nan_to_num(found, nan=_LOST)
         mean_left[name] = found.mean(1)
         own = [100 * champion.terms["distance"] for champion in champions]
         worth = middle([champion.worth for champion in champions], 3)
