@@ -236,7 +236,8 @@ def reproduce(
         str | None,
         typer.Argument(
             metavar="STUDY",
-            help="iwadate2010, fukui2003, salamander, hexapod, starfish, turtle, search, benchmarks.",
+            help="One of iwadate2010, fukui2003, salamander, hexapod, starfish, turtle, search,"
+            " benchmarks.",
         ),
     ] = None,
     parts: Annotated[
