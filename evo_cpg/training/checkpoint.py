@@ -8,9 +8,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+TERM_PREFIX, SCALE_PREFIX = "term.", "scale."
+"""Of the names of arrays that hold a champion's terms and scales."""
+
 _HISTORY_PREFIX = "history."
-_TERM_PREFIX = "term."
-_SCALE_PREFIX = "scale."
 _STATE_PREFIX = "state."
 
 
@@ -126,8 +127,8 @@ def champion_arrays(champion: Champion) -> dict[str, Any]:
         "index": champion.index,
         "lives": champion.lives,
         **told,
-        **{_TERM_PREFIX + name: value for name, value in champion.terms.items()},
-        **{_SCALE_PREFIX + name: value for name, value in champion.scales.items()},
+        **{TERM_PREFIX + name: value for name, value in champion.terms.items()},
+        **{SCALE_PREFIX + name: value for name, value in champion.scales.items()},
     }
 
 
@@ -139,8 +140,8 @@ def read_champion(arrays: Mapping[str, np.ndarray]) -> Champion:
         arrays["genes"],
         arrays["fitness"].item(),
         arrays["generation"].item(),
-        _numbers(arrays, _TERM_PREFIX),
-        _numbers(arrays, _SCALE_PREFIX),
+        _numbers(arrays, TERM_PREFIX),
+        _numbers(arrays, SCALE_PREFIX),
         run,
         index,
         lives,
@@ -165,7 +166,7 @@ def checkpoint_arrays(
         "runs": len(checkpoint.records),
     }
     arrays |= {_HISTORY_PREFIX + name: column for name, column in columns.items()}
-    arrays |= {_SCALE_PREFIX + name: values for name, values in checkpoint.scales.items()}
+    arrays |= {SCALE_PREFIX + name: values for name, values in checkpoint.scales.items()}
     arrays |= {_STATE_PREFIX + name: values for name, values in checkpoint.state.items()}
     for kind, champions in (("champion", checkpoint.records), ("chosen", checkpoint.chosen)):
         for run, champion in enumerate(champions):
@@ -195,7 +196,7 @@ def read_checkpoint(arrays: Mapping[str, np.ndarray]) -> Checkpoint:
         [{name: column[i].item() for name, column in columns.items()} for i in range(rows)],
         {
             name: tuple(np.atleast_1d(values).tolist())
-            for name, values in _below(arrays, _SCALE_PREFIX).items()
+            for name, values in _below(arrays, SCALE_PREFIX).items()
         },
         _below(arrays, _STATE_PREFIX),
         chosen if "chose" in arrays else (),
