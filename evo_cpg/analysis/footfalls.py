@@ -90,11 +90,6 @@ def touch_downs(touched: Bool[np.ndarray, " t"], step: float) -> Float[np.ndarra
     return step * (1 + np.flatnonzero(~touched[:-1] & touched[1:]))
 
 
-def lift_offs(touched: Bool[np.ndarray, " t"], step: float) -> Float[np.ndarray, " n"]:
-    """Instants at which a foot leaves the ground, s."""
-    return touch_downs(~touched, step)
-
-
 def duty_factors(touched: Bool[np.ndarray, "t f"]) -> Float[np.ndarray, " f"]:
     """Share of the time on the ground of each foot; NaN of one that never touches it."""
     share = touched.mean(0)

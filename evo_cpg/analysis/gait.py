@@ -96,6 +96,8 @@ def ring_lags(
 def dominant_frequency(signals: Float[np.ndarray, "t j"], step: float) -> Float[np.ndarray, " j"]:
     """Frequency of the highest peak of each signal's spectrum, Hz.
 
+    What has fewer than two periods in all of the samples is no rhythm, but drift.
+
     Args:
         signals: sampled every ``step`` seconds.
         step: s.
@@ -103,7 +105,7 @@ def dominant_frequency(signals: Float[np.ndarray, "t j"], step: float) -> Float[
     count = len(signals)
     window = np.hanning(count)[:, None]
     spectrum = np.abs(np.fft.rfft(_level(signals) * window, _PADDING * count, axis=0))
-    # Below one period in the window there is no rhythm, only drift.
+    # What a Hann window makes of a drift reaches from 0 to two periods in the window.
     spectrum[: 2 * _PADDING] = 0
     peak = np.clip(spectrum.argmax(0), 1, len(spectrum) - 2)
     columns = np.arange(signals.shape[1])

@@ -34,6 +34,9 @@ _NEGLIGIBLE = 1e-5
 
 MEASURES = ("speed", "fitness")
 
+# Name of the term that tells the speed; no term of a task or measure is called so.
+_SPEED = "(speed of the root)"
+
 
 class Sensitivity(NamedTuple):
     """What a measure has to do with one parameter.
@@ -118,10 +121,10 @@ class _Followed(Task):
         return _Journey(self.task.update(tally.own, transition, steps), start, place)
 
     def terms(self, tally: _Journey, steps: int) -> dict[str, Float[Array, " *n"]]:
-        """Those of the task, and ``speed`` (m/s)."""
+        """Those of the task, and `_SPEED` (m/s)."""
         way = tally.end - tally.start
         along = way[0] if self.ahead else jnp.sqrt(way[0] ** 2 + way[1] ** 2)
-        return self.task.terms(tally.own, steps) | {"speed": along / self.duration}
+        return self.task.terms(tally.own, steps) | {_SPEED: along / self.duration}
 
     def fitness(self, terms, scales) -> Float[Array, " *n"]:
         """That of the task."""
@@ -129,7 +132,7 @@ class _Followed(Task):
 
 
 def followed(simulation: Simulation) -> Simulation:
-    """The same trial, with ``speed`` among its terms: its task's way over the time, m/s.
+    """The same trial, with `_SPEED` among its terms: its task's way over the time, m/s.
 
     That is how fast the distance to the light shrinks; without a light it is the way ahead where
     the task wants that, else the straight way in any direction.
@@ -157,7 +160,7 @@ def measured(
     """
     outcome = rollout(followed(simulation), genes, keys)
     yardsticks = {name: jnp.asarray(value, genes.dtype) for name, value in scales.items()}
-    return jnp.stack([outcome.terms["speed"], score(simulation.task, outcome, yardsticks)])
+    return jnp.stack([outcome.terms[_SPEED], score(simulation.task, outcome, yardsticks)])
 
 
 def sensitivities(

@@ -2,13 +2,14 @@
 
 import io
 import json
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from evo_cpg.analysis.chains import chains, rhythm_of
 from evo_cpg.api.departures import departures
-from evo_cpg.api.load import load, misfit
+from evo_cpg.api.load import changed_config, load, misfit
 from evo_cpg.api.record import lives_again
 from evo_cpg.api.training import now, require_configured
 from evo_cpg.api.version import version
@@ -34,12 +35,13 @@ def analyse(run: Path | str, trial: int = 0, trust: bool = False) -> Path:
         trust: see `load`.
 
     Returns:
-        The page in the run folder, ``analysis.html``; one that was there is replaced.
+        The page in the run folder, ``analysis.html``; one that was there is replaced. Where
+        ``config.yaml`` is not what the champion evolved in, the page says so, and a warning does.
 
     Raises:
         ConfigError: the configuration of the run is wrong.
-        RunFolderError: there is no run, or it has no champion, or its ``config.yaml`` is not what
-            it evolved in.
+        RunFolderError: there is no run, or it has no champion, or one with another number of genes
+            than its ``config.yaml`` asks for.
         ValueError: there is no such trial.
     """
     folder = RunFolder(run)
@@ -52,6 +54,9 @@ def analyse(run: Path | str, trial: int = 0, trust: bool = False) -> Path:
         raise RunFolderError(f"{folder.config} was changed after training: {wrong}")
     if not 0 <= trial < experiment.trials:
         raise ValueError(f"trial must be 0 to {experiment.trials - 1}, got {trial}")
+    changed = changed_config(folder)
+    if changed:
+        warnings.warn(f"{folder.path}: {changed}", stacklevel=2)
     path, text = page_path(folder, trial), page(experiment, champion, folder, trial)
     write_whole(path, lambda file: file.write(text.encode()))
     return path
@@ -111,6 +116,7 @@ def page(
     audit = _audit(folder, champion, number)
     subject = document.Subject(
         name=experiment.name,
+        changed=changed_config(folder),
         folder=folder.path.resolve().name,
         sentence=_sentence(experiment, config),
         champion={"fitness": champion.fitness, **_expected(champion), **champion.terms},

@@ -81,6 +81,18 @@ def misfit(experiment: parts.Experiment, champion: Champion) -> str | None:
     return f"the genome has {champion.genes.size} genes, not {expected}"
 
 
+def changed_config(folder: RunFolder) -> str | None:
+    """What to say where ``config.yaml`` is not what the champion evolved in; None where it is.
+
+    Raises:
+        RunFolderError: there is no champion.
+    """
+    _, _, digests = folder.load_champion()
+    if digests["config_sha256"] == folder.config_digest():
+        return None
+    return "config.yaml is not the one that the champion was evolved with"
+
+
 def _as_on_the_command_line(overrides: Overrides) -> list[str]:
     if isinstance(overrides, str):
         raise TypeError(f"overrides must be a list of settings, such as [{overrides!r}]")

@@ -251,8 +251,8 @@ def summarise(folder: Path, members: Sequence[Member]) -> Summary:
         experiment, runs = member.experiment, len(checkpoint.champions)
         evaluated = experiment.strategy.population * np.arange(1, checkpoint.generation + 1)
         best = np.array([row["champion"] for row in checkpoint.history]).reshape(-1, runs).T
-        curves.append(Curves(name, evaluated, best))
         worth = [math.nan if one is None else one.worth for one in checkpoint.champions]
+        curves.append(Curves(name, evaluated, best, np.array(worth)))
         fitness[name] = worth
         # Every run's row has the time that all of them took.
         seconds = sum(row["seconds"] for row in checkpoint.history) / runs

@@ -1,8 +1,10 @@
 """The command that makes a page of a run: analyse."""
 
+import sys
 from pathlib import Path
 
 from evo_cpg.api.analyse import page, page_path
+from evo_cpg.api.load import changed_config
 from evo_cpg.api.training import require_configured
 from evo_cpg.cli.errors import UsageError, require_free
 from evo_cpg.cli.progress import working
@@ -32,6 +34,9 @@ def analyse_run(
     experiment, champion, _, folder = open_champion(run, number)
     require_configured(folder)
     require_trial(experiment, folder, trial)
+    changed = changed_config(folder)
+    if changed:
+        print(f"evo-cpg: warning: {run}: {changed}", file=sys.stderr)
     path = output or page_path(folder, trial, number)
     with working("replaying the champion: compiling takes some seconds, a trial less") as work:
         text = page(experiment, champion, folder, trial, number, work.doing)

@@ -81,6 +81,8 @@ def export_model(source: Path, output: Path) -> None:
         situation.start_heading,
         simulation.step_length,
         world.pair_names,
+        situation.start_orientation,
+        situation.start_angles,
     )
     _write(output, mjcf_text(model))
     if world.water is not None:

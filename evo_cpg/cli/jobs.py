@@ -14,7 +14,6 @@ submitit is installed with the extra ``jobs``, and imported when there are jobs.
 import contextlib
 import importlib
 import json
-import os
 import shutil
 import sys
 import tempfile
@@ -27,7 +26,7 @@ from evo_cpg.api.sweep import Member, groups, members_of, read_plan, run_group
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.progress import Work, working
 from evo_cpg.config.trust import is_trusted, trusting
-from evo_cpg.training.devices import use_cores
+from evo_cpg.training.devices import available_cores, use_cores
 from evo_cpg.training.run_folder import RunFolderError, write_whole
 
 try:
@@ -205,7 +204,7 @@ def run_jobs(
     logs = _new_folder(folder)
     crowd = _Slurm(folder, logs, jobs, cores) if jobs.count is None else _Local(folder, logs)
     places = len(waiting) if jobs.count is None else min(jobs.count, len(waiting))
-    own = cores if jobs.count is None else max(1, (cores or _cores()) // places)
+    own = cores if jobs.count is None else max(1, (cores or available_cores()) // places)
     total = sum(member.experiment.generations for group in found for member in group)
     failed: list[str] = []
     running: list[_Running] = []
@@ -427,9 +426,3 @@ def _option(text: str) -> tuple[str, Any]:
         return key, json.loads(word)
     except ValueError:
         return key, word
-
-
-def _cores() -> int:
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1

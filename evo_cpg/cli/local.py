@@ -1,13 +1,14 @@
 """`--local N`: a command that starts N processes of itself and watches them."""
 
 import contextlib
-import os
 import signal
-import socket
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
+
+from evo_cpg.training.devices import available_cores
+from evo_cpg.training.roll_call import free_port
 
 # How often it looks whether they live, s.
 _LOOK = 0.05
@@ -37,8 +38,8 @@ def run_local(
         The exit code: the lead's where that failed, else of the first other that did.
     """
     check()
-    own = max(1, (cores or _cores()) // count)
-    hosts = ",".join([f"localhost:{_free_port()}", *["localhost"] * (count - 1)])
+    own = max(1, (cores or available_cores()) // count)
+    hosts = ",".join([f"localhost:{free_port()}", *["localhost"] * (count - 1)])
     common = [*_without_local(arguments), "--cores", str(own), "--hosts", hosts]
     command = [sys.executable, "-m", "evo_cpg", *common, "--process"]
     processes: list[subprocess.Popen] = []
@@ -119,14 +120,3 @@ def _without_local(arguments: Sequence[str]) -> list[str]:
         elif not word.startswith(("--local=", "--cores=")):
             kept.append(word)
     return kept
-
-
-def _cores() -> int:
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
-
-
-def _free_port() -> int:
-    with socket.create_server(("", 0)) as server:
-        return server.getsockname()[1]

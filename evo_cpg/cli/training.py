@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from evo_cpg.analysis.verdict import Check, shown
-from evo_cpg.api.load import class_folders, misfit
+from evo_cpg.api.load import changed_config, class_folders, misfit
 from evo_cpg.api.surroundings import differences as changed_surroundings
 from evo_cpg.api.surroundings import surroundings
 from evo_cpg.api.training import (
@@ -230,8 +230,9 @@ def verify_run(run: Path, cores: int | None) -> None:
         differences.append("champion.npz: the genome is not the one that was evolved")
     if digests["outcome_sha256"] != outcome_digest(champion):
         differences.append("champion.npz: fitness or terms are not those that were recorded")
-    if digests["config_sha256"] != folder.config_digest():
-        differences.append("config.yaml is not the one that the champion was evolved with")
+    changed = changed_config(folder)
+    if changed:
+        differences.append(changed)
     checkpoint = folder.load()
     kept = checkpoint.champion if checkpoint else None
     if kept and kept.generation == champion.generation:

@@ -11,6 +11,7 @@
 | buoyancy | ``gravcomp``: density of the water over that of the body |
 | friction of a body on the ground | a ``pair`` of the two geoms |
 | bodies that are kept apart | a ``pair`` without friction (``condim`` 1) |
+| a start in another pose than the neutral one | a ``key`` named ``start`` |
 
 Masses, inertias, springs, dampers, rotors, motors, gravity and buoyancy are the same on both sides.
 What MJCF has no words for stays behind: drag and added mass, the surface of the water, restitution,
@@ -37,6 +38,9 @@ from evo_cpg.physics.footing import Ground, combine
 # MuJoCo has a body of this name in every model: the one that does not move.
 _WORLD = "world"
 
+# Name of the keyframe that holds the pose at the start.
+_START = "start"
+
 
 def mjcf_model(
     creature: Creature,
@@ -47,6 +51,8 @@ def mjcf_model(
     heading: float = 0.0,
     time_step: float | None = None,
     pairs: Sequence[tuple[str, str]] = (),
+    orientation: Sequence[float] | None = None,
+    angles: Sequence[float] | None = None,
 ) -> Element:
     """The ``mujoco`` element of a creature in its world.
 
@@ -59,12 +65,15 @@ def mjcf_model(
         heading: by which it is turned about z there, rad.
         time_step: s; None for MuJoCo's own.
         pairs: names of bodies that push each other apart, without friction.
+        orientation: of the root at the start, unit quaternion (w, x, y, z), where its pose there is
+            not the neutral one.
+        angles: of the joints in that pose, rad, in the order of the creature's `Tree`.
 
     Raises:
         CreatureError: the bodies do not form one tree.
         ExchangeError: a body's name, a shape or a part of the ground that MJCF cannot hold.
     """
-    topological_order(creature)
+    order = topological_order(creature)
     names = [body.name for body in creature.bodies]
     if _WORLD in names:
         raise ExchangeError(
@@ -101,6 +110,13 @@ def mjcf_model(
         if motor:
             for name in _joint_names(body):
                 _add_motor(actuator, name, motor)
+    if orientation is not None and angles is not None:
+        hinges = [name for i in order for name in _joint_names(creature.bodies[i])]
+        pose = dict(zip(hinges, angles, strict=True))
+        # MuJoCo has the joints as they stand in the file, limb by limb; the tree level by level.
+        bends = [pose[joint.get("name", "")] for joint in place.iter("joint")]
+        keyframe = SubElement(root, "keyframe")
+        SubElement(keyframe, "key", name=_START, qpos=number_text(*start, *orientation, *bends))
     return root
 
 

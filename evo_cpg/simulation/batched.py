@@ -47,14 +47,6 @@ class Inputs(NamedTuple):
             for place, own in zip(self.places, self.elements, strict=True)
         ]
 
-    def of_traced(self, simulation: Simulation) -> list[Array]:
-        """Their values, leaf by leaf, where these may be traced."""
-        leaves = jax.tree.leaves(simulation, is_leaf=lambda leaf: isinstance(leaf, PartlyTraced))
-        return [
-            jnp.asarray(leaves[place]).reshape(-1)[own]
-            for place, own in zip(self.places, self.elements, strict=True)
-        ]
-
     def put(self, simulation: Simulation, values: Sequence[Array]) -> Simulation:
         """The simulation with other values, which may be traced; its other numbers stay known."""
         leaves, structure = jax.tree.flatten(simulation)

@@ -50,7 +50,7 @@ def searches(workshop: Workshop, part: str) -> list[Table]:
         population = workshop.experiment(name).strategy.population
         best = workshop.column(name, "champion").T
         tried = population * np.arange(1, best.shape[1] + 1)
-        curves.append(Curves(own, tried, best))
+        curves.append(Curves(own, tried, best, np.array(fitness[own])))
         left = [champion.terms["distance"] for champion in workshop.champions(name)]
         words = [against[first][own] for first in (_GENETIC, _RANDOM)]
         rows.append([own, f"{tried[-1]:,}", middle(fitness[own], 3), middle(left, 3), *words])

@@ -8,9 +8,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+TERM_PREFIX, SCALE_PREFIX = "term.", "scale."
+"""Of the names of arrays that hold a champion's terms and scales."""
+
 _HISTORY_PREFIX = "history."
-_TERM_PREFIX = "term."
-_SCALE_PREFIX = "scale."
 _STATE_PREFIX = "state."
 
 
@@ -134,8 +135,8 @@ def champion_arrays(champion: Champion) -> dict[str, Any]:
         "lives": champion.lives,
         "ended_early": champion.ended_early,
         **told,
-        **{_TERM_PREFIX + name: value for name, value in champion.terms.items()},
-        **{_SCALE_PREFIX + name: value for name, value in champion.scales.items()},
+        **{TERM_PREFIX + name: value for name, value in champion.terms.items()},
+        **{SCALE_PREFIX + name: value for name, value in champion.scales.items()},
     }
 
 
@@ -148,8 +149,8 @@ def read_champion(arrays: Mapping[str, np.ndarray]) -> Champion:
         arrays["genes"],
         arrays["fitness"].item(),
         arrays["generation"].item(),
-        _numbers(arrays, _TERM_PREFIX),
-        _numbers(arrays, _SCALE_PREFIX),
+        _numbers(arrays, TERM_PREFIX),
+        _numbers(arrays, SCALE_PREFIX),
         run,
         index,
         lives,
@@ -175,7 +176,7 @@ def checkpoint_arrays(
         "runs": len(checkpoint.records),
     }
     arrays |= {_HISTORY_PREFIX + name: column for name, column in columns.items()}
-    arrays |= {_SCALE_PREFIX + name: values for name, values in checkpoint.scales.items()}
+    arrays |= {SCALE_PREFIX + name: values for name, values in checkpoint.scales.items()}
     arrays |= {_STATE_PREFIX + name: values for name, values in checkpoint.state.items()}
     for kind, champions in (("champion", checkpoint.records), ("chosen", checkpoint.chosen)):
         for run, champion in enumerate(champions):
@@ -205,7 +206,7 @@ def read_checkpoint(arrays: Mapping[str, np.ndarray]) -> Checkpoint:
         [{name: column[i].item() for name, column in columns.items()} for i in range(rows)],
         {
             name: tuple(np.atleast_1d(values).tolist())
-            for name, values in _below(arrays, _SCALE_PREFIX).items()
+            for name, values in _below(arrays, SCALE_PREFIX).items()
         },
         _below(arrays, _STATE_PREFIX),
         chosen if "chose" in arrays else (),

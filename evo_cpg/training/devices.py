@@ -29,6 +29,13 @@ Tree = TypeVar("Tree")
 POPULATION_AXIS = "population"
 
 
+def available_cores() -> int:
+    """How many cores this process may run on."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
 def use_cores(count: int | None = None) -> int:
     """Make every core a JAX device, and keep what is compiled. Call it before JAX runs anything.
 
@@ -38,8 +45,7 @@ def use_cores(count: int | None = None) -> int:
     Returns:
         The number of devices there will be.
     """
-    available = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    count = count or available or 1
+    count = count or available_cores()
     # Read when the CPU backend starts: the size of the thread pool behind each device.
     os.environ["NPROC"] = "1"
     jax.config.update("jax_num_cpu_devices", count)

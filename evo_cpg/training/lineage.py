@@ -15,13 +15,12 @@ from typing import Any
 
 import numpy as np
 
-from evo_cpg.training.checkpoint import Champion
+from evo_cpg.training.checkpoint import SCALE_PREFIX, TERM_PREFIX, Champion
 
 # Of each run. Landmarks take three in a factor of ten: 19 of a million generations.
 KEPT = 32
 
 _OF_ALL = ("fitness", "generation", "run", "index")
-_TERM_PREFIX, _SCALE_PREFIX = "term.", "scale."
 
 
 def extended(lineage: Sequence[Champion], found: Iterable[Champion]) -> list[Champion]:
@@ -89,8 +88,8 @@ def lineage_arrays(lineage: Sequence[Champion]) -> dict[str, Any]:
     arrays: dict[str, Any] = {"genes": np.stack([each.genes for each in lineage])}
     arrays |= {name: np.array([getattr(each, name) for each in lineage]) for name in _OF_ALL}
     for prefix, told in (
-        (_TERM_PREFIX, [each.terms for each in lineage]),
-        (_SCALE_PREFIX, [each.scales for each in lineage]),
+        (TERM_PREFIX, [each.terms for each in lineage]),
+        (SCALE_PREFIX, [each.scales for each in lineage]),
     ):
         # A configuration may have been given other measures on the way.
         names = dict.fromkeys(name for one in told for name in one)
@@ -115,7 +114,7 @@ def read_lineage(arrays: Mapping[str, np.ndarray]) -> list[Champion]:
             for name, values in arrays.items()
             if name.startswith(prefix)
         }
-        for prefix in (_TERM_PREFIX, _SCALE_PREFIX)
+        for prefix in (TERM_PREFIX, SCALE_PREFIX)
     )
     every = [*columns.values(), *terms.values(), *scales.values()]
     rows = genes.ndim == 2 and all(isinstance(x, list) and len(x) == len(genes) for x in every)

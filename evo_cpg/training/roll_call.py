@@ -91,6 +91,12 @@ def call_roll(place: Place, common: Mapping[str, str], timeout: float) -> Meetin
     return _follow(place, common, timeout)
 
 
+def free_port() -> int:
+    """A port of this machine that nobody listens at."""
+    with socket.create_server(("", 0)) as server:
+        return server.getsockname()[1]
+
+
 def _lead(place: Place, common: Mapping[str, str], timeout: float) -> Meeting:
     end = time.monotonic() + timeout
     present: dict[int, _Present] = {}
@@ -110,7 +116,7 @@ def _lead(place: Place, common: Mapping[str, str], timeout: float) -> Meeting:
             if wrong:
                 _refuse({**present, -1: new}, wrong)
             present[told["index"]] = new
-        port = _free_port()
+        port = free_port()
         outer = [_plain(one.connection.getsockname()[0]) for one in present.values()]
         # Who came from this machine may have come to an address that other machines cannot reach.
         own = next((address for address in outer if not _is_loopback(address)), outer[0])
@@ -243,11 +249,6 @@ def _read(connection: socket.socket, timeout: float) -> dict[str, Any]:
 def _reason(error: OSError) -> str:
     """In the system's words; Python adds the address to some."""
     return os.strerror(error.errno) if error.errno else str(error)
-
-
-def _free_port() -> int:
-    with socket.create_server(("", 0)) as server:
-        return server.getsockname()[1]
 
 
 def _plain(address: str) -> str:

@@ -158,7 +158,7 @@ class RunFolder:
                 )
             self.path.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise _cannot_write(self.path, error) from None
+            raise cannot_write(self.path, error) from None
         self.start.unlink(missing_ok=True)
         if start is not None:
             write_whole(self.start, lambda file: np.savez(file, genes=start))
@@ -197,7 +197,7 @@ class RunFolder:
             for part in ("checkpoints", "videos", "plots"):
                 (self.path / part).mkdir(exist_ok=True)
         except OSError as error:
-            raise _cannot_write(self.path, error) from None
+            raise cannot_write(self.path, error) from None
 
     def load_start(self) -> Float[np.ndarray, "g all"] | None:
         """Genomes that the run begins with; None where these are random.
@@ -391,7 +391,7 @@ class RunFolder:
                 write_whole(place, write)
             os.replace(gathered, self.path / _DECIDED)
         except OSError as error:
-            raise _cannot_write(self.path, error) from None
+            raise cannot_write(self.path, error) from None
         self._move_decided()
 
     def _move_decided(self) -> None:
@@ -403,7 +403,7 @@ class RunFolder:
             if decided.is_dir():
                 shutil.rmtree(decided)
         except OSError as error:
-            raise _cannot_write(self.path, error) from None
+            raise cannot_write(self.path, error) from None
 
     def _checkpoints(self) -> list[Path]:
         pattern = re.compile(r"generation_\d{6,}\.npz")
@@ -446,6 +446,11 @@ def _champion_writer(
     return lambda file: np.savez(file, **arrays)
 
 
+def cannot_write(path: Path, error: OSError) -> RunFolderError:
+    """What to raise where the system has refused to write a file."""
+    return RunFolderError(f"cannot write {path} ({error.strerror or error})")
+
+
 def write_whole(path: Path, write: _Writer) -> None:
     """Write a file beside its place, flush it to the disk, and move it there."""
     try:
@@ -461,11 +466,7 @@ def write_whole(path: Path, write: _Writer) -> None:
             Path(name).unlink(missing_ok=True)
             raise
     except OSError as error:
-        raise _cannot_write(path, error) from None
-
-
-def _cannot_write(path: Path, error: OSError) -> RunFolderError:
-    return RunFolderError(f"cannot write {path} ({error.strerror or error})")
+        raise cannot_write(path, error) from None
 
 
 def _read_arrays(path: Path) -> dict[str, np.ndarray]:

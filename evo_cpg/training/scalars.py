@@ -16,7 +16,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import IO, Any, cast
 
-from evo_cpg.training.run_folder import RunFolderError
+from evo_cpg.training.run_folder import cannot_write
 
 # Name of the folder; in it of each file, of which TensorBoard looks for the first part.
 FOLDER, _FILE = "tensorboard", "events.out.tfevents.evo-cpg"
@@ -104,7 +104,7 @@ class Scalars:
             file.truncate(end)
             file.seek(end)
         except OSError as error:
-            raise _cannot_write(path, error) from None
+            raise cannot_write(path, error) from None
         self._files[path] = file
         if not end:
             Event, _ = _messages()
@@ -122,7 +122,7 @@ class Scalars:
             file.write(record + _CHECKSUM.pack(masked_crc32c(data)))
             file.flush()
         except OSError as error:
-            raise _cannot_write(path, error) from None
+            raise cannot_write(path, error) from None
 
 
 def require_writer() -> None:
@@ -174,7 +174,3 @@ def _end(file: IO[bytes], done: int) -> tuple[int, int]:
             last = event.step
         end = after
     return end, last
-
-
-def _cannot_write(path: Path, error: OSError) -> RunFolderError:
-    return RunFolderError(f"cannot write {path} ({error.strerror or error})")

@@ -30,6 +30,9 @@ _WORKERS = {
     "pushes": ("pushes of chance", _GREY),
 }
 
+# Of the same palette: this program, and as many opinions of MuJoCo's as there may be.
+_OPINIONS = (_INK, "#0072B2", "#56B4E9", "#E69F00")
+
 # The picture, inches: its width, the height of its upper row, of a bar, and of what is around bars.
 _WIDTH, _UPPER, _BAR, _REST = 10.0, 3.9, 0.3, 1.2
 
@@ -96,10 +99,9 @@ def _draw_energy(axes: Axes, ledger: Ledger, step: float) -> None:
 
 
 def _draw_paths(axes: Axes, paths: Mapping[str, Float[np.ndarray, "3 t"]]) -> None:
-    """Seen from above: the same commands in two programs."""
-    axes.set_title("Same commands, from above", fontsize=11, color=_INK)
-    colours = (_INK, "#0072B2", "#56B4E9")
-    for (name, path), colour in zip(paths.items(), colours, strict=False):
+    """Seen from above: where the root goes in two programs."""
+    axes.set_title("Ways of the root, from above", fontsize=11, color=_INK)
+    for (name, path), colour in zip(paths.items(), _OPINIONS[: len(paths)], strict=True):
         axes.plot(path[0], path[1], color=colour, lw=1.6, label=name)
         axes.plot(*path[:2, -1], "o", color=colour, ms=5)
     first = next(iter(paths.values()))

@@ -34,17 +34,16 @@ class Curves(NamedTuple):
     Attributes:
         name: of the setting.
         evaluations: individuals that had been tried after every generation.
-        best: fitness of the best so far, of every run; NaN before there is one.
+        best: fitness of the best so far, of every run, as evaluated in training; NaN before there
+            is one.
+        final: what the runs came to: their champions' fitness, under noise its mean in fresh draws
+            of chance; NaN of a run without one.
     """
 
     name: str
     evaluations: Float[np.ndarray, " generations"]
     best: Float[np.ndarray, "runs generations"]
-
-    @property
-    def final(self) -> Float[np.ndarray, " runs"]:
-        """What the runs came to."""
-        return self.best[:, -1]
+    final: Float[np.ndarray, " runs"]
 
 
 def plot_sweep(curves: Sequence[Curves], title: str, path: str | os.PathLike[str]) -> Path:

@@ -66,6 +66,10 @@ def test_drift_is_no_rhythm():
     time = np.arange(1000) * STEP
     drifting = 5 * time + 0.1 * np.sin(2 * np.pi * 1.5 * time)
     assert dominant_frequency(drifting[:, None], STEP)[0] == pytest.approx(1.5, rel=0.01)
+    # Nor is one that bends, whose own peak lies between one period and two.
+    share = time / time[-1]
+    bent = 16 * share**2 + np.sin(2 * np.pi * 1.5 * time)
+    assert dominant_frequency(bent[:, None], STEP)[0] == pytest.approx(1.5, rel=0.01)
 
 
 def test_lags_around_a_ring_close_it():

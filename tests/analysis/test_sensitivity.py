@@ -1,10 +1,17 @@
 """How a measure depends on parameters: elasticities of known functions, and which are confirmed."""
 
+import dataclasses
+
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from evo_cpg.analysis.sensitivity import CHANGE, differentiate, sensitivities
+import trials
+from evo_cpg.analysis import sensitivity
+from evo_cpg.analysis.sensitivity import CHANGE, differentiate, measured, sensitivities
+from evo_cpg.simulation.rollout import Outcome
+from evo_cpg.simulation.task import Task
 
 KEYS = ("squared", "inverse", "step", "zero", "idle")
 VALUES = np.array([3.0, 2.0, 1.0, 0.0, 5.0])
@@ -49,3 +56,37 @@ def test_a_step_beside_the_value_is_not_confirmed_and_ranks_by_the_change_found(
     step = next(row for row in found if row.key == "step")
     assert step.elasticity == 0.0 and step.finite == pytest.approx(1 / 4.5 / 0.02)
     assert [row.key for row in found] == ["step", "squared", "inverse", "idle", "zero"]
+
+
+class Dash(Task):
+    """A task that has a term of its own called speed."""
+
+    light: None = eqx.field(default=None, init=False)
+
+    def begin(self, batch, dtype, steps):
+        return jnp.zeros(batch, dtype)
+
+    def update(self, tally, transition, steps):
+        return tally
+
+    def terms(self, tally, steps):
+        return {"speed": tally}
+
+    def fitness(self, terms, scales):
+        return terms["speed"]
+
+
+@pytest.mark.parametrize("measures", [{}, {"speed": jnp.array([7.0])}])
+def test_speed_is_neither_taken_for_a_term_of_the_task_nor_for_a_measure(monkeypatch, measures):
+    """Of both called so, a measure comes last, see `rollout`: here it has the task's own value."""
+    simulation = dataclasses.replace(trials.experiment(steps=91).simulation, task=Dash())
+    start, end = jnp.zeros((3, 1)), jnp.array([[3.0], [4.0], [1.0]])
+
+    def lived(simulation, genes, keys):
+        tally = sensitivity._Journey(jnp.array([7.0]), start, end)
+        return Outcome(simulation.task.terms(tally, 91) | measures, jnp.array([True]))
+
+    monkeypatch.setattr(sensitivity, "rollout", lived)
+    speed, fitness = measured(simulation, jnp.zeros((2, 1)), {})
+    # 5 m over the ground in 1.5 s.
+    np.testing.assert_allclose([speed[0], fitness[0]], [5 / 1.5, 7.0], rtol=1e-6)

@@ -13,12 +13,14 @@ from PIL import Image
 
 import chromium
 import evo_cpg as evo
+from evo_cpg.api import analyse as analysing
 from evo_cpg.api import departures as departing
 from evo_cpg.api.departures import departures, notes
 from evo_cpg.config.load import load_config
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
 from tiny_run import CONFIG, REPOSITORY, TINY
 
+CHANGED = "config.yaml is not the one that the champion was evolved with"
 WALKER = REPOSITORY / "configs" / "fukui2003_model2.yaml"
 MEASURES = ("speed", "power", "cost_of_transport", "duty_factor", "airborne")
 SMALL_WALK = (
@@ -70,6 +72,7 @@ def test_from_python_it_is_the_same_page(swimmer, tmp_path):
     parts = r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d[+-]\d{4}|<svg.*?</svg>"
     kept, again = (re.sub(parts, "", page, flags=re.DOTALL) for page in (first, page_of(run)))
     assert again == kept and "cost of transport" in kept
+    assert CHANGED not in again
     with pytest.raises(ValueError, match="trial must be 0 to 0, got 1"):
         evo.analyse(str(run), trial=1)
     config = run / "config.yaml"
@@ -147,6 +150,8 @@ def test_what_strangers_write_stays_text(cli, swimmer, tmp_path):
         code, _, complaint = cli("analyse", run)
     assert code == 0, complaint
     page = page_of(run)
+    # The digest is that of the file.
+    assert complaint == f"evo-cpg: warning: {run}: {CHANGED}\n" and CHANGED in page
     assert "window.broken" in page
     assert evil not in page and "<img src=x" not in page
     # Two scripts that run, and the data.
@@ -157,6 +162,17 @@ def test_what_strangers_write_stays_text(cli, swimmer, tmp_path):
             tab.open(run / "analysis.html")
             assert tab.run("window.broken === undefined")
             assert not tab.complaints
+
+
+def test_from_python_a_changed_configuration_is_warned_of(swimmer, tmp_path, monkeypatch):
+    run = tmp_path / "run"
+    shutil.copytree(swimmer, run)
+    monkeypatch.setattr(analysing, "page", lambda *given: "a page")
+    evo.analyse(run)
+    with (run / "config.yaml").open("a") as file:
+        file.write("# another world\n")
+    with pytest.warns(UserWarning, match=CHANGED):
+        evo.analyse(run)
 
 
 def test_the_audit_is_told(cli, walker, tmp_path):

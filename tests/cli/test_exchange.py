@@ -3,6 +3,7 @@
 import csv
 import shutil
 
+import equinox as eqx
 import mujoco
 import numpy as np
 import pytest
@@ -10,8 +11,10 @@ import trimesh
 import yaml
 from scipy.spatial.transform import Rotation
 
+from evo_cpg.cli import exchange as command
 from evo_cpg.cli.measured_motion import read_motion
 from evo_cpg.config.load import load_config
+from evo_cpg.simulation.situation import Situation, starting_pose
 from evo_cpg.training.run_folder import RunFolder
 from tiny_run import CONFIG, REPOSITORY
 
@@ -34,6 +37,30 @@ def test_a_config_goes_out_and_its_animal_comes_back(cli, tmp_path):
     assert found.creature.build().mass == pytest.approx(given.creature.build().mass, rel=1e-12)
     code, out, _ = cli("validate", tmp_path / "again.yaml")
     assert code == 0 and "13 bodies, 12 joint axes" in out
+
+
+def test_a_settled_start_goes_out_as_a_keyframe(cli, tmp_path, monkeypatch):
+    """Leaning and bent as `simulation.start_pose` leaves it, and every body where ours has it."""
+    built, lean = command.build, Rotation.from_euler("xyz", (0.1, -0.2, 0.7))
+    orientation = tuple(lean.as_quat(scalar_first=True).tolist())
+    angles = tuple(np.linspace(-0.3, 0.3, 12).tolist())
+    rest = Situation((1.0, 2.0, 0.2), 0.7, None, orientation, angles)
+
+    def settled(*given):
+        experiment = built(*given)
+        simulation = eqx.tree_at(lambda s: s.situations, experiment.simulation, (rest,))
+        return experiment._replace(simulation=simulation)
+
+    monkeypatch.setattr(command, "build", settled)
+    assert cli("export", WALKER, tmp_path / "hexapod.xml")[0] == 0
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "hexapod.xml"))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, model.key("start").id)
+    mujoco.mj_forward(model, data)
+    tree = built(load_config(WALKER), WALKER).simulation.world.tree
+    centres, _ = starting_pose(rest, tree, list(tree.names))
+    theirs = [data.body(name).xipos for name in tree.names]
+    np.testing.assert_allclose(theirs, centres, rtol=0, atol=1e-6)
 
 
 def test_a_run_goes_out_and_says_what_stays(cli, tmp_path):

@@ -18,6 +18,7 @@ from evo_cpg.config.load import as_overrides
 from evo_cpg.training import together
 from evo_cpg.training.loop import TIMING_COLUMNS
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
+from evo_cpg.view import sweep_plot
 from tiny_run import CONFIG, PAIR
 
 SHORT = (*PAIR, "simulation.steps=20", "evolution.generations=3", "runs=2")
@@ -95,6 +96,26 @@ def test_tables_and_figure(swept):
     assert float(spreads["plain"]["median"]) == pytest.approx(np.median(own))
     assert len(table(swept / "tests.csv")) == 3
     assert (swept / "sweep.png").stat().st_size > 10_000
+
+
+def test_under_noise_figure_and_tables_show_what_champions_are_worth(swept, tmp_path, monkeypatch):
+    """And not the luckiest score, of which the history tells."""
+    load, drawn = RunFolder.load, []
+
+    def chosen_in_fresh_draws(folder):
+        found = load(folder)
+        chosen = tuple(one._replace(lives=16, expected=one.fitness - 5.0) for one in found.records)
+        return found._replace(chosen=chosen)
+
+    monkeypatch.setattr(RunFolder, "load", chosen_in_fresh_draws)
+    monkeypatch.setattr(sweep_plot, "plot_sweep", lambda curves, *_: drawn.extend(curves))
+    sweeps.summarise(tmp_path, sweeps.members_of(swept, sweeps.read_plan(swept)))
+    for curve in drawn:
+        told = [row["fitness"] for row in table(tmp_path / "runs.csv")
+                if row["setting"] == curve.name]  # fmt: skip
+        np.testing.assert_array_equal(curve.final, np.array(told, float))
+        np.testing.assert_allclose(curve.final, curve.best[:, -1] - 5.0)
+    assert len(drawn) == 3
 
 
 def test_a_stopped_sweep_goes_on_to_the_same_bits(tmp_path, monkeypatch):

@@ -16,6 +16,7 @@ from evo_cpg.cli import sweep as sweep_command
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.sweep import run_sweep
 from evo_cpg.config.settings import Setting
+from evo_cpg.training.devices import available_cores
 from evo_cpg.training.loop import TIMING_COLUMNS
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
 from tiny_run import CONFIG, PAIR, environment, program
@@ -80,7 +81,7 @@ def test_jobs_come_to_what_comes_of_them_in_turn(tmp_path, quick, capfd):
         np.testing.assert_array_equal(job.genes, turn.genes)
         assert untimed(job.history) == untimed(turn.history)
         meta = json.loads((tmp_path / "jobs" / name / "meta.json").read_text())
-        assert meta["devices"] == max(1, sweep_jobs._cores() // 2)
+        assert meta["devices"] == max(1, available_cores() // 2)
         assert f": {name}\n" in said
     assert (tmp_path / "jobs" / "settings.csv").is_file()
     # What the jobs said is of no use any more.

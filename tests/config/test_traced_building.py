@@ -10,6 +10,7 @@ from creatures import quick_jit
 from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.load import check_config, load_config
 from evo_cpg.config.parameters import all_parameters, parametrise
+from evo_cpg.spatial.partly import PartlyTraced
 from tiny_run import CONFIG, REPOSITORY, TINY
 
 # Shares of a value at which is built anew: errors of fourth order are below rounding.
@@ -32,7 +33,10 @@ def check_elements(config, keys, accuracy=1e-14):
     inputs, values = parameters.inputs, parameters.values
 
     def traced(values):
-        return inputs.of_traced(parameters.simulation(values))
+        built = parameters.simulation(values)
+        leaves = jax.tree.leaves(built, is_leaf=lambda leaf: isinstance(leaf, PartlyTraced))
+        places = zip(inputs.places, inputs.elements, strict=True)
+        return [jnp.asarray(leaves[place]).reshape(-1)[own] for place, own in places]
 
     def known(values):
         building = parameters.building

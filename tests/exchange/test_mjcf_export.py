@@ -1,6 +1,7 @@
 """What MuJoCo makes of an exported creature is the creature: masses, inertias, accelerations."""
 
 import dataclasses
+import functools
 from xml.etree import ElementTree
 
 import jax.numpy as jnp
@@ -116,6 +117,27 @@ def test_it_starts_where_and_as_it_is_put(compiled):
     model = compiled(ball(), GRAVITY, start=(1.0, -2.0, 0.3), heading=0.4)
     np.testing.assert_allclose(model.qpos0[:3], (1.0, -2.0, 0.3))
     np.testing.assert_allclose(model.qpos0[3:], (np.cos(0.2), 0, 0, np.sin(0.2)), atol=1e-12)
+
+
+@each_structure
+def test_a_start_in_a_pose_is_a_keyframe_and_the_model_stays_neutral(compiled, number):
+    """Every body's centre of mass as our kinematics has it: 1e-12."""
+    creature = animal(number)
+    tree, rng = build_tree(creature), np.random.default_rng(number)
+    state = random_state(tree, rng)
+    start = tuple(np.asarray(state.position).tolist())
+    pose = {"orientation": np.asarray(state.orientation), "angles": np.asarray(state.q)}
+    model = compiled(creature, GRAVITY, start=start, **pose)
+    np.testing.assert_allclose(model.qpos0, [*start, 1, 0, 0, 0, *[0] * tree.dof_count])
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, model.key("start").id)
+    mujoco.mj_forward(model, data)
+    kin = quick_jit(functools.partial(kinematics, tree))(state)
+    centres = kin.origin + (kin.rotation * tree.com[None]).sum(1)
+    theirs = np.stack([data.body(name).xipos for name in tree.names], -1)
+    np.testing.assert_allclose(theirs, centres, rtol=0, atol=1e-12)
+    turns = np.stack([data.body(name).xmat.reshape(3, 3) for name in tree.names], -1)
+    np.testing.assert_allclose(turns, kin.rotation, rtol=0, atol=1e-12)
 
 
 def test_it_starts_at_its_height_and_lies_on_the_ground(compiled):

@@ -1,5 +1,7 @@
 """What studies measure, where the answer is known."""
 
+from types import SimpleNamespace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -10,11 +12,13 @@ from evo_cpg.config.shipped import shipped
 from evo_cpg.control.brain import think
 from evo_cpg.control.brain_cpg import BrainCpg
 from evo_cpg.control.postures import PostureController
-from evo_cpg.studies import fukui2003
+from evo_cpg.studies import fukui2003, search
 from evo_cpg.studies.audits import audit_table, kept_table
 from evo_cpg.studies.lights import _still, lived
 from evo_cpg.studies.study import Table
 from evo_cpg.studies.workshop import markdown
+from evo_cpg.training.checkpoint import Champion
+from evo_cpg.view import sweep_plot
 from tiny_run import CONFIG, PAIR
 
 
@@ -86,6 +90,23 @@ def test_tables_of_audits_show_shares_and_reasons():
     assert kept.rows[0][-2:] == ["50 (50 to 50) %", "1 of 2"]
     alone = kept_table("", {"animal": [row | {"opinions": opinions[:1]}]})
     assert alone.rows[0][-2] == ""
+
+
+def test_a_figure_of_searches_shows_what_their_champions_are_worth(monkeypatch):
+    """As the table beside it does; the history has the luckiest scores."""
+    terms = {"distance": 0.4}
+    champion = Champion(np.zeros(1), 0.9, 1, terms, {}, lives=16, expected=0.7)
+    workshop = SimpleNamespace(
+        experiment=lambda name: SimpleNamespace(strategy=SimpleNamespace(population=4)),
+        column=lambda name, column: np.array([[0.5, 0.6], [0.9, 0.9]]),
+        champions=lambda name: [champion, champion._replace(expected=0.8)],
+        picture=lambda: "searches.png",
+    )
+    drawn = []
+    monkeypatch.setattr(sweep_plot, "plot_sweep", lambda curves, *_: drawn.extend(curves))
+    (made,) = search.searches(workshop, "two_eyes")
+    assert drawn and all(curve.final.tolist() == [0.7, 0.8] for curve in drawn)
+    assert made.rows[0][2] == "0.750 (0.700 to 0.800)"
 
 
 def test_a_table_is_one_of_markdown():

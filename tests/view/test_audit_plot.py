@@ -25,17 +25,37 @@ def figures(monkeypatch) -> list[Figure]:
     return saved
 
 
+def a_ledger() -> Ledger:
+    shape = {name: (STEPS,) for name in Ledger._fields} | {"impulse": (3, STEPS)}
+    return Ledger(**{name: np.full(shape[name], 0.01) for name in Ledger._fields})
+
+
+def ways(*programs: str) -> dict[str, np.ndarray]:
+    """Arcs that part, by program."""
+    ahead = np.linspace(0, 1, STEPS)
+    return {
+        name: np.stack([ahead, 0.2 * i * ahead**2, 0 * ahead]) for i, name in enumerate(programs)
+    }
+
+
 def test_it_has_a_panel_of_paths_only_where_there_is_a_second_opinion(tmp_path, figures):
     """Without one the energy has the whole row, and nothing is left blank."""
-    shape = {name: (STEPS,) for name in Ledger._fields} | {"impulse": (3, STEPS)}
-    ledger = Ledger(**{name: np.full(shape[name], 0.01) for name in Ledger._fields})
     kept = [Check("half_step", "way kept at half the step", 0.97, 0.9, True, "%")]
-    way = np.stack([np.linspace(0, 1, STEPS), np.zeros(STEPS), np.zeros(STEPS)])
-    for paths in ({"evo_cpg": way, "MuJoCo": 0.9 * way}, {}):
-        path = plot_audit(ledger, 1 / 240, kept, paths, "animal: audit", tmp_path / "audit.png")
+    for paths in (ways("evo_cpg", "MuJoCo"), {}):
+        path = plot_audit(a_ledger(), 1 / 240, kept, paths, "animal: audit", tmp_path / "audit.png")
         assert synthetic.read(path).shape[1] == 1600
     with_, without = ([axes.get_title() for axes in figure.axes] for figure in figures)
-    energy, from_above = "Where the energy comes from and goes", "Same commands, from above"
+    energy, from_above = "Where the energy comes from and goes", "Ways of the root, from above"
     assert with_ == [energy, from_above, ""] and without == [energy, ""]
     wide = [figure.axes[0].get_position().width for figure in figures]
     assert wide[0] < 0.6 and wide[1] > 0.8
+
+
+def test_all_of_mujocos_opinions_are_drawn_each_in_a_colour_of_its_own(tmp_path, figures):
+    """On the ground a brain is asked for its own senses, too."""
+    hard = "MuJoCo, hard contacts"
+    paths = ways("evo_cpg", "MuJoCo", hard, f"{hard}, own senses")
+    plot_audit(a_ledger(), 1 / 240, [], paths, "animal: audit", tmp_path / "audit.png")
+    lines = figures[0].axes[1].get_lines()
+    drawn = {line.get_label(): line.get_color() for line in lines if line.get_label() in paths}
+    assert list(drawn) == list(paths) and len(set(drawn.values())) == 4

@@ -38,6 +38,8 @@ class Subject(NamedTuple):
 
     Attributes:
         name: of the experiment.
+        changed: what is to be said of a configuration that the champion did not evolve in; None
+            where it is the one.
         folder: name of the run folder.
         sentence: what evolved, where, for what.
         champion: fitness and terms, by name.
@@ -59,6 +61,7 @@ class Subject(NamedTuple):
     """
 
     name: str
+    changed: str | None
     folder: str
     sentence: str
     champion: Mapping[str, float]
@@ -118,6 +121,7 @@ def document(subject: Subject, motion: Motion) -> str:
         "body",
         tag("h1", f"{subject.name}: its champion"),
         tag("p", subject.sentence, class_="lead"),
+        _changed(subject),
         tag("nav", *(tag("a", title, href=f"#{key}") for key, title, _ in shown)),
         _viewer(motion),
         _cards(subject, motion.numbers),
@@ -143,6 +147,14 @@ def document(subject: Subject, motion: Motion) -> str:
         Html(f"<style>{_asset('page.css')}</style>"),
     )
     return "<!doctype html>\n" + tag("html", head, body, lang="en")
+
+
+def _changed(subject: Subject) -> Html | None:
+    """That numbers are those of another animal or world than the champion evolved in."""
+    if subject.changed is None:
+        return None
+    words = f"{subject.changed}: all that is measured here is of its trial as it comes out now."
+    return tag("p", words, class_="failed")
 
 
 def _viewer(motion: Motion) -> Html:
