@@ -144,6 +144,7 @@ def test_the_runs_are_run_folders_like_others(swept, capsys):
         ({"grid": ()}, "nothing is varied; name keys and values"),
         ({"grid": ("seed",)}, "'seed' is not KEY=VALUE,VALUE"),
         ({"grid": ("seed=[1",)}, "is not a list of values"),
+        ({"grid": ("name=2026-02-30",)}, "'2026-02-30' is not a list of values"),
         ({"grid": ("seed=1,1",)}, "two settings would be called 'seed=1'"),
         ({"only": ("there",)}, "no setting 'there'; there are mutation_rate=0.02, mutation_rate"),
     ],
