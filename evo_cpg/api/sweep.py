@@ -29,7 +29,7 @@ from evo_cpg.config.build import build_experiment
 from evo_cpg.config.fingerprint import fingerprint
 from evo_cpg.config.load import load_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
-from evo_cpg.config.settings import Setting
+from evo_cpg.config.settings import Setting, is_folder_name
 from evo_cpg.training.checkpoint import Checkpoint
 from evo_cpg.training.experiment import Experiment
 from evo_cpg.training.memory import require_memory
@@ -143,8 +143,14 @@ def read_plan(folder: Path) -> dict[str, Any] | None:
     try:
         plan = json.loads(path.read_text(encoding="utf-8"))
         kinds = {"config": str, "config_sha256": str, "overrides": list, "settings": dict}
-        if not all(isinstance(plan[key], kind) for key, kind in kinds.items()):
+        sound = all(isinstance(plan[key], kind) for key, kind in kinds.items())
+        sound = sound and all(isinstance(override, str) for override in plan["overrides"])
+        if not sound or not all(isinstance(values, dict) for values in plan["settings"].values()):
             raise ValueError("something is of another kind")
+        for name in plan["settings"]:
+            # It names a folder beside the file.
+            if not is_folder_name(name):
+                raise ValueError(f"{name[:80]!r} is no name of a setting")
     except (KeyError, OSError, RecursionError, TypeError, ValueError) as error:
         raise RunFolderError(f"{path} is damaged ({error})") from None
     return plan

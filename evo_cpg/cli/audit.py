@@ -16,7 +16,7 @@ from evo_cpg.api.load import class_folders
 from evo_cpg.api.training import now, require_configured
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.progress import working
-from evo_cpg.cli.training import champion_of, open_champion
+from evo_cpg.cli.training import open_champion
 from evo_cpg.config.load import load_config
 from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.run_folder import RunFolder
@@ -75,7 +75,7 @@ def audit_run(
     limits = _limits(settings, config.audit.limits())
     champions = [champion]
     if every:
-        champions = [champion_of(folder, i) for i in range(experiment.runs)]
+        champions = _champions(folder)
     with working("auditing: compiling each time, it takes one to some minutes") as work:
         from evo_cpg.api.audit import audits
 
@@ -100,6 +100,26 @@ def audit_run(
     if every:
         Console(width=max(_WIDTH, console.width)).print(_summary(champions, made))
     _say(run, champions, made, "the champion" if cell is None else f"the elite of cell {cell}")
+
+
+def _champions(folder: RunFolder) -> list[Champion]:
+    """Those of all runs in which anybody lived; of the others it is said that they have none.
+
+    Raises:
+        UsageError: no run has one.
+    """
+    checkpoint = folder.load()
+    champions = checkpoint.champions if checkpoint else ()
+    found = [champion for champion in champions if champion is not None]
+    if not found:
+        raise UsageError(f"--all: the checkpoints of {folder.path} hold no champion")
+    for run, champion in enumerate(champions):
+        if champion is None:
+            print(
+                f"{folder.path}: run {run}: every individual diverged: it has no champion to audit",
+                file=sys.stderr,
+            )
+    return found
 
 
 def _say(run: Path, champions: Sequence[Champion], made: Sequence["Audit"], who: str) -> None:

@@ -9,7 +9,7 @@ _ELSEWHERE = (
     ("evo_cpg.training.strategy_state", "StrategyError"),
     ("evo_cpg.training.processes", "Disagreement"),
     ("evo_cpg.training.roll_call", "JoinError"),
-    ("evo_cpg.view.film", "SettingError"),
+    ("evo_cpg.view.output", "SettingError"),
     ("evo_cpg.studies.benchmarks", "SuiteError"),
 )
 

@@ -67,8 +67,14 @@ def make(
             for path in workshop.make(part, _Shown()):
                 print(path)
         except KeyboardInterrupt:
-            left = f"evo-cpg reproduce {chosen.name} {' '.join(parts[number:])} makes the rest"
-            again = "the same command goes on" if chosen.runs else left
+            left = f"evo-cpg reproduce {chosen.name} {' '.join(parts[number:])}"
+            if folder != default_folder(chosen.name, quick):
+                left += f" --out {folder}"
+            left += " --quick" if quick else ""
+            again = f"`{left}` makes the rest"
+            if chosen.runs:
+                # With --fresh the same command would throw away what is done.
+                again = f"`{left}` goes on" if fresh else "the same command goes on"
             print(f"interrupted; {again}", file=sys.stderr)
             raise
 

@@ -25,6 +25,7 @@ from evo_cpg.api.sweep import (
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.jobs import Jobs, claimed, read_jobs, run_jobs
 from evo_cpg.cli.progress import progress, working
+from evo_cpg.config.load import parse_yaml
 from evo_cpg.config.settings import Setting, combine, read_settings
 from evo_cpg.training.devices import use_cores
 
@@ -99,7 +100,7 @@ def _axis(word: str) -> tuple[str, list[Any]]:
         raise UsageError(f"--grid: {word!r} is not KEY=VALUE,VALUE,...")
     listed = text if text.startswith("[") else f"[{text}]"
     try:
-        values = yaml.safe_load(listed)
+        values = parse_yaml(listed)
     except yaml.YAMLError:
         values = None
     if not isinstance(values, list) or not values:

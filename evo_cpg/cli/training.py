@@ -33,6 +33,7 @@ from evo_cpg.config.fingerprint import changes, fingerprint
 from evo_cpg.config.load import dump_config, load_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.config.shipped import find_config
+from evo_cpg.simulation.task import term_names
 from evo_cpg.training.checkpoint import Champion, Checkpoint, genes_digest, outcome_digest
 from evo_cpg.training.devices import use_cores
 from evo_cpg.training.experiment import Experiment
@@ -169,7 +170,30 @@ def _require_alike(
                 f"individuals in {asked[2]} run(s), the checkpoint has {found[0]}, {found[1]} and "
                 f"{found[2]}; start a new run instead"
             )
+        _require_same_columns(folder, done, experiment)
     return done
+
+
+def _require_same_columns(folder: RunFolder, done: Checkpoint, experiment: Experiment) -> None:
+    """Check that the next rows of metrics.csv have the columns of those before.
+
+    Raises:
+        RunFolderError: task, measures or strategy tell other numbers than those before.
+    """
+    simulation = experiment.simulation
+    measured = () if simulation.measures is None else simulation.measures.names
+    terms = [f"best_{name}" for name in (*term_names(simulation.task), *measured)]
+    asked, found = [*experiment.strategy.metric_names, *terms], done.history[-1]
+    added = [name for name in asked if name not in found]
+    lost = [name for name in found if name.startswith("best_") and name not in asked]
+    if added or lost:
+        parts = [("add", added), ("drop", lost)]
+        changed = " and ".join(f"{verb} {', '.join(names)}" for verb, names in parts if names)
+        raise RunFolderError(
+            f"{folder.config} or its task was changed: metrics.csv would {changed}, but all its "
+            "rows have the same columns; put task, measures and evolution back as they were, or "
+            f"begin a new run with `evo-cpg train {folder.config} --from {folder.path} --out ...`"
+        )
 
 
 def _finished(folder: RunFolder, done: Checkpoint | None, experiment: Experiment) -> bool:

@@ -28,7 +28,20 @@ _SafeLoader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
 class _Loader(_SafeLoader):
-    """Safe YAML with two of its traps closed: keys given twice, and 1e-3, which is a string."""
+    """Safe YAML with three of its traps closed.
+
+    These are keys given twice, 1e-3, which is a string, and values that PyYAML fails to make.
+    """
+
+    def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
+        """Refuse what looks like a date or a number and is none, such as 2026-02-30."""
+        try:
+            return super().construct_object(node, deep)
+        except (ArithmeticError, AttributeError, LookupError, ValueError):
+            kind = node.tag.rpartition(":")[2]
+            raise yaml.constructor.ConstructorError(
+                None, None, f"{_short(node.value)} cannot be read as {kind}", node.start_mark
+            ) from None
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict:
         """Refuse a key that stands twice, of which only the last would count."""
@@ -148,7 +161,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
     except ValueError:
         raise ConfigError(path, (), "is no name of a file") from None
     try:
-        data = _parse(text)
+        data = parse_yaml(text)
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         place = f"line {mark.line + 1}, column {mark.column + 1}: " if mark else ""
@@ -161,7 +174,12 @@ def read_yaml(path: Path) -> dict[str, Any]:
     return data
 
 
-def _parse(text: str) -> Any:
+def parse_yaml(text: str) -> Any:
+    """What a text in YAML says.
+
+    Raises:
+        yaml.YAMLError: it is none, or larger than any that is meant.
+    """
     require_shallow(text, _Loader)
     return yaml.load(text, _Loader)
 
@@ -249,7 +267,7 @@ def _apply(data: dict[str, Any], override: str) -> None:
     if not separator or not key:
         raise ConfigError("command line", (), f"{override!r} is not of the form key.path=value")
     try:
-        value = _parse(text)
+        value = parse_yaml(text)
     except yaml.YAMLError:
         raise ConfigError("command line", key.split("."), f"{text!r} is not YAML") from None
     *parents, last = key.split(".")

@@ -78,6 +78,11 @@ def combine(grid: Mapping[str, Sequence[Any]], named: Mapping[str, Values]) -> l
     return settings
 
 
+def is_folder_name(text: str) -> bool:
+    """Whether a text can be the name of a setting's run folder, as `combine` makes them."""
+    return re.fullmatch(r"[\w=+][\w.,=+-]*", text) is not None
+
+
 def _short_names(keys: Mapping[str, object]) -> dict[str, str]:
     """The last parts of keys, as many as it takes to tell them apart."""
     names = {key: key.rsplit(".", 1)[-1] for key in keys}

@@ -144,7 +144,7 @@ def _image(path: Path, lowest: float, highest: float) -> np.ndarray:
         if max(image.size) > MOST_HEIGHTS:
             raise ValueError(f"{image.width} x {image.height} pixels, of {MOST_HEIGHTS} each way")
     pixels = np.asarray(imread(path))
-    full = 255 if pixels.dtype == np.uint8 else 1
+    full = np.iinfo(pixels.dtype).max if pixels.dtype.kind in "iu" else 1
     grey = pixels if pixels.ndim == 2 else pixels[..., :3].mean(-1)
     # Rows go down in the picture, which is to the right on the ground.
     return lowest + (highest - lowest) / full * grey[::-1].T

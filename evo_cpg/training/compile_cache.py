@@ -10,6 +10,7 @@ another, so each kind of processor has a folder of its own: a cluster may share 
 nothing.
 """
 
+import contextlib
 import hashlib
 import os
 import platform
@@ -63,9 +64,13 @@ def _processor() -> str:
 
 def _prune(folder: Path, most: int) -> None:
     """Delete the files that were written first until the rest take up no more than ``most``."""
-    files = sorted(folder.iterdir(), key=lambda file: file.stat().st_mtime, reverse=True)
+    found = []
+    for file in folder.iterdir():
+        # Another process may have renamed or deleted it meanwhile.
+        with contextlib.suppress(FileNotFoundError):
+            found.append((file, file.stat()))
     total = 0
-    for file in files:
-        total += file.stat().st_size
+    for file, told in sorted(found, key=lambda pair: pair[1].st_mtime, reverse=True):
+        total += told.st_size
         if total > most:
             file.unlink(missing_ok=True)

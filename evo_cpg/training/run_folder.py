@@ -249,12 +249,27 @@ class RunFolder:
             old.unlink(missing_ok=True)
 
     def load(self) -> Checkpoint | None:
-        """The newest checkpoint that can be read; None before the first generation is done."""
+        """The newest checkpoint that can be read; None before the first generation is done.
+
+        Raises:
+            RunFolderError: there are checkpoints, but none that can be read.
+        """
+        wrong: list[str] = []
         for path in reversed(self._checkpoints()):
             try:
                 return read_checkpoint(_read_arrays(path))
-            except _DAMAGED:
+            except FileNotFoundError:
+                # The trainer took it away meanwhile.
                 continue
+            except _DAMAGED as error:
+                reason = getattr(error, "strerror", None) or error
+                wrong.append(f"{path.name}: {reason}")
+        if wrong:
+            # To begin at generation 0 would lose what may be had again.
+            raise RunFolderError(
+                f"{self.path / 'checkpoints'}: no checkpoint can be read ({'; '.join(wrong)}); "
+                "make them readable or put copies back, or delete them to begin the run anew"
+            )
         return None
 
     def save_champion(self, champion: Champion, recording: Recording | None = None) -> None:
@@ -408,7 +423,7 @@ class RunFolder:
     def _checkpoints(self) -> list[Path]:
         pattern = re.compile(r"generation_\d{6,}\.npz")
         found = (self.path / "checkpoints").glob("generation_*.npz")
-        return sorted(path for path in found if pattern.fullmatch(path.name))
+        return sorted((path for path in found if pattern.fullmatch(path.name)), key=_generation_of)
 
     @property
     def newest(self) -> int:
@@ -417,7 +432,7 @@ class RunFolder:
         For whoever looks on: what the file holds is not looked at.
         """
         found = self._checkpoints()
-        return int(found[-1].stem.removeprefix("generation_")) if found else 0
+        return _generation_of(found[-1]) if found else 0
 
     def write_metrics(self, history: list[dict[str, float]]) -> None:
         """Write metrics.csv."""
@@ -431,6 +446,11 @@ class RunFolder:
         writer.writerows(history[len(rows) :])
         self._table = history, text + added.getvalue()
         write_whole(self.metrics, lambda file: file.write(self._table[1].encode()))
+
+
+def _generation_of(checkpoint: Path) -> int:
+    """By its name; as text the millionth would come before those that have six digits."""
+    return int(checkpoint.stem.removeprefix("generation_"))
 
 
 def _champion_writer(

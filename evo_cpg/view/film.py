@@ -33,6 +33,7 @@ from evo_cpg.view.offscreen import canvas, pixels
 from evo_cpg.view.output import (
     FILM_SUFFIXES,
     GUTTER,
+    SettingError,
     frame_writer,
     is_numbered,
     numbered_path,
@@ -79,10 +80,6 @@ HORIZON = 2.4
 
 # Columns of so many animals side by side; of more the square root, rounded up.
 _COLUMNS = (1, 1, 2, 3, 2)
-
-
-class SettingError(ValueError):
-    """A film cannot be made of this size, or have so many moments."""
 
 
 class Panel(NamedTuple):
@@ -233,8 +230,8 @@ def side_by_side(
     for panel in panels:
         _check(panel, size, fps, speed)
     aspect_of(camera)
-    if seconds is not None and seconds < 0:
-        raise ValueError(f"seconds is {seconds:g}; it must not be negative")
+    if seconds is not None and not seconds >= 0:
+        raise SettingError(f"seconds is {seconds:g}; it must be a number that is not negative")
     clips = [sample(one.recording, fps, speed, None if still else seconds) for one in panels]
     frames = [_frames(clip, seconds, still, sheet) for clip in clips]
     count = max(map(len, frames))
@@ -661,7 +658,7 @@ def _check(panel: Panel, size: tuple[int, int], fps: float, speed: float) -> Non
         )
     for name, value in (("fps", fps), ("speed", speed)):
         if not 0 < value < np.inf:
-            raise ValueError(f"{name} is {value:g}; it must be positive")
+            raise SettingError(f"{name} is {value:g}; it must be positive and finite")
     if not len(recording.time):
         raise ValueError("the recording is empty: it holds no instant")
     if recording.position.shape[1] != len(creature.bodies):

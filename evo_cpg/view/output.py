@@ -55,6 +55,10 @@ class OutputError(OSError):
     """A picture or film that cannot be written where the user asked for it."""
 
 
+class SettingError(ValueError):
+    """A picture or film cannot be made of this size, this fast, or of so many moments."""
+
+
 def output_path(path: str | os.PathLike[str], suffixes: Sequence[str]) -> Path:
     """Check that a file of one of these kinds can be written here.
 

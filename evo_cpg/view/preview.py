@@ -13,7 +13,7 @@ from evo_cpg.view.ground import grid_spacing
 from evo_cpg.view.legible import legible, write_legibly
 from evo_cpg.view.meshes import add_bodies, shape_mesh
 from evo_cpg.view.offscreen import canvas, pixels
-from evo_cpg.view.output import frame_writer, output_path
+from evo_cpg.view.output import SettingError, frame_writer, output_path
 from evo_cpg.view.preview_ground import add_preview_ground, obstacles_near
 
 _BACKGROUND = "#f4f6f8"
@@ -61,11 +61,11 @@ def preview(
     Raises:
         OutputError: nothing can be written there, or not this kind of file.
         CreatureError: the bodies do not form one tree.
-        ValueError: the size is below 16 pixels.
+        SettingError: the size is below 16 pixels.
     """
     path = output_path(path, (".png",))
     if min(size) < 16:
-        raise ValueError(f"size is {size[0]} x {size[1]} pixels; the smallest is 16 x 16")
+        raise SettingError(f"size is {size[0]} x {size[1]} pixels; the smallest is 16 x 16")
     centres, rotations = neutral_pose(creature) if pose is None else pose
     half_extents = np.array([body.shape.half_extents for body in creature.bodies])
     hull = np.concatenate(

@@ -8,6 +8,7 @@ import pytest
 
 from evo_cpg.analysis.verdict import Check, Limits, Verdict, limits_from, shown
 from evo_cpg.api import audit
+from evo_cpg.cli.errors import UsageError
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import load_config
 from evo_cpg.training.run_folder import RunFolder
@@ -82,6 +83,30 @@ def test_train_takes_a_first_look_at_its_champion(cli, tmp_path, monkeypatch):
     )
     assert way > 0
     assert told["measured"] == pytest.approx(np.clip(half / way, 0.0, 1.0))
+
+
+def test_runs_without_a_champion_are_passed_over(cli, finished_run, tmp_path, monkeypatch):
+    run = RunFolder(tmp_path / "run")
+    shutil.copytree(finished_run, run.path)
+    done = run.load()
+    assert done is not None
+    audited = []
+
+    def audits(experiment, champions, *rest):
+        audited.extend(champions)
+        raise UsageError("enough")
+
+    monkeypatch.setattr(audit, "audits", audits)
+    run.save(done._replace(records=(None, done.records[0], None), chosen=()))
+    code, _, complaint = cli("audit", run.path, "--all")
+    assert code == 2 and complaint.endswith("evo-cpg: enough\n")
+    for number in (0, 2):
+        assert f"{run.path}: run {number}: every individual diverged: it has no ch" in complaint
+    assert [champion.fitness for champion in audited] == [done.records[0].fitness]
+    run.save(done._replace(records=(None, None), chosen=()))
+    code, _, complaint = cli("audit", run.path, "--all")
+    assert code == 2
+    assert complaint == f"evo-cpg: --all: the checkpoints of {run.path} hold no champion\n"
 
 
 @pytest.mark.slow

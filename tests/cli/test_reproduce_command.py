@@ -81,6 +81,26 @@ def test_what_is_finished_is_not_evolved_again(made, tmp_path, monkeypatch):
     assert f"at commit 0ther of runs evolved at {first} on" in (folder / "ends.md").read_text()
 
 
+@pytest.mark.parametrize(
+    ("quick", "fresh", "words"),
+    [
+        (False, False, "interrupted; the same command goes on\n"),
+        (False, True, "interrupted; `evo-cpg reproduce twin ends --out {}` goes on\n"),
+        (True, True, "interrupted; `evo-cpg reproduce twin ends --out {} --quick` goes on\n"),
+    ],
+)
+def test_who_interrupts_is_told_what_goes_on_without_throwing_away_what_is_done(
+    tmp_path, monkeypatch, capsys, quick, fresh, words
+):
+    def stop(*arguments):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(workshop, "run_group", stop)
+    with pytest.raises(KeyboardInterrupt):
+        make(TWIN, ["ends"], tmp_path / "twin", quick, fresh, 2)
+    assert capsys.readouterr().err.endswith(words.format(tmp_path / "twin"))
+
+
 def test_what_was_stopped_goes_on_to_the_same_bits(made, tmp_path, monkeypatch, capsys):
     folder, group = tmp_path / "stopped", workshop.run_group
 

@@ -11,6 +11,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+import yaml
 
 from evo_cpg.training.loop import TIMING_COLUMNS
 from evo_cpg.training.run_folder import RunFolder
@@ -148,3 +149,25 @@ def test_resume_refuses_what_it_cannot_go_on_with(finished_run, cli, tmp_path):
     assert "config.yaml was changed: it asks for" in err
     assert "12 individuals" in err and "start a new run instead" in err
     assert config.read_text() == written.replace("population: 8", "population: 12")
+
+
+def test_resume_refuses_what_would_have_other_columns_and_loses_nothing(
+    finished_run, cli, tmp_path
+):
+    folder = tmp_path / "run"
+    shutil.copytree(finished_run, folder)
+    config = folder / "config.yaml"
+    written = yaml.safe_load(config.read_text())
+    for change, words in (
+        ({"measures": ["speed", "power"]}, "add best_speed, best_power"),
+        (
+            {"task": {"type": "distance"}},
+            "add best_forward and drop best_energy, best_light",
+        ),
+    ):
+        config.write_text(yaml.safe_dump(written | change))
+        before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+        code, _, err = cli("resume", folder, "--generations", GENERATIONS + 1)
+        assert code == 2 and "Traceback" not in err
+        assert f"metrics.csv would {words}, but all its rows have the same columns; put" in err
+        assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before

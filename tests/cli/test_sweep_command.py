@@ -9,12 +9,14 @@ import pytest
 
 import evo_cpg as evo
 from evo_cpg.api import sweep as sweeps
+from evo_cpg.api.sweep import new_plan, read_plan
 from evo_cpg.cli import sweep as command
 from evo_cpg.cli import training
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.sweep import run_sweep
 from evo_cpg.cli.training import verify_run
 from evo_cpg.config.load import as_overrides
+from evo_cpg.config.settings import combine
 from evo_cpg.training import together
 from evo_cpg.training.loop import TIMING_COLUMNS
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
@@ -165,6 +167,7 @@ def test_the_runs_are_run_folders_like_others(swept, capsys):
         ({"grid": ()}, "nothing is varied; name keys and values"),
         ({"grid": ("seed",)}, "'seed' is not KEY=VALUE,VALUE"),
         ({"grid": ("seed=[1",)}, "is not a list of values"),
+        ({"grid": ("name=2026-02-30",)}, "'2026-02-30' is not a list of values"),
         ({"grid": ("seed=1,1",)}, "two settings would be called 'seed=1'"),
         ({"only": ("there",)}, "no setting 'there'; there are mutation_rate=0.02, mutation_rate"),
     ],
@@ -198,7 +201,25 @@ def test_a_changed_configuration_is_said(tmp_path):
         run_sweep(tmp_path / "sweep", (), (), None, None, None)
 
 
-def test_a_damaged_plan_is_said(tmp_path):
-    (tmp_path / "sweep.json").write_text('{"config": 3}')
-    with pytest.raises(RunFolderError, match=r"sweep\.json is damaged"):
-        run_sweep(tmp_path, (), (), None, None, None)
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"config": 3}, "of another kind"),
+        ({"overrides": [3]}, "of another kind"),
+        ({"settings": {"a": []}}, "of another kind"),
+        *(
+            ({"settings": {name: {}}}, "is no name of a setting")
+            for name in ("../../x", "/tmp/x", "..", "", "a/b", "a\0")
+        ),
+    ],
+)
+def test_a_damaged_plan_is_said(tmp_path, change, words):
+    folder = tmp_path / "sweep"
+    folder.mkdir()
+    plan = new_plan(CONFIG, (), combine({"evolution.mutation_rate": [0.02, 0.3]}, {}))
+    (folder / "sweep.json").write_text(json.dumps(plan))
+    assert read_plan(folder) == plan
+    (folder / "sweep.json").write_text(json.dumps(plan | change))
+    with pytest.raises(RunFolderError, match=rf"sweep\.json is damaged \(.*{words}"):
+        run_sweep(folder, (), (), None, None, None)
+    assert list(tmp_path.rglob("*")) == [folder, folder / "sweep.json"]

@@ -4,6 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from matplotlib.image import imsave
+from PIL import Image
 
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.errors import ConfigError
@@ -60,7 +61,7 @@ def test_obstacles():
     assert block == Block((4.0, 0.0, 0.0), (1.0, 2.0, 0.5), np.pi / 2)
 
 
-@pytest.mark.parametrize("suffix", ["npy", "csv", "txt", "png"])
+@pytest.mark.parametrize("suffix", ["npy", "csv", "txt", "png", "tif"])
 def test_heights_from_a_file_end_up_in_the_configuration(suffix, tmp_path):
     """Rows of arrays and tables run along x; a picture is seen from above, x to the right."""
     heights = np.array([[0.0, 0.2], [0.4, 0.6], [0.8, 1.0]])
@@ -69,9 +70,12 @@ def test_heights_from_a_file_end_up_in_the_configuration(suffix, tmp_path):
         np.save(path, heights)
     elif suffix == "png":
         imsave(path, heights.T[::-1], cmap="gray", vmin=0, vmax=1)
+    elif suffix == "tif":
+        # Of 16 bits, as elevations of the land mostly are.
+        Image.fromarray(np.uint16(heights.T[::-1] * 65535)).save(path)
     else:
         np.savetxt(path, heights, delimiter="," if suffix == "csv" else " ")
-    limits = "lowest: 0, highest: 2, " if suffix == "png" else ""
+    limits = "lowest: 0, highest: 2, " if suffix in ("png", "tif") else ""
     override = f"world.ground.floor={{type: relief, {limits}spacing: 0.5, file: {path}}}"
     config = load_config(HEXAPOD, [override])
     path.unlink()
@@ -79,7 +83,7 @@ def test_heights_from_a_file_end_up_in_the_configuration(suffix, tmp_path):
     again = load_config(tmp_path / "config.yaml")
     assert again == config
     relief = build_experiment(again, "x.yaml").simulation.world.ground.floor
-    scale = 2 if suffix == "png" else 1
+    scale = 2 if suffix in ("png", "tif") else 1
     np.testing.assert_allclose(relief.heights, scale * heights, atol=0.01)
     assert (relief.corner, relief.spacing) == ((-0.5, -0.25), 0.5)
 

@@ -452,6 +452,18 @@ def test_what_is_missing_is_named():
             "a: !!python/object:os.system {}",
             "line 1, column 4: not valid YAML: could not determine",
         ),
+        (
+            "name: 2026-02-30",
+            "line 1, column 7: not valid YAML: '2026-02-30' cannot be read as timestamp",
+        ),
+        (
+            "a:\n- {b: !!timestamp nope}",
+            "line 2, column 7: not valid YAML: 'nope' cannot be read as timestamp",
+        ),
+        ("a: !!int foo", "line 1, column 4: not valid YAML: 'foo' cannot be read as int"),
+        ("a: !!int ''", "line 1, column 4: not valid YAML: '' cannot be read as int"),
+        ("a: !!bool foo", "line 1, column 4: not valid YAML: 'foo' cannot be read as bool"),
+        ("a: " + "7" * 5000, f"line 1, column 4: not valid YAML: '{'7' * 56}... cannot be read"),
     ],
 )
 def test_what_is_no_yaml_mapping_is_refused_with_its_place(tmp_path, text, expected):
@@ -493,6 +505,7 @@ def test_numbers_may_be_written_with_an_exponent(tmp_path, text):
         ("seed", "'seed' is not of the form key.path=value"),
         ("=3", "'=3' is not of the form key.path=value"),
         ("seed=[1", "seed: '[1' is not YAML"),
+        ("name=2026-02-30", "name: '2026-02-30' is not YAML"),
         ("creature.bodies.7.repeat=2", "creature.bodies.7.repeat: creature.bodies has no 7"),
         ("name.first=x", "name.first: name has no first"),
         ("world.watter=null", "world.watter: unknown key; did you mean 'water'?"),

@@ -46,3 +46,10 @@ def test_the_oldest_programs_go_first(tmp_path):
         os.utime(tmp_path / name, (1000 - age, 1000 - age))
     _prune(tmp_path, 250)
     assert sorted(file.name for file in tmp_path.iterdir()) == ["middle", "new"]
+
+
+def test_what_another_process_takes_away_meanwhile_is_passed_over(tmp_path):
+    (tmp_path / "gone").symlink_to("renamed")
+    (tmp_path / "there").write_bytes(bytes(100))
+    _prune(tmp_path, 50)
+    assert [file.name for file in tmp_path.iterdir()] == ["gone"]

@@ -195,6 +195,41 @@ def test_a_damaged_checkpoint_is_passed_over_for_the_one_before(folder):
     assert_same(folder.load(), checkpoint(2))
 
 
+def test_a_run_none_of_whose_checkpoints_can_be_read_does_not_begin_anew(folder):
+    folder.save(checkpoint(1))
+    folder.save(checkpoint(2))
+    older, newest = sorted((folder.path / "checkpoints").iterdir())
+    newest.unlink()
+    newest.mkdir()
+    whole = older.read_bytes()
+    older.write_bytes(whole[:100])
+    with pytest.raises(RunFolderError) as refused:
+        folder.load()
+    assert str(refused.value).startswith(
+        f"{folder.path / 'checkpoints'}: no checkpoint can be read (generation_000002.npz: Is a "
+        "directory; generation_000001.npz: File is not a zip file); make them readable"
+    )
+    older.write_bytes(whole)
+    assert_same(folder.load(), checkpoint(1))
+
+
+def test_a_checkpoint_that_is_taken_away_while_it_is_looked_for_is_not_damaged(folder):
+    folder.save(checkpoint(1))
+    (path,) = (folder.path / "checkpoints").iterdir()
+    path.unlink()
+    path.symlink_to("gone")
+    assert folder.load() is None
+
+
+def test_generations_of_seven_digits_come_after_those_of_six(folder):
+    for done in (999_998, 999_999, 1_000_000):
+        folder.save(checkpoint(2)._replace(generation=done))
+        found = folder.load()
+        assert found is not None and found.generation == folder.newest == done
+    kept = sorted(path.name for path in (folder.path / "checkpoints").iterdir())
+    assert kept == ["generation_1000000.npz", "generation_999999.npz"]
+
+
 def test_a_damaged_champion_is_named_with_the_way_out(folder):
     folder.save_champion(CHAMPION)
     for content in damaged(folder.champion.read_bytes()):

@@ -469,8 +469,11 @@ def test_a_broken_film_leaves_the_old_one(creature, recording, tmp_path):
         ({"sheet": (4, 3), "seconds": 0.1}, "has 4 frames, fewer than .* of 4x3"),
         ({"size": (8, 8)}, "8 x 8 pixels"),
         ({"fps": 0}, "fps is 0"),
+        ({"fps": np.nan}, "fps is nan; it must be positive and finite"),
+        ({"speed": np.inf}, "speed is inf; it must be positive and finite"),
         ({"speed": -1}, "speed is -1"),
         ({"seconds": -1}, "seconds is -1"),
+        ({"seconds": np.nan}, "seconds is nan; it must be a number that is not negative"),
     ],
 )
 def test_settings_out_of_range_are_refused(creature, recording, tmp_path, settings, words):
