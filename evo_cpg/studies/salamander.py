@@ -95,7 +95,7 @@ def _crossings(workshop: Workshop, name: str) -> Table:
     both = (np.array(found["distance"])[:, :2] <= _REACHED).all(1)
     both &= _angle(np.max(found["tilt"], 1)) < _BELLY_DOWN
     words = f"both ways (20 % left) under {_BELLY_DOWN} degrees", f"{both.sum()} of {both.size}"
-    ways = ["into the water", "back on land", "from the water's edge to land", "on land"]
+    ways = ["into the water", "back on land", "from the water's edge to land"]
     heads = [*(f"{way}: distance left" for way in ways), "largest tilt of the head, degrees"]
     head = ["", "fitness", *heads]
     return Table("", head, [*rows, [*words, *[""] * len(heads)]])
