@@ -80,6 +80,10 @@ _DAMAGED = (
 )
 
 
+# The end of an archive without a comment: mark, disks, entries (here and in all), size and place of
+# the list, length of the comment.
+_END = struct.Struct("<4s4H2LH")
+
 # Writes the contents of an open file.
 _Writer = Callable[[Any], object]
 
@@ -504,6 +508,11 @@ def _require_honest(file: IO[bytes]) -> None:
         ValueError: it is, or does not; others of `_DAMAGED` where it is no .npz file at all.
     """
     with zipfile.ZipFile(file) as archive:
+        # A flipped byte may let one entry swallow those behind it, which zipfile does not notice.
+        file.seek(-_END.size, os.SEEK_END)
+        mark, *_, entries, _, _, _ = _END.unpack(file.read(_END.size))
+        if mark != b"PK\5\6" or entries != len(archive.infolist()):
+            raise ValueError("it lists fewer arrays than it was written with")
         for member in archive.infolist():
             # Ours are not compressed.
             if member.compress_type != zipfile.ZIP_STORED:

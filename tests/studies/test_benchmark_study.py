@@ -49,7 +49,7 @@ def test_what_moves_is_drawn_and_what_is_left_is_said(tmp_path, monkeypatch, cap
     monkeypatch.setitem(suite.CASES, "ga", suite.Case(stopped))
     with pytest.raises(KeyboardInterrupt):
         make(STUDY, ["quadruped", "ga", "brain"], tmp_path, False, False, 2)
-    left = "interrupted; evo-cpg reproduce benchmarks ga brain makes the rest"
+    left = f"interrupted; `evo-cpg reproduce benchmarks ga brain --out {tmp_path}` makes the rest"
     assert left in capsys.readouterr().err
     assert set(provenance.read(tmp_path)["quadruped"]["files"]) == {"quadruped.md", "quadruped.png"}
     text = (tmp_path / "quadruped.md").read_text()

@@ -195,6 +195,20 @@ def test_a_damaged_checkpoint_is_passed_over_for_the_one_before(folder):
     assert_same(folder.load(), checkpoint(2))
 
 
+def test_no_array_is_lost_in_the_list_of_a_checkpoint_without_a_word(folder):
+    """Where an entry of the archive's list claims a comment, what follows it would be gone."""
+    folder.save(checkpoint(1))
+    folder.save(checkpoint(2))
+    newest = folder.path / "checkpoints" / "generation_000002.npz"
+    whole = newest.read_bytes()
+    entries = [i for i in range(len(whole)) if whole.startswith(b"PK\1\2", i)]
+    assert len(entries) > 10
+    for entry in entries:
+        place = entry + 32  # the length of its comment
+        newest.write_bytes(whole[:place] + b"\xff" + whole[place + 1 :])
+        assert_same(folder.load(), checkpoint(1))
+
+
 def test_a_run_none_of_whose_checkpoints_can_be_read_does_not_begin_anew(folder):
     folder.save(checkpoint(1))
     folder.save(checkpoint(2))
