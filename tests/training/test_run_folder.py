@@ -203,7 +203,8 @@ def test_no_array_is_lost_in_the_list_of_a_checkpoint_without_a_word(folder):
     whole = newest.read_bytes()
     entries = [i for i in range(len(whole)) if whole.startswith(b"PK\1\2", i)]
     assert len(entries) > 10
-    for entry in entries:
+    # Behind the last there is none.
+    for entry in entries[:-1]:
         place = entry + 32  # the length of its comment
         newest.write_bytes(whole[:place] + b"\xff" + whole[place + 1 :])
         assert_same(folder.load(), checkpoint(1))
