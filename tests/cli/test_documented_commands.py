@@ -60,13 +60,8 @@ def test_every_make_target_exists():
 
 
 def test_every_study_and_part_that_is_named_exists():
-    asked = [
-        [word for word in words[2:] if not word.startswith("-")]
-        for page in PAGES
-        for words in map(
-            shlex.split, re.findall(r"evo-cpg reproduce [a-z0-9_ ]+", page.read_text())
-        )
-    ]
+    names = r"evo-cpg reproduce ([a-z0-9_]+(?: [a-z0-9_][a-z0-9_-]*)*)"
+    asked = [words.split() for page in PAGES for words in re.findall(names, page.read_text())]
     assert len(asked) > 5
     for name, *parts in asked:
         assert set(parts) <= set(study(name).parts), name
