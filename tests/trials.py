@@ -14,6 +14,7 @@ from evo_cpg.evolution.generation import RealGenetics
 from evo_cpg.simulation.reach_light import ReachLight
 from evo_cpg.simulation.rollout import Simulation
 from evo_cpg.simulation.sensors import place_sensors
+from evo_cpg.simulation.task import Task
 from evo_cpg.training.experiment import Experiment
 
 
@@ -51,6 +52,25 @@ def swimmer(eyes: tuple[LightSensor, ...]) -> Creature:
     return Creature(
         "pair", (Body("tail", box, flesh, joint), Body("head", box, flesh)), eyes, ("head",)
     )
+
+
+class OneTerm(Task):
+    """A task with a single term, which is its fitness."""
+
+    name: str = eqx.field(static=True)
+    light: None = eqx.field(default=None, init=False)
+
+    def begin(self, batch, dtype, steps):
+        return jnp.zeros(batch, dtype)
+
+    def update(self, tally, transition, steps):
+        return tally
+
+    def terms(self, tally, steps):
+        return {self.name: tally}
+
+    def fitness(self, terms, scales):
+        return terms[self.name]
 
 
 EYES = (

@@ -162,12 +162,11 @@ class Experiment:
         """
         trials = self.rollout(key, genomes, bodies)
         outcome = Outcome(*jax.tree.map(jnp.asarray, (trials.terms, trials.alive)))
-        fitness, mean = self._judge(outcome, self.scales)
+        fitness, mean, in_trials = self._judge(outcome, self.scales)
         terms = {name: np.asarray(term) for name, term in mean.terms.items()}
         found = training.descriptors(self.parts.simulation, mean.terms)
         descriptors = {name: np.asarray(value) for name, value in found.items()}
-        each = training.judge_each(self.task, outcome, self.scales)
-        return Evaluation(np.asarray(fitness), terms, descriptors, np.asarray(each))
+        return Evaluation(np.asarray(fitness), terms, descriptors, np.asarray(in_trials))
 
     @functools.cached_property
     def scales(self) -> dict[str, Float[Array, ""]]:
@@ -293,7 +292,10 @@ class Experiment:
 
     @functools.cached_property
     def _judge(self) -> Callable:
-        return jax.jit(functools.partial(training.judge, self.task))
+        def judged(*given: Any) -> tuple:
+            return *training.judge(self.task, *given), training.judge_each(self.task, *given)
+
+        return jax.jit(judged)
 
     @functools.cached_property
     def _record(self) -> Callable:

@@ -2,7 +2,6 @@
 
 import dataclasses
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -11,7 +10,7 @@ import trials
 from evo_cpg.analysis import sensitivity
 from evo_cpg.analysis.sensitivity import CHANGE, differentiate, measured, sensitivities
 from evo_cpg.simulation.rollout import Outcome
-from evo_cpg.simulation.task import Task
+from trials import OneTerm
 
 KEYS = ("squared", "inverse", "step", "zero", "idle")
 VALUES = np.array([3.0, 2.0, 1.0, 0.0, 5.0])
@@ -58,28 +57,10 @@ def test_a_step_beside_the_value_is_not_confirmed_and_ranks_by_the_change_found(
     assert [row.key for row in found] == ["step", "squared", "inverse", "idle", "zero"]
 
 
-class Dash(Task):
-    """A task that has a term of its own called speed."""
-
-    light: None = eqx.field(default=None, init=False)
-
-    def begin(self, batch, dtype, steps):
-        return jnp.zeros(batch, dtype)
-
-    def update(self, tally, transition, steps):
-        return tally
-
-    def terms(self, tally, steps):
-        return {"speed": tally}
-
-    def fitness(self, terms, scales):
-        return terms["speed"]
-
-
 @pytest.mark.parametrize("measures", [{}, {"speed": jnp.array([7.0])}])
 def test_speed_is_neither_taken_for_a_term_of_the_task_nor_for_a_measure(monkeypatch, measures):
     """Of both called so, a measure comes last, see `rollout`: here it has the task's own value."""
-    simulation = dataclasses.replace(trials.experiment(steps=91).simulation, task=Dash())
+    simulation = dataclasses.replace(trials.experiment(steps=91).simulation, task=OneTerm("speed"))
     start, end = jnp.zeros((3, 1)), jnp.array([[3.0], [4.0], [1.0]])
 
     def lived(simulation, genes, keys):

@@ -62,6 +62,7 @@ def test_every_name_is_there_and_others_are_not():
 
 def test_fitness_of_a_population_is_that_of_each_alone(experiment, genomes, evaluation):
     assert evaluation.fitness.shape == (COUNT,)
+    np.testing.assert_array_equal(evaluation.trial_fitness, evaluation.fitness[None])
     assert np.ptp(evaluation.fitness) > 0.01
     assert evaluation.descriptors == {}
     alone = experiment.evaluate(0, jnp.asarray(genomes[3:4]))

@@ -19,6 +19,7 @@ from evo_cpg.training.experiment import (
     first_population,
     generation_keys,
     judge,
+    judge_each,
     replay,
     trial_keys,
 )
@@ -217,9 +218,11 @@ def test_fitness_and_terms_are_means_and_who_dies_once_is_dead():
             *judge(task, outcome, scales),
             score(task, outcome, scales),
             judge(task, first, scales)[0],
+            judge_each(task, outcome, scales),
         )
 
-    fitness, mean, single, of_the_first = jax.device_get(judged(outcome))
+    fitness, mean, single, of_the_first, each = jax.device_get(judged(outcome))
+    np.testing.assert_array_equal(each, single.T)
     assert np.isneginf(fitness).tolist() == [False, True, True, False]
     assert np.asarray(mean.alive).tolist() == [True, False, True, True]
     np.testing.assert_allclose(np.asarray(fitness)[[0, 3]], single[[0, 3]].mean(1), rtol=1e-6)
