@@ -7,7 +7,6 @@ more, so they end by `os._exit`.
 
 import contextlib
 import json
-import os
 import sys
 import traceback
 from collections.abc import Callable, Iterator, Mapping
@@ -16,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from evo_cpg.cli.errors import UsageError, is_users_fault
+from evo_cpg.cli.interrupts import leave_at_once
 
 if TYPE_CHECKING:
     from evo_cpg.training.processes import Team
@@ -121,11 +121,11 @@ def together(asked: Distribution, run: Path) -> Iterator["Team"]:
         yield team
     except processes.TeamError as error:
         _say(f"evo-cpg: {error}; {advice}")
-        _leave_at_once(LOST)
+        leave_at_once(LOST)
     except KeyboardInterrupt:
         if team.count == 1:
             raise
-        _leave_at_once(_INTERRUPTED)
+        leave_at_once(_INTERRUPTED)
     except Exception as error:
         if team.count == 1:
             raise
@@ -135,9 +135,9 @@ def together(asked: Distribution, run: Path) -> Iterator["Team"]:
                 team.leave()
         if is_users_fault(error):
             _say(f"evo-cpg: {error}")
-            _leave_at_once(_WRONG_INPUT)
+            leave_at_once(_WRONG_INPUT)
         traceback.print_exc()
-        _leave_at_once(_FAULT)
+        leave_at_once(_FAULT)
 
 
 def require_same(team: "Team", own: Mapping[str, Mapping[str, str]]) -> None:
@@ -211,9 +211,3 @@ def _versions() -> dict[str, str]:
 
 def _say(line: str) -> None:
     print(line, file=sys.stderr, flush=True)
-
-
-def _leave_at_once(code: int) -> None:
-    sys.stdout.flush()
-    sys.stderr.flush()
-    os._exit(code)

@@ -13,6 +13,7 @@ from typer.core import TyperGroup
 
 from evo_cpg.cli.completion import complete_config
 from evo_cpg.cli.configs import app as configs_app
+from evo_cpg.cli.interrupts import interrupts_delivered, leave_at_once
 from evo_cpg.cli.options import (
     Cell,
     Config,
@@ -694,7 +695,8 @@ def bench(
 def main() -> None:
     """Run the command line; errors of the user's become one or two lines and exit code 2."""
     try:
-        app()
+        with interrupts_delivered():
+            app()
     except KeyboardInterrupt:
         raise SystemExit(_INTERRUPTED) from None
     except Exception as error:
@@ -704,3 +706,13 @@ def main() -> None:
             raise
         print(f"evo-cpg: {error}", file=sys.stderr)
         raise SystemExit(_WRONG_INPUT) from None
+
+
+def program() -> None:
+    """`main` as a process: when it was interrupted nobody waits for what still compiles."""
+    try:
+        main()
+    except SystemExit as stop:
+        if stop.code == _INTERRUPTED:
+            leave_at_once(_INTERRUPTED)
+        raise

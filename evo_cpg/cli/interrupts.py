@@ -1,0 +1,82 @@
+"""Control-C: a KeyboardInterrupt that is neither lost nor ends the process in a crash.
+
+JAX has Python called from where no exception may come out. One that is raised in a callback of the
+garbage collector, which is often, is printed and forgotten, and the program goes on; one that is
+raised while a cache of C++ hashes or compares its keys ends the process. So there the interrupt
+waits for a moment.
+"""
+
+import contextlib
+import os
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from types import FrameType
+from typing import Any, NoReturn
+
+# Functions from which, and from what they call, no exception may come out.
+_SILENT = frozenset({"__hash__", "__eq__", "__del__", "_xla_gc_callback"})
+
+_MOMENT = 0.01  # s
+
+
+@contextlib.contextmanager
+def interrupts_delivered() -> Iterator[None]:
+    """For as long as the block lasts; where interrupts are ignored, they still are."""
+    ours = threading.current_thread() is threading.main_thread()
+    ours &= hasattr(signal, "pthread_kill")  # Windows has none
+    if not ours or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        yield
+        return
+    before, again = sys.unraisablehook, _Again()
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        if not _must_return(frame):
+            raise KeyboardInterrupt
+        again()
+
+    def forgotten(unraisable: Any) -> None:
+        if issubclass(unraisable.exc_type, KeyboardInterrupt):
+            again()
+        else:
+            before(unraisable)
+
+    signal.signal(signal.SIGINT, interrupt)
+    sys.unraisablehook = forgotten
+    try:
+        yield
+    finally:
+        sys.unraisablehook = before
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def leave_at_once(code: int) -> NoReturn:
+    """End the process without waiting for its threads, of which one may compile for long."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)
+
+
+class _Again:
+    """Interrupts once more, in a moment, however often that is asked for until then."""
+
+    def __init__(self) -> None:
+        self._timer: threading.Timer | None = None
+
+    def __call__(self) -> None:
+        if self._timer is not None and self._timer.is_alive():
+            return
+        # To this thread, so that it wakes up should it sleep by then.
+        main = threading.main_thread().ident
+        self._timer = threading.Timer(_MOMENT, signal.pthread_kill, [main, signal.SIGINT])
+        self._timer.daemon = True
+        self._timer.start()
+
+
+def _must_return(frame: FrameType | None) -> bool:
+    while frame is not None:
+        if frame.f_code.co_name in _SILENT:
+            return True
+        frame = frame.f_back
+    return False

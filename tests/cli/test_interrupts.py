@@ -1,0 +1,95 @@
+"""Control-C at moments at which Python would lose it, or die of it."""
+
+import signal
+import sys
+import threading
+import time
+
+import pytest
+
+from evo_cpg.cli.interrupts import interrupts_delivered
+
+LONG = 20.0  # s; an interrupt comes in a hundredth of one
+
+
+@pytest.fixture(autouse=True)
+def python_as_it_starts():
+    """A shell that runs the tests in the background has them ignore control-C."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+def test_it_waits_until_a_key_is_hashed():
+    class Key:
+        def __hash__(self):
+            signal.raise_signal(signal.SIGINT)
+            return deeper()
+
+    def deeper():
+        signal.raise_signal(signal.SIGINT)
+        return 1
+
+    known = {}
+    with interrupts_delivered(), pytest.raises(KeyboardInterrupt):
+        known[Key()] = "there"
+        time.sleep(LONG)
+    assert list(known.values()) == ["there"]
+
+
+def test_one_that_was_forgotten_comes_again():
+    class Dying:
+        def __del__(self):
+            raise KeyboardInterrupt
+
+    passed = False
+    with interrupts_delivered(), pytest.raises(KeyboardInterrupt):
+        dying = Dying()
+        del dying
+        passed = True
+        time.sleep(LONG)
+    assert passed
+
+
+def test_another_error_that_cannot_be_raised_is_told_as_before(monkeypatch):
+    told = []
+    monkeypatch.setattr(sys, "unraisablehook", told.append)
+
+    class Dying:
+        def __del__(self):
+            raise ValueError("an error of theirs")
+
+    with interrupts_delivered():
+        dying = Dying()
+        del dying
+    assert [str(each.exc_value) for each in told] == ["an error of theirs"]
+
+
+def test_afterwards_all_is_as_before(monkeypatch):
+    hook = sys.unraisablehook
+    with interrupts_delivered():
+        assert sys.unraisablehook is not hook
+    assert sys.unraisablehook is hook
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    with pytest.raises(KeyboardInterrupt):
+        signal.raise_signal(signal.SIGINT)
+
+
+def test_who_ignores_it_goes_on_ignoring_it():
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with interrupts_delivered():
+        signal.raise_signal(signal.SIGINT)
+        assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+
+
+def test_in_a_thread_nothing_is_installed():
+    found = []
+
+    def look():
+        with interrupts_delivered():
+            found.append(signal.getsignal(signal.SIGINT))
+
+    thread = threading.Thread(target=look)
+    thread.start()
+    thread.join()
+    assert found == [signal.default_int_handler]
