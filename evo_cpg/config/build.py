@@ -385,6 +385,7 @@ def _build_task(
         light=light,
         distance_weight=given.distance_weight,
         energy_weight=given.energy_weight,
+        energy_max=given.energy_max,
         light_weight=given.light_weight,
         final_steps=chosen(
             lambda: max(1, round(given.final_seconds * config.simulation.control_rate_hz))

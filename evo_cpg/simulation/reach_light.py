@@ -4,8 +4,8 @@
 
 with D the distance to the light at the end (mean of the last second), E the energy spent by the
 motors and L the light seen by the best eye, averaged over the trial. All three are normalised: D
-by the distance at the start, E by the 95th percentile of the first generation. Eq. 10 then reads
-``a > c > b``.
+by the distance at the start, E by what is given or by the 95th percentile of the first generation.
+Eq. 10 then reads ``a > c > b``.
 """
 
 from collections.abc import Mapping
@@ -43,6 +43,7 @@ class ReachLight(Task):
         energy_weight: b.
         light_weight: c.
         final_steps: control steps at the end over which the distance is averaged.
+        energy_max: E_max, J; None for the first generation's.
     """
 
     light: Triple
@@ -50,6 +51,7 @@ class ReachLight(Task):
     energy_weight: Number = 0.2
     light_weight: Number = 0.5
     final_steps: int = 60
+    energy_max: Number | None = None
 
     def begin(self, batch: tuple[int, ...], dtype: jnp.dtype, steps: int) -> LightTally:
         """See `Task.begin`."""
@@ -78,7 +80,9 @@ class ReachLight(Task):
         }
 
     def scales(self, terms: Mapping[str, Float[Array, " n"]]) -> dict[str, Float[Array, ""]]:
-        """``energy``: E_max, the 95th percentile of the first generation, J."""
+        """``energy``: E_max, as given or the 95th percentile of the first generation, J."""
+        if self.energy_max is not None:
+            return {"energy": jnp.asarray(self.energy_max, terms["energy"].dtype)}
         energy = jnp.where(jnp.isfinite(terms["energy"]), terms["energy"], jnp.nan)
         top = jnp.nanpercentile(energy, _ENERGY_PERCENTILE)
         return {"energy": jnp.where(top > 0, top, 1.0)}

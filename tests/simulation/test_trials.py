@@ -131,6 +131,15 @@ def test_what_exceeds_the_yardsticks_counts_no_further():
     assert float(fitness[0]) == float(fitness[1]) == pytest.approx(-1.7)
 
 
+def test_the_energy_yardstick_may_be_given():
+    task = ReachLight((1.0, 0.0, 0.0), energy_max=250.0)
+    spent = {"energy": jnp.array([5.0, 250.0, jnp.nan])}
+    scales = task.scales(spent)
+    assert float(scales["energy"]) == 250.0
+    terms = spent | {"distance": jnp.zeros(3), "light": jnp.zeros(3)}
+    np.testing.assert_allclose(task.fitness(terms, scales)[:2], [-0.004, -0.2], rtol=1e-6)
+
+
 def test_the_energy_yardstick_is_the_95th_percentile_of_the_living():
     task = ReachLight((1.0, 0.0, 0.0))
     energy = np.random.default_rng(0).uniform(1, 5, 40).astype(np.float32)

@@ -84,6 +84,8 @@ class ReachLightConfig(Section):
         distance_weight: a, of the distance that is left.
         light_weight: c, of the light in sight; less than ``distance_weight``.
         energy_weight: b, of the energy spent; less than ``light_weight``.
+        energy_max: E_max, J; what is spent beyond it is free. The 95th percentile of the first
+            generation if left out.
         final_seconds: time at the end over which the distance is averaged, s.
     """
 
@@ -92,6 +94,7 @@ class ReachLightConfig(Section):
     distance_weight: NotNegative = 1.0
     light_weight: NotNegative = 0.5
     energy_weight: NotNegative = 0.2
+    energy_max: Positive | None = None
     final_seconds: Positive = 1.0
 
     @field_validator("light")
