@@ -5,14 +5,13 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from evo_cpg.analysis.along_time import along_time
 from evo_cpg.creature.creature import Creature
-from evo_cpg.creature.self_collision import SelfCollision
 from evo_cpg.physics.contact_points import contact_points
 from evo_cpg.physics.kinematics import Kinematics, kinematics
-from evo_cpg.physics.pairs import Pairs, make_pairs, separations
+from evo_cpg.physics.pairs import Pairs, separations, watched_pairs
 from evo_cpg.physics.per_body import take
 from evo_cpg.physics.world import World
 from evo_cpg.simulation.physics_steps import PhysicsSteps
@@ -33,9 +32,10 @@ class Excursions(NamedTuple):
 
     Attributes:
         way: that the root came nearer to the light, or over the ground from its start, m.
-        airborne_way: share of the way made while nothing touched the ground; 0 without ground.
+        airborne_way: share of the way made while nothing touched the ground and no body's centre
+            was under water; 0 without ground.
         penetration: of the ground, the deepest, m.
-        overlap: of two bodies that are no neighbours, the deepest, m.
+        overlap: of two bodies (`evo_cpg.physics.pairs.watched_pairs`), the deepest, m.
         overlapping: their names; none where nothing overlaps.
         unsolved: share of steps whose equations are not solved to `SOLVED`.
         slipping: share of steps whose friction misses its cone by more than `SLIPPING`.
@@ -80,13 +80,13 @@ def excursions(
         situation: number of the one that it began with.
     """
     world, light = simulation.world, simulation.lights[situation]
-    every = make_pairs(creature, world.tree, SelfCollision())
+    every = watched_pairs(creature, world.tree, world.pairs)
 
-    def depths(steps: PhysicsSteps) -> tuple[Array, Array]:
+    def depths(steps: PhysicsSteps) -> tuple[Array, Array, Array]:
         kin = kinematics(world.tree, steps.after)
-        return _clearance(world, kin), _gaps(every, kin)
+        return _clearance(world, kin), _gaps(every, kin), _swims(world, kin)
 
-    clearance, gaps = along_time(depths, steps)
+    clearance, gaps, swims = along_time(depths, steps)
     overlap, overlapping = _deepest_overlap(every, world, gaps)
     rate = (steps.before.qd + steps.after.qd) / 2
     power = steps.torque * rate
@@ -99,7 +99,7 @@ def excursions(
     travelled = way(np.concatenate([steps.before.position[:, :1], root], 1), light)
     return Excursions(
         way=travelled,
-        airborne_way=_airborne_way(steps, light, h) if world.footing is not None else 0.0,
+        airborne_way=_airborne_way(steps, swims, light, h) if world.footing is not None else 0.0,
         penetration=float(max(0.0, -clearance.min(initial=np.inf))),
         overlap=overlap,
         overlapping=overlapping,
@@ -141,6 +141,16 @@ def _gaps(pairs: Pairs | None, kin: Kinematics) -> Float[Array, "k t"]:
     return kin.origin[0, :0] if pairs is None else separations(pairs, kin).gap
 
 
+def _swims(world: World, kin: Kinematics) -> Bool[Array, " t"]:
+    """Whether a body's centre is under water."""
+    height = kin.origin[2]
+    if world.water is None:
+        return jnp.zeros(height.shape[1:], bool)
+    if world.water.surface is None:
+        return jnp.ones(height.shape[1:], bool)
+    return (height < world.water.surface).any(0)
+
+
 def _deepest_overlap(
     pairs: Pairs | None, world: World, gaps: Float[np.ndarray, "k t"]
 ) -> tuple[float, tuple[str, ...]]:
@@ -151,9 +161,14 @@ def _deepest_overlap(
     return -float(least[worst]), tuple(world.tree.names[owner[worst]] for owner in pairs.owners)
 
 
-def _airborne_way(steps: PhysicsSteps, light: tuple[float, float, float] | None, h: float) -> float:
-    """Share of the way made while nothing touches."""
-    touching = np.abs(steps.contact_force).sum((0, 1)) > 0
+def _airborne_way(
+    steps: PhysicsSteps,
+    swims: Bool[np.ndarray, " t"],
+    light: tuple[float, float, float] | None,
+    h: float,
+) -> float:
+    """Share of the way made while neither ground nor water holds the animal."""
+    touching = (np.abs(steps.contact_force).sum((0, 1)) > 0) | swims
     start = np.asarray(steps.before.position[:, 0], float)
     end = np.asarray(steps.after.position[:, -1], float)
     towards = (end if light is None else np.array(light)) - start

@@ -83,7 +83,8 @@ def limits_from(settings: Sequence[str], limits: Limits = Limits()) -> Limits:
             hint = f"did you mean {near[0]}?" if near else f"allowed: {', '.join(known)}"
             raise LimitError(f"{setting}: there is no limit {key!r}; {hint}")
         try:
-            value = float(text)
+            # Python's own separator of digits is no number in YAML.
+            value = math.nan if "_" in text else float(text)
         except ValueError:
             value = math.nan
         if not (math.isfinite(value) and value >= 0):

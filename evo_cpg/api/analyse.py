@@ -3,7 +3,7 @@
 import io
 import json
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +15,7 @@ from evo_cpg.api.training import now, require_configured
 from evo_cpg.api.version import version
 from evo_cpg.config.load import load_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
-from evo_cpg.training.checkpoint import Champion
+from evo_cpg.training.checkpoint import Champion, genes_digest
 from evo_cpg.training.experiment import Experiment
 from evo_cpg.training.run_folder import RunFolder, RunFolderError, write_whole
 
@@ -131,11 +131,21 @@ def page(
         meta=folder.read_meta(),
         audit=audit,
         stale=bool(audit) and not _is_of(audit, champion),
+        half_step=_kept_at_half_the_step(folder.read_meta(), champion),
         departures=departures(config),
         program=version().splitlines()[0],
         made=now(),
     )
     return document.document(subject, motion)
+
+
+def _kept_at_half_the_step(meta: Mapping[str, Any], champion: Champion) -> float | None:
+    """What `train` noted of this champion, and not of another one."""
+    first = meta.get("half_step")
+    if not isinstance(first, Mapping) or first.get("genes_sha256") != genes_digest(champion.genes):
+        return None
+    kept = first.get("measured")
+    return float(kept) if isinstance(kept, (int, float)) else None
 
 
 def _expected(champion: Champion) -> dict[str, float]:

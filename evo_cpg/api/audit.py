@@ -16,6 +16,7 @@ from evo_cpg.config.build import build_experiment
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.control.postures import PostureController
 from evo_cpg.creature.creature import Creature, length_of
+from evo_cpg.creature.self_collision import SelfCollision, pairs_that_touch_at_rest
 from evo_cpg.exchange.errors import ExchangeError
 from evo_cpg.exchange.second_opinion import Brain, Opinion, own_opinion, second_opinion
 from evo_cpg.fusion.engine import Engine, described
@@ -27,6 +28,9 @@ from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.experiment import Experiment, champion_keys, situation_numbers
 from evo_cpg.training.probe import blinded
 from evo_cpg.training.variations import Kept, Variation
+
+# Pairs of bodies that are named, of those that are not looked at.
+_NAMED = 5
 
 # By so much friction and drag are changed.
 _CHANGE = 0.1
@@ -257,8 +261,11 @@ def books(
         Check("peak_rate", "fastest joint", worst("peak_rate"), unit="rad/s"),
     ]
     deepest = max(found, key=lambda each: each.overlap)
-    words = " in ".join(deepest.overlapping)
-    checks.append(check("overlap", "limbs overlap by", deepest.overlap, "m", words))
+    words = [" in ".join(deepest.overlapping)] if deepest.overlapping else []
+    passing = _pairs_that_pass(experiment)
+    if passing:
+        words.append(f"not looked at, as they touch in the neutral pose: {passing}")
+    checks.append(check("overlap", "limbs overlap by", deepest.overlap, "m", "; ".join(words)))
     if simulation.world.footing is not None:
         checks += [
             check("penetration", "penetration of the ground", worst("penetration"), "m"),
@@ -272,8 +279,9 @@ def books(
     if any(np.any(trial.steps.coulomb_residual) for trial in trials):
         checks += [
             check("unsolved", "steps not solved", worst("unsolved")),
-            check("slipping", "steps off the friction cone", worst("slipping")),
         ]
+        if simulation.world.footing is not None:
+            checks.append(check("slipping", "steps off the friction cone", worst("slipping")))
     if simulation.sensors.eye_bodies and simulation.world.footing is not None:
         seen = worst("seen_through_ground")
         checks.append(check("seen_through_ground", "light seen through the ground", seen))
@@ -281,6 +289,16 @@ def books(
         spent = champion.terms["energy"] / champion.scales["energy"] - 1.0
         checks.append(check("free_energy", "energy spent for free", max(0.0, spent)))
     return checks
+
+
+def _pairs_that_pass(experiment: Experiment) -> str:
+    """Bodies that touch in the neutral pose, and may therefore be in each other."""
+    world = experiment.simulation.world
+    kept = SelfCollision(include=tuple(world.pair_names))
+    found = pairs_that_touch_at_rest(experiment.creature, world.tree, kept)
+    names = [f"{world.tree.names[i]} and {world.tree.names[j]}" for i, j in found]
+    more = [f"{len(names) - _NAMED} more"] if len(names) > _NAMED else []
+    return ", ".join(names[:_NAMED] + more)
 
 
 def _variations(

@@ -26,6 +26,7 @@ import numpy as np
 from evo_cpg.analysis.compare import Comparison, Spread, compare, spread
 from evo_cpg.api.training import begin_run
 from evo_cpg.config.build import build_experiment
+from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.fingerprint import fingerprint
 from evo_cpg.config.load import load_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
@@ -103,6 +104,15 @@ def new_plan(source: Path, overrides: Sequence[str], settings: Sequence[Setting]
         "overrides": list(overrides),
         "settings": {setting.name: setting.values for setting in settings},
     }
+    for setting in settings:
+        for key, value in setting.values.items():
+            try:
+                json.dumps(value)
+            except TypeError:
+                kind = type(value).__name__
+                raise ConfigError(
+                    source, key.split("."), f"{value}: a {kind}; allowed: numbers, texts, lists"
+                ) from None
     # As it will be read.
     return json.loads(json.dumps(plan))
 
@@ -202,7 +212,8 @@ def groups(members: Sequence[Member]) -> list[list[Member]]:
     found: dict[str, list[Member]] = {}
     for member in members:
         config = member.config.model_dump(mode="json", exclude=set(_SEARCH))
-        rules = member.config.audit.model_dump(mode="json")["disqualify"]
+        audit = member.config.audit.model_dump(mode="json")
+        rules = {name: audit[name] for name in audit["disqualify"]}
         measures = member.experiment.simulation.measures
         names = () if measures is None else measures.names
         key = json.dumps([config, rules, names, member.experiment.trials], sort_keys=True)

@@ -20,7 +20,7 @@ from evo_cpg.config.load import dump_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.config.shipped import shipped_name
 from evo_cpg.training import experiment as parts
-from evo_cpg.training.checkpoint import Champion
+from evo_cpg.training.checkpoint import Champion, genes_digest
 from evo_cpg.training.memory import require_memory
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
 
@@ -195,7 +195,10 @@ class Recorder:
         if self._look is not None:
             seen = self._look.result()(champion)
             self.seen = seen
-            told = {"measured": seen.measured, "least": seen.limit, "passed": seen.passed}
+            told: dict[str, Any] | None = None
+            if seen.passed is not None:
+                told = {"measured": seen.measured, "least": seen.limit, "passed": seen.passed}
+                told["genes_sha256"] = genes_digest(champion.genes)
             self._folder.update_meta(half_step=told)
         self._folder.update_meta(finished=now())
 

@@ -173,8 +173,10 @@ def _summary(champions: Sequence[Champion], made: Sequence["Audit"]) -> Table:
     """A line for each champion: what it keeps of its way where, and what MuJoCo says."""
     keys = [key for key in _KEPT if any(_measured(done, key) is not None for done in made)]
     names = [f"{_KEPT[key]} %" for key in keys]
-    table = Table("run", "way m", *names, "MuJoCo m", "upright %", "", box=box.SIMPLE_HEAD,
-                  pad_edge=False)  # fmt: skip
+    table = Table(
+        "run", "way m", *names, "MuJoCo: over ground m", "upright %", "",
+        box=box.SIMPLE_HEAD, pad_edge=False,
+    )  # fmt: skip
     for column in table.columns[1:-1]:
         column.justify = "right"
     for each, done in zip(champions, made, strict=True):
@@ -223,7 +225,7 @@ def _table(checks: tuple[Check, ...]) -> Table:
 def _opinions(opinions: tuple) -> Table:
     """What two programs make of the same commands."""
     table = Table(
-        "program", "way", "heading", "upright", "airborne", "joints off by",
+        "program", "over ground", "heading", "upright", "airborne", "joints off by",
         box=box.SIMPLE_HEAD, pad_edge=False,
     )  # fmt: skip
     for one in opinions:

@@ -105,7 +105,4 @@ def import_model(path: Path, output: Path, motor_gain: float | None, overwrite: 
 
 
 def _write(output: Path, text: str) -> None:
-    try:
-        output.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise UsageError(f"{output} cannot be written ({error.strerror})") from None
+    write_whole(output, lambda file: file.write(text.encode()))

@@ -19,6 +19,7 @@ from evo_cpg.config.load import dump_config, load_config
 from evo_cpg.config.numbers import number_at, with_numbers
 from evo_cpg.config.parameters import Parameters, parametrise
 from evo_cpg.config.schema.experiment import ExperimentConfig
+from evo_cpg.training.run_folder import write_whole
 from evo_cpg.view.output import PLOT_SUFFIXES, output_path
 
 if TYPE_CHECKING:
@@ -87,10 +88,8 @@ def fit_data(
     if out is not None:
         found = dict(zip(ordered, map(float, result.values), strict=True))
         fitted = with_numbers(whole, {k: v for k, v in found.items() if k in inner}, path)
-        try:
-            out.write_text(dump_config(fitted), encoding="utf-8")
-        except OSError as error:
-            raise UsageError(f"{out} cannot be written ({error.strerror})") from None
+        text = dump_config(fitted)
+        write_whole(out, lambda file: file.write(text.encode()))
         print(out)
     if plot is not None:
         from evo_cpg.view.fit_plot import plot_fit

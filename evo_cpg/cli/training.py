@@ -294,7 +294,7 @@ def validate_configs(words: Sequence[str], strict: bool = False) -> None:
         UsageError: there is no file among the words.
         SystemExit: with 2, where a file is wrong.
     """
-    overrides = [word for word in words if "=" in word and not Path(word).exists()]
+    overrides = [word for word in words if "=" in word and not _exists(word)]
     paths = [Path(word) for word in words if word not in overrides]
     if not paths:
         raise UsageError(f"validate: {overrides[0]} is a setting; name a configuration file, too")
@@ -317,6 +317,14 @@ def validate_configs(words: Sequence[str], strict: bool = False) -> None:
             warn_of_oscillators(given, experiment.simulation)
     if wrong:
         raise SystemExit(2)
+
+
+def _exists(word: str) -> bool:
+    """Whether a word is a file; one that no file can be called is none."""
+    try:
+        return Path(word).exists()
+    except (OSError, ValueError):
+        return False
 
 
 def open_run(run: Path) -> tuple[RunFolder, ExperimentConfig, Experiment]:

@@ -275,18 +275,23 @@ def _apply(data: dict[str, Any], override: str) -> None:
     for i, part in enumerate(parents):
         if isinstance(place, dict):
             place = place.setdefault(part, {})
-        elif isinstance(place, list) and part.isdigit() and int(part) < len(place):
+        elif isinstance(place, list) and is_index(part, place):
             place = place[int(part)]
         else:
             raise ConfigError(
                 "command line", key.split("."), f"{'.'.join(parents[:i])} has no {part}"
             )
-    if isinstance(place, list) and last.isdigit() and int(last) < len(place):
+    if isinstance(place, list) and is_index(last, place):
         place[int(last)] = value
     elif isinstance(place, dict):
         place[last] = value
     else:
         raise ConfigError("command line", key.split("."), f"{'.'.join(parents)} has no {last}")
+
+
+def is_index(part: str, place: list[Any]) -> bool:
+    """Whether a part of a key, as ``bodies.1`` has it, is the number of an entry of a list."""
+    return part.isascii() and part.isdigit() and int(part) < len(place)
 
 
 def _worded(
@@ -295,7 +300,7 @@ def _worded(
     """The first problem, in words. Unknown keys go first: a typo explains what is missing."""
     problems = sorted(error.errors(), key=lambda p: p["type"] not in _UNKNOWN_KEY)
     problem = problems[0]
-    key = _key_in(data, problem["loc"])
+    key = _key_in(data, problem["loc"], problem["type"] == "missing")
     kind, given = problem["type"], problem.get("input")
     if kind in _UNKNOWN_KEY:
         valid = _siblings(ExperimentConfig, data, key[:-1])
@@ -323,17 +328,23 @@ def _worded(
     return ConfigError(source, key, f"{_short(given)}: {_lower(message)}{more}")
 
 
-def _key_in(data: Any, location: Key) -> tuple[str | int, ...]:
-    """A pydantic location without the names of union members, which are no keys of the file."""
+def _key_in(data: Any, location: Key, missing: bool) -> tuple[str | int, ...]:
+    """A pydantic location without the names of union members, which are no keys of the file.
+
+    Args:
+        data: what was read.
+        location: of the problem.
+        missing: whether the problem is that there is no such key.
+    """
     key: list[str | int] = []
     place: Any = data
     for i, part in enumerate(location):
-        is_key = isinstance(place, dict) and part in place
-        is_index = isinstance(place, list) and isinstance(part, int) and part < len(place)
-        if is_key or is_index:
+        of_dict = isinstance(place, dict) and part in place
+        of_list = isinstance(place, list) and isinstance(part, int) and part < len(place)
+        if of_dict or of_list:
             key.append(part)
             place = cast(Any, place)[part]
-        elif i == len(location) - 1 and isinstance(place, dict) and part != place.get("type"):
+        elif missing and i == len(location) - 1 and isinstance(place, dict):
             key.append(part)
     return tuple(key)
 

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel
 
 from evo_cpg.config.errors import ConfigError
-from evo_cpg.config.load import check_config
+from evo_cpg.config.load import check_config, is_index
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.spatial.numerics import Number
 
@@ -37,7 +37,7 @@ def number_at(config: ExperimentConfig, key: str, source: Path | str = "") -> fl
     for part in key.split("."):
         if isinstance(place, dict) and part in place:
             place = place[part]
-        elif isinstance(place, list) and part.isdigit() and int(part) < len(place):
+        elif isinstance(place, list) and is_index(part, place):
             place = place[int(part)]
         else:
             raise ConfigError(source, key.split("."), f"does not exist; {_hint(config, key)}")

@@ -51,6 +51,16 @@ def colliding_pairs(creature: Creature, tree: Tree, wanted: SelfCollision) -> li
     return [pair for pair in candidates if pair not in overlapping]
 
 
+def pairs_that_touch_at_rest(
+    creature: Creature, tree: Tree, wanted: SelfCollision
+) -> list[tuple[int, int]]:
+    """Pairs that the rule lets pass because they touch or overlap in the neutral pose.
+
+    Neighbours at a joint are not among them. See `colliding_pairs` for the arguments.
+    """
+    return sorted(_candidates(creature, tree, wanted)[1])
+
+
 def colliding_pairs_of_all(
     creatures: Iterable[tuple[Creature, Tree]], wanted: SelfCollision
 ) -> PairNames:

@@ -63,7 +63,7 @@ def audit_table(title: str, rows: dict[str, list[dict[str, Any]]]) -> Table:
         dict.fromkeys(o["program"] for each in rows.values() for r in each for o in _others(r))
     )
     head = ["", "seed", "way, m", *(_KEPT[key] for key in keys)]
-    head += [*(f"{program}: way, m" for program in programs), "passes"]
+    head += [*(f"{program}: over ground, m" for program in programs), "passes"]
     lines = []
     for name, found in rows.items():
         for row in found:

@@ -124,11 +124,19 @@ def folder_in_one_piece(folder: Path) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def in_one_piece(path: Path) -> Iterator[Path]:
-    """Write to a neighbour of ``path`` that takes its place at the end, whole or not at all."""
+    """Write to a neighbour of ``path`` that takes its place at the end, whole or not at all.
+
+    Raises:
+        OutputError: it cannot be written, for instance because the disk is full.
+    """
     partial = path.with_name(f".{path.stem}.partial{path.suffix.lower()}")
     try:
         yield partial
         os.replace(partial, path)
+    except OutputError:
+        raise
+    except OSError as error:
+        raise OutputError(f"cannot write {path}: {error.strerror or error}") from None
     finally:
         partial.unlink(missing_ok=True)
 
@@ -176,7 +184,8 @@ def frame_writer(
     whole = folder_in_one_piece(path.parent) if numbered else in_one_piece(path)
     with whole as partial, tempfile.TemporaryFile() as complaints:
         process = subprocess.Popen(
-            [*command, path.name if numbered else str(partial)],
+            # A relative path with a colon would be a protocol to ffmpeg.
+            [*command, path.name if numbered else str(partial.absolute())],
             stdin=subprocess.PIPE,
             stderr=complaints,
             cwd=partial if numbered else None,

@@ -17,10 +17,13 @@ from evo_cpg.analysis.excursions import excursions
 from evo_cpg.analysis.verdict import Limits
 from evo_cpg.api.audit import Trial, books, draws_of, lived_trials
 from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, LightSensor, Material
+from evo_cpg.creature.self_collision import SelfCollision
 from evo_cpg.creature.shapes import Box
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.exchange.mujoco_state import load_state
+from evo_cpg.physics.fluid import Water
 from evo_cpg.physics.footing import Ground, make_footing
+from evo_cpg.physics.pairs import make_pairs
 from evo_cpg.physics.terrain import Plane
 from evo_cpg.physics.world import World
 from evo_cpg.simulation.noise import Noise
@@ -49,14 +52,19 @@ def failed(found, **limits) -> set[str]:
     return {check.key for check in checks if check.passed is False}
 
 
-def walker(slope=0.0, height=0.0, torque_limit=5.0, light=None):
-    """Three boxes in a row on a plane, the outer two driven by a wave and never kept apart."""
+def walker(slope=0.0, height=0.0, torque_limit=5.0, light=None, short=False):
+    """Three boxes in a row on a plane, the outer two driven by a wave and never kept apart.
+
+    In a short one the outer two touch in the middle of the third.
+    """
     flesh = Material(500.0, 0.0, 0.6, 0.6)
     motor = Actuator(2.0, torque_limit)
 
     def segment(name, parent):
+        behind = 0.11 if not short else 0.1 if parent == "head" else 0.0
+        ahead = 0.11 if not short else 0.1 if name == "b" else 0.0
         joint = Joint(
-            parent, (-0.11, 0, 0), (0.11, 0, 0), (AXES["z"],), (-3.0,), (3.0,), actuator=motor
+            parent, (-behind, 0, 0), (ahead, 0, 0), (AXES["z"],), (-3.0,), (3.0,), actuator=motor
         )
         return Body(name, Box((0.2, 0.1, 0.1)), flesh, joint)
 
@@ -207,15 +215,50 @@ def test_a_slide_from_the_start_is_found():
     assert without.way[0] < 0.1 * own.way[0]
 
 
+def folded(made, trial):
+    """The same trial, with the hindmost box turned into the foremost."""
+    after = trial.steps.after
+    bent = eqx.tree_at(lambda state: state.q, after, np.full_like(after.q, 2.9))
+    return judged(made, (trial._replace(steps=trial.steps._replace(after=bent)),))
+
+
 def test_limbs_in_each_other_are_found(honest):
     """The hindmost box in the foremost, which nothing keeps apart."""
     made, (trial,) = honest
     assert trial.excursions.overlap == 0
-    after = trial.steps.after
-    folded = eqx.tree_at(lambda state: state.q, after, np.full_like(after.q, 2.9))
-    trials = judged(made, (trial._replace(steps=trial.steps._replace(after=folded)),))
+    trials = folded(made, trial)
     assert "overlap" in failed((made, trials))
     assert set(trials[0].excursions.overlapping) == {"head", "b"}
+
+
+def test_limbs_that_touch_at_rest_are_named_and_looked_at_where_they_are_kept_apart():
+    made = walker(short=True)
+    (trial,) = folded(made, *lived_trials(made, champion()))
+    checks = {check.key: check for check in books(made, champion(), (trial,), Limits())}
+    left_out = "not looked at, as they touch in the neutral pose: head and b"
+    assert (checks["overlap"].measured, checks["overlap"].detail) == (0, left_out)
+    world = made.simulation.world
+    pair = SelfCollision(include=(("head", "b"),))
+    world = dataclasses.replace(world, pairs=make_pairs(made.creature, world.tree, pair))
+    apart = made._replace(simulation=dataclasses.replace(made.simulation, world=world))
+    (trial,) = folded(apart, trial)
+    checks = {check.key: check for check in books(apart, champion(), (trial,), Limits())}
+    assert checks["overlap"].passed is False
+    assert sorted(checks["overlap"].detail.split(" in ")) == ["b", "head"]
+
+
+def test_who_swims_above_a_floor_does_not_fly():
+    """Water as far as above it all, and a pool that it hangs over."""
+    for surface, share in ((2.0, 0.0), (-2.0, 1.0)):
+        made = walker(height=0.5)
+        world = made.simulation.world
+        water = Water(1000.0, 1.0, 0.0, surface=surface)
+        world = dataclasses.replace(world, water=water)
+        trial = lived_trials(walker(height=0.5), champion())[0]
+        steps = trial.steps._replace(contact_force=0 * trial.steps.contact_force)
+        wet = made._replace(simulation=dataclasses.replace(made.simulation, world=world))
+        (found,) = judged(wet, (trial._replace(steps=steps),))
+        assert found.excursions.airborne_way == pytest.approx(share)
 
 
 def test_light_seen_through_the_ground_is_found(honest):

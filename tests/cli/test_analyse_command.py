@@ -17,6 +17,7 @@ from evo_cpg.api import analyse as analysing
 from evo_cpg.api import departures as departing
 from evo_cpg.api.departures import departures, notes
 from evo_cpg.config.load import load_config
+from evo_cpg.training.checkpoint import genes_digest
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
 from tiny_run import CONFIG, REPOSITORY, TINY
 
@@ -198,6 +199,18 @@ def test_the_audit_is_told(cli, walker, tmp_path):
     rows = rows_of(page, "audit")
     assert rows["way kept"][:2] == ["30 %", "at least 90 %"]
     assert rows["speed"][0] == "diverged"
+
+
+def test_what_is_kept_at_half_the_step_is_told_of_this_champion_alone(walker, tmp_path):
+    run = tmp_path / "run"
+    shutil.copytree(walker, run)
+    genes = RunFolder(run).load_champion()[0].genes
+    for digest, told in ((genes_digest(genes), True), (genes_digest(genes + 1), False)):
+        kept = {"measured": 0.87, "least": 0.9, "passed": False, "genes_sha256": digest}
+        RunFolder(run).update_meta(half_step=kept)
+        (run / "analysis.html").unlink()
+        page = evo.analyse(run).read_text(encoding="utf-8")
+        assert ("At half the physics step it keeps 87 %" in page) == told
 
 
 def test_departures_are_those_of_the_run(walker):

@@ -11,6 +11,7 @@ from evo_cpg.api import audit
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import load_config
+from evo_cpg.training.checkpoint import genes_digest
 from evo_cpg.training.run_folder import RunFolder
 from evo_cpg.training.variations import Variation, finer, live
 from tiny_run import CONFIG, PAIR
@@ -24,6 +25,7 @@ from tiny_run import CONFIG, PAIR
         ("half_step=", "'' is no limit; allowed: a number of at least 0"),
         ("half_step=-1", "'-1' is no limit"),
         ("half_step=nan", "'nan' is no limit"),
+        ("half_step=1_0", "'1_0' is no limit"),
     ],
 )
 def test_wrong_limits_are_refused_before_anything_is_done(cli, tmp_path, setting, words):
@@ -75,6 +77,7 @@ def test_train_takes_a_first_look_at_its_champion(cli, tmp_path, monkeypatch):
     assert "warning: at half the physics step it keeps" in said and "evo-cpg audit" in said
     told = RunFolder(run).read_meta()["half_step"]
     assert told["passed"] is False and told["least"] == 1.5
+    assert told["genes_sha256"] == genes_digest(RunFolder(run).load_champion()[0].genes)
     experiment = build_experiment(load_config(run / "config.yaml"), run)
     champion = RunFolder(run).load_champion()[0]
     own = experiment.simulation

@@ -82,6 +82,18 @@ def test_what_shares_a_trial_shares_a_program(swept):
     assert names == [["plain", "random"], ["heavy"]]
 
 
+@pytest.mark.parametrize(
+    ("rule", "groups"),
+    [("speed", [["speed=1"], ["speed=2"]]), ("overlap", [["speed=1", "speed=2"]])],
+)
+def test_rules_with_other_limits_take_a_program_of_their_own(tmp_path, rule, groups):
+    """Who is out for one of them may live for the other."""
+    given = (*SHORT, f"audit.disqualify=[{rule}]")
+    plan = new_plan(CONFIG, given, combine({"audit.speed": [1.0, 2.0]}, {}))
+    found = sweeps.groups(sweeps.members_of(tmp_path, plan))
+    assert [[member.setting.name for member in group] for group in found] == groups
+
+
 def test_tables_and_figure(swept):
     runs = table(swept / "runs.csv")
     assert [(row["setting"], row["run"]) for row in runs] == [
@@ -180,6 +192,13 @@ def test_what_cannot_be_swept_is_said(tmp_path, given, words):
 def test_a_wrong_setting_is_said_before_anything_runs(tmp_path):
     with pytest.raises(evo.ConfigError, match=r"evolution\.mutation_rate: .*less than or equal"):
         sweep(tmp_path / "sweep", grid=("evolution.mutation_rate=0.5,1.5",))
+    assert not (tmp_path / "sweep").exists()
+
+
+@pytest.mark.parametrize("value", ["2020-01-01", "!!binary aGVsbG8="])
+def test_values_that_are_no_settings_are_refused(tmp_path, value):
+    with pytest.raises(evo.ConfigError, match=r"seed: .*allowed: numbers, texts, lists"):
+        sweep(tmp_path / "sweep", grid=(f"seed={value}",))
     assert not (tmp_path / "sweep").exists()
 
 

@@ -118,12 +118,23 @@ def test_a_wrong_config_is_refused_by_every_command(refused, tmp_path, command):
         ("creature.bodies.1.repeat=0", "repeat: 0: input should be greater than or equal to 1"),
         ("creature.bodies.1.joint.parent=hed", "'hed' does not exist; did you mean 'head'?"),
         ("evolution.population=8", "elites: must be fewer than the population of 8, got 20"),
+        (
+            "evolution={elites: 400}",
+            ": evolution: elites: must be fewer than the population of 200",
+        ),
+        ("creature.bodies.².repeat=5", "creature.bodies has no ²"),
+        ('name="a\\0b"', "name: 'a\\x00b': "),
         ("task.light_weight=2", "eq. 10 asks for"),
         ("world.gravity=.nan", "world.gravity: nan: input should be a finite number"),
     ],
 )
 def test_a_wrong_setting_is_refused_before_anything_is_written(refused, override, expected):
     assert expected in refused("train", CONFIG, override, "--out", "run")
+
+
+def test_a_setting_longer_than_a_file_name_is_a_setting(refused):
+    for long in ("1" * 400, f"[{', '.join(['{type: blok, size: [1, 1, 1]}'] * 9)}]"):
+        assert "world.ground" in refused("validate", CONFIG, f"world.ground={long}")
 
 
 @pytest.mark.parametrize(

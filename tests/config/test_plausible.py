@@ -52,6 +52,12 @@ MISTAKES = {
         "creature.bodies.0.shape.size",
         "a body of 0.0002 m; plausible are 0.001 to 30 m",
     ),
+    "a motor that spins its limb": (
+        INSECT,
+        ["creature.bodies.1.joint.actuator.torque_limit=2500"],
+        "creature.bodies.1.joint.actuator.torque_limit",
+        "rad/s about one of its axes in a physics step of",
+    ),
     "one radius in cm": (
         CONFIG,
         ["creature.bodies.0.shape={type: sphere, radius: 10}"],

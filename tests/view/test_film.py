@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+import os
 import re
 import subprocess
 import sys
@@ -438,6 +439,13 @@ def test_no_permission_is_refused(creature, recording, tmp_path, monkeypatch):
         film(creature, recording, tmp_path / "swim.mp4", size=SMALL)
     with pytest.raises(OutputError, match="no permission to write in"):
         film(creature, recording, tmp_path / "frames" / "%04d.png", size=SMALL)
+
+
+def test_a_folder_with_a_colon_is_no_protocol(creature, recording, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    os.mkdir("run:1")
+    made = film(creature, recording, "run:1/swim.png", size=SMALL, sheet=(1, 1))
+    assert made.stat().st_size > 0
 
 
 def test_what_ffmpeg_complains_of_is_told(creature, recording, tmp_path, monkeypatch):

@@ -38,7 +38,7 @@ class ExperimentConfig(Section):
         instruction_set: of the machine code; ``host`` is the largest that this processor has.
     """
 
-    name: Annotated[str, Field(pattern=r"^[^./\\][^/\\]*$")]
+    name: Annotated[str, Field(pattern=r"^[^./\\\x00][^/\\\x00]*$")]
     seed: Annotated[int, Field(ge=0, lt=2**31)] = 0
     runs: Annotated[int, Field(ge=1, le=10_000)] = 1
     creature: CreatureConfig

@@ -54,6 +54,8 @@ class Subject(NamedTuple):
         meta: contents of meta.json.
         audit: contents of audit.json; None where no audit was made.
         stale: whether that audit was of another champion.
+        half_step: share of its way that it kept at half the physics step when training ended; None
+            where that was not looked at.
         departures: from the shipped configuration and the paper; None where there is none of the
             name.
         program: that made the page, with its version.
@@ -76,6 +78,7 @@ class Subject(NamedTuple):
     meta: Mapping[str, Any]
     audit: Mapping[str, Any] | None
     stale: bool
+    half_step: float | None
     departures: Departures | None
     program: str
     made: str
@@ -392,12 +395,10 @@ def _evolution(subject: Subject, motion: Motion) -> Html:
 
 def _audit(subject: Subject) -> Html:
     audit, command = subject.audit, tag("code", "evo-cpg audit RUN")
-    first = subject.meta.get("half_step")
     look: Any = None
-    if isinstance(first, Mapping) and _is_number(first.get("measured")):
+    if subject.half_step is not None:
         look = tag(
-            "p",
-            f"At half the physics step it keeps {100 * first['measured']:.3g} % of its way.",
+            "p", f"At half the physics step it keeps {100 * subject.half_step:.3g} % of its way."
         )
     if audit is None:
         return join(
