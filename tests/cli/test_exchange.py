@@ -96,7 +96,7 @@ def test_a_file_is_replaced_only_when_told(cli, tmp_path, command):
     assert "hexapod" in used.read_text()
     code, out, err = cli(command, source, tmp_path / "no" / name)
     assert (code, out) == (2, "")
-    assert err.startswith(f"evo-cpg: {tmp_path / 'no' / name} cannot be written (No such file")
+    assert err.startswith(f"evo-cpg: cannot write {tmp_path / 'no' / name} (No such file")
 
 
 def test_what_cannot_come_in_is_refused_and_nothing_written(cli, tmp_path):
