@@ -5,7 +5,10 @@ importing the package takes no time and starts nothing.
 """
 
 import importlib
+import os
 from typing import TYPE_CHECKING, Any
+
+import jaxlib.version
 
 if TYPE_CHECKING:
     from evo_cpg.api.analyse import analyse
@@ -66,6 +69,14 @@ __all__ = [  # noqa: RUF022 - as the reference has them
     "Strategy",
     "ConfigError",
 ]
+
+
+# On CPUs jaxlib 0.10.2 computes some sums of products wrongly, such as those of 3000 products of
+# matrices, by whole numbers and without a word; neither 0.10.1 nor 0.11 does. XLA reads this when
+# JAX first computes anything.
+_WRONG, _WITHOUT = "0.10.2", "--xla_cpu_experimental_ynn_fusion_type="
+if jaxlib.version.__version__ == _WRONG and _WITHOUT not in os.environ.get("XLA_FLAGS", ""):
+    os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {_WITHOUT}".lstrip()
 
 
 def __getattr__(name: str) -> Any:

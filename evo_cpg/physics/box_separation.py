@@ -95,21 +95,23 @@ class _Face(NamedTuple):
         of_b: whether it is one of the second box's.
         under: the box whose face it is.
         over: the other one.
-        corner: of that, m; or the place beside it that lies over the face.
+        lowest: its corner that is, m.
+        corner: that, or the place beside it that lies over the face, which may be higher.
     """
 
     normal: Array
     of_b: Array
     under: RoundedBoxes
     over: RoundedBoxes
+    lowest: Array
     corner: Array
 
 
 def _on_face(a: RoundedBoxes, b: RoundedBoxes, normal: Array, of_b: Array) -> _Face:
     over, under = where_each(of_b, a, b), where_each(of_b, b, a)
     normal = jnp.where(of_b[None], -normal, normal)
-    corner = _over_both(normal, under, over, _corner(over, -normal))
-    return _Face(normal, of_b, under, over, corner)
+    lowest = _corner(over, -normal)
+    return _Face(normal, of_b, under, over, lowest, _over_both(normal, under, over, lowest))
 
 
 def _over_both(normal: Array, under: RoundedBoxes, over: RoundedBoxes, corner: Array) -> Array:
@@ -158,8 +160,8 @@ def _along_edges(face: _Face, gap: Array, which: tuple[int, ...]) -> Separation:
         after = [jnp.where(steep == (k - 1 - one) % 3, left[k], 0.0) for k in range(3)]
         point = point + matvec(inward, jnp.stack(after))
     point = _over_both(face.normal, face.under, face.over, point)
-    way = point - face.corner
-    return unless(dot(way, way) < SAME**2, _on_plane(face, point, gap + dot(face.normal, way)))
+    way, climb = point - face.corner, dot(face.normal, point - face.lowest)
+    return unless(dot(way, way) < SAME**2, _on_plane(face, point, gap + climb))
 
 
 def _on_plane(face: _Face, point: Array, gap: Array) -> Separation:

@@ -8,6 +8,7 @@ from creatures import quick_jit
 from evo_cpg.physics.box_separation import separation_of_boxes
 from evo_cpg.physics.flat_separation import separation_of_flat
 from evo_cpg.physics.separation import (
+    SAME,
     RoundedBoxes,
     separation_of_line_and_box,
     separation_of_lines,
@@ -154,6 +155,31 @@ def test_further_points_of_tilted_flat_boxes_lie_on_both(x64):
         local = np.einsum("ijn,in->jn", np.asarray(box.axes), np.asarray(place - box.centre))
         outside = (np.abs(local) - np.asarray(box.half_extents))[:2, there]
         np.testing.assert_allclose(outside.max(0), 0, atol=1e-9)
+
+
+def test_no_point_of_tilted_boxes_that_overhang_is_deeper_than_they_are(x64):
+    """Plates whose lowest corner is beside the other: its place over both is higher than it."""
+    rng = np.random.default_rng(6)
+    half = np.array([0.18, 0.08, 0.015])
+    tilted = np.array(
+        [euler_to_matrix(*angle) for angle in rng.normal(scale=0.25, size=(COUNT, 3))]
+    )
+    level = np.tile(np.eye(3), (COUNT, 1, 1))
+    away = rng.uniform(-0.9, 0.9, (COUNT, 3)) * 2 * half
+    away[:, 2] = rng.uniform(0.03, 0.12, COUNT)
+    a, b = boxes(np.zeros((COUNT, 3)), level, half, 0.0), boxes(away, tilted, half, 0.0)
+    first, *others = quick_jit(separation_of_boxes)(a, b)
+    for point in others:
+        there = np.asarray(point.gap) < 0.9
+        assert there.mean() > 0.3
+        # Where edges cross a little farther apart than the face is, the points stay the face's.
+        assert (np.asarray(point.gap) >= np.asarray(first.gap) - SAME)[there].all()
+        # On the plane of the face of one and on the lowest face of the other.
+        off = []
+        for box, place in ((a, point.first), (b, point.second)):
+            local = np.einsum("ijn,in->jn", np.asarray(box.axes), np.asarray(place - box.centre))
+            off.append(np.abs(np.abs(local) - np.asarray(box.half_extents)).min(0)[there])
+        np.testing.assert_allclose(off, 0, atol=1e-9)
 
 
 @pytest.mark.parametrize("find", [separation_of_boxes, separation_of_flat])
