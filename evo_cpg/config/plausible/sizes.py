@@ -25,9 +25,10 @@ _UNLIKE, _SEVERAL = 50.0, 3
 # An obstacle may be so many times the creature's length.
 _OBSTACLE = 100.0
 
-# What motors of limits add to the rate of a joint in one step, rad/s. Ours add 110 at most; at 350,
-# of a leg that turns about its own length, trials diverge, and MuJoCo's do likewise.
-_SPUN = 250.0
+# What motors of limits add to the rate of a joint in one step, rad/s. Ours add 110 at most; at 130,
+# of a leg that turns about its own length, energy comes from nowhere; at 350 trials diverge, and
+# MuJoCo's do likewise.
+_SPUN = 120.0
 
 # The strongest gravity of a planet of the sun is 24.8 m/s^2.
 _GRAVITY = 30.0
