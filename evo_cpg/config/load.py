@@ -313,6 +313,9 @@ def _worded(
         hint = f"did you mean {' or '.join(inner)}?" if inner else nearest(str(key[-1]), valid)
         return ConfigError(source, key, f"unknown key; {hint}")
     if kind == "missing":
+        count = [p["loc"][-1] for p in problems if p["loc"][:-1] == problem["loc"][:-1]]
+        if isinstance(problem["loc"][-1], int):
+            return ConfigError(source, key, f"{_short(given)}: {max(count) + 1} values are needed")
         return ConfigError(source, key, "is missing and has no default")
     message = problem["msg"].removeprefix("Value error, ")
     if kind == "value_error":

@@ -226,6 +226,11 @@ def test_wrong_copies_are_refused(text, changes, expected):
     assert refused(changed(text, **changes)).startswith("bodies.1" + expected)
 
 
+def test_a_crowd_is_refused_before_it_is_built():
+    words = "creature: bodies: 1801 bodies with 'arm{j}_{i}'; allowed: up to 1000"
+    assert refused(changed(STAR, radial=900)).endswith(words)
+
+
 def test_of_mirrored_limbs_the_one_on_the_positive_side_is_written():
     data = yaml.safe_load(BUG)
     data["bodies"][1]["joint"]["at"] = [0.15, -0.05, 0.01]

@@ -52,6 +52,18 @@ MISTAKES = {
         "creature.bodies.0.shape.size",
         "a body of 0.0002 m; plausible are 0.001 to 30 m",
     ),
+    "frictions swapped": (
+        WALKER,
+        ["world.ground.dynamic_friction=0.9", "world.ground.static_friction=0.5"],
+        "world.ground.dynamic_friction",
+        "were the two swapped?",
+    ),
+    "limits beyond the neutral pose": (
+        CONFIG,
+        ["creature.bodies.1.joint.axes=[z]", "creature.bodies.1.joint.limits_deg=[20, 60]"],
+        "creature.bodies.1.joint.limits_deg",
+        "the neutral pose, 0 degrees, is beyond the limits",
+    ),
     "a motor that spins its limb": (
         INSECT,
         ["creature.bodies.1.joint.actuator.torque_limit=2500"],

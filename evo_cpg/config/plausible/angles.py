@@ -39,6 +39,10 @@ def joint_limits(case: Case) -> Iterator[Doubt]:
                     f"the joint turns by {widest:g} degrees; plausible is up to {_TURN:g}; "
                     f"converted twice? then it was {np.deg2rad(widest):.3g}"
                 )
+            elif lower > 0 or upper < 0:
+                problem = (
+                    "the neutral pose, 0 degrees, is beyond the limits, which will jerk it back"
+                )
             else:
                 continue
             yield Doubt((*key, "joint", "limits_deg"), entry.joint.limits_deg, problem)

@@ -1,6 +1,7 @@
 """Densities and lengths that look like those of another unit: g/cm^3, cm or mm."""
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
@@ -115,6 +116,22 @@ def gravity(case: Case) -> Iterator[Doubt]:
         )
 
 
+def friction(case: Case) -> Iterator[Doubt]:
+    """Nothing that slides is held more than what rests."""
+    of_bodies = case.config.creature.materials.items()
+    places: list[tuple[Key, Any]] = [(("creature", "materials", name), m) for name, m in of_bodies]
+    if case.config.world.ground is not None:
+        places.append((("world", "ground"), case.config.world.ground))
+    for key, given in places:
+        if given.dynamic_friction > given.static_friction:
+            yield Doubt(
+                (*key, "dynamic_friction"),
+                given.dynamic_friction,
+                f"more than static_friction ({given.static_friction:g}); what slides is held less "
+                "than what rests; were the two swapped?",
+            )
+
+
 def motor_strength(case: Case) -> Iterator[Doubt]:
     """No motor at its limit turns its limb as fast as a flywheel within one physics step."""
     creature, simulation = case.creature, case.config.simulation
@@ -140,4 +157,4 @@ def motor_strength(case: Case) -> Iterator[Doubt]:
             )
 
 
-RULES = (density, body_size, obstacle_size, gravity, motor_strength)
+RULES = (density, body_size, obstacle_size, gravity, friction, motor_strength)

@@ -22,6 +22,9 @@ SIDES: dict[MirrorAxis, tuple[str, str]] = {
     "z": ("upper", "lower"),
 }
 
+# Bodies of a creature.
+_MOST = 1000
+
 _PLACEHOLDER = re.compile(r"\{(i|j|side)\}")
 
 
@@ -97,18 +100,30 @@ def copies(entries: Sequence[Entry]) -> list[Copy]:
 
     Those of an entry stand limb by limb: around the ring, left before right, and along the row.
     An entry whose parent's name has placeholders that no body of another entry fills has none.
+
+    Raises:
+        ValueError: there are more than anybody simulates.
     """
     found: dict[int, list[Copy]] = {}
+
+    def require_few(entry: Entry, parents: int) -> None:
+        each = entry.repeat * entry.radial * (2 if entry.mirror else 1)
+        count = sum(map(len, found.values())) + parents * each
+        if count > _MOST:
+            raise ValueError(f"bodies: {count} bodies with {entry.name!r}; allowed: up to {_MOST}")
+
     while True:
         before = len(found)
         for number, entry in enumerate(entries):
             if number in found:
                 continue
             if not _PLACEHOLDER.search(entry.parent or ""):
+                require_few(entry, 1)
                 found[number] = list(_copies_on(number, entry, None))
                 continue
             parents = copies_named(entry.parent or "", [c for each in found.values() for c in each])
             if parents:
+                require_few(entry, len(parents))
                 found[number] = [
                     copy for parent in parents for copy in _copies_on(number, entry, parent)
                 ]

@@ -30,6 +30,12 @@ Size = tuple[Positive, Positive, Positive]
 # Of a vertex; larger ones do not fit into arrays.
 Index = Annotated[int, Field(ge=0, lt=2**31)]
 
+# Of ASCII, of Latin-1, between lines, and of the direction of writing.
+_CONTROLS = "\x00-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069"
+
+# On one line, and nothing that a terminal obeys.
+BodyName = Annotated[str, Field(pattern=f"^[^{_CONTROLS}]+$")]
+
 # The middle one of three axes must keep this far from 90 degrees, where the first and the last
 # axis coincide.
 _SINGULARITY_MARGIN_DEG = 5.0
@@ -330,7 +336,7 @@ class BodyConfig(Section):
         color: in pictures, ``"#rrggbb"``.
     """
 
-    name: str
+    name: BodyName
     shape: ShapeConfig
     material: str
     joint: JointConfig | None = None
@@ -434,6 +440,11 @@ class CreatureConfig(Section):
     depth_sensors: list[DepthSensorConfig] = Field(default_factory=list)
     sensors: list[SensorConfig] = Field(default_factory=list)
     self_collision: bool | SelfCollisionConfig | None = None
+
+    @model_validator(mode="after")
+    def _require_few(self) -> "CreatureConfig":
+        self.copies()
+        return self
 
     def build(self) -> Creature:
         """The creature.
