@@ -80,7 +80,7 @@ def test_tables_of_audits_show_shares_and_reasons():
     }
     every = audit_table("", {"animal": [row]})
     assert every.head == ["", "seed", "way, m", "in other poses or draws", "at half the step",
-                          "b: way, m", "b, hard: way, m", "passes"]  # fmt: skip
+                          "b: over ground, m", "b, hard: over ground, m", "passes"]  # fmt: skip
     assert every.rows == [
         ["animal", "3", "2.00", "", "50.0 %", "1.90", "1.00",
          "no: half the step: 50 %, less than 90 %"]
