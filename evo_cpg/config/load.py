@@ -313,9 +313,10 @@ def _worded(
         hint = f"did you mean {' or '.join(inner)}?" if inner else nearest(str(key[-1]), valid)
         return ConfigError(source, key, f"unknown key; {hint}")
     if kind == "missing":
-        count = [p["loc"][-1] for p in problems if p["loc"][:-1] == problem["loc"][:-1]]
-        if isinstance(problem["loc"][-1], int):
-            return ConfigError(source, key, f"{_short(given)}: {max(count) + 1} values are needed")
+        beside = [p["loc"][-1] for p in problems if p["loc"][:-1] == problem["loc"][:-1]]
+        missing = [place + 1 for place in beside if isinstance(place, int)]
+        if missing:
+            return ConfigError(source, key, f"{_short(given)}: {max(missing)} values are needed")
         return ConfigError(source, key, "is missing and has no default")
     message = problem["msg"].removeprefix("Value error, ")
     if kind == "value_error":
