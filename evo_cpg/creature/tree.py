@@ -148,7 +148,7 @@ def build_tree(creature: Creature) -> Tree:
     actuators = [(joint.actuator, len(joint.axes)) for joint in joints]
     dof_bodies = [i for i, body in enumerate(bodies) if body.joint for _ in body.joint.axes]
     limit_rate = 2 * np.pi * LIMIT_FREQUENCY
-    leverage = effective_inertia(creature, order)
+    leverage = _effective_inertia(creature, order)
     gain = _per_dof([(a.gain if a else 0.0, n) for a, n in actuators])
     spring = _per_dof([(a.stiffness if a else 0.0, n) for a, n in actuators])
     return Tree(
@@ -200,7 +200,7 @@ def spatial_inertia(mass: Number, com: Numbers, inertia: Numbers) -> Float[Numbe
     )
 
 
-def effective_inertia(creature: Creature, order: list[int]) -> Float[Numbers, " d"]:
+def _effective_inertia(creature: Creature, order: list[int]) -> Float[Numbers, " d"]:
     """Inertia ``(d,)`` that each axis sees in the neutral pose, kg m^2.
 
     The two halves of the animal on either side of the joint turn against each other, so it is

@@ -146,7 +146,8 @@ def search(
         warmstart = coldstart(world, state.q.shape[1:], state.q.dtype)
     free = free_motion(problem)
     later = with_mean_products(world, h, equations, free[:ROOT_DOFS], free[ROOT_DOFS:])
-    bias = where_each(problem.touches(free), equations.bias, later.bias)
+    unlike = problem.touches(free) | problem.overloads_otherwise(free)
+    bias = where_each(unlike, equations.bias, later.bias)
     equations = equations._replace(bias=bias)
     problem = StepProblem.of(world, h, equations)
     whole = jnp.ones(state.q.shape[1:], state.q.dtype)
@@ -165,10 +166,11 @@ def search(
 
 
 def free_motion(problem: StepProblem) -> Float[Array, "v *n"]:
-    """The motion of a step in which nothing is touched.
+    """The motion of a step in which nothing is touched, and motors at their limits stay there.
 
-    Where something would be touched, it says little of the velocities after the step: velocity
-    products are then those of its start.
+    Where something would be touched, or a motor would not stay, it says little of the velocities
+    after the step: velocity products are then those of its start. (A limb that hardly resists goes
+    a thousand radians a second under a torque that its motor stops giving at fifty.)
     """
     still = jnp.zeros_like(problem.force[ROOT_DOFS:])
     linear = problem.linearized(problem.force[:0], still, None)

@@ -293,6 +293,12 @@ class StepProblem(NamedTuple):
             found = found | (pairs.wanted > parting).any(0)
         return found
 
+    def overloads_otherwise(self, y: Float[Array, "v *n"]) -> Bool[Array, "*n"]:
+        """Where motors are not at the same limits in a motion as without accelerations."""
+        tree, without, asked = self.world.tree, self.equations.wanted, self.asked(y[ROOT_DOFS:])
+        before, after = overloaded(tree, without), overloaded(tree, asked)
+        return ((before != after) | (before & (without * asked < 0))).any(0)
+
     def asked(self, qdd: Float[Array, "d *n"]) -> Float[Array, "d *n"]:
         """Of the motors at the end of the step, N m."""
         wanted = self.equations.wanted

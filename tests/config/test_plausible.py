@@ -64,12 +64,6 @@ MISTAKES = {
         "creature.bodies.1.joint.limits_deg",
         "the neutral pose, 0 degrees, is beyond the limits",
     ),
-    "a motor that spins its limb": (
-        INSECT,
-        ["creature.bodies.1.joint.actuator.torque_limit=2500"],
-        "creature.bodies.1.joint.actuator.torque_limit",
-        "rad/s about one of its axes in a physics step of",
-    ),
     "one radius in cm": (
         CONFIG,
         ["creature.bodies.0.shape={type: sphere, radius: 10}"],

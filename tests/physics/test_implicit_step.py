@@ -4,8 +4,9 @@
 
 M, the bias and J come from MuJoCo; drag, buoyancy and the joint torques are summed point by point
 in NumPy from the formulas in the documentation. The bias is the mean of that at the start of the
-step and that with the velocities that a first solution comes to; with contact it is that of the
-start, but for each body's own gyroscopic torque.
+step and that with the velocities that a first solution comes to; with contact, or where a motor
+does not stay at its limit or within it, it is that of the start, but for each body's own gyroscopic
+torque.
 """
 
 import dataclasses
@@ -98,7 +99,7 @@ def at_later_velocities(world: World, states: State, target, angle=None):
         if searches(world):
             problem = StepProblem.of(world, H, equations)
             y = free_motion(problem)
-            return (y[:6], y[6:]), problem.touches(y)
+            return (y[:6], y[6:]), problem.touches(y) | problem.overloads_otherwise(y)
         return solve_at_once(world, H, equations), jnp.zeros(states.q.shape[1:], bool)
 
     (root, qdd), touches = first(states, target)
@@ -122,7 +123,7 @@ def dense_accelerations(
         creature: the animal.
         world: it lives in.
         state: of one individual.
-        later: the same with the velocities after the step; None where something is touched.
+        later: the same with the velocities after the step; None where those of the start count.
         torque: of the motors at the present rates.
         motor_derivative: what the motors add to T.
         ends: the joints' rates at the end of the step, where a search finds them.
@@ -157,7 +158,7 @@ def dense_accelerations(
         buoyancy = np.concatenate([np.cross(rotation @ tree.com[:, i], lift), lift])
         right += jacobian.T @ (to_body.T @ drag.wrench + buoyancy)
         mass += H * jacobian.T @ derivative @ jacobian
-        if later is None:
+        if later is None and not world.submerged:
             frame = data.ximat[body].reshape(3, 3)
             inertia = frame @ np.diag(model.body_inertia[body]) @ frame.T
             right -= jacobian[:3].T @ gyroscopic_change(inertia, velocity[:3])
@@ -206,7 +207,7 @@ def worst_error(number: int, torque_limit: float, law: str = "normal") -> tuple[
         ahead = np.asarray(states.q[:, n]) + H * rate
         return motor.gain * (target[:, n] - rate) + motor.stiffness * (angle[:, n] - ahead)
 
-    afterwards, _ = at_later_velocities(world, states, jnp.asarray(target), jnp.asarray(angle))
+    afterwards, unlike = at_later_velocities(world, states, jnp.asarray(target), jnp.asarray(angle))
     change = [
         np.asarray((after - before) / H)
         for after, before in ((new.velocity, states.velocity), (new.qd, states.qd))
@@ -217,6 +218,7 @@ def worst_error(number: int, torque_limit: float, law: str = "normal") -> tuple[
         state, later = (
             jax.tree.map(lambda x, n=n: x[..., n], each) for each in (states, afterwards)
         )
+        later = None if unlike[n] else later
         wanted = motor_law(n, np.asarray(state.qd))
         implicit = np.full_like(wanted, H * (motor.gain + H * motor.stiffness))
         applied = np.asarray(effort.torque[:, n])

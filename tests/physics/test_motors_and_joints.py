@@ -9,12 +9,14 @@ import pytest
 from jaxtyping import Array
 
 from creatures import STRUCTURES, box_chain, in_water, quick_jit, random_creature, random_state
+from evo_cpg.analysis.energy import mechanical_energy
 from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, Material
-from evo_cpg.creature.shapes import Box
+from evo_cpg.creature.shapes import Box, Capsule, Sphere
 from evo_cpg.creature.tree import LIMIT_FREQUENCY, build_tree
 from evo_cpg.physics.state import State, resting_state
 from evo_cpg.physics.step import step
 from evo_cpg.physics.world import World
+from evo_cpg.simulation.snapshot import Snapshot
 
 H = 1 / 120
 INDIVIDUALS, STEPS = 64, 200
@@ -275,3 +277,35 @@ def test_an_overloaded_dashpot_gives_way_with_its_limit(x64):
     inertia = mass * (0.2**2 + 0.1**2) / 12
     fitted = np.polyfit(H * np.arange(1, count + 1), rate, 1)[0]
     assert fitted == pytest.approx(2 * limit / inertia, rel=0.01)
+
+
+@pytest.mark.parametrize("limit", [25.0, 2.5])
+def test_a_limited_motor_on_a_limb_that_hardly_resists_gives_what_it_works(limit, x64):
+    """A leg that also turns about its own length: held at their limits, the motors would bring it
+    to 1400 rad/s in one step, and velocity products of that are energy from nowhere."""
+    motor = Actuator(0.08 * limit, limit, 3.2 * limit)
+    axes = tuple(map(tuple, np.eye(3)))
+    most = np.deg2rad(50)
+    joint = Joint(
+        "hub", (0.12, 0, 0), (-0.17, 0, 0), axes, (-most,) * 3, (most,) * 3, actuator=motor
+    )
+    wood = Material(400.0)
+    bodies = Body("hub", Sphere(0.12), wood), Body("leg", Capsule(0.025, 0.3), wood, joint)
+    world = World(build_tree(Creature("one leg", bodies)), 0.0)
+    h, hold, holds, count = 1 / 240, 36, 10, 16
+    angles = jnp.asarray(np.random.default_rng(0).uniform(-most, most, (holds, 3, count)))
+
+    @quick_jit
+    def run(state):
+        def advance(s, k):
+            new, effort = step(world, s, jnp.zeros_like(s.q), h, angles[k // hold])
+            work = h * (effort.torque * 0.5 * (s.qd + new.qd)).sum(0)
+            return new, (mechanical_energy(Snapshot(world, h, new)), work, jnp.abs(new.qd).max(0))
+
+        return jax.lax.scan(advance, state, jnp.arange(holds * hold))[1]
+
+    energy, work, rate = map(np.asarray, run(resting_state(world.tree, (count,), jnp.float64)))
+    assert rate.max() < 80
+    extra = energy - np.cumsum(work, 0)
+    rise = (extra - np.minimum.accumulate(extra)).max()
+    assert energy.max() > 1.0 and rise < 0.25 * energy.max()

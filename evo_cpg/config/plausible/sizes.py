@@ -9,8 +9,6 @@ from evo_cpg.config.errors import Key
 from evo_cpg.config.plausible.doubt import Case, Doubt
 from evo_cpg.config.schema.creature import SolidConfig
 from evo_cpg.config.schema.ground import BoulderConfig
-from evo_cpg.creature.creature import topological_order
-from evo_cpg.creature.tree import effective_inertia
 
 # Of solids, from foam to osmium, and of liquids, from petrol to the Dead Sea, kg/m^3.
 _SOLIDS, _LIQUIDS = (20.0, 23_000.0), (500.0, 2000.0)
@@ -25,11 +23,6 @@ _UNLIKE, _SEVERAL = 50.0, 3
 
 # An obstacle may be so many times the creature's length.
 _OBSTACLE = 100.0
-
-# What motors of limits add to the rate of a joint in one step, rad/s. Ours add 110 at most; at 130,
-# of a leg that turns about its own length, energy comes from nowhere; at 350 trials diverge, and
-# MuJoCo's do likewise.
-_SPUN = 120.0
 
 # The strongest gravity of a planet of the sun is 24.8 m/s^2.
 _GRAVITY = 30.0
@@ -132,29 +125,4 @@ def friction(case: Case) -> Iterator[Doubt]:
             )
 
 
-def motor_strength(case: Case) -> Iterator[Doubt]:
-    """No motor at its limit turns its limb as fast as a flywheel within one physics step."""
-    creature, simulation = case.creature, case.config.simulation
-    h = 1.0 / (simulation.control_rate_hz * simulation.substeps)
-    order = topological_order(creature)
-    seen, spun = iter(effective_inertia(creature, order)), dict[int, float]()
-    for i in order:
-        joint = creature.bodies[i].joint
-        if joint is None:
-            continue
-        least = min(float(next(seen)) for _ in joint.axes) + joint.armature
-        spun[i] = h * joint.actuator.torque_limit / least if joint.actuator else 0.0
-    for i, (key, entry, _) in enumerate(case.bodies()):
-        rate = spun.get(i, 0.0)
-        if _SPUN < rate < np.inf:
-            assert entry.joint is not None and entry.joint.actuator is not None
-            yield Doubt(
-                (*key, "joint", "actuator", "torque_limit"),
-                entry.joint.actuator.torque_limit,
-                f"at its limit the motor speeds the limb up by {rate:.3g} rad/s about one of its "
-                f"axes in a physics step of {1000 * h:.3g} ms; plausible is up to {_SPUN:g}; give "
-                "the joint an armature, the motor less strength, or simulation.substeps more",
-            )
-
-
-RULES = (density, body_size, obstacle_size, gravity, friction, motor_strength)
+RULES = (density, body_size, obstacle_size, gravity, friction)
