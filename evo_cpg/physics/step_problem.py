@@ -56,7 +56,7 @@ from evo_cpg.physics.pairs import (
 from evo_cpg.physics.spatial_algebra import Wrench
 from evo_cpg.physics.world import World
 from evo_cpg.spatial.ldl import solve_symmetric
-from evo_cpg.spatial.linear import dot, matvec, t_matmul
+from evo_cpg.spatial.linear import dot, expand_dims_like, matvec, t_matmul
 from evo_cpg.spatial.numerics import Number, xp
 
 # By so much (m) a pair may come elsewhere within a step.
@@ -66,10 +66,13 @@ _STRAY = 2e-4
 # what spins need) stands for the forces that there are.
 _OTHERS = 1e-3
 
+# Torque, as a share of a motor's limit, that is another's.
+_OTHERWISE = 1e-3
+
 # Turn of a joint in a step (rad) beyond which the mass matrix at its start says little of its end.
 _WHIRL = 0.3
 
-# Force (N) that counts as none.
+# Force (N) or torque (N m) that counts as none.
 _NONE = 1e-12
 
 
@@ -294,10 +297,15 @@ class StepProblem(NamedTuple):
         return found
 
     def overloads_otherwise(self, y: Float[Array, "v *n"]) -> Bool[Array, "*n"]:
-        """Where motors are not at the same limits in a motion as without accelerations."""
+        """Where motors are not at the same limits in a motion as without accelerations.
+
+        They give another torque then than where those that are at a limit are taken to stay there.
+        """
         tree, without, asked = self.world.tree, self.equations.wanted, self.asked(y[ROOT_DOFS:])
-        before, after = overloaded(tree, without), overloaded(tree, asked)
-        return ((before != after) | (before & (without * asked < 0))).any(0)
+        given = clamp_torque(tree, asked)
+        stays = jnp.where(overloaded(tree, without), clamp_torque(tree, without), asked)
+        least = _OTHERWISE * expand_dims_like(tree.torque_limit, given) + _NONE
+        return (jnp.abs(given - stays) > least).any(0)
 
     def asked(self, qdd: Float[Array, "d *n"]) -> Float[Array, "d *n"]:
         """Of the motors at the end of the step, N m."""

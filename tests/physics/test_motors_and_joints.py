@@ -309,3 +309,20 @@ def test_a_limited_motor_on_a_limb_that_hardly_resists_gives_what_it_works(limit
     extra = energy - np.cumsum(work, 0)
     rise = (extra - np.minimum.accumulate(extra)).max()
     assert energy.max() > 1.0 and rise < 0.25 * energy.max()
+
+
+def test_a_joint_without_a_motor_is_at_no_limit(x64):
+    """Beside one with a limited motor that stays within it: steps stay those of second order."""
+    chain = box_chain(3, "z", Actuator(0.5, 5.0))
+    loose = dataclasses.replace(chain.bodies[2].joint, actuator=None)
+    bodies = (*chain.bodies[:2], dataclasses.replace(chain.bodies[2], joint=loose))
+    world = World(build_tree(dataclasses.replace(chain, bodies=bodies)), 0.0)
+    free = dataclasses.replace(
+        world, tree=dataclasses.replace(world.tree, torque_limit=np.inf * np.ones(2))
+    )
+    state = random_state(world.tree, np.random.default_rng(2), (INDIVIDUALS,))
+    target = jnp.zeros((2, INDIVIDUALS))
+    limited, unlimited = (
+        quick_jit(lambda s, t, w=w: step(w, s, t, H)[0])(state, target) for w in (world, free)
+    )
+    np.testing.assert_allclose(limited.qd, unlimited.qd, rtol=1e-9, atol=1e-9)
