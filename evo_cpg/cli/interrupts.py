@@ -47,6 +47,7 @@ def interrupts_delivered() -> Iterator[None]:
     try:
         yield
     finally:
+        again.cancel()
         sys.unraisablehook = before
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
@@ -72,6 +73,11 @@ class _Again:
         self._timer = threading.Timer(_MOMENT, signal.pthread_kill, [main, signal.SIGINT])
         self._timer.daemon = True
         self._timer.start()
+
+    def cancel(self) -> None:
+        """Not, if there is still time."""
+        if self._timer is not None:
+            self._timer.cancel()
 
 
 def _must_return(frame: FrameType | None) -> bool:
