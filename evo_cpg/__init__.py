@@ -6,9 +6,8 @@ importing the package takes no time and starts nothing.
 
 import importlib
 import os
+from importlib import metadata
 from typing import TYPE_CHECKING, Any
-
-import jaxlib.version
 
 if TYPE_CHECKING:
     from evo_cpg.api.analyse import analyse
@@ -75,7 +74,7 @@ __all__ = [  # noqa: RUF022 - as the reference has them
 # matrices, by whole numbers and without a word; neither 0.10.1 nor 0.11 does. XLA reads this when
 # JAX first computes anything.
 _WRONG, _WITHOUT = "0.10.2", "--xla_cpu_experimental_ynn_fusion_type="
-if jaxlib.version.__version__ == _WRONG and _WITHOUT not in os.environ.get("XLA_FLAGS", ""):
+if metadata.version("jaxlib") == _WRONG and _WITHOUT not in os.environ.get("XLA_FLAGS", ""):
     os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {_WITHOUT}".lstrip()
 
 
