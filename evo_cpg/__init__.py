@@ -1,7 +1,7 @@
 """Evolve the motion of virtual creatures: ``import evo_cpg as evo``.
 
 What stands here is stable (see docs/api.md). It is imported when it is first asked for, so
-importing the package takes no time and starts nothing.
+importing the package takes little time and starts nothing.
 """
 
 import importlib
@@ -71,8 +71,8 @@ __all__ = [  # noqa: RUF022 - as the reference has them
 
 
 # On CPUs jaxlib 0.10.2 computes some sums of products wrongly, such as those of 3000 products of
-# matrices, by whole numbers and without a word; neither 0.10.1 nor 0.11 does. XLA reads this when
-# JAX first computes anything.
+# matrices, without a word; neither 0.10.1 nor 0.11 does. XLA reads this when JAX first computes
+# anything.
 _WRONG, _WITHOUT = "0.10.2", "--xla_cpu_experimental_ynn_fusion_type="
 if metadata.version("jaxlib") == _WRONG and _WITHOUT not in os.environ.get("XLA_FLAGS", ""):
     os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {_WITHOUT}".lstrip()

@@ -11,7 +11,7 @@ from evo_cpg.analysis.along_time import along_time
 from evo_cpg.creature.creature import Creature
 from evo_cpg.physics.contact_points import contact_points
 from evo_cpg.physics.kinematics import Kinematics, kinematics
-from evo_cpg.physics.pairs import Pairs, separations, watched_pairs
+from evo_cpg.physics.pairs import Pairs, make_pairs, separations
 from evo_cpg.physics.per_body import take
 from evo_cpg.physics.world import World
 from evo_cpg.simulation.physics_steps import PhysicsSteps
@@ -35,7 +35,7 @@ class Excursions(NamedTuple):
         airborne_way: share of the way made while nothing touched the ground and no body's centre
             was under water; 0 without ground.
         penetration: of the ground, the deepest, m.
-        overlap: of two bodies (`evo_cpg.physics.pairs.watched_pairs`), the deepest, m.
+        overlap: of two bodies (`World.watched`), the deepest, m.
         overlapping: their names; none where nothing overlaps.
         unsolved: share of steps whose equations are not solved to `SOLVED`.
         slipping: share of steps whose friction misses its cone by more than `SLIPPING`.
@@ -80,7 +80,7 @@ def excursions(
         situation: number of the one that it began with.
     """
     world, light = simulation.world, simulation.lights[situation]
-    every = watched_pairs(creature, world.tree, world.pairs)
+    every = make_pairs(creature, world.tree, world.watched)
 
     def depths(steps: PhysicsSteps) -> tuple[Array, Array, Array]:
         kin = kinematics(world.tree, steps.after)

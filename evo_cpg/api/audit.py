@@ -16,7 +16,7 @@ from evo_cpg.config.build import build_experiment
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.control.postures import PostureController
 from evo_cpg.creature.creature import Creature, length_of
-from evo_cpg.creature.self_collision import SelfCollision, pairs_that_touch_at_rest
+from evo_cpg.creature.self_collision import pairs_that_touch_at_rest
 from evo_cpg.exchange.errors import ExchangeError
 from evo_cpg.exchange.second_opinion import Brain, Opinion, own_opinion, second_opinion
 from evo_cpg.fusion.engine import Engine, described
@@ -277,9 +277,7 @@ def books(
             check("airborne_way", "way made while airborne", worst("airborne_way")),
         ]
     if any(np.any(trial.steps.coulomb_residual) for trial in trials):
-        checks += [
-            check("unsolved", "steps not solved", worst("unsolved")),
-        ]
+        checks.append(check("unsolved", "steps not solved", worst("unsolved")))
         if simulation.world.footing is not None:
             checks.append(check("slipping", "steps off the friction cone", worst("slipping")))
     if simulation.sensors.eye_bodies and simulation.world.footing is not None:
@@ -294,8 +292,7 @@ def books(
 def _pairs_that_pass(experiment: Experiment) -> str:
     """Bodies that touch in the neutral pose, and may therefore be in each other."""
     world = experiment.simulation.world
-    kept = SelfCollision(include=tuple(world.pair_names))
-    found = pairs_that_touch_at_rest(experiment.creature, world.tree, kept)
+    found = pairs_that_touch_at_rest(experiment.creature, world.tree, world.watched)
     names = [f"{world.tree.names[i]} and {world.tree.names[j]}" for i, j in found]
     more = [f"{len(names) - _NAMED} more"] if len(names) > _NAMED else []
     return ", ".join(names[:_NAMED] + more)

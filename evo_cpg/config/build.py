@@ -36,7 +36,7 @@ from evo_cpg.physics.buoyancy import make_cells
 from evo_cpg.physics.current import Vortex
 from evo_cpg.physics.fluid import Patch, Water, make_patches
 from evo_cpg.physics.footing import make_footing
-from evo_cpg.physics.pairs import make_pairs, watched_pairs
+from evo_cpg.physics.pairs import make_pairs
 from evo_cpg.physics.world import World
 from evo_cpg.simulation.measures import GROUND_MEASURES, MEASURES, Measures
 from evo_cpg.simulation.noise import Noise
@@ -230,7 +230,7 @@ def _build_rules(
         most["speed"] = most["speed"] * length_of(creature)
     if "power" in most:
         most["power"] = most["power"] * creature.mass
-    pairs = watched_pairs(creature, world.tree, world.pairs) if "overlap" in most else None
+    pairs = make_pairs(creature, world.tree, world.watched) if "overlap" in most else None
     return Rules(**most, pairs=pairs)
 
 

@@ -166,17 +166,6 @@ def make_pairs(creature: Creature, tree: Tree, wanted: SelfCollision) -> Pairs |
     )
 
 
-def watched_pairs(creature: Creature, tree: Tree, kept: Pairs | None) -> Pairs | None:
-    """Pairs of which an audit asks how deep they get into each other.
-
-    Those that the rule keeps apart, wherever the user says otherwise, and those that physics keeps
-    apart besides.
-    """
-    besides = () if kept is None else zip(kept.first, kept.second, strict=True)
-    names = tuple((tree.names[i], tree.names[j]) for i, j in besides)
-    return make_pairs(creature, tree, SelfCollision(include=names))
-
-
 def _owners(
     first: tuple[int, ...], second: tuple[int, ...], runs: tuple[Alike, ...]
 ) -> tuple[tuple[int, ...], tuple[int, ...]]:

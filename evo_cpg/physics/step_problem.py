@@ -66,7 +66,7 @@ _STRAY = 2e-4
 # what spins need) stands for the forces that there are.
 _OTHERS = 1e-3
 
-# Torque, as a share of a motor's limit, that is another's.
+# Torques that differ by more than this share of the motor's limit are not the same.
 _OTHERWISE = 1e-3
 
 # Turn of a joint in a step (rad) beyond which the mass matrix at its start says little of its end.

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from evo_cpg.creature.self_collision import SelfCollision
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.added_mass import carried_water
 from evo_cpg.physics.buoyancy import Cells, Displacement, buoyancy, displacement
@@ -61,6 +62,15 @@ class World(eqx.Module):
         return [
             (names[i], names[j]) for i, j in zip(self.pairs.first, self.pairs.second, strict=True)
         ]
+
+    @property
+    def watched(self) -> SelfCollision:
+        """Bodies of which an audit asks how deep they get into each other.
+
+        Those that the rule keeps apart, whatever the user says, and those that are kept apart
+        besides.
+        """
+        return SelfCollision(include=tuple(self.pair_names))
 
     @property
     def submerged(self) -> bool:
