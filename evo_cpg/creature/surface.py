@@ -8,7 +8,7 @@ import functools
 
 import numpy as np
 
-from evo_cpg.creature.creature import Creature, neutral_pose
+from evo_cpg.creature.creature import Body, Creature, neutral_pose
 from evo_cpg.creature.shapes import Surface
 from evo_cpg.spatial.choices import chosen
 from evo_cpg.spatial.numerics import xp
@@ -18,6 +18,10 @@ _SHELTER_GAPS = 1.5
 
 # Places along the normal (as fractions of the sheltering distance) that are probed.
 _PROBES = (0.0, 0.25, 0.5, 0.75, 1.0)
+
+# Two bodies have the same skin where it is no farther apart (m), and so far outside of it (m)
+# neither is.
+_SAME_SKIN, _OUTWARDS = 1e-9, 1e-6
 
 
 def outer_surfaces(
@@ -80,18 +84,31 @@ def _draw(areas: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray
 
 
 def _exposed(creature: Creature, surfaces: tuple[Surface, ...]) -> list[np.ndarray]:
-    """Which points of each body no other body covers, by their numbers."""
+    """Which points of each body no other body covers, by their numbers.
+
+    Where two bodies share a piece of skin, it is the first one's.
+    """
     centres, rotations = neutral_pose(creature)
     reach = _SHELTER_GAPS * _largest_gap(creature, centres, rotations)
     found = []
     for i, surface in enumerate(surfaces):
         probes = reach * np.array(_PROBES)[:, None, None]
         world = (surface.points + probes * surface.normals) @ rotations[i].T + centres[i]
+        outwards = world[0] + _OUTWARDS * surface.normals @ rotations[i].T
         exposed = np.ones(world.shape[:-1], bool)
         for j, other in enumerate(creature.bodies):
-            if j != i:
-                local = (world - centres[j]) @ rotations[j]
-                exposed &= (other.shape.distance(local.reshape(-1, 3)) > 0).reshape(exposed.shape)
+            if j == i:
+                continue
+
+            def distance(place: np.ndarray, j: int = j, other: Body = other) -> np.ndarray:
+                local = (place - centres[j]) @ rotations[j]
+                return other.shape.distance(local.reshape(-1, 3)).reshape(place.shape[:-1])
+
+            gap = distance(world)
+            apart = gap > 0
+            if i < j:
+                apart |= (np.abs(gap) < _SAME_SKIN) & (distance(outwards) > 0)
+            exposed &= apart
         found.append(np.flatnonzero(exposed.all(0)))
     return found
 

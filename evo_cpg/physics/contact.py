@@ -64,9 +64,6 @@ _RESTITUTION_THRESHOLD = 0.1
 # v* of a point that is not to be held, m/s; infinity would spoil gradients.
 _OUT_OF_REACH = -1e4
 
-# 1 + z of a normal below which the ground is a ceiling, whose tangents are not exact.
-_CEILING = 1e-2
-
 # Squared speed (m^2/s^2) and force (N^2) added under roots so that they have gradients at rest.
 _FLOOR = 1e-20
 
@@ -281,13 +278,14 @@ def change_of_velocity(
 
 def _frame(normal: Float[Array, "3 p *n"]) -> Float[Array, "3 3 p *n"]:
     """Rows: two tangents and the normal of the ground; the world's axes where it is level."""
-    # The rotation that takes z to the normal the short way, transposed; not for a ceiling.
+    # The rotation that takes z to the normal the short way, transposed; of a ceiling, whose normal
+    # may point straight down, the mirror image.
     x, y, z = normal
-    k = 1.0 / jnp.maximum(1.0 + z, _CEILING)
+    k, sign = 1.0 / (1.0 + jnp.abs(z)), jnp.where(z < 0, 1.0, -1.0)
     return jnp.stack(
         [
-            jnp.stack([1 - k * x * x, -k * x * y, -x]),
-            jnp.stack([-k * x * y, 1 - k * y * y, -y]),
+            jnp.stack([1 - k * x * x, -k * x * y, sign * x]),
+            jnp.stack([-k * x * y, 1 - k * y * y, sign * y]),
             normal,
         ]
     )

@@ -31,7 +31,7 @@ _STIFFNESS = 60.0
 # Corners of the lowest face of a box, and those of a mesh that count.
 CORNERS = 4
 
-# Obstacles of each kind that count for a part of a creature: those nearest to its centre.
+# Obstacles of each kind that count for a part of a creature: those nearest to it.
 NEAREST = 2
 
 # Points that a box, a line, a ball and an ellipsoid may touch obstacles with at the same time, and

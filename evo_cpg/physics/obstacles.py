@@ -2,7 +2,7 @@
 
 Blocks are boxes and boulders are balls, so nearest points are found as those of two bodies of a
 creature are (`evo_cpg.physics.separation`). Of the obstacles of each kind the two that are nearest
-to a part's centre count, and of the points that it has with them the deepest few.
+to a part count, and of the points that it has with them the deepest few.
 """
 
 from typing import NamedTuple
@@ -83,7 +83,7 @@ def obstacle_points(
             candidates = [
                 (point.gap + rank * _BEHIND, point)
                 for kind, touch in ((blocks, on_block), (boulders, on_boulder))
-                for obstacle in _nearest(kind, placed.at.centre)
+                for obstacle in _nearest(kind, placed.at)
                 for rank, point in enumerate(touch(placed, obstacle))
             ]
             found += _first(candidates, most)
@@ -103,17 +103,36 @@ def _place(parts: Parts, kin: Kinematics) -> _Placed:
     return _Placed(RoundedBoxes(centre, axes, half, radius), origin, *speeds)
 
 
-def _nearest(obstacles: tuple[Obstacle, ...], point: Float[Array, "3 p *n"]) -> list[RoundedBoxes]:
-    """Of each point the nearest obstacles, the first of them first, all of one kind."""
+def _nearest(obstacles: tuple[Obstacle, ...], parts: RoundedBoxes) -> list[RoundedBoxes]:
+    """Of each part the obstacles, all of one kind, that are nearest to it or overlap with it."""
+    boxes = [_as_box(obstacle, parts.centre) for obstacle in obstacles]
+    if len(boxes) <= NEAREST:
+        return boxes
     best: list[tuple[Array, RoundedBoxes]] = []
-    for obstacle in obstacles:
-        new = obstacle.distance(point)[0], _as_box(obstacle, point)
+    for box in boxes:
+        new = _apart(parts, box), box
         for k, old in enumerate(best):
             closer = new[0] < old[0]
             best[k], new = where_each(closer, new, old), where_each(closer, old, new)
         if len(best) < NEAREST:
             best.append(new)
     return [box for _, box in best]
+
+
+def _apart(parts: RoundedBoxes, box: RoundedBoxes) -> Float[Array, "p *n"]:
+    """About how far parts are from an obstacle, m: by projections onto either in turn."""
+
+    def nearest(to: RoundedBoxes, point: Array) -> Array:
+        within = jnp.clip(matvec_t(to.axes, point - to.centre), -to.half_extents, to.half_extents)
+        return to.centre + matvec(to.axes, within)
+
+    first = nearest(box, parts.centre)
+    own = nearest(parts, first)
+    way = nearest(box, own) - own
+    sunk = first - parts.centre
+    # Of those that it overlaps with the ones that reach nearer to its middle.
+    gap = jnp.sqrt(dot(way, way) + _FLOOR) - parts.radius - box.radius
+    return gap + _BEHIND * jnp.sqrt(dot(sunk, sunk) + _FLOOR)
 
 
 def _as_box(obstacle: Obstacle, like: Float[Array, "3 p *n"]) -> RoundedBoxes:

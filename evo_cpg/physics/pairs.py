@@ -144,9 +144,14 @@ def make_pairs(creature: Creature, tree: Tree, wanted: SelfCollision) -> Pairs |
 
     def choose() -> tuple[tuple[int, ...], tuple[int, ...], tuple[Alike, ...]]:
         found = colliding_pairs(creature, tree, wanted)
-        rotations = neutral_pose(creature)[1]
-        turned = np.array([rotations[creature.body_index(name)] for name in tree.names])
+        order = [creature.body_index(name) for name in tree.names]
+        places, turned = (np.array(each)[order] for each in neutral_pose(creature))
+        centres = [
+            place + turn @ box.centre
+            for place, turn, box in zip(places, turned, boxes, strict=True)
+        ]
         ways = sorted((*_way(tree, turned, boxes, *pair), pair) for pair in map(in_order, found))
+        ways = [way for way in ways if not _passes(way, turned, centres, boxes)]
         first, second = zip(*(pair for *_, pair in ways), strict=True) if ways else ((), ())
         groups = itertools.groupby(ways, lambda way: way[:2])
         return first, second, tuple(Alike(*way, len(list(same))) for way, same in groups)
@@ -219,6 +224,28 @@ def _way(
         return "boxes", (plain, plain)
     one, two = (((z + 1) % 3, (z + 2) % 3, z) for (z,) in map(np.ndarray.tolist, common))
     return "flat", (one, two)
+
+
+def _passes(
+    way: tuple[str, tuple[tuple[int, int, int], ...], tuple[int, int]],
+    turned: np.ndarray,
+    centres: list[np.ndarray],
+    boxes: list[RoundedBox],
+) -> bool:
+    """Whether two boxes turn beside each other, apart along their common axis for ever.
+
+    Args:
+        way: how they are treated, and the pair.
+        turned: rotations ``(b, 3, 3)`` of the bodies in the neutral pose.
+        centres: of their boxes there, m.
+        boxes: of the bodies.
+    """
+    kind, (order, other_order), (first, second) = way
+    if kind != "flat":
+        return False
+    aside = turned[first][:, order[2]] @ (centres[second] - centres[first])
+    sides = boxes[first].half_extents[order[2]] + boxes[second].half_extents[other_order[2]]
+    return bool(abs(aside) > sides)
 
 
 def separations(pairs: Pairs, kin: Kinematics) -> Separation:

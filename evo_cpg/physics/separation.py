@@ -32,6 +32,10 @@ PARALLEL = 1e-4
 # The same below which the ends of lines count, and not the point where they cross: 5 degrees.
 _NEARLY_PARALLEL = 7.6e-3
 
+# Of the radius: a line that is no farther beyond a face's edge still lies beside the face. That
+# makes the gap larger by 1/200 of the radius at most.
+_OVERHANG = 0.1
+
 # Gap (m) of a further point that there is none of, and the least distance of it from the first.
 _NOWHERE, SAME = 1.0, 5e-3
 
@@ -169,9 +173,43 @@ def separation_of_line_and_box(a: RoundedBoxes, b: RoundedBoxes) -> list[Separat
         first, second = first + a.radius[None] * normal, second - b.radius[None] * normal
         return Separation(gap, normal, first, second, jnp.zeros((2, *gap.shape), gap.dtype))
 
-    reach = (extent * jnp.abs(way)).sum(0)
-    end, near = _ends(s, -dot(middle, way), reach, most, 1.0 - (way * way).max(0))
+    near, end = _ends_beside_box(s, middle, way, extent, most, a.radius + b.radius)
     return [at(near), unless(jnp.abs(end - near) < SAME, at(end))]
+
+
+def _ends_beside_box(
+    near: Array, middle: Array, way: Array, extent: Array, most: Array, radius: Array
+) -> tuple[Array, Array]:
+    """The near end and the far end of what lies beside a face of a box, or in the box.
+
+    That is what is left between the planes of all faces but the one that it lies beside; beyond an
+    edge or a corner planes do not count. Unless the line is nearly parallel to the face, or almost
+    to the edge, the near end is where they are nearest.
+
+    Args:
+        near: where they are nearest, m from the middle of the line.
+        middle: of the line, in the box's frame, m.
+        way: unit vector along the line there.
+        extent: of the box, to both sides, m.
+        most: half of the line's length, m.
+        radius: of both together, m.
+    """
+    # Where a line leaves a face the nearest point lies a little beyond its edge.
+    margin = _ON_FACE + _OVERHANG * radius
+    outside = jnp.abs(middle + near[None] * way) > extent + margin[None]
+    level = jnp.abs(way) < _LEVEL
+    between = ~(outside | level)
+    steep = jnp.where(level, 1.0, way)
+    planes = (-extent - middle) / steep, (extent - middle) / steep
+    low = jnp.where(between, jnp.minimum(*planes), -most[None]).max(0)
+    high = jnp.where(between, jnp.maximum(*planes), most[None]).min(0)
+    # In spite of rounding it is never empty.
+    low, high = (jnp.clip(low, -most, near), jnp.clip(high, near, most))
+    lower = near - low < high - near
+    sine = 1.0 - jnp.where(outside, 0.0, way * way).max(0)
+    bound = jnp.where(outside.sum(0) > 1, PARALLEL, _NEARLY_PARALLEL)
+    near = jnp.where(sine < bound, jnp.where(lower, low, high), near)
+    return near, jnp.where(lower, high, low)
 
 
 def separation_of_rounded(a: RoundedBoxes, b: RoundedBoxes) -> list[Separation]:

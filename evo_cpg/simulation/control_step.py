@@ -113,7 +113,7 @@ def starting_animal(
     """Bodies at their start, nerves at rest."""
     rest = starting_state(simulation.situations, trial, simulation.world.tree, batch, dtype)
     return Animal(
-        disturb_start(simulation.noise, simulation.world.tree, rest, keys),
+        disturb_start(simulation.noise, simulation.world, rest, keys),
         simulation.controller.initial_state(batch, dtype),
         jnp.zeros((len(simulation.sensors.pressure_bodies), *batch), dtype),
         no_forces(simulation, rest) if simulation.extra_sensors else None,

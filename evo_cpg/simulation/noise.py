@@ -19,8 +19,10 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Shaped, UInt32
 
-from evo_cpg.creature.tree import Tree
+from evo_cpg.physics.contact_points import clearance
+from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import State
+from evo_cpg.physics.world import World
 from evo_cpg.spatial.linear import expand_dims_like
 from evo_cpg.spatial.numerics import is_traced
 from evo_cpg.spatial.rotation import integrate_quaternion
@@ -55,23 +57,24 @@ class Noise(eqx.Module):
 
 
 def disturb_start(
-    noise: Noise, tree: Tree, state: State, keys: UInt32[Array, "w *n"] | None
+    noise: Noise, world: World, state: State, keys: UInt32[Array, "w *n"] | None
 ) -> State:
-    """The pose at the start, as chance has it.
+    """The pose at the start, as chance has it; lifted where that would be in the ground.
 
     Args:
         noise: how large chance is.
-        tree: the creature.
+        world: the creature and its surroundings.
         state: the pose without noise.
         keys: raw random keys of the trials; None without noise.
     """
     if keys is None or (_is_none(noise.joint_angle) and _is_none(noise.tilt)):
         return state
+    tree = world.tree
     turn, bend = jnp.split(_normals(keys, _START, 2 + tree.dof_count), [2])
     # The rotation vector as a rate that is held for a second.
     tilt = noise.tilt * jnp.concatenate([turn, jnp.zeros_like(turn[:1])])
     lower, upper = (expand_dims_like(limit, state.q) for limit in (tree.lower, tree.upper))
-    return State(
+    state = State(
         state.position,
         state.orientation
         if _is_none(noise.tilt)
@@ -80,6 +83,11 @@ def disturb_start(
         jnp.clip(state.q + noise.joint_angle * bend, lower, upper),
         state.qd,
     )
+    if world.footing is None:
+        return state
+    depth = -clearance(world.footing, kinematics(tree, state)).min(0)
+    lift = [jnp.zeros_like(state.position[:2]), jnp.maximum(depth, 0.0)[None]]
+    return eqx.tree_at(lambda s: s.position, state, state.position + jnp.concatenate(lift))
 
 
 def disturb_motion(

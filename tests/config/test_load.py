@@ -220,7 +220,7 @@ def test_a_wrong_value_is_answered_with_what_is_allowed(key, value, expected):
 def test_the_middle_one_of_three_axes_keeps_clear_of_the_singularity():
     wide = {"creature__bodies__1__joint__axes": ["x", "y", "z"]}
     message = problem(small(**wide, creature__bodies__1__joint__limits_deg=[-86, 86]))
-    assert "may turn by at most 85 degrees" in message and "got 86" in message
+    assert "allowed for it: -85 to 85, got" in message and "86" in message
     limits = [[-170, 170], [-85, 85], [-170, 170]]
     check_config(small(**wide, creature__bodies__1__joint__limits_deg=limits), "x.yaml")
 

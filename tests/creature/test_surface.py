@@ -39,6 +39,16 @@ def test_shelter_drops_exactly_the_facing_ends_of_a_chain(gap, resolution):
         assert face_areas(surface) == pytest.approx(expected)
 
 
+@pytest.mark.parametrize("resolution", [8, 16, 32])
+def test_bodies_that_overlap_flush_have_their_common_skin_once(resolution):
+    """Boxes 0.2 m long of one cross-section, 0.15 m apart: together they are one of 0.5 m."""
+    chain = box_chain(3, "z", size=(0.2, 0.1, 0.1), gap=-0.05)
+    area = sum(surface.areas.sum() for surface in outer_surfaces(chain, resolution))
+    whole = 4 * 0.5 * 0.1 + 2 * 0.1 * 0.1
+    # Along the chain a point stands for a piece of it, all or nothing, at four ends.
+    assert area == pytest.approx(whole, abs=4 * 4 * 0.1 * 0.2 / resolution / 2)
+
+
 def test_unsheltered_counts_every_face():
     """The literal reading keeps the whole surface of every body."""
     for surface in outer_surfaces(box_chain(3, "z", size=SIZE), 2, sheltered=False):

@@ -9,6 +9,7 @@ import pytest
 
 from creatures import quick_jit
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Sphere
+from evo_cpg.physics import contact
 from evo_cpg.physics.contact import find_contacts
 from evo_cpg.physics.footing import combine
 from evo_cpg.physics.kinematics import kinematics
@@ -335,3 +336,15 @@ def test_lowest_points(name):
             assert chosen.sum() == 4
             height = every[:, 2] - every[:, 2].min()
             assert height[~chosen].min() >= height.max() / 3 - 1e-12
+
+
+def test_tangents_are_perpendicular_whichever_way_the_normal_points():
+    """Also of a ceiling: straight down, and nearly so."""
+    rng = np.random.default_rng(0)
+    normal = np.concatenate([rng.normal(size=(3, 40)), [[0.0], [0.0], [-1.0]]], 1)
+    normal[:2, :20] *= 0.1
+    normal /= np.linalg.norm(normal, axis=0)
+    frame = np.asarray(contact._frame(jnp.asarray(normal)))
+    np.testing.assert_allclose(frame[2], normal, atol=1e-6)
+    product = np.einsum("ikp,jkp->pij", frame, frame)
+    np.testing.assert_allclose(product, np.broadcast_to(np.eye(3), product.shape), atol=1e-5)

@@ -30,6 +30,7 @@ from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.situation import Situation
 from evo_cpg.simulation.walk import Distance
 from evo_cpg.spatial.linear import expand_dims_like
+from evo_cpg.spatial.rotation import euler_to_matrix
 from trials import SineController
 
 H = 1 / 240
@@ -254,3 +255,25 @@ def test_gradients_through_limbs_that_push_equal_central_differences(x64, engine
     assert (np.asarray(force) > 0).any(0).mean() >= 0.75
     error = np.linalg.norm(grad - wanted, axis=0) / np.linalg.norm(wanted, axis=0)
     assert np.median(error) < 1e-6 and np.quantile(error, 0.8) < 1e-4
+
+
+@pytest.mark.parametrize("yaw", [0, 20, 45])
+def test_boxes_that_turn_beside_each_other_do_not_push(yaw):
+    """About one axis, along which they are apart; with a yaw their reach alone does not tell."""
+    turn = euler_to_matrix(0.0, 0.0, np.radians(yaw))
+    bodies = [Body("trunk", Box((0.3, 0.3, 0.05)), FLESH)]
+    for side, name in ((1, "left"), (-1, "right")):
+        place = turn @ [-side * 0.075, side * 0.05, 0.0]
+        joint = Joint(
+            "trunk",
+            tuple(place),
+            (0.0, 0.0, 0.1),
+            axes=((0.0, 1.0, 0.0),),
+            lower=(-1.5,),
+            upper=(1.5,),
+            orientation=turn,
+        )
+        bodies.append(Body(name, Box((0.03, 0.03, 0.2)), FLESH, joint))
+    creature = Creature("legs", tuple(bodies))
+    pairs = make_pairs(creature, build_tree(creature), SelfCollision(only=(("left", "right"),)))
+    assert pairs is None

@@ -10,8 +10,11 @@ from scipy.optimize import minimize
 
 from creatures import quick_jit
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Sphere
+from evo_cpg.physics.contact_points import clearance
 from evo_cpg.physics.ellipsoids import nearest_to_ball, nearest_to_box
+from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.separation import RoundedBoxes
+from evo_cpg.physics.state import resting_state
 from evo_cpg.physics.step import step
 from evo_cpg.physics.terrain import Block, Boulder, Plane
 from evo_cpg.spatial.rotation import euler_to_matrix, quaternion_to_matrix
@@ -182,3 +185,30 @@ def test_an_ellipsoid_touches_a_box_where_a_plane_parts_them(x64):
         assert least > 0.98
         near += least < 1.1
     assert near > 0.5 * count
+
+
+def test_a_capsule_lies_across_a_beam_at_any_angle(x64):
+    """Closed form: on top of it, by both its edges."""
+    beam = Block((0.0, 0.0, 0.5), (0.05, 3.0, 0.05))
+    world = alone(Capsule(0.03, 0.4), floor=Plane(height=-5.0), obstacles=(beam,))
+    half = np.radians([0.0, 0.5, 1.0, 2.0, 4.0, 4.9, 5.1, 10.0, 45.0]) / 2
+    place = np.tile([[0.0], [0.0], [0.585]], len(half))
+    turn = np.array([np.cos(half), 0 * half, 0 * half, np.sin(half)])
+    start = dataclasses.replace(released(world, place), orientation=jnp.asarray(turn))
+    states, _ = record(world, start, 60)
+    np.testing.assert_allclose(states.position[-1, 2], 0.58, atol=5e-4)
+    tilt = quaternion_to_matrix(jnp.asarray(states.orientation[-1]))[2, 0]
+    np.testing.assert_allclose(tilt, 0.0, atol=2e-3)
+
+
+def test_obstacles_at_a_far_end_count_before_those_beside_the_middle():
+    """A post in the front of a log, with two blocks beside it that touch nothing."""
+    post = Block((0.5, 0.0, 0.5), (0.05, 0.05, 0.5))
+    beside = [Block((0.0, side * 0.3, 0.5), (0.15, 0.05, 0.5)) for side in (1, -1)]
+    stones = [Boulder((0.55, 0.0, 0.3), 0.1), *(Boulder((0, s * 0.3, 0.3), 0.1) for s in (1, -1))]
+    for inside, others in ((post, beside), (stones[0], stones[1:])):
+        for obstacles in ((inside,), (*others, inside)):
+            world = alone(Box((1.2, 0.2, 0.2)), floor=Plane(height=-5.0), obstacles=obstacles)
+            kin = kinematics(world.tree, resting_state(world.tree, (1,), position=(0.0, 0.0, 0.3)))
+            gap = np.asarray(clearance(world.footing, kin)).min()
+            assert gap == pytest.approx(-0.15, abs=0.02), obstacles

@@ -72,6 +72,31 @@ def case(request, x64):
     return request.param, a, b, quick_jit(find)(a, b)
 
 
+def small_turns(rng, degrees):
+    """Rotations by less than so much."""
+    angles = np.radians(rng.uniform(-degrees, degrees, (COUNT, 3)))
+    return np.array([euler_to_matrix(*angle) for angle in angles])
+
+
+@pytest.mark.parametrize(
+    "half", [(0.1, 0.3, 0.01), (0.3, 0.01, 0.3), (0.05, 0.05, 0.05), (0.3, 0.05, 0.05)]
+)
+def test_gaps_of_lines_that_lie_nearly_along_a_box(half, x64):
+    """Against a search along the line: across a beam, over a plate's edge, at its end."""
+    rng, most, radius = np.random.default_rng(5), 0.2, 0.02
+    turn, away = turned(rng, False), rng.normal(scale=0.1, size=(COUNT, 3))
+    line = boxes(np.zeros((COUNT, 3)), turn, (most, 0, 0), radius)
+    box_turn = turn @ small_turns(rng, 7.0)
+    points = quick_jit(separation_of_line_and_box)(line, boxes(away, box_turn, half, 0.0))
+    along = np.linspace(-most, most, 4001)[:, None] * turn[:, None, :, 0]
+    own = np.einsum("psi,pij->psj", along - away[:, None], box_turn)
+    true = np.linalg.norm(own - np.clip(own, -np.array(half), half), axis=2).min(1)
+    apart = true > 1e-4
+    gaps = np.array([point.gap for point in points])[:, apart]
+    assert apart.sum() > 100 and (gaps.min(0) < 0).any()
+    np.testing.assert_allclose(gaps.min(0), true[apart] - radius, atol=2e-4)
+
+
 def test_gaps_are_distances(case):
     """Exactly for lines; nearly for rounded boxes; between two corners less, never more."""
     name, a, b, found = case

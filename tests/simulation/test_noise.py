@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 
 from creatures import quick_jit
+from evo_cpg.creature.creature import lowest_height
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.fusion.engine import Engine
+from evo_cpg.physics.contact_points import clearance
 from evo_cpg.physics.footing import Ground, make_footing
+from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import resting_state
 from evo_cpg.physics.terrain import Plane
 from evo_cpg.physics.world import World
@@ -29,9 +32,9 @@ def simulation():
 
 
 def start(simulation, keys=KEYS, **noise):
-    tree = simulation.world.tree
-    rest = resting_state(tree, keys.shape[1:], jnp.float32)
-    return quick_jit(lambda k: disturb_start(Noise(**noise), tree, rest, k))(keys)
+    world = simulation.world
+    rest = resting_state(world.tree, keys.shape[1:], jnp.float32)
+    return quick_jit(lambda k: disturb_start(Noise(**noise), world, rest, k))(keys)
 
 
 def test_joints_start_off_their_angles_but_within_their_limits(simulation):
@@ -53,6 +56,22 @@ def test_the_root_rolls_and_pitches_but_does_not_turn(simulation):
     assert abs(np.corrcoef(rotation[:2])[0, 1]) < 4 / np.sqrt(COUNT)
     assert (rotation[2] == 0).all()
     np.testing.assert_array_equal(state.q, 0)
+
+
+def test_nobody_starts_in_the_ground():
+    """Who would is lifted until it touches; the others stay where they are."""
+    creature = swimmer(EYES)
+    tree = build_tree(creature)
+    world = World(tree, 9.81, footing=make_footing(creature, tree, Ground()))
+    place = (0.0, 0.0, 0.01 - float(lowest_height(creature)))
+    rest = resting_state(tree, (COUNT,), jnp.float32, place)
+    noise = Noise(joint_angle=0.2, tilt=0.2)
+    state = quick_jit(lambda k: disturb_start(noise, world, rest, k))(KEYS)
+    gap = np.asarray(clearance(world.footing, kinematics(tree, state))).min(0)
+    lifted = np.asarray(state.position[2] > rest.position[2])
+    assert 0.2 < lifted.mean() < 0.99
+    np.testing.assert_allclose(gap[lifted], 0.0, atol=1e-6)
+    assert gap[~lifted].min() >= 0.0
 
 
 @pytest.mark.parametrize("rate", [60, 240])

@@ -36,8 +36,8 @@ _CONTROLS = "\x00-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069"
 # On one line, and nothing that a terminal obeys.
 BodyName = Annotated[str, Field(pattern=f"^[^{_CONTROLS}]+$")]
 
-# The middle one of three axes must keep this far from 90 degrees, where the first and the last
-# axis coincide.
+# The middle one of three axes must keep this far from where the three lie in one plane; of axes at
+# right angles that is at 90 degrees, where the first and the last one coincide.
 _SINGULARITY_MARGIN_DEG = 5.0
 
 AxisName = Literal["x", "y", "z", "-x", "-y", "-z"]
@@ -201,6 +201,39 @@ class ActuatorConfig(Section):
     stiffness: NotNegative = 0.0
 
 
+def _require_regular(directions: np.ndarray, lower: float, upper: float) -> None:
+    """Check that three axes stay independent while the middle one turns.
+
+    The volume that they span is a cosine of its angle.
+
+    Args:
+        directions: of the axes ``(3, 3)``.
+        lower: limit of the middle one, degrees.
+        upper: likewise.
+
+    Raises:
+        ValueError: they come into one plane, or nearly so.
+    """
+    first, middle, last = directions / np.linalg.norm(directions, axis=1)[:, None]
+    across = np.cross(middle, last)
+    cosine, sine = first @ across, first @ np.cross(middle, across)
+    margin = _SINGULARITY_MARGIN_DEG
+    if np.hypot(cosine, sine) < np.sin(np.radians(margin)):
+        raise ValueError(
+            f"axes: the middle one of three must be {margin:g} degrees at least from the others"
+        )
+    # The first angle above the lower limit at which they lie in one plane.
+    plane = np.degrees(np.arctan2(sine, cosine)) + 90.0
+    plane += 180.0 * np.ceil((lower - margin - plane) / 180.0 + 1e-9)
+    if plane < upper + margin - 1e-6:
+        near = plane - 180.0 if lower + upper < 2 * plane else plane
+        raise ValueError(
+            f"limits_deg: where the middle one of three axes turns by {plane:.4g} degrees, they "
+            f"lie in one plane; allowed for it: {near + margin:.4g} to "
+            f"{near + 180.0 - margin:.4g}, got {lower:g} to {upper:g}"
+        )
+
+
 class JointConfig(Section):
     """How a body hangs on its parent.
 
@@ -210,7 +243,7 @@ class JointConfig(Section):
         child_at: place of the joint in this body's frame, m.
         axes: 1 to 3 axes that turn one after the other: x, y, z, -x, -y, -z or a vector.
         limits_deg: lower and upper limit, for all axes or one pair for each, degrees; the middle
-            one of three axes turns by at most 85.
+            one of three axes at right angles turns by at most 85.
         rotation_deg: roll, pitch and yaw of this body against its parent at rest, degrees.
         stiffness: passive spring, N m/rad.
         damping: passive damping, N m s/rad.
@@ -240,16 +273,11 @@ class JointConfig(Section):
         for lower, upper in limits:
             if not lower < upper:
                 raise ValueError(f"limits_deg: {lower:g} is not below {upper:g}")
-        if len(self.axes) == 3:
-            widest, allowed = max(map(abs, limits[1])), 90 - _SINGULARITY_MARGIN_DEG
-            if widest > allowed:
-                raise ValueError(
-                    f"limits_deg: the middle one of three axes may turn by at most {allowed:g} "
-                    f"degrees (at 90 the other two coincide), got {widest:g}"
-                )
         directions = np.array(self.directions)
         if np.linalg.matrix_rank(directions, tol=1e-6) < len(directions):
             raise ValueError("axes: they must be independent of each other and not zero")
+        if len(self.axes) == 3:
+            _require_regular(directions, *limits[1])
         return self
 
     @property
