@@ -37,6 +37,8 @@ from typing import Any
 import numpy as np
 import yaml
 
+from evo_cpg.errors import UserError
+
 ROOT = Path(__file__).parents[1]
 CONFIGS = ROOT / "configs"
 
@@ -226,7 +228,6 @@ def build_odd(folder: Path, number: int) -> str:
     Returns:
         ``taken`` or ``refused``.
     """
-    from evo_cpg.cli.errors import is_users_fault
     from evo_cpg.config.build import build_experiment
     from evo_cpg.config.load import load_config
     from evo_cpg.config.plausible import doubts
@@ -247,7 +248,7 @@ def build_odd(folder: Path, number: int) -> str:
         list(doubts(config, path))
         build_experiment(config, path)
     except Exception as error:
-        if not is_users_fault(error):
+        if not isinstance(error, UserError):
             raise
         if len(str(error)) > 1000:
             raise ValueError(f"a message of {len(str(error))} characters") from error
@@ -301,7 +302,6 @@ def open_damaged(folder: Path, number: int) -> str:
         What became of every command, and of the checkpoints.
     """
     from evo_cpg.cli import pictures, training
-    from evo_cpg.cli.errors import is_users_fault
     from evo_cpg.training.run_folder import RunFolder
 
     chance = random.Random(number)
@@ -330,7 +330,7 @@ def open_damaged(folder: Path, number: int) -> str:
         except SystemExit as error:
             told.append(f"{name} ends with {error.code}")
         except Exception as error:
-            if not is_users_fault(error):
+            if not isinstance(error, UserError):
                 raise RuntimeError(f"{name} after damage to {', '.join(broken)}") from error
             told.append(f"{name} refused")
     if told[-1] == "resume done":

@@ -10,7 +10,8 @@ from matplotlib.figure import Figure
 from benchmarks.moving import PHYSICS, UNIT, WHOLE
 from benchmarks.report import amount, times
 from benchmarks.rows import Row
-from evo_cpg.view.output import in_one_piece, output_path
+from evo_cpg.files import in_one_piece
+from evo_cpg.view.output import output_path
 
 SUFFIXES = (".png", ".svg", ".pdf")
 # Okabe and Ito's palette: ours, MuJoCo, others.

@@ -5,7 +5,8 @@ from typing import Any
 
 from evo_cpg.creature.creature import Creature
 from evo_cpg.simulation.recording import Recording
-from evo_cpg.view.film import Panel, side_by_side
+from evo_cpg.view.film import side_by_side
+from evo_cpg.view.panel import Panel
 
 
 def film(

@@ -9,6 +9,7 @@ import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
@@ -20,6 +21,8 @@ from evo_cpg.analysis.phase_lags import PhaseLags, phase_lags
 from evo_cpg.control.brain_cpg import BrainCpg
 from evo_cpg.control.matsuoka import CpgSettings
 from evo_cpg.creature.creature import Creature, length_of, neutral_pose
+from evo_cpg.physics.current import stream
+from evo_cpg.physics.fluid import Water
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.simulation.simulation import Simulation
 
@@ -199,7 +202,7 @@ def _quantities(
                  "stride length by body length", no_stride),
     ]  # fmt: skip
     found += _of_the_ground(numbers, along)
-    found += _of_the_wave(simulation, creature, recording, numbers, middle, along, no_stride)
+    found += _of_the_wave(simulation, creature, recording, numbers, middle, no_stride)
     found += [
         Quantity("power", "mean power", energy / duration, "W",
                  "of all motors, |torque x rate| summed over the joints"),
@@ -247,7 +250,6 @@ def _of_the_wave(
     recording: Recording,
     numbers: GaitNumbers,
     middle: Float[np.ndarray, "n 3"],
-    along: float,
     no_stride: str,
 ) -> list[Quantity]:
     wave = numbers.wave
@@ -267,14 +269,17 @@ def _of_the_wave(
     if simulation.world.water is not None:
         point = _tail_tip(simulation, creature, recording, numbers.chain)[numbers.first :]
         swing = stride.excursion(point, middle, numbers.step, numbers.frequency)
+        swum = middle - _drift(simulation.world.water, middle, numbers.step)
+        through = stride.path_speed(swum, numbers.step, numbers.frequency)
         found += [
-            Quantity("wave_slip", "speed by wave speed", along / abs(wave.speed), "",
-                     "path speed by wave speed, the slip U/V of Lighthill 1960", stands),
+            Quantity("wave_slip", "speed by wave speed", through / abs(wave.speed), "",
+                     "path speed through the water by wave speed, the slip U/V of Lighthill 1960",
+                     stands),
             Quantity("tail_excursion", "excursion of the tail", swing, "m",
                      "of its tip, from side to side in a stride", no_stride),
             Quantity("strouhal", "Strouhal number",
-                     stride.strouhal_number(numbers.frequency, swing, along), "",
-                     "stride frequency x excursion of the tail by path speed "
+                     stride.strouhal_number(numbers.frequency, swing, through), "",
+                     "stride frequency x excursion of the tail by path speed through the water "
                      "(Triantafyllou et al. 1993)", no_stride or "it gets nowhere"),
         ]  # fmt: skip
     return found
@@ -360,13 +365,31 @@ def chain_places(
     return np.concatenate([[0.0], np.cumsum(apart)])
 
 
+def _drift(water: Water, middle: Float[np.ndarray, "t 3"], step: float) -> Float[np.ndarray, "t 3"]:
+    """How far the water has carried the animal since the first sample, m.
+
+    Args:
+        water: where it swims.
+        middle: of the animal, m.
+        step: between samples, s.
+    """
+    flow = stream(water.current, water.gradient, water.vortices, jnp.asarray(middle.T))
+    carried = np.broadcast_to(np.asarray(flow, float), middle.T.shape).T * step
+    return np.concatenate([np.zeros((1, 3)), np.cumsum(carried, 0)[:-1]])
+
+
 def _tail_tip(
     simulation: Simulation, creature: Creature, recording: Recording, chain: tuple[int, ...]
 ) -> Float[np.ndarray, "t 3"]:
-    """The end of the chain's last body that lies opposite of its joint, m."""
+    """Where the chain's last body ends, straight away from its joint, m."""
     tree = simulation.world.tree
     place = creature.body_index(tree.names[tree.dof_bodies[chain[-1]]])
     joint = creature.bodies[place].joint
     assert joint is not None
-    end = -np.array(joint.child_anchor, float)
+    away = -np.array(joint.child_anchor, float)
+    far = float(np.linalg.norm(away))
+    if far > 0:
+        away /= far
+        far = float(away @ np.asarray(creature.bodies[place].shape.support(away), float))
+    end = far * away
     return recording.position[:, place] + recording.rotation[:, place] @ end

@@ -15,9 +15,10 @@ from evo_cpg.api.training import now, require_configured
 from evo_cpg.api.version import version
 from evo_cpg.config.load import load_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
+from evo_cpg.files import write_text
 from evo_cpg.training.checkpoint import Champion, genes_digest
 from evo_cpg.training.experiment import Experiment
-from evo_cpg.training.run_folder import RunFolder, RunFolderError, write_whole
+from evo_cpg.training.run_folder import RunFolder, RunFolderError
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -58,7 +59,7 @@ def analyse(run: Path | str, trial: int = 0, trust: bool = False) -> Path:
     if changed:
         warnings.warn(f"{folder.path}: {changed}", stacklevel=2)
     path, text = page_path(folder, trial), page(experiment, champion, folder, trial)
-    write_whole(path, lambda file: file.write(text.encode()))
+    write_text(path, text)
     return path
 
 
@@ -87,7 +88,7 @@ def page(
         doing: is told what is being done, once the champion has lived again.
     """
     from evo_cpg.analysis.gait_numbers import chain_places, gait_numbers
-    from evo_cpg.view.film import sample
+    from evo_cpg.view.clip import sample
     from evo_cpg.view.page import document, scene
     from evo_cpg.view.watch_picture import still
 
@@ -113,7 +114,7 @@ def page(
         chain_places=chain_places(simulation, experiment.creature, numbers.chain),
     )
     settings, signal = rhythm_of(simulation.controller)
-    audit = _audit(folder, champion, number)
+    audit = _audit(folder, champion)
     subject = document.Subject(
         name=experiment.name,
         changed=changed_config(folder),
@@ -174,17 +175,17 @@ def _sentence(experiment: Experiment, config: ExperimentConfig) -> str:
     )
 
 
-def _audit(folder: RunFolder, champion: Champion, number: int | None) -> dict[str, Any] | None:
+def _audit(folder: RunFolder, champion: Champion) -> dict[str, Any] | None:
     """What `evo-cpg audit` found, of this run's champion where it looked at that."""
-    names = ["audit.json"] if number is None else []
-    for name in [*names, f"audit_run{champion.run}.json", "audit.json"]:
+    found = []
+    for name in (f"audit_run{champion.run}.json", "audit.json"):
         try:
             told = json.loads((folder.path / name).read_text(encoding="utf-8"))
         except (OSError, RecursionError, ValueError):
             continue
         if isinstance(told, dict):
-            return told
-    return None
+            found.append(told)
+    return next((told for told in found if _is_of(told, champion)), found[0] if found else None)
 
 
 def _is_of(audit: dict[str, Any] | None, champion: Champion) -> bool:

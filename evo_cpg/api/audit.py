@@ -76,7 +76,7 @@ class Audit:
         trials: of the champion, as it evolved.
         step_length: of a physics step, s.
         opinions: ours of the first trial, and MuJoCo's; none without a second opinion.
-        missing: why there is no second opinion.
+        missing: why there is no second opinion, or not all of them.
     """
 
     verdict: Verdict
@@ -146,18 +146,19 @@ def _complete(champion: Champion, lived: Kept) -> Champion:
 def _opinions(
     experiment: Experiment, champion: Champion, steps: PhysicsSteps
 ) -> tuple[tuple[Opinion, ...], str]:
-    """Ours and MuJoCo's of the first trial, and why there is none."""
+    """Ours and MuJoCo's of the first trial, and why there is none or one is missing."""
     simulation, creature = experiment.simulation, experiment.creature
+    theirs, missing = [], ""
     try:
-        theirs = [second_opinion(simulation, creature, steps)]
+        theirs.append(second_opinion(simulation, creature, steps))
         if simulation.world.footing is not None:
             theirs.append(second_opinion(simulation, creature, steps, hard=True))
             if not isinstance(simulation.controller, PostureController):
                 brain = _brain(experiment, champion)
                 theirs.append(second_opinion(simulation, creature, steps, True, brain))
     except ExchangeError as error:
-        return (), str(error)
-    return (own_opinion(simulation, steps), *theirs), ""
+        missing = str(error)
+    return (own_opinion(simulation, steps), *theirs) if theirs else (), missing
 
 
 def _brain(experiment: Experiment, champion: Champion) -> Brain:

@@ -1,6 +1,5 @@
 """From files or dictionaries to an experiment that can be called."""
 
-import contextlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -61,9 +60,7 @@ def _load(
             folders = class_folders(RunFolder(source))
             source = source / "config.yaml"
         read = load_config(source, changed)
-    # Too late where JAX runs already.
-    with contextlib.suppress(RuntimeError):
-        use_cores(cores)
+    use_cores(cores)
     return Experiment(build_experiment(read, source, folders), read, source)
 
 

@@ -9,12 +9,13 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Array, Float
 
+from evo_cpg.files import write_text, write_whole
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.simulation.rollout import NERVE, SENSE, as_recording
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.experiment import Experiment
-from evo_cpg.training.run_folder import RunFolder, write_whole
+from evo_cpg.training.run_folder import RunFolder
 
 _AXES = ("x", "y", "z")
 
@@ -49,13 +50,13 @@ class Record(Mapping[str, Float[np.ndarray, " t"]]):
         """Write it as a table whose header is the names, each with its unit: ``time [s]``.
 
         Raises:
-            RunFolderError: it cannot be written there.
+            OutputError: it cannot be written there.
         """
         table = io.StringIO()
         writer = csv.writer(table, lineterminator="\n")
         writer.writerow(f"{name} [{self.units[name]}]" for name in self)
         writer.writerows(zip(*(x.tolist() for x in self.values()), strict=True))
-        write_whole(Path(path), lambda file: file.write(table.getvalue().encode()))
+        write_text(Path(path), table.getvalue())
 
     def to_npz(self, path: Path | str) -> None:
         """Write it as arrays by the names of the columns, for `numpy.load`.
@@ -63,7 +64,7 @@ class Record(Mapping[str, Float[np.ndarray, " t"]]):
         Two arrays of text go with them: ``columns``, the names, and ``units`` of each.
 
         Raises:
-            RunFolderError: it cannot be written there.
+            OutputError: it cannot be written there.
         """
         names = np.array([list(self), [self.units[name] for name in self]])
         arrays = {"columns": names[0], "units": names[1], **self}

@@ -12,9 +12,7 @@ Settings with the same animal in the same trial run side by side in one program,
 are constants of it, which makes an evaluation faster and lets a champion live again to the bit.
 """
 
-import csv
 import hashlib
-import io
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -31,11 +29,12 @@ from evo_cpg.config.fingerprint import fingerprint
 from evo_cpg.config.load import load_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.config.settings import Setting, is_folder_name
+from evo_cpg.files import make_folder, write_table, write_text
 from evo_cpg.training.checkpoint import Checkpoint
 from evo_cpg.training.experiment import Experiment
 from evo_cpg.training.memory import require_memory
 from evo_cpg.training.reevaluation import is_finished
-from evo_cpg.training.run_folder import RunFolder, RunFolderError, write_whole
+from evo_cpg.training.run_folder import RunFolder, RunFolderError
 
 _PLAN = "sweep.json"
 
@@ -134,11 +133,7 @@ def claim(folder: Path, plan: Mapping[str, Any]) -> None:
         return
     if folder.is_file() or (folder.is_dir() and any(folder.iterdir())):
         raise RunFolderError(f"{folder} is not empty and holds no sweep; choose another --out")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise RunFolderError(f"cannot write {folder} ({error.strerror})") from None
-    _write(folder / _PLAN, json.dumps(plan, indent=2))
+    write_text(make_folder(folder) / _PLAN, json.dumps(plan, indent=2))
 
 
 def read_plan(folder: Path) -> dict[str, Any] | None:
@@ -291,10 +286,10 @@ def summarise(folder: Path, members: Sequence[Member]) -> Summary:
         raise RunFolderError(f"{folder}: nothing has been evolved yet")
     spreads = [spread(name, values) for name, values in fitness.items()]
     comparisons = compare(fitness)
-    _table(folder / "runs.csv", rows)
-    _table(folder / "settings.csv", [one._asdict() for one in spreads])
+    write_table(folder / "runs.csv", rows)
+    write_table(folder / "settings.csv", [one._asdict() for one in spreads])
     if comparisons:
-        _table(folder / "tests.csv", [one._asdict() for one in comparisons])
+        write_table(folder / "tests.csv", [one._asdict() for one in comparisons])
     runs = sorted({one.runs for one in spreads})
     many = f"{runs[0]}" if len(runs) == 1 else f"{runs[0]} to {runs[-1]}"
     title = f"{folder.name}: {len(spreads)} settings, {many} runs of each"
@@ -304,16 +299,3 @@ def summarise(folder: Path, members: Sequence[Member]) -> Summary:
 def _told(value: Any) -> Any:
     """A value in a cell of a table."""
     return json.dumps(value) if isinstance(value, dict | list) else "" if value is None else value
-
-
-def _table(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    columns = list(dict.fromkeys(column for row in rows for column in row))
-    text = io.StringIO()
-    writer = csv.DictWriter(text, fieldnames=columns, restval="", lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    _write(path, text.getvalue())
-
-
-def _write(path: Path, text: str) -> None:
-    write_whole(path, lambda file: file.write(text.encode()))

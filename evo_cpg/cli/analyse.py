@@ -9,7 +9,7 @@ from evo_cpg.api.training import require_configured
 from evo_cpg.cli.errors import UsageError, require_free
 from evo_cpg.cli.progress import working
 from evo_cpg.cli.training import open_champion, require_trial
-from evo_cpg.training.run_folder import write_whole
+from evo_cpg.files import write_text
 
 _SUFFIXES = (".html", ".htm")
 
@@ -40,7 +40,7 @@ def analyse_run(
     path = output or page_path(folder, trial, number)
     with working("replaying the champion: compiling takes some seconds, a trial less") as work:
         text = page(experiment, champion, folder, trial, number, work.doing)
-    write_whole(path, lambda file: file.write(text.encode()))
+    write_text(path, text)
     print(path)
 
 

@@ -93,8 +93,9 @@ def audit_run(
             console.print(_table(done.verdict.checks))
             if done.opinions:
                 console.print(_opinions(done.opinions))
-            else:
-                print(f"no second opinion: {done.missing}")
+            if done.missing:
+                none = "one opinion is missing" if done.opinions else "no second opinion"
+                print(f"{none}: {done.missing}")
         title = f"{experiment.name}: audit" + (f" of run {each.run}" if every else "")
         _draw(folder, name, title + ("" if cell is None else f" of cell {cell}"), done)
     if every:
@@ -263,7 +264,7 @@ def _as_dict(check: Check) -> dict[str, Any]:
     return {
         "key": check.key,
         "question": check.question,
-        "measured": float(check.measured) if math.isfinite(check.measured) else None,
+        "measured": float(check.measured),
         "limit": check.limit,
         "least": check.least,
         "unit": check.unit,

@@ -14,8 +14,9 @@ from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from evo_cpg.cli.errors import UsageError, is_users_fault
+from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.interrupts import leave_at_once
+from evo_cpg.errors import UserError
 
 if TYPE_CHECKING:
     from evo_cpg.training.processes import Team
@@ -133,7 +134,7 @@ def together(asked: Distribution, run: Path) -> Iterator["Team"]:
             # All know of it, and none should think that it has lost the others.
             with contextlib.suppress(processes.TeamError):
                 team.leave()
-        if is_users_fault(error):
+        if isinstance(error, UserError):
             _say(f"evo-cpg: {error}")
             leave_at_once(_WRONG_INPUT)
         traceback.print_exc()

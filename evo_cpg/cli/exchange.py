@@ -10,7 +10,7 @@ from evo_cpg.cli.training import champion_motion, champion_record, open_run
 from evo_cpg.config.load import dump_creature, load_config
 from evo_cpg.exchange.mjcf_export import mjcf_model, mjcf_text
 from evo_cpg.exchange.mjcf_import import read_mjcf
-from evo_cpg.training.run_folder import write_whole
+from evo_cpg.files import write_text, write_whole
 
 
 def export(
@@ -105,4 +105,4 @@ def import_model(path: Path, output: Path, motor_gain: float | None, overwrite: 
 
 
 def _write(output: Path, text: str) -> None:
-    write_whole(output, lambda file: file.write(text.encode()))
+    write_text(output, text)

@@ -19,7 +19,7 @@ from evo_cpg.config.load import dump_config, load_config
 from evo_cpg.config.numbers import number_at, with_numbers
 from evo_cpg.config.parameters import Parameters, parametrise
 from evo_cpg.config.schema.experiment import ExperimentConfig
-from evo_cpg.training.run_folder import write_whole
+from evo_cpg.files import write_text
 from evo_cpg.view.output import PLOT_SUFFIXES, output_path
 
 if TYPE_CHECKING:
@@ -89,7 +89,7 @@ def fit_data(
         found = dict(zip(ordered, map(float, result.values), strict=True))
         fitted = with_numbers(whole, {k: v for k, v in found.items() if k in inner}, path)
         text = dump_config(fitted)
-        write_whole(out, lambda file: file.write(text.encode()))
+        write_text(out, text)
         print(out)
     if plot is not None:
         from evo_cpg.view.fit_plot import plot_fit

@@ -26,8 +26,9 @@ from evo_cpg.api.sweep import Member, groups, members_of, read_plan, run_group
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.progress import Work, working
 from evo_cpg.config.trust import is_trusted, trusting
+from evo_cpg.files import write_text
 from evo_cpg.training.devices import available_cores, use_cores
-from evo_cpg.training.run_folder import RunFolderError, write_whole
+from evo_cpg.training.run_folder import RunFolderError
 
 try:
     import fcntl
@@ -278,6 +279,7 @@ class _Slurm:
         self._folder, self._logs = folder, logs
         self._entries = _recorded(folder)
         submitit: Any = importlib.import_module("submitit")
+        self._refused = importlib.import_module("submitit.core.utils").FailedJobError
         self._executor = submitit.AutoExecutor(
             folder=logs, cluster="slurm", slurm_max_num_timeout=_TIMES
         )
@@ -293,12 +295,27 @@ class _Slurm:
         """Look at the job that a group has, or give it to SLURM."""
         names = [member.setting.name for member in group]
         for entry in self._entries:
-            if entry["settings"] == names:
-                job = _of_slurm(entry)
-                if not job.done(force_check=True):
-                    return _Running(job, group)
+            shared = set(names) & set(entry["settings"])
+            if not shared:
+                continue
+            job = _of_slurm(entry)
+            if job.done(force_check=True):
                 self._forget(entry["id"])
-        job = self._executor.submit(_job(self._folder, group, cores, False))
+            elif entry["settings"] == names:
+                return _Running(job, group)
+            else:
+                raise UsageError(
+                    f"--jobs slurm: job {entry['id']} evolves {', '.join(sorted(shared))} already, "
+                    f"with others; wait until it is done, or end it with `scancel {entry['id']}`"
+                )
+        try:
+            job = self._executor.submit(_job(self._folder, group, cores, False))
+        except self._refused as error:
+            logs = str(self._logs.resolve())
+            if not any(entry["logs"] == logs for entry in self._entries):
+                shutil.rmtree(logs, ignore_errors=True)
+            reason = next(iter(str(error).split("\n")), "") or "without a word"
+            raise UsageError(f"--jobs slurm: sbatch refuses the job: {reason}") from None
         entry = {"id": job.job_id, "logs": str(self._logs.resolve()), "settings": names}
         self._record([*self._entries, entry])
         return _Running(job, group)
@@ -324,7 +341,7 @@ class _Slurm:
     def _record(self, entries: list[dict[str, Any]]) -> None:
         self._entries = entries
         text = json.dumps(entries, indent=2)
-        write_whole(self._folder / _HIDDEN / _SLURM, lambda file: file.write(text.encode()))
+        write_text(self._folder / _HIDDEN / _SLURM, text)
 
 
 def _job(folder: Path, group: Sequence[Member], cores: int | None, locks: bool) -> Job:

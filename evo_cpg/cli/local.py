@@ -49,8 +49,8 @@ def run_local(
             processes.append(
                 subprocess.Popen([*command, str(index)], stdin=subprocess.DEVNULL, process_group=0)
             )
-        while any(process.poll() is None for process in processes):
-            if any(process.returncode for process in processes):
+        while None in (codes := _codes(processes)):
+            if any(codes):
                 _wait(processes, _GRACE)
                 break
             time.sleep(_LOOK)
@@ -89,12 +89,17 @@ def _wait(processes: Sequence[subprocess.Popen], longest: float) -> None:
     """Wait for all to end; who is killed afterwards is not."""
     told = False
     end = time.monotonic() + longest
-    while time.monotonic() < end and any(process.poll() is None for process in processes):
-        for index, process in enumerate(processes):
-            if not told and process.returncode == -signal.SIGKILL:
-                _say_ended(index, process.returncode)
+    while time.monotonic() < end and None in (codes := _codes(processes)):
+        for index, code in enumerate(codes):
+            if not told and code is not None and code == -signal.SIGKILL:
+                _say_ended(index, code)
                 told = True
         time.sleep(_LOOK)
+
+
+def _codes(processes: Sequence[subprocess.Popen]) -> list[int | None]:
+    """How each has ended; None of those that live."""
+    return [process.poll() for process in processes]
 
 
 def _say_ended(index: int, code: int) -> None:

@@ -35,6 +35,7 @@ from evo_cpg.cli.options import (
     What,
     find_config_or_folder,
 )
+from evo_cpg.errors import UserError
 
 # Exit codes: 0 done, 1 a fault of ours, 2 wrong input, 3 an audit that is not passed, 4 another
 # process lost, 130 interrupted.
@@ -351,11 +352,12 @@ def render(
     number: Number = None,
     trial: Trial = 0,
     cell: Cell = None,
+    cores: Cores = None,
 ) -> None:
     """Film the champion of a run, or anybody on its map of behaviour."""
     from evo_cpg.cli.render import Film, render_run
 
-    film = Film(output, size, sheet, camera.value, fps, speed, seconds, signals, title or [])
+    film = Film(output, size, sheet, camera.value, fps, speed, seconds, signals, title or [], cores)
     render_run(run, film, number, trial, cell, lineage, beside or [])
 
 
@@ -699,11 +701,7 @@ def main() -> None:
             app()
     except KeyboardInterrupt:
         raise SystemExit(_INTERRUPTED) from None
-    except Exception as error:
-        from evo_cpg.cli.errors import is_users_fault
-
-        if not is_users_fault(error):
-            raise
+    except UserError as error:
         print(f"evo-cpg: {error}", file=sys.stderr)
         raise SystemExit(_WRONG_INPUT) from None
 

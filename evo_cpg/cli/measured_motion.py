@@ -66,7 +66,7 @@ def read_motion(path: Path) -> MeasuredMotion:
             raise UsageError(f"{path}: line {line} has {len(row)} cells, not {len(names)}")
         for j, cell in enumerate(row):
             table[i, j] = _measured(cell, f"{path}: line {line}, {names[j]}")
-    columns = _of_export(dict(zip(names, table.T, strict=True)))
+    columns = _of_export(dict(zip(names, table.T, strict=True)), path)
     time = columns.pop("time")
     if not np.isfinite(time).all() or time.min() < 0 or (np.diff(time) <= 0).any():
         raise UsageError(f"{path}: time must grow from row to row, from 0 or later")
@@ -80,7 +80,7 @@ def read_motion(path: Path) -> MeasuredMotion:
     return MeasuredMotion(time, tuple(columns), np.stack(list(columns.values()), 1), targets)
 
 
-def _of_export(columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+def _of_export(columns: dict[str, np.ndarray], path: Path) -> dict[str, np.ndarray]:
     """What a motion tracker would have seen of an exported motion; others as they are.
 
     The attitude is yaw, then pitch, then roll about the root's own axes.
@@ -88,6 +88,10 @@ def _of_export(columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     root = next((name.removesuffix(_EXPORTED) for name in columns if name.endswith(_EXPORTED)), "")
     if not root:
         return columns
+    needed = [*(f"{root}.rotation_{axes}" for axes in _ATTITUDE), *(f"{root}.{x}" for x in "xyz")]
+    lacking = [name for name in needed if name not in columns]
+    if lacking:
+        raise UsageError(f"{path}: {lacking[0]} is missing, which an exported motion has")
     xx, yx, zx, zy, zz = (columns[f"{root}.rotation_{axes}"] for axes in _ATTITUDE)
     seen = {"time": columns["time"], **{axis: columns[f"{root}.{axis}"] for axis in "xyz"}}
     seen |= {

@@ -1,6 +1,5 @@
 """The command that puts a champion into situations that it never saw: probe."""
 
-import csv
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +10,7 @@ from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.progress import working
 from evo_cpg.cli.training import open_champion
 from evo_cpg.config.situations import out_of_reach
+from evo_cpg.files import make_folder, write_table
 from evo_cpg.simulation.situation import Situation
 from evo_cpg.training.experiment import Experiment
 from evo_cpg.training.probe import Probe, around, blinded, probe, seen_from_start
@@ -47,11 +47,7 @@ def probe_run(
     if not own_trials:
         situations = around(situations[0], turned, away)
         _require_reachable(experiment, situations)
-    place = out or folder.path
-    try:
-        place.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UsageError(f"--out: {place} cannot be made ({error.strerror})") from None
+    place = make_folder(out or folder.path)
     simulation = blinded(experiment.simulation) if blind else experiment.simulation
     with working(f"probing {len(situations)} lights: compiling takes 10 s to a minute"):
         found = probe(simulation, champion.genes, situations)
@@ -62,7 +58,7 @@ def probe_run(
     result = f"{reached.sum()} of {len(rows)} lights reached"
     name = "probe" if number is None else f"probe_run{number}"
     table = place / f"{name}{'_blind' if blind else ''}.csv"
-    _write(table, rows)
+    write_table(table, rows)
     who = f"{experiment.name}, blind" if blind else experiment.name
     picture = plot_probe(found, reach, f"{who}: {result}", table.with_suffix(".png"))
     Console().print(_table(rows))
@@ -144,16 +140,6 @@ def _require_reachable(experiment: Experiment, situations: tuple[Situation, ...]
                 f"--bearings, --distances: {_degrees(bearing):g} degrees, {distance:g} m: "
                 f"{problem}; choose others, or --trials"
             )
-
-
-def _write(path: Path, rows: list[dict[str, float | int]]) -> None:
-    try:
-        with path.open("w", encoding="utf-8", newline="") as file:
-            writer = csv.DictWriter(file, fieldnames=list(rows[0]), lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(rows)
-    except OSError as error:
-        raise UsageError(f"{path} cannot be written ({error.strerror})") from None
 
 
 def _table(rows: list[dict[str, float | int]]) -> Table:

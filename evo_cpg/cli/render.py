@@ -20,12 +20,13 @@ from evo_cpg.cli.training import (
     require_trial,
 )
 from evo_cpg.training.checkpoint import Champion
+from evo_cpg.training.devices import available_cores
 from evo_cpg.training.experiment import Experiment
 from evo_cpg.training.lineage import champion_at, telling
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
 
 if TYPE_CHECKING:
-    from evo_cpg.view.film import Panel
+    from evo_cpg.view.panel import Panel
     from evo_cpg.view.signals import Signals
 
 # Animals side by side: of a lineage where nothing is said, and at most.
@@ -44,6 +45,7 @@ class Film(NamedTuple):
     seconds: float | None
     signals: bool
     titles: Sequence[str] = ()
+    cores: int | None = None
 
 
 def render_run(
@@ -115,6 +117,7 @@ def render_run(
             speed=film.speed,
             camera=film.camera,
             sheet=moments,
+            processes=film.cores or available_cores(),
             progress=work.reached,
         )
     print(made)
@@ -122,7 +125,7 @@ def render_run(
 
 def _panel(run: Path, number: int | None, trial: int, cell: str | None, signals: bool) -> "Panel":
     """The champion of a run, or the elite of a cell."""
-    from evo_cpg.view.film import panel_of
+    from evo_cpg.view.panel import panel_of
     from evo_cpg.view.units import told
 
     strip = None
@@ -144,7 +147,7 @@ def _lineage(
     run: Path, wanted: list[int] | None, number: int | None, trial: int, signals: bool
 ) -> "tuple[list[Panel], RunFolder]":
     """Those who were champion on the way, each with its generation and fitness."""
-    from evo_cpg.view.film import panel_of
+    from evo_cpg.view.panel import panel_of
 
     experiment, champion, _, folder = open_champion(run, number)
     require_trial(experiment, folder, trial)

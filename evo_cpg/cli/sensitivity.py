@@ -1,6 +1,5 @@
 """The command that tells what a champion's success depends on: sensitivity."""
 
-import csv
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,6 +15,7 @@ from evo_cpg.cli.training import class_folders, open_champion
 from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.load import load_config
 from evo_cpg.config.parameters import Parameters, all_parameters, parametrise
+from evo_cpg.files import make_folder, write_table
 from evo_cpg.training.checkpoint import Champion
 
 if TYPE_CHECKING:
@@ -63,24 +63,14 @@ def show_sensitivities(
             chosen = all_parameters(config, folder.config, beside, shapes)
     with working("finding what each number changes"):
         parameters = parametrise(config, folder.config, chosen, beside)
-    place = out or folder.path
-    try:
-        place.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise UsageError(f"--out: {place} cannot be made ({error.strerror})") from None
+    place = make_folder(out or folder.path)
     scaled = not keys or GENES in keys
     with working(_COMPILING) as work:
         speed, fitness = _measure(parameters, champion, scaled, work)
     rows = [_row(one, other) for one in speed for other in fitness if one.key == other.key]
     name = "sensitivity" if number is None else f"sensitivity_run{number}"
     table = place / f"{name}.csv"
-    try:
-        with table.open("w", encoding="utf-8", newline="") as file:
-            writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(rows)
-    except OSError as error:
-        raise UsageError(f"{table} cannot be written ({error.strerror})") from None
+    write_table(table, rows)
     from evo_cpg.view.sensitivity_plot import plot_sensitivities
 
     time = steps / rate

@@ -7,7 +7,7 @@ from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.load import load_config
 from evo_cpg.config.shipped import shipped
 from evo_cpg.config.trust import noting
-from evo_cpg.training.run_folder import write_whole
+from evo_cpg.files import write_whole
 
 
 def copy_shipped(name: str, folder: Path) -> Path:

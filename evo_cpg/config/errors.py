@@ -4,10 +4,12 @@ import difflib
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+from evo_cpg.errors import UserError
+
 Key = Sequence[str | int]
 
 
-class ConfigError(Exception):
+class ConfigError(UserError):
     """A configuration that cannot be used; the message is for the user as it stands."""
 
     def __init__(self, source: str | Path, key: Key, problem: str):

@@ -14,7 +14,7 @@ from typing import Any
 from evo_cpg.config.errors import ConfigError, Key
 from evo_cpg.config.schema.choice import CustomConfig
 from evo_cpg.config.schema.experiment import ExperimentConfig
-from evo_cpg.config.trust import distrusted
+from evo_cpg.config.trust import code_folders, distrusted
 
 
 def own_parts(config: ExperimentConfig) -> list[tuple[tuple[str | int, ...], CustomConfig]]:
@@ -76,19 +76,31 @@ def require_code(config: ExperimentConfig, source: Path | str, folders: Iterable
         folders: where they may lie, but are not looked for unless they are trusted.
 
     Raises:
-        ConfigError: one cannot.
+        ConfigError: one cannot, or another one of its name would be taken.
     """
+    folders = tuple(folders)
     for key, part in own_parts(config):
         module = part.type.partition(":")[0]
         top = module.partition(".")[0]
-        if not top or top in sys.modules or importlib.util.find_spec(top) is not None:
-            # Without a top it is one of a package that there is none of, as importing it says.
+        if not top:
+            # One of a package that there is none of, as importing it says.
             continue
-        raise ConfigError(
-            source,
-            (*key, "type"),
-            f"{part.type!r} cannot be imported (no module {top!r}{distrusted(module, folders)})",
-        )
+        there, found = _found(top)
+        if not there:
+            raise ConfigError(
+                source,
+                (*key, "type"),
+                f"{part.type!r} cannot be imported (no module {top!r}"
+                f"{distrusted(module, folders)})",
+            )
+        own = _file_in((*code_folders(folders), Path.cwd()), top)
+        if None not in (own, found) and own != found:
+            raise ConfigError(
+                source,
+                (*key, "type"),
+                f"{part.type!r} would be that of {found}, which has the name of {own}; rename one "
+                "of the two, or use a process for each",
+            )
 
 
 def code_digests(config: ExperimentConfig) -> dict[str, str]:
@@ -103,6 +115,26 @@ def code_digests(config: ExperimentConfig) -> dict[str, str]:
         if path is not None:
             _digest(module, path, path.parent, digests)
     return digests
+
+
+def _found(top: str) -> tuple[bool, Path | None]:
+    """Whether there is such a module or package, and the file that importing it takes, if any."""
+    try:
+        spec = importlib.util.find_spec(top)
+    except ValueError:
+        # Loaded, by something that does not say from where.
+        return True, None
+    file = None if spec is None else spec.origin
+    return spec is not None, Path(file).resolve() if file else None
+
+
+def _file_in(folders: Iterable[Path], top: str) -> Path | None:
+    """The file of a module or package in the first folder that has one."""
+    for folder in folders:
+        for file in (folder / top / "__init__.py", folder / f"{top}.py"):
+            if file.is_file():
+                return file.resolve()
+    return None
 
 
 def _digest(module: ModuleType, path: Path, folder: Path, digests: dict[str, str]) -> None:

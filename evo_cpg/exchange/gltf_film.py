@@ -13,18 +13,18 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from evo_cpg.creature.creature import Creature
-from evo_cpg.exchange.errors import ExchangeError
 from evo_cpg.exchange.glb import Glb, Node
 from evo_cpg.physics.footing import Ground
 from evo_cpg.physics.terrain import Part, Plane
-from evo_cpg.simulation.recording import Recording
+from evo_cpg.simulation.recording import Recording, require_whole
 from evo_cpg.view.camera import course
-from evo_cpg.view.film import FLOOR_DEPTH, animal_radius, animal_reach, sample, surface_is_seen
+from evo_cpg.view.clip import sample
 from evo_cpg.view.ground import grid_spacing, mark_spacing
 from evo_cpg.view.look import LOOKS, SHORE, Look
 from evo_cpg.view.meshes import body_colors, eye_meshes, shape_mesh
 from evo_cpg.view.obstacles import obstacle_mesh
 from evo_cpg.view.sky import sun_direction
+from evo_cpg.view.stage import FLOOR_DEPTH, animal_radius, animal_reach, surface_is_seen
 from evo_cpg.view.terrain import Terrain, make_terrain
 from evo_cpg.view.textures import CELLS, floor_texture
 
@@ -62,12 +62,9 @@ def gltf_film(
         surface: height of the water's surface, m.
 
     Raises:
-        ExchangeError: the recording is empty or not finite.
+        RecordingError: a recording that does not fit its creature, is empty or not finite.
     """
-    if not len(recording.time):
-        raise ExchangeError("the recording is empty: it holds no instant")
-    if not (np.isfinite(recording.position).all() and np.isfinite(recording.rotation).all()):
-        raise ExchangeError("the recording diverges: its positions or rotations are not finite")
+    require_whole(recording, creature)
     clip = sample(recording, _FPS)
     if surface is not None and not surface_is_seen(creature, clip, ground, surface):
         surface = None

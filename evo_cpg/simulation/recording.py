@@ -5,6 +5,13 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from evo_cpg.creature.creature import Creature
+from evo_cpg.errors import UserError
+
+
+class RecordingError(UserError, ValueError):
+    """A motion of which nothing can be shown."""
+
 
 class Recording(NamedTuple):
     """What one animal did in one trial, sampled once per control step.
@@ -34,3 +41,29 @@ class Recording(NamedTuple):
     distance: Float[np.ndarray, " t"]
     goal: Float[np.ndarray, "3"]
     dof_names: tuple[str, ...]
+
+
+def require_whole(recording: Recording, creature: Creature) -> None:
+    """Check that a recording shows an animal from its start to its end.
+
+    Args:
+        recording: the motion.
+        creature: the animal.
+
+    Raises:
+        RecordingError: it holds no instant, has other bodies, or is not finite.
+    """
+    if not len(recording.time):
+        raise RecordingError("the recording is empty: it holds no instant")
+    if recording.position.shape[1] != len(creature.bodies):
+        raise RecordingError(
+            f"the recording has {recording.position.shape[1]} bodies, "
+            f"but {creature.name!r} has {len(creature.bodies)}; they do not belong together"
+        )
+    finite = np.isfinite(recording.position).all((1, 2))
+    finite &= np.isfinite(recording.rotation).all((1, 2, 3))
+    if not finite.all():
+        raise RecordingError(
+            f"the recording diverges at {recording.time[finite.argmin()]:g} s: "
+            "positions or rotations are not finite from there on"
+        )

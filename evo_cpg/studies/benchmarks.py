@@ -7,6 +7,7 @@ from pathlib import Path
 from types import ModuleType
 
 import evo_cpg
+from evo_cpg.errors import UserError
 from evo_cpg.studies.study import Part, Study, Table
 from evo_cpg.studies.workshop import Workshop
 
@@ -14,7 +15,7 @@ from evo_cpg.studies.workshop import Workshop
 _MOVING = ("swimmer", "salamander-water", "salamander-land", "quadruped")
 
 
-class SuiteError(Exception):
+class SuiteError(UserError):
     """There is no suite of benchmarks; the message is for the user as it stands."""
 
 

@@ -6,7 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from evo_cpg.training.run_folder import RunFolderError, write_whole
+from evo_cpg.files import write_text
+from evo_cpg.training.run_folder import RunFolderError
 
 FILE = "provenance.json"
 
@@ -38,7 +39,7 @@ def note(folder: Path, part: str, told: Mapping[str, Any]) -> None:
     """Write down how a part was made."""
     parts = read(folder) | {part: dict(told)}
     text = json.dumps({"parts": parts}, indent=1, allow_nan=False) + "\n"
-    write_whole(folder / FILE, lambda file: file.write(text.encode()))
+    write_text(folder / FILE, text)
 
 
 def problems(folder: Path) -> list[str]:

@@ -28,7 +28,8 @@ def stills(
         moments: from the start of a trial to its end.
     """
     from evo_cpg.training.loop import compile_replay
-    from evo_cpg.view.film import panel_of, side_by_side
+    from evo_cpg.view.film import side_by_side
+    from evo_cpg.view.panel import panel_of
 
     rows, panels = [], []
     for title, name in shown.items():

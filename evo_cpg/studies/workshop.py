@@ -16,6 +16,7 @@ import shutil
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
+from importlib import metadata
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
@@ -30,13 +31,14 @@ from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import dump_config, load_config
 from evo_cpg.config.settings import Setting
 from evo_cpg.config.shipped import shipped
+from evo_cpg.files import make_folder, write_text
 from evo_cpg.fusion.engine import Engine
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.studies import provenance
 from evo_cpg.studies.study import Part, Study, Table
 from evo_cpg.training.checkpoint import Champion, Checkpoint, genes_digest
 from evo_cpg.training.experiment import Experiment
-from evo_cpg.training.run_folder import RunFolder, RunFolderError, write_whole
+from evo_cpg.training.run_folder import RunFolder, RunFolderError
 
 # What a run is cut down to with --quick. A second of a trial, for the terms of its last second.
 _QUICK_RUNS, _QUICK_GENERATIONS, _QUICK_STEPS = 2, 2, 60
@@ -98,8 +100,9 @@ class Workshop:
         """Check that the folder holds nothing else.
 
         Raises:
+            OutputError: it cannot be made.
             RunFolderError: it holds quick results where others are asked for or the other way
-                round, or it cannot be made.
+                round.
         """
         other = [
             name
@@ -111,10 +114,7 @@ class Workshop:
             raise RunFolderError(
                 f"{self.folder} holds {kind} results ({other[0]}); choose another --out"
             )
-        try:
-            (self.folder / "runs").mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise RunFolderError(f"cannot write {self.folder} ({error.strerror})") from None
+        make_folder(self.folder / "runs")
 
     def forget(self, part: str) -> None:
         """Throw the runs of a part away, so that they are evolved anew."""
@@ -202,23 +202,27 @@ class Workshop:
     def kept(self, key: str, names: Sequence[str], measure: Callable[[], Any]) -> Any:
         """What was measured of the champions of runs; measured once, and kept as JSON.
 
+        Of a program that was changed since its commit nothing is kept: the next change has no other
+        name.
+
         Args:
             key: name of the file.
             names: of the runs; where their champions have changed it is measured anew.
             measure: how.
         """
         genes = "".join(genes_digest(each.genes) for name in names for each in self.champions(name))
-        made_of = hashlib.sha256(f"{program_commit()} {genes}".encode()).hexdigest()
+        program = program_commit() or metadata.version("evo-cpg")
+        made_of = hashlib.sha256(f"{program} {genes}".encode()).hexdigest()
         path = self.folder / "runs" / f"{key}.json"
         try:
             known = json.loads(path.read_text(encoding="utf-8"))
-            if known["of"] == made_of:
+            if known["of"] == made_of and not program.endswith("-dirty"):
                 return known["found"]
         except (KeyError, OSError, TypeError, ValueError):
             pass
         told = json.loads(json.dumps(measure()))
         text = json.dumps({"of": made_of, "found": told})
-        write_whole(path, lambda file: file.write(text.encode()))
+        write_text(path, text)
         return told
 
     def _run(self, name: str) -> RunFolder:
@@ -281,7 +285,7 @@ class Workshop:
         line = provenance.caption(self.study.name, part, told)
         text = "\n".join(f"{markdown(table)}\n\n{line}\n" for table in tables)
         page = self.folder / f"{part}.md"
-        write_whole(page, lambda file: file.write(text.encode()))
+        write_text(page, text)
         files = [page, *self._pictures]
         told["files"] = {path.name: provenance.digest(path) for path in files}
         provenance.note(self.folder, part, told)

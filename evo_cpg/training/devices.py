@@ -37,18 +37,23 @@ def available_cores() -> int:
 
 
 def use_cores(count: int | None = None) -> int:
-    """Make every core a JAX device, and keep what is compiled. Call it before JAX runs anything.
+    """Make every core a JAX device, and keep what is compiled.
+
+    Once JAX has run something it is too late, and the devices stay as they are.
 
     Args:
         count: cores to use; None for all that this process may run on.
 
     Returns:
-        The number of devices there will be.
+        The number of devices that there are, or will be.
     """
     count = count or available_cores()
     # Read when the CPU backend starts: the size of the thread pool behind each device.
     os.environ["NPROC"] = "1"
-    jax.config.update("jax_num_cpu_devices", count)
+    try:
+        jax.config.update("jax_num_cpu_devices", count)
+    except RuntimeError:
+        return jax.local_device_count()
     keep_compiled_programs()
     return count
 

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import jax
 
+from evo_cpg.errors import UserError
 from evo_cpg.training.experiment import Experiment, begin
 
 # Bytes of everything else, and copies of all genomes, and of what a search remembers, at the worst
@@ -28,7 +29,7 @@ _CONTROL_GROUPS = (
 )
 
 
-class TooLargeError(Exception):
+class TooLargeError(UserError):
     """A population for which the machine has no memory; the message is for the user."""
 
 

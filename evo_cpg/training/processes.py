@@ -26,6 +26,7 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Float, UInt8
 
+from evo_cpg.errors import UserError
 from evo_cpg.fusion.jax_internals import gather_at
 from evo_cpg.fusion.machine_constants import LANES
 from evo_cpg.training.checkpoint import Checkpoint, checkpoint_arrays, read_checkpoint
@@ -64,7 +65,7 @@ class TeamError(Exception):
     """The team is no more; the message says what this process knows of it."""
 
 
-class Disagreement(Exception):
+class Disagreement(UserError):
     """Processes that were started with different things; the message says which."""
 
 

@@ -14,6 +14,8 @@ import time
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
+from evo_cpg.errors import UserError
+
 # Lines are a few hundred bytes; what is longer comes from somebody else.
 _LONGEST_LINE = 1 << 14
 
@@ -27,7 +29,7 @@ _SILENCE = 2.0
 _LATER = 30.0
 
 
-class JoinError(Exception):
+class JoinError(UserError):
     """Processes that cannot become a team; the message says why."""
 
 

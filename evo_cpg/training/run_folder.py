@@ -34,7 +34,6 @@ import os
 import re
 import shutil
 import struct
-import tempfile
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -43,6 +42,8 @@ from typing import IO, Any
 import numpy as np
 from jaxtyping import Float
 
+from evo_cpg.errors import UserError
+from evo_cpg.files import cannot_write, write_table, write_text, write_whole
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.training.checkpoint import (
     Champion,
@@ -84,11 +85,8 @@ _DAMAGED = (
 # the list, length of the comment.
 _END = struct.Struct("<4s4H2LH")
 
-# Writes the contents of an open file.
-_Writer = Callable[[Any], object]
 
-
-class RunFolderError(Exception):
+class RunFolderError(UserError):
     """A run folder that cannot be used as asked; the message says why and the way out."""
 
 
@@ -146,7 +144,8 @@ class RunFolder:
             start: genomes to begin with; None for random ones.
 
         Raises:
-            RunFolderError: the folder holds a run or other files, or cannot be written.
+            OutputError: the folder cannot be written.
+            RunFolderError: it holds a run or other files.
         """
         try:
             if self.path.exists() and not self.path.is_dir():
@@ -196,7 +195,7 @@ class RunFolder:
         Raises:
             RunFolderError: the folder cannot be written.
         """
-        write_whole(self.config, lambda file: file.write(config_text.encode()))
+        write_text(self.config, config_text)
         try:
             for part in ("checkpoints", "videos", "plots"):
                 (self.path / part).mkdir(exist_ok=True)
@@ -233,9 +232,9 @@ class RunFolder:
         self.write_json(self.meta.name, self.read_meta() | values)
 
     def write_json(self, name: str, values: Mapping[str, Any]) -> None:
-        """Write a .json file of the folder."""
-        text = json.dumps(values, indent=2, allow_nan=False)
-        write_whole(self.path / name, lambda file: file.write(text.encode()))
+        """Write a .json file of the folder; null stands for a number that is not finite."""
+        text = json.dumps(_finite(values), indent=2, allow_nan=False)
+        write_text(self.path / name, text)
 
     def save(self, checkpoint: Checkpoint) -> None:
         """Write a checkpoint, metrics.csv and, with it, the champion where it is new."""
@@ -298,7 +297,9 @@ class RunFolder:
             config_text: the configuration that it lives by.
         """
         config = config_text.encode()
-        writes: dict[Path, _Writer] = {self.config: lambda file: file.write(config)}
+        writes: dict[Path, Callable[[IO[bytes]], object]] = {
+            self.config: lambda file: file.write(config)
+        }
         checkpoint, best = self.load(), champion
         if checkpoint is not None:
             records, chosen = list(checkpoint.records), list(checkpoint.chosen)
@@ -344,11 +345,7 @@ class RunFolder:
 
     def write_table(self, name: str, rows: list[dict[str, float]]) -> None:
         """Write rows with equal columns as a .csv file of the folder."""
-        text = io.StringIO()
-        writer = csv.DictWriter(text, fieldnames=list(rows[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
-        write_whole(self.path / name, lambda file: file.write(text.getvalue().encode()))
+        write_table(self.path / name, rows)
 
     def load_champion(self) -> tuple[Champion, Recording | None, dict[str, str]]:
         """The champion, its motion if that was recorded, and the digests written with it.
@@ -399,7 +396,7 @@ class RunFolder:
     def _checkpoint(self, generation: int) -> Path:
         return self.path / "checkpoints" / f"generation_{generation:06d}.npz"
 
-    def _write_together(self, writes: Mapping[Path, _Writer]) -> None:
+    def _write_together(self, writes: Mapping[Path, Callable[[IO[bytes]], object]]) -> None:
         """Write several files of the run, all of them or none, whenever this is stopped."""
         gathered = self.path / _GATHERED
         try:
@@ -449,7 +446,7 @@ class RunFolder:
         writer = csv.DictWriter(added, fieldnames=list(history[0]), lineterminator="\n")
         writer.writerows(history[len(rows) :])
         self._table = history, text + added.getvalue()
-        write_whole(self.metrics, lambda file: file.write(self._table[1].encode()))
+        write_text(self.metrics, self._table[1])
 
 
 def _generation_of(checkpoint: Path) -> int:
@@ -459,7 +456,7 @@ def _generation_of(checkpoint: Path) -> int:
 
 def _champion_writer(
     champion: Champion, config_digest: str, recording: Recording | None = None
-) -> _Writer:
+) -> Callable[[IO[bytes]], object]:
     arrays: dict[str, Any] = champion_arrays(champion)
     arrays |= {"config_sha256": config_digest}
     if recording is not None:
@@ -470,27 +467,13 @@ def _champion_writer(
     return lambda file: np.savez(file, **arrays)
 
 
-def cannot_write(path: Path, error: OSError) -> RunFolderError:
-    """What to raise where the system has refused to write a file."""
-    return RunFolderError(f"cannot write {path} ({error.strerror or error})")
-
-
-def write_whole(path: Path, write: _Writer) -> None:
-    """Write a file beside its place, flush it to the disk, and move it there."""
-    try:
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-        try:
-            with os.fdopen(handle, "wb") as file:
-                write(file)
-                file.flush()
-                os.fsync(file.fileno())
-            os.chmod(name, 0o644)
-            os.replace(name, path)
-        except BaseException:
-            Path(name).unlink(missing_ok=True)
-            raise
-    except OSError as error:
-        raise cannot_write(path, error) from None
+def _finite(value: Any) -> Any:
+    """As JSON can say it, which has no words for infinity and for what is no number."""
+    if isinstance(value, Mapping):
+        return {name: _finite(each) for name, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(each) for each in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _read_arrays(path: Path) -> dict[str, np.ndarray]:

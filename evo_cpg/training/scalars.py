@@ -16,7 +16,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import IO, Any, cast
 
-from evo_cpg.training.run_folder import cannot_write
+from evo_cpg.files import cannot_write
 
 # Name of the folder; in it of each file, of which TensorBoard looks for the first part.
 FOLDER, _FILE = "tensorboard", "events.out.tfevents.evo-cpg"

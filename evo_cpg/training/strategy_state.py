@@ -7,8 +7,10 @@ import jax
 import numpy as np
 from jaxtyping import PyTree
 
+from evo_cpg.errors import UserError
 
-class StrategyError(Exception):
+
+class StrategyError(UserError):
     """A strategy that does not do what it must; the message is for the user."""
 
 

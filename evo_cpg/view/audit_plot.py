@@ -12,8 +12,9 @@ from matplotlib.figure import Figure
 
 from evo_cpg.analysis.energy import Ledger
 from evo_cpg.analysis.verdict import Check
+from evo_cpg.files import in_one_piece
 from evo_cpg.view.legible import legible
-from evo_cpg.view.output import PLOT_SUFFIXES, in_one_piece, output_path
+from evo_cpg.view.output import PLOT_SUFFIXES, output_path
 
 _INK, _GREY, _LINES = "#1f2937", "#6b7280", "#e5e7eb"
 _PASSED, _FAILED, _REPORTED = "#009E73", "#D55E00", "#9ca3af"

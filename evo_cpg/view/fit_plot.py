@@ -8,8 +8,9 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from evo_cpg.files import in_one_piece
 from evo_cpg.view.legible import legible
-from evo_cpg.view.output import PLOT_SUFFIXES, in_one_piece, output_path
+from evo_cpg.view.output import PLOT_SUFFIXES, output_path
 
 _INK, _DATA, _MODEL = "#1f2937", "#9ca3af", "#D55E00"
 _WIDTH, _ROW, _REST = 7.4, 1.5, 0.9

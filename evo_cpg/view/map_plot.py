@@ -13,8 +13,9 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from evo_cpg.evolution.map_elites import Axis
+from evo_cpg.files import in_one_piece
 from evo_cpg.view.legible import legible
-from evo_cpg.view.output import PLOT_SUFFIXES, in_one_piece, output_path
+from evo_cpg.view.output import PLOT_SUFFIXES, output_path
 from evo_cpg.view.units import UNITS, in_words
 
 _INK, _EMPTY, _MARK = "#1f2937", "#eef0f3", "#D55E00"

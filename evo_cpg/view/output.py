@@ -12,6 +12,9 @@ from typing import IO, cast
 import imageio_ffmpeg
 import numpy as np
 
+from evo_cpg.errors import UserError
+from evo_cpg.files import OutputError, in_one_piece
+
 # A palette per frame: one for the whole film would make ffmpeg hold all of it in memory.
 _GIF_PALETTE = "split[a][b];[a]palettegen=stats_mode=single[p];[b][p]paletteuse=new=1:dither=bayer"
 _ENCODERS = {
@@ -51,11 +54,7 @@ PLOT_SUFFIXES = (".png", ".svg", ".pdf")
 GUTTER = 4
 
 
-class OutputError(OSError):
-    """A picture or film that cannot be written where the user asked for it."""
-
-
-class SettingError(ValueError):
+class SettingError(UserError, ValueError):
     """A picture or film cannot be made of this size, this fast, or of so many moments."""
 
 
@@ -123,25 +122,6 @@ def folder_in_one_piece(folder: Path) -> Iterator[Path]:
 
 
 @contextlib.contextmanager
-def in_one_piece(path: Path) -> Iterator[Path]:
-    """Write to a neighbour of ``path`` that takes its place at the end, whole or not at all.
-
-    Raises:
-        OutputError: it cannot be written, for instance because the disk is full.
-    """
-    partial = path.with_name(f".{path.stem}.partial{path.suffix.lower()}")
-    try:
-        yield partial
-        os.replace(partial, path)
-    except OutputError:
-        raise
-    except OSError as error:
-        raise OutputError(f"cannot write {path}: {error.strerror or error}") from None
-    finally:
-        partial.unlink(missing_ok=True)
-
-
-@contextlib.contextmanager
 def frame_writer(
     path: Path,
     size: tuple[int, int],
@@ -198,7 +178,7 @@ def frame_writer(
             raise
         finally:
             code = process.wait()
-        if code != 0 or not partial.exists():
+        if code != 0 or not (numbered or partial.stat().st_size):
             complaints.seek(0)
             reason = complaints.read().decode(errors="replace").strip() or f"code {code}"
             raise OutputError(f"cannot write {path}: ffmpeg says: {reason}")

@@ -16,9 +16,10 @@ from matplotlib.patches import ConnectionPatch
 from matplotlib.ticker import MaxNLocator
 
 from evo_cpg.analysis.gait import bending_axis
+from evo_cpg.files import in_one_piece
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.view.legible import legible
-from evo_cpg.view.output import PLOT_SUFFIXES, in_one_piece, output_path
+from evo_cpg.view.output import PLOT_SUFFIXES, output_path
 
 # Okabe and Ito's palette.
 _BLUE, _ORANGE, _RED, _GREEN, _GREY = "#0072B2", "#E69F00", "#D55E00", "#009E73", "#6b7280"

@@ -13,9 +13,10 @@ from matplotlib.markers import MarkerStyle
 from matplotlib.patches import Circle
 from matplotlib.transforms import Affine2D
 
+from evo_cpg.files import in_one_piece
 from evo_cpg.training.probe import Probe, seen_from_start
 from evo_cpg.view.legible import legible
-from evo_cpg.view.output import PLOT_SUFFIXES, in_one_piece, output_path
+from evo_cpg.view.output import PLOT_SUFFIXES, output_path
 
 _INK, _GREY = "#1f2937", "#6b7280"
 # From lights on the right to those on the left: Okabe and Ito's palette and a violet, all of which

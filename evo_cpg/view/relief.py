@@ -34,6 +34,9 @@ _POOL, _POOL_LIFT = 41, 0.02
 
 # Triangles are sorted anew when the camera has turned so far, rad.
 _RESORT = np.radians(8.0)
+# The horizon follows when the focus has moved by this share of the visibility: less changes no
+# opacity by more than one of 255 levels, and to hand over all of them takes as long as to draw.
+_FOLLOW = 0.004
 
 Pose = Callable[[np.ndarray, np.ndarray], None]
 
@@ -89,12 +92,15 @@ def add_relief(
     )
     actor.ForceTranslucentOn()
     write_depth(actor)
-    visible = look.visibility * radius
+    visible, faded_at = look.visibility * radius, np.full(2, np.inf)
 
     def update(focus: np.ndarray, turned: float = 0.0) -> None:
-        nonlocal sorted_at
+        nonlocal sorted_at, faded_at
         if abs(turned - sorted_at) > _RESORT:
             mesh.regular_faces, sorted_at = sorted_for(turned), turned
+        if np.linalg.norm(focus[:2] - faded_at) < _FOLLOW * visible:
+            return
+        faded_at = focus[:2].copy()
         away = ((points[:, :2] - focus[:2]) ** 2).sum(1)
         rgba[:, 3] = 255 * np.exp(-away / visible**2)
         mesh["rgba"] = rgba
@@ -170,14 +176,12 @@ def add_draped_patches(
         A function of the bodies' centres ``(bodies, 3)`` in m and rotations ``(bodies, 3, 3)``.
     """
     texture = spot_texture(look.shadow, look.shadow_strength, sharpness=2.2)
-    patches = [_Patch(plotter, texture, terrain, LIFT * radius) for _ in half_extents]
+    patches = _Patches(plotter, texture, terrain, LIFT * radius, len(half_extents))
 
     def update(position: np.ndarray, rotation: np.ndarray) -> None:
-        ground = terrain.height(position[:, :2])
-        for patch, centre, turn, half, low in zip(
-            patches, position, rotation, half_extents, ground, strict=True
-        ):
-            patch.lay(centre[:2], patch_under(turn, half, centre[2] - low))
+        gap = position[:, 2] - terrain.height(position[:, :2])
+        under = [patch_under(*each) for each in zip(rotation, half_extents, gap, strict=True)]
+        patches.lay(position[:, :2], np.array(under))
 
     return update
 
@@ -198,21 +202,24 @@ def add_draped_contacts(
         A function of the bodies' centres ``(bodies, 3)`` in m and rotations ``(bodies, 3, 3)``.
     """
     texture = spot_texture(look.shadow, CONTACT, sharpness=2.6)
-    spots = [
-        (
-            _Patch(plotter, texture, terrain, LIFT * radius),
-            soles(body.shape),
-            float(body.shape.half_extents.min()),
-        )
-        for body in creature.bodies
-    ]
+    patches = _Patches(plotter, texture, terrain, LIFT * radius, len(creature.bodies))
+    points = [soles(body.shape) for body in creature.bodies]
+    sizes = [float(body.shape.half_extents.min()) for body in creature.bodies]
 
     def update(position: np.ndarray, rotation: np.ndarray) -> None:
-        for (patch, points, size), centre, turn in zip(spots, position, rotation, strict=True):
-            place = centre + points @ turn.T
-            gap = place[:, 2] - terrain.height(place[:, :2])
-            middle, axes, patch.actor.prop.opacity = spot_under(place[:, :2], gap, size)
-            patch.lay(middle, axes)
+        places = [
+            centre + own @ turn.T
+            for own, centre, turn in zip(points, position, rotation, strict=True)
+        ]
+        ground = np.split(
+            terrain.height(np.concatenate(places)[:, :2]), np.cumsum([*map(len, places)])[:-1]
+        )
+        spots = [
+            spot_under(place[:, :2], place[:, 2] - low, size)
+            for place, low, size in zip(places, ground, sizes, strict=True)
+        ]
+        middles, axes, opacities = map(np.array, zip(*spots, strict=True))
+        patches.lay(middles, axes, opacities)
 
     return update
 
@@ -230,12 +237,21 @@ def add_draped_light(
         radius: of the animal, m.
     """
     shine = spot_texture(look.halo, look.glow, sharpness=3.0)
-    pool = _Patch(plotter, shine, terrain, _POOL_LIFT * radius, _POOL)
-    pool.lay(goal[:2], 1.8 * radius * np.eye(2))
+    pool = _Patches(plotter, shine, terrain, _POOL_LIFT * radius, 1, _POOL)
+    pool.lay(goal[None, :2], 1.8 * radius * np.eye(2)[None])
 
 
-class _Patch:
-    """A soft spot that hugs the ground."""
+class _Patches:
+    """Soft spots that hug the ground, in one mesh: an actor each would cost more than to draw it.
+
+    Args:
+        plotter: draws them.
+        texture: of each.
+        terrain: on which they lie.
+        lift: above it, m.
+        count: of the spots.
+        points: along a side of each.
+    """
 
     def __init__(
         self,
@@ -243,15 +259,41 @@ class _Patch:
         texture: pv.Texture,
         terrain: Terrain,
         lift: float,
+        count: int,
         points: int = _PATCH,
     ):
-        self._mesh = pv.Plane(i_size=2, j_size=2, i_resolution=points - 1, j_resolution=points - 1)
-        self._own = np.asarray(self._mesh.points)[:, :2].astype(float)
-        self._terrain, self._lift = terrain, lift
-        self.actor = plotter.add_mesh(self._mesh, texture=texture, lighting=False)
-        self.actor.ForceTranslucentOn()
+        one = pv.Plane(i_size=2, j_size=2, i_resolution=points - 1, j_resolution=points - 1)
+        corners = np.asarray(one.points)
+        first = len(corners) * np.arange(count)[:, None, None]
+        quads = (one.regular_faces + first).reshape(-1, 4)
+        self._mesh = pv.PolyData.from_regular_faces(np.tile(corners, (count, 1)), quads)
+        self._mesh.active_texture_coordinates = np.tile(
+            np.asarray(one.active_texture_coordinates), (count, 1)
+        )
+        self._rgba = np.full((len(corners) * count, 4), 255, np.uint8)
+        self._mesh["rgba"] = self._rgba
+        self._own, self._terrain, self._lift = corners[:, :2].astype(float), terrain, lift
+        actor = plotter.add_mesh(
+            self._mesh,
+            scalars="rgba",
+            rgba=True,
+            texture=texture,
+            lighting=False,
+            show_scalar_bar=False,
+        )
+        actor.ForceTranslucentOn()
 
-    def lay(self, middle: np.ndarray, axes: np.ndarray) -> None:
-        place = middle + self._own @ axes.T
+    def lay(self, middle: np.ndarray, axes: np.ndarray, opacity: np.ndarray | None = None) -> None:
+        """Move them.
+
+        Args:
+            middle: of each ``(n, 2)``, m.
+            axes: half axes of each, the columns of ``(n, 2, 2)``, m.
+            opacity: of each ``(n,)``; all is drawn if None.
+        """
+        place = (middle[:, None] + self._own @ axes.mT).reshape(-1, 2)
         high = self._terrain.height(place) + self._lift
         self._mesh.points = np.column_stack([place, high])
+        if opacity is not None:
+            self._rgba[:, 3] = np.repeat(255 * opacity, len(self._own))
+            self._mesh["rgba"] = self._rgba

@@ -11,8 +11,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from evo_cpg.analysis.sensitivity import CHANGE, Sensitivity
+from evo_cpg.files import in_one_piece
 from evo_cpg.view.legible import legible
-from evo_cpg.view.output import PLOT_SUFFIXES, in_one_piece, output_path
+from evo_cpg.view.output import PLOT_SUFFIXES, output_path
 
 _INK, _GREY = "#1f2937", "#6b7280"
 _MORE, _LESS, _DOUBTFUL = "#0072B2", "#D55E00", "#d1d5db"

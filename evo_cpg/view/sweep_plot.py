@@ -13,8 +13,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from evo_cpg.files import in_one_piece
 from evo_cpg.view.legible import legible
-from evo_cpg.view.output import PLOT_SUFFIXES, in_one_piece, output_path
+from evo_cpg.view.output import PLOT_SUFFIXES, output_path
 
 _INK, _LINES = "#1f2937", "#e5e7eb"
 

@@ -9,10 +9,11 @@ import numpy as np
 from matplotlib.figure import Figure
 from PIL import Image
 
+from evo_cpg.files import in_one_piece
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.training.experiment import Experiment
-from evo_cpg.view.film import panel_of, side_by_side
-from evo_cpg.view.output import in_one_piece
+from evo_cpg.view.film import side_by_side
+from evo_cpg.view.panel import panel_of
 from evo_cpg.view.plots import fitness_figure, path_figure
 
 # Of the animal, pixels; the charts below are as wide together.

@@ -397,6 +397,19 @@ def test_a_wrong_configuration_is_complained_of_once(cli, tmp_path):
     assert err == f"evo-cpg: {tmp_path} is not a run folder (it has no config.yaml)\n"
 
 
+def test_one_that_fails_ends_all_while_the_first_one_lives(tmp_path, monkeypatch):
+    """The lead would wait for the others as long as they are patient."""
+    program = tmp_path / "process"
+    lines = "#!/bin/sh", "for last; do :; done", '[ "$last" = 1 ] && exit 2', "exec sleep 60", ""
+    program.write_text("\n".join(lines))
+    program.chmod(0o755)
+    monkeypatch.setattr(local.sys, "executable", str(program))
+    monkeypatch.setattr(local, "_GRACE", 0.2)
+    began = time.monotonic()
+    assert local.run_local(2, ["train", "x.yaml"], 2) == 2
+    assert time.monotonic() - began < 20
+
+
 def test_arguments_of_local_processes():
     words = ["--trust", "train", "a.yaml", "--local", "4", "--cores=8", "x=1", "--distributed"]
     assert local._without_local(words) == ["--trust", "train", "a.yaml", "x=1", "--distributed"]

@@ -200,3 +200,11 @@ def test_the_champion_of_another_animal_is_refused(cli, finished_run, tmp_path):
     code, _, complaint = cli("fit", land, table, key, "--run", finished_run)
     assert code == 2 and "Traceback" not in complaint
     assert f"--run: the champion of {finished_run} has" in complaint
+
+
+def test_an_export_without_all_of_its_columns_is_named(cli, config, tmp_path):
+    table = tmp_path / "data.csv"
+    write(table, ["time", "head.rotation_xx"], np.column_stack([np.arange(3.0), np.ones(3)]))
+    code, _, complaint = cli("fit", config, table, "creature.bodies.1.joint.damping")
+    assert code == 2
+    assert f"{table}: head.rotation_yx is missing, which an exported motion has" in complaint

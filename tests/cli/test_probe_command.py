@@ -95,7 +95,7 @@ def test_the_blind_see_nothing_and_have_files_of_their_own(finished_run, cli, pr
         (["--distances", "1e9"], "--bearings, --distances: -75 degrees, 1e+09 m: the light at"),
         (["--trials", "--bearings", "0"], "leave out --bearings and --distances, or it"),
         (["--run", "3"], "holds 1 run(s), counted from 0"),
-        (["--out", "/proc/no/where"], "--out: /proc/no/where cannot be made ("),
+        (["--out", "/proc/no/where"], "cannot write /proc/no/where ("),
     ],
 )
 def test_what_makes_no_sense_is_refused(finished_run, cli, options, words):

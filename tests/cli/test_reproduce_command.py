@@ -10,6 +10,7 @@ from PIL import Image
 from evo_cpg.cli import reproduce
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.reproduce import default_folder, make, reproduce_study
+from evo_cpg.files import OutputError
 from evo_cpg.studies import provenance, workshop
 from evo_cpg.studies.catalogue import NAMES, study
 from evo_cpg.studies.stills import stills
@@ -183,7 +184,10 @@ def test_moments_of_the_best_champions_are_drawn(made, tmp_path, monkeypatch):
     assert stills(shop, {"x": "few"}).rows == [["x", "nobody lives", "", "", "", ""]]
 
 
-def test_what_was_measured_is_kept_until_champions_change(made, tmp_path):
+def test_what_was_measured_is_kept_until_champions_or_the_program_change(
+    made, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(workshop, "program_commit", lambda: "abc")
     folder = tmp_path / "kept"
     shutil.copytree(made, folder)
     shop = Workshop(TWIN, folder, False, 2)
@@ -192,6 +196,13 @@ def test_what_was_measured_is_kept_until_champions_change(made, tmp_path):
     assert shop.kept("one", ["many"], lambda: (3, 4)) == [3, 4]
     (folder / "runs" / "one.json").write_text("{")
     assert shop.kept("one", ["many"], lambda: 5) == 5
+    assert shop.kept("one", ["many"], lambda: 6) == 5
+    monkeypatch.setattr(workshop, "program_commit", lambda: "abd")
+    assert shop.kept("one", ["many"], lambda: 6) == 6
+    # What was changed since a commit may have been changed again.
+    monkeypatch.setattr(workshop, "program_commit", lambda: "abd-dirty")
+    assert shop.kept("one", ["many"], lambda: 7) == 7
+    assert shop.kept("one", ["many"], lambda: 8) == 8
 
 
 def test_wrong_studies_and_parts_are_named_with_the_nearest(tmp_path):
@@ -205,7 +216,7 @@ def test_wrong_studies_and_parts_are_named_with_the_nearest(tmp_path):
     with pytest.raises(UsageError, match="name a study: iwadate2010, fukui2003"):
         call(None)
     (tmp_path / "file").touch()
-    with pytest.raises(RunFolderError, match="cannot write"):
+    with pytest.raises(OutputError, match="cannot write"):
         Workshop(TWIN, tmp_path / "file" / "in", False, 2).claim()
     with pytest.raises(RunFolderError, match="few has no finished generation"):
         Workshop(TWIN, tmp_path, False, 2).checkpoint("few")

@@ -311,3 +311,36 @@ def test_a_damaged_list_of_jobs_is_said(tmp_path):
     (tmp_path / ".jobs" / "slurm.json").write_text('[{"id": 3}]')
     with pytest.raises(RunFolderError, match=r"slurm\.json is damaged"):
         go_on(tmp_path)
+
+
+def test_a_job_that_slurm_refuses_is_said(tmp_path, monkeypatch):
+    home = fake_slurm(tmp_path, monkeypatch)
+    (home / "sbatch").write_text("#!/bin/sh\necho sbatch: error: invalid partition >&2\nexit 1\n")
+    with pytest.raises(UsageError, match=r"sbatch refuses the job: .*invalid partition"):
+        sweep(tmp_path / "sweep", "slurm")
+    assert sorted(path.name for path in (tmp_path / "sweep" / ".jobs").iterdir()) == ["lock"]
+
+
+def test_a_setting_is_not_given_to_two_jobs(tmp_path, monkeypatch):
+    """One that a job has together with others, of which this command is not asked."""
+    fake_slurm(tmp_path, monkeypatch)
+    folder = tmp_path / "sweep"
+    sweep_of(folder)
+    (folder / ".jobs").mkdir(exist_ok=True)
+    entry = {"id": "7", "logs": str(tmp_path), "settings": list(NAMES)}
+    (folder / ".jobs" / "slurm.json").write_text(json.dumps([entry]))
+    monkeypatch.setattr(sweep_jobs, "_of_slurm", lambda entry: Alive())
+    with pytest.raises(
+        UsageError, match=f"job 7 evolves {NAMES[0]} already, with others; .*scancel 7"
+    ):
+        run_sweep(folder, (), (), None, None, None, (NAMES[0],), "slurm")
+
+
+class Alive:
+    """A job that goes on."""
+
+    job_id = "7"
+
+    def done(self, force_check=False):
+        del force_check
+        return False

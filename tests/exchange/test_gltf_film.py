@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from evo_cpg.exchange.errors import ExchangeError
 from evo_cpg.exchange.gltf_film import Z_UP, gltf_film, quaternions
 from evo_cpg.physics.footing import Ground
 from evo_cpg.physics.terrain import Block, Boulder, Plane, Shore
+from evo_cpg.simulation.recording import RecordingError
 from view import synthetic
 
 # Where `npm install gltf-validator` was run; Node looks in the folders above the tests, too.
@@ -155,10 +155,10 @@ def test_quaternions_never_jump():
 
 def test_recordings_that_cannot_be_shown_are_refused():
     creature, recording = synthetic.walker(), synthetic.walk(0.5)
-    with pytest.raises(ExchangeError, match="the recording is empty"):
+    with pytest.raises(RecordingError, match="the recording is empty"):
         gltf_film(creature, recording._replace(time=recording.time[:0]), title="", world="land")
     broken = recording._replace(position=np.full_like(recording.position, np.nan))
-    with pytest.raises(ExchangeError, match="the recording diverges"):
+    with pytest.raises(RecordingError, match="the recording diverges"):
         gltf_film(creature, broken, title="", world="land")
 
 

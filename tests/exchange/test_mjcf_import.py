@@ -281,7 +281,7 @@ def two(first: str = "", second: str = "") -> str:
                     for axis in ("1 0 0", "0 1 0", "0 0 1")
                 )
             ),
-            "body 'limb': limits_deg: where the middle one of three axes turns by 90 degrees, they",
+            "body 'limb': limits_deg: where the middle one of three axes turns by -90 degrees",
         ),
         (model(geoms=LIMB + '<geom size="0.2"/>'), "body 'limb': it has 2 geoms; allowed: one"),
         (

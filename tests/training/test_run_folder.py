@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from evo_cpg.files import OutputError
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.training import run_folder
 from evo_cpg.training.checkpoint import Champion, Checkpoint, genes_digest, outcome_digest
@@ -258,6 +259,12 @@ def test_a_damaged_champion_is_named_with_the_way_out(folder):
             assert champion[1:] == CHAMPION[1:]
 
 
+def test_numbers_that_json_has_no_words_for_are_null(folder):
+    folder.write_json("x.json", {"a": [1.5, float("nan")], "b": {"c": -float("inf")}, "d": "nan"})
+    told = json.loads((folder.path / "x.json").read_text())
+    assert told == {"a": [1.5, None], "b": {"c": None}, "d": "nan"}
+
+
 @pytest.mark.parametrize("text", ["", "{", "[1, 2]", "\xff"])
 def test_a_damaged_meta_counts_as_empty(folder, text):
     folder.meta.write_text(text, encoding="latin-1")
@@ -361,7 +368,7 @@ def test_used_and_unusable_places_are_refused(folder, tmp_path):
     with pytest.raises(RunFolderError, match=r"note.txt is a file; choose another --out"):
         RunFolder(tmp_path / "note.txt").create("", {})
     for path in (tmp_path / "note.txt" / "run", "/proc/run", tmp_path / ("x" * 300)):
-        with pytest.raises(RunFolderError, match=r"cannot write .* \(.+\)"):
+        with pytest.raises(OutputError, match=r"cannot write .* \(.+\)"):
             RunFolder(path).create("", {})
     assert (tmp_path / "note.txt").read_text() == "mine"
     with pytest.raises(RunFolderError, match=r"is not a run folder \(it has no config.yaml\)"):
@@ -371,7 +378,7 @@ def test_used_and_unusable_places_are_refused(folder, tmp_path):
 def test_a_folder_that_can_no_longer_be_written_is_named(folder):
     (folder.path / "checkpoints").rmdir()
     (folder.path / "checkpoints").write_text("in the way")
-    with pytest.raises(RunFolderError, match=r"cannot write .*generation_000001.npz \(Not a dir"):
+    with pytest.raises(OutputError, match=r"cannot write .*generation_000001.npz \(Not a dir"):
         folder.save(checkpoint(1))
-    with pytest.raises(RunFolderError, match=r"cannot write .* \(File exists\)"):
+    with pytest.raises(OutputError, match=r"cannot write .* \(File exists\)"):
         folder.reopen("name: a\n")

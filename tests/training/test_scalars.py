@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from evo_cpg.training.run_folder import RunFolderError
+from evo_cpg.files import OutputError
 from evo_cpg.training.scalars import MissingWriterError, Scalars, require_writer
 
 pytest.importorskip("tensorboardX")
@@ -110,7 +110,7 @@ def test_rubbish_is_written_over(tmp_path, rubbish):
 
 def test_a_folder_that_cannot_be_written_is_named(tmp_path):
     (tmp_path / "tensorboard").write_text("a file")
-    with pytest.raises(RunFolderError, match=r"cannot write .*tensorboard"):
+    with pytest.raises(OutputError, match=r"cannot write .*tensorboard"):
         Scalars(tmp_path, [row(0)])
 
 

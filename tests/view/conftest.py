@@ -4,7 +4,7 @@ import functools
 
 import pytest
 
-from evo_cpg.view import film, ground, relief
+from evo_cpg.view import frames, ground, relief
 from evo_cpg.view.textures import floor_texture
 
 # Of a still's sides; users have 3, which only makes edges smoother.
@@ -18,5 +18,5 @@ def quick_pictures():
     with pytest.MonkeyPatch.context() as patch:
         for module in (ground, relief):
             patch.setattr(module, "floor_texture", shared)
-        patch.setattr(film, "_STILL_OVERSAMPLING", _OVERSAMPLING)
+        patch.setattr(frames, "_STILL_OVERSAMPLING", _OVERSAMPLING)
         yield

@@ -13,16 +13,21 @@ import pytest
 import synthetic
 from PIL import Image
 
+from evo_cpg.files import OutputError
 from evo_cpg.physics.footing import Ground
 from evo_cpg.physics.terrain import Boulder, Plane
 from evo_cpg.simulation.recording import Recording
-from evo_cpg.view import output
+from evo_cpg.view import frame_processes, output
 from evo_cpg.view.camera import follow, project, smooth
-from evo_cpg.view.film import Panel, Stage, camera_path, sample, side_by_side
+from evo_cpg.view.clip import sample
+from evo_cpg.view.film import side_by_side
+from evo_cpg.view.frame_processes import DrawingError, drawn_frames
+from evo_cpg.view.frames import Frames, Plan
 from evo_cpg.view.heading import heading
 from evo_cpg.view.look import LOOKS
 from evo_cpg.view.meshes import body_colors
-from evo_cpg.view.output import OutputError
+from evo_cpg.view.panel import Panel
+from evo_cpg.view.stage import Stage, camera_path
 from films import film
 
 SMALL = (192, 108)
@@ -226,6 +231,45 @@ def beginning(recording: Recording, count: int) -> Recording:
     return recording._replace(**fields)
 
 
+def test_several_processes_draw_the_same_film(creature, recording, tmp_path, monkeypatch):
+    """In its order, frame by frame; the last round is not full."""
+    monkeypatch.setattr(frame_processes, "_WORTH", 3)
+    drawn = {}
+    for processes in (1, 2):
+        path = tmp_path / f"{processes}.mp4"
+        seen = []
+        film(
+            creature,
+            recording,
+            path,
+            size=SMALL,
+            fps=10,
+            seconds=0.85,
+            processes=processes,
+            progress=lambda done, total, seen=seen: seen.append((done, total)),
+        )
+        assert seen == [(i + 1, 9) for i in range(9)]
+        drawn[processes] = np.array(decode(path))
+    assert np.ptp(drawn[1].astype(int), axis=0).max() > 50  # something moves
+    np.testing.assert_array_equal(drawn[1], drawn[2])
+
+
+def test_a_process_that_cannot_draw_is_told_of(creature, recording):
+    plan = Plan((Panel(creature, recording),), SMALL, 10, 0.5, 1.0, "nowhere", False, None, None)
+    with (
+        pytest.raises(DrawingError, match=r"has ended: .*nowhere"),
+        drawn_frames(plan, Frames(plan), 2) as drawn,
+    ):
+        next(drawn)
+
+
+@pytest.mark.parametrize(
+    ("frames", "cores", "processes"), [(59, 8, 1), (990, 2, 2), (990, 64, 8), (240, 64, 4)]
+)
+def test_as_many_processes_as_are_worth_their_start(frames, cores, processes):
+    assert frame_processes.drawing_processes(frames, cores) == processes
+
+
 def test_animals_stand_side_by_side(creature, recording, tmp_path):
     """Each in its place, row by row; one that is shorter waits at its end."""
     short = beginning(recording, 61)
@@ -344,7 +388,7 @@ def test_a_sheet_of_several_animals_has_a_column_for_each_moment(
         assert made.shape == (height, width, 3) and (made < 100).any() and (made == 255).any()
         return made
 
-    monkeypatch.setattr("evo_cpg.view.film.heading", heard)
+    monkeypatch.setattr("evo_cpg.view.frames.heading", heard)
     settings = {"size": SMALL, "fps": 1, "sheet": (2, 1)}
     panels = [Panel(creature, recording, "")] * 3
     image = synthetic.read(side_by_side(panels, tmp_path / "s.png", **settings))

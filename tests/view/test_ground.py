@@ -8,11 +8,12 @@ from evo_cpg.physics.footing import Ground
 from evo_cpg.physics.terrain import Plane
 from evo_cpg.view import plots
 from evo_cpg.view.camera import project
-from evo_cpg.view.film import Stage, camera_path, sample
+from evo_cpg.view.clip import sample
 from evo_cpg.view.ground import mark_spacing
 from evo_cpg.view.look import LOOKS
 from evo_cpg.view.meshes import body_colors
 from evo_cpg.view.preview import _apart, preview
+from evo_cpg.view.stage import Stage, camera_path
 from films import film
 
 SIZE = (640, 360)
@@ -50,7 +51,7 @@ def stills(creature, recording, tmp_path_factory):
             path = folder / "still.png"
             with pytest.MonkeyPatch.context() as patch:
                 if without:
-                    patch.setattr(f"evo_cpg.view.film.{without}", lambda *_: lambda *_: None)
+                    patch.setattr(f"evo_cpg.view.stage.{without}", lambda *_: lambda *_: None)
                 film(creature, motion, path, size=SIZE, **settings)
             painted[key] = synthetic.read(path)
         return painted[key]

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from evo_cpg.evolution.map_elites import Axis
+from evo_cpg.files import OutputError
 from evo_cpg.view.map_plot import plot_map
-from evo_cpg.view.output import OutputError
 
 AXES = (
     Axis("speed", 0.0, 1.0, 6),

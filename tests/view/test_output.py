@@ -5,13 +5,13 @@ import os
 
 import pytest
 
-from evo_cpg.view.output import OutputError, in_one_piece
+from evo_cpg.files import OutputError, in_one_piece
 
 
 def test_a_full_disk_is_told_and_leaves_what_was_there(tmp_path):
     path = tmp_path / "plot.png"
     path.write_bytes(b"as it was")
-    words = r"cannot write .*plot\.png: No space left on device"
+    words = r"cannot write .*plot\.png \(No space left on device\)"
     with pytest.raises(OutputError, match=words), in_one_piece(path) as partial:
         partial.write_bytes(b"half")
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))

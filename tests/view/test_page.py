@@ -13,7 +13,7 @@ from evo_cpg.analysis.footfalls import Phases
 from evo_cpg.analysis.gait_numbers import Feet
 from evo_cpg.physics.footing import Ground
 from evo_cpg.physics.terrain import Boulder, Plane
-from evo_cpg.view.film import sample
+from evo_cpg.view.clip import sample
 from evo_cpg.view.page.charts import chart, footfall_figure
 from evo_cpg.view.page.html import join, long_table, table, tag
 from evo_cpg.view.page.scene import RATE, scene

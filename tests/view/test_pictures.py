@@ -8,12 +8,12 @@ import synthetic
 
 from evo_cpg.creature.creature import LightSensor, neutral_pose
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
+from evo_cpg.files import OutputError
 from evo_cpg.physics.footing import Ground
 from evo_cpg.physics.terrain import Block, Boulder, Plane
 from evo_cpg.view import plots
 from evo_cpg.view.ground import grid_spacing
 from evo_cpg.view.meshes import eye_meshes, head_index, shape_mesh
-from evo_cpg.view.output import OutputError
 from evo_cpg.view.plots import (
     _crests,
     fitness_figure,

@@ -9,10 +9,11 @@ from creatures import quick_jit
 from evo_cpg.physics.footing import Ground
 from evo_cpg.physics.terrain import Block, Boulder, Plane, Relief, Shore
 from evo_cpg.view.camera import hidden, project
-from evo_cpg.view.film import Stage, camera_path, sample, surface_is_seen
+from evo_cpg.view.clip import sample
 from evo_cpg.view.look import SHORE
 from evo_cpg.view.obstacles import obstacle_mesh, obstacle_top
 from evo_cpg.view.particles import add_particles
+from evo_cpg.view.stage import Stage, camera_path, surface_is_seen
 from evo_cpg.view.terrain import heights, make_terrain
 from evo_cpg.view.water import Ripples
 from films import film

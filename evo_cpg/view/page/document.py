@@ -19,7 +19,7 @@ import numpy as np
 
 from evo_cpg.analysis.gait_numbers import GaitNumbers, Quantity
 from evo_cpg.simulation.recording import Recording
-from evo_cpg.view.film import Clip
+from evo_cpg.view.clip import Clip
 from evo_cpg.view.page import charts
 from evo_cpg.view.page.departures import Departures
 from evo_cpg.view.page.html import Html, join, long_table, table, tag

@@ -16,11 +16,12 @@ from evo_cpg.physics.footing import Ground
 from evo_cpg.physics.terrain import Plane
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.view.camera import course, smooth
-from evo_cpg.view.film import animal_radius, sample, surface_is_seen
+from evo_cpg.view.clip import sample
 from evo_cpg.view.ground import grid_spacing, mark_spacing
 from evo_cpg.view.look import LOOKS, SHORE
 from evo_cpg.view.meshes import body_colors, eye_meshes, head_index, shape_mesh
 from evo_cpg.view.obstacles import obstacle_mesh
+from evo_cpg.view.stage import animal_radius, surface_is_seen
 from evo_cpg.view.terrain import make_terrain
 from evo_cpg.view.textures import CELLS
 

@@ -1,0 +1,70 @@
+"""A recording sampled at the frames of a film."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from evo_cpg.simulation.recording import Recording
+from evo_cpg.view.camera import smooth
+
+# Window of the displayed speed, s: long enough to average a tail beat.
+_SPEED_WINDOW = 0.5
+
+
+class Clip(NamedTuple):
+    """A recording sampled at the film's frames.
+
+    Attributes:
+        time: s.
+        position: centre of every body, m.
+        rotation: body to world.
+        distance: to the goal, or, where there is none, from the start over ground, m.
+        speed: of the mean of the bodies' centres, smoothed, m/s.
+    """
+
+    time: Float[np.ndarray, " frames"]
+    position: Float[np.ndarray, "frames b 3"]
+    rotation: Float[np.ndarray, "frames b 3 3"]
+    distance: Float[np.ndarray, " frames"]
+    speed: Float[np.ndarray, " frames"]
+
+
+def sample(
+    recording: Recording, fps: float, speed: float = 1.0, seconds: float | None = None
+) -> Clip:
+    """Sample a recording at the frames of a film, interpolating where they fall between steps.
+
+    Args:
+        recording: the motion.
+        fps: frames per second of the film.
+        speed: recorded seconds per second of film.
+        seconds: recorded time to show, s; all of it by default.
+    """
+    start, end = recording.time[0], recording.time[-1]
+    if seconds is not None:
+        end = min(end, start + seconds)
+    # A hundredth of a frame keeps rounding from dropping the last one.
+    time = start + np.arange(int((end - start) * fps / speed + 1.01)) * (speed / fps)
+    after = np.clip(np.searchsorted(recording.time, time), 1, max(len(recording.time) - 1, 1))
+    after = np.minimum(after, len(recording.time) - 1)
+    before = np.maximum(after - 1, 0)
+    step = recording.time[after] - recording.time[before]
+    weight = np.clip((time - recording.time[before]) / np.where(step > 0, step, 1), 0, 1)
+
+    def between(values: np.ndarray) -> np.ndarray:
+        share = weight.reshape(-1, *(1,) * (values.ndim - 1))
+        return (1 - share) * values[before] + share * values[after]
+
+    # The nearest rotation to a mean of two near rotations: its polar factor.
+    left, _, right = np.linalg.svd(between(recording.rotation))
+    position = between(recording.position)
+    centre = smooth(position.mean(1), _SPEED_WINDOW * fps / speed)
+    velocity = np.gradient(centre, time, axis=0) if len(time) > 1 else np.zeros_like(centre)
+    return Clip(
+        time,
+        position,
+        left @ right,
+        between(recording.distance),
+        np.linalg.norm(velocity, axis=-1),
+    )

@@ -1,0 +1,45 @@
+"""What swimming numbers refer to: the water, and where the tail ends."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from evo_cpg.analysis import gait_numbers
+from evo_cpg.physics.fluid import Water
+from evo_cpg.simulation.recording import Recording
+from trials import experiment
+
+STEP = 0.1
+# Density and coefficients, which do not matter.
+DRAG = 1000.0, 1.0, 0.01
+TIME = STEP * np.arange(50)
+
+
+def test_the_way_through_the_water_is_without_what_the_water_carries():
+    """At rest in it, and in a shear: x' = g y, closed form."""
+    current = (0.3, -0.1, 0.0)
+    carried = TIME[:, None] * current
+    drift = gait_numbers._drift(Water(*DRAG, current=current), carried, STEP)
+    np.testing.assert_allclose(drift, carried, atol=1e-6)
+    shear = Water(*DRAG, gradient=((0.0, 0.5, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
+    beside = np.column_stack([0.5 * 2.0 * TIME, np.full(50, 2.0), np.zeros(50)])
+    np.testing.assert_allclose(gait_numbers._drift(shear, beside, STEP)[:, 0], TIME, atol=1e-6)
+    assert not gait_numbers._drift(Water(*DRAG), beside, STEP).any()
+
+
+@pytest.mark.parametrize("anchor", [0.03, 0.08, 0.2])
+def test_the_tail_ends_where_its_shape_does(anchor):
+    """However far from it, or how deep in it, the joint is."""
+    made = experiment(20)
+    index = made.creature.body_index("tail")
+    tail = made.creature.bodies[index]
+    joint = dataclasses.replace(tail.joint, child_anchor=(anchor, 0.0, 0.0))
+    bodies = [*made.creature.bodies]
+    bodies[index] = dataclasses.replace(tail, joint=joint)
+    creature = dataclasses.replace(made.creature, bodies=tuple(bodies))
+    place = np.arange(6.0).reshape(1, 2, 3)
+    lying = Recording(np.zeros(1), place, np.broadcast_to(np.eye(3), (1, 2, 3, 3)), *[None] * 7)
+    tip = gait_numbers._tail_tip(made.simulation, creature, lying, (0,))
+    expected = place[0, index] - [float(tail.shape.half_extents[0]), 0.0, 0.0]
+    np.testing.assert_allclose(tip[0], expected, atol=1e-6)

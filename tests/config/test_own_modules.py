@@ -1,0 +1,45 @@
+"""Modules beside configurations: each configuration gets its own, or says that it cannot."""
+
+import sys
+
+import pytest
+
+import evo_cpg as evo
+from evo_cpg.config.errors import ConfigError
+from tiny_run import CONFIG, TINY
+
+TASK = """
+from evo_cpg.simulation.walk import Distance
+
+class Mine(Distance):
+    where: str = {where!r}
+"""
+
+
+@pytest.fixture
+def folders(tmp_path, monkeypatch):
+    """Two folders with a module of one name."""
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    monkeypatch.chdir(tmp_path)
+    for where in ("a", "b"):
+        (tmp_path / where).mkdir()
+        (tmp_path / where / "mine_of_this_test.py").write_text(TASK.format(where=where))
+        text = CONFIG.read_text().replace("creatures/", f"{CONFIG.parent}/creatures/")
+        (tmp_path / where / "x.yaml").write_text(text)
+    yield tmp_path
+    sys.modules.pop("mine_of_this_test", None)
+
+
+def load(path):
+    changed = [*TINY, "task={type: 'mine_of_this_test:Mine'}", "world.ground={}"]
+    return evo.load(path, changed, trust=True)
+
+
+def test_a_module_of_the_same_name_elsewhere_is_not_taken(folders):
+    first = load(folders / "a" / "x.yaml")
+    assert first.parts.simulation.task.where == "a"
+    with pytest.raises(
+        ConfigError, match=r"would be that of .*a.mine_of.*, which has the name of .*b"
+    ):
+        load(folders / "b" / "x.yaml")
+    assert load(folders / "a" / "x.yaml").parts.simulation.task.where == "a"
