@@ -97,7 +97,7 @@ class CpgSettings:
             of their parents' than their axes say; so front legs that step against hind legs.
         couplings: between chosen oscillators, in the place of what the tree would give them.
         rings: of oscillators with a constant lag from one to the next, likewise.
-        sensory_feedback: s, the same for every neuron.
+        sensory_feedback: the s of eq. 4, the same for every neuron.
         max_tonic_input: u_max, more than 0; outputs are proportional to it.
         min_adaptation_gain: smallest b, more than 0.
         max_adaptation_gain: largest b.

@@ -219,7 +219,10 @@ class Amplitude(Measure):
 
 
 class DutyFactor(Measure):
-    """Share of time on the ground, mean of the bodies that ever touch it but for the root."""
+    """Share of control steps on the ground, mean of the bodies that ever touch it but for the root.
+
+    A step counts as a whole, however short its contact was.
+    """
 
     def begin(self, world: World, batch: tuple[int, ...], dtype: jnp.dtype) -> Array:
         """Time on the ground of every body that can touch it, s."""

@@ -207,7 +207,12 @@ def walk(workshop: Workshop) -> list[Table]:
             dots[name] = terms["tilt"], terms["distance"]
     labels = "mean tilt of the torso: 0 upright, 1 on its side, 2 on its back", "distance (m)"
     plot_champions(dots, labels, workshop.picture())
-    head = ["", "distance, m (sorted)", "tilt (0 upright, 1 on its side), sorted", "score to walk"]
+    head = [
+        "",
+        "distance, m (sorted)",
+        "tilt (0 upright, 1 on its side, 2 on its back), sorted",
+        "score to walk",
+    ]
     return [Table("", head, rows)]
 
 

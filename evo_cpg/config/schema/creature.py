@@ -244,7 +244,8 @@ class JointConfig(Section):
         axes: 1 to 3 axes that turn one after the other: x, y, z, -x, -y, -z or a vector.
         limits_deg: lower and upper limit, for all axes or one pair for each, degrees; the middle
             one of three axes at right angles turns by at most 85.
-        rotation_deg: roll, pitch and yaw of this body against its parent at rest, degrees.
+        rotation_deg: roll, pitch and yaw of this body against its parent at rest, degrees; about
+            the parent's x, then y, then z.
         stiffness: passive spring, N m/rad.
         damping: passive damping, N m s/rad.
         armature: rotor inertia, kg m^2.
