@@ -19,6 +19,9 @@ INSECT = CONFIGS / "hexapod.yaml"
 GAUGE = "creature.depth_sensors=[{body: head}]"
 LEVEL = "world.ground.floor={type: plane, height: -1}"
 
+# Two rows of a grid of 0.1 m.
+RIDGE = [[0.25 if 20 <= i < 22 else 0.0] * 40 for i in range(40)]
+
 # The file, settings that make the mistake, the key that is doubted, and what is said about it.
 MISTAKES = {
     "density in g/cm^3": (
@@ -51,6 +54,18 @@ MISTAKES = {
         ["creature.bodies.0.shape.size=[0.0002, 0.0001, 0.0001]"],
         "creature.bodies.0.shape.size",
         "a body of 0.0002 m; plausible are 0.001 to 30 m",
+    ),
+    "hills within a body": (
+        LEGS,
+        ["world.ground.floor={type: hills, length: 0.4}"],
+        "world.ground.floor.length",
+        "is 0.6 m long and feels the floor by its corners alone",
+    ),
+    "a ridge within a body": (
+        LEGS,
+        [f"world.ground.floor={{type: relief, heights: {RIDGE}}}"],
+        "world.ground.floor.spacing",
+        "a bump of 0.25 m has room between them",
     ),
     "frictions swapped": (
         WALKER,

@@ -8,7 +8,8 @@ import numpy as np
 from evo_cpg.config.errors import Key
 from evo_cpg.config.plausible.doubt import Case, Doubt
 from evo_cpg.config.schema.creature import SolidConfig
-from evo_cpg.config.schema.ground import BoulderConfig
+from evo_cpg.config.schema.ground import BoulderConfig, HillsConfig, ReliefConfig
+from evo_cpg.creature.shapes import Box
 
 # Of solids, from foam to osmium, and of liquids, from petrol to the Dead Sea, kg/m^3.
 _SOLIDS, _LIQUIDS = (20.0, 23_000.0), (500.0, 2000.0)
@@ -23,6 +24,9 @@ _UNLIKE, _SEVERAL = 50.0, 3
 
 # An obstacle may be so many times the creature's length.
 _OBSTACLE = 100.0
+
+# Of a body's length: so much may the floor rise between its ends.
+_BUMP = 0.1
 
 # The strongest gravity of a planet of the sun is 24.8 m/s^2.
 _GRAVITY = 30.0
@@ -97,6 +101,43 @@ def obstacle_size(case: Case) -> Iterator[Doubt]:
             )
 
 
+def floor_bumps(case: Case) -> Iterator[Doubt]:
+    """A box feels the floor by the corners of its lowest face, and no bump between them."""
+    boxes = [
+        (2 * float(body.shape.half_extents.max()), body.name)
+        for body in case.creature.bodies
+        if isinstance(body.shape, Box)
+    ]
+    ground = case.config.world.ground
+    if not boxes or ground is None:
+        return
+    (edge, name), floor = max(boxes), ground.floor
+    problem = f"body {name!r} is {edge:.3g} m long and feels the floor by its corners alone"
+    if isinstance(floor, HillsConfig) and floor.height > 0 and floor.length < edge:
+        key = "world", "ground", "floor", "length"
+        yield Doubt(key, floor.length, f"{problem}; plausible are hills of {edge:.3g} m and more")
+    if isinstance(floor, ReliefConfig):
+        height = _bump(np.array(floor.heights), round(edge / (2 * floor.spacing)))
+        if height > _BUMP * edge:
+            key = "world", "ground", "floor", "spacing"
+            yield Doubt(
+                key,
+                floor.spacing,
+                f"{problem}, and a bump of {height:.2g} m has room between them: bodies pass "
+                "through it; shorter bodies would feel it",
+            )
+
+
+def _bump(heights: np.ndarray, reach: int) -> float:
+    """The highest that a grid rises above the middle between places so many steps to both sides."""
+    highest = 0.0
+    for rows in (heights, heights.T):
+        if 0 < reach < len(rows) / 2:
+            ends = (rows[: -2 * reach] + rows[2 * reach :]) / 2
+            highest = max(highest, float((rows[reach:-reach] - ends).max()))
+    return highest
+
+
 def gravity(case: Case) -> Iterator[Doubt]:
     """No planet is that heavy."""
     value = case.config.world.gravity
@@ -125,4 +166,4 @@ def friction(case: Case) -> Iterator[Doubt]:
             )
 
 
-RULES = (density, body_size, obstacle_size, gravity, friction)
+RULES = (density, body_size, obstacle_size, floor_bumps, gravity, friction)
