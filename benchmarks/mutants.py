@@ -174,9 +174,33 @@ MUTANTS = (
         "physics/test_contact.py physics/test_walker_contacts.py",
     ),
     Mutant(
+        "physics/separation.py",
+        "between = ~(outside | level)",
+        "between = ~level",
+        "physics/test_separation.py",
+    ),
+    Mutant(
+        "physics/obstacles.py",
+        "own = nearest(parts, first)",
+        "own = parts.centre",
+        "physics/test_obstacles.py",
+    ),
+    Mutant(
+        "simulation/noise.py",
+        "jnp.maximum(depth, 0.0)[None]",
+        "jnp.minimum(depth, 0.0)[None]",
+        "simulation/test_noise.py",
+    ),
+    Mutant(
+        "creature/surface.py",
+        "apart |= (np.abs(gap) < _SAME_SKIN)",
+        "apart &= (np.abs(gap) < _SAME_SKIN)",
+        "creature/test_surface.py",
+    ),
+    Mutant(
         "physics/contact.py",
-        "[1 - k * x * x, -k * x * y, -x]",
-        "[1 - k * x * x, -k * x * y, x]",
+        "jnp.where(z < 0, 1.0, -1.0)",
+        "jnp.where(z < 0, -1.0, 1.0)",
         "physics/test_contact.py physics/test_terrain.py",
     ),
     Mutant(

@@ -208,6 +208,8 @@ def settle(
     Raises:
         NoRhythmError: it comes to rest, or never repeats itself.
     """
+    if not np.abs(drive).max() > 0:
+        raise NoRhythmError("nothing drives the network: tonic input and feedback are 0")
     rest = initial_state(network, dtype=jnp.float64)
     slow = max(network.rise_time, network.adaptation_time)
     h = min(network.rise_time, network.adaptation_time) / 20

@@ -57,6 +57,12 @@ def show_sensitivities(
     if isinstance(trial.trials, list):
         trial = trial.model_copy(update={"trials": trial.trials[:1]})
     config = config.model_copy(update={"simulation": trial})
+    bits = not getattr(config.controller, "graded", True)
+    if bits and GENES in keys:
+        raise UsageError(
+            f"{GENES}: bits count as 0 or 1, so that 1 % more of them is the same; allowed: the "
+            "keys of numbers, or controller.graded: true"
+        )
     chosen = tuple(key for key in keys if key != GENES)
     if not keys:
         with working("finding the numbers that can be changed"):
@@ -64,7 +70,7 @@ def show_sensitivities(
     with working("finding what each number changes"):
         parameters = parametrise(config, folder.config, chosen, beside)
     place = make_folder(out or folder.path)
-    scaled = not keys or GENES in keys
+    scaled = not bits and (not keys or GENES in keys)
     with working(_COMPILING) as work:
         speed, fitness = _measure(parameters, champion, scaled, work)
     rows = [_row(one, other) for one in speed for other in fitness if one.key == other.key]

@@ -108,3 +108,9 @@ def test_a_wanted_rhythm_needs_oscillators(cli, nothing_kept):
     code, _, err = cli("cpg", REPOSITORY / "configs" / "fukui2003_model1.yaml", "--lag", 20)
     assert code == 2
     assert "has no oscillators" in err
+
+
+def test_without_a_drive_the_drive_is_named(cli):
+    code, out, _ = cli("cpg", SWIMMER, *SMALL, "--tonic-input", 0)
+    assert code == 0
+    assert "nothing drives the network: tonic input and feedback are 0" in out

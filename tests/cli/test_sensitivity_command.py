@@ -4,6 +4,9 @@ import csv
 
 import pytest
 
+from evo_cpg.cli import sensitivity
+from evo_cpg.config.schema.controller import PosturesConfig
+
 KEYS = ("world.water.form_drag", "world.water.current.0", "genes")
 
 
@@ -42,3 +45,16 @@ def test_it_ranks_what_it_was_asked_for(finished_run, cli, tmp_path):
 def test_wrong_keys_and_times_are_refused(finished_run, cli, arguments, words):
     code, _, complaint = cli("sensitivity", finished_run, *arguments)
     assert code == 2 and words in complaint
+
+
+def test_bits_have_no_sensitivity(finished_run, cli, monkeypatch):
+    """1 % more of a bit is the same bit, which is no reason to call the genes unimportant."""
+    real = sensitivity.load_config
+
+    def with_postures(path):
+        return real(path).model_copy(update={"controller": PosturesConfig(type="postures")})
+
+    monkeypatch.setattr(sensitivity, "load_config", with_postures)
+    code, _, complaint = cli("sensitivity", finished_run, "genes")
+    assert code == 2
+    assert "genes: bits count as 0 or 1" in complaint and "controller.graded: true" in complaint
