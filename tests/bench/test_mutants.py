@@ -25,5 +25,5 @@ def test_what_is_there_no_more_is_told():
 
 def test_physics_control_and_evolution_have_sixty_at_least():
     layers = {Path(mutant.file).parts[0] for mutant in MUTANTS}
-    assert layers == {"physics", "control", "evolution", "simulation", "spatial"}
+    assert layers == {"creature", "physics", "control", "evolution", "simulation", "spatial"}
     assert len(MUTANTS) >= 60
