@@ -1,4 +1,4 @@
-"""Frames drawn by several processes: a software renderer uses little more than a core for itself.
+"""Frames drawn by several processes: a software renderer leaves cores idle, most with many bodies.
 
 Each process sets the whole scene and draws every so-manieth frame; they come back in order, by a
 pipe each. What they show is the same whoever draws it.
