@@ -26,7 +26,7 @@ from evo_cpg.api.sweep import Member, groups, members_of, read_plan, run_group
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.progress import Work, working
 from evo_cpg.config.trust import is_trusted, trusting
-from evo_cpg.files import write_text
+from evo_cpg.files import cannot_write, write_text
 from evo_cpg.training.devices import available_cores, use_cores
 from evo_cpg.training.run_folder import RunFolderError
 
@@ -409,7 +409,7 @@ def _lock_file(folder: Path) -> Iterator[IO[bytes]]:
         (folder / _HIDDEN).mkdir(exist_ok=True)
         file = (folder / _HIDDEN / _LOCK).open("ab")
     except OSError as error:
-        raise RunFolderError(f"cannot write {folder} ({error.strerror})") from None
+        raise cannot_write(folder, error) from None
     # Closing it gives up the lock.
     with file:
         yield file

@@ -271,15 +271,18 @@ def verify_run(run: Path, cores: int | None) -> None:
     recorded = {"fitness": champion.fitness, **champion.terms}
     replayed = {"fitness": fitness, **terms}
     for name, value in recorded.items():
-        now = replayed.get(name, math.nan)
+        if name not in replayed:
+            differences.append(f"{name}: recorded {value:.6g}, and not replayed")
+            continue
+        now = replayed[name]
         if not np.isclose(now, value, REPLAY_TOLERANCE, REPLAY_TOLERANCE, equal_nan=True):
             differences.append(f"{name}: recorded {value:.6g}, replayed {now:.6g}")
     here = surroundings(experiment.simulation.engine, devices)
     for changed in changed_surroundings(folder.read_meta(), here):
         print(f"{run}: {changed}; bits may differ", file=sys.stderr)
     _report(run, differences)
-    exact = all(np.array_equal(replayed[name], recorded[name], True) for name in recorded)
-    exact = "exactly" if exact else f"to {REPLAY_TOLERANCE:g}"
+    same = all(np.array_equal(replayed[name], recorded[name], True) for name in recorded)
+    exact = "exactly" if same else f"to {REPLAY_TOLERANCE:g}"
     print(f"{run}: the champion's fitness {champion.fitness:.6f} comes out as recorded ({exact})")
 
 

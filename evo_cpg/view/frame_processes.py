@@ -1,7 +1,8 @@
 """Frames drawn by several processes: a software renderer leaves cores idle, most with many bodies.
 
 Each process sets the whole scene and draws every so-manieth frame; they come back in order, by a
-pipe each. What they show is the same whoever draws it.
+pipe each. They are the same whoever draws them, but on uneven ground, where the horizon follows the
+focus in steps: there an opacity may differ by one of 255 levels.
 """
 
 import contextlib

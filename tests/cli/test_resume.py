@@ -151,6 +151,16 @@ def test_resume_refuses_what_it_cannot_go_on_with(finished_run, cli, tmp_path):
     assert config.read_text() == written.replace("population: 8", "population: 12")
 
 
+def test_resume_refuses_more_generations_than_a_file_may_ask_for(finished_run, cli):
+    """And writes nothing, for no command would read such a file."""
+    config = finished_run / "config.yaml"
+    before = config.read_text()
+    code, _, err = cli("resume", finished_run, "--generations", 10**14)
+    assert code == 2
+    assert "evolution.generations: 100000000000000: input should be less than or equal to" in err
+    assert config.read_text() == before
+
+
 def test_resume_refuses_what_would_have_other_columns_and_loses_nothing(
     finished_run, cli, tmp_path
 ):

@@ -43,10 +43,8 @@ def recording():
     return synthetic.swim()
 
 
-@pytest.fixture(scope="module")
-def movie(creature, recording, tmp_path_factory):
-    """Ten frames, spread over the whole recording."""
-    path = tmp_path_factory.mktemp("film") / "swim.mp4"
+def ten_frames(creature, recording, path, **given):
+    """A film of the whole recording, and what was told while it was made."""
     seen = []
     film(
         creature,
@@ -57,8 +55,14 @@ def movie(creature, recording, tmp_path_factory):
         speed=recording.time[-1] / 0.9,
         title="",
         progress=lambda done, total: seen.append((done, total)),
+        **given,
     )
     return path, seen
+
+
+@pytest.fixture(scope="module")
+def movie(creature, recording, tmp_path_factory):
+    return ten_frames(creature, recording, tmp_path_factory.mktemp("film") / "swim.mp4")
 
 
 def decode(path):
@@ -231,27 +235,14 @@ def beginning(recording: Recording, count: int) -> Recording:
     return recording._replace(**fields)
 
 
-def test_several_processes_draw_the_same_film(creature, recording, tmp_path, monkeypatch):
+def test_several_processes_draw_the_same_film(movie, creature, recording, tmp_path, monkeypatch):
     """In its order, frame by frame; the last round is not full."""
     monkeypatch.setattr(frame_processes, "_WORTH", 3)
-    drawn = {}
-    for processes in (1, 2):
-        path = tmp_path / f"{processes}.mp4"
-        seen = []
-        film(
-            creature,
-            recording,
-            path,
-            size=SMALL,
-            fps=10,
-            seconds=0.85,
-            processes=processes,
-            progress=lambda done, total, seen=seen: seen.append((done, total)),
-        )
-        assert seen == [(i + 1, 9) for i in range(9)]
-        drawn[processes] = np.array(decode(path))
-    assert np.ptp(drawn[1].astype(int), axis=0).max() > 50  # something moves
-    np.testing.assert_array_equal(drawn[1], drawn[2])
+    path, seen = ten_frames(creature, recording, tmp_path / "three.mp4", processes=3)
+    assert seen == movie[1]
+    alone, together = (np.array(decode(each)) for each in (movie[0], path))
+    assert np.ptp(alone.astype(int), axis=0).max() > 50  # something moves
+    np.testing.assert_array_equal(together, alone)
 
 
 def test_a_process_that_cannot_draw_is_told_of(creature, recording):
