@@ -255,7 +255,7 @@ def test_a_process_that_cannot_draw_is_told_of(creature, recording):
 
 
 @pytest.mark.parametrize(
-    ("frames", "cores", "processes"), [(59, 8, 1), (990, 2, 2), (990, 64, 8), (240, 64, 4)]
+    ("frames", "cores", "processes"), [(239, 8, 1), (240, 64, 2), (990, 2, 2), (990, 64, 8)]
 )
 def test_as_many_processes_as_are_worth_their_start(frames, cores, processes):
     assert frame_processes.drawing_processes(frames, cores) == processes
