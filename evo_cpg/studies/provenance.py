@@ -71,7 +71,8 @@ def caption(study: str, part: str, told: Mapping[str, Any]) -> str:
     elsewhere = sorted({each or "unknown" for each in commits} - {told["commit"] or "unknown"})
     if elsewhere:
         words += f" of runs evolved at {', '.join(elsewhere)}"
-    words += f" on {told['date'][:10]}, {told['processor']}, {told['devices']} cores.*"
+    cores = "1 core" if told["devices"] == 1 else f"{told['devices']} cores"
+    words += f" on {told['date'][:10]}, {told['processor']}, {cores}.*"
     if told["quick"]:
         words = f"**Quick: scaled down, a test of the program and no result.** {words}"
     return words
