@@ -30,7 +30,7 @@ _CONTROL_GROUPS = (
 
 
 class TooLargeError(UserError):
-    """A population for which the machine has no memory; the message is for the user."""
+    """A run for which the machine has no memory; the message is for the user."""
 
 
 def needed(experiment: Experiment) -> int:
@@ -79,8 +79,13 @@ def require_memory(experiment: Experiment) -> None:
     beside = (
         f" and the {state / 2**30:.2g} GiB that their search remembers" if state > _TOLD else ""
     )
+    smaller = (
+        f"allowed here: {most}"
+        if most > 1
+        else "no population is small enough, but a smaller controller may be, or a search that "
+        "remembers less"
+    )
     raise TooLargeError(
         f"evolution.population: {individuals} individuals in all, of {genes} genes,{beside} need "
-        f"up to {asked / 2**30:.1f} GiB, and there are {there / 2**30:.1f}; allowed here: "
-        f"{max(0, most)}"
+        f"up to {asked / 2**30:.1f} GiB, and there are {there / 2**30:.1f}; {smaller}"
     )

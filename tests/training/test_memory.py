@@ -33,7 +33,8 @@ def test_a_map_counts_with_its_cells(monkeypatch):
     monkeypatch.setattr(memory, "available", lambda: 2**29 + 2**20)
     with pytest.raises(
         memory.TooLargeError,
-        match=r"of 2 genes, and the 0\.0023 GiB that their search remembers need .* here: 0",
+        match=r"of 2 genes, and the 0\.0023 GiB that their search remembers need .* "
+        "no population is small enough",
     ):
         memory.require_memory(mapped)
 
