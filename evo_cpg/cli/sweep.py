@@ -25,8 +25,8 @@ from evo_cpg.api.sweep import (
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.jobs import Jobs, claimed, read_jobs, run_jobs
 from evo_cpg.cli.progress import progress, working
-from evo_cpg.config.load import parse_yaml
 from evo_cpg.config.settings import Setting, combine, read_settings
+from evo_cpg.config.yaml_text import parse_yaml
 from evo_cpg.training.devices import use_cores
 
 # More rows of a table than anybody reads on a terminal; the file has all.

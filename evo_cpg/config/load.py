@@ -2,7 +2,6 @@
 
 import copy
 import math
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast
@@ -11,56 +10,17 @@ import pydantic
 import yaml
 
 from evo_cpg.config.errors import ConfigError, Key, nearest
-from evo_cpg.config.files import read_small, require_shallow
+from evo_cpg.config.files import read_small
 from evo_cpg.config.meshes import read_mesh
 from evo_cpg.config.schema.creature import CreatureConfig
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.config.shipped import shipped_names
 from evo_cpg.config.terrain import read_heights
 from evo_cpg.config.trust import beside, trusting
+from evo_cpg.config.yaml_text import parse_yaml, to_yaml
 
 # What pydantic calls an unknown key, in models and in dataclasses.
 _UNKNOWN_KEY = ("extra_forbidden", "unexpected_keyword_argument")
-
-
-# libyaml's, where PyYAML was built with it, is ten times faster.
-_SafeLoader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-
-
-class _Loader(_SafeLoader):
-    """Safe YAML with three of its traps closed.
-
-    These are keys given twice, 1e-3, which is a string, and values that PyYAML fails to make.
-    """
-
-    def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
-        """Refuse what looks like a date or a number and is none, such as 2026-02-30."""
-        try:
-            return super().construct_object(node, deep)
-        except (ArithmeticError, AttributeError, LookupError, ValueError):
-            kind = node.tag.rpartition(":")[2]
-            raise yaml.constructor.ConstructorError(
-                None, None, f"{_short(node.value)} cannot be read as {kind}", node.start_mark
-            ) from None
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict:
-        """Refuse a key that stands twice, of which only the last would count."""
-        seen = set()
-        for key in (key for key, _ in node.value if isinstance(key, yaml.ScalarNode)):
-            if key.value in seen:
-                raise yaml.constructor.ConstructorError(
-                    None, None, f"the key {key.value!r} is given twice", key.start_mark
-                )
-            seen.add(key.value)
-        return super().construct_mapping(node, deep)
-
-
-# YAML 1.1 wants a point and a signed exponent, so that 1e-3 and 1.0e5 are strings.
-_Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float",
-    re.compile(r"[-+]?(\d+(\.\d*)?|\.\d+)[eE][-+]?\d+$"),
-    list("-+.0123456789"),
-)
 
 
 def load_config(path: Path | str, overrides: Sequence[str] = ()) -> ExperimentConfig:
@@ -127,21 +87,17 @@ def check_config(data: dict[str, Any], source: Path | str) -> ExperimentConfig:
 
 def dump_config(config: ExperimentConfig) -> str:
     """The complete configuration as YAML, from which `load_config` makes an equal one."""
-    return yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False, allow_unicode=True)
+    return to_yaml(config.model_dump(mode="json"))
 
 
 def dump_creature(config: CreatureConfig) -> str:
     """A creature's own file, without what has its default, from which an equal one is read."""
-    data = config.model_dump(mode="json", exclude_defaults=True)
-    return yaml.safe_dump(data, sort_keys=False, allow_unicode=True, default_flow_style=None)
+    return to_yaml(config.model_dump(mode="json", exclude_defaults=True), flow=None)
 
 
 def as_overrides(values: Mapping[str, Any]) -> list[str]:
     """Settings as they stand on the command line, ``key=value``."""
-    return [
-        f"{key}={yaml.safe_dump([value], default_flow_style=True, width=10**9).strip()[1:-1]}"
-        for key, value in values.items()
-    ]
+    return [f"{key}={to_yaml([value], flow=True).strip()[1:-1]}" for key, value in values.items()]
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
@@ -172,16 +128,6 @@ def read_yaml(path: Path) -> dict[str, Any]:
     if not isinstance(data, dict):
         raise ConfigError(path, (), "must be a YAML mapping of keys to values")
     return data
-
-
-def parse_yaml(text: str) -> Any:
-    """What a text in YAML says.
-
-    Raises:
-        yaml.YAMLError: it is none, or larger than any that is meant.
-    """
-    require_shallow(text, _Loader)
-    return yaml.load(text, _Loader)
 
 
 def _read_files(data: dict[str, Any], path: Path) -> None:

@@ -179,7 +179,7 @@ def test_the_runs_are_run_folders_like_others(swept, capsys):
         ({"grid": ()}, "nothing is varied; name keys and values"),
         ({"grid": ("seed",)}, "'seed' is not KEY=VALUE,VALUE"),
         ({"grid": ("seed=[1",)}, "is not a list of values"),
-        ({"grid": ("name=2026-02-30",)}, "'2026-02-30' is not a list of values"),
+        ({"grid": ("name=!!int x",)}, "'!!int x' is not a list of values"),
         ({"grid": ("seed=1,1",)}, "two settings would be called 'seed=1'"),
         ({"only": ("there",)}, "no setting 'there'; there are mutation_rate=0.02, mutation_rate"),
     ],
@@ -195,10 +195,9 @@ def test_a_wrong_setting_is_said_before_anything_runs(tmp_path):
     assert not (tmp_path / "sweep").exists()
 
 
-@pytest.mark.parametrize("value", ["2020-01-01", "!!binary aGVsbG8="])
-def test_values_that_are_no_settings_are_refused(tmp_path, value):
+def test_values_that_are_no_settings_are_refused(tmp_path):
     with pytest.raises(evo.ConfigError, match=r"seed: .*allowed: numbers, texts, lists"):
-        sweep(tmp_path / "sweep", grid=(f"seed={value}",))
+        sweep(tmp_path / "sweep", grid=("seed=!!binary aGVsbG8=",))
     assert not (tmp_path / "sweep").exists()
 
 

@@ -2,9 +2,43 @@
 
 from typing import Annotated, Any
 
-from pydantic import Discriminator, Field
+from pydantic import AfterValidator, Discriminator, Field
 
 from evo_cpg.config.schema.section import Section
+
+
+def _as_read_again(options: dict[str, Any]) -> dict[str, Any]:
+    """As a run folder's ``config.yaml`` gives them: a run that goes on gets what it began with.
+
+    Raises:
+        ValueError: there is something that comes back as something else.
+    """
+
+    def plain(value: Any, place: str) -> Any:
+        if value is None or isinstance(value, bool):
+            return value
+        for kind in (str, int, float):
+            if isinstance(value, kind):
+                return kind(value)
+        if isinstance(value, (list, tuple)):
+            return [plain(each, f"{place}.{i}") for i, each in enumerate(value)]
+        if isinstance(value, dict):
+            for key in value:
+                if not isinstance(key, str):
+                    raise ValueError(
+                        f"{place} has the key {key!r}; allowed: keys that are text, such as '{key}'"
+                    )
+            return {str(key): plain(each, f"{place}.{key}") for key, each in value.items()}
+        raise ValueError(
+            f"{place} is a {type(value).__name__}; allowed: text, numbers, true, false, null, and "
+            "lists and mappings of them"
+        )
+
+    return {key: plain(value, key) for key, value in options.items()}
+
+
+# Of the constructor of a class of the user's own.
+Options = Annotated[dict[str, Any], AfterValidator(_as_read_again)]
 
 
 class CustomConfig(Section):
@@ -16,7 +50,7 @@ class CustomConfig(Section):
     """
 
     type: Annotated[str, Field(pattern=r"^[\w.]+:\w+$")]
-    options: dict[str, Any] = Field(default_factory=dict)
+    options: Options = Field(default_factory=dict)
 
 
 def by_type(default: str | None) -> Discriminator:

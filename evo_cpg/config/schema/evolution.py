@@ -1,10 +1,10 @@
 """The search: a genetic algorithm, or another strategy."""
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, Tag, model_validator
 
-from evo_cpg.config.schema.choice import CustomConfig, by_type
+from evo_cpg.config.schema.choice import CustomConfig, Options, by_type
 from evo_cpg.config.schema.section import Count, Finite, NotNegative, Positive, Section, Share
 from evo_cpg.evolution.bits import BitGenetics
 from evo_cpg.evolution.generation import RealGenetics
@@ -365,7 +365,7 @@ class EvosaxConfig(MapSection):
     gene_bound: Positive = 8.0
     learning_rate: Positive = 0.02
     params: dict[str, Finite | bool] = Field(default_factory=dict)
-    options: dict[str, Any] = Field(default_factory=dict)
+    options: Options = Field(default_factory=dict)
     islands: IslandsConfig | None = None
 
     @model_validator(mode="after")

@@ -1,0 +1,114 @@
+"""YAML as configurations are written in it: what is read is what was written, and back again."""
+
+import re
+from typing import Any
+
+import yaml
+
+from evo_cpg.config.files import require_shallow
+
+# libyaml's, where PyYAML was built with it, is ten times faster.
+_SafeLoader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+
+_INT, _FLOAT = "tag:yaml.org,2002:int", "tag:yaml.org,2002:float"
+_TIMESTAMP = "tag:yaml.org,2002:timestamp"
+_DIGITS = list("-+.0123456789")
+# YAML 1.1, which PyYAML reads, takes 1e-3, 1.0e5 and -.5 for text, 0200 for 128 and 1:40 for 100.
+_NUMBERS = {
+    _INT: re.compile(r"[-+]?(0|[1-9][0-9_]*|0x[0-9a-fA-F_]+|0b[01_]+)$"),
+    _FLOAT: re.compile(
+        r"[-+]?((\d[\d_]*)?\.\d[\d_]*|\d[\d_]*\.?)([eE][-+]?\d+)$"
+        r"|[-+]?(\d[\d_]*\.[\d_]*|\.\d[\d_]*)$"
+        r"|[-+]?\.(inf|Inf|INF)$|\.(nan|NaN|NAN)$"
+    ),
+}
+
+
+class _Loader(_SafeLoader):
+    """Safe YAML with some of its traps closed.
+
+    These are keys given twice, values that PyYAML fails to make, numbers that it takes for text or
+    for other numbers, and dates, which nothing in a configuration is.
+    """
+
+    def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
+        """Refuse what is said to be a number or a truth and is none, such as ``!!int x``."""
+        try:
+            return super().construct_object(node, deep)
+        except (ArithmeticError, AttributeError, LookupError, ValueError):
+            kind = node.tag.rpartition(":")[2]
+            value = repr(node.value)
+            value = value if len(value) <= 60 else value[:57] + "..."
+            raise yaml.constructor.ConstructorError(
+                None, None, f"{value} cannot be read as {kind}", node.start_mark
+            ) from None
+
+    def construct_document(self, node: yaml.Node) -> Any:
+        """Refuse a key that stands twice, of which only the last would count.
+
+        That is looked for before ``<<`` puts the keys of one mapping into another.
+        """
+        left, seen = [node], set()
+        while left:
+            one = left.pop()
+            if id(one) in seen or not isinstance(one, yaml.CollectionNode):
+                continue
+            seen.add(id(one))
+            if isinstance(one, yaml.MappingNode):
+                _require_different(key for key, _ in one.value)
+                left += [each for pair in one.value for each in pair]
+            else:
+                left += one.value
+        return super().construct_document(node)
+
+
+class _Dumper(yaml.SafeDumper):
+    """Puts quotation marks around text that any YAML, or this one, would read as a number."""
+
+
+_Loader.yaml_implicit_resolvers = {
+    first: [(tag, pattern) for tag, pattern in found if tag not in (_INT, _FLOAT, _TIMESTAMP)]
+    for first, found in _SafeLoader.yaml_implicit_resolvers.items()
+}
+for _tag, _pattern in _NUMBERS.items():
+    _Loader.add_implicit_resolver(_tag, _pattern, _DIGITS)
+    _Dumper.add_implicit_resolver(_tag, _pattern, _DIGITS)
+
+
+def parse_yaml(text: str) -> Any:
+    """What a text in YAML says.
+
+    Raises:
+        yaml.YAMLError: it is none, or larger than any that is meant.
+    """
+    require_shallow(text, _Loader)
+    return yaml.load(text, _Loader)
+
+
+def to_yaml(data: Any, flow: bool | None = False) -> str:
+    """A text in YAML that says this.
+
+    Args:
+        data: text, numbers, booleans, None, and lists and mappings of them.
+        flow: in brackets, on one line; None for the innermost alone.
+    """
+    return yaml.dump(
+        data,
+        Dumper=_Dumper,
+        sort_keys=False,
+        allow_unicode=True,
+        default_flow_style=flow,
+        width=10**9 if flow else None,
+    )
+
+
+def _require_different(keys: Any) -> None:
+    seen = set()
+    for key in keys:
+        if not isinstance(key, yaml.ScalarNode):
+            continue
+        if key.value in seen:
+            raise yaml.constructor.ConstructorError(
+                None, None, f"the key {key.value!r} is given twice", key.start_mark
+            )
+        seen.add(key.value)
