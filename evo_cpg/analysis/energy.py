@@ -26,7 +26,7 @@ from jaxtyping import Array, Float
 
 from evo_cpg.analysis.along_time import along_time
 from evo_cpg.physics.added_mass import carried_water
-from evo_cpg.physics.contact import find_contacts, lifting_power
+from evo_cpg.physics.contact import find_contacts
 from evo_cpg.physics.fluid import drag
 from evo_cpg.physics.joints import expected_limit_torque, limit_torque
 from evo_cpg.physics.kinematics import Kinematics, kinematics
@@ -61,7 +61,8 @@ class Ledger(NamedTuple):
         limbs: of limbs that push each other apart.
         water: drag, buoyancy and carried water.
         pushes: of chance, before the step.
-        push_out: of `lift`, what lifts points out of the ground that have sunk into it.
+        push_out: of `lift`, what lifts points out of the ground that have sunk into it, no faster
+            than the law wants.
         impulse: that no force explains, world axes, N s.
         given: sizes of the impulses of ground and water on points and bodies, without weight and
             buoyancy, N s.
@@ -189,7 +190,9 @@ def _ground_work(
     velocity = take(middle.linear, bodies) + cross(take(middle.angular, bodies), contacts.arm)
     local, moving = matvec(contacts.frame, force), matvec(contacts.frame, velocity)
     lift, friction = local[2] * moving[2], dot(local[:2], moving[:2])
-    push_out = h * lifting_power(contacts, local)
+    # Of a point that rests the law wants `rest`, with which it does not move.
+    risen = jnp.clip(moving[2], 0.0, jnp.maximum(contacts.rest, 0.0))
+    push_out = h * (local[2] * risen).sum(0)
     return h * lift.sum(0), h * friction.sum(0), push_out, force
 
 
@@ -197,7 +200,7 @@ def _limb_work(
     world: World, steps: PhysicsSteps, kin: Kinematics, rate: Array, h: float
 ) -> Float[Array, " t"]:
     if world.pairs is None:
-        return jnp.zeros_like(rate[0])
+        return jnp.zeros_like(kin.origin[0, 0])
     contacts = find_pair_contacts(world.tree, world.pairs, kin, rate, h)
     parting = (contacts.jacobian * rate[None]).sum(1)
     return h * (steps.pair_force * parting).sum(0)

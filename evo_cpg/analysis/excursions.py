@@ -5,10 +5,12 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from evo_cpg.analysis.along_time import along_time
+from evo_cpg.analysis.overlap import fills_its_rounded_box, gaps
 from evo_cpg.creature.creature import Creature
+from evo_cpg.creature.shapes import Shape
 from evo_cpg.physics.contact_points import contact_points
 from evo_cpg.physics.kinematics import Kinematics, kinematics
 from evo_cpg.physics.pairs import Pairs, make_pairs, separations
@@ -21,6 +23,10 @@ from evo_cpg.spatial.linear import expand_dims_like, matvec
 # Residuals above which a step's equations count as unsolved, and its friction as off its cone
 # (`evo_cpg.physics.equations.Residual`).
 SOLVED, SLIPPING = 1e-3, 1e-1
+
+# Of two bodies that may be in each other, so many instants are looked at, those at which their
+# bounding boxes are deepest.
+_INSTANTS = 64
 
 # Points on the line from an eye to the light that are looked at; ground this far within (m) is in
 # the way.
@@ -86,8 +92,8 @@ def excursions(
         kin = kinematics(world.tree, steps.after)
         return _clearance(world, kin), _gaps(every, kin), _swims(world, kin)
 
-    clearance, gaps, swims = along_time(depths, steps)
-    overlap, overlapping = _deepest_overlap(every, world, gaps)
+    clearance, apart, swims = along_time(depths, steps)
+    overlap, overlapping = _deepest_overlap(every, world, creature, steps, apart)
     rate = (steps.before.qd + steps.after.qd) / 2
     power = steps.torque * rate
     root = np.asarray(steps.after.position, float)
@@ -152,13 +158,56 @@ def _swims(world: World, kin: Kinematics) -> Bool[Array, " t"]:
 
 
 def _deepest_overlap(
-    pairs: Pairs | None, world: World, gaps: Float[np.ndarray, "k t"]
+    pairs: Pairs | None,
+    world: World,
+    creature: Creature,
+    steps: PhysicsSteps,
+    apart: Float[np.ndarray, "k t"],
 ) -> tuple[float, tuple[str, ...]]:
-    least = gaps.min(-1) if gaps.size else np.zeros(0)
-    if pairs is None or not len(least) or least.min() >= 0:
-        return 0.0, ()
-    worst = int(least.argmin())
-    return -float(least[worst]), tuple(world.tree.names[owner[worst]] for owner in pairs.owners)
+    """The deepest overlap of two bodies, m, and their names.
+
+    Args:
+        pairs: that are looked at.
+        world: of the trial.
+        creature: the animal.
+        steps: of the trial.
+        apart: how far the rounded boxes of each point's two bodies are from each other, m.
+    """
+    deepest, names = 0.0, ()
+    if pairs is None or not apart.size:
+        return deepest, names
+    least: dict[tuple[int, int], np.ndarray] = {}
+    for own, gap in zip(zip(*pairs.owners, strict=True), apart, strict=True):
+        least[own] = np.minimum(least.get(own, np.inf), gap)
+    for own, gap in least.items():
+        if -gap.min() <= deepest:
+            continue
+        shapes = [creature.bodies[creature.body_index(world.tree.names[i])].shape for i in own]
+        if not all(map(fills_its_rounded_box, shapes)):
+            instants = np.argsort(gap)[:_INSTANTS]
+            gap = _true_gaps(world, steps, own, shapes, instants[gap[instants] < 0])
+        if -gap.min() > deepest:
+            deepest, names = -float(gap.min()), tuple(world.tree.names[i] for i in own)
+    return deepest, names
+
+
+def _true_gaps(
+    world: World,
+    steps: PhysicsSteps,
+    own: tuple[int, int],
+    shapes: list[Shape],
+    instants: Int[np.ndarray, " n"],
+) -> Float[np.ndarray, " n"]:
+    """Of two bodies after some steps, m."""
+    state = jax.tree.map(lambda x: x[..., instants], steps.after)
+    kin = jax.device_get(kinematics(world.tree, state))
+    turns = [np.moveaxis(np.asarray(kin.rotation, float)[:, :, i], -1, 0) for i in own]
+    com = np.asarray(world.tree.com, float)
+    places = [
+        np.asarray(kin.origin, float)[:, i].T + turn @ com[:, i]
+        for i, turn in zip(own, turns, strict=True)
+    ]
+    return gaps((shapes[0], shapes[1]), (places[0], places[1]), (turns[0], turns[1]))
 
 
 def _airborne_way(

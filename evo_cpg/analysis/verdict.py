@@ -6,6 +6,12 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from evo_cpg.spatial.numerics import Number, xp
+
+# Where no limit is given: the deepest of all, m, and of an animal's length; and how many lengths an
+# animal falls to become as fast as it may be, under the earth's gravity, m/s^2.
+_DEEPEST, _DEPTH, _FALL, _GRAVITY = 0.01, 0.02, 20.0, 9.81
+
 
 @dataclasses.dataclass(frozen=True)
 class Limits:
@@ -27,14 +33,18 @@ class Limits:
         simulator_energy: largest share of energy that no force accounts for, summed over stretches
             of a quarter of a second in which it is a gain.
         push_out_energy: largest share of energy that comes from lifting sunken points out.
+        limb_energy: largest share of energy that comes from limbs that push each other apart.
+        limit_energy: largest share of energy that comes from joints pushed back to their limits.
         simulator_momentum: largest share of the surroundings' impulses that no force accounts for.
-        penetration: deepest of the ground, m.
-        overlap: deepest of two bodies of the animal, m.
+        penetration: deepest of the ground, m; if None 1 cm, or a fiftieth of the animal's length
+            where that is less.
+        overlap: deepest of two bodies of the animal, m; likewise if None.
         unsolved: largest share of steps whose equations are not solved to 1e-3.
         slipping: largest share of steps whose friction misses its cone by a tenth.
         airborne_way: largest share of the way while nothing touches the ground.
         overload: by which a motor may exceed its torque limit, as a share of it.
-        speed: of the root, in lengths of the animal a second.
+        speed: of the root, in lengths of the animal a second; if None that of a fall from twenty
+            times its length.
         power: of all motors together, W for each kg of animal; no limit if None.
         free_energy: by which the energy spent may exceed the most that costs fitness, as a share.
         seen_through_ground: largest share of the light seen with ground in the way.
@@ -51,17 +61,30 @@ class Limits:
     limp_way: float = 0.1
     simulator_energy: float = 0.1
     push_out_energy: float = 0.05
+    limb_energy: float = 0.05
+    limit_energy: float = 0.05
     simulator_momentum: float = 0.05
-    penetration: float = 0.01
-    overlap: float = 0.01
+    penetration: float | None = None
+    overlap: float | None = None
     unsolved: float = 0.01
     slipping: float = 0.05
     airborne_way: float = 0.5
     overload: float = 0.01
-    speed: float = 20.0
+    speed: float | None = None
     power: float | None = None
     free_energy: float = 0.0
     seen_through_ground: float = 0.01
+
+    def of_length(self, length: Number) -> "Limits":
+        """With what goes by the length of an animal (m) where it is not given."""
+        depth = xp.minimum(_DEEPEST, _DEPTH * length)
+        found = {
+            "penetration": depth,
+            "overlap": depth,
+            "speed": xp.sqrt(2 * _GRAVITY * _FALL / length),
+        }
+        missing = {name: each for name, each in found.items() if getattr(self, name) is None}
+        return dataclasses.replace(self, **missing)
 
 
 def limits_from(settings: Sequence[str], limits: Limits = Limits()) -> Limits:

@@ -232,7 +232,8 @@ def books(
 ) -> list[Check]:
     """What the trials themselves show; of each check the worst of them."""
     simulation, mass = experiment.simulation, float(experiment.creature.mass)
-    length, h = length_of(experiment.creature), simulation.step_length
+    length, h = float(length_of(experiment.creature)), simulation.step_length
+    limits = limits.of_length(length)
     found = [trial.excursions for trial in trials]
     ledgers = [trial.ledger for trial in trials]
 
@@ -253,6 +254,16 @@ def books(
             "simulator_momentum",
             "momentum balance off by, of impulses",
             max(_momentum_share(one) for one in ledgers),
+        ),
+        check(
+            "limb_energy",
+            "limbs pushed apart, of motors' work",
+            max(_given(one, one.limbs) for one in ledgers),
+        ),
+        check(
+            "limit_energy",
+            "joints pushed back, of motors' work",
+            max(_given(one, one.limits) for one in ledgers),
         ),
         check("overload", "torque over its limit", worst("overload")),
         check("speed", "fastest speed of the root", worst("peak_speed") / length, "lengths/s"),
@@ -403,6 +414,11 @@ def _energy_gain(one: Ledger, h: float) -> float:
     length = max(1, round(_STRETCH / h))
     starts = np.arange(0, len(one.stored), length)
     return float(np.maximum(np.add.reduceat(one.left_over, starts), 0.0).sum())
+
+
+def _given(one: Ledger, work: np.ndarray) -> float:
+    """What a constraint gave in all, of the motors' work; one that is passive takes."""
+    return max(0.0, float(work.sum())) / _effort(one)
 
 
 def _momentum_share(one: Ledger) -> float:

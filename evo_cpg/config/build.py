@@ -220,7 +220,7 @@ def _build_rules(
     names = config.audit.disqualify
     if not names:
         return None
-    limits = config.audit.limits()
+    limits = config.audit.limits().of_length(length_of(creature))
     if "power" in names and limits.power is None:
         raise ConfigError(source, ("audit", "power"), "is missing; disqualify names it")
     if "penetration" in names and world.footing is None:

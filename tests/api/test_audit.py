@@ -177,6 +177,39 @@ def test_who_starts_in_the_ground_is_found():
     assert {"penetration", "push_out_energy"} <= flagged
 
 
+def test_who_stands_is_not_lifted():
+    """A point that rests presses as hard as the law wants it out, and does not move."""
+    made = walker()
+    still = champion()._replace(genes=np.zeros(2, np.float32))
+    (trial,) = lived_trials(made, still)
+    weight = 9.81 * made.creature.mass
+    assert trial.steps.contact_force[2].sum(0).mean() == pytest.approx(weight, rel=0.05)
+    # By less than a hundredth of a millimetre in all.
+    assert 0.0 <= trial.ledger.push_out.sum() < 1e-5 * weight
+
+
+@pytest.mark.parametrize("source", ["limbs", "limits"])
+def test_a_constraint_that_gives_is_found(honest, source):
+    made, (trial,) = honest
+    (key,) = {"limbs": ["limb_energy"], "limits": ["limit_energy"]}[source]
+    assert not {"limb_energy", "limit_energy"} & failed(honest)
+    for share in (0.1, -0.1):
+        work = np.zeros_like(trial.ledger.motors)
+        work[:2] = 0.5 * share * trial.ledger.effort
+        given = trial._replace(ledger=trial.ledger._replace(**{source: work}))
+        assert (key in failed((made, (given,)))) == (share > 0)
+
+
+def test_what_goes_by_the_length_is_small_for_small_animals():
+    large, small, given = Limits().of_length(1.0), Limits().of_length(0.03), Limits(speed=3.0)
+    assert (large.penetration, large.overlap) == (0.01, 0.01)
+    assert (small.penetration, small.overlap) == pytest.approx((6e-4, 6e-4))
+    # A cockroach runs 50 of its lengths a second.
+    assert large.speed == pytest.approx(19.8, abs=0.05)
+    assert 50 < small.speed < 150
+    assert given.of_length(1.0).speed == 3.0
+
+
 def test_torque_beyond_the_limit_is_found(honest):
     made, trials = honest
     tree = made.simulation.world.tree

@@ -92,7 +92,7 @@ def test_limits_are_in_the_animals_own_measure():
         load_config(CONFIG, [*PAIR, "audit.disqualify=[speed, power]", "audit.power=50"]), CONFIG
     )
     rules = swimmer.simulation.rules
-    assert rules.speed == pytest.approx(20 * length_of(swimmer.creature))
+    assert rules.speed == pytest.approx(np.sqrt(40 * 9.81 * length_of(swimmer.creature)))
     assert length_of(swimmer.creature) == pytest.approx(0.42)
     assert rules.power == pytest.approx(50 * swimmer.creature.mass)
 
