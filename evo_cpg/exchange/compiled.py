@@ -15,6 +15,38 @@ _DIGITS = 12
 # Those of the world's elements belong to this body.
 WORLD = 0
 
+# Numbers that are read: their fields in the compiled model, whose they are and how they are
+# written. Those that MuJoCo makes of others come last.
+_FINITE = {
+    "body_pos": ("body", "pos"),
+    "body_quat": ("body", "orientation"),
+    "body_gravcomp": ("body", "gravcomp"),
+    "geom_pos": ("geom", "pos"),
+    "geom_quat": ("geom", "orientation"),
+    "geom_size": ("geom", "size"),
+    "geom_friction": ("geom", "friction"),
+    "geom_rgba": ("geom", "rgba"),
+    "jnt_pos": ("joint", "pos"),
+    "jnt_axis": ("joint", "axis"),
+    "jnt_range": ("joint", "range"),
+    "jnt_stiffness": ("joint", "stiffness"),
+    "dof_damping": ("dof", "damping"),
+    "dof_armature": ("dof", "armature"),
+    "actuator_gear": ("actuator", "gear"),
+    "actuator_gainprm": ("actuator", "gain"),
+    "actuator_biasprm": ("actuator", "bias"),
+    "body_mass": ("body", "mass"),
+    "body_ipos": ("body", "centre of mass"),
+    "body_iquat": ("body", "inertia"),
+    "body_inertia": ("body", "inertia"),
+}
+# Likewise; infinite ones limit nothing.
+_LIMITS = {
+    "jnt_actfrcrange": ("joint", "actuatorfrcrange"),
+    "actuator_forcerange": ("actuator", "forcerange"),
+    "actuator_ctrlrange": ("actuator", "ctrlrange"),
+}
+
 
 class Compiled(NamedTuple):
     """MuJoCo, and what it made of a file.
@@ -51,6 +83,20 @@ class Compiled(NamedTuple):
             if np.any(getattr(self.model, field, np.zeros(at + 1))[at]):
                 raise self.refusal(kind, number, f"it has {word}", f"no {word}")
 
+    def require_numbers(self) -> None:
+        """Refuse an element with NaN or an infinite number, which no comparison would find."""
+        model = self.model
+        for field, (kind, word) in (_FINITE | _LIMITS).items():
+            values = np.asarray(getattr(model, field))
+            wrong = np.isnan(values) if field in _LIMITS else ~np.isfinite(values)
+            for number, *place in np.argwhere(wrong).tolist():
+                if kind == "geom" and model.geom_bodyid[number] == WORLD:
+                    continue
+                owner = ("joint", model.dof_jntid[number]) if kind == "dof" else (kind, number)
+                value = values[number, *place]
+                allowed = "numbers" if field in _LIMITS else "finite numbers"
+                raise self.refusal(*owner, f"its {word} holds {value:g}", allowed)
+
 
 def compile_model(path: Path) -> Compiled:
     """Have MuJoCo read a file.
@@ -85,7 +131,7 @@ def rotation(compiled: Compiled, quaternion: np.ndarray) -> np.ndarray:
 def tidy(value: float) -> float:
     """A number without the digits that rounding in the compiler leaves."""
     short = float(f"{value:.{_DIGITS}g}")
-    return short if abs(short) > 10.0**-_DIGITS else 0.0
+    return 0.0 if abs(short) <= 10.0**-_DIGITS else short
 
 
 def tidy_vector(values: np.ndarray) -> tuple[float, float, float]:

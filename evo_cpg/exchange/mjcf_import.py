@@ -104,6 +104,7 @@ def read_mjcf(path: Path | str, motor_gain: float | None = None) -> Imported:
             raise ExchangeError(
                 f"{compiled.source}: flag {flag!r}: it is disabled; allowed: enable"
             )
+    compiled.require_numbers()
     root = _find_root(compiled)
     names = _body_names(compiled)
     motors = read_motors(compiled, motor_gain)

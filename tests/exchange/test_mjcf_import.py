@@ -358,6 +358,46 @@ def test_what_no_creature_can_be_is_refused_by_name(read, tmp_path, text, expect
     assert "\n" not in str(refusal.value)
 
 
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        (model(attributes='quat="nan 0 0 1"'), "body 'limb': its orientation holds nan; allow"),
+        (model(attributes='gravcomp="nan"'), "body 'limb': its gravcomp holds nan"),
+        (model().replace("0.3 0 0", "nan 0 0"), "body 'limb': its pos holds nan; allowed: finite"),
+        (model(geoms='<geom name="g" size="inf"/>'), "geom 'g': its size holds inf; allowed: fin"),
+        (
+            model(geoms='<geom name="g" size="0.1" friction="nan"/>'),
+            "geom 'g': its friction holds nan",
+        ),
+        (
+            model(geoms='<geom name="g" size="0.1" rgba="0 nan 0 1"/>'),
+            "geom 'g': its rgba holds nan",
+        ),
+        (model(joints=HINGE.replace("/>", ' pos="0 nan 0"/>')), "joint 'h': its pos holds nan"),
+        (model(joints=HINGE.replace("-1 1", "-1 nan")), "joint 'h': its range holds nan"),
+        (model(joints=HINGE.replace("/>", ' damping="nan"/>')), "joint 'h': its damping holds nan"),
+        (
+            model(joints=HINGE.replace("/>", ' actuatorfrcrange="-1 nan"/>')),
+            "joint 'h': its actuatorfrcrange holds nan; allowed: numbers",
+        ),
+        (
+            model(actuators='<velocity name="m" joint="h" kv="1" forcerange="-1 nan"/>'),
+            "actuator 'm': its forcerange holds nan; allowed: numbers",
+        ),
+        (
+            model(actuators='<velocity name="m" joint="h" kv="1" gear="nan"/>'),
+            "actuator 'm': its gear holds nan; allowed: finite numbers",
+        ),
+    ],
+)
+def test_what_is_no_number_is_refused(read, tmp_path, monkeypatch, text, expected):
+    # MuJoCo warns in a file of the working folder.
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ExchangeError) as refusal:
+        read(text)
+    assert str(refusal.value).startswith(f"{tmp_path / 'model.xml'}: {expected}")
+
+
 def test_a_torque_motor_needs_limits_to_be_a_servo(read):
     unlimited = model(actuators=MOTOR.replace('ctrlrange="-1 1"', ""))
     with pytest.raises(ExchangeError, match="'m': it has no limits; allowed: ctrlrange or forcer"):
