@@ -8,6 +8,7 @@ from evo_cpg.cli.errors import UsageError, require_free
 from evo_cpg.cli.progress import working
 from evo_cpg.cli.training import champion_motion, champion_record, open_run
 from evo_cpg.config.load import dump_creature, load_config
+from evo_cpg.config.schema.section import LARGEST
 from evo_cpg.exchange.mjcf_export import mjcf_model, mjcf_text
 from evo_cpg.exchange.mjcf_import import read_mjcf
 from evo_cpg.files import write_text, write_whole
@@ -96,6 +97,8 @@ def import_model(path: Path, output: Path, motor_gain: float | None, overwrite: 
     """`evo-cpg import`."""
     if motor_gain is not None and not motor_gain > 0:
         raise UsageError(f"--motor-gain: must be greater than 0, got {motor_gain:g}")
+    if motor_gain is not None and motor_gain > LARGEST:
+        raise UsageError(f"--motor-gain: must be at most {LARGEST:g}, got {motor_gain:g}")
     require_free(output, overwrite)
     creature, left_out = read_mjcf(path, motor_gain)
     _write(output, dump_creature(creature))

@@ -2,11 +2,15 @@
 
 import importlib
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
+import pydantic
 
+from evo_cpg.config.schema.section import Section
 from evo_cpg.exchange.errors import ExchangeError
+
+_Section = TypeVar("_Section", bound=Section)
 
 # Relative differences that nobody would tell apart, and digits that are written.
 TOLERANCE = 1e-6
@@ -97,6 +101,27 @@ class Compiled(NamedTuple):
                 allowed = "numbers" if field in _LIMITS else "finite numbers"
                 raise self.refusal(*owner, f"its {word} holds {value:g}", allowed)
 
+    def checked(self, what: str, section: type[_Section], values: dict[str, Any]) -> _Section:
+        """A section of the creature, or what its own rules say against an element.
+
+        Args:
+            what: the element, as `named` has it.
+            section: to be made of it.
+            values: of its keys; None for what is left open.
+
+        Raises:
+            ExchangeError: they break its rules.
+        """
+        try:
+            return section(**{key: value for key, value in values.items() if value is not None})
+        except pydantic.ValidationError as error:
+            problem = error.errors()[0]
+        said = problem["msg"].removeprefix("Value error, ")
+        if problem["type"] != "value_error":
+            said = f"{problem['input']}: {said[:1].lower()}{said[1:]}"
+        key = ".".join(map(str, problem["loc"]))
+        raise ExchangeError(": ".join([str(self.source), what, *([key] if key else []), said]))
+
 
 def compile_model(path: Path) -> Compiled:
     """Have MuJoCo read a file.
@@ -129,12 +154,22 @@ def rotation(compiled: Compiled, quaternion: np.ndarray) -> np.ndarray:
 
 
 def tidy(value: float) -> float:
-    """A number without the digits that rounding in the compiler leaves."""
-    short = float(f"{value:.{_DIGITS}g}")
-    return 0.0 if abs(short) <= 10.0**-_DIGITS else short
+    """A number without the digits that rounding in the compiler leaves; 0 has no sign."""
+    return float(f"{value:.{_DIGITS}g}") + 0.0
+
+
+def tidy_difference(value: float) -> float:
+    """As `tidy`, and 0 for what rounding leaves where numbers cancel."""
+    return 0.0 if abs(value) <= 10.0**-_DIGITS else tidy(value)
 
 
 def tidy_vector(values: np.ndarray) -> tuple[float, float, float]:
+    """Three numbers as `tidy_difference` has them."""
+    x, y, z = (tidy_difference(value) for value in values)
+    return x, y, z
+
+
+def tidy_size(values: np.ndarray) -> tuple[float, float, float]:
     """Three numbers as `tidy` has them."""
     x, y, z = (tidy(value) for value in values)
     return x, y, z

@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import pydantic
 
 from evo_cpg.config.schema.creature import (
     ActuatorConfig,
@@ -34,6 +33,7 @@ from evo_cpg.exchange.compiled import (
     compile_model,
     rotation,
     tidy,
+    tidy_difference,
     tidy_vector,
 )
 from evo_cpg.exchange.errors import ExchangeError
@@ -108,31 +108,25 @@ def read_mjcf(path: Path | str, motor_gain: float | None = None) -> Imported:
     root = _find_root(compiled)
     names = _body_names(compiled)
     motors = read_motors(compiled, motor_gain)
-    materials: dict[tuple[float, float], str] = {}
+    materials: dict[MaterialConfig, str] = {}
     placed: dict[int, Placed] = {}
     bodies = []
     for body in range(root, model.nbody):
         geom = only_geom(compiled, body)
         placed[body] = own = place_body(compiled, body, geom, body == root)
-        density = uniform_density(compiled, body, geom, own)
-        key = (tidy(density), tidy(model.geom_friction[geom, 0]))
-        material = materials.setdefault(key, f"material{len(materials) + 1}")
+        made_of = _material(compiled, geom, uniform_density(compiled, body, geom, own))
+        material = materials.setdefault(made_of, f"material{len(materials) + 1}")
         joint = None
         if body != root:
             parent = int(model.body_parentid[body])
             joint = _read_joint(compiled, body, own, placed[parent], names[parent], motors)
         entry = {"name": names[body], "shape": own.shape, "material": material, "joint": joint}
-        bodies.append(_checked(compiled, body, BodyConfig, entry | {"color": _color(model, geom)}))
-    creature = CreatureConfig(
-        name=_model_name(compiled),
-        materials={
-            name: MaterialConfig(
-                density=density, static_friction=friction, dynamic_friction=friction
-            )
-            for (density, friction), name in materials.items()
-        },
-        bodies=bodies,
-    )
+        entry["color"] = _color(model, geom)
+        bodies.append(compiled.checked(compiled.named("body", body), BodyConfig, entry))
+    name = _model_name(compiled)
+    made = {name: made_of for made_of, name in materials.items()}
+    whole = {"name": name, "materials": made, "bodies": bodies}
+    creature = compiled.checked(f"model {name!r}", CreatureConfig, whole)
     return Imported(creature, _left_out(compiled, creature))
 
 
@@ -222,7 +216,8 @@ def _read_joint(
             raise _unlike(compiled, joint, first, "actuator")
         # MuJoCo counts angles from where the model file says, we from the neutral pose.
         neutral = model.qpos0[model.jnt_qposadr[joint]]
-        limits.append(tuple(tidy(v) for v in np.rad2deg(model.jnt_range[joint] - neutral)))
+        turns = np.rad2deg(model.jnt_range[joint] - neutral)
+        limits.append(tuple(tidy_difference(turn) for turn in turns))
     turn = rotation(compiled, model.body_quat[body])
     at = np.array(model.body_pos[body]) + turn @ place
     euler = np.rad2deg(matrix_to_euler(parent.turn.T @ turn @ own.turn))
@@ -238,7 +233,17 @@ def _read_joint(
         "armature": tidy(model.dof_armature[dofs[0]]),
         "actuator": motors.get(first),
     }
-    return _checked(compiled, body, JointConfig, values)
+    return compiled.checked(f"joint of {compiled.named('body', body)}", JointConfig, values)
+
+
+def _material(compiled: Compiled, geom: int, density: float) -> MaterialConfig:
+    friction = tidy(compiled.model.geom_friction[geom, 0])
+    values = {
+        "density": tidy(density),
+        "static_friction": friction,
+        "dynamic_friction": friction,
+    }
+    return compiled.checked(compiled.named("geom", geom), MaterialConfig, values)
 
 
 def _require_plain_hinge(compiled: Compiled, joint: int) -> None:
@@ -272,17 +277,6 @@ def _unlike(compiled: Compiled, joint: int, first: int, word: str) -> ExchangeEr
         f"its {word} is not that of {compiled.named('joint', first)}",
         f"the same {word} for all hinges of a body",
     )
-
-
-def _checked(compiled: Compiled, body: int, kind: Any, values: dict[str, Any]) -> Any:
-    """A section of the creature, or what its own rules say against it."""
-    try:
-        return kind(**{key: value for key, value in values.items() if value is not None})
-    except pydantic.ValidationError as error:
-        problem = error.errors()[0]["msg"].removeprefix("Value error, ")
-        raise ExchangeError(
-            f"{compiled.source}: {compiled.named('body', body)}: {problem}"
-        ) from None
 
 
 def _left_out(compiled: Compiled, creature: CreatureConfig) -> tuple[str, ...]:
@@ -325,7 +319,7 @@ def _color(model: Any, geom: int) -> str | None:
     rgba = model.geom_rgba[geom]
     if np.allclose(rgba, _GREY):
         return None
-    return "#" + "".join(f"{round(255 * float(value)):02x}" for value in rgba[:3])
+    return "#" + "".join(f"{round(255 * float(value)):02x}" for value in np.clip(rgba[:3], 0, 1))
 
 
 def _model_name(compiled: Compiled) -> str:

@@ -3,6 +3,7 @@
 import numpy as np
 
 from evo_cpg.config.schema.creature import ActuatorConfig
+from evo_cpg.config.schema.section import LARGEST
 from evo_cpg.exchange.compiled import TOLERANCE, Compiled, tidy
 
 _ZERO_OF_ACTUATOR = {
@@ -41,7 +42,7 @@ def _read_motor(
     mujoco, model = compiled.mujoco, compiled.model
     gear = float(model.actuator_gear[number, 0])
     strength = float(model.actuator_gainprm[number, 0])
-    offset, stiffness, damping = -model.actuator_biasprm[number, :3]
+    offset, stiffness, damping = (-model.actuator_biasprm[number, :3]).tolist()
     affine = int(model.actuator_biastype[number]) == mujoco.mjtBias.mjBIAS_AFFINE
     simple = (
         gear != 0
@@ -72,10 +73,13 @@ def _read_motor(
         # What a motor can give at most, its servo may.
         command = gear * strength * model.actuator_ctrlrange[number]
         limits.append((command, model.actuator_ctrllimited[number]))
-        stiffness, damping = 0.0, motor_gain / gear**2
+        gain, stiffness = motor_gain, 0.0
     elif not damping > 0:
         raise compiled.refusal("actuator", number, "it is undamped", "a kv of more than 0")
-    torques = [torque for torque, given in limits if given]
+    else:
+        # Not the square of the gear, which may be too large for a number.
+        gain, stiffness = (gear * (gear * value) for value in (damping, stiffness))
+    torques = [torque for torque, given in limits if given and not _boundless(torque)]
     if not affine and not torques:
         raise compiled.refusal("actuator", number, "it has no limits", "ctrlrange or forcerange")
     for lower, upper in torques:
@@ -83,8 +87,14 @@ def _read_motor(
             raise compiled.refusal(
                 "actuator", number, f"its limits {lower:g} and {upper:g} differ", "equal limits"
             )
-    return ActuatorConfig(
-        gain=tidy(gear**2 * damping),
-        stiffness=tidy(gear**2 * stiffness),
-        torque_limit=tidy(min(abs(float(upper)) for _, upper in torques)) if torques else None,
-    )
+    values = {
+        "gain": tidy(gain),
+        "stiffness": tidy(stiffness),
+        "torque_limit": tidy(min(abs(float(upper)) for _, upper in torques)) if torques else None,
+    }
+    return compiled.checked(compiled.named("actuator", number), ActuatorConfig, values)
+
+
+def _boundless(torque: np.ndarray) -> bool:
+    """Whether limits are larger both ways than any that a creature can have."""
+    return bool(torque.min() < -LARGEST and torque.max() > LARGEST)

@@ -14,7 +14,7 @@ from evo_cpg.config.schema.creature import (
     SphereConfig,
 )
 from evo_cpg.creature.mesh import MeshError, convex_mesh
-from evo_cpg.exchange.compiled import TOLERANCE, Compiled, rotation, tidy, tidy_vector
+from evo_cpg.exchange.compiled import TOLERANCE, Compiled, rotation, tidy, tidy_size, tidy_vector
 
 _ZERO_OF_GEOM = {"geom_adhesion": "adhesion", "geom_surfacevel": "surface velocity"}
 
@@ -56,20 +56,24 @@ def place_body(compiled: Compiled, body: int, geom: int, is_root: bool) -> Place
     outer = rotation(compiled, model.body_quat[body]) if is_root else np.eye(3)
     turn = outer @ rotation(compiled, model.geom_quat[geom])
     kind = int(model.geom_type[geom])
+    what = compiled.named("geom", geom)
     if kind == kinds.mjGEOM_SPHERE:
-        shape, turn = SphereConfig(type="sphere", radius=tidy(size[0])), np.eye(3)
+        values = {"type": "sphere", "radius": tidy(size[0])}
+        shape, turn = compiled.checked(what, SphereConfig, values), np.eye(3)
     elif kind == kinds.mjGEOM_CAPSULE:
         # MuJoCo's capsules lie along z, ours along x; either end may be the front.
         turn = _shortest_turn(turn[:, 2] if turn[0, 2] >= 0 else -turn[:, 2])
-        radius, length = tidy(size[0]), tidy(2 * size[1])
-        shape = CapsuleConfig(type="capsule", radius=radius, length=length)
+        values = {"type": "capsule", "radius": tidy(size[0]), "length": tidy(2 * size[1])}
+        shape = compiled.checked(what, CapsuleConfig, values)
     elif kind in (kinds.mjGEOM_BOX, kinds.mjGEOM_ELLIPSOID):
         best = max(_TURNS, key=lambda own: np.trace(turn @ own))
         turn, size = turn @ best, np.abs(best.T @ size)
         if kind == kinds.mjGEOM_BOX:
-            shape = BoxConfig(type="box", size=tidy_vector(2 * size))
+            values = {"type": "box", "size": tidy_size(2 * size)}
+            shape = compiled.checked(what, BoxConfig, values)
         else:
-            shape = EllipsoidConfig(type="ellipsoid", radii=tidy_vector(size))
+            values = {"type": "ellipsoid", "radii": tidy_size(size)}
+            shape = compiled.checked(what, EllipsoidConfig, values)
     elif kind == kinds.mjGEOM_MESH:
         # MuJoCo has turned it to its principal axes.
         shape, turn = _read_mesh(compiled, geom, turn), np.eye(3)
@@ -105,7 +109,7 @@ def uniform_density(compiled: Compiled, body: int, geom: int, own: Placed) -> fl
             f"its centre of mass or inertia is not that of its {own.shape.type}",
             "uniform density, without an inertial of its own",
         )
-    return mass / shape.volume
+    return mass / shape.volume if shape.volume else float("inf")
 
 
 def _read_mesh(compiled: Compiled, geom: int, turn: np.ndarray) -> MeshConfig:
@@ -122,7 +126,8 @@ def _read_mesh(compiled: Compiled, geom: int, turn: np.ndarray) -> MeshConfig:
         raise compiled.refusal("geom", geom, f"its mesh: {error}", "a closed convex mesh") from None
     # MuJoCo keeps vertices in single precision.
     vertices = tuple(tidy_vector(vertex) for vertex in vertices - centre)
-    return MeshConfig(type="mesh", vertices=vertices, faces=tuple(map(tuple, faces.tolist())))
+    values = {"type": "mesh", "vertices": vertices, "faces": faces.tolist()}
+    return compiled.checked(compiled.named("geom", geom), MeshConfig, values)
 
 
 def _shortest_turn(direction: np.ndarray) -> np.ndarray:

@@ -111,6 +111,9 @@ def test_what_cannot_come_in_is_refused_and_nothing_written(cli, tmp_path):
     )
     code, out, err = cli("import", model, animal, "--motor-gain", 0)
     assert (code, err) == (2, "evo-cpg: --motor-gain: must be greater than 0, got 0\n")
+    for gain in ("1e13", "inf"):
+        code, out, err = cli("import", model, animal, "--motor-gain", gain)
+        assert (code, err[:46]) == (2, "evo-cpg: --motor-gain: must be at most 1e+12, ")
     assert not animal.exists()
 
 

@@ -198,6 +198,7 @@ def test_a_model_of_somebody_elses_moves_as_in_mujoco(read):
 
 
 HINGE = '<joint name="h" range="-1 1"/>'
+SPARE_HINGE = '<joint range="-1 1"/>'
 LIMB = '<geom name="g" size="0.1"/>'
 MOTOR = '<motor name="m" joint="h" ctrlrange="-1 1"/>'
 
@@ -346,6 +347,42 @@ def two(first: str = "", second: str = "") -> str:
             model(extra='<option><flag actuation="disable"/></option>'),
             "flag 'actuation': it is disabled; allowed: enable",
         ),
+        (
+            model(joints=HINGE.replace("/>", ' damping="-1"/>')),
+            "joint of body 'limb': damping: -1.0: input should be greater than or equal to 0",
+        ),
+        (
+            model(geoms='<geom name="g" size="0.1" friction="-1"/>'),
+            "geom 'g': static_friction: -1.0: input should be greater than or equal to 0",
+        ),
+        (
+            model(geoms='<geom name="g" size="0.1" density="1e15"/>'),
+            "geom 'g': density: 1000000000000000.0: input should be less than or equal to 1000000",
+        ),
+        *(
+            (model(geoms=f'<geom name="g" type="{kind}"/>'), f"geom 'g': {key}: ")
+            for kind, key in (
+                ('sphere" size="1e13', "radius"),
+                ('capsule" size="1e13 1', "radius"),
+                ('box" size="1 1e13 1', "size.1"),
+                ('ellipsoid" size="1 1e13 1', "radii.1"),
+            )
+        ),
+        *(
+            (
+                model(actuators=f'<velocity name="m" joint="h" {law}/>'),
+                f"actuator 'm': gain: {gain}: input should be ",
+            )
+            for law, gain in (
+                ('kv="1e13"', 1e13),
+                ('kv="1" gear="1e200"', "inf"),
+                ('kv="1" gear="1e-200"', 0.0),
+            )
+        ),
+        (
+            model(geoms=LIMB + 999 * f'<body>{SPARE_HINGE}<geom size="0.1"/></body>'),
+            "model 'model': bodies: 1001 bodies with 'body1001'; allowed: up to 1000",
+        ),
         (model().replace('"limb"', '"limb{i}"'), "body 'limb{i}': {i} stands for a number in our"),
         ("<mujoco><wolrd/></mujoco>", "unrecognized element Element 'wolrd', line 1"),
     ],
@@ -405,6 +442,40 @@ def test_a_torque_motor_needs_limits_to_be_a_servo(read):
     weaker = HINGE.replace("/>", ' actuatorfrcrange="-0.5 0.5"/>')
     found = read(model(joints=weaker, actuators=MOTOR), motor_gain=2.0).creature.build()
     assert found.bodies[1].joint and found.bodies[1].joint.actuator == Actuator(2.0, 0.5)
+
+
+def test_limits_beyond_all_that_we_allow_are_none(read):
+    """Of a servo, of a torque motor and of its joint; those of one side still count."""
+    law = '<velocity joint="h" kv="1" forcerange="{}"/>'
+    for limits in ("-1e15 1e15", "-inf inf"):
+        found = read(model(actuators=law.format(limits))).creature.build()
+        assert found.bodies[1].joint and found.bodies[1].joint.actuator == Actuator(1.0)
+        wide = HINGE.replace("/>", f' actuatorfrcrange="{limits}"/>')
+        found = read(model(joints=wide, actuators=MOTOR), motor_gain=1.0).creature.build()
+        assert found.bodies[1].joint and found.bodies[1].joint.actuator == Actuator(1.0, 1.0)
+    with pytest.raises(ExchangeError, match="its limits -1 and inf differ"):
+        read(model(actuators=law.format("-1 inf")))
+
+
+def test_small_numbers_of_small_animals_are_kept(read):
+    """Springs, dampers, rotors, motors and densities below what positions are rounded to."""
+    tiny = 'stiffness="3e-14" damping="2e-15" armature="1e-16"'
+    found = read(
+        model(
+            joints=HINGE.replace("/>", f" {tiny}/>"),
+            geoms='<geom size="100" mass="1e-9"/>',
+            actuators='<velocity joint="h" kv="1e-13" forcerange="-4e-14 4e-14"/>',
+        )
+    ).creature.build()
+    joint = found.bodies[1].joint
+    assert joint and joint.actuator == Actuator(1e-13, 4e-14)
+    assert (joint.stiffness, joint.damping, joint.armature) == (3e-14, 2e-15, 1e-16)
+    assert build_tree(found).mass.tolist() == pytest.approx([4.18879, 1e-9])
+
+
+def test_colours_are_clipped(read):
+    found = read(model(geoms='<geom size="0.1" rgba="1.5 -1 0.2 1"/>')).creature
+    assert found.bodies[1].color == "#ff0033"
 
 
 def test_names_are_made_up_where_there_are_none(read, tmp_path):

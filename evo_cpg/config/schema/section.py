@@ -6,12 +6,12 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field, model_serializer
 
 # Of no quantity in SI units that animals have to do with; powers of it are still numbers.
-_LARGEST = 1e12
+LARGEST = 1e12
 
-Positive = Annotated[float, Field(gt=0, le=_LARGEST, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0, le=_LARGEST, allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, le=LARGEST, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, le=LARGEST, allow_inf_nan=False)]
 Share = Annotated[float, Field(ge=0, le=1)]
-Finite = Annotated[float, Field(ge=-_LARGEST, le=_LARGEST, allow_inf_nan=False)]
+Finite = Annotated[float, Field(ge=-LARGEST, le=LARGEST, allow_inf_nan=False)]
 Vector = tuple[Finite, Finite, Finite]
 # Far beyond what anybody waits for, and within 32 bits.
 Count = Annotated[int, Field(ge=1, le=1_000_000)]
