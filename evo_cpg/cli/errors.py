@@ -1,5 +1,6 @@
 """Errors that are about the command line itself."""
 
+import os
 from pathlib import Path
 
 from evo_cpg.errors import UserError
@@ -15,5 +16,6 @@ def require_free(output: Path, overwrite: bool) -> None:
     Raises:
         UsageError: it is there.
     """
-    if output.exists() and not overwrite:
+    # Unlike a path's own method this does not complain of names that no file can have.
+    if os.path.exists(output) and not overwrite:
         raise UsageError(f"{output} exists already; --overwrite replaces it")

@@ -1,5 +1,6 @@
 """The commands that write for and read from other programs: export, import."""
 
+import os
 import sys
 from pathlib import Path
 
@@ -28,7 +29,7 @@ def export(
             raise UsageError(f"{output}: has no motion; leave out --run, --trial, --cell")
         export_model(source, output)
         return
-    if not source.is_dir():
+    if not os.path.isdir(source):
         raise UsageError(f"{source} is no run folder: only a run has a motion for {output.name}")
     MOTIONS[suffix](source, output, number, trial, cell)
     print(output)
@@ -67,7 +68,7 @@ MOTIONS = {".glb": _export_scene, ".csv": _export_table, ".npz": _export_table}
 
 def export_model(source: Path, output: Path) -> None:
     """A MuJoCo model."""
-    if source.is_dir():
+    if os.path.isdir(source):
         _, _, experiment = open_run(source)
     else:
         experiment = build(load_config(source), source)

@@ -1,8 +1,11 @@
 """A file as MuJoCo understands it, and how its elements are called and refused."""
 
 import importlib
+import re
+import stat
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
+from xml.etree import ElementTree
 
 import numpy as np
 import pydantic
@@ -127,7 +130,7 @@ def compile_model(path: Path) -> Compiled:
     """Have MuJoCo read a file.
 
     Raises:
-        ExchangeError: MuJoCo is missing or cannot load the file.
+        ExchangeError: MuJoCo is missing or cannot load the file, or not all of it is text.
     """
     try:
         mujoco = importlib.import_module("mujoco")
@@ -135,15 +138,40 @@ def compile_model(path: Path) -> Compiled:
         raise ExchangeError(
             "reading MJCF needs MuJoCo; install it with pip install 'evo-cpg[mujoco]'"
         ) from None
-    if not path.is_file():
-        raise ExchangeError(f"{path}: no such file")
+    _require_mjcf(path)
     try:
         model = mujoco.MjModel.from_xml_path(str(path))
+        bytes(model.names).decode()
+    except UnicodeDecodeError as error:
+        # From one end of a name, in the file or in MuJoCo's words, to the other.
+        before, after = error.object[: error.start], error.object[error.start :]
+        word = re.split(rb"[\0\s'\"]", before)[-1] + re.split(rb"[\0\s'\"]", after)[0]
+        raise ExchangeError(f"{path}: {word!r} is not UTF-8 text; save it as UTF-8") from None
     except ValueError as error:
         raise ExchangeError(
             f"{path}: MuJoCo cannot load it: {' '.join(str(error).split())}"
         ) from None
     return Compiled(mujoco, model, path)
+
+
+def _require_mjcf(path: Path) -> None:
+    """Check that a file can be read, of which MuJoCo has no words, and is no URDF."""
+    try:
+        mode = path.stat().st_mode
+        # A pipe or a device need not end.
+        if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+            raise OSError(None, "is no ordinary file")
+        with path.open("rb") as file:
+            _, first = next(ElementTree.iterparse(file, ["start"]), (None, None))
+    except FileNotFoundError:
+        raise ExchangeError(f"{path}: no such file") from None
+    except OSError as error:
+        raise ExchangeError(f"{path}: cannot be read ({error.strerror})") from None
+    except (ElementTree.ParseError, LookupError, ValueError):
+        # What is wrong with it MuJoCo says.
+        return
+    if first is not None and first.tag == "robot":
+        raise ExchangeError(f"{path}: it is a URDF; allowed: MJCF, as MuJoCo saves it")
 
 
 def rotation(compiled: Compiled, quaternion: np.ndarray) -> np.ndarray:

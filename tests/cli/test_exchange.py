@@ -99,6 +99,19 @@ def test_a_file_is_replaced_only_when_told(cli, tmp_path, command):
     assert err.startswith(f"evo-cpg: cannot write {tmp_path / 'no' / name} (No such file")
 
 
+@pytest.mark.parametrize("command", ["export", "import"])
+def test_a_name_that_no_file_can_have_is_refused(cli, tmp_path, command):
+    long, model = 300 * "a", tmp_path / "in.xml"
+    assert cli("export", WALKER, model)[0] == 0
+    source, suffix = (WALKER, ".xml") if command == "export" else (model, ".yaml")
+    code, out, err = cli(command, source, tmp_path / (long + suffix))
+    assert (code, out) == (2, "")
+    assert err == f"evo-cpg: cannot write {tmp_path / (long + suffix)} (File name too long)\n"
+    code, out, err = cli(command, f"{long}{source.suffix}", tmp_path / f"out{suffix}")
+    assert (code, out) == (2, "")
+    assert err.endswith(f"{source.suffix}: cannot be read (File name too long)\n")
+
+
 def test_what_cannot_come_in_is_refused_and_nothing_written(cli, tmp_path):
     model, animal = tmp_path / "model.xml", tmp_path / "animal.yaml"
     model.write_text(

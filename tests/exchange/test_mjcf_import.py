@@ -383,6 +383,10 @@ def two(first: str = "", second: str = "") -> str:
             model(geoms=LIMB + 999 * f'<body>{SPARE_HINGE}<geom size="0.1"/></body>'),
             "model 'model': bodies: 1001 bodies with 'body1001'; allowed: up to 1000",
         ),
+        (
+            model().replace('"limb"', '"limb&#27;[31m"'),
+            r"body 'limb\x1b[31m': name: 'limb\x1b[31m': must be on one line, without control char",
+        ),
         (model().replace('"limb"', '"limb{i}"'), "body 'limb{i}': {i} stands for a number in our"),
         ("<mujoco><wolrd/></mujoco>", "unrecognized element Element 'wolrd', line 1"),
     ],
@@ -486,9 +490,42 @@ def test_names_are_made_up_where_there_are_none(read, tmp_path):
     assert found.name == "model"
 
 
-def test_a_missing_file_is_named(tmp_path):
-    with pytest.raises(ExchangeError, match=r"nowhere\.xml: no such file"):
-        read_mjcf(tmp_path / "nowhere.xml")
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("nowhere.xml", "no such file"),
+        ("", r"cannot be read \(Is a directory\)"),
+        (300 * "a", r"cannot be read \(File name too long\)"),
+        ("model.xml/model.xml", r"cannot be read \(Not a directory\)"),
+    ],
+)
+def test_a_file_that_cannot_be_read_is_named(tmp_path, name, expected):
+    (tmp_path / "model.xml").write_text("<mujoco/>")
+    with pytest.raises(ExchangeError, match=f"^{tmp_path / name}: {expected}$"):
+        read_mjcf(tmp_path / name)
+
+
+def test_a_urdf_is_told_from_mjcf(read):
+    with pytest.raises(ExchangeError, match=r"it is a URDF; allowed: MJCF"):
+        read('<?xml version="1.0"?><!-- a robot --><robot name="r"><link name="l"/></robot>')
+
+
+@pytest.mark.parametrize(
+    ("given", "word"),
+    [
+        ('<mujoco model="une chèvre">', "chèvre"),
+        ('<?xml version="1.0" encoding="ISO-8859-1"?><mujoco model="chèvre">', "chèvre"),
+        ('<mujoco><custom><text name="ÿ" data="a"/></custom>', "ÿ"),
+        ("<mujoco><chèvre/>", "chèvre"),
+    ],
+)
+def test_what_is_not_utf_8_is_named(tmp_path, given, word):
+    path = tmp_path / "model.xml"
+    path.write_bytes(model().replace("<mujoco>", given).encode("latin-1"))
+    with pytest.raises(ExchangeError) as refusal:
+        read_mjcf(path)
+    word = word.encode("latin-1")
+    assert str(refusal.value) == f"{path}: {word!r} is not UTF-8 text; save it as UTF-8"
 
 
 def test_without_mujoco_the_extra_is_named(read, monkeypatch):

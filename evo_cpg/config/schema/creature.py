@@ -1,10 +1,11 @@
 """How a creature is written in YAML: lengths in m, angles in degrees, z up, facing +x."""
 
+import re
 from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 from typing_extensions import override
 
 from evo_cpg.config.schema.copies import SIDES, Copy, Entry, MirrorAxis, copies, copies_named
@@ -30,11 +31,24 @@ Size = tuple[Positive, Positive, Positive]
 # Of a vertex; larger ones do not fit into arrays.
 Index = Annotated[int, Field(ge=0, lt=2**31)]
 
-# Of ASCII, of Latin-1, between lines, and of the direction of writing.
-_CONTROLS = "\x00-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069"
+# Without those of ASCII, of Latin-1, between lines, and of the direction of writing.
+_PRINTED = r"[^\x00-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069]"
 
-# On one line, and nothing that a terminal obeys.
-BodyName = Annotated[str, Field(pattern=f"^[^{_CONTROLS}]+$")]
+
+def _require_printed(name: str) -> str:
+    """Check that a name is on one line, and nothing that a terminal obeys."""
+    if not name:
+        raise ValueError("'': must not be empty")
+    if not re.fullmatch(f"{_PRINTED}+", name):
+        raise ValueError(f"{name!r}: must be on one line, without control characters")
+    return name
+
+
+BodyName = Annotated[
+    str,
+    AfterValidator(_require_printed),
+    Field(json_schema_extra={"pattern": f"^{_PRINTED}+$"}),
+]
 
 # The middle one of three axes must keep this far from where the three lie in one plane; of axes at
 # right angles that is at 90 degrees, where the first and the last one coincide.
