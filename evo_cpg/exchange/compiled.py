@@ -84,6 +84,11 @@ class Compiled(NamedTuple):
         what = self.named(kind, number)
         return ExchangeError(f"{self.source}: {what}: {problem}; allowed: {allowed}")
 
+    def disabled(self, flag: str) -> bool:
+        """Whether a flag of the option element is; of one that MuJoCo does not know, not."""
+        bit = getattr(self.mujoco.mjtDisableBit, f"mjDSBL_{flag.upper()}", 0)
+        return bool(self.model.opt.disableflags & int(bit))
+
     def require_zero(self, kind: str, number: int, fields: dict[str, str], at: int) -> None:
         """Refuse an element with a property that no creature has."""
         for field, word in fields.items():

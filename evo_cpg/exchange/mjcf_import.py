@@ -37,7 +37,7 @@ from evo_cpg.exchange.compiled import (
     tidy_vector,
 )
 from evo_cpg.exchange.errors import ExchangeError
-from evo_cpg.exchange.mjcf_motors import read_motors
+from evo_cpg.exchange.mjcf_motors import command_ranges, read_motors
 from evo_cpg.exchange.mjcf_shapes import Placed, only_geom, place_body, uniform_density
 from evo_cpg.spatial.rotation import matrix_to_euler
 
@@ -99,8 +99,7 @@ def read_mjcf(path: Path | str, motor_gain: float | None = None) -> Imported:
         if getattr(model, count, 0):
             raise compiled.refusal(kind, 0, "no creature has such a thing", f"no {kind}")
     for flag in _NEEDED:
-        bit = getattr(compiled.mujoco.mjtDisableBit, f"mjDSBL_{flag.upper()}", 0)
-        if model.opt.disableflags & int(bit):
+        if compiled.disabled(flag):
             raise ExchangeError(
                 f"{compiled.source}: flag {flag!r}: it is disabled; allowed: enable"
             )
@@ -283,15 +282,21 @@ def _left_out(compiled: Compiled, creature: CreatureConfig) -> tuple[str, ...]:
     model = compiled.model
     found = []
     gravity = np.array(model.opt.gravity)
-    if gravity.any():
+    weighs = gravity.any() and not compiled.disabled("gravity")
+    if weighs:
         found.append(f"gravity ({', '.join(f'{value:g}' for value in gravity)}) m/s^2")
     ground = [i for i in range(model.ngeom) if model.geom_bodyid[i] == WORLD]
     found += [compiled.named("geom", geom) for geom in ground]
-    carried = _buoyancy(compiled, creature)
+    carried = _buoyancy(compiled, creature) if weighs else 0.0
     if carried:
         found.append(f"the buoyancy of a fluid of {carried:g} kg/m^3")
     if model.opt.density or model.opt.viscosity:
         found.append("drag of the fluid")
+    ranges = command_ranges(compiled)
+    if len(ranges) == 1:
+        found.append(f"the ctrlrange of {compiled.named('actuator', ranges[0])}")
+    elif ranges:
+        found.append(f"the ctrlrange of {len(ranges)} actuators")
     for count, kind in _WITHOUT_PART_IN_MOTION.items():
         number = int(getattr(model, count, 0))
         if number:
@@ -304,7 +309,8 @@ def _buoyancy(compiled: Compiled, creature: CreatureConfig) -> float:
     model = compiled.model
     volumes = [entry.shape.build().volume for entry in creature.bodies]
     fluid = model.body_gravcomp[1:] * model.body_mass[1:] / volumes
-    wrong = np.flatnonzero(~np.isclose(fluid, fluid[0], rtol=TOLERANCE, atol=0))
+    alike = np.isclose(fluid, fluid[0], rtol=TOLERANCE, atol=0)
+    wrong = np.flatnonzero(~alike | (fluid < 0))
     if wrong.size:
         raise compiled.refusal(
             "body",

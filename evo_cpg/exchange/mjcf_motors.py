@@ -13,6 +13,9 @@ _ZERO_OF_ACTUATOR = {
     "actuator_armature": "armature",
 }
 
+# Those that can be disabled.
+_GROUPS = 31
+
 
 def read_motors(compiled: Compiled, motor_gain: float | None) -> dict[int, ActuatorConfig]:
     """The motor of every joint that has one."""
@@ -21,6 +24,14 @@ def read_motors(compiled: Compiled, motor_gain: float | None) -> dict[int, Actua
     for number in range(model.nu):
         joint = int(model.actuator_trnid[number, 0])
         compiled.require_zero("actuator", number, _ZERO_OF_ACTUATOR, number)
+        group = int(model.actuator_group[number])
+        if 0 <= group < _GROUPS and model.opt.disableactuator >> group & 1:
+            raise compiled.refusal(
+                "actuator",
+                number,
+                f"actuatorgroupdisable disables its group, {group}",
+                "an enabled group",
+            )
         on_joint = int(model.actuator_trntype[number]) == compiled.mujoco.mjtTrn.mjTRN_JOINT
         if not on_joint or int(model.jnt_type[joint]) != compiled.mujoco.mjtJoint.mjJNT_HINGE:
             raise compiled.refusal("actuator", number, "it drives no hinge", "joint=, a hinge")
@@ -72,7 +83,7 @@ def _read_motor(
             )
         # What a motor can give at most, its servo may.
         command = gear * strength * model.actuator_ctrlrange[number]
-        limits.append((command, model.actuator_ctrllimited[number]))
+        limits.append((command, _limits_commands(compiled, number)))
         gain, stiffness = motor_gain, 0.0
     elif not damping > 0:
         raise compiled.refusal("actuator", number, "it is undamped", "a kv of more than 0")
@@ -93,6 +104,19 @@ def _read_motor(
         "torque_limit": tidy(min(abs(float(upper)) for _, upper in torques)) if torques else None,
     }
     return compiled.checked(compiled.named("actuator", number), ActuatorConfig, values)
+
+
+def command_ranges(compiled: Compiled) -> list[int]:
+    """Servos whose commands have limits, which ours have not: their numbers."""
+    model = compiled.model
+    affine = model.actuator_biastype == compiled.mujoco.mjtBias.mjBIAS_AFFINE
+    limited = [number for number in range(model.nu) if _limits_commands(compiled, number)]
+    return [number for number in limited if affine[number]]
+
+
+def _limits_commands(compiled: Compiled, number: int) -> bool:
+    limited = bool(compiled.model.actuator_ctrllimited[number])
+    return limited and not compiled.disabled("clampctrl")
 
 
 def _boundless(torque: np.ndarray) -> bool:

@@ -14,6 +14,7 @@ from evo_cpg.config.build import build_creature
 from evo_cpg.config.load import dump_creature, load_config
 from evo_cpg.config.schema.creature import CreatureConfig
 from evo_cpg.creature.creature import Actuator, Creature
+from evo_cpg.creature.shapes import Capsule
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.exchange.errors import ExchangeError
 from evo_cpg.exchange.mjcf_export import mjcf_model, mjcf_text
@@ -222,6 +223,12 @@ def model(
     )
 
 
+def rod_inertia(radius: float, length: float) -> np.ndarray:
+    """Moments of a capsule of 1 kg across its axis and about it, kg m^2."""
+    along, _, across = Capsule(radius, length).inertia(1.0)
+    return np.array([across, along])
+
+
 def two(first: str = "", second: str = "") -> str:
     return f'<joint name="a" range="-1 1" {first}/><joint name="b" axis="0 1 0" {second}/>'.replace(
         '1 0"', '1 0" range="-1 1"'
@@ -387,6 +394,27 @@ def two(first: str = "", second: str = "") -> str:
             model().replace('"limb"', '"limb&#27;[31m"'),
             r"body 'limb\x1b[31m': name: 'limb\x1b[31m': must be on one line, without control char",
         ),
+        (
+            model(
+                actuators='<velocity name="m" joint="h" kv="1" group="2"/>',
+                extra='<option actuatorgroupdisable="1 2"/>',
+            ),
+            "actuator 'm': actuatorgroupdisable disables its group, 2; allowed: an enabled group",
+        ),
+        (
+            model(attributes='gravcomp="-1"').replace('="trunk"', '="trunk" gravcomp="-1"'),
+            "body 'trunk': its gravcomp is not the buoyancy of a fluid around all bodies; allowed",
+        ),
+        (
+            # A rod of 1 m by 1 mm, whose moment about its axis is 1.6 times that of a capsule.
+            model(
+                geoms='<inertial pos="0 0 0" mass="1" diaginertia="{0} {0} {1}"/>'.format(
+                    *rod_inertia(0.0005, 1.0) * [1.0, 1.6]
+                )
+                + '<geom type="capsule" size="0.0005 0.5"/>'
+            ),
+            "body 'limb': its centre of mass or inertia is not that of its capsule; allowed: uni",
+        ),
         (model().replace('"limb"', '"limb{i}"'), "body 'limb{i}': {i} stands for a number in our"),
         ("<mujoco><wolrd/></mujoco>", "unrecognized element Element 'wolrd', line 1"),
     ],
@@ -443,9 +471,40 @@ def test_a_torque_motor_needs_limits_to_be_a_servo(read):
     unlimited = model(actuators=MOTOR.replace('ctrlrange="-1 1"', ""))
     with pytest.raises(ExchangeError, match="'m': it has no limits; allowed: ctrlrange or forcer"):
         read(unlimited, motor_gain=1.0)
+    unclamped = model(actuators=MOTOR, extra='<option><flag clampctrl="disable"/></option>')
+    with pytest.raises(ExchangeError, match="'m': it has no limits; allowed: ctrlrange or forcer"):
+        read(unclamped, motor_gain=1.0)
     weaker = HINGE.replace("/>", ' actuatorfrcrange="-0.5 0.5"/>')
     found = read(model(joints=weaker, actuators=MOTOR), motor_gain=2.0).creature.build()
     assert found.bodies[1].joint and found.bodies[1].joint.actuator == Actuator(2.0, 0.5)
+
+
+def test_an_inertial_that_is_that_of_the_shape_comes_in(read):
+    """Of a rod of 1 m by 1 mm that stands askew, with the digits that a file has."""
+    inertial = (
+        '<inertial pos="0 0 0" mass="1" euler="1 0.5 0" diaginertia="{0:.9g} {0:.9g} {1:.9g}"/>'
+    )
+    rod = inertial.format(*rod_inertia(0.0005, 1.0))
+    rod += '<geom type="capsule" size="0.0005 0.5" euler="1 0.5 0"/>'
+    assert read(model(geoms=rod)).creature.bodies[1].shape.type == "capsule"
+
+
+def test_what_a_command_may_be_is_left_out(read):
+    """Limits of servos' commands are named, but not where MuJoCo does not clamp commands."""
+    limited = '<velocity name="m" joint="a" kv="1" ctrlrange="-1 1"/>'
+    one = model(joints=HINGE.replace('"h"', '"a"'), actuators=limited)
+    assert read(one).left_out[1:] == ("the ctrlrange of actuator 'm'",)
+    position = '<position joint="{}" kp="10" kv="1" ctrlrange="-0.1 0.1"/>'
+    both = model(joints=two(), actuators=position.format("a") + position.format("b"))
+    assert read(both).left_out[1:] == ("the ctrlrange of 2 actuators",)
+    free = one.replace("<worldbody>", '<option><flag clampctrl="disable"/></option><worldbody>')
+    assert read(free).left_out[1:] == ()
+
+
+def test_where_nothing_has_weight_nothing_floats(read):
+    """Neither gravity nor what compensates it is left out where it is disabled."""
+    flag = '<option><flag gravity="disable"/></option>'
+    assert read(model(attributes='gravcomp="1"', extra=flag)).left_out == ()
 
 
 def test_limits_beyond_all_that_we_allow_are_none(read):

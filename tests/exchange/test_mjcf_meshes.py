@@ -147,6 +147,15 @@ def test_a_turned_root_stands_in_the_world_s_axes(read):
     assert np.abs(shape.points[:, :2] - corner).max(1).min() < 1e-6
 
 
+def test_a_thin_mesh_that_stands_askew_comes_in(read):
+    """A rod of 1 m by 2 mm, of which MuJoCo keeps the corners in single precision."""
+    rod = trimesh.creation.box((1.0, 0.002, 0.003))
+    turn = np.eye(4)
+    turn[:3, :3] = euler_to_matrix(0.3, -0.2, 0.7)
+    found, _ = read(model(rod.apply_transform(turn)))
+    assert found.build().bodies[0].shape.volume == pytest.approx(6e-6, rel=1e-3)
+
+
 def test_a_mesh_that_cannot_be_a_body_is_refused(read):
     ring = trimesh.creation.annulus(0.05, 0.1, 0.1, sections=8)
     with pytest.raises(
