@@ -50,8 +50,8 @@ def gltf_film(
 ) -> bytes:
     """A binary glTF file (.glb) of a recording.
 
-    A node for each body, named as it, is moved by translation and rotation at every instant of
-    the recording. `evo_cpg.view.film.side_by_side` shows the same.
+    A node for each body, named as it and as no other node, is moved by translation and rotation at
+    every instant of the recording. `evo_cpg.view.film.side_by_side` shows the same.
 
     Args:
         creature: the animal.
@@ -70,15 +70,16 @@ def gltf_film(
         surface = None
     look, radius = LOOKS[world] if surface is None else SHORE, animal_radius(creature, clip)
     glb = Glb(f"evo-cpg {metadata.version('evo-cpg')}", title)
-    root = glb.node("world", rotation=list(Z_UP))
+    root = glb.node(_apart(creature, "world"), rotation=list(Z_UP))
     _add_animal(glb, root, creature, recording)
     _add_ground(glb, root, creature, recording, look, radius, ground, surface)
     if np.isfinite(recording.goal).all():
-        _add_light(glb, root, recording.goal, look, radius)
+        _add_light(glb, root, _apart(creature, "light"), recording.goal, look, radius)
     sun = sun_direction(look, np.array([0.0, 1.0, -0.3]))
     turn = Rotation.align_vectors([sun], [[0.0, 0.0, 1.0]])[0]
-    shone = glb.light("sun", "directional", np.array(pv.Color(look.sun).float_rgb), _SUN)
-    glb.node("sun", root, rotation=turn.as_quat().tolist(), extensions=shone)
+    name = _apart(creature, "sun")
+    shone = glb.light(name, "directional", np.array(pv.Color(look.sun).float_rgb), _SUN)
+    glb.node(name, root, rotation=turn.as_quat().tolist(), extensions=shone)
     return glb.to_bytes()
 
 
@@ -88,6 +89,14 @@ def quaternions(rotation: Float[np.ndarray, "t 3 3"]) -> Float[np.ndarray, "t 4"
     flips = np.where((found[1:] * found[:-1]).sum(1) < 0, -1.0, 1.0)
     found[1:] *= np.cumprod(flips)[:, None]
     return found
+
+
+def _apart(creature: Creature, name: str) -> str:
+    """A name of the scenery as it is, or changed where a body has it."""
+    names = {body.name for body in creature.bodies}
+    while name in names:
+        name += "_"
+    return name
 
 
 def _add_animal(glb: Glb, root: Node, creature: Creature, recording: Recording) -> None:
@@ -106,7 +115,7 @@ def _add_animal(glb: Glb, root: Node, creature: Creature, recording: Recording) 
         for part, mesh, material in zip(
             ("eye", "pupil"), eye_meshes(creature, sensor), (white, black), strict=True
         ):
-            name = f"{sensor.body}.{part}{i + 1}"
+            name = _apart(creature, f"{sensor.body}.{part}{i + 1}")
             glb.node(name, nodes[sensor.body], mesh=_add_mesh(glb, name, mesh, material))
 
 
@@ -139,13 +148,14 @@ def _add_ground(
     tile = floor_texture(look.floor, look.grid, look.checkered, ground is not None)
     texture = glb.texture(np.asarray(tile.to_array()))
     material = glb.material("ground", np.ones(3), roughness=1.0, texture=texture)
-    mesh = glb.mesh("ground", points, terrain.normals(), terrain.triangles(), material, places)
-    glb.node("ground", root, mesh=mesh)
+    name, normals = _apart(creature, "ground"), terrain.normals()
+    mesh = glb.mesh(name, points, normals, terrain.triangles(), material, places)
+    glb.node(name, root, mesh=mesh)
     obstacles = () if ground is None else ground.obstacles
     stone = glb.material("stone", np.array(_STONE), roughness=0.95) if obstacles else 0
     for i, obstacle in enumerate(obstacles):
         mesh, place, turn = obstacle_mesh(obstacle)
-        name = f"obstacle{i + 1}"
+        name = _apart(creature, f"obstacle{i + 1}")
         glb.node(
             name,
             root,
@@ -159,8 +169,9 @@ def _add_ground(
         x, y = (terrain.x[[0, -1]], terrain.y[[0, -1]])
         corners = np.array([[a, b, surface] for b in y for a in x])
         up = np.tile([0.0, 0.0, 1.0], (4, 1))
-        sheet = glb.mesh("water", corners, up, np.array([[0, 1, 3], [0, 3, 2]]), material)
-        glb.node("water", root, mesh=sheet)
+        name = _apart(creature, "water")
+        sheet = glb.mesh(name, corners, up, np.array([[0, 1, 3], [0, 3, 2]]), material)
+        glb.node(name, root, mesh=sheet)
 
 
 def _mesh_of(shape: Part, filmed: np.ndarray, radius: float, reach: float) -> Terrain:
@@ -172,13 +183,15 @@ def _mesh_of(shape: Part, filmed: np.ndarray, radius: float, reach: float) -> Te
     return make_terrain(shape, filmed, radius, reach)
 
 
-def _add_light(glb: Glb, root: Node, goal: np.ndarray, look: Look, radius: float) -> None:
+def _add_light(
+    glb: Glb, root: Node, name: str, goal: np.ndarray, look: Look, radius: float
+) -> None:
     color = np.array(pv.Color(look.light).float_rgb)
-    material = glb.material("light", color, glow=True)
-    mesh = _add_mesh(glb, "light", pv.Sphere(radius=0.075 * radius), material)
+    material = glb.material(name, color, glow=True)
+    mesh = _add_mesh(glb, name, pv.Sphere(radius=0.075 * radius), material)
     halo = np.array(pv.Color(look.halo).float_rgb)
-    shone = glb.light("light", "point", halo, _LAMP * radius**2)
-    glb.node("light", root, mesh=mesh, translation=goal.tolist(), extensions=shone)
+    shone = glb.light(name, "point", halo, _LAMP * radius**2)
+    glb.node(name, root, mesh=mesh, translation=goal.tolist(), extensions=shone)
 
 
 def _add_mesh(glb: Glb, name: str, surface: pv.PolyData, material: int) -> int:

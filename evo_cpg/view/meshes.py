@@ -61,7 +61,8 @@ def body_colors(creature: Creature) -> np.ndarray:
 def shape_mesh(shape: Shape) -> pv.PolyData:
     """Surface of a shape in its own frame, in m, with a ``Normals`` array for smooth shading.
 
-    A mesh's edges stay sharp: every triangle has corners of its own.
+    A mesh's edges stay sharp: every triangle has corners of its own. One without area, which has no
+    normal, is left out.
 
     Raises:
         TypeError: a shape that this module does not know.
@@ -70,7 +71,10 @@ def shape_mesh(shape: Shape) -> pv.PolyData:
     if isinstance(shape, ConvexMesh):
         points = shape.triangles.reshape(-1, 3)
         faces = np.arange(len(points)).reshape(-1, 3)
-        normals = np.repeat(pv.PolyData.from_regular_faces(points, faces).face_normals, 3, 0)
+        normals = np.asarray(pv.PolyData.from_regular_faces(points, faces).face_normals)
+        seen = np.linalg.norm(normals, axis=1) > 0
+        points, normals = shape.triangles[seen].reshape(-1, 3), np.repeat(normals[seen], 3, 0)
+        faces = faces[: seen.sum()]
     elif isinstance(shape, Box):
         radius = _ROUNDING * shape.half_extents.min()
         points = signs * (shape.half_extents - radius) + radius * directions

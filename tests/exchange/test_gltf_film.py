@@ -1,5 +1,6 @@
 """Animated scenes: what the file says of the bodies is the trajectory's, and the file is sound."""
 
+import dataclasses
 import json
 import os
 import shutil
@@ -11,10 +12,12 @@ import numpy as np
 import pytest
 import trimesh
 
+from evo_cpg.creature.creature import Body, Creature, Material
+from evo_cpg.creature.mesh import convex_mesh
 from evo_cpg.exchange.gltf_film import Z_UP, gltf_film, quaternions
 from evo_cpg.physics.footing import Ground
 from evo_cpg.physics.terrain import Block, Boulder, Plane, Shore
-from evo_cpg.simulation.recording import RecordingError
+from evo_cpg.simulation.recording import Recording, RecordingError
 from view import synthetic
 
 # Where `npm install gltf-validator` was run; Node looks in the folders above the tests, too.
@@ -141,6 +144,55 @@ def test_stones_and_water_are_where_they_are():
     (water,) = (mesh for mesh in document["meshes"] if mesh["name"] == "water")
     height = arrays[water["primitives"][0]["attributes"]["POSITION"]][:, 2]
     np.testing.assert_allclose(height, 0.6, rtol=1e-6)
+
+
+def test_scenery_has_no_body_s_name():
+    """A body called as every part of the scenery is the only node of that name."""
+    make, move, settings = SCENES["stones"]
+    creature, recording = make(), move(4.0)
+    scenery = ("world", "ground", "light", "sun", "obstacle1")
+    given = [body.name for body in creature.bodies]
+    called = dict(zip(given, [*scenery, *given[len(scenery) :]], strict=True))
+
+    def renamed(body: Body) -> Body:
+        joint = body.joint and dataclasses.replace(body.joint, parent=called[body.joint.parent])
+        return dataclasses.replace(body, name=called[body.name], joint=joint)
+
+    creature = dataclasses.replace(
+        creature, bodies=tuple(map(renamed, creature.bodies)), light_sensors=()
+    )
+    document, _ = decode(gltf_film(creature, recording, title="a title", **settings))
+    names = [node["name"] for node in document["nodes"]]
+    assert len(set(names)) == len(names)
+    assert {*scenery, "ground_", "sun_", "obstacle1_", "obstacle2"} <= set(names)
+
+
+def test_a_triangle_without_area_is_left_out():
+    """The far side of an edge that one of its two triangles has split."""
+    box = trimesh.creation.box((0.3, 0.2, 0.1))
+    a, b, c = box.faces[0]
+    vertices = np.concatenate([box.vertices, [box.vertices[[a, b]].mean(0)]])
+    halves = [[a, 8, c], [8, b, c], [a, b, 8]]
+    shape, _ = convex_mesh(vertices, np.concatenate([box.faces[1:], halves]))
+    assert len(shape.faces) == 14
+    creature = Creature("stone", (Body("stone", shape, Material(1000.0)),))
+    still = Recording(
+        time=np.array([0.0, 1.0]),
+        position=np.zeros((2, 1, 3)),
+        rotation=np.tile(np.eye(3), (2, 1, 1, 1)),
+        joint_angle=np.zeros((2, 0)),
+        target_rate=np.zeros((2, 0)),
+        cpg_output=np.zeros((2, 0)),
+        torque=np.zeros((2, 0)),
+        distance=np.zeros(2),
+        goal=np.full(3, np.nan),
+        dof_names=(),
+    )
+    document, arrays = decode(gltf_film(creature, still, title="a title"))
+    attributes = document["meshes"][0]["primitives"][0]["attributes"]
+    normals = arrays[attributes["NORMAL"]]
+    assert len(normals) == len(arrays[attributes["POSITION"]]) == 3 * 13
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0, rtol=1e-6)
 
 
 def test_quaternions_never_jump():
