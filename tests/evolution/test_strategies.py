@@ -190,6 +190,35 @@ def test_a_state_of_another_strategy_is_refused():
         state_from(arrays, {"archive": {"genes": np.zeros((2, 4), np.float32)}})
 
 
+def test_a_state_of_whatever_arrays_goes_through_a_file(tmp_path):
+    """Names that would be the same, types that NumPy has not, and random keys."""
+
+    def state():
+        return {
+            "a.b": jnp.arange(3.0),
+            "a": {"b": jnp.arange(3.0) + 5},
+            "half": jnp.array([0.1, -3.0], jnp.bfloat16),
+            "few": jnp.array(-3, jnp.int4),
+            "key": jax.random.split(jax.random.key(3), 2),
+            "other": jax.random.key(4, impl="rbg"),
+        }
+
+    arrays = state_arrays(state())
+    assert set(arrays) == {
+        "a.b", "a.b'", "half.bfloat16", "few.int4", "key.key<fry>", "other.key<rbg>"
+    }  # fmt: skip
+    np.savez(tmp_path / "x.npz", **arrays)
+    with np.load(tmp_path / "x.npz") as file:
+        again = state_from(dict(file), jax.eval_shape(state))
+    for one, other in zip(jax.tree.leaves(state()), jax.tree.leaves(again), strict=True):
+        assert one.dtype == other.dtype and one.shape == other.shape
+        if jnp.issubdtype(one.dtype, jax.dtypes.prng_key):
+            one, other = jax.random.key_data(one), jax.random.key_data(other)
+        np.testing.assert_array_equal(np.asarray(one), np.asarray(other))
+    with pytest.raises(StrategyError, match="another strategy remembers"):
+        state_from(arrays, state() | {"half": jnp.zeros(2, jnp.uint16)})
+
+
 def test_who_diverged_is_as_bad_as_the_worst_survivor():
     np.testing.assert_array_equal(
         worst_finite(jnp.array([1.0, -jnp.inf, -2.0, jnp.nan])), [1, -2, -2, -2]
