@@ -441,9 +441,11 @@ class RunFolder:
         # Putting every row into words again takes 0.2 s for 3000 generations of 8 runs, half as
         # long as it takes to simulate one of them.
         if not rows or history[: len(rows)] != rows:
-            rows, text = [], ",".join(history[0]) + "\n"
+            rows, text = [], ""
         added = io.StringIO()
         writer = csv.DictWriter(added, fieldnames=list(history[0]), lineterminator="\n")
+        if not rows:
+            writer.writeheader()
         writer.writerows(history[len(rows) :])
         self._table = history, text + added.getvalue()
         write_text(self.metrics, self._table[1])

@@ -93,6 +93,12 @@ def test_the_table_is_that_of_the_history_whatever_was_written_before(folder):
         assert found == history
 
 
+def test_a_column_may_have_any_name(folder):
+    folder.write_metrics([{"generation": 0, 'best_"a", b\nc': 1.5}])
+    with folder.metrics.open(newline="") as file:
+        assert list(csv.DictReader(file)) == [{"generation": "0", 'best_"a", b\nc': "1.5"}]
+
+
 def test_a_history_that_grows_is_kept_whole_whatever_was_saved_before(folder):
     """Columns that are known already are not taken apart again; numbers may become fractions."""
     rows = [{"generation": i, "best": i if i < 3 else i + 0.5, "worst": -1.0} for i in range(8)]
