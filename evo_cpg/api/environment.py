@@ -28,7 +28,7 @@ from evo_cpg.simulation.control_step import (
     transition,
 )
 from evo_cpg.simulation.noise import grip_of
-from evo_cpg.simulation.rollout import is_sane
+from evo_cpg.simulation.rollout import begin_tally, finish_tally, is_sane, update_tally
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.situation import light_places
 
@@ -40,7 +40,7 @@ class EnvironmentState(eqx.Module):
         obs: what the animal senses.
         reward: of the last step.
         done: the trial is over, or the animal diverged.
-        metrics: the task's terms so far.
+        metrics: the task's terms so far, and the measures of gait.
         inner: everything else, which is not part of the stable interface.
     """
 
@@ -108,7 +108,7 @@ class Environment:
         keys = None if self._simulation.noise.silent else jax.random.key_data(key)
         with using(self._simulation.engine):
             animal, observation = self._sense(self._start(keys), keys)
-            tally = self._simulation.task.begin((), jnp.dtype("float32"), self.episode_length)
+            tally = begin_tally(self._simulation, (), jnp.dtype("float32"))
             terms, value = self._judge(tally)
         inner = _Inner(animal, tally, value, jnp.int32(0), jnp.asarray(True), keys)
         return EnvironmentState(
@@ -130,7 +130,7 @@ class Environment:
             raise ValueError(
                 f"action must have the shape ({self.action_size},), got {action.shape}"
             )
-        inner, task, steps = state.inner, self._simulation.task, self.episode_length
+        inner = state.inner
 
         def whole(animal: Animal, tally: Any, number: Array, keys: Array | None, action: Array):
             still = jnp.zeros_like(action)
@@ -141,7 +141,7 @@ class Environment:
             seen = sense(self._simulation, life, animal)
             animal, effects = move(self._simulation, life, animal, seen, command)
             happened = transition(self._simulation, life, effects, number)
-            tally = task.update(tally, happened, steps)
+            tally = update_tally(self._simulation, tally, happened)
             sane = is_sane(animal.state)
             animal, observation = self._sense(animal, keys, number + 1)
             return animal, tally, sane, observation, self._judge(tally)
@@ -154,7 +154,7 @@ class Environment:
         alive, number = inner.alive & sane, inner.number + 1
         reward = jnp.where(alive, value - inner.value, 0.0)
         later = _Inner(animal, tally, value, number, alive, inner.keys)
-        done = ~alive | (number >= steps)
+        done = ~alive | (number >= self.episode_length)
         return EnvironmentState(_vector(observation), reward, done, terms, later)
 
     def _start(self, keys: Array | None) -> Animal:
@@ -174,10 +174,9 @@ class Environment:
         return animal, sense(self._simulation, life, animal)
 
     def _judge(self, tally: Any) -> tuple[dict[str, Array], Array]:
-        """The task's terms so far, and their fitness; 0 as long as it is no number."""
-        task = self._simulation.task
-        terms = task.terms(tally, self.episode_length)
-        value = task.fitness(terms, self._scales)
+        """The terms so far, and their fitness; 0 as long as it is no number."""
+        terms = finish_tally(self._simulation, tally)
+        value = self._simulation.task.fitness(terms, self._scales)
         return terms, jnp.where(jnp.isfinite(value), value, 0.0)
 
 

@@ -24,7 +24,7 @@ from evo_cpg.simulation.measures import Trial
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.simulation.rules import keeps
 from evo_cpg.simulation.simulation import Simulation
-from evo_cpg.simulation.task import Task
+from evo_cpg.simulation.task import Task, Transition
 from evo_cpg.spatial.linear import cross, expand_dims_like
 
 # Beyond these rates (rad/s) and speeds (m/s) a trial counts as diverged: no animal of metre size
@@ -66,6 +66,11 @@ def rollout(
         backward: how to differentiate it, where it will be.
     """
     return _live(simulation, genes, slice(0), keys, trial, backward)[0]
+
+
+def no_terms(simulation: Simulation, batch: tuple[int, ...] = (1,)) -> dict[str, Array]:
+    """What a trial without a step amounts to: the task's terms and the measures of gait."""
+    return finish_tally(simulation, begin_tally(simulation, batch, jnp.dtype("float32")))
 
 
 def score(task: Task, outcome: Outcome, scales: dict[str, Float[Array, ""]]) -> Float[Array, " *n"]:
@@ -179,7 +184,7 @@ def _trial(
 ) -> tuple[Outcome, dict[str, Array]]:
     """One trial: its control steps are programs of their own, or parts of one."""
     batch, task, steps = genes.shape[1:], simulation.task, simulation.steps
-    ndim, tree, measures = len(batch), simulation.world.tree, simulation.measures
+    ndim, tree = len(batch), simulation.world.tree
     life, animal = begin_life(simulation, genes, keys, trial)
 
     def advance(carry, index):
@@ -192,8 +197,7 @@ def _trial(
 
         def update(tally: Any, effects: Effects, light: Array | None) -> Any:
             seen = transition(simulation, life._replace(light=light), effects, index)
-            own, gait = tally
-            return task.update(own, seen, steps), measures and measures.update(gait, seen)
+            return update_tally(simulation, tally, seen)
 
         name = f"{_name(task)}.update"
         tally = fuse(update, tally, effects, life.light, batch_ndim=ndim, name=name)
@@ -213,26 +217,44 @@ def _trial(
         assert simulation.rules is not None
         return keeps(simulation.rules, simulation.world, state, energy, 1 / simulation.control_rate)
 
-    tally = (
-        task.begin(batch, genes.dtype, steps),
-        measures and measures.begin(simulation.world, batch, genes.dtype),
-    )
+    tally = begin_tally(simulation, batch, genes.dtype)
     carry = animal, tally, jnp.ones(batch, bool)
     if backward is None:
         (_, tally, alive), frames = jax.lax.scan(advance, carry, jnp.arange(steps))
     else:
         (_, tally, alive), frames = backward.scan(advance, carry, steps), {}
 
-    def finish(tally: Any) -> dict[str, Array]:
-        own, gait = tally
-        terms = task.terms(own, steps)
-        if measures is not None:
-            trial = Trial(simulation.world, simulation.duration)
-            terms = terms | measures.finish(gait, trial)
-        return terms
-
+    finish = functools.partial(finish_tally, simulation)
     terms = fuse(finish, tally, batch_ndim=ndim, name=f"{_name(task)}.terms")
     return Outcome(terms, alive), frames
+
+
+def begin_tally(
+    simulation: Simulation, batch: tuple[int, ...], dtype: jnp.dtype
+) -> tuple[PyTree, PyTree]:
+    """The tally of the task and that of the measures of gait, before a trial."""
+    measures = simulation.measures
+    own = simulation.task.begin(batch, dtype, simulation.steps)
+    return own, measures and measures.begin(simulation.world, batch, dtype)
+
+
+def update_tally(
+    simulation: Simulation, tally: tuple[PyTree, PyTree], seen: Transition
+) -> tuple[PyTree, PyTree]:
+    """Both after one more control step."""
+    measures, (own, gait) = simulation.measures, tally
+    told = simulation.task.update(own, seen, simulation.steps)
+    return told, measures and measures.update(gait, seen)
+
+
+def finish_tally(simulation: Simulation, tally: tuple[PyTree, PyTree]) -> dict[str, Array]:
+    """What they amount to: terms by name."""
+    own, gait = tally
+    terms = simulation.task.terms(own, simulation.steps)
+    if simulation.measures is not None:
+        trial = Trial(simulation.world, simulation.duration)
+        terms = terms | simulation.measures.finish(gait, trial)
+    return terms
 
 
 def _frame(tree: Tree, full: bool, effects: Effects) -> dict[str, Array]:

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, Int, PyTree, UInt32
 
 from evo_cpg.evolution.generation import Genetics
 from evo_cpg.simulation.recording import Recording
-from evo_cpg.simulation.rollout import Outcome, as_recording
+from evo_cpg.simulation.rollout import Outcome, as_recording, no_terms
 from evo_cpg.training.checkpoint import Champion, Checkpoint
 from evo_cpg.training.devices import population_mesh
 from evo_cpg.training.experiment import (
@@ -354,10 +354,8 @@ def compile_life(
 
 def _no_scales(experiment: Experiment) -> dict[str, tuple[float, ...]]:
     """Placeholders for the yardsticks that generation 0 will measure."""
-    task, steps = experiment.simulation.task, experiment.simulation.steps
-    shapes = jax.eval_shape(
-        lambda: task.scales(task.terms(task.begin((1,), jnp.dtype("float32"), steps), steps))
-    )
+    simulation = experiment.simulation
+    shapes = jax.eval_shape(lambda: simulation.task.scales(no_terms(simulation)))
     return dict.fromkeys(shapes, (1.0,) * experiment.runs)
 
 
