@@ -225,7 +225,7 @@ def evolve(
         team: the processes that evolve together, which part when it is done; None for this alone.
 
     Raises:
-        RunFolderError: every individual of every generation diverged.
+        RunFolderError: no individual of any generation has a fitness.
         TeamError: another process was lost.
     """
     # Importing the loop starts nothing, but it takes JAX a second.
@@ -238,6 +238,13 @@ def evolve(
     )
     team.leave()
     if done.champion is None:
+        everybody = experiment.strategy.population
+        if any(row["diverged"] < everybody for row in done.history):
+            task = type(experiment.simulation.task).__name__
+            raise RunFolderError(
+                f"{folder.path}: of those that did not diverge nobody has a fitness that is a "
+                f"finite number, so there is no champion; see `fitness` and `scales` of {task}"
+            )
         raise RunFolderError(
             f"{folder.path}: every individual of every generation diverged, so there is no "
             "champion; try more substeps or weaker motors"

@@ -432,8 +432,8 @@ def _metrics(
     seconds: float,
 ) -> dict[str, float]:
     fitness = np.asarray(result.fitness[run])
-    alive = np.isfinite(fitness)
-    finite = fitness[alive] if alive.any() else np.array([np.nan])
+    judged = np.isfinite(fitness)
+    finite = fitness[judged] if judged.any() else np.array([np.nan])
     simulation = experiment.simulation
     trials = result.fitness.size * experiment.trials
     steps = trials * simulation.steps * simulation.substeps
@@ -445,7 +445,7 @@ def _metrics(
         "mean": float(finite.mean()),
         "median": float(np.median(finite)),
         "worst": float(finite.min()),
-        "diverged": int((~alive).sum()),
+        "diverged": int((~np.asarray(result.alive[run])).sum()),
         "champion": champion.fitness if champion else float("nan"),
         **{name: float(values[run]) for name, values in result.metrics.items()},
         **{f"best_{name}": float(values[run, best]) for name, values in result.terms.items()},

@@ -138,3 +138,8 @@ def test_a_run_in_which_nobody_lived_says_so(copied_run, cli, monkeypatch):
     code, out, err = cli("resume", copied_run.path, "--generations", GENERATIONS + 1)
     assert (code, out) == (2, "") and err.count("\n") == 1
     assert "every individual of every generation diverged, so there is no champion; try" in err
+    row = {"generation": 0, "diverged": 7}
+    monkeypatch.setattr(loop, "train", lambda *_, **__: dead._replace(history=[row]))
+    code, out, err = cli("resume", copied_run.path, "--generations", GENERATIONS + 2)
+    assert (code, out) == (2, "") and err.count("\n") == 1
+    assert "of those that did not diverge nobody has a fitness that is a finite number" in err
