@@ -36,7 +36,7 @@ from evo_cpg.config.shipped import find_config
 from evo_cpg.simulation.task import term_names
 from evo_cpg.training.checkpoint import Champion, Checkpoint, genes_digest, outcome_digest
 from evo_cpg.training.devices import use_cores
-from evo_cpg.training.experiment import Experiment
+from evo_cpg.training.experiment import TABLE_COLUMNS, Experiment
 from evo_cpg.training.memory import require_memory
 from evo_cpg.training.reevaluation import is_finished
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
@@ -184,7 +184,7 @@ def _require_same_columns(folder: RunFolder, done: Checkpoint, experiment: Exper
     terms = [f"best_{name}" for name in (*term_names(simulation.task), *measured)]
     asked, found = [*experiment.strategy.metric_names, *terms], done.history[-1]
     added = [name for name in asked if name not in found]
-    lost = [name for name in found if name.startswith("best_") and name not in asked]
+    lost = [name for name in found if name not in (*asked, *TABLE_COLUMNS)]
     if added or lost:
         parts = [("add", added), ("drop", lost)]
         changed = " and ".join(f"{verb} {', '.join(names)}" for verb, names in parts if names)

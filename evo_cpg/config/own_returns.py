@@ -12,7 +12,7 @@ from evo_cpg.config.own_classes import own_parts
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.control.controller import Command
 from evo_cpg.evolution.islands import Islands
-from evo_cpg.evolution.map_elites import Mapped
+from evo_cpg.evolution.map_elites import METRICS, Mapped
 from evo_cpg.evolution.strategy import Evaluation, Strategy
 from evo_cpg.fusion.engine import Engine, using
 from evo_cpg.simulation.control_step import (
@@ -25,7 +25,7 @@ from evo_cpg.simulation.control_step import (
 )
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.task import term_names
-from evo_cpg.training.experiment import descriptors
+from evo_cpg.training.experiment import TABLE_COLUMNS, descriptors
 
 # As many as two individuals are told from one, and from what a creature has two of.
 _INDIVIDUALS = 7
@@ -93,12 +93,29 @@ def check_own_strategy(
     key = ("evolution",)
     if key not in [key for key, _ in own_parts(config)]:
         return
+    shares, map_metrics = 1, ()
     while isinstance(strategy, Islands | Mapped):
+        if isinstance(strategy, Islands):
+            shares = strategy.count
+        else:
+            map_metrics = METRICS
         strategy = strategy.strategy
     shape = simulation.controller.gene_count, strategy.population
-    measures = simulation.measures.names if simulation.measures else ()
-    names = (*term_names(simulation.task), *measures)
+    names = (*term_names(simulation.task), *_measures(simulation))
+    taken = {*TABLE_COLUMNS, *map_metrics, *(f"best_{name}" for name in names)}
     checked = _Checked([key], source)
+    asked = config.evolution.population // shares
+    if strategy.population != asked:
+        where, kind = " on each island" if shares > 1 else "", type(strategy).__name__
+        problem = f"{asked}{where}: {kind} has another population, {strategy.population}"
+        raise ConfigError(source, (*key, "population"), problem)
+    metrics = checked(key, strategy, "metric_names", lambda names: names)
+    where = checked.where("metric_names")
+    if not isinstance(metrics, tuple) or not all(isinstance(name, str) for name in metrics):
+        where.fail(f"must be a tuple of names, got {metrics!r}")
+    for name in metrics:
+        if name in taken or metrics.count(name) > 1:
+            where.fail(f"must not have {name!r}, which metrics.csv has already")
 
     def go(random: jax.Array, fitness: jax.Array) -> None:
         draw = jax.random.key(0)
@@ -116,9 +133,15 @@ def check_own_strategy(
             if not (isinstance(found, tuple) and len(found) == 2):
                 where.fail("must return a pair of genomes and a state")
             _expect_array(where, found[0], shape)
-            if kept is not None:
-                _expect_like(where, "the state", found[1], kept)
+            _expect_like(where, "the state", found[1], found[1] if kept is None else kept)
             kept = found[1]
+            told = checked(key, strategy, "metrics", lambda metrics, x=kept: metrics(x))
+            _expect_dict(checked.where("metrics"), told, "metric")
+            if set(told) != set(metrics):
+                wanted, given = (", ".join(names) or "nothing" for names in (metrics, told))
+                checked.where("metrics").fail(
+                    f"must return what metric_names has, {wanted}; got {given}"
+                )
 
     given = (jax.ShapeDtypeStruct(x, jnp.float32) for x in (shape, shape[1:]))
     jax.eval_shape(go, *given)
@@ -132,15 +155,20 @@ def _check_task(checked: "_Checked", simulation: Simulation, seen: Any) -> None:
     after = checked(key, task, "update", lambda update: update(tally, seen, steps))
     _expect_like(checked.where("update"), "the tally", after, tally)
     terms = checked(key, task, "terms", lambda terms: terms(after, steps))
-    if not isinstance(terms, dict) or not all(isinstance(name, str) for name in terms):
-        checked.where("terms").fail(f"must return a dict by name, not {_described(terms)}")
-    for name, value in terms.items():
-        _expect_array(checked.where("terms"), value, batch, f"the term {name!r}")
+    _expect_dict(checked.where("terms"), terms, "term", batch)
+    terms = terms | dict.fromkeys(_measures(simulation), seen.energy)
     scales = checked(key, task, "scales", lambda scales: scales(terms))
-    for name, value in scales.items():
-        _expect_array(checked.where("scales"), value, (), f"the scale {name!r}")
-    fitness = checked(key, task, "fitness", lambda fitness: fitness(terms, scales))
-    _expect_array(checked.where("fitness"), fitness, batch)
+    _expect_dict(checked.where("scales"), scales, "scale")
+    about = checked(key, task, "descriptors", lambda descriptors: descriptors(terms))
+    _expect_dict(checked.where("descriptors"), about, "descriptor", batch)
+    for crowd in (terms, {name: jnp.asarray(term)[0] for name, term in terms.items()}):
+        alone = "" if crowd is terms else "one individual alone"
+        fitness = checked(key, task, "fitness", lambda fitness, x=crowd: fitness(x, scales))
+        _expect_array(checked.where("fitness"), fitness, () if alone else batch, alone)
+
+
+def _measures(simulation: Simulation) -> tuple[str, ...]:
+    return simulation.measures.names if simulation.measures else ()
 
 
 class _Where:
@@ -182,28 +210,62 @@ class _Checked:
 
 
 def _expect_array(where: _Where, value: Any, shape: tuple[int, ...], what: str = "") -> None:
+    what = f" for {what}" if what else ""
     found = getattr(value, "shape", () if isinstance(value, (int, float)) else None)
     if found != shape:
         numbers = " x ".join(map(str, shape[:-1])) or "one number" if shape else "one number"
         axis = f", the last axis being individuals ({shape[-1]} here)" if shape else ""
-        what = f" for {what}" if what else ""
-        where.fail(f"must return {numbers}{what}, shape {shape}{axis}; got {_described(value)}")
+        where.fail(f"must return {numbers}{what}, shape {shape}{axis}; got {described(value)}")
+    if not is_real(value):
+        where.fail(f"must return real numbers{what}; got {described(value)}")
+
+
+def _expect_dict(where: _Where, value: Any, kind: str, shape: tuple[int, ...] = ()) -> None:
+    if not isinstance(value, dict) or not all(isinstance(name, str) for name in value):
+        where.fail(f"must return a dict by name, not {described(value)}")
+    for name, each in value.items():
+        _expect_array(where, each, shape, f"the {kind} {name!r}")
 
 
 def _expect_like(where: _Where, what: str, value: Any, wanted: Any) -> None:
     def kinds(tree: Any) -> Any:
-        return jax.tree.map(lambda x: (jnp.shape(x), jnp.result_type(x)), tree)
+        return jax.tree.map(lambda x: (getattr(x, "shape", ()), _type_of(x)), tree)
 
+    if not all(map(_is_array, jax.tree.leaves(value))):
+        where.fail(f"must return {what} as a pytree of arrays; got {described(value)}")
     if jax.tree.structure(value) != jax.tree.structure(wanted) or kinds(value) != kinds(wanted):
         where.fail(
             f"must return {what} with the same structure, shapes and types as it began with, "
-            f"{_described(wanted)}; got {_described(value)}"
+            f"{described(wanted)}; got {described(value)}"
         )
 
 
-def _described(value: Any) -> str:
+def is_real(value: Any) -> bool:
+    """Whether an array, or a number, is of integers, real numbers or truth values."""
+    kinds = jnp.bool_, jnp.integer, jnp.floating
+    return _is_array(value) and any(jnp.issubdtype(_type_of(value), kind) for kind in kinds)
+
+
+def _is_array(value: Any) -> bool:
+    return _type_of(value) is not None
+
+
+def _type_of(value: Any) -> Any:
+    """Of the numbers of an array; None where it is none."""
+    try:
+        return jnp.result_type(value)
+    except TypeError:
+        return None
+
+
+def described(value: Any) -> str:
+    """What somebody's method returned, for messages: kinds and shapes of arrays."""
     if hasattr(value, "shape"):
-        return f"{jnp.result_type(value)}{list(value.shape)}"
+        return f"{_type_of(value)}{list(value.shape)}"
     if jax.tree.structure(value) == jax.tree.structure(0):
         return repr(value)
-    return str(jax.tree.map(lambda x: f"{jnp.result_type(x)}{list(jnp.shape(x))}", value))
+    return str(
+        jax.tree.map(
+            lambda x: f"{_type_of(x)}{list(jnp.shape(x))}" if _is_array(x) else repr(x), value
+        )
+    )

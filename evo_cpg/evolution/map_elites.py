@@ -29,6 +29,9 @@ from evo_cpg.evolution.bits import bit_mutation
 from evo_cpg.evolution.strategy import Evaluation, Strategy, descriptor_rows
 from evo_cpg.evolution.variation import one_point_crossover
 
+# What every map says of itself.
+METRICS = ("coverage", "mean_elite")
+
 
 class Axis(NamedTuple):
     """A descriptor, and how its range is cut.
@@ -189,7 +192,7 @@ class MapStrategy(Strategy):
     @property
     def metric_names(self) -> tuple[str, ...]:
         """See `metrics`."""
-        return ("coverage", "mean_elite")
+        return METRICS
 
     def measured(self) -> tuple[str, ...]:
         """The axes of the map."""

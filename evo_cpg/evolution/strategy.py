@@ -125,7 +125,7 @@ class Strategy(eqx.Module):
 
     @property
     def metric_names(self) -> tuple[str, ...]:
-        """Names of the `metrics`."""
+        """Names of the `metrics`; none that metrics.csv has already."""
         return ()
 
     def metrics(self, state: PyTree[Array]) -> dict[str, Float[Array, ""]]:

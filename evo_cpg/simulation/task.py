@@ -98,7 +98,7 @@ class Task(eqx.Module):
         return {}
 
     def descriptors(self, terms: Mapping[str, Float[Array, " n"]]) -> dict[str, Array]:
-        """Of the terms, those that say how an animal behaves rather than how well.
+        """Of the terms, those that say how an animal behaves rather than how well, by name.
 
         They are for searches that look for variety; none unless overridden.
         """

@@ -17,6 +17,7 @@ from jax.sharding import Mesh
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int, PyTree, Shaped, UInt32
 
+from evo_cpg.control.controller import Controller
 from evo_cpg.creature.creature import Creature
 from evo_cpg.evolution.strategy import Evaluation, Strategy
 from evo_cpg.simulation.batched import Inputs, rollout_batched
@@ -29,6 +30,21 @@ from evo_cpg.training.devices import Layout, chunk_width, layout, run_in_blocks,
 _FIRST_POPULATION, _GENERATIONS, _TRIALS = 0, 1, 2
 # 3 is that of `evo_cpg.training.memetic`.
 _STRATEGY, _ASKS = 4, 5
+
+
+# Columns of metrics.csv whatever evolves; the one of the run only where there are several.
+TABLE_COLUMNS = (
+    "generation",
+    "run",
+    "best",
+    "mean",
+    "median",
+    "worst",
+    "diverged",
+    "champion",
+    "seconds",
+    "steps_per_second",
+)
 
 
 class Learning(NamedTuple):
@@ -112,13 +128,21 @@ def begin(
 
     def of_run(seed: Array, given: Array | None) -> tuple[Float[Array, "g n"], PyTree[ArrayLike]]:
         if given is None:
-            given = controller.random_genes(_stream(seed, _FIRST_POPULATION), size, jnp.float32)
+            given = random_genes(controller, _stream(seed, _FIRST_POPULATION), size)
         state = strategy.init(_stream(seed, _STRATEGY), given)
-        return strategy.ask(_ask_key(seed, 0), state)
+        asked, state = strategy.ask(_ask_key(seed, 0), state)
+        return jnp.asarray(asked, given.dtype), state
 
     given = None if start is None else start.reshape(len(start), experiment.runs, -1)
     genes, state = jax.vmap(of_run, in_axes=(0, 1), out_axes=(1, 0))(_seeds(experiment), given)
     return genes.reshape(len(genes), -1), state
+
+
+def random_genes(
+    controller: Controller, key: Array, batch: tuple[int, ...]
+) -> Float[Array, "g *n"]:
+    """Genes of a first generation, which a controller may draw as integers or truth values."""
+    return jnp.asarray(controller.random_genes(key, batch, jnp.float32), jnp.float32)
 
 
 def first_population(experiment: Experiment) -> Float[Array, "g n"]:
@@ -270,6 +294,7 @@ def breed(
         asked, state = strategy.ask(_ask_key(seed, index + 1), told)
         best = jnp.argmax(fitness)
         found = fitness, mean.terms, mean.alive, scales, best, genes[:, best]
+        asked = jnp.asarray(asked, genes.dtype)
         return Generation(*found, asked, state, strategy.metrics(state))
 
     runs, gene_count = experiment.runs, len(genes)
@@ -308,6 +333,8 @@ def judge(
     """
 
     def mean(values: Float[Array, "*n trials"]) -> Float[Array, " *n"]:
+        # Of truth values: the share of trials.
+        values = values.astype(jnp.result_type(values, float))
         # One after the other: the order in which `mean` adds, and with it the rounding, would
         # depend on how many individuals there are, and a replay has but one.
         trials = values.shape[-1]

@@ -181,3 +181,14 @@ def test_resume_refuses_what_would_have_other_columns_and_loses_nothing(
         assert code == 2 and "Traceback" not in err
         assert f"metrics.csv would {words}, but all its rows have the same columns; put" in err
         assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
+
+
+def test_resume_refuses_to_drop_what_a_strategy_told_of_itself(finished_run, cli, tmp_path):
+    folder = tmp_path / "run"
+    shutil.copytree(finished_run, folder)
+    done = RunFolder(folder).load()
+    assert done is not None
+    history = [row | {"spread": 0.5} for row in done.history]
+    RunFolder(folder).save(done._replace(history=history))
+    code, _, err = cli("resume", folder, "--generations", GENERATIONS + 1)
+    assert code == 2 and "metrics.csv would drop spread, but all its rows have" in err

@@ -54,6 +54,30 @@ class Wholesale(Jump):
     def fitness(self, terms, scales):
         return terms["jump"].mean()
 
+class Unreal(Jump):
+    def fitness(self, terms, scales):
+        return terms["jump"] * 1j
+
+class Ranked(Jump):
+    def fitness(self, terms, scales):
+        return terms["jump"][jnp.argsort(terms["jump"])]
+
+class Listed(Jump):
+    def descriptors(self, terms):
+        return [terms["jump"]]
+
+class Described(Jump):
+    def descriptors(self, terms):
+        return {"energy": terms["energy"]}
+
+class Worded(Jump):
+    def descriptors(self, terms):
+        return {"jump": "high"}
+
+class Measured(Jump):
+    def scales(self, terms):
+        return terms["jump"].max()
+
 class Lost(Jump):
     def update(self, tally, transition, steps):
         return transition.after.position[2, transition.after.body("nose")]
@@ -256,6 +280,21 @@ def test_a_preview_that_is_too_small_is_refused(refused):
             "task.type: Wholesale.fitness must return one number, shape (7,), the last axis being "
             "individuals (7 here); got float32[]",
         ),
+        (
+            "my_tasks:Unreal",
+            {},
+            "task.type: Unreal.fitness must return real numbers; got complex64[7]",
+        ),
+        ("my_tasks:Ranked", {}, "task.type: Ranked.fitness fails ("),
+        ("my_tasks:Listed", {}, "Listed.descriptors must return a dict by name, not ['float32[7]"),
+        ("my_tasks:Described", {}, "task.type: Described.descriptors fails (KeyError: 'energy')"),
+        (
+            "my_tasks:Worded",
+            {},
+            "Worded.descriptors must return one number for the descriptor 'jump', shape (7,), the "
+            "last axis being individuals (7 here); got 'high'",
+        ),
+        ("my_tasks:Measured", {}, "Measured.scales must return a dict by name, not float32[]"),
         (
             "my_tasks:Lost",
             {},

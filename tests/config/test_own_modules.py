@@ -6,6 +6,7 @@ import pytest
 
 import evo_cpg as evo
 from evo_cpg.config.errors import ConfigError
+from evo_cpg.simulation.rollout import no_terms
 from tiny_run import CONFIG, TINY
 
 TASK = """
@@ -30,8 +31,8 @@ def folders(tmp_path, monkeypatch):
     sys.modules.pop("mine_of_this_test", None)
 
 
-def load(path):
-    changed = [*TINY, "task={type: 'mine_of_this_test:Mine'}", "world.ground={}"]
+def load(path, *settings):
+    changed = [*TINY, *settings, "task={type: 'mine_of_this_test:Mine'}", "world.ground={}"]
     return evo.load(path, changed, trust=True)
 
 
@@ -43,3 +44,23 @@ def test_a_module_of_the_same_name_elsewhere_is_not_taken(folders):
     ):
         load(folders / "b" / "x.yaml")
     assert load(folders / "a" / "x.yaml").parts.simulation.task.where == "a"
+
+
+def test_a_task_of_ones_own_may_be_made_of_measures(folders):
+    (folders / "a" / "mine_of_this_test.py").write_text(
+        """
+from evo_cpg.simulation.walk import Distance
+
+class Mine(Distance):
+    def scales(self, terms):
+        return {"speed": terms["speed"].max()}
+
+    def descriptors(self, terms):
+        return {"quick": terms["speed"]}
+
+    def fitness(self, terms, scales):
+        return terms["speed"] / scales["speed"]
+"""
+    )
+    simulation = load(folders / "a" / "x.yaml", "measures=[speed]").parts.simulation
+    assert "speed" in no_terms(simulation)

@@ -24,7 +24,7 @@ import evo_cpg as evo
 
 
 class Climber(evo.Strategy):
-    population: int = eqx.field(static=True)
+    population: int = {population}
     gene_count: int = eqx.field(static=True)
     sigma: float = 0.1
 
@@ -37,11 +37,21 @@ class Climber(evo.Strategy):
 
     def tell(self, key, state, genes, evaluation):
         return {tell}
+
+    @property
+    def metric_names(self):
+        return {names}
+
+    def metrics(self, state):
+        return {metrics}
 """
 GOOD = {
+    "population": "eqx.field(static=True)",
     "init": "genes[:, 0]",
     "ask": "state[:, None] + self.sigma * noise, state",
     "tell": "genes[:, jnp.argmax(evaluation.fitness)]",
+    "names": '("spread",)',
+    "metrics": '{"spread": state.std()}',
 }
 
 
@@ -242,6 +252,22 @@ def test_it_may_look_at_terms_measures_and_single_trials(tmp_path, monkeypatch):
         ({"ask": "noise.T, state"}, r"Climber\.ask must return \d+, shape .*got float32\[9, "),
         ({"tell": "genes"}, "Climber.ask fails|must return the state with the same structure"),
         ({"tell": "evaluation.fitnes"}, r"Climber\.tell fails \(AttributeError"),
+        ({"ask": "noise + 1j, state"}, r"Climber\.ask must return real numbers; got complex64\[\d"),
+        ({"init": '"x"', "ask": "noise, state"}, "ask must return the state as a pytree of arr"),
+        ({"names": "1 / 0"}, r"Climber\.metric_names fails \(ZeroDivisionError"),
+        ({"names": '"spread"'}, "metric_names must be a tuple of names, got 'spread'"),
+        ({"names": '("best_energy",)'}, "must not have 'best_energy', which metrics.csv has alr"),
+        ({"names": '("generation",)'}, "must not have 'generation', which metrics.csv has already"),
+        ({"names": '("spread", "spread")'}, "must not have 'spread', which metrics.csv has"),
+        ({"names": '("spread", "m")'}, "metrics must return what metric_names has, spread, m; got"),
+        ({"names": "()"}, "metrics must return what metric_names has, nothing; got spread"),
+        ({"metrics": "1 / 0"}, r"Climber\.metrics fails \(ZeroDivisionError"),
+        ({"metrics": "state.std()"}, r"metrics must return a dict by name, not float32\[\]"),
+        (
+            {"metrics": '{"spread": state[:3]}'},
+            r"one number for the metric 'spread', .* float32\[3",
+        ),
+        ({"population": "eqx.field(default=5, init=False)"}, "population: 9: Climber has another"),
     ],
 )
 def test_what_a_strategy_of_ones_own_returns_is_checked(tmp_path, monkeypatch, changes, words):

@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,10 +11,12 @@ import pytest
 
 from creatures import quick_jit
 from evo_cpg.evolution.bits import BitGenetics
+from evo_cpg.evolution.generation import RealGenetics
 from evo_cpg.simulation.noise import Noise
-from evo_cpg.simulation.rollout import Outcome, score
+from evo_cpg.simulation.rollout import Outcome, no_terms, score
 from evo_cpg.training.devices import chunk_width, population_mesh
 from evo_cpg.training.experiment import (
+    begin,
     breed,
     compile_trials,
     first_population,
@@ -25,7 +28,7 @@ from evo_cpg.training.experiment import (
 )
 from evo_cpg.training.loop import TIMING_COLUMNS, replay_champion, train
 from evo_cpg.training.run_folder import RunFolder
-from trials import experiment
+from trials import OneTerm, SineController, experiment
 
 SEED, SIZE, GENERATIONS = 5, 6, 3
 NOISE = Noise(joint_angle=0.1, tilt=0.05, push=0.2)
@@ -228,3 +231,55 @@ def test_fitness_and_terms_are_means_and_who_dies_once_is_dead():
     np.testing.assert_allclose(np.asarray(fitness)[[0, 3]], single[[0, 3]].mean(1), rtol=1e-6)
     np.testing.assert_allclose(mean.terms["energy"], terms["energy"].mean(1), rtol=1e-6)
     np.testing.assert_array_equal(of_the_first, single[:, 0])
+
+
+class Whole(SineController):
+    """Its genes are drawn as integers, or as truth values."""
+
+    kind: str = eqx.field(static=True, default="int32")
+
+    def random_genes(self, key, batch, dtype):
+        return jax.random.randint(key, (self.gene_count, *batch), 0, 2).astype(self.kind)
+
+
+class Rounded(RealGenetics):
+    """Asks for integers."""
+
+    def ask(self, key, state):
+        genes, state = super().ask(key, state)
+        return jnp.round(genes).astype(jnp.int32), state
+
+
+@pytest.mark.parametrize("kind", ["int32", "bool"])
+def test_genes_are_real_numbers_however_they_are_drawn_and_asked_for(kind):
+    made = alone(SEED)
+    simulation = dataclasses.replace(made.simulation, controller=Whole(kind=kind))
+    genetics = Rounded(**{f.name: getattr(REAL, f.name) for f in dataclasses.fields(REAL)})
+    made = made._replace(simulation=simulation, strategy=genetics)
+    genes, state = jax.jit(functools.partial(begin, made))()
+    assert genes.dtype == np.float32 and set(np.unique(genes)) == {0, 1}
+    outcome = Outcome(no_terms(simulation, (SIZE,)), jnp.ones(SIZE, bool))
+    scales = {"energy": jnp.ones(1)}
+    told = jax.eval_shape(functools.partial(breed, made), genes, outcome, 0, scales, state)
+    assert told.next_genes.dtype == np.float32
+
+
+def test_a_term_that_is_a_truth_value_has_the_share_of_trials_as_its_mean():
+    found = jnp.array([[True, True], [True, False], [False, False]])
+    _, mean = judge(OneTerm("fell"), Outcome({"fell": found}, jnp.ones((3, 2), bool)), {})
+    np.testing.assert_array_equal(mean.terms["fell"], [1, 0.5, 0])
+
+
+class Unjudged(OneTerm):
+    """Of which no fitness is a number."""
+
+    def fitness(self, terms, scales):
+        return terms[self.name] * jnp.nan
+
+
+def test_who_lived_did_not_diverge_whatever_his_fitness(tmp_path):
+    made = alone(SEED)
+    simulation = dataclasses.replace(made.simulation, task=Unjudged("x"))
+    _, done = evolve(made._replace(simulation=simulation, generations=1), tmp_path / "run")
+    assert done.champion is None
+    assert done.history[0]["diverged"] == 0 and np.isnan(done.history[0]["best"])
