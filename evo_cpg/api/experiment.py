@@ -22,17 +22,21 @@ from evo_cpg.api.fitness import JudgedBy, fitness_function
 from evo_cpg.api.record import Record, as_record
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.numbers import number_at, with_numbers
+from evo_cpg.config.own_returns import described, is_real
 from evo_cpg.config.parameters import parametrise
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.creature.creature import Creature
 from evo_cpg.evolution.strategy import Evaluation
 from evo_cpg.physics.world import World
-from evo_cpg.simulation.rollout import Outcome, as_recording, record
+from evo_cpg.simulation.rollout import Outcome, as_recording, no_terms, record
 from evo_cpg.simulation.task import Task
 from evo_cpg.training import experiment as training
 from evo_cpg.training.devices import population_mesh
 
 Terms = Mapping[str, Float[Array, " *n"]]
+
+# As many individuals a fitness is tried on, before anybody lives.
+_SEVERAL = 7
 
 
 @dataclasses.dataclass(frozen=True)
@@ -112,7 +116,7 @@ class Experiment:
             count: how many; None for the configuration's population.
         """
         controller, shape = self.parts.simulation.controller, (count or self.population,)
-        return np.asarray(controller.random_genes(_key(key), shape, jnp.float32)).T.copy()
+        return np.asarray(training.random_genes(controller, _key(key), shape)).T.copy()
 
     def rollout(self, key: ArrayLike, genomes: ArrayLike, bodies: Numbers | None = None) -> Trials:
         """Let every individual live through its trials.
@@ -176,7 +180,7 @@ class Experiment:
         has the same fitness.
         """
         first = self.parts._replace(runs=1)
-        shapes = jax.eval_shape(lambda: self.task.scales(self._no_terms()))
+        shapes = jax.eval_shape(lambda: self.task.scales(no_terms(self.parts.simulation)))
         if not shapes:
             return {}
         genes = np.asarray(jax.jit(lambda: training.first_population(first))())
@@ -269,17 +273,26 @@ class Experiment:
         return Experiment(parts, self.config, self.source, replaced)
 
     def with_fitness(self, fitness: Callable[[Terms], Float[Array, " *n"]]) -> "Experiment":
-        """The same with another fitness, made of the terms of its task.
+        """The same with another fitness, made of the terms of its task and of its measures.
 
         Args:
-            fitness: a JAX function of the terms by name; it is maximised.
+            fitness: a JAX function of the terms by name, each ``(n,)`` for a population and ``()``
+                for one individual alone, that has the same shape; it is maximised.
 
         Raises:
             UnknownTermError: a `KeyError`: it takes a term that the task has not.
+            ValueError: it is not one real number for each individual.
         """
         task = JudgedBy(self.task.light, self.task, fitness)
         # Here, and not after some seconds of compiling.
-        jax.eval_shape(lambda: task.fitness(self._no_terms(), {}))
+        for batch in ((_SEVERAL,), ()):
+            terms = jax.eval_shape(lambda batch=batch: no_terms(self.parts.simulation, batch))
+            found = jax.eval_shape(lambda terms: task.fitness(terms, {}), terms)
+            if getattr(found, "shape", None) != batch or not is_real(found):
+                raise ValueError(
+                    "fitness must give each individual a real number of its own: from terms of "
+                    f"the shape {batch} one of that shape; got {described(found)}"
+                )
         return self.with_task(task)
 
     @functools.cached_property
@@ -302,10 +315,6 @@ class Experiment:
         return jax.jit(
             lambda *given: record(self.parts.simulation, given[0], 1, *given[1:], full=True)
         )
-
-    def _no_terms(self) -> dict[str, Array]:
-        steps = self.parts.simulation.steps
-        return self.task.terms(self.task.begin((1,), jnp.dtype("float32"), steps), steps)
 
     def _genes(self, genomes: ArrayLike) -> np.ndarray:
         """Genomes as the library has them, checked."""

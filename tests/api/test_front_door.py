@@ -16,7 +16,7 @@ from evo_cpg.cli import training
 from evo_cpg.cli.main import main
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
 from shared_programs import programs_of_its_own, remember_programs
-from tiny_run import CONFIG, REPOSITORY, TINY, environment
+from tiny_run import CONFIG, PAIR, REPOSITORY, TINY, environment
 
 __all__ = ["programs_of_its_own", "remember_programs"]
 
@@ -139,6 +139,27 @@ def test_a_fitness_of_terms_that_are_none_is_refused_at_once(experiment):
     known = r"the task has no term 'distanse'; did you mean 'distance'\? valid here: .*, light"
     with pytest.raises(KeyError, match=known):
         experiment.with_fitness(lambda terms: -terms["distanse"])
+
+
+def test_a_fitness_that_is_not_one_number_for_each_is_refused_at_once(experiment):
+    for wrong, got in (
+        (lambda terms: terms["distance"].sum(), r"shape \(7,\) .*; got float32\[\]"),
+        (lambda terms: jnp.stack([*terms.values()]), r"shape \(7,\) .*; got float32\[3, 7\]"),
+        (lambda terms: terms["distance"] * 1j, r"shape \(7,\) .*; got complex64\[7\]"),
+        (lambda terms: jnp.atleast_1d(terms["distance"]), r"shape \(\) .*; got float32\[1\]"),
+    ):
+        with pytest.raises(ValueError, match="each individual a real number of its own: .*" + got):
+            experiment.with_fitness(wrong)
+
+
+def test_a_fitness_may_be_made_of_measures():
+    measured = evo.load(CONFIG, (*PAIR, "measures=[speed]", "engine=jax"))
+    measured = measured.with_fitness(lambda terms: terms["speed"] - terms["energy"])
+    assert measured.scales == {}
+    environment = measured.environment()
+    state = jax.eval_shape(environment.reset, jax.random.key(0))
+    state = jax.eval_shape(environment.step, state, jnp.zeros(environment.action_size))
+    assert set(state.metrics) == {"distance", "energy", "light", "speed"}
 
 
 def test_a_record_has_named_columns_and_becomes_a_table(experiment, genomes, tmp_path):
