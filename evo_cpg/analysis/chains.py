@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -14,6 +15,9 @@ from evo_cpg.control.couplings import explicit_weights
 from evo_cpg.control.matsuoka import CpgSettings, build_network, inhibition_matrix
 from evo_cpg.control.postures import PostureController
 from evo_cpg.creature.tree import Tree
+
+# Axes are square to each other if the cosine of their angle is less.
+_SQUARE = 1e-6
 
 
 class Chain(NamedTuple):
@@ -61,6 +65,30 @@ def chains(tree: Tree, settings: CpgSettings) -> list[Chain]:
             )
         )
     return sorted(found, key=lambda chain: (-len(chain.oscillators), chain.oscillators[0]))
+
+
+def axis_signs(tree: Tree, rows: Iterable[Sequence[int]]) -> Float[np.ndarray, " d"]:
+    """Signs with which the angles of joints in a row are about the same direction.
+
+    -1 where, in the neutral pose, an axis points against that of the first of its row; 1 elsewhere,
+    also where it is square to it.
+
+    Args:
+        tree: the creature.
+        rows: degrees of freedom along a body, such as those of `chains`, which share none but with
+            rows that begin with the same one.
+    """
+    turns: list[np.ndarray] = []
+    for i, parent in enumerate(tree.parents):
+        own = np.asarray(tree.joint_orientation[..., i], float)
+        turns.append(own if parent < 0 else turns[parent] @ own)
+    pairs = zip(tree.dof_bodies, np.asarray(tree.joint_axes, float).T, strict=True)
+    axes = [turns[body] @ axis for body, axis in pairs]
+    signs = np.ones(tree.dof_count)
+    for row in rows:
+        for dof in row:
+            signs[dof] = -1.0 if axes[dof] @ axes[row[0]] < -_SQUARE else 1.0
+    return signs
 
 
 def rhythm_of(controller: Controller) -> tuple[CpgSettings, str]:

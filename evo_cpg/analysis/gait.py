@@ -2,8 +2,8 @@
 
 Iwadate 2010, section 6, reports "a smooth phase lag from the front to the back of the animal".
 The joint angles about one axis, from the front backwards, are taken over the last part of the
-trial. Each joint's frequency is the peak of its spectrum; amplitudes and phases are those of the
-component at the common frequency.
+trial; those whose axes point the other way have to be turned round. Each joint's frequency is the
+peak of its spectrum; amplitudes and phases are those of the component at the common frequency.
 """
 
 from collections.abc import Sequence
@@ -56,19 +56,28 @@ def bending_axis(recording: Recording) -> str:
     return max(sorted(totals), key=lambda axis: totals[axis])
 
 
-def gait(recording: Recording, axis: str | None = None, last: float = 0.5) -> Gait:
+def gait(
+    recording: Recording,
+    axis: str | None = None,
+    last: float = 0.5,
+    signs: Float[np.ndarray, " d"] | None = None,
+) -> Gait:
     """Measure the rhythm.
 
     Args:
         recording: the motion.
         axis: which joint axis; the bending axis if None.
         last: share of the recording, at its end, that is looked at.
+        signs: of each degree of freedom, -1 where its axis points against that of the first, see
+            `evo_cpg.analysis.chains.axis_signs`; none does if None.
     """
     axis = axis or bending_axis(recording)
     chosen = [i for i, name in enumerate(recording.dof_names) if name.endswith("." + axis)]
     start = round(len(recording.time) * (1 - last))
     step = float(recording.time[1] - recording.time[0])
     angles = recording.joint_angle[start:, chosen]
+    if signs is not None:
+        angles = angles * signs[chosen]
     frequency = dominant_frequency(angles, step)
     component = fourier_component(angles, step, float(np.median(frequency)))
     lag = np.rad2deg(np.angle(component[:-1] / component[1:]))
@@ -79,6 +88,9 @@ def ring_lags(
     recording: Recording, joints: Sequence[str], last: float = 0.5
 ) -> Float[np.ndarray, " n"]:
     """By how much each joint is behind the one before it, and the first behind the last, degrees.
+
+    Each joint's angle is about its own axis, which turns with the limb around the ring: what is
+    alike in all limbs, such as lifting, has the same sign in all.
 
     Args:
         recording: the motion.

@@ -6,7 +6,7 @@ of the trial, when the animal is under way. Where a number does not exist it is 
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -15,11 +15,9 @@ from jaxtyping import Array, Bool, Float
 
 from evo_cpg.analysis import footfalls, stride
 from evo_cpg.analysis.body_wave import BodyWave, body_wave
-from evo_cpg.analysis.chains import chains
+from evo_cpg.analysis.chains import axis_signs, chains, rhythm_of
 from evo_cpg.analysis.footfalls import Phases
 from evo_cpg.analysis.phase_lags import PhaseLags, phase_lags
-from evo_cpg.control.brain_cpg import BrainCpg
-from evo_cpg.control.matsuoka import CpgSettings
 from evo_cpg.creature.creature import Creature, length_of, neutral_pose
 from evo_cpg.physics.current import stream
 from evo_cpg.physics.fluid import Water
@@ -87,6 +85,8 @@ class GaitNumbers(NamedTuple):
         step: between samples, s.
         first: sample with which the part begins that strides are taken from.
         frequency: strides a second; NaN where nothing is repeated.
+        axis_signs: of each degree of freedom, -1 where its axis points against that of the first
+            of its row of oscillators: lags and wave are those of the angles with these signs.
         lags: between the joints, in the order of the recording's degrees of freedom.
         chain: degrees of freedom along the body; none where fewer than three are in a row.
         wave: along them; None where there is no chain, or it swings by less than a degree.
@@ -100,6 +100,7 @@ class GaitNumbers(NamedTuple):
     step: float
     first: int
     frequency: float
+    axis_signs: Float[np.ndarray, " d"]
     lags: PhaseLags
     chain: tuple[int, ...]
     wave: BodyWave | None
@@ -129,10 +130,14 @@ def gait_numbers(
     """
     step = 1.0 / simulation.control_rate
     first = round(len(recording.time) * (1 - LAST))
-    angle = np.asarray(recording.joint_angle, float)[first:]
+    angle = np.array(recording.joint_angle, float)[first:]
     frequency = stride.stride_frequency(angle, step)
     power = np.asarray(frames["energy"], float)[:, 0] / step
-    chain = _chain(simulation, recording)
+    tree = simulation.world.tree
+    rows = [chain.oscillators for chain in chains(tree, rhythm_of(simulation.controller)[0])]
+    signs = axis_signs(tree, rows)
+    angle *= signs
+    chain = _chain(rows, recording)
     wave = None
     if chain:
         place = chain_places(simulation, creature, chain)
@@ -146,6 +151,7 @@ def gait_numbers(
         step=step,
         first=first,
         frequency=frequency,
+        axis_signs=signs,
         lags=phase_lags(angle, step, frequency),
         chain=chain,
         wave=wave,
@@ -324,19 +330,13 @@ def _feet(
     )
 
 
-def _chain(simulation: Simulation, recording: Recording) -> tuple[int, ...]:
+def _chain(rows: Sequence[tuple[int, ...]], recording: Recording) -> tuple[int, ...]:
     """Three or more degrees of freedom in a row along the body, as many as there are.
 
     Of rows that are as long that which bends most; not twist, which is about x, unless all is.
     """
-    controller = simulation.controller
-    settings = controller.settings.cpg if isinstance(controller, BrainCpg) else CpgSettings()
     swing = np.asarray(recording.joint_angle).std(0)
-    found = [
-        row
-        for row in (chain.oscillators for chain in chains(simulation.world.tree, settings))
-        if len(row) > 2
-    ]
+    found = [row for row in rows if len(row) > 2]
     across = [row for row in found if not recording.dof_names[row[0]].endswith(".x")]
     return max(across or found, key=lambda row: (len(row), swing[list(row)].sum()), default=())
 

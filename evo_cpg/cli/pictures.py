@@ -4,7 +4,7 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from evo_cpg.analysis.chains import chains, rhythm_of
+from evo_cpg.analysis.chains import axis_signs, chains, rhythm_of
 from evo_cpg.cli.building import read_config
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.progress import working
@@ -30,10 +30,13 @@ def plot_run(run: Path, output: Path | None, trial: int, cell: str | None = None
     if recording.dof_names:
         simulation = experiment.simulation
         settings, signal = rhythm_of(simulation.controller)
+        tree = simulation.world.tree
+        rows = [chain.oscillators for chain in chains(tree, settings)]
         made = plot_joint_signals(
             recording,
             place / f"joint_signals{which}.png",
-            chains=[chain.oscillators for chain in chains(simulation.world.tree, settings)],
+            chains=rows,
+            signs=axis_signs(tree, rows),
             title=experiment.name,
             signal=signal,
         )

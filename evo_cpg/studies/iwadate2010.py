@@ -3,8 +3,11 @@
 import jax
 import numpy as np
 
-from evo_cpg.analysis.gait import gait
+from evo_cpg.analysis.chains import axis_signs, chains, rhythm_of
+from evo_cpg.analysis.gait import Gait, gait
+from evo_cpg.simulation.recording import Recording
 from evo_cpg.simulation.rollout import as_recording, record
+from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.studies.audits import audit_table, audited
 from evo_cpg.studies.lights import light_table, still
 from evo_cpg.studies.stills import stills
@@ -43,8 +46,9 @@ def lags(workshop: Workshop) -> list[Table]:
     from evo_cpg.view.plots import plot_joint_signals
 
     best, rows = workshop.checkpoint("shared").champion, []
+    simulation = workshop.experiment("shared").simulation
     for champion, recording in workshop.recordings("shared"):
-        found = gait(recording)
+        found = _gait(simulation, recording)
         frequency, lag = found.frequency, found.lag
         middle = float(np.median(frequency))
         size = np.rad2deg(found.amplitude)
@@ -75,7 +79,7 @@ def drives(workshop: Workshop) -> list[Table]:
     for name in ("per_joint", "per_dof"):
         experiment = workshop.experiment(name)
         for champion, recording in workshop.recordings(name):
-            found = gait(recording)
+            found = _gait(experiment.simulation, recording)
             low, high = found.frequency.min(), found.frequency.max()
             rows.append(
                 [
@@ -123,8 +127,15 @@ def _untrained(workshop: Workshop) -> dict[str, int]:
     count = genes.shape[1]
     frames = jax.jit(lambda genes: record(simulation, genes, count))(genes)
     names = [body.name for body in experiment.creature.bodies]
-    waves = sum(gait(as_recording(simulation, frames, names, i)).has_wave() for i in range(count))
+    recordings = (as_recording(simulation, frames, names, i) for i in range(count))
+    waves = sum(_gait(simulation, recording).has_wave() for recording in recordings)
     return {"animals": count, "waves": int(waves)}
+
+
+def _gait(simulation: Simulation, recording: Recording) -> Gait:
+    tree = simulation.world.tree
+    rows = [chain.oscillators for chain in chains(tree, rhythm_of(simulation.controller)[0])]
+    return gait(recording, signs=axis_signs(tree, rows))
 
 
 STUDY = Study(

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
@@ -117,13 +118,14 @@ def plot_joint_signals(
     window: tuple[float, float] | None = None,
     *,
     chains: Sequence[Sequence[int]] = (),
+    signs: Float[np.ndarray, " d"] | None = None,
     title: str = "",
     signal: str = "CPG output (no unit)",
 ) -> Path:
     """Angle and CPG output of every joint about one axis, one row each (Iwadate 2010, Fig. 3).
 
-    A thin line joins the crests of neighbouring joints of a chain: its slope is the phase lag along
-    the body.
+    A thin line joins the crests of neighbouring joints of a chain, or a crest and a trough where
+    their axes point against each other: its slope is the phase lag along the body.
 
     Args:
         recording: the motion.
@@ -134,6 +136,8 @@ def plot_joint_signals(
         chains: degrees of freedom that follow one another along the body, by their numbers in the
             recording; the rows follow them, chain after chain. One chain of all in the recording's
             order, from the root to the tips, where there are none.
+        signs: of each degree of freedom, -1 where its axis points against that of the first of its
+            chain, see `evo_cpg.analysis.chains.axis_signs`; none does if None.
         title: of what is shown, such as the name of the run.
         signal: what the dashed line is, and its unit.
 
@@ -145,7 +149,9 @@ def plot_joint_signals(
         ValueError: no joint has this axis, or the window holds fewer than two instants.
     """
     path = output_path(path, PLOT_SUFFIXES)
-    made = joint_signals_figure(recording, axis, window, chains=chains, title=title, signal=signal)
+    made = joint_signals_figure(
+        recording, axis, window, chains=chains, signs=signs, title=title, signal=signal
+    )
     return _save(made, path)
 
 
@@ -155,6 +161,7 @@ def joint_signals_figure(
     window: tuple[float, float] | None = None,
     *,
     chains: Sequence[Sequence[int]] = (),
+    signs: Float[np.ndarray, " d"] | None = None,
     title: str = "",
     signal: str = "CPG output (no unit)",
 ) -> Figure:
@@ -179,6 +186,7 @@ def joint_signals_figure(
     time = recording.time[shown]
     angle = np.degrees(recording.joint_angle[shown][:, rows])
     output = recording.cpg_output[shown][:, rows]
+    swing = angle if signs is None else angle * signs[rows]
 
     figure = empty_figure(8.0, 1.3 + 0.86 * len(rows))
     panels = figure.subplots(len(rows), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
@@ -206,7 +214,7 @@ def joint_signals_figure(
     first = 0
     for group in groups:
         own = slice(first, first + len(group))
-        beat = _crests(time, angle[:, own])
+        beat = _crests(time, swing[:, own])
         if beat is not None:
             frequency, lag, crest_times = beat
             _join_crests(figure, panels[own], crest_times, time, angle[:, own])

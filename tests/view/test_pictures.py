@@ -190,6 +190,16 @@ def test_joint_signals_follow_chains(recording, tmp_path, monkeypatch):
     assert words == {"joint angle (deg)", "CPG output (no unit)"}
 
 
+def test_joint_signals_of_axes_that_point_either_way():
+    """The lag and the slope of the lines are those of the motion, whichever way it is told."""
+    motion = synthetic.swim(12)
+    signs = np.where(np.arange(len(motion.dof_names)) % 4 < 2, 1.0, -1.0)
+    mirrored = motion._replace(joint_angle=motion.joint_angle * signs)
+    plain = plots.joint_signals_figure(motion, "z").get_suptitle()
+    assert plots.joint_signals_figure(mirrored, "z", signs=signs).get_suptitle() == plain
+    assert plots.joint_signals_figure(mirrored, "z").get_suptitle() != plain
+
+
 def test_a_path_says_what_its_dots_are(recording):
     figure = path_figure(recording)
     (dots, start, *_) = [text.get_text() for text in figure.axes[0].get_legend().get_texts()]

@@ -235,7 +235,7 @@ def _gait(motion: Motion) -> Html:
     if wave is not None:
         chain = list(numbers.chain)
         names = [recording.dof_names[i].rpartition(".")[0] for i in chain]
-        bending = np.asarray(recording.joint_angle)[:, chain]
+        bending = np.asarray(recording.joint_angle)[:, chain] * numbers.axis_signs[chain]
         parts += [
             tag("h3", "The wave along the body"),
             charts.chart(
@@ -295,13 +295,18 @@ def _signals(subject: Subject, motion: Motion) -> Html | None:
         return None
     window = _window(recording, numbers.frequency)
     figure = joint_signals_figure(
-        recording, window=window, chains=subject.chains, signal=subject.signal
+        recording,
+        window=window,
+        chains=subject.chains,
+        signs=numbers.axis_signs,
+        signal=subject.signal,
     )
     parts: list[Any] = [
         charts.chart(
             figure,
             "Angle of every joint about the axis that bends most, and what drives it. Thin lines "
-            "join crests of neighbours: their slope is the phase lag.",
+            "join crests of neighbours, or a crest and a trough where their axes point against "
+            "each other: their slope is the phase lag.",
             timed=True,
         )
     ]
@@ -321,8 +326,9 @@ def _signals(subject: Subject, motion: Motion) -> Html | None:
     if rows:
         words = (
             f"By how much a joint is behind the one before it at {numbers.frequency:.3g} Hz, from "
-            "the cross-spectrum of their angles (Welch 1967); coherence: 1 where the lag is always "
-            "the same, 0 where it is anything."
+            "the cross-spectrum of their angles (Welch 1967), both about the direction of the axis "
+            "of the first in the row; coherence: 1 where the lag is always the same, 0 where it is "
+            "anything."
         )
         made = long_table(["joint", "next", "lag (deg)", "coherence"], rows, numbers=(2, 3))
         parts += [tag("h3", "Phase lags"), made, tag("p", words, class_="note")]

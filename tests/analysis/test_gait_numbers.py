@@ -1,0 +1,108 @@
+"""Numbers of animals that were made up, from a recording to the table."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import trials
+from creatures import AXES, box_chain, in_water
+from evo_cpg.analysis.chains import axis_signs, chains
+from evo_cpg.analysis.gait import gait
+from evo_cpg.analysis.gait_numbers import GaitNumbers, gait_numbers
+from evo_cpg.control.matsuoka import CpgSettings
+from evo_cpg.creature.creature import Creature
+from evo_cpg.creature.tree import build_tree
+from evo_cpg.physics.world import World
+from evo_cpg.simulation.recording import Recording
+
+STEP = 1 / 60
+COUNT = 600
+TIME = STEP * np.arange(COUNT)[:, None]
+# Of a wave that runs to the tail, degrees a joint.
+LAG = 50.0
+
+
+def snake(mirrored: tuple[str, ...] = ()) -> Creature:
+    """Six boxes in a row, some of whose joints turn about -z."""
+    bodies = []
+    for body in box_chain(6, "z").bodies:
+        joint = body.joint
+        if body.name in mirrored:
+            joint = dataclasses.replace(joint, axes=((0.0, 0.0, -1.0),))
+        bodies.append(dataclasses.replace(body, joint=joint))
+    return Creature("snake", tuple(bodies))
+
+
+def recording(creature: Creature, place: np.ndarray, angles: np.ndarray) -> Recording:
+    """All bodies are at one place and do not turn, whatever the joints do."""
+    count, bodies = len(place), len(creature.bodies)
+    still = np.zeros_like(angles)
+    return Recording(
+        time=STEP * np.arange(count),
+        position=np.repeat(place[:, None], bodies, 1),
+        rotation=np.tile(np.eye(3), (count, bodies, 1, 1)),
+        joint_angle=angles,
+        target_rate=still,
+        cpg_output=still,
+        torque=still,
+        distance=np.zeros(count),
+        goal=np.full(3, np.nan),
+        dof_names=build_tree(creature).dof_names,
+    )
+
+
+def numbers_of(
+    creature: Creature, world: World, place: np.ndarray, angles: np.ndarray, **frames: np.ndarray
+) -> GaitNumbers:
+    simulation = dataclasses.replace(trials.experiment(len(place)).simulation, world=world)
+    frames = {"energy": np.ones((len(place), 1))} | frames
+    return gait_numbers(simulation, creature, frames, recording(creature, place, angles))
+
+
+def wave(joints: int = 5, frequency: float = 1.0) -> np.ndarray:
+    return 0.3 * np.sin(2 * np.pi * frequency * TIME - np.radians(LAG) * np.arange(joints))
+
+
+def swims(speed: float = 0.5, height: float = 0.0) -> np.ndarray:
+    return np.hstack([speed * TIME, 0 * TIME, 0 * TIME + height])
+
+
+@pytest.mark.parametrize("mirrored", [("b2", "b4"), ("b1",)])
+def test_lags_and_wave_do_not_depend_on_which_way_axes_point(mirrored):
+    """The same motion, told by angles about z and by some about -z."""
+    plain, other = snake(), snake(mirrored)
+    signs = np.array([-1.0 if body.name in mirrored else 1.0 for body in other.bodies[1:]])
+    one = numbers_of(plain, in_water(plain), swims(), wave())
+    two = numbers_of(other, in_water(other), swims(), wave() * signs)
+    assert one.value("lag") == pytest.approx(LAG, abs=0.5)
+    for key in ("lag", "wave_count", "wave_speed", "wave_slip", "strouhal", "stride_frequency"):
+        assert two.value(key) == pytest.approx(one.value(key), rel=1e-9)
+    np.testing.assert_allclose(two.lags.lag, one.lags.lag, atol=1e-6)
+    motion = recording(other, swims(), wave() * signs)
+    found = gait(motion, signs=two.axis_signs)
+    np.testing.assert_allclose(found.lag, LAG, atol=0.5)
+
+
+def test_signs_of_axes_in_the_neutral_pose():
+    """A limb that is turned over, and one that stands square; a row of one has no sign."""
+    over = ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0))
+    square = ((1.0, 0.0, 0.0), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0))
+    bodies = [*snake(("b3",)).bodies]
+    for i, turn in ((2, over), (5, square)):
+        joint = dataclasses.replace(bodies[i].joint, orientation=turn)
+        bodies[i] = dataclasses.replace(bodies[i], joint=joint)
+    tree = build_tree(Creature("turned", tuple(bodies)))
+    rows = [chain.oscillators for chain in chains(tree, CpgSettings())]
+    # What hangs on b2 is turned over with it, and b3 turns about -z besides.
+    np.testing.assert_array_equal(axis_signs(tree, rows), [1, -1, 1, -1, 1])
+    # Arms of a ring hang on a body without an axis: each begins a row.
+    alone = Creature("alone", (bodies[0], *(_on_the_first(body) for body in bodies[1:])))
+    tree = build_tree(alone)
+    rows = [chain.oscillators for chain in chains(tree, CpgSettings())]
+    np.testing.assert_array_equal(axis_signs(tree, rows), np.ones(5))
+
+
+def _on_the_first(body):
+    joint = dataclasses.replace(body.joint, parent="b0", axes=(AXES["y"],))
+    return dataclasses.replace(body, joint=joint)
