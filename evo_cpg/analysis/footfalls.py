@@ -6,7 +6,7 @@
 | duty factor | share of the time that a foot spends in stance | Alexander and Jayes 1983 |
 | phase of a foot | where in a reference foot's stride it touches down, 0 to 1 | Hildebrand 1965 |
 | airborne share | share of the time in which nothing touches | |
-| slip | speed over the ground of what touches it | |
+| slip | speed over the ground of what stays on it | |
 
 A *foot* is whatever touches: nothing here knows a leg from a belly.
 """
@@ -152,19 +152,22 @@ def slip_speeds(
     """Mean horizontal speed of each foot's lowest point while it touches, m/s.
 
     It is the speed of the point of the foot that is lowest at the moment, and not that of the
-    lowest place: a wheel that rolls does not slip. NaN of a foot that never touches.
+    lowest place: a wheel that rolls does not slip. A sample in which it touches may begin before it
+    touches down, or end after it lifts off: those count whose neighbours touch, too. NaN of a foot
+    that never touches in three in a row.
 
     Args:
         position: of the origin of each foot's frame, m.
         rotation: foot to world.
         lowest: the lowest point of each foot in its own frame, m.
-        touched: whether it touches between a sample and the next.
+        touched: whether it touches at any time between a sample and the next.
         step: between samples, s.
     """
     here = position[:-1] + np.einsum("tfij,tfj->tfi", rotation[:-1], lowest[:-1])
     there = position[1:] + np.einsum("tfij,tfj->tfi", rotation[1:], lowest[:-1])
     speed = np.linalg.norm((there - here)[..., :2], axis=-1) / step
-    on = touched[:-1]
+    beside = np.pad(touched, ((1, 1), (0, 0)), constant_values=True)
+    on = (beside[:-2] & touched & beside[2:])[:-1]
     time = on.sum(0)
     return np.where(time > 0, (speed * on).sum(0) / np.maximum(time, 1), np.nan)
 

@@ -64,7 +64,7 @@ class Feet(NamedTuple):
         steady: the same without chatter.
         duty_factor: of each.
         phases: of their touch-downs in the second half of the trial.
-        slip: speed of each over the ground while it touches, m/s.
+        slip: speed of each over the ground while it touches, m/s; NaN of one that never stays.
         airborne: share of the control steps in which nothing touches, the root included.
     """
 
@@ -231,10 +231,11 @@ def _of_the_ground(numbers: GaitNumbers, along: float) -> list[Quantity]:
         return []
     limbs = feet.duty_factor if len(feet.names) else np.array([math.nan])
     never = "" if len(feet.names) else "nothing but the root ever touches the ground"
-    slip = math.nan
-    if len(feet.names):
+    slip, stays = math.nan, np.isfinite(feet.slip)
+    brief = never or "nothing but the root stays on the ground for three control steps"
+    if stays.any():
         # Every foot counts by the time that it is on the ground.
-        slip = float(np.average(feet.slip, weights=feet.duty_factor))
+        slip = float(np.average(feet.slip[stays], weights=feet.duty_factor[stays]))
     return [
         Quantity("duty_factor", "duty factor", float(limbs.mean()), "",
                  "share of the time on the ground (Alexander and Jayes 1983), mean of the bodies "
@@ -243,10 +244,10 @@ def _of_the_ground(numbers: GaitNumbers, along: float) -> list[Quantity]:
                  "share of the control steps in which nothing touches the ground"),
         Quantity("slip", "slip", slip, "m/s",
                  "horizontal speed of each foot's lowest point while it touches, mean of all",
-                 never),
+                 brief),
         Quantity("relative_slip", "relative slip",
                  slip / along if along > 0 else math.nan, "",
-                 "slip by path speed", never or "it gets nowhere"),
+                 "slip by path speed", brief or "it gets nowhere"),
     ]  # fmt: skip
 
 

@@ -114,9 +114,20 @@ def test_a_sliding_foot_slips_and_a_rolling_one_does_not():
     place[300:, 0, 0] += 10 * (time[300:] - time[300])
     place[:, :, 2] += 0.01 * np.sin(40 * time)[:, None]
     slip = footfalls.slip_speeds(place, rotation, lowest, touched, STEP)
-    # The jump belongs to the sample before the first in the air.
     assert slip[0] == pytest.approx(speed, rel=1e-6)
     # A polygon of 10 sides a radian: second order in the angle of a step.
     assert slip[1] < 0.06 * speed
     never = footfalls.slip_speeds(place, rotation, lowest, ~np.ones_like(touched), STEP)
     assert np.isnan(never).all()
+
+
+def test_flight_before_touch_down_and_after_lift_off_is_no_slip():
+    """It stands from the middle of a sample to that of another; one that only taps has no slip."""
+    sample = np.arange(600) % 15
+    aloft = np.select([(sample > 4) & (sample < 10), (sample == 4) | (sample == 10)], [0, 0.5], 1)
+    place = np.zeros((600, 2, 3))
+    place[1:, :, 0] = 2.0 * STEP * aloft.cumsum()[:-1, None]
+    touched = np.stack([aloft < 1, sample == 4], -1)
+    rotation = np.tile(np.eye(3), (600, 2, 1, 1))
+    slip = footfalls.slip_speeds(place, rotation, 0 * place, touched, STEP)
+    assert slip[0] == pytest.approx(0.0, abs=1e-9) and np.isnan(slip[1])
