@@ -17,6 +17,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+# Contacts and breaks that last less are chatter, s, but at most so much of a stride.
+_CHATTER, _CHATTER_SHARE = 0.05, 0.1
 # Coefficients of variation that differ by less are the same: the grid of the samples makes some.
 _AS_REGULAR = 0.05
 
@@ -71,6 +73,15 @@ def settled(
                 if inner and (last - first) * step < shortest * (1 - 1e-9):
                     foot[first:last] = not state
     return found
+
+
+def chatter(frequency: float) -> float:
+    """What a contact or a break must last not to be chatter, s.
+
+    Args:
+        frequency: strides a second; NaN where there is no stride.
+    """
+    return min(_CHATTER, _CHATTER_SHARE / frequency) if frequency > 0 else _CHATTER
 
 
 def stances(touched: Bool[np.ndarray, " t"], step: float) -> Float[np.ndarray, "n 2"]:

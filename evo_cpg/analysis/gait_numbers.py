@@ -26,8 +26,6 @@ from evo_cpg.simulation.simulation import Simulation
 
 # Share of the trial, at its end, in which strides are looked for.
 LAST = 0.5
-# Contacts and breaks that last less are chatter, s.
-_CHATTER = 0.05
 
 # A body whose joints swing by less makes no wave, rad.
 _FAINT = math.radians(1.0)
@@ -145,7 +143,7 @@ def gait_numbers(
         wave = body_wave(angle[:, chain], place, length, step, frequency)
         if frequency > 0 and wave.amplitude.max() < _FAINT:
             wave = None
-    feet = _feet(simulation, creature, frames, recording, first)
+    feet = _feet(simulation, creature, frames, recording, first, frequency)
     numbers = GaitNumbers(
         quantities=(),
         step=step,
@@ -243,7 +241,8 @@ def _of_the_ground(numbers: GaitNumbers, along: float) -> list[Quantity]:
         Quantity("airborne", "airborne share", feet.airborne, "",
                  "share of the control steps in which nothing touches the ground"),
         Quantity("slip", "slip", slip, "m/s",
-                 "horizontal speed of each foot's lowest point while it touches, mean of all",
+                 "horizontal speed of each foot's lowest point in control steps in which it "
+                 "touches, and in those beside them, mean of all",
                  brief),
         Quantity("relative_slip", "relative slip",
                  slip / along if along > 0 else math.nan, "",
@@ -298,6 +297,7 @@ def _feet(
     frames: Mapping[str, Array],
     recording: Recording,
     first: int,
+    frequency: float,
 ) -> Feet | None:
     footing, tree = simulation.world.footing, simulation.world.tree
     if footing is None:
@@ -318,7 +318,7 @@ def _feet(
         # Only where it counts: it is asked for one by one.
         for t in np.flatnonzero(touched[:, k]):
             lowest[t, k] = shape.support(-rotation[t, k, 2])
-    steady = footfalls.settled(touched, step, _CHATTER)
+    steady = footfalls.settled(touched, step, footfalls.chatter(frequency))
     position = np.asarray(recording.position, float)[:, places]
     return Feet(
         names=tuple(tree.names[limb] for limb in limbs),

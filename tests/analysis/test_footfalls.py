@@ -55,6 +55,19 @@ def test_chatter_is_taken_out_and_what_the_record_cuts_stays():
     assert not touched[14, 0]
 
 
+@pytest.mark.parametrize("frequency", [1.0, 4.0, 15.0])
+def test_steps_of_a_fast_animal_are_no_chatter(frequency):
+    """Sampled 240 times a second, with a bounce of a sample after each touch-down."""
+    step = 1 / 240
+    time = (np.arange(960) + 0.5) * step
+    touched = np.stack([(frequency * time - phase) % 1.0 < 0.6 for phase in (0.0, 0.5)], -1)
+    bounced = touched.copy()
+    bounced[3:] &= ~(touched[1:-2] & ~touched[:-3])
+    found = footfalls.phases(footfalls.settled(bounced, step, footfalls.chatter(frequency)), step)
+    np.testing.assert_allclose(found.phase, [0.0, 0.5], atol=step * frequency)
+    assert footfalls.chatter(np.nan) == footfalls.chatter(1.0) == 0.05
+
+
 def test_noise_at_touch_down_costs_regularity_but_no_bias():
     generator = np.random.default_rng(1)
     touched = np.zeros((6000, 2), bool)
