@@ -14,11 +14,18 @@ import math
 
 import numpy as np
 from jaxtyping import Float
+from scipy.interpolate import CubicSpline
 
 # Below this autocorrelation nothing is repeated: white noise of 600 samples reaches 0.2.
 _ALIKE = 0.3
 # Among peaks that are as high but for so much, the first is a stride and the others are several.
 _AS_HIGH = 0.9
+# Peaks whose lags differ by less than this factor are the same stride's.
+_SAME = 1.2
+# Lags of the autocorrelation in a sample: the peaks of fast strides lie between samples.
+_BETWEEN = 8
+# Least number of samples in a stride whose excursion is looked for.
+_FINE = 32
 # Least number of strides in a record.
 _STRIDES = 2.0
 # Nobody has gone nowhere (m), as in `evo_cpg.simulation.measures`.
@@ -34,22 +41,24 @@ def stride_frequency(signals: Float[np.ndarray, "t j"], step: float) -> float:
         r(m) = sum_j cov_m(x_j, x_j) / sqrt(sum_j var_m(x_j) sum_j var'_m(x_j))
 
     over the parts of the record that overlap, among those at least 0.9 as high as the highest
-    (unbiased autocorrelation, Moe-Nilssen and Helbostad 2004). Unlike the peak of a
-    spectrum it is not that of a joint that swings twice in a stride.
+    (unbiased autocorrelation, Moe-Nilssen and Helbostad 2004), also between samples. Unlike the
+    peak of a spectrum it is not that of a joint that swings twice in a stride.
 
     Args:
         signals: such as the joints' angles, any unit.
         step: between samples, s.
 
     Returns:
-        Hz; NaN where nothing is repeated, or the record is shorter than two strides.
+        Hz, up to a third of the samples a second; NaN where nothing is repeated, or the record is
+        shorter than two strides.
     """
     count = len(signals)
     level = signals - signals.mean(0)
     if count < 8 or not signals.shape[1] or not np.square(level).sum() > 1e-12 * count:
         return math.nan
     most = int(count / _STRIDES)
-    alike = _autocorrelation(level, most)
+    lags = np.arange(_BETWEEN * most + 1) / _BETWEEN
+    alike = CubicSpline(np.arange(most + 1), _autocorrelation(level, most))(lags)
     inner = alike[1:-1]
     peak = 1 + np.flatnonzero((inner >= alike[:-2]) & (inner > alike[2:]))
     # What changes slowly is like itself before it ever changed.
@@ -58,10 +67,13 @@ def stride_frequency(signals: Float[np.ndarray, "t j"], step: float) -> float:
     if not len(peak) or alike[peak].max() < _ALIKE:
         return math.nan
     first = int(peak[alike[peak] >= _AS_HIGH * alike[peak].max()][0])
+    # Noise makes several of a slow stride's peak.
+    same = peak[(peak >= first) & (peak <= _SAME * first)]
+    first = int(same[alike[same].argmax()])
     left, middle, right = alike[first - 1 : first + 2]
     bend = left - 2 * middle + right
     shift = 0.5 * (left - right) / bend if bend < 0 else 0.0
-    return float(1.0 / (step * (first + shift)))
+    return float(_BETWEEN / (step * (first + shift)))
 
 
 def path_speed(path: Float[np.ndarray, "t 3"], step: float, frequency: float) -> float:
@@ -72,6 +84,7 @@ def path_speed(path: Float[np.ndarray, "t 3"], step: float, frequency: float) ->
         step: between samples, s.
         frequency: strides a second; where it is NaN the way is a straight line.
     """
+    path, step = _finer(path, step, frequency)
     smooth = _over_strides(path, step, frequency)
     if len(smooth) < 2:
         return math.nan
@@ -108,6 +121,8 @@ def excursion(
     """
     if not frequency > 0:
         return math.nan
+    path, _ = _finer(path, step, frequency)
+    point, step = _finer(point, step, frequency)
     width = _samples(step, frequency)
     smooth = _over_strides(point, step, frequency)
     if len(smooth) < width:
@@ -166,6 +181,22 @@ def _autocorrelation(level: Float[np.ndarray, "t j"], most: int) -> Float[np.nda
 def _samples(step: float, frequency: float) -> int:
     """Of a stride."""
     return max(1, round(1.0 / (frequency * step)))
+
+
+def _finer(
+    path: Float[np.ndarray, "t 3"], step: float, frequency: float
+) -> tuple[Float[np.ndarray, "n 3"], float]:
+    """The same way with a whole number of samples in a stride, `_FINE` or more; and their step, s.
+
+    By a cubic spline. As it is where there is no stride, or less than one.
+    """
+    width = 1.0 / (frequency * step) if frequency > 0 else math.nan
+    if not width < len(path):
+        return path, step
+    own = width / max(_FINE, round(width))
+    # A rounding error is no reason to leave out the last sample.
+    places = np.arange(0, len(path) - 1 + 1e-9, own)
+    return CubicSpline(np.arange(len(path)), path)(places), own * step
 
 
 def _over_strides(

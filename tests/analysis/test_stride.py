@@ -25,6 +25,22 @@ def test_a_joint_that_swings_twice_in_a_stride_does_not_double_the_frequency():
     assert stride.stride_frequency(signals, STEP) == pytest.approx(0.8, rel=0.01)
 
 
+@pytest.mark.parametrize("frequency", [5.3, 8.0, 9.5, 11.0, 17.3, 20.0])
+@pytest.mark.parametrize("noise", [0.0, 0.3])
+def test_fast_beats_are_not_halved_and_their_excursion_is_whole(frequency, noise):
+    """Of a few samples each, of which none need be the outermost one."""
+    beat = 2 * np.pi * frequency * TIME
+    signals = np.sin(beat[:, None] - np.arange(6))
+    signals += noise * np.random.default_rng(1).normal(size=signals.shape)
+    assert stride.stride_frequency(signals, STEP) == pytest.approx(frequency, rel=0.01)
+    if frequency > 12:
+        return
+    path = np.stack([TIME, 0 * TIME, 0 * TIME], -1)
+    tip = path + np.stack([0 * TIME, 0.1 * np.sin(beat), 0 * TIME], -1)
+    assert stride.excursion(tip, path, STEP, frequency) == pytest.approx(0.2, rel=0.01)
+    assert stride.path_speed(tip, STEP, frequency) == pytest.approx(1.0, rel=1e-3)
+
+
 @pytest.mark.parametrize(
     "signals",
     [
