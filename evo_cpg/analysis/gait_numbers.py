@@ -182,6 +182,8 @@ def _quantities(
     along = stride.path_speed(middle, step, frequency)
     gravity = float(simulation.world.gravity)
     energy = float(numbers.power.sum() * step)
+    # What is spent after the last sample takes it to where it is not seen any more.
+    spent = float(numbers.power[:-1].sum() * step)
     no_stride = "" if frequency > 0 else _NO_STRIDE
     stride_length = stride.stride_length(along, frequency)
     found = [
@@ -214,7 +216,7 @@ def _quantities(
                  "the largest mean of a control step"),
         Quantity("energy", "energy", energy, "J", "mean power x duration"),
         Quantity("cost_of_transport", "cost of transport",
-                 stride.cost_of_transport(energy, mass, gravity, distance), "",
+                 stride.cost_of_transport(spent, mass, gravity, distance), "",
                  "energy by weight and distance in a straight line (Tucker 1975)",
                  "it gets nowhere, or weighs nothing"),
         Quantity("peak_torque", "peak torque", float(numbers.peak_torque.max(initial=0.0)), "N m",

@@ -68,6 +68,18 @@ def swims(speed: float = 0.5, height: float = 0.0) -> np.ndarray:
     return np.hstack([speed * TIME, 0 * TIME, 0 * TIME + height])
 
 
+def test_cost_of_transport_is_of_the_steps_that_make_the_way():
+    """10 samples are 9 steps; what is spent in the tenth leads to where it is not seen."""
+    creature = snake()
+    energy = np.full((10, 1), 2.0)
+    energy[-1] = 50.0
+    found = numbers_of(creature, in_water(creature), swims()[:10], 0 * wave()[:10], energy=energy)
+    distance = 0.5 * 9 * STEP
+    expected = 18.0 / (float(creature.mass) * 9.81 * distance)
+    assert found.value("cost_of_transport") == pytest.approx(expected, rel=1e-6)
+    assert found.value("speed") == pytest.approx(0.5)
+
+
 @pytest.mark.parametrize("mirrored", [("b2", "b4"), ("b1",)])
 def test_lags_and_wave_do_not_depend_on_which_way_axes_point(mirrored):
     """The same motion, told by angles about z and by some about -z."""
