@@ -27,9 +27,12 @@ from evo_cpg.simulation.simulation import Simulation
 # Share of the trial, at its end, in which strides are looked for.
 LAST = 0.5
 
+# Who gets on by less in the second half, in body lengths, gets nowhere.
+_NOWHERE = 0.01
 # A body whose joints swing by less makes no wave, rad.
 _FAINT = math.radians(1.0)
 
+_STAYS = "it gets nowhere"
 _NO_STRIDE = "the joints do not repeat themselves twice in the second half of the trial"
 
 
@@ -185,7 +188,8 @@ def _quantities(
     # What is spent after the last sample takes it to where it is not seen any more.
     spent = float(numbers.power[:-1].sum() * step)
     no_stride = "" if frequency > 0 else _NO_STRIDE
-    stride_length = stride.stride_length(along, frequency)
+    moving = _if_anywhere(along, step * (len(middle) - 1), length)
+    stride_length = stride.stride_length(moving, frequency)
     found = [
         Quantity("duration", "duration", duration, "s", "of the trial"),
         Quantity("length", "body length", length, "m", "largest extent with all joints at zero"),
@@ -203,11 +207,11 @@ def _quantities(
                  "inverse of the shortest time after which all joints are as they were: "
                  "autocorrelation (Moe-Nilssen and Helbostad 2004)", no_stride),
         Quantity("stride_length", "stride length", stride_length, "m",
-                 "path speed by stride frequency (Alexander 2003)", no_stride),
+                 "path speed by stride frequency (Alexander 2003)", no_stride or _STAYS),
         Quantity("relative_stride", "relative stride length", stride_length / length, "lengths",
-                 "stride length by body length", no_stride),
+                 "stride length by body length", no_stride or _STAYS),
     ]  # fmt: skip
-    found += _of_the_ground(numbers, along)
+    found += _of_the_ground(numbers, moving)
     found += _of_the_wave(simulation, creature, recording, numbers, middle, no_stride)
     found += [
         Quantity("power", "mean power", energy / duration, "W",
@@ -225,7 +229,12 @@ def _quantities(
     return found
 
 
-def _of_the_ground(numbers: GaitNumbers, along: float) -> list[Quantity]:
+def _if_anywhere(speed: float, time: float, length: float) -> float:
+    """A speed (m/s) that has got an animal of a length (m) anywhere in a time (s), or NaN."""
+    return speed if speed * time >= _NOWHERE * length else math.nan
+
+
+def _of_the_ground(numbers: GaitNumbers, moving: float) -> list[Quantity]:
     feet = numbers.feet
     if feet is None:
         return []
@@ -236,6 +245,7 @@ def _of_the_ground(numbers: GaitNumbers, along: float) -> list[Quantity]:
     if stays.any():
         # Every foot counts by the time that it is on the ground.
         slip = float(np.average(feet.slip[stays], weights=feet.duty_factor[stays]))
+        brief = ""
     return [
         Quantity("duty_factor", "duty factor", float(limbs.mean()), "",
                  "share of the time on the ground (Alexander and Jayes 1983), mean of the bodies "
@@ -246,9 +256,8 @@ def _of_the_ground(numbers: GaitNumbers, along: float) -> list[Quantity]:
                  "horizontal speed of each foot's lowest point in control steps in which it "
                  "touches, and in those beside them, mean of all",
                  brief),
-        Quantity("relative_slip", "relative slip",
-                 slip / along if along > 0 else math.nan, "",
-                 "slip by path speed", brief or "it gets nowhere"),
+        Quantity("relative_slip", "relative slip", slip / moving, "", "slip by path speed",
+                 brief or _STAYS),
     ]  # fmt: skip
 
 
@@ -279,6 +288,7 @@ def _of_the_wave(
         swing = stride.excursion(point, middle, numbers.step, numbers.frequency)
         swum = middle - _drift(simulation.world.water, middle, numbers.step)
         through = stride.path_speed(swum, numbers.step, numbers.frequency)
+        moving = _if_anywhere(through, numbers.step * (len(swum) - 1), float(length_of(creature)))
         found += [
             Quantity("wave_slip", "speed by wave speed", through / abs(wave.speed), "",
                      "path speed through the water by wave speed, the slip U/V of Lighthill 1960",
@@ -286,9 +296,9 @@ def _of_the_wave(
             Quantity("tail_excursion", "excursion of the tail", swing, "m",
                      "of its tip, from side to side in a stride", no_stride),
             Quantity("strouhal", "Strouhal number",
-                     stride.strouhal_number(numbers.frequency, swing, through), "",
+                     stride.strouhal_number(numbers.frequency, swing, moving), "",
                      "stride frequency x excursion of the tail by path speed through the water "
-                     "(Triantafyllou et al. 1993)", no_stride or "it gets nowhere"),
+                     "(Triantafyllou et al. 1993)", no_stride or _STAYS),
         ]  # fmt: skip
     return found
 

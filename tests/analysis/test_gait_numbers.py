@@ -13,6 +13,7 @@ from evo_cpg.analysis.gait_numbers import GaitNumbers, gait_numbers
 from evo_cpg.control.matsuoka import CpgSettings
 from evo_cpg.creature.creature import Creature
 from evo_cpg.creature.tree import build_tree
+from evo_cpg.physics.footing import Ground, make_footing
 from evo_cpg.physics.world import World
 from evo_cpg.simulation.recording import Recording
 
@@ -60,6 +61,11 @@ def numbers_of(
     return gait_numbers(simulation, creature, frames, recording(creature, place, angles))
 
 
+def lying(creature: Creature) -> World:
+    tree = build_tree(creature)
+    return World(tree, 9.81, footing=make_footing(creature, tree, Ground()))
+
+
 def wave(joints: int = 5, frequency: float = 1.0) -> np.ndarray:
     return 0.3 * np.sin(2 * np.pi * frequency * TIME - np.radians(LAG) * np.arange(joints))
 
@@ -78,6 +84,29 @@ def test_cost_of_transport_is_of_the_steps_that_make_the_way():
     expected = 18.0 / (float(creature.mass) * 9.81 * distance)
     assert found.value("cost_of_transport") == pytest.approx(expected, rel=1e-6)
     assert found.value("speed") == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize("speed", [1e-7, 0.1])
+def test_who_lies_still_has_no_stride_length_and_no_relative_slip(speed):
+    """It wriggles on the ground; the tail is on it all the time, and drags at the same speed."""
+    creature = snake()
+    world = lying(creature)
+    force = np.zeros((COUNT, 3, len(world.footing.bodies), 1))
+    force[:, 2, np.array(world.footing.bodies) == 5] = 3.0
+    place = swims(speed)
+    found = numbers_of(creature, world, place, wave(), contact_force=force)
+    assert found.value("path_speed") == pytest.approx(speed, rel=1e-3)
+    assert found.value("slip") == pytest.approx(speed, rel=1e-3)
+    keys = ("stride_length", "relative_stride", "relative_slip")
+    if speed > 0.01:
+        assert found.value("stride_length") == pytest.approx(speed, rel=1e-3)
+        assert found.value("relative_slip") == pytest.approx(1.0, rel=1e-3)
+    else:
+        assert np.isnan([found.value(key) for key in keys]).all()
+        missing = {each.key: each.missing for each in found.quantities}
+        assert [missing[key] for key in keys] == ["it gets nowhere"] * 3
+    swimmer = numbers_of(creature, in_water(creature), place, wave())
+    assert np.isnan(swimmer.value("strouhal")) == (speed < 0.01)
 
 
 @pytest.mark.parametrize("mirrored", [("b2", "b4"), ("b1",)])
