@@ -32,6 +32,7 @@ _NOWHERE = 0.01
 # A body whose joints swing by less makes no wave, rad.
 _FAINT = math.radians(1.0)
 
+_DRY = "it is out of the water for more than half of the time"
 _STAYS = "it gets nowhere"
 _NO_STRIDE = "the joints do not repeat themselves twice in the second half of the trial"
 
@@ -289,16 +290,19 @@ def _of_the_wave(
         swum = middle - _drift(simulation.world.water, middle, numbers.step)
         through = stride.path_speed(swum, numbers.step, numbers.frequency)
         moving = _if_anywhere(through, numbers.step * (len(swum) - 1), float(length_of(creature)))
+        dry = "" if _in_water(simulation, creature, recording, numbers) else _DRY
+        if dry:
+            through = moving = math.nan
         found += [
             Quantity("wave_slip", "speed by wave speed", through / abs(wave.speed), "",
                      "path speed through the water by wave speed, the slip U/V of Lighthill 1960",
-                     stands),
+                     dry or stands),
             Quantity("tail_excursion", "excursion of the tail", swing, "m",
                      "of its tip, from side to side in a stride", no_stride),
             Quantity("strouhal", "Strouhal number",
                      stride.strouhal_number(numbers.frequency, swing, moving), "",
                      "stride frequency x excursion of the tail by path speed through the water "
-                     "(Triantafyllou et al. 1993)", no_stride or _STAYS),
+                     "(Triantafyllou et al. 1993)", dry or no_stride or _STAYS),
         ]  # fmt: skip
     return found
 
@@ -389,6 +393,23 @@ def _drift(water: Water, middle: Float[np.ndarray, "t 3"], step: float) -> Float
     flow = stream(water.current, water.gradient, water.vortices, jnp.asarray(middle.T))
     carried = np.broadcast_to(np.asarray(flow, float), middle.T.shape).T * step
     return np.concatenate([np.zeros((1, 3)), np.cumsum(carried, 0)[:-1]])
+
+
+def _in_water(
+    simulation: Simulation, creature: Creature, recording: Recording, numbers: GaitNumbers
+) -> bool:
+    """Whether the chain's bodies reach into the water for half of the second half or more."""
+    water, tree = simulation.world.water, simulation.world.tree
+    if water is None or water.surface is None:
+        return water is not None
+    dofs = numbers.chain
+    places = sorted({creature.body_index(tree.names[tree.dof_bodies[dof]]) for dof in dofs})
+    # Rows of upward unit vectors, in the bodies' own axes.
+    up = np.asarray(recording.rotation, float)[numbers.first :, places, 2]
+    centre = np.asarray(recording.position, float)[numbers.first :, places, 2]
+    shapes = [creature.bodies[place].shape for place in places]
+    deepest = [[u @ shape.support(-u) for u, shape in zip(row, shapes, strict=True)] for row in up]
+    return bool((centre + np.array(deepest) < float(water.surface)).mean() >= 0.5)
 
 
 def _tail_tip(

@@ -109,6 +109,22 @@ def test_who_lies_still_has_no_stride_length_and_no_relative_slip(speed):
     assert np.isnan(swimmer.value("strouhal")) == (speed < 0.01)
 
 
+@pytest.mark.parametrize("height", [-0.5, 0.04, 0.06, 2.0])
+def test_only_who_is_in_the_water_has_a_strouhal_number(height):
+    """Boxes 0.1 m high reach down by 0.05 m."""
+    creature = snake()
+    world = in_water(creature, surface=0.0)
+    found = numbers_of(creature, world, swims(height=height), wave())
+    keys = ("wave_slip", "strouhal")
+    values = [found.value(key) for key in keys]
+    assert np.isfinite(found.value("wave_speed"))
+    if height < 0.05:
+        assert np.isfinite(values).all()
+    else:
+        missing = [each.missing for each in found.quantities if each.key in keys]
+        assert np.isnan(values).all() and all("out of the water" in words for words in missing)
+
+
 @pytest.mark.parametrize("mirrored", [("b2", "b4"), ("b1",)])
 def test_lags_and_wave_do_not_depend_on_which_way_axes_point(mirrored):
     """The same motion, told by angles about z and by some about -z."""
