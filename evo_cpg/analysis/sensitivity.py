@@ -7,7 +7,7 @@ With a measure m (a speed, a fitness) and a parameter p the elasticity is
 per cent of m per per cent of p. The derivative is that of the whole trial, by automatic
 differentiation. It says what a *small* change does: where feet hit the ground, or for a long trial,
 a change of a per cent may be large. So each parameter is also changed by that much to both sides,
-the simulation built anew and run, and the two answers compared.
+or to the one that is allowed, the simulation built anew and run, and the two answers compared.
 """
 
 import math
@@ -45,8 +45,8 @@ class Sensitivity(NamedTuple):
         key: of the parameter.
         value: of the parameter.
         slope: dm/dp.
-        change: m after p has grown by ``CHANGE`` of it, less m after it has shrunk by that.
-        step: by which p was changed to each side.
+        change: m at the larger value that was tried, less m at the smaller one.
+        step: from the smaller value to the larger one.
         measure: m itself.
     """
 
@@ -68,7 +68,7 @@ class Sensitivity(NamedTuple):
     @property
     def finite(self) -> float:
         """The same from the finite change."""
-        return self._share(self.change / (2 * self.step))
+        return self._share(self.change / self.step if self.step else math.nan)
 
     def _share(self, slope: float) -> float:
         size = abs(self.measure)
@@ -77,10 +77,10 @@ class Sensitivity(NamedTuple):
     @property
     def confirmed(self) -> bool:
         """Whether the derivative says what a change of ``CHANGE`` does."""
-        predicted = 2 * self.step * self.slope
+        predicted = self.step * self.slope
         larger = max(abs(predicted), abs(self.change))
         bound = _AGREEMENT * larger + _NEGLIGIBLE * abs(self.measure)
-        return bool(np.isfinite(larger) and abs(predicted - self.change) <= bound)
+        return bool(self.step and np.isfinite(larger) and abs(predicted - self.change) <= bound)
 
 
 class _Journey(NamedTuple):
@@ -163,6 +163,22 @@ def measured(
     return jnp.stack([outcome.terms[_SPEED], score(simulation.task, outcome, yardsticks)])
 
 
+def changed(
+    values: Float[np.ndarray, " k"], allowed: Callable[[Float[np.ndarray, " k"]], bool]
+) -> Float[np.ndarray, "2 k k"]:
+    """The values with one of them made smaller, and larger, by ``CHANGE`` of it.
+
+    Where that is not allowed, as a share of more than 1 is not, it is left as it is.
+
+    Args:
+        values: of the parameters.
+        allowed: whether a simulation can have these values.
+    """
+    steps = np.diag(CHANGE * np.where(values, np.abs(values), 1.0))
+    places = values + np.stack([-steps, steps])
+    return np.array([[p if allowed(p) else values for p in side] for side in places])
+
+
 def sensitivities(
     keys: tuple[str, ...],
     values: Float[np.ndarray, " k"],
@@ -179,7 +195,7 @@ def sensitivities(
         measures: of the animal as it is.
         slopes: derivatives.
         after: measures after each parameter was made smaller, and larger.
-        steps: by how much.
+        steps: from the smaller value to the larger one; 0 where neither is allowed.
     """
 
     def weight(one: Sensitivity) -> tuple[bool, float]:

@@ -1,5 +1,6 @@
 """The command that tells what a champion's success depends on: sensitivity."""
 
+import itertools
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -83,12 +84,18 @@ def show_sensitivities(
     title = f"{experiment.name}: speed {speed[0].measure:.3g} m/s over {time:.3g} s"
     picture = plot_sensitivities(speed, "speed", title, table.with_suffix(".png"), _SHOWN)
     Console().print(_table(rows[:_SHOWN]))
-    doubtful = sum(not one.confirmed for one in speed)
+    stuck = sum(not one.step for one in speed)
+    doubtful = sum(not one.confirmed for one in speed) - stuck
     print(f"speed {speed[0].measure:.4g} m/s, fitness {fitness[0].measure:.4g} over {time:.3g} s")
     if doubtful:
         print(
             f"{doubtful} of {len(rows)} marked ?: runs with 1 % more and less do not do what the "
             "derivative says; their own change is shown. Try a shorter trial: --seconds"
+        )
+    if stuck:
+        print(
+            f"{stuck} of {len(rows)} marked ? may be changed by 1 % neither way, so that their "
+            "derivative is not checked"
         )
     print(table)
     print(picture)
@@ -99,12 +106,11 @@ def _measure(parameters: Parameters, champion: Champion, scaled: bool, work: Wor
     import jax
     import jax.numpy as jnp
 
-    from evo_cpg.analysis.sensitivity import CHANGE, differentiate, measured, sensitivities
+    from evo_cpg.analysis.sensitivity import changed, differentiate, measured, sensitivities
     from evo_cpg.training.experiment import champion_keys
 
     keys = (*parameters.keys, GENES) if scaled else parameters.keys
     values = np.append(parameters.values, 1.0) if scaled else parameters.values
-    steps = CHANGE * np.where(values, np.abs(values), 1.0)
     noise = champion_keys(parameters.experiment, champion)
     with jax.enable_x64(True):
         genes = jnp.asarray(champion.genes, jnp.float64)
@@ -117,22 +123,22 @@ def _measure(parameters: Parameters, champion: Champion, scaled: bool, work: Wor
 
         program = jax.jit(lambda values: differentiate(outcome, values))
         measures, slopes = jax.device_get(program(jnp.asarray(values)))
-        places = []
         work.doing("changing the numbers one by one")
-        for sign in (-1.0, 1.0):
-            for i in range(len(values)):
-                place = values.copy()
-                place[i] += sign * steps[i]
-                try:
-                    parameters.require(place[: len(parameters.keys)])
-                except ConfigError:
-                    # Not allowed, as a share of more than 1.
-                    place = values * np.nan
-                places.append(place)
-                work.reached(len(places), 2 * len(values))
+        tried = itertools.count(1)
+
+        def allowed(place: np.ndarray) -> bool:
+            work.reached(next(tried), 2 * len(values))
+            try:
+                parameters.require(place[: len(parameters.keys)])
+            except ConfigError:
+                return False
+            return True
+
+        places = changed(values, allowed)
+        steps = np.diagonal(places[1] - places[0])
         work.doing("living the trial with every number changed: compiling takes a minute or two")
         run_all = jax.jit(jax.vmap(outcome, out_axes=1))
-        after = jax.device_get(run_all(jnp.asarray(np.array(places))))
+        after = jax.device_get(run_all(jnp.asarray(places.reshape(-1, len(values)))))
     return sensitivities(keys, values, measures, slopes, after.reshape(len(measures), 2, -1), steps)
 
 

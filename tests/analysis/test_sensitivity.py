@@ -8,7 +8,7 @@ import pytest
 
 import trials
 from evo_cpg.analysis import sensitivity
-from evo_cpg.analysis.sensitivity import CHANGE, differentiate, measured, sensitivities
+from evo_cpg.analysis.sensitivity import changed, differentiate, measured, sensitivities
 from evo_cpg.simulation.rollout import Outcome
 from trials import OneTerm
 
@@ -24,11 +24,14 @@ def measure(values):
 
 @pytest.fixture
 def found(x64):
-    steps = CHANGE * np.where(VALUES, VALUES, 1.0)
+    return ranked(lambda values: True)
+
+
+def ranked(allowed):
     value, slopes = differentiate(measure, jnp.asarray(VALUES))
-    after = np.array(
-        [[measure(VALUES + s * step) for step in np.diag(steps)] for s in (-1, 1)]
-    ).transpose(2, 0, 1)
+    places = changed(VALUES, allowed)
+    after = np.array([[measure(place) for place in side] for side in places]).transpose(2, 0, 1)
+    steps = np.diagonal(places[1] - places[0])
     (rows,) = sensitivities(KEYS, VALUES, np.asarray(value), np.asarray(slopes), after, steps)
     return rows
 
@@ -41,6 +44,20 @@ def test_elasticities_are_the_exponents_of_a_power_law(found):
     # Of what is 0, per unit.
     assert by_key["zero"].elasticity == pytest.approx(0.5, rel=1e-12)
     assert by_key["squared"].finite == pytest.approx(2.0, rel=1e-3)
+
+
+def test_at_the_edge_of_what_is_allowed_the_difference_is_one_sided(x64):
+    """Not below 0, not above 2, and not at all: only the last is in doubt."""
+
+    def allowed(values):
+        squared, inverse, _, zero, _ = values
+        return squared == VALUES[0] and inverse <= 2.0 and zero >= 0.0
+
+    rows = {row.key: row for row in ranked(allowed)}
+    assert rows["zero"].confirmed and rows["zero"].finite == pytest.approx(0.5, rel=1e-6)
+    assert rows["inverse"].confirmed and rows["inverse"].finite == pytest.approx(-1.0, rel=0.02)
+    assert not rows["squared"].confirmed and np.isnan(rows["squared"].finite)
+    assert rows["squared"].elasticity == pytest.approx(2.0, rel=1e-12)
 
 
 def test_of_nothing_there_is_no_per_cent(x64):
