@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from evo_cpg.analysis.compare import Comparison, Spread, compare, spread
-from evo_cpg.api.training import begin_run
+from evo_cpg.api.training import begin_run, reopen_run
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.fingerprint import fingerprint
@@ -221,6 +221,7 @@ def run_group(
     source: Path,
     devices: int,
     on_generation: Callable[[Member, list[dict[str, float]]], object],
+    warn: Callable[[str], object] = lambda words: None,
 ) -> None:
     """Evolve settings side by side, from where they stand.
 
@@ -229,13 +230,18 @@ def run_group(
         source: file that the configuration came from.
         devices: that share the population.
         on_generation: called after every generation of each.
+        warn: called with what is otherwise than before, for which bits may differ.
     """
     from evo_cpg.training.together import train_together
 
     for member in group:
         if member.folder.config.is_file():
             member.folder.require()
-            member.folder.reopen(member.folder.config.read_text(encoding="utf-8"))
+            found = reopen_run(
+                member.folder, member.config, member.experiment, devices, source=source
+            )
+            for difference in found:
+                warn(f"{member.folder.path}: {difference}; bits may differ")
         else:
             begin_run(member.folder, member.config, member.experiment, devices, source)
     train_together(

@@ -13,6 +13,7 @@ from jax.typing import ArrayLike
 
 from evo_cpg.analysis.verdict import Check
 from evo_cpg.api.experiment import Experiment
+from evo_cpg.api.surroundings import differences as changed_surroundings
 from evo_cpg.api.surroundings import surroundings
 from evo_cpg.api.warm_start import Start
 from evo_cpg.config.fingerprint import fingerprint
@@ -113,6 +114,20 @@ def begin_run(
         TooLargeError: the machine has not the memory for it.
     """
     require_memory(experiment)
+    meta = _known(config, experiment, devices, source, processes)
+    if start is not None:
+        meta["start"] = start.provenance
+    folder.create(dump_config(config), meta, None if start is None else start.genes)
+
+
+def _known(
+    config: ExperimentConfig,
+    experiment: parts.Experiment,
+    devices: int,
+    source: Path,
+    processes: int,
+) -> dict[str, Any]:
+    """What meta.json says of a run that begins."""
     meta: dict[str, Any] = {
         "name": config.name,
         "seed": config.seed,
@@ -125,9 +140,43 @@ def begin_run(
     meta |= surroundings(experiment.simulation.engine, devices)
     if name := shipped_name(source):
         meta["shipped_config"] = name
-    if start is not None:
-        meta["start"] = start.provenance
-    folder.create(dump_config(config), meta, None if start is None else start.genes)
+    return meta
+
+
+def reopen_run(
+    folder: RunFolder,
+    config: ExperimentConfig,
+    experiment: parts.Experiment,
+    devices: int,
+    processes: int = 1,
+    source: Path | None = None,
+) -> list[str]:
+    """Note with what a run is gone on with.
+
+    Args:
+        folder: of the run.
+        config: with which it goes on.
+        experiment: that it describes.
+        devices: of this process.
+        processes: that evolve together.
+        source: file that the configuration came from, where that is known.
+
+    Returns:
+        What is otherwise than before, for which bits may differ.
+
+    Raises:
+        RunFolderError: the folder cannot be written.
+        TooLargeError: the machine has not the memory for it.
+    """
+    require_memory(experiment)
+    folder.reopen(dump_config(config))
+    here, before = surroundings(experiment.simulation.engine, devices), folder.read_meta()
+    noted = {"resumed": now(), "fingerprint": fingerprint(config), "processes": processes} | here
+    if not before and source is not None:
+        # It was killed before this was written.
+        noted = _known(config, experiment, devices, source, processes)
+    folder.update_meta(**noted)
+    return changed_surroundings(before, here)
 
 
 def _genes(experiment: Experiment, start: ArrayLike) -> np.ndarray:

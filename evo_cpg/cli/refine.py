@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from evo_cpg.api.training import require_configured
+from evo_cpg.api.training import now, require_configured
 from evo_cpg.cli.building import build
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.progress import progress
@@ -18,7 +18,6 @@ from evo_cpg.cli.training import (
     class_folders,
     live_again,
     misfit,
-    now,
     open_run,
     use_cores_of,
 )

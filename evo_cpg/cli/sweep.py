@@ -144,11 +144,15 @@ def _evolve(
         with progress(folder.name, "generations", total, done, "compiling") as show:
             watch = _Watch(show, done)
             try:
-                run_group(group, source, devices, watch.tell)
+                run_group(group, source, devices, watch.tell, _warn)
             except KeyboardInterrupt:
                 _say_interrupted(folder)
                 raise
     return []
+
+
+def _warn(words: str) -> None:
+    print(f"evo-cpg: warning: {words}", file=sys.stderr)
 
 
 def _say_interrupted(folder: Path) -> None:

@@ -19,7 +19,7 @@ from evo_cpg.api.training import (
     evolve,
     first_look_asked,
     follow,
-    now,
+    reopen_run,
     require_configured,
 )
 from evo_cpg.api.warm_start import What, warm_start
@@ -30,14 +30,13 @@ from evo_cpg.cli.oscillators import warn_of_oscillators
 from evo_cpg.cli.progress import progress, working
 from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.fingerprint import changes, fingerprint
-from evo_cpg.config.load import dump_config, load_config
+from evo_cpg.config.load import load_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.config.shipped import find_config
 from evo_cpg.simulation.task import term_names
 from evo_cpg.training.checkpoint import Champion, Checkpoint, genes_digest, outcome_digest
 from evo_cpg.training.devices import use_cores
 from evo_cpg.training.experiment import TABLE_COLUMNS, Experiment
-from evo_cpg.training.memory import require_memory
 from evo_cpg.training.reevaluation import is_finished
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
 from evo_cpg.training.scalars import FOLDER, MissingWriterError, Scalars, require_writer
@@ -232,14 +231,8 @@ def _reopen(
     processes: int,
 ) -> None:
     """Note with what a run is gone on with."""
-    run = folder.path
-    require_memory(experiment)
-    folder.reopen(dump_config(config))
-    here = surroundings(experiment.simulation.engine, devices)
-    for difference in changed_surroundings(folder.read_meta(), here):
-        print(f"evo-cpg: warning: {run}: {difference}; bits may differ", file=sys.stderr)
-    noted = {"resumed": now(), "fingerprint": fingerprint(config), "processes": processes}
-    folder.update_meta(**noted, **here)
+    for difference in reopen_run(folder, config, experiment, devices, processes):
+        print(f"evo-cpg: warning: {folder.path}: {difference}; bits may differ", file=sys.stderr)
 
 
 def verify_run(run: Path, cores: int | None) -> None:

@@ -37,10 +37,11 @@ def copy_shipped(name: str, folder: Path) -> Path:
             raise ConfigError(
                 copy, (), f"exists already, and is not that of {name}; name another folder"
             )
+    for part in parts.values():
+        (folder / part).parent.mkdir(parents=True, exist_ok=True)
     for path, part in parts.items():
         copy = folder / part
         if not copy.exists():
-            copy.parent.mkdir(parents=True, exist_ok=True)
             contents = path.read_bytes()
             write_whole(copy, lambda file, contents=contents: file.write(contents))
     return folder / parts[source]

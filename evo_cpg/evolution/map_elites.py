@@ -290,10 +290,9 @@ class MapElites(MapStrategy):
         draw_key, vary_key = jax.random.split(key)
         filled = jnp.isfinite(state.fitness)
         # From an empty map children of zeros are drawn, another start.
-        chance = jnp.where(filled.any(), filled, True).astype(state.genes.dtype)
-        parents = jax.random.choice(
-            draw_key, self.cells, (2, self.population), p=chance / chance.sum()
-        )
+        (occupied,) = jnp.nonzero(filled, size=self.cells, fill_value=0)
+        number = jnp.maximum(filled.sum(), 1)
+        parents = occupied[jax.random.randint(draw_key, (2, self.population), 0, number)]
         return self.vary(vary_key, state.genes, parents), state
 
     def tell(

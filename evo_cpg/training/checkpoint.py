@@ -190,7 +190,13 @@ def checkpoint_arrays(
 
 
 def read_checkpoint(arrays: Mapping[str, np.ndarray]) -> Checkpoint:
-    """The inverse of `checkpoint_arrays`; a missing array is a KeyError."""
+    """The inverse of `checkpoint_arrays`; a missing array is a KeyError.
+
+    Raises:
+        ValueError: the arrays are of something else.
+    """
+    if arrays["genes"].ndim != 2:
+        raise ValueError("it is no checkpoint")
     columns = _below(arrays, _HISTORY_PREFIX)
     rows = len(columns["generation"]) if columns else 0
     # Absent from files that were written before there were several.

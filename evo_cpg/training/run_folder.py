@@ -75,6 +75,7 @@ _DAMAGED = (
     NotImplementedError,
     OSError,
     RuntimeError,
+    TypeError,
     ValueError,
     struct.error,
     zipfile.BadZipFile,
@@ -206,14 +207,19 @@ class RunFolder:
         """Genomes that the run begins with; None where these are random.
 
         Raises:
-            RunFolderError: their file cannot be read.
+            RunFolderError: their file is missing, cannot be read, or holds something else.
         """
         if not self.start.is_file():
+            if given := self.read_meta().get("start"):
+                raise RunFolderError(f"{self.start} is missing; the run begins {given}")
             return None
         try:
-            return _read_arrays(self.start)["genes"]
+            genes = _read_arrays(self.start)["genes"]
+            if genes.ndim != 2 or not np.isfinite(genes).all():
+                raise ValueError("it holds no genomes")
         except _DAMAGED as error:
             raise RunFolderError(f"{self.start} is damaged ({error}); start a new run") from None
+        return genes
 
     def read_meta(self) -> dict[str, Any]:
         """The contents of meta.json; empty where it is missing or broken."""

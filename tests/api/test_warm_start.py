@@ -119,3 +119,16 @@ def test_a_damaged_start_is_said(earlier, tmp_path):
     folder.start.write_bytes(folder.start.read_bytes()[:100])
     with pytest.raises(RunFolderError, match=r"start\.npz is damaged .*; start a new run"):
         folder.load_start()
+
+
+def test_a_start_that_is_missing_or_something_else_is_said(earlier, tmp_path):
+    _, given = start(earlier, "champion")
+    folder = RunFolder(tmp_path / "run")
+    folder.create("", {"start": "from the champion of x"}, given.genes)
+    for wrong in (given.genes[0], np.full_like(given.genes, np.nan)):
+        np.savez(folder.start, genes=wrong)
+        with pytest.raises(RunFolderError, match=r"start\.npz is damaged \(it holds no genomes\)"):
+            folder.load_start()
+    folder.start.unlink()
+    with pytest.raises(RunFolderError, match=r"start\.npz is missing; the run begins from the ch"):
+        folder.load_start()

@@ -155,11 +155,15 @@ def test_a_stopped_sweep_goes_on_to_the_same_bits(tmp_path, monkeypatch):
         for name in ("mutation_rate=0.02", "mutation_rate=0.3")
     ]
     assert stopped == [2, 1]
+    lost = tmp_path / "stopped" / "mutation_rate=0.3" / "meta.json"
+    lost.unlink()
     run_sweep(tmp_path / "stopped", (), (), None, None, None)
     for name in ("mutation_rate=0.02", "mutation_rate=0.3"):
         whole, again = (RunFolder(tmp_path / which / name).load() for which in ("whole", "stopped"))
         np.testing.assert_array_equal(whole.genes, again.genes)
         assert untimed(whole.history) == untimed(again.history)
+    # Of what was never written as of what was.
+    assert {"seed", "devices", "fingerprint", "config"} <= json.loads(lost.read_text()).keys()
     # Once more there is nothing left to do.
     before = (tmp_path / "stopped" / "runs.csv").read_text()
     run_sweep(tmp_path / "stopped", (), (), None, None, None)

@@ -160,6 +160,13 @@ def test_meshes_are_copied_too(tmp_path, monkeypatch):
     assert load_config(made) == load_config(theirs / "lump.yaml")
 
 
+def test_where_no_folder_can_be_made_nothing_is_copied(tmp_path):
+    (tmp_path / "creatures").write_text("mine")
+    with pytest.raises(OSError, match="creatures"):
+        copy_shipped("hexapod", tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["creatures"]
+
+
 def test_a_copy_replaces_nothing(tmp_path):
     copy_shipped("salamander_boulders", tmp_path)
     # They have the animal in common.

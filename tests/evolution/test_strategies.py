@@ -276,6 +276,23 @@ def test_islands_apart_evolve_as_if_each_were_alone():
         np.testing.assert_array_equal(together[:, own], alone)
 
 
+def test_parents_come_from_occupied_cells_alone():
+    """Of 10,000 cells a third is filled: sums of their chances round, and gave some to others."""
+    axes = tuple(Axis(axis.name, axis.low, axis.high, 100) for axis in AXES)
+    strategy = MapElites(2**20, axes, AlongTheLine(0.0, 0.0, 1e5))
+    rng = np.random.default_rng(0)
+    filled = rng.random(10_000) < 0.3
+    empty = strategy.empty(jnp.zeros((1, 2**20)))
+    state = empty._replace(
+        fitness=jnp.where(filled, 1.0, -jnp.inf),
+        genes=jnp.where(filled, 1.0 + jnp.arange(10_000.0), 0.0)[None],
+    )
+    ask = jax.jit(strategy.ask)
+    drawn = np.unique([ask(jax.random.key(i), state)[0] for i in range(4)])
+    # Of 3,000 elites some 1,400 children each.
+    np.testing.assert_array_equal(drawn, 1.0 + np.flatnonzero(filled))
+
+
 def test_a_map_keeps_the_fittest_of_every_cell():
     """Beside a plain loop over everybody who ever lived."""
     strategy = MapElites(SIZE, AXES, AlongTheLine(0.5, 0.2, 8.0))

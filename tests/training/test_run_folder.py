@@ -265,6 +265,19 @@ def test_a_damaged_champion_is_named_with_the_way_out(folder):
             assert champion[1:] == CHAMPION[1:]
 
 
+def test_a_file_of_another_kind_in_its_place_is_damaged(folder):
+    folder.save(checkpoint(1))
+    folder.save_lineage([CHAMPION])
+    (newest,) = folder.path.glob("checkpoints/*.npz")
+    champion = folder.champion.read_bytes()
+    folder.champion.write_bytes(folder.lineage.read_bytes())
+    with pytest.raises(RunFolderError, match=r"champion\.npz is damaged"):
+        folder.load_champion()
+    newest.write_bytes(champion)
+    with pytest.raises(RunFolderError, match="no checkpoint can be read"):
+        folder.load()
+
+
 def test_numbers_that_json_has_no_words_for_are_null(folder):
     folder.write_json("x.json", {"a": [1.5, float("nan")], "b": {"c": -float("inf")}, "d": "nan"})
     told = json.loads((folder.path / "x.json").read_text())
