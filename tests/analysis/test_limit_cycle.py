@@ -46,7 +46,7 @@ def simulate(network, tonic, gain, seconds, start=None, h=H):
     return np.asarray(signals), state
 
 
-@pytest.mark.parametrize("gain", [1.5, 4.0, 10.0])
+@pytest.mark.parametrize("gain", [pytest.param(1.5, marks=pytest.mark.slow), 4.0, 10.0])
 def test_frequency_and_lag_are_those_of_the_simulation(gain, x64):
     network = chain(9)
     tonic, gains = drive(network, gain)

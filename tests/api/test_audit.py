@@ -120,6 +120,7 @@ def test_energy_is_mujocos():
     np.testing.assert_allclose(np.diff(ours), np.diff(theirs), rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_what_is_left_over_vanishes_with_the_step(swimming):
     """In float64 by 3 at least where the step is halved twice: the rest of the books is right."""
     made, _ = swimming
@@ -232,6 +233,7 @@ def test_energy_above_the_cap_is_found(swimming):
     assert checks["free_energy"].measured == pytest.approx(0.5)
 
 
+@pytest.mark.slow
 def test_a_slide_from_the_start_is_found():
     """On a slope of 40 degrees motors have no part in the way."""
     made = walker(slope=0.7)
@@ -264,6 +266,7 @@ def test_limbs_in_each_other_are_found(honest):
     assert set(trials[0].excursions.overlapping) == {"head", "b"}
 
 
+@pytest.mark.slow
 def test_limbs_that_touch_at_rest_are_named_and_looked_at_where_they_are_kept_apart():
     made = walker(short=True)
     (trial,) = folded(made, *lived_trials(made, champion()))
@@ -280,6 +283,7 @@ def test_limbs_that_touch_at_rest_are_named_and_looked_at_where_they_are_kept_ap
     assert sorted(checks["overlap"].detail.split(" in ")) == ["b", "head"]
 
 
+@pytest.mark.slow
 def test_who_swims_above_a_floor_does_not_fly():
     """Water as far as above it all, and a pool that it hangs over."""
     for surface, share in ((2.0, 0.0), (-2.0, 1.0)):
@@ -327,6 +331,7 @@ def test_a_trial_step_by_step_is_the_trial(honest, swimming):
         assert np.isfinite(steps.torque).all() and np.abs(steps.torque).max() > 0
 
 
+@pytest.mark.slow
 def test_more_friction_and_drag_change_the_way(honest, swimming):
     """Two simulations that differ in numbers share a program, and each is itself."""
     for (made, _), change in ((honest, with_friction), (swimming, with_drag)):

@@ -63,6 +63,7 @@ def walker(cli, tmp_path_factory) -> Path:
     return run
 
 
+@pytest.mark.slow
 def test_from_python_it_is_the_same_page(swimmer, tmp_path):
     run = tmp_path / "run"
     shutil.copytree(swimmer, run)
@@ -95,6 +96,7 @@ def rows_of(page: str, section: str) -> dict[str, list[str]]:
     return {row[0]: row[1:] for row in rows if row}
 
 
+@pytest.mark.slow
 def test_the_numbers_are_those_that_the_trial_measured(walker):
     """The page's come from a replay's frames, the terms from the trial as it was lived."""
     terms = RunFolder(walker).load_champion()[0].terms
@@ -179,6 +181,7 @@ def test_from_python_a_changed_configuration_is_warned_of(swimmer, tmp_path, mon
         evo.analyse(run)
 
 
+@pytest.mark.slow
 def test_the_audit_is_told(cli, walker, tmp_path):
     assert "It was not audited" in page_of(walker)
     run = tmp_path / "run"
@@ -204,6 +207,7 @@ def test_the_audit_is_told(cli, walker, tmp_path):
     assert rows["speed"][0] == "diverged"
 
 
+@pytest.mark.slow
 def test_what_is_kept_at_half_the_step_is_told_of_this_champion_alone(walker, tmp_path):
     run = tmp_path / "run"
     shutil.copytree(walker, run)

@@ -88,6 +88,7 @@ def test_train_takes_a_first_look_at_its_champion(cli, tmp_path, monkeypatch):
     assert told["measured"] == pytest.approx(np.clip(half / way, 0.0, 1.0))
 
 
+@pytest.mark.slow
 def test_runs_without_a_champion_are_passed_over(cli, finished_run, tmp_path, monkeypatch):
     run = RunFolder(tmp_path / "run")
     shutil.copytree(finished_run, run.path)

@@ -64,6 +64,7 @@ def test_the_lineage_of_a_run_is_in_its_folder(two_runs):
         np.testing.assert_array_equal(own[-1].genes, checkpoint.champions[run].genes)
 
 
+@pytest.mark.slow
 def test_champions_on_the_way_stand_side_by_side(film, two_runs):
     lineage = RunFolder(two_runs).load_lineage()
     count = {run: sum(each.run == run for each in lineage) for run in (0, 1)}
@@ -95,6 +96,7 @@ def test_runs_stand_beside_each_other(film, two_runs, finished_run):
     assert named == (196, 54)
 
 
+@pytest.mark.slow
 def test_names_tell_what_a_film_shows(cli, finished_run, tmp_path):
     run = tmp_path / "run"
     shutil.copytree(finished_run, run)

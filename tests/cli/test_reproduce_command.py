@@ -156,6 +156,7 @@ def test_quick_results_say_so_and_stay_apart(made, tmp_path):
         make(TWIN, ["ends"], folder, False, False, 2)
 
 
+@pytest.mark.slow
 def test_moments_of_the_best_champions_are_drawn(made, tmp_path, monkeypatch):
     """A row for each run, in the picture and in the table; nobody where nobody lives."""
     folder = tmp_path / "drawn"

@@ -30,6 +30,7 @@ def noisy_run(cli, tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_every_generation_has_a_row_for_each_run(noisy_run):
     with (noisy_run / "metrics.csv").open() as file:
         rows = [(row["generation"], row["run"]) for row in csv.DictReader(file)]

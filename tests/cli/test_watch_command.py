@@ -41,6 +41,7 @@ def contents(folder) -> dict[str, bytes]:
     }
 
 
+@pytest.mark.slow
 def test_a_run_that_is_done_is_told_and_drawn(cli, run, tmp_path):
     """It ends by itself, and of the folder it changes nothing but its own picture."""
     folder = tmp_path / "run"

@@ -363,6 +363,7 @@ def test_validate_reports_every_file_and_fails_if_one_is_wrong(cli, tmp_path):
     assert err.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_validate_accepts_every_shipped_config(cli):
     paths = sorted((REPOSITORY / "configs").glob("*.yaml"))
     code, out, err = cli("validate", *paths)

@@ -220,6 +220,7 @@ def test_a_number_at_the_end_of_what_is_allowed_has_the_derivative_to_its_other_
     np.testing.assert_allclose(mass[:, 1], tree.volume, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_the_listed_numbers_are_those_that_work():
     config = check_config(WALKER, CONFIG)
     found = all_parameters(config, CONFIG)

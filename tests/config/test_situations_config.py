@@ -132,6 +132,7 @@ def test_a_task_of_ones_own_keeps_its_light_unless_an_entry_moves_it(tmp_path, m
 SURFACE = ("world.water.surface=1", "world.water.density=1250")
 
 
+@pytest.mark.slow
 def test_a_settled_start_floats_at_the_surface_with_place_heading_and_light():
     """Every situation by itself; Archimedes: two level boxes as deep as their density's share."""
     trials = "[{}, {start: [2, 1], start_heading_deg: 90}]"

@@ -133,6 +133,7 @@ def shapes(start=None, **world):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("x64")
 def test_numbers_of_every_shape_over_a_slope():
     ground = {"floor": {"slope_deg": 8, "downhill_deg": 30}, "friction_rule": "average"}
@@ -174,6 +175,7 @@ def test_bodies_that_become_different_are_treated_one_by_one():
     assert parameters.building.apart
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("x64")
 def test_a_start_on_hills_follows_the_numbers():
     """Its height is searched with known numbers; by others it is an implicit function."""
@@ -183,6 +185,7 @@ def test_a_start_on_hills_follows_the_numbers():
     check_elements(config, keys, accuracy=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("x64")
 def test_rest_on_the_water_follows_the_numbers():
     keys = ["creature.materials.wood.density", "creature.bodies.1.joint.stiffness", "world.gravity"]

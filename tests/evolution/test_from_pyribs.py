@@ -122,7 +122,11 @@ def require_same(strategy, generations, evaluate=worth):
 @pytest.mark.parametrize(
     "es",
     [
-        pytest.param(es, marks=[pytest.mark.slow] if es in ("cma_es", "sep_cma_es") else [], id=es)
+        pytest.param(
+            es,
+            marks=[pytest.mark.slow] if es in ("cma_es", "sep_cma_es", "lm_ma_es") else [],
+            id=es,
+        )
         for es in ALGORITHMS
     ],
 )
@@ -134,6 +138,7 @@ def test_it_is_pyribs_to_the_bit(es):
     assert sum(restarts) >= 2
 
 
+@pytest.mark.slow
 def test_annealed_thresholds_are_those_of_pyribs():
     require_same(made(), 30)
 

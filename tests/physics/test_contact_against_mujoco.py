@@ -95,6 +95,7 @@ def test_a_tall_block_tips_over_at_the_same_slope(x64, degrees, stands):
     assert [tilt < np.deg2rad(1.0) for tilt in tilts] == [stands, stands]
 
 
+@pytest.mark.slow
 def test_a_stack_carries_its_load_where_it_lies(x64):
     """A plate with a weight on one side, on a block: the lever's shares, here and there, to 1 %."""
     joint = Joint(

@@ -101,6 +101,7 @@ def equal_central_differences(swim, torque_limit: float, jit) -> None:
     np.testing.assert_allclose(reverse, differences, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_gradient_through_contact_of_two_balls_equals_central_differences():
     """Joined by a motor that swings one while the other rolls; compiled as for users."""
     flesh = Material(500.0, 0.2, 0.6, 0.5)

@@ -235,7 +235,9 @@ def worst_error(number: int, torque_limit: float, law: str = "normal") -> tuple[
     return worst, saturated
 
 
-@pytest.mark.parametrize(("number", "law"), [(1, "normal"), (4, "isotropic")])
+@pytest.mark.parametrize(
+    ("number", "law"), [(1, "normal"), pytest.param(4, "isotropic", marks=pytest.mark.slow)]
+)
 def test_step_solves_its_dense_equation(number, law):
     """Drag, current, buoyancy, servos, limits and springs at once, to 1e-9 of the largest.
 
@@ -246,6 +248,7 @@ def test_step_solves_its_dense_equation(number, law):
     assert worst < 1e-9
 
 
+@pytest.mark.slow
 def test_accelerations_belong_to_the_limited_torques():
     """With motors at their limits the returned torques, taken as given, yield the accelerations."""
     worst, saturated = worst_error(1, 1.0)
@@ -253,6 +256,7 @@ def test_accelerations_belong_to_the_limited_torques():
     assert worst < 1e-9
 
 
+@pytest.mark.slow
 def test_motors_contacts_limits_and_water_together():
     """Animals with weak motors on a floor under water move as the reported forces make them.
 

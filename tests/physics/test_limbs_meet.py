@@ -123,9 +123,9 @@ def kinetic_energy(world, states):
 @pytest.mark.parametrize(
     ("shape", "axes"),
     [
-        ("boxes", "yz"),
         ("capsules", "z"),
         ("ellipsoids", "z"),
+        pytest.param("boxes", "yz", marks=pytest.mark.slow),
         pytest.param("boxes", "z", marks=pytest.mark.slow),
         pytest.param("capsules", "yz", marks=pytest.mark.slow),
         pytest.param("ellipsoids", "yz", marks=pytest.mark.slow),
@@ -171,6 +171,7 @@ class Clap(SineController):
         return state, Command(rate, command.signal)
 
 
+@pytest.mark.slow
 def test_a_record_has_the_mean_push_of_every_pair(x64):
     """Over the physics steps of each control step, of all points of a pair."""
     world, substeps = floating(SHAPES["boxes"], "z", Actuator(0.5, 2.0)), 2

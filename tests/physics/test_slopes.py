@@ -37,7 +37,9 @@ def table(friction: float) -> World:
     return World(tree, 9.81, footing=make_footing(creature, tree, Ground(0.0, friction, friction)))
 
 
-@pytest.mark.parametrize(("friction", "creep"), [(0.4, 0.5e-3), (2.0, 1.5e-3)])
+@pytest.mark.parametrize(
+    ("friction", "creep"), [(0.4, 0.5e-3), pytest.param(2.0, 1.5e-3, marks=pytest.mark.slow)]
+)
 def test_a_table_stands_to_a_degree_below_the_limit(friction, creep):
     """With little friction it is sliding that ends it, with much it tips over.
 

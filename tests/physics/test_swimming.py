@@ -100,6 +100,7 @@ def test_servos_follow_the_wave():
     assert np.abs(simulate(H).angles - angles).max() < 2e-3
 
 
+@pytest.mark.slow
 def test_speed_agrees_with_resistive_force_theory():
     """The swimming speed against `resistive_force.PlanarChain`: steps need not be short.
 

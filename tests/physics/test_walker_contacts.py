@@ -336,6 +336,7 @@ def touching():
         yield world, state, jax.vmap(alone, -1, -1)
 
 
+@pytest.mark.slow
 def test_a_fused_step_equals_the_unfused_one(touching):
     """To 1e-9, between a contact or none and several."""
     world, state, plain = touching

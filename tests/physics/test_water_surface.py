@@ -128,6 +128,7 @@ def test_sphere_displaces_its_cap():
     np.testing.assert_allclose(found.volume[0], cap, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_far_from_the_surface_there_is_none():
     """A step deep down equals one in water without a surface, one high up a step on dry land.
 

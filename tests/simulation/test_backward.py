@@ -109,7 +109,11 @@ def plain():
     return slopes(None)
 
 
-@pytest.mark.parametrize("budget", [2**30, 0], ids=["one level", "segments"])
+@pytest.mark.parametrize(
+    "budget",
+    [pytest.param(2**30, marks=pytest.mark.slow), 0],
+    ids=["one level", "segments"],
+)
 def test_a_trial_has_the_slopes_that_it_has_with_everything_kept(budget, plain, monkeypatch):
     monkeypatch.setattr(machine_constants, "KEPT_FOR_THE_WAY_BACK", budget)
     frugal = slopes(Backward(jnp.ones(2)))

@@ -93,6 +93,7 @@ def after_a_step(x, start, along, restitution):
     return along @ jnp.concatenate([after.position, after.velocity])
 
 
+@pytest.mark.slow
 def test_the_first_touch_is_a_kink():
     """Above, the height before counts in full; below, the ground takes all but one part in 61."""
     start = np.array([0.0, 0, 0, 0, 0, 0, 0, 0, -1])

@@ -26,7 +26,7 @@ def one_leg():
     params=[
         "one leg",
         pytest.param("fukui2003_model1", marks=pytest.mark.slow),
-        "iwadate2010_swimmer",
+        pytest.param("iwadate2010_swimmer", marks=pytest.mark.slow),
     ],
 )
 def lived(request):

@@ -69,7 +69,7 @@ def test_penetration_and_overlap_are_the_deepest():
     assert kept(world, swung, overlap=0.002, pairs=rules.pairs) == [True, False]
 
 
-@pytest.mark.parametrize("engine", ["auto", "jax"])
+@pytest.mark.parametrize("engine", ["auto", pytest.param("jax", marks=pytest.mark.slow)])
 def test_who_is_too_fast_in_one_step_is_out_for_good(engine):
     path = CONFIG
     config = load_config(path, [*PAIR, f"engine={engine}", "simulation.steps=40"])

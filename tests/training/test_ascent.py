@@ -91,6 +91,7 @@ def test_one_that_never_lives_is_worth_nothing_and_stays_where_it_was():
     assert found.state.descent_state.least == np.inf
 
 
+@pytest.mark.slow
 def test_every_individual_climbs_its_own_way_from_where_it_is():
     made = experiment(40)
     run = compile_ascent(made, population_mesh(), 6)

@@ -73,7 +73,9 @@ def machine(engine) -> str:
 
 
 def _slow(kind: str):
-    return pytest.param(kind, marks=[pytest.mark.slow] if "walkers" in kind else [])
+    return pytest.param(
+        kind, marks=[pytest.mark.slow] if "walkers" in kind or "learns" in kind else []
+    )
 
 
 @pytest.mark.parametrize("kind", [_slow(kind) for kind in KINDS])

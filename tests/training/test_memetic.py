@@ -27,6 +27,7 @@ def learned(tmp_path_factory):
     return evolve(MADE, tmp_path_factory.mktemp("learned") / "run")
 
 
+@pytest.mark.slow
 def test_what_elites_learn_shows_in_the_next_generation(learned, tmp_path):
     plain = evolve(MADE._replace(learning=None), tmp_path / "run")
     with_it, without = untimed(learned.history), untimed(plain.history)

@@ -44,6 +44,7 @@ def test_evaluation_repeats_what_training_measured(evolved):
         assert again[1:] == champion[1:]
 
 
+@pytest.mark.slow
 def test_rounds_only_gain_and_add_up(refined):
     before, after, rounds = refined
     assert [done.number for done in rounds] == [0, 1]
@@ -70,6 +71,7 @@ def test_it_draws_from_its_seed_alone_and_counts_the_fitness_in_this_experiment(
     assert again[0].began == rounds[0].began == before.fitness
 
 
+@pytest.mark.slow
 def test_numbers_that_are_not_allowed_are_passed_over(evolved):
     """The pair's drag is free; worlds with the two most promising cannot be built."""
     champion, asked, rounds = evolved[1].champions[0], [], []

@@ -124,7 +124,10 @@ def test_a_checkpoint_of_another_strategy_is_refused(tmp_path):
         train(made(Islands(SIZE, GENETICS, 2, 2, 1)), folder_at(tmp_path))
 
 
-@pytest.mark.parametrize(("name", "prefix"), [("map_elites", ""), ("pyribs", "archive.")])
+@pytest.mark.parametrize(
+    ("name", "prefix"),
+    [("map_elites", ""), pytest.param("pyribs", "archive.", marks=pytest.mark.slow)],
+)
 def test_a_map_holds_whom_the_trials_saw(name, prefix, tmp_path):
     """The elite of the cell with the highest fitness is the champion of its run."""
     done = train(made(STRATEGIES[name]()), folder_at(tmp_path))
@@ -146,10 +149,8 @@ def test_states_are_named_by_their_paths():
     assert list(state_arrays(state)) == ["1.a"]
 
 
-# Of these runs one individual in a hundred, whatever searches, has a fitness whose last bit the
-# replay rounds otherwise; with pyribs it is one that is on the map.
-@pytest.mark.parametrize(("name", "slack"), [("map_elites", 0.0), ("pyribs", 2e-7)])
-def test_anybody_on_the_map_lives_again(name, slack, tmp_path):
+@pytest.mark.parametrize("name", ["map_elites", "pyribs"])
+def test_anybody_on_the_map_lives_again(name, tmp_path):
     """With the fitness and the descriptors that he had."""
     several = made(STRATEGIES[name]())
     done = train(several, folder_at(tmp_path))
@@ -160,7 +161,8 @@ def test_anybody_on_the_map_lives_again(name, slack, tmp_path):
         one = elite(several, done, tuple(cell.tolist()), 1)
         fitness, terms, _ = replay_champion(several, one, len(jax.devices()))
         assert one.fitness == np.float32(found.fitness[tuple(cell)])
-        assert abs(fitness - one.fitness) <= slack * abs(one.fitness)
+        # Of one individual in a hundred the replay rounds the last bit otherwise.
+        assert abs(fitness - one.fitness) <= 2.5e-7 * abs(one.fitness)
         assert {name: terms[name] for name in one.terms} == one.terms
         for axis, place in zip(found.axes, cell, strict=True):
             low, high = axis.edges[place : place + 2]
