@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from evo_cpg.analysis.energy import Ledger, ledger
-from evo_cpg.analysis.excursions import Excursions, excursions
+from evo_cpg.analysis.excursions import Excursions, excursions, way
 from evo_cpg.analysis.verdict import Check, Limits, Verdict
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.schema.experiment import ExperimentConfig
@@ -20,6 +20,7 @@ from evo_cpg.creature.self_collision import pairs_that_touch_at_rest
 from evo_cpg.exchange.errors import ExchangeError
 from evo_cpg.exchange.second_opinion import Brain, Opinion, own_opinion, second_opinion
 from evo_cpg.fusion.engine import Engine, described
+from evo_cpg.physics.current import stream
 from evo_cpg.simulation.physics_steps import PhysicsSteps, physics_steps
 from evo_cpg.simulation.reach_light import ReachLight
 from evo_cpg.simulation.simulation import Simulation
@@ -129,7 +130,13 @@ def audits(
         opinions, missing = _opinions(experiment, champion, steps[0].steps)
         checks = [
             _replay(champion, alive),
-            *_shares(float(np.nanmean(alive.way)), found, limits, experiment.creature),
+            *_shares(
+                float(np.nanmean(alive.way)),
+                found,
+                limits,
+                experiment.creature,
+                _carried(experiment, steps),
+            ),
             *books(experiment, champion, steps, limits),
         ]
         verdict = Verdict(tuple(checks))
@@ -376,8 +383,29 @@ def _replay(champion: Champion, lived: Kept) -> Check:
     return Check("replay", "replayed fitness off by", off, _REPLAY, unit="%")
 
 
+def _carried(experiment: Experiment, trials: Sequence[Trial]) -> float:
+    """The way that the water would carry the animal from where it starts, mean over trials, m."""
+    simulation, numbers = experiment.simulation, situation_numbers(experiment)
+    water, ways = simulation.world.water, []
+    if water is None:
+        return 0.0
+    for i, trial in enumerate(trials):
+        start = np.asarray(trial.steps.before.position[:, :1], float)
+        flow = stream(water.current, water.gradient, water.vortices, jnp.asarray(start))
+        flow = np.broadcast_to(np.asarray(flow, float), start.shape)
+        if water.surface is not None and start[2] > water.surface:
+            flow = 0.0 * flow
+        light = simulation.lights[0 if numbers is None else i]
+        ways.append(way(np.hstack([start, start + simulation.duration * flow]), light))
+    return float(np.mean(ways))
+
+
 def _shares(
-    own: float, kept: dict[str, tuple[Variation, Kept]], limits: Limits, creature: Creature
+    own: float,
+    kept: dict[str, tuple[Variation, Kept]],
+    limits: Limits,
+    creature: Creature,
+    carried: float = 0.0,
 ) -> list[Check]:
     """How much of its way it keeps where.
 
@@ -386,6 +414,7 @@ def _shares(
         kept: what became of it elsewhere, by the key of the limit.
         limits: what it must keep.
         creature: the animal.
+        carried: what of that the water would have made, m.
     """
     checks = [Check("way", "way as it evolved", own, unit="m")]
     if not own > _SOME_WAY * length_of(creature):
@@ -395,14 +424,20 @@ def _shares(
     usual = float(drawn.mean_ways(chance)[0])
     for key, (variation, one) in kept.items():
         of_own = variation.draws == 1 or key == _CHANCE
-        way = own if of_own else usual
+        whole = own if of_own else usual
         ways = one.mean_ways(variation)
-        shares = np.clip(ways / way, 0.0, 1.0) if way > 0 else np.zeros_like(ways)
-        detail = ", ".join(f"{x:.3g}" for x in ways) + f" of {way:.3g} m"
+        detail = ", ".join(f"{x:.3g}" for x in ways) + f" of {whole:.3g} m"
         if key == "limp_way":
-            share, question = float(shares.max()), f"way with {variation.name}"
+            # What remains without the water's part. Against a current nobody drifts.
+            swum, limp = whole - carried, float(ways.max()) - max(0.0, carried)
+            alone = swum > _SOME_WAY * length_of(creature)
+            share = float(np.clip(limp / swum, 0.0, 1.0)) if alone else 1.0
+            if carried:
+                detail += f", of which the water makes {carried:.3g}"
+            question = f"way with {variation.name}"
             checks.append(Check(key, question, share, limits.limp_way, unit="%", detail=detail))
             continue
+        shares = np.clip(ways / whole, 0.0, 1.0) if whole > 0 else np.zeros_like(ways)
         question, limit = f"way kept: {variation.name}", getattr(limits, key, None)
         # Of several settings the worst.
         checks.append(Check(key, question, float(shares.min()), limit, True, "%", detail))

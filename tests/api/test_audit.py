@@ -15,7 +15,7 @@ from creatures import AXES, STRUCTURES, quick_jit, random_creature, random_state
 from evo_cpg.analysis.energy import ledger, mechanical_energy
 from evo_cpg.analysis.excursions import excursions
 from evo_cpg.analysis.verdict import Limits
-from evo_cpg.api.audit import Trial, books, draws_of, lived_trials
+from evo_cpg.api.audit import Trial, _carried, _shares, books, draws_of, lived_trials
 from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, LightSensor, Material
 from evo_cpg.creature.self_collision import SelfCollision
 from evo_cpg.creature.shapes import Box
@@ -33,7 +33,7 @@ from evo_cpg.simulation.situation import Situation
 from evo_cpg.simulation.snapshot import Snapshot
 from evo_cpg.simulation.walk import Distance
 from evo_cpg.training.checkpoint import Champion
-from evo_cpg.training.variations import Variation, finer, limp, live, with_drag, with_friction
+from evo_cpg.training.variations import Kept, Variation, finer, limp, live, with_drag, with_friction
 from trials import SineController, experiment
 
 # Gains of 5 % a step, and a push of 2 cm/s.
@@ -209,6 +209,48 @@ def test_what_goes_by_the_length_is_small_for_small_animals():
     assert large.speed == pytest.approx(19.8, abs=0.05)
     assert 50 < small.speed < 150
     assert given.of_length(1.0).speed == 3.0
+
+
+@pytest.mark.parametrize(
+    ("own", "limp_way", "carried", "share"),
+    [
+        (3.0, 0.6, 0.0, 0.2),
+        # A limp one lags behind the water.
+        (6.0, 0.9, 3.0, 0.0),
+        (6.0, 3.6, 3.0, 0.2),
+        # Who is only carried does as well without motors.
+        (3.0, 2.9, 3.0, 1.0),
+        # Against the current.
+        (1.0, -2.0, -3.0, 0.0),
+        (1.0, 1.0, -3.0, 0.25),
+    ],
+)
+def test_what_a_current_carries_is_no_way_of_limp_motors(swimming, own, limp_way, carried, share):
+    made, _ = swimming
+    one = np.array([own])
+    kept = {
+        "pose": (Variation("other poses", (made.simulation,)), Kept(one, one, one > 0, {})),
+        "limp_way": (
+            Variation("limp motors", (limp(made.simulation),)),
+            Kept(np.array([limp_way]), one, one > 0, {}),
+        ),
+    }
+    checks = {c.key: c for c in _shares(own, kept, Limits(), made.creature, carried)}
+    assert checks["limp_way"].measured == pytest.approx(share)
+
+
+@pytest.mark.parametrize(("surface", "carried"), [(None, -0.5), (1.0, -0.5), (-1.0, 0.0)])
+def test_what_a_current_carries_is_how_far_it_comes_in_a_trial(swimming, surface, carried):
+    """Away from a light; nowhere, where the animal starts above the water."""
+    made, (trial,) = swimming
+    flow = carried / made.simulation.duration or -1.0
+    water = Water(1000.0, 0.0, 0.0, current=(flow, 0.0, 0.0), surface=surface)
+    world = dataclasses.replace(made.simulation.world, water=water)
+    place = tuple(trial.steps.before.position[:, 0] + [9.0, 0.0, 0.0])
+    situation = made.simulation.situations[0]._replace(light=place)
+    simulation = dataclasses.replace(made.simulation, world=world, situations=(situation,))
+    made = made._replace(simulation=simulation)
+    assert _carried(made, (trial,)) == pytest.approx(carried, abs=1e-6)
 
 
 def test_torque_beyond_the_limit_is_found(honest):
