@@ -29,8 +29,10 @@ from evo_cpg.api.sweep import Member, groups, run_group
 from evo_cpg.api.training import now
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import dump_config, load_config
+from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.config.settings import Setting
 from evo_cpg.config.shipped import shipped
+from evo_cpg.creature.creature import length_of
 from evo_cpg.files import make_folder, write_text
 from evo_cpg.fusion.engine import Engine
 from evo_cpg.simulation.recording import Recording
@@ -330,14 +332,25 @@ def _smaller(source: Path, overrides: Sequence[str], count: int) -> list[str]:
 
 
 def _require_same(member: Member) -> None:
-    """Check that what there is of a run was made with its configuration.
+    """Check that what there is of a run was evolved with its configuration.
 
     Raises:
         RunFolderError: with another one.
     """
     folder = member.folder
-    if folder.config.is_file() and folder.config.read_text("utf-8") != dump_config(member.config):
+    if not folder.config.is_file() or folder.config.read_text("utf-8") == dump_config(
+        member.config
+    ):
+        return
+    if _what_evolves(load_config(folder.config)) != _what_evolves(member.config):
         raise RunFolderError(
             f"{folder.path} was made with another configuration; choose another --out, or --fresh "
             "to evolve it anew"
         )
+
+
+def _what_evolves(config: ExperimentConfig) -> dict[str, Any]:
+    """A configuration, of whose limits of an audit only those stand that are rules."""
+    limits = config.audit.limits().of_length(length_of(config.creature.build()))
+    rules = {name: float(getattr(limits, name)) for name in config.audit.disqualify}
+    return config.model_dump(mode="json", exclude={"audit"}) | {"audit": rules}

@@ -1,5 +1,6 @@
 """`evo-cpg reproduce`: a study's parts, made, stopped, gone on with, and told from one another."""
 
+import contextlib
 import json
 import shutil
 
@@ -126,6 +127,16 @@ def test_what_was_stopped_goes_on_to_the_same_bits(made, tmp_path, monkeypatch, 
         np.testing.assert_array_equal(one.genes, other.genes)
     first, second = ((place / "ends.md").read_text() for place in (made, folder))
     assert first.splitlines()[:5] == second.splitlines()[:5]
+
+
+def test_runs_of_other_limits_of_the_audit_are_taken_but_not_of_other_rules(made, tmp_path):
+    """A limit is asked afterwards; the one that is a rule has a say in who evolves."""
+    folder = tmp_path / "other"
+    shutil.copytree(made, folder)
+    for changes, taken in ((["audit.overlap=0.02"], True), (["audit.disqualify=[speed]"], False)):
+        runs = {**TWIN.runs, "few": Runs(CONFIG, (*SHORT, *changes), 2)}
+        with contextlib.nullcontext() if taken else pytest.raises(RunFolderError, match="few was"):
+            make(TWIN._replace(runs=runs), ["ends"], folder, False, False, 2)
 
 
 def test_runs_of_another_configuration_are_not_taken(made, tmp_path):
