@@ -431,6 +431,30 @@ MUTANTS = (
         "mu.reshape(-1, *axes) + 0 * factor",
         "simulation/test_noise.py api/test_audit.py",
     ),
+    Mutant(
+        "evolution/map_elites.py",
+        "number = jnp.maximum(filled.sum(), 1)",
+        "number = self.cells",
+        "evolution/test_strategies.py",
+    ),
+    Mutant(
+        "analysis/energy.py",
+        "push_out = h * (local[2] * risen).sum(0)",
+        "push_out = h * (local[2] * jnp.maximum(contacts.rest, 0.0)).sum(0)",
+        "api/test_audit.py",
+    ),
+    Mutant(
+        "analysis/overlap.py",
+        "turns, (1.0, -1.0), strict=True",
+        "turns, (1.0, 1.0), strict=True",
+        "analysis/test_overlap.py",
+    ),
+    Mutant(
+        "analysis/chains.py",
+        "signs[dof] = -1.0 if",
+        "signs[dof] = 1.0 if",
+        "analysis/test_gait_numbers.py",
+    ),
 )
 
 

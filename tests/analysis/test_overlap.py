@@ -14,6 +14,11 @@ OCTAHEDRON, _ = convex_mesh(
     0.1 * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]]),
     [(0, 2, 4), (2, 1, 4), (1, 3, 4), (3, 0, 4), (2, 0, 5), (1, 2, 5), (3, 1, 5), (0, 3, 5)],
 )
+# Its centre of mass is at the origin, its corners are not the same to both sides.
+WEDGE, _ = convex_mesh(
+    0.1 * np.array([[3, 0, 0], [-1, 2, 0], [-1, -1, 1.5], [-1, -1, -1.5]]),
+    [(0, 1, 2), (0, 3, 1), (0, 2, 3), (1, 3, 2)],
+)
 
 
 def gap(first, second, offset, turn=None):
@@ -38,6 +43,8 @@ def gap(first, second, offset, turn=None):
         (Capsule(0.05, 0.2), EGG, (0.0, 0.0, 0.1), 0.02),
         # Along the normal of a face, which is nearer than the corners.
         (OCTAHEDRON, Sphere(0.05), (0.1, 0.1, 0.1), np.sqrt(3) * (0.1 - 0.1 / 3) - 0.05),
+        (WEDGE, Sphere(0.05), (0.4, 0.0, 0.0), 0.05),
+        (WEDGE, Sphere(0.05), (-0.4, 0.0, 0.0), 0.25),
         (OCTAHEDRON, OCTAHEDRON, (0.06, 0.06, 0.06), (0.18 - 0.2) / np.sqrt(3)),
     ],
 )
