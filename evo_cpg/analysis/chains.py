@@ -67,6 +67,11 @@ def chains(tree: Tree, settings: CpgSettings) -> list[Chain]:
     return sorted(found, key=lambda chain: (-len(chain.oscillators), chain.oscillators[0]))
 
 
+def joint_rows(tree: Tree, settings: CpgSettings) -> list[tuple[int, ...]]:
+    """The degrees of freedom of each of `chains`."""
+    return [chain.oscillators for chain in chains(tree, settings)]
+
+
 def axis_signs(tree: Tree, rows: Iterable[Sequence[int]]) -> Float[np.ndarray, " d"]:
     """Signs with which the angles of joints in a row are about the same direction.
 
@@ -75,8 +80,8 @@ def axis_signs(tree: Tree, rows: Iterable[Sequence[int]]) -> Float[np.ndarray, "
 
     Args:
         tree: the creature.
-        rows: degrees of freedom along a body, such as those of `chains`, which share none but with
-            rows that begin with the same one.
+        rows: degrees of freedom along a body, such as `joint_rows`, which share none but with rows
+            that begin with the same one.
     """
     turns: list[np.ndarray] = []
     for i, parent in enumerate(tree.parents):

@@ -1,11 +1,13 @@
 """How far a trial goes to the limits of what is simulated: peaks, depths, shares of time."""
 
+import functools
+from collections.abc import Callable
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float
 
 from evo_cpg.analysis.along_time import along_time
 from evo_cpg.analysis.overlap import fills_its_rounded_box, gaps
@@ -24,8 +26,7 @@ from evo_cpg.spatial.linear import expand_dims_like, matvec
 # (`evo_cpg.physics.equations.Residual`).
 SOLVED, SLIPPING = 1e-3, 1e-1
 
-# Of two bodies that may be in each other, so many instants are looked at, those at which their
-# bounding boxes are deepest.
+# Instants at which two bodies are looked at together.
 _INSTANTS = 64
 
 # Points on the line from an eye to the light that are looked at; ground this far within (m) is in
@@ -179,35 +180,57 @@ def _deepest_overlap(
     least: dict[tuple[int, int], np.ndarray] = {}
     for own, gap in zip(zip(*pairs.owners, strict=True), apart, strict=True):
         least[own] = np.minimum(least.get(own, np.inf), gap)
+    # In the order of the tree, as they are in `kinematics`.
+    shapes = [creature.bodies[creature.body_index(name)].shape for name in world.tree.names]
+    poses = functools.cache(lambda: along_time(functools.partial(_poses, world), steps))
     for own, gap in least.items():
-        if -gap.min() <= deepest:
-            continue
-        shapes = [creature.bodies[creature.body_index(world.tree.names[i])].shape for i in own]
-        if not all(map(fills_its_rounded_box, shapes)):
-            instants = np.argsort(gap)[:_INSTANTS]
-            gap = _true_gaps(world, steps, own, shapes, instants[gap[instants] < 0])
-        if -gap.min() > deepest:
-            deepest, names = -float(gap.min()), tuple(world.tree.names[i] for i in own)
+        if all(fills_its_rounded_box(shapes[i]) for i in own):
+            found = -float(gap.min())
+        else:
+            found = _true_overlap([shapes[i] for i in own], own, poses, gap, deepest)
+        if found > deepest:
+            deepest, names = found, tuple(world.tree.names[i] for i in own)
     return deepest, names
 
 
-def _true_gaps(
-    world: World,
-    steps: PhysicsSteps,
-    own: tuple[int, int],
+def _poses(world: World, steps: PhysicsSteps) -> tuple[Array, Array]:
+    """Centres and rotations of all bodies after every step, in the world."""
+    kin = kinematics(world.tree, steps.after)
+    return kin.origin + matvec(kin.rotation, expand_dims_like(world.tree.com, kin.origin)), (
+        kin.rotation
+    )
+
+
+def _true_overlap(
     shapes: list[Shape],
-    instants: Int[np.ndarray, " n"],
-) -> Float[np.ndarray, " n"]:
-    """Of two bodies after some steps, m."""
-    state = jax.tree.map(lambda x: x[..., instants], steps.after)
-    kin = jax.device_get(kinematics(world.tree, state))
-    turns = [np.moveaxis(np.asarray(kin.rotation, float)[:, :, i], -1, 0) for i in own]
-    com = np.asarray(world.tree.com, float)
-    places = [
-        np.asarray(kin.origin, float)[:, i].T + turn @ com[:, i]
-        for i, turn in zip(own, turns, strict=True)
-    ]
-    return gaps((shapes[0], shapes[1]), (places[0], places[1]), (turns[0], turns[1]))
+    own: tuple[int, int],
+    poses: Callable[[], tuple[np.ndarray, np.ndarray]],
+    gap: Float[np.ndarray, " t"],
+    least: float,
+) -> float:
+    """How deep two bodies are in each other, m, where it is more than what is found already.
+
+    No deeper than their rounded boxes, so the instants at which these are deepest come first.
+
+    Args:
+        shapes: of both.
+        own: their numbers in the tree.
+        poses: centres and rotations of all bodies, asked for where they are needed.
+        gap: of the rounded boxes, m.
+        least: what is found already, m.
+    """
+    order = np.argsort(gap)
+    for start in range(0, len(order), _INSTANTS):
+        instants = order[start : start + _INSTANTS]
+        if -gap[instants[0]] <= least:
+            break
+        centre, rotation = poses()
+        first, second = (
+            (centre[:, i, instants].T, np.moveaxis(rotation[:, :, i, instants], -1, 0)) for i in own
+        )
+        found = gaps((shapes[0], shapes[1]), (first[0], second[0]), (first[1], second[1]))
+        least = max(least, -float(found.min()))
+    return least
 
 
 def _airborne_way(

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from evo_cpg.analysis.chains import chains, rhythm_of
+from evo_cpg.analysis.chains import joint_rows, rhythm_of
 from evo_cpg.api.departures import departures
 from evo_cpg.api.load import changed_config, load, misfit
 from evo_cpg.api.record import lives_again
@@ -126,7 +126,7 @@ def page(
         run=champion.run if experiment.runs > 1 else None,
         trial=trial if experiment.trials > 1 else None,
         seed=config.seed + champion.run,
-        chains=[chain.oscillators for chain in chains(simulation.world.tree, settings)],
+        chains=joint_rows(simulation.world.tree, settings),
         signal=signal,
         config=folder.config.read_text(encoding="utf-8"),
         meta=folder.read_meta(),

@@ -430,8 +430,11 @@ def _shares(
         if key == "limp_way":
             # What remains without the water's part. Against a current nobody drifts.
             swum, limp = whole - carried, float(ways.max()) - max(0.0, carried)
-            alone = swum > _SOME_WAY * length_of(creature)
-            share = float(np.clip(limp / swum, 0.0, 1.0)) if alone else 1.0
+            if carried > 0 and swum <= _SOME_WAY * length_of(creature):
+                # It is carried, and does no more.
+                share = 1.0
+            else:
+                share = float(np.clip(limp / swum, 0.0, 1.0)) if swum > 0 else 0.0
             if carried:
                 detail += f", of which the water makes {carried:.3g}"
             question = f"way with {variation.name}"

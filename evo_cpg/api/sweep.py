@@ -230,20 +230,19 @@ def run_group(
         source: file that the configuration came from.
         devices: that share the population.
         on_generation: called after every generation of each.
-        warn: called with what is otherwise than before, for which bits may differ.
+        warn: called with what is otherwise than before, in words for the user.
     """
     from evo_cpg.training.together import train_together
 
     for member in group:
-        if member.folder.config.is_file():
-            member.folder.require()
-            found = reopen_run(
-                member.folder, member.config, member.experiment, devices, source=source
-            )
-            for difference in found:
-                warn(f"{member.folder.path}: {difference}; bits may differ")
-        else:
+        if not member.folder.config.is_file():
             begin_run(member.folder, member.config, member.experiment, devices, source)
+            continue
+        member.folder.require()
+        if not member.finished:
+            run = member.folder, member.config, member.experiment
+            for words in reopen_run(*run, devices, source=source):
+                warn(words)
     train_together(
         [member.experiment for member in group],
         [member.folder for member in group],

@@ -162,7 +162,7 @@ def reopen_run(
         source: file that the configuration came from, where that is known.
 
     Returns:
-        What is otherwise than before, for which bits may differ.
+        What is otherwise than before, in words for the user.
 
     Raises:
         RunFolderError: the folder cannot be written.
@@ -176,7 +176,8 @@ def reopen_run(
         # It was killed before this was written.
         noted = _known(config, experiment, devices, source, processes)
     folder.update_meta(**noted)
-    return changed_surroundings(before, here)
+    found = changed_surroundings(before, here)
+    return [f"{folder.path}: {difference}; bits may differ" for difference in found]
 
 
 def _genes(experiment: Experiment, start: ArrayLike) -> np.ndarray:

@@ -4,7 +4,7 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from evo_cpg.analysis.chains import axis_signs, chains, rhythm_of
+from evo_cpg.analysis.chains import axis_signs, joint_rows, rhythm_of
 from evo_cpg.cli.building import read_config
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.progress import working
@@ -31,7 +31,7 @@ def plot_run(run: Path, output: Path | None, trial: int, cell: str | None = None
         simulation = experiment.simulation
         settings, signal = rhythm_of(simulation.controller)
         tree = simulation.world.tree
-        rows = [chain.oscillators for chain in chains(tree, settings)]
+        rows = joint_rows(tree, settings)
         made = plot_joint_signals(
             recording,
             place / f"joint_signals{which}.png",

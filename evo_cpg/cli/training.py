@@ -116,7 +116,8 @@ def resume_run(
             if by_itself and _finished(folder, done, experiment):
                 _say_finished(folder, experiment.generations)
                 return
-            _reopen(folder, config, experiment, devices, team.count)
+            for words in reopen_run(folder, config, experiment, devices, team.count):
+                print(f"evo-cpg: warning: {words}", file=sys.stderr)
         _evolve(experiment, folder, first_look_asked(config), team, tensorboard)
 
 
@@ -221,18 +222,6 @@ def _say_finished(folder: RunFolder, done: int) -> None:
         file=sys.stderr,
     )
     print(folder.path)
-
-
-def _reopen(
-    folder: RunFolder,
-    config: ExperimentConfig,
-    experiment: Experiment,
-    devices: int,
-    processes: int,
-) -> None:
-    """Note with what a run is gone on with."""
-    for difference in reopen_run(folder, config, experiment, devices, processes):
-        print(f"evo-cpg: warning: {folder.path}: {difference}; bits may differ", file=sys.stderr)
 
 
 def verify_run(run: Path, cores: int | None) -> None:

@@ -3,7 +3,7 @@
 import jax
 import numpy as np
 
-from evo_cpg.analysis.chains import axis_signs, chains, rhythm_of
+from evo_cpg.analysis.chains import axis_signs, joint_rows, rhythm_of
 from evo_cpg.analysis.gait import Gait, gait
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.simulation.rollout import as_recording, record
@@ -134,7 +134,7 @@ def _untrained(workshop: Workshop) -> dict[str, int]:
 
 def _gait(simulation: Simulation, recording: Recording) -> Gait:
     tree = simulation.world.tree
-    rows = [chain.oscillators for chain in chains(tree, rhythm_of(simulation.controller)[0])]
+    rows = joint_rows(tree, rhythm_of(simulation.controller)[0])
     return gait(recording, signs=axis_signs(tree, rows))
 
 

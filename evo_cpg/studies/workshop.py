@@ -337,10 +337,8 @@ def _require_same(member: Member) -> None:
     Raises:
         RunFolderError: with another one.
     """
-    folder = member.folder
-    if not folder.config.is_file() or folder.config.read_text("utf-8") == dump_config(
-        member.config
-    ):
+    folder, config = member.folder, dump_config(member.config)
+    if not folder.config.is_file() or folder.config.read_text("utf-8") == config:
         return
     if _what_evolves(load_config(folder.config)) != _what_evolves(member.config):
         raise RunFolderError(

@@ -18,7 +18,7 @@ from evo_cpg.analysis.verdict import Limits
 from evo_cpg.api.audit import Trial, _carried, _shares, books, draws_of, lived_trials
 from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, LightSensor, Material
 from evo_cpg.creature.self_collision import SelfCollision
-from evo_cpg.creature.shapes import Box
+from evo_cpg.creature.shapes import Box, Ellipsoid
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.exchange.mujoco_state import load_state
 from evo_cpg.physics.fluid import Water
@@ -239,6 +239,17 @@ def test_what_a_current_carries_is_no_way_of_limp_motors(swimming, own, limp_way
     assert checks["limp_way"].measured == pytest.approx(share)
 
 
+def test_who_gets_nowhere_in_fresh_draws_does_so_with_motors_limp_or_not(swimming):
+    made, _ = swimming
+    none = np.zeros(2)
+    limp_ones = Variation("limp motors", (limp(made.simulation),), 2)
+    fresh = Variation("other draws of chance", (made.simulation,), 2)
+    both = Kept(none, none, none == 0, {})
+    kept = {"pose": (fresh, both), "limp_way": (limp_ones, both)}
+    checks = {c.key: c for c in _shares(3.0, kept, Limits(), made.creature)}
+    assert checks["pose"].measured == checks["limp_way"].measured == 0.0
+
+
 @pytest.mark.parametrize(("surface", "carried"), [(None, -0.5), (1.0, -0.5), (-1.0, 0.0)])
 def test_what_a_current_carries_is_how_far_it_comes_in_a_trial(swimming, surface, carried):
     """Away from a light; nowhere, where the animal starts above the water."""
@@ -306,6 +317,46 @@ def test_limbs_in_each_other_are_found(honest):
     trials = folded(made, trial)
     assert "overlap" in failed((made, trials))
     assert set(trials[0].excursions.overlapping) == {"head", "b"}
+
+
+def test_ellipsoids_overlap_where_they_do_and_not_where_the_boxes_around_them_do():
+    """Two blades on a hull: at 17 degrees they are 3.2 mm apart, and their boxes 54 mm deep."""
+    flesh, motor = Material(1000.0, 0.0, 0.6, 0.6), Actuator(1.0)
+
+    def blade(name, side):
+        joint = Joint(
+            "hull", (0.1, side, 0), (-0.19, 0, 0), (AXES["z"],), (-3.0,), (3.0,), actuator=motor
+        )
+        return Body(name, Ellipsoid((0.18, 0.08, 0.03)), flesh, joint)
+
+    hull = Body("hull", Box((0.2, 0.5, 0.1)), flesh)
+    creature = Creature("rowers", (hull, blade("a", 0.15), blade("b", -0.15)))
+    tree = build_tree(creature)
+    base = experiment(steps=40)
+    simulation = dataclasses.replace(
+        base.simulation,
+        world=World(tree, 0.0),
+        sensors=place_sensors(creature, tree),
+        controller=SineController(),
+        task=Distance(),
+        substeps=4,
+    )
+    made = base._replace(creature=creature, simulation=simulation)
+    (trial,) = lived_trials(made, champion())
+    at = np.radians(np.tile([[-17.0], [17.0]], trial.steps.after.q.shape[1]))
+
+    def overlap(q):
+        after = eqx.tree_at(lambda state: state.q, trial.steps.after, q)
+        (found,) = judged(made, (trial._replace(steps=trial.steps._replace(after=after)),))
+        return found.excursions
+
+    assert at.shape[1] > 100
+    assert overlap(at).overlap == 0.0
+    # Once, with boxes that are less deep, one blade lies across the other.
+    at[:, 70] = np.radians([-35.0, 0.0])
+    found = overlap(at)
+    assert found.overlap == pytest.approx(0.0071, abs=1e-4)
+    assert set(found.overlapping) == {"a", "b"}
 
 
 @pytest.mark.slow
