@@ -29,6 +29,11 @@ def is_traced(*values: Any) -> bool:
     return any(isinstance(x, (jax.Array, PartlyTraced)) for x in jax.tree.leaves(values))
 
 
+def _whole(value: Any) -> Any:
+    """JAX's functions of jit refuse arrays that are but like its own."""
+    return jnp.asarray(value) if isinstance(value, PartlyTraced) else value
+
+
 class _Namespace:
     """A module of NumPy's, with JAX's functions of the same names for traced arguments."""
 
@@ -49,6 +54,7 @@ class _Namespace:
     def _either(self, name: str, known: Any) -> Any:
         def call(*args: Any, **options: Any) -> Any:
             if is_traced(args, options):
+                args, options = jax.tree.map(_whole, (args, options))
                 return getattr(self._traced, name)(*args, **options)
             result = known(*args, **options)
             # A scalar of Python's leaves the precision to what it meets.

@@ -11,8 +11,9 @@ from evo_cpg.config.build import build_experiment
 from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.load import load_config
 from evo_cpg.config.numbers import number_at, with_numbers
-from evo_cpg.simulation.batched import rollout_batched
+from evo_cpg.simulation.batched import Inputs, rollout_batched
 from evo_cpg.simulation.rollout import rollout
+from evo_cpg.spatial.numerics import is_number
 from tiny_run import REPOSITORY, TINY
 
 SWIMMER = REPOSITORY / "configs" / "iwadate2010_swimmer.yaml"
@@ -104,6 +105,48 @@ def test_each_body_does_what_it_does_alone(case, dtype, error, request):
         np.testing.assert_allclose(term, alone[name][0], rtol=error, atol=error)
     # Bodies that do the same would prove nothing.
     assert max(abs(same[name][0] - term) for name, term in found.items()) > 5 * error
+
+
+@pytest.mark.parametrize(
+    ("name", "overrides"),
+    [
+        ("two_eyed_swimmer", []),
+        ("turtle", []),
+        ("fukui2003_model1", []),
+        *(
+            pytest.param(name, overrides, marks=pytest.mark.slow)
+            for name, overrides in (
+                ("iwadate2010_swimmer", ["creature.bodies.1.joint.actuator.torque_limit=5"]),
+                ("hexapod", ["controller.graded=true"]),
+                ("starfish", []),
+                ("starfish_land", []),
+                ("iwadate2010_salamander_land", []),
+                ("salamander_amphibious", []),
+                ("salamander_boulders", []),
+            )
+        ),
+    ],
+)
+def test_a_part_of_every_array_may_be_traced(name, overrides):
+    path = REPOSITORY / "configs" / f"{name}.yaml"
+    config = load_config(path, ["simulation.steps=2", *overrides])
+    simulation = build_experiment(config, path).simulation
+    leaves = jax.tree.leaves(simulation)
+    places = [i for i, leaf in enumerate(leaves) if is_number(leaf) and np.size(leaf) > 1]
+    inputs = Inputs(tuple(places), (np.zeros(1, int),) * len(places))
+
+    def trial(values, genes, keys, situation):
+        return rollout(inputs.put(simulation, values), genes, keys, situation).terms
+
+    key = jax.random.key_data(jax.random.key(0))
+    found = jax.eval_shape(
+        trial,
+        [jax.ShapeDtypeStruct((1,), np.float32)] * len(places),
+        jax.ShapeDtypeStruct((simulation.controller.gene_count,), np.float32),
+        jax.ShapeDtypeStruct(key.shape, key.dtype),
+        jax.ShapeDtypeStruct((), np.int32),
+    )
+    assert {term.shape for term in found.values()} == {()}
 
 
 def test_a_compiled_program_serves_other_bodies():
