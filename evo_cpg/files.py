@@ -21,6 +21,23 @@ def cannot_write(path: Path, error: OSError) -> OutputError:
     return OutputError(f"cannot write {path} ({error.strerror or error})")
 
 
+def require_place(path: Path) -> Path:
+    """Check, before any work, that a file can be written here; an existing one may be replaced.
+
+    Raises:
+        OutputError: a folder that does not exist, a folder in the file's place, or no permission.
+    """
+    # Unlike a path's own methods these do not complain of names that no file can have.
+    if not os.path.isdir(path.parent):
+        raise OutputError(f"cannot write {path}: there is no folder {path.parent}; create it first")
+    if os.path.isdir(path):
+        raise OutputError(f"cannot write {path}: it is a folder; give the name of a file")
+    taken = os.path.exists(path) and not os.access(path, os.W_OK)
+    if taken or not os.access(path.parent, os.W_OK):
+        raise OutputError(f"cannot write {path}: no permission to write there")
+    return path
+
+
 @contextlib.contextmanager
 def in_one_piece(path: Path) -> Iterator[Path]:
     """Write to a neighbour of a file that takes its place at the end, whole or not at all.

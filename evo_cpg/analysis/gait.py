@@ -116,7 +116,7 @@ def dominant_frequency(signals: Float[np.ndarray, "t j"], step: float) -> Float[
     """
     count = len(signals)
     window = np.hanning(count)[:, None]
-    spectrum = np.abs(np.fft.rfft(_level(signals) * window, _PADDING * count, axis=0))
+    spectrum = np.abs(np.fft.rfft(level(signals) * window, _PADDING * count, axis=0))
     # What a Hann window makes of a drift reaches from 0 to two periods in the window.
     spectrum[: 2 * _PADDING] = 0
     peak = np.clip(spectrum.argmax(0), 1, len(spectrum) - 2)
@@ -134,10 +134,10 @@ def fourier_component(
     count = len(signals)
     window = np.hanning(count)
     turn = np.exp(-2j * np.pi * frequency * step * np.arange(count))
-    return 2 * (_level(signals) * (window * turn)[:, None]).sum(0) / window.sum()
+    return 2 * (level(signals) * (window * turn)[:, None]).sum(0) / window.sum()
 
 
-def _level(signals: np.ndarray) -> np.ndarray:
+def level(signals: Float[np.ndarray, "t j"]) -> Float[np.ndarray, "t j"]:
     """The signals without their means and linear trends."""
     time = np.linspace(-1.0, 1.0, len(signals))[:, None]
     centred = signals - signals.mean(0)

@@ -12,7 +12,8 @@ from evo_cpg.config.load import dump_creature, load_config
 from evo_cpg.config.schema.section import LARGEST
 from evo_cpg.exchange.mjcf_export import mjcf_model, mjcf_text
 from evo_cpg.exchange.mjcf_import import read_mjcf
-from evo_cpg.files import write_text, write_whole
+from evo_cpg.files import require_place, write_text, write_whole
+from evo_cpg.view.output import output_path
 
 
 def export(
@@ -20,10 +21,7 @@ def export(
 ) -> None:
     """`evo-cpg export`: the suffix says what."""
     require_free(output, overwrite)
-    suffix = output.suffix.lower()
-    if suffix not in (".xml", *MOTIONS):
-        named = f"ends in {output.suffix!r}" if output.suffix else "has no suffix"
-        raise UsageError(f"cannot write {output}: the name {named}; use .xml, {', '.join(MOTIONS)}")
+    suffix = output_path(output, (".xml", *MOTIONS)).suffix.lower()
     if suffix == ".xml":
         if number is not None or trial or cell is not None:
             raise UsageError(f"{output}: has no motion; leave out --run, --trial, --cell")
@@ -86,7 +84,7 @@ def export_model(source: Path, output: Path) -> None:
         situation.start_orientation,
         situation.start_angles,
     )
-    _write(output, mjcf_text(model))
+    write_text(output, mjcf_text(model))
     if world.water is not None:
         carried = world.water.surface is None
         what = "all of it but buoyancy" if carried else "all of it, since it has a surface"
@@ -101,12 +99,9 @@ def import_model(path: Path, output: Path, motor_gain: float | None, overwrite: 
     if motor_gain is not None and motor_gain > LARGEST:
         raise UsageError(f"--motor-gain: must be at most {LARGEST:g}, got {motor_gain:g}")
     require_free(output, overwrite)
+    require_place(output)
     creature, left_out = read_mjcf(path, motor_gain)
-    _write(output, dump_creature(creature))
+    write_text(output, dump_creature(creature))
     if left_out:
         print(f"left out: {', '.join(left_out)}", file=sys.stderr)
     print(output)
-
-
-def _write(output: Path, text: str) -> None:
-    write_text(output, text)

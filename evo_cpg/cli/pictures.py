@@ -65,6 +65,9 @@ def preview_config(
     pixels = pixels_of(size)
     config = read_config(path, overrides, strict)
     creature = build_creature(config, path)
+    from evo_cpg.view.preview import preview, preview_path
+
+    place = preview_path(output or f"{creature.name}.png", pixels)
     pose, ground = None, config.world.ground is not None
     if config.simulation.start_pose == "settled" or _has_shape(config.world.ground):
         # As it starts, among what stands around.
@@ -74,10 +77,7 @@ def preview_config(
             pose = starting_pose(simulation.situations[0], simulation.world.tree, names)
         footing = simulation.world.footing
         ground = footing.ground if footing is not None else False
-    place = output or Path(f"{creature.name}.png")
     with working("drawing"):
-        from evo_cpg.view.preview import preview
-
         made = preview(creature, place, pixels, ground=ground, pose=pose)
     print(made)
 
@@ -98,7 +98,7 @@ def pixels_of(size: str) -> tuple[int, int]:
     Raises:
         UsageError: it is no size.
     """
-    match = re.fullmatch(r"(\d{2,5})x(\d{2,5})", size)
+    match = re.fullmatch(r"(\d{1,9})x(\d{1,9})", size)
     if not match:
         raise UsageError(f"--size: {size!r} is not WIDTHxHEIGHT, such as 1280x720")
     return int(match[1]), int(match[2])

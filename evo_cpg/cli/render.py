@@ -19,6 +19,7 @@ from evo_cpg.cli.training import (
     open_champion,
     require_trial,
 )
+from evo_cpg.files import make_folder
 from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.devices import available_cores
 from evo_cpg.training.experiment import Experiment
@@ -85,11 +86,30 @@ def render_run(
         )
     if len(beside) >= _MOST:
         raise UsageError(f"--beside: {len(beside) + 1} runs are too many; {_MOST} have room")
+    wanted = None if lineage is None else _generations(lineage)
+    from evo_cpg.view.film import film_path, side_by_side
+
+    name = "champion" if cell is None else f"cell_{cell.replace(',', '_')}"
+    name = name if lineage is None else "lineage"
+    name += "" if number is None else f"_run{number}"
+    name += of_trial(trial) + ("_beside_others" if beside else "")
+    name += ("" if film.camera == "follow" else f"_{film.camera}") + "_signals" * film.signals
+    name += ".mp4" if moments is None else "_sheet.png"
+    settings = {
+        "size": pixels,
+        "fps": film.fps,
+        "seconds": film.seconds,
+        "speed": film.speed,
+        "camera": film.camera,
+        "sheet": moments,
+    }
+    RunFolder(run).require()
+    # The folder of films is made where there is one to put there.
+    film_path(film.output or run / name, **settings, signals=film.signals)
     if lineage is not None:
-        wanted = _generations(lineage)
-        panels, folder = _lineage(run, wanted, number, trial, film.signals)
+        panels = _lineage(run, wanted, number, trial, film.signals)
     else:
-        panels, folder = [], RunFolder(run)
+        panels = []
         for place in (run, *beside):
             which = number if place == run else None
             panels.append(_panel(place, which, trial, cell, film.signals))
@@ -97,26 +117,12 @@ def render_run(
         panels = [
             shown._replace(title=title) for shown, title in zip(panels, film.titles, strict=True)
         ]
-    from evo_cpg.view.film import side_by_side
-
-    name = "champion" if cell is None else f"cell_{cell.replace(',', '_')}"
-    name = name if lineage is None else "lineage"
-    name += "" if number is None else f"_run{number}"
-    name += of_trial(trial) + ("_beside_others" if beside else "")
-    name += ("" if film.camera == "follow" else f"_{film.camera}") + "_signals" * film.signals
-    path = film.output or folder.path / "videos" / (
-        f"{name}{'.mp4' if moments is None else '_sheet.png'}"
-    )
+    path = film.output or make_folder(run / "videos") / name
     with working("rendering", counted=True) as work:
         made = side_by_side(
             panels,
             path,
-            size=pixels,
-            fps=film.fps,
-            seconds=film.seconds,
-            speed=film.speed,
-            camera=film.camera,
-            sheet=moments,
+            **settings,
             processes=film.cores or available_cores(),
             progress=work.reached,
         )
@@ -145,7 +151,7 @@ def _panel(run: Path, number: int | None, trial: int, cell: str | None, signals:
 
 def _lineage(
     run: Path, wanted: list[int] | None, number: int | None, trial: int, signals: bool
-) -> "tuple[list[Panel], RunFolder]":
+) -> "list[Panel]":
     """Those who were champion on the way, each with its generation and fitness."""
     from evo_cpg.view.panel import panel_of
 
@@ -171,7 +177,7 @@ def _lineage(
             title = f"champion: fitness {one.expected:.3g} in fresh draws"
         shown = _signals(experiment, life) if signals else None
         panels.append(panel_of(experiment, life.recording, title, shown))
-    return panels, folder
+    return panels
 
 
 def _chosen(folder: RunFolder, champion: Champion, wanted: list[int] | None) -> list[Champion]:

@@ -1,5 +1,6 @@
 """Films and stills of recordings, rendered off screen."""
 
+import math
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -10,12 +11,58 @@ from evo_cpg.view.frames import Frames, Plan
 from evo_cpg.view.output import (
     FILM_SUFFIXES,
     SettingError,
+    check_size,
     frame_writer,
     is_numbered,
     numbered_path,
     output_path,
 )
 from evo_cpg.view.panel import Panel, check_panel
+from evo_cpg.view.signals import SMALLEST
+
+
+def film_path(
+    path: str | os.PathLike[str],
+    size: tuple[int, int],
+    fps: float = 30.0,
+    seconds: float | None = None,
+    speed: float = 1.0,
+    camera: str = "follow",
+    sheet: tuple[int, int] | None = None,
+    signals: bool = False,
+) -> Path:
+    """Check how a film is to be made, before there is anything to show.
+
+    Args:
+        path: see `side_by_side`.
+        size: likewise.
+        fps: likewise.
+        seconds: likewise.
+        speed: likewise.
+        camera: likewise.
+        sheet: likewise.
+        signals: whether an animal's are shown under it.
+
+    Raises:
+        OutputError: nothing can be written there, or not this kind of file.
+        SettingError: a setting out of range.
+        ValueError: a camera that there is not.
+    """
+    path = Path(path)
+    if sheet is None and is_numbered(path):
+        path = numbered_path(path)
+    else:
+        path = output_path(path, FILM_SUFFIXES if sheet is None else (".png",))
+    check_size(size)
+    if signals:
+        check_size(size, SMALLEST, " with signals")
+    for name, value in (("fps", fps), ("speed", speed)):
+        if not 0 < value < math.inf:
+            raise SettingError(f"{name} is {value:g}; it must be positive and finite")
+    if seconds is not None and not seconds >= 0:
+        raise SettingError(f"seconds is {seconds:g}; it must be a number that is not negative")
+    aspect_of(camera)
+    return path
 
 
 def side_by_side(
@@ -65,18 +112,12 @@ def side_by_side(
         SettingError: a setting out of range.
         ValueError: a world or a camera that there is not.
     """
-    path = Path(path)
+    strips = any(panel.signals is not None for panel in panels)
+    path = film_path(path, size, fps, seconds, speed, camera, sheet, strips)
     numbered = sheet is None and is_numbered(path)
-    if numbered:
-        path = numbered_path(path)
-    else:
-        path = output_path(path, FILM_SUFFIXES if sheet is None else (".png",))
     still = path.suffix.lower() == ".png" and sheet is None and not numbered
     for panel in panels:
-        check_panel(panel, size, fps, speed)
-    aspect_of(camera)
-    if seconds is not None and not seconds >= 0:
-        raise SettingError(f"seconds is {seconds:g}; it must be a number that is not negative")
+        check_panel(panel)
     plan = Plan(tuple(panels), size, fps, seconds, speed, camera, still, sheet, columns)
     frames = Frames(plan)
     if still or sheet is not None:

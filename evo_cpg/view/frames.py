@@ -14,7 +14,7 @@ from evo_cpg.view.clip import Clip, sample
 from evo_cpg.view.heading import heading
 from evo_cpg.view.look import LOOKS, SHORE
 from evo_cpg.view.offscreen import canvas, pixels
-from evo_cpg.view.output import GUTTER, SettingError
+from evo_cpg.view.output import GUTTER, SettingError, oversampling
 from evo_cpg.view.panel import Panel
 from evo_cpg.view.signals import LOWEST, SHARE, Strip
 from evo_cpg.view.stage import Stage, set_scene, surface_is_seen
@@ -80,7 +80,8 @@ class Frames:
         self._instants = [_instants(clip, plan.seconds, plan.still, sheet) for clip in self._clips]
         self.count = max(map(len, self._instants))
         still = plan.still or sheet is not None
-        self._scale = scale = _STILL_OVERSAMPLING if still else _FILM_OVERSAMPLING
+        wanted = _STILL_OVERSAMPLING if still else _FILM_OVERSAMPLING
+        self._scale = scale = oversampling(plan.size, wanted)
         self._one = width, height = plan.size[0] // 2 * 2, plan.size[1] // 2 * 2
         # Of several animals a sheet has a column for each moment, with a heading.
         self._grouped = sheet is not None and len(plan.panels) > 1

@@ -13,7 +13,7 @@ import imageio_ffmpeg
 import numpy as np
 
 from evo_cpg.errors import UserError
-from evo_cpg.files import OutputError, in_one_piece
+from evo_cpg.files import OutputError, in_one_piece, require_place
 
 # A palette per frame: one for the whole film would make ffmpeg hold all of it in memory.
 _GIF_PALETTE = "split[a][b];[a]palettegen=stats_mode=single[p];[b][p]paletteuse=new=1:dither=bayer"
@@ -52,10 +52,39 @@ FILM_SUFFIXES = tuple(_ENCODERS)
 PLOT_SUFFIXES = (".png", ".svg", ".pdf")
 # Between the pictures of a sheet and animals side by side, pixels.
 GUTTER = 4
+# Sides of a picture, and of what is drawn of it (software renderers go no further), pixels; and how
+# many of these in all, for which VTK takes some 3 GB of memory.
+SMALLEST_SIDE, LARGEST_SIDE, _LARGEST_DRAWN, _MOST_DRAWN = 16, 8192, 16384, 2**26
 
 
 class SettingError(UserError, ValueError):
     """A picture or film cannot be made of this size, this fast, or of so many moments."""
+
+
+def check_size(
+    size: tuple[int, int], smallest: tuple[int, int] = (SMALLEST_SIDE, SMALLEST_SIDE), of: str = ""
+) -> None:
+    """Check that a picture of this width and height (pixels) can be drawn.
+
+    Raises:
+        SettingError: it is smaller than ``smallest``, which is that ``of`` something, or too large.
+    """
+    width, height = size
+    if width < smallest[0] or height < smallest[1]:
+        raise SettingError(
+            f"size is {width} x {height} pixels; the smallest{of} is {smallest[0]} x {smallest[1]}"
+        )
+    if max(size) > LARGEST_SIDE:
+        raise SettingError(
+            f"size is {width} x {height} pixels; the largest is {LARGEST_SIDE} x {LARGEST_SIDE}"
+        )
+
+
+def oversampling(size: tuple[int, int], wanted: float) -> float:
+    """Pixels drawn per pixel of a picture, a side: as wanted, or as many as can be drawn."""
+    width, height = size
+    most = min(_LARGEST_DRAWN / max(size), (_MOST_DRAWN / (width * height)) ** 0.5)
+    return min(wanted, most)
 
 
 def output_path(path: str | os.PathLike[str], suffixes: Sequence[str]) -> Path:
@@ -72,14 +101,9 @@ def output_path(path: str | os.PathLike[str], suffixes: Sequence[str]) -> Path:
     path = Path(path)
     if path.suffix.lower() not in suffixes:
         named = f"ends in {path.suffix!r}" if path.suffix else "has no suffix"
-        raise OutputError(f"cannot write {path}: the name {named}; use {' or '.join(suffixes)}")
-    if not path.parent.is_dir():
-        raise OutputError(f"cannot write {path}: there is no folder {path.parent}; create it first")
-    if path.is_dir():
-        raise OutputError(f"cannot write {path}: it is a folder; give the name of a file")
-    if not os.access(path.parent, os.W_OK) or (path.exists() and not os.access(path, os.W_OK)):
-        raise OutputError(f"cannot write {path}: no permission to write there")
-    return path
+        known = " or ".join(filter(None, (", ".join(suffixes[:-1]), suffixes[-1])))
+        raise OutputError(f"cannot write {path}: the name {named}; use {known}")
+    return require_place(path)
 
 
 def is_numbered(path: Path) -> bool:

@@ -9,8 +9,7 @@ from evo_cpg.physics.footing import Ground
 from evo_cpg.simulation.recording import Recording, require_whole
 from evo_cpg.training.experiment import Experiment
 from evo_cpg.view.look import LOOKS
-from evo_cpg.view.output import SettingError
-from evo_cpg.view.signals import SMALLEST, Signals
+from evo_cpg.view.signals import Signals
 
 
 class Panel(NamedTuple):
@@ -58,18 +57,11 @@ def panel_of(
     )
 
 
-def check_panel(panel: Panel, size: tuple[int, int], fps: float, speed: float) -> None:
+def check_panel(panel: Panel) -> None:
     """Check that an animal can be filmed.
-
-    Args:
-        panel: the animal.
-        size: of its picture, pixels.
-        fps: frames per second of the film.
-        speed: recorded seconds per second of film.
 
     Raises:
         RecordingError: a recording that does not fit its creature, is empty or not finite.
-        SettingError: a setting out of range.
         ValueError: a world that there is not.
     """
     creature, recording, world = panel.creature, panel.recording, panel.world
@@ -79,14 +71,4 @@ def check_panel(panel: Panel, size: tuple[int, int], fps: float, speed: float) -
         )
     if world not in LOOKS:
         raise ValueError(f"world is {world!r}; choose {' or '.join(LOOKS)}")
-    if min(size) < 16:
-        raise SettingError(f"size is {size[0]} x {size[1]} pixels; the smallest is 16 x 16")
-    if panel.signals is not None and (size[0] < SMALLEST[0] or size[1] < SMALLEST[1]):
-        raise SettingError(
-            f"size is {size[0]} x {size[1]} pixels; the smallest with signals is "
-            f"{SMALLEST[0]} x {SMALLEST[1]}"
-        )
-    for name, value in (("fps", fps), ("speed", speed)):
-        if not 0 < value < np.inf:
-            raise SettingError(f"{name} is {value:g}; it must be positive and finite")
     require_whole(recording, creature)

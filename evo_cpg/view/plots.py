@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import ConnectionPatch
 from matplotlib.ticker import MaxNLocator
 
-from evo_cpg.analysis.gait import bending_axis
+from evo_cpg.analysis.gait import bending_axis, level
 from evo_cpg.files import in_one_piece
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.view.legible import legible
@@ -345,11 +345,11 @@ def _crests(
 ) -> tuple[float, np.ndarray, list[np.ndarray]] | None:
     """Common frequency (Hz), lag of each joint behind its neighbour (rad), and crest times (s).
 
-    Returns None where there is no oscillation of at least one whole beat.
+    Returns None where there is no oscillation: what has fewer than two periods is drift.
     """
-    swing = angle - angle.mean(0)
+    swing = level(angle)
     span = time[-1] - time[0]
-    trial = np.linspace(1 / span, min(0.5 * (len(time) - 1) / span, 10.0), 2000)
+    trial = np.linspace(2 / span, min(0.5 * (len(time) - 1) / span, 10.0), 2000)
     window = np.hanning(len(time))[:, None]
     spectrum = np.exp(-2j * np.pi * np.outer(trial, time)) @ (window * swing)
     total = np.square(np.abs(spectrum)).sum(1)

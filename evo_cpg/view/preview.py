@@ -13,7 +13,7 @@ from evo_cpg.view.ground import grid_spacing
 from evo_cpg.view.legible import legible, write_legibly
 from evo_cpg.view.meshes import add_bodies, shape_mesh
 from evo_cpg.view.offscreen import canvas, pixels
-from evo_cpg.view.output import SettingError, frame_writer, output_path
+from evo_cpg.view.output import check_size, frame_writer, output_path, oversampling
 from evo_cpg.view.preview_ground import add_preview_ground, obstacles_near
 
 _BACKGROUND = "#f4f6f8"
@@ -23,6 +23,7 @@ _AXES = {"x": "#D55E00", "y": "#009E73", "z": "#0072B2"}
 _OTHER_AXIS = "#6b7280"
 _SIGHT = "#E69F00"
 _PRESSURE = "#CC79A7"
+_DEPTH = "#56B4E9"
 # The camera looks along this direction, onto the animal's left front.
 _VIEW = np.array([-0.55, -0.95, -0.62])
 # Share of the picture that the animal fills.
@@ -34,6 +35,20 @@ _MOST_NAMES = 24
 # Size of a name, and width of a letter, of one in the wider font, and height relative to that.
 _NAME, _LETTER, _WIDE, _LINE = 14, 0.56, 0.7, 1.35
 _OVERSAMPLING = 2
+# The smallest picture with room for what is written, and the one for which its sizes are meant.
+_SMALLEST, _SCREEN = (320, 180), (1280, 720)
+
+
+def preview_path(path: str | os.PathLike[str], size: tuple[int, int]) -> Path:
+    """Check that a preview of this size (pixels) can be drawn and written here.
+
+    Raises:
+        OutputError: nothing can be written there, or not this kind of file.
+        SettingError: the size is too small, or too large.
+    """
+    path = output_path(path, (".png",))
+    check_size(size, _SMALLEST, " preview")
+    return path
 
 
 def preview(
@@ -61,11 +76,9 @@ def preview(
     Raises:
         OutputError: nothing can be written there, or not this kind of file.
         CreatureError: the bodies do not form one tree.
-        SettingError: the size is below 16 pixels.
+        SettingError: the size is too small, or too large.
     """
-    path = output_path(path, (".png",))
-    if min(size) < 16:
-        raise SettingError(f"size is {size[0]} x {size[1]} pixels; the smallest is 16 x 16")
+    path = preview_path(path, size)
     centres, rotations = neutral_pose(creature) if pose is None else pose
     half_extents = np.array([body.shape.half_extents for body in creature.bodies])
     hull = np.concatenate(
@@ -78,7 +91,9 @@ def preview(
     stones, far = obstacles_near(world, hull)
     shown = np.concatenate([hull, stones])
     scale = np.median(half_extents.min(1))
-    rendered = (size[0] * _OVERSAMPLING, size[1] * _OVERSAMPLING)
+    scale_up = oversampling(size, _OVERSAMPLING)
+    unit = scale_up * max(min(size[0] / _SCREEN[0], size[1] / _SCREEN[1]), 0.5)
+    rendered = (round(size[0] * scale_up), round(size[1] * scale_up))
     with canvas(rendered) as plotter:
         plotter.background_color = pv.Color(_BACKGROUND)
         for place, intensity in (((0.3, 0.6, 1.6), 0.75), ((1.2, 0.9, 0.2), 0.4)):
@@ -101,10 +116,10 @@ def preview(
             plotter.renderer.RemoveViewProp(bodies[i][0])
             plotter.renderer.AddViewProp(bodies[i][0])
         legend = _add_joints(plotter, creature, centres, rotations, scale)
-        legend |= _add_sensors(plotter, creature, centres, rotations, scale)
+        legend |= _add_sensors(plotter, creature, centres, rotations, scale, bool(ground))
         view = _frame(plotter, shown, size)
         notes = [f"{far} obstacle{'s' if far > 1 else ''} farther away"] if far else []
-        _add_texts(plotter, creature, centres, view, legend, notes)
+        _add_texts(plotter, creature, centres, view, legend, notes, unit)
         plotter.show(auto_close=False, interactive=False)
         with frame_writer(path, size, rendered, 1) as write:
             write(pixels(plotter))
@@ -155,15 +170,22 @@ def _add_sensors(
     centres: np.ndarray,
     rotations: np.ndarray,
     scale: float,
+    on_ground: bool,
 ) -> dict[str, str]:
-    """Lines of sight, and dots on the bodies that feel; returns what the colours mean."""
+    """Lines of sight, gauges, and dots on the bodies that feel; returns what the colours mean."""
     meaning = {}
     for sensor in creature.light_sensors:
         i = creature.body_index(sensor.body)
         eye = centres[i] + rotations[i] @ np.array(sensor.position)
         _add_arrow(plotter, eye, rotations[i] @ np.array(sensor.axis), 3.2 * scale, _SIGHT)
         meaning["line of sight"] = _SIGHT
-    for name in creature.pressure_sensors:
+    for gauge in creature.depth_sensors:
+        i = creature.body_index(gauge.body)
+        place = centres[i] + rotations[i] @ np.array(gauge.position)
+        ball = pv.Sphere(radius=0.3 * scale, center=place)
+        plotter.add_mesh(ball, color=_DEPTH, lighting=False)
+        meaning["depth gauge"] = _DEPTH
+    for name in creature.pressure_sensors if on_ground else ():
         i = creature.body_index(name)
         shape = creature.bodies[i].shape
         for axis in (1, 2):
@@ -219,10 +241,20 @@ def _add_texts(
     view: _View,
     legend: dict[str, str],
     notes: list[str],
+    unit: float,
 ) -> None:
-    """Names, title, legend, scale bar and what else is to be said."""
+    """Names, title, legend, scale bar and what else is to be said.
+
+    Args:
+        plotter: of the picture.
+        creature: that is drawn.
+        centres: of its bodies, m.
+        view: where the camera is.
+        legend: what the colours mean.
+        notes: about what is not in the picture.
+        unit: pixels drawn for each of a letter's size.
+    """
     width, height = plotter.window_size
-    unit = _OVERSAMPLING * max(min(height / _OVERSAMPLING / 720, 1.5), 0.6)
 
     def write(
         text: str,

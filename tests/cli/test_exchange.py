@@ -96,7 +96,10 @@ def test_a_file_is_replaced_only_when_told(cli, tmp_path, command):
     assert "hexapod" in used.read_text()
     code, out, err = cli(command, source, tmp_path / "no" / name)
     assert (code, out) == (2, "")
-    assert err.startswith(f"evo-cpg: cannot write {tmp_path / 'no' / name} (No such file")
+    assert err == (
+        f"evo-cpg: cannot write {tmp_path / 'no' / name}: there is no folder {tmp_path / 'no'}; "
+        "create it first\n"
+    )
 
 
 @pytest.mark.parametrize("command", ["export", "import"])
@@ -180,8 +183,18 @@ def test_an_exported_table_is_a_measured_motion(exported):
 @pytest.mark.parametrize(
     ("source", "name", "options", "words"),
     [
-        (WALKER, "a.obj", (), "cannot write {out}: the name ends in '.obj'; use .xml, .glb, "),
-        (WALKER, "a", (), "cannot write {out}: the name has no suffix; use .xml, .glb, "),
+        (
+            WALKER,
+            "a.obj",
+            (),
+            "cannot write {out}: the name ends in '.obj'; use .xml, .glb, .csv or .npz",
+        ),
+        (
+            WALKER,
+            "a",
+            (),
+            "cannot write {out}: the name has no suffix; use .xml, .glb, .csv or .npz",
+        ),
         (WALKER, "a.glb", (), f"{WALKER} is no run folder: only a run has a motion for a.glb"),
         (WALKER, "a.xml", ("--trial", 1), "{out}: has no motion; leave out --run, --trial, --cell"),
     ],

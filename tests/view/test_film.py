@@ -456,7 +456,7 @@ def test_the_floor_moves_with_the_world_not_with_the_camera(creature, recording,
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("swim.avi", r"ends in '\.avi'; use \.mp4 or \.webp or \.gif or \.png"),
+        ("swim.avi", r"ends in '\.avi'; use \.mp4, \.webp, \.gif or \.png"),
         ("swim", "has no suffix"),
         ("nowhere/swim.mp4", "there is no folder .*nowhere"),
         ("folder.mp4", "it is a folder"),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import synthetic
 
-from evo_cpg.creature.creature import LightSensor, neutral_pose
+from evo_cpg.creature.creature import DepthSensor, LightSensor, neutral_pose
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
 from evo_cpg.files import OutputError
 from evo_cpg.physics.footing import Ground
@@ -14,6 +14,7 @@ from evo_cpg.physics.terrain import Block, Boulder, Plane
 from evo_cpg.view import plots
 from evo_cpg.view.ground import grid_spacing
 from evo_cpg.view.meshes import eye_meshes, head_index, shape_mesh
+from evo_cpg.view.output import SettingError, oversampling
 from evo_cpg.view.plots import (
     _crests,
     fitness_figure,
@@ -131,8 +132,39 @@ def test_a_preview_shows_what_stands_around(tmp_path, floor):
 def test_a_preview_has_limits(tmp_path):
     with pytest.raises(OutputError, match=r"use \.png"):
         preview(synthetic.swimmer(), tmp_path / "body.mp4")
-    with pytest.raises(ValueError, match="4 x 4 pixels"):
-        preview(synthetic.swimmer(), tmp_path / "body.png", size=(4, 4))
+    for size, words in (((4, 4), "4 x 4 pixels; .* 320 x 180"), ((8193, 200), "8192 x 8192")):
+        with pytest.raises(SettingError, match=words):
+            preview(synthetic.swimmer(), tmp_path / "body.png", size=size)
+
+
+def test_a_preview_has_no_dots_that_feel_where_there_is_no_ground(tmp_path):
+    """They are pink; a gauge of depth is blue, and shown where it is."""
+    creature = dataclasses.replace(
+        synthetic.swimmer(),
+        pressure_sensors=("b0", "b1", "b2"),
+        depth_sensors=(DepthSensor("b0", (0.0, 0.0, 0.0), 1.0),),
+    )
+
+    def counts(creature, **where):
+        image = synthetic.read(preview(creature, tmp_path / "x.png", (480, 270), **where))
+        return [
+            int((np.abs(image.astype(int) - color).max(-1) < 12).sum())
+            for color in ((0xCC, 0x79, 0xA7), (0x56, 0xB4, 0xE9))
+        ]
+
+    pink, blue = counts(creature)
+    assert pink == 0 < blue
+    assert counts(creature, ground=True)[0] > 20
+    assert counts(dataclasses.replace(creature, depth_sensors=()))[1] < blue
+
+
+@pytest.mark.parametrize("size", [(16, 16), (8192, 16), (8192, 8192), (7680, 4320), (1280, 720)])
+def test_no_more_is_drawn_than_can_be(size):
+    for wanted in (1.25, 2.0, 3.0):
+        factor = oversampling(size, wanted)
+        assert 1 <= factor <= wanted
+        assert factor * max(size) <= 16384 and factor**2 * size[0] * size[1] <= 2**26 + 1
+    assert oversampling((1280, 720), 3.0) == 3.0
 
 
 def test_the_crests_give_frequency_and_lag(recording):
@@ -149,6 +181,20 @@ def test_the_crests_give_frequency_and_lag(recording):
 
 def test_a_still_animal_has_no_crests():
     assert _crests(np.linspace(0, 5, 100), np.zeros((100, 3))) is None
+
+
+@pytest.mark.parametrize("drift", [np.square, np.sqrt, np.exp, lambda t: np.sin(1.5 * t)])
+def test_a_drift_has_no_crests(drift):
+    time = np.linspace(0, 3, 181)
+    assert _crests(time, drift(time)[:, None] * [1.0, 0.5]) is None
+
+
+def test_crests_are_found_on_a_drift():
+    time = np.linspace(0, 3, 181)
+    angle = 2 * time[:, None] + np.sin(2 * np.pi * 1.4 * time[:, None] - [0.0, 0.6])
+    frequency, lag, _ = _crests(time, angle)
+    assert frequency == pytest.approx(1.4, rel=0.02)
+    assert lag == pytest.approx(0.6, abs=0.05)
 
 
 @pytest.mark.parametrize("axis", [None, "x"])
