@@ -20,6 +20,7 @@ from evo_cpg.config.trust import beside, trusting
 from evo_cpg.config.yaml_text import parse_yaml, to_yaml
 
 # What pydantic calls an unknown key, in models and in dataclasses.
+_LENGTH = ("too_short", "too_long")
 _UNKNOWN_KEY = ("extra_forbidden", "unexpected_keyword_argument")
 
 
@@ -274,6 +275,11 @@ def _worded(
         allowed = allowed.replace("'custom'", "or module:Class for your own")
         found = given.get("type") if isinstance(given, dict) else given
         return ConfigError(source, (*key, "type"), f"{found!r} is not known; allowed: {allowed}")
+    if kind in _LENGTH:
+        least, most = (problem["ctx"].get(name) for name in ("min_length", "max_length"))
+        words = f"at least {least}" if kind == "too_short" else f"at most {most}"
+        count = problem["ctx"]["actual_length"]
+        return ConfigError(source, key, f"{_short(given)}: must have {words}, has {count}")
     more = f" ({len(problems)} problems in all)" if len(problems) > 1 else ""
     return ConfigError(source, key, f"{_short(given)}: {_lower(message)}{more}")
 

@@ -147,6 +147,7 @@ def test_a_wrong_config_is_refused_by_every_command(refused, tmp_path, command):
             ": evolution: elites: must be fewer than the population of 200",
         ),
         ("creature.bodies.0.shape.size=[0.1, 0.2]", "size: [0.1, 0.2]: 3 values are needed"),
+        ("simulation.start=[0, 0, -3]", "start: [0, 0, -3]: must have at most 2, has 3"),
         ("creature.bodies.0.name=''", "bodies.0.name: '': must not be empty"),
         ('creature.bodies.0.name="a\\nb"', r"bodies.0.name: 'a\nb': must be on one line"),
         ('creature.bodies.0.name="a\\e[1m"', r"bodies.0.name: 'a\x1b[1m': must be on one line"),

@@ -159,7 +159,7 @@ def test_an_unknown_key_is_answered_with_the_nearest_valid_one(key, value, expec
         ("creature__materials__flesh__density", float("nan"), "nan: input should be a finite"),
         ("creature__materials__flesh__density", float("inf"), "inf: input should be a finite"),
         ("creature__materials__flesh__restitution", float("nan"), "nan: "),
-        ("creature__bodies", [], "[]: list should have at least 1 item"),
+        ("creature__bodies", [], "[]: must have at least 1, has 0"),
         ("creature__bodies__0__shape__size", [0.2, 0, 0.1], "0: input should be greater than 0"),
         ("creature__bodies__0__shape__type", "cube", "'cube' is not known; allowed: 'box'"),
         ("creature__bodies__0__color", "red", "'red': string should match"),
@@ -167,7 +167,7 @@ def test_an_unknown_key_is_answered_with_the_nearest_valid_one(key, value, expec
         ("creature__bodies__1__repeat", 3, "name: a repeated body needs {i} in its name"),
         ("creature__bodies__0__repeat", 3, "name: a repeated body needs {i} in its name"),
         ("creature__light_sensors__0__axis", [0, 0, 0], "axis: must not be the zero vector"),
-        ("creature__bodies__1__joint__axes", [], "[]: list should have at least 1 item"),
+        ("creature__bodies__1__joint__axes", [], "[]: must have at least 1, has 0"),
         ("creature__bodies__1__joint__axes", ["z", "z"], "axes: they must be independent"),
         ("creature__bodies__1__joint__axes", [[0, 0, 0]], "axes: they must be independent"),
         (

@@ -163,7 +163,7 @@ STONE = "world.ground.obstacles=[{type: block, centre: [4, 0, 0], size: [2, 2, 2
             ["simulation.start_pose=settled", "world.water.surface=0", "world.water.density=900"],
             "simulation.start_pose: 'settled': no rest from the start at (0, 0), it sinks",
         ),
-        (["simulation.trials=[]"], "simulation.trials: []: list should have at least 1 item"),
+        (["simulation.trials=[]"], "simulation.trials: []: must have at least 1, has 0"),
         (["simulation.trials={}"], "simulation.trials: must be a number, or a list of situations"),
         (["simulation.trials=[3]"], "simulation.trials.0: 3: input should be a valid dictionary"),
         (
