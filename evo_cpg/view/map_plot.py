@@ -57,7 +57,10 @@ def plot_map(
     axes, shown = _at_most_three(axes, fitness)
     finite = shown[np.isfinite(shown)]
     low, high = (finite.min(), finite.max()) if finite.size else (0.0, 1.0)
-    scale = Normalize(low, high if high > low else low + 1.0)
+    # One elite, or several alike, in the middle of a bar that says what they have.
+    least = 1e-3 * max(abs(low), abs(high), 1e-6)
+    middle, half = (low + high) / 2, max((high - low) / 2, least)
+    scale = Normalize(middle - half, middle + half)
     figure = _bars(axes[0], shown, scale) if len(axes) == 1 else _panels(axes, shown, scale)
     figure.suptitle(head, color=_INK, fontsize=11)
     with in_one_piece(path) as partial:

@@ -298,7 +298,7 @@ def path_figure(recording: Recording) -> Figure:
     later.plot(recording.time, recording.distance, color=_BLUE, lw=2)
     later.set_xlabel("time (s)")
     later.set_ylabel("distance to the light (m)" if lit else "way made (m)")
-    later.set_ylim(bottom=0)
+    later.set_ylim(0, 1.08 * np.nanmax(recording.distance, initial=1e-3))
     later.set_xlim(recording.time[0], recording.time[-1])
     return _finished(figure)
 
