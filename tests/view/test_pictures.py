@@ -276,7 +276,7 @@ def test_joint_signals_have_limits(recording, tmp_path):
         plot_joint_signals(recording, path, window=(50, 60))
     with pytest.raises(ValueError, match="no joints"):
         plot_joint_signals(synthetic.standing(synthetic.swimmer()), path)
-    with pytest.raises(OutputError, match=r"use \.png or \.svg or \.pdf"):
+    with pytest.raises(OutputError, match=r"use \.png, \.svg or \.pdf"):
         plot_joint_signals(recording, tmp_path / "joints.txt")
 
 
