@@ -42,6 +42,30 @@ class Mutant(NamedTuple):
 
 MUTANTS = (
     Mutant(
+        "fusion/converge.py",
+        "jax.jvp(lambda traced: replay(traced, notes), primals[:1], tangents[:1])[1]",
+        "jax.tree.map(jnp.zeros_like, found)",
+        "fusion/test_loops.py physics/test_gradients.py",
+    ),
+    Mutant(
+        "fusion/converge.py",
+        "isinstance(leaf, internals.Tracer) and jnp.issubdtype(leaf.dtype, jnp.inexact)",
+        "isinstance(leaf, internals.Tracer) and leaf.ndim > 0",
+        "fusion/test_loops.py physics/test_gradients.py",
+    ),
+    Mutant(
+        "spatial/numerics.py",
+        "args, options = jax.tree.map(_whole, (args, options))",
+        "options = dict(options)",
+        "simulation/test_batched.py",
+    ),
+    Mutant(
+        "view/plots.py",
+        "swing = level(angle)",
+        "swing = angle - angle.mean(0)",
+        "view/test_pictures.py",
+    ),
+    Mutant(
         "physics/fluid.py",
         "wrench = -product(patch.normal.T",
         "wrench = product(patch.normal.T",

@@ -191,7 +191,7 @@ def test_a_drift_has_no_crests(drift):
 
 def test_crests_are_found_on_a_drift():
     time = np.linspace(0, 3, 181)
-    angle = 2 * time[:, None] + np.sin(2 * np.pi * 1.4 * time[:, None] - [0.0, 0.6])
+    angle = 30 * time[:, None] + np.sin(2 * np.pi * 1.4 * time[:, None] - [0.0, 0.6])
     frequency, lag, _ = _crests(time, angle)
     assert frequency == pytest.approx(1.4, rel=0.02)
     assert lag == pytest.approx(0.6, abs=0.05)
