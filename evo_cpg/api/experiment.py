@@ -199,8 +199,9 @@ class Experiment:
         Args:
             key: of the noise in the trials, if there is any: a number, or a key of JAX.
             horizon: let slopes fade to 1/e within so many seconds, which helps where the motion is
-                chaotic (see docs/models/gradients.md); None for exact slopes in water. On the
-                ground slopes are cut as well.
+                chaotic (see docs/models/gradients.md), and on the ground are cut as well. None for
+                slopes that do not fade: exact in water, cut on the ground. `math.inf` for exact
+                slopes on the ground, too.
             numbers: keys of numbers of the configuration, such as sizes and densities, whose values
                 the function takes as its second argument: building the animal is then a part of it,
                 and as differentiable.

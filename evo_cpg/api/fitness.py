@@ -1,6 +1,7 @@
 """Fitness as a function: of the terms of a task, and of one genome, for JAX's transformations."""
 
 import dataclasses
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -32,16 +33,17 @@ def fitness_function(
         parts: of the experiment.
         scales: the task's yardsticks.
         keys: of the noise in its trials.
-        horizon: in which slopes fade, s; None for exact ones.
+        horizon: in which slopes fade, s; None for slopes that are exact in water and cut on the
+            ground, infinity for exact ones.
         parameters: numbers of the configuration that the function takes as well.
         task: instead of the configuration's.
     """
     simulation, count = parts.simulation, parts.simulation.controller.gene_count
     situations: Any = situation_numbers(parts)
-    kept = None
-    if horizon is not None:
+    kept, exact = None, horizon == math.inf
+    if horizon is not None and not exact:
         kept = float(retention(np.array([horizon]), simulation.control_rate)[0])
-    backward = Backward(kept, rough=simulation.world.footing is not None)
+    backward = Backward(kept, rough=simulation.world.footing is not None and not exact)
 
     def fitness(genome: ArrayLike, values: ArrayLike | None = None) -> Float[Array, ""]:
         genome = jnp.asarray(genome)

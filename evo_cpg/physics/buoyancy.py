@@ -35,6 +35,7 @@ energy by it. E depends on how height is distributed over the cell (`Cell.profil
 """
 
 import itertools
+import math
 import typing
 from typing import NamedTuple
 
@@ -211,7 +212,7 @@ def _box(half_axes: Array, up: Array, depth: Array) -> tuple[Array, Array]:
     for corner in itertools.product((1.0, -1.0), repeat=3):
         signs = expand_dims_like(np.array(corner), reach)
         below = jnp.maximum(depth + dot(signs, reach), 0.0)
-        cube = np.prod(corner) * below * below * below
+        cube = math.prod(corner) * below * below * below
         share, energy, slope = share + cube, energy + cube * below, slope + signs * cube[None]
     share, energy = scale * share, 0.25 * scale * energy
     # dE/dw_i over w_i; every w_j depends on every u_i.

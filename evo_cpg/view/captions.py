@@ -14,6 +14,8 @@ _COLUMNS = (0, 140, 290)
 _SMALL = 200
 # About as wide are a value and letters of the title and of the note; what has no room is left out.
 _VALUE, _TITLE_LETTER, _NOTE_LETTER = 105, 13.5, 9.0
+# A title shrinks to this share of its size, and ends so where it is cut.
+_LEAST_SHARE, _CUT = 0.55, "..."
 
 
 def add_captions(
@@ -32,7 +34,7 @@ def add_captions(
         look: of the world.
         title: bottom right; the upper part of the picture is left to the light. Where a picture is
             too narrow for it and the values, the last of these are left out; a small one has but
-            title and time.
+            title and time. A title that has no room beside the time is written smaller, and cut.
         distance: what the shown distance is.
         note: below the title.
         height: of the film, pixels.
@@ -63,11 +65,13 @@ def add_captions(
         return label
 
     small = height < _SMALL
-    write(title, right, bottom + (0 if small else 27) * unit, 25, side="right")
+    free = plotter.window_size[0] / unit - 2 * _MARGIN - _VALUE
+    shown, size = _fitting(title, free / _TITLE_LETTER)
+    write(shown, right, bottom + (0 if small else 27) * unit, 25 * size, side="right")
     if not small:
         write(note, right, bottom, 17, dim=True, side="right")
     values = []
-    beside = max(_TITLE_LETTER * len(title), _NOTE_LETTER * len(note)) + _MARGIN
+    beside = max(_TITLE_LETTER * size * len(shown), _NOTE_LETTER * len(note)) + _MARGIN
     room = plotter.window_size[0] / unit - _MARGIN - beside - _VALUE
     for name, column in zip(("time", distance, "speed"), _COLUMNS, strict=True):
         if column > (0 if small else max(room, 0)):
@@ -81,3 +85,12 @@ def add_captions(
             actor.input = text
 
     return update
+
+
+def _fitting(title: str, letters: float) -> tuple[str, float]:
+    """A title where so many letters have room, and its size as a share of what it would be."""
+    share = min(1.0, letters / max(len(title), 1))
+    if share >= _LEAST_SHARE:
+        return title, share
+    most = max(int(letters / _LEAST_SHARE) - len(_CUT), 0)
+    return title[:most] + _CUT, _LEAST_SHARE

@@ -249,7 +249,7 @@ def _in_chains(rows: list[int], chains: Sequence[Sequence[int]]) -> list[list[in
 
 
 def plot_path(recording: Recording, path: str | os.PathLike[str]) -> Path:
-    """The way seen from above, with outlines of the animal, and the distance over time.
+    """The root's way seen from above, with outlines of the animal, and the distance over time.
 
     The distance is that to the light, or, where there is none, the way made from the start.
 
@@ -271,8 +271,8 @@ def path_figure(recording: Recording) -> Figure:
     """What `plot_path` draws."""
     figure = empty_figure(10.5, 4.4)
     above, later = figure.subplots(1, 2, width_ratios=(1.45, 1))
-    centre = recording.position.mean(1)
-    steps = np.stack([centre[:-1, :2], centre[1:, :2]], 1)
+    root = recording.position[:, 0, :2]
+    steps = np.stack([root[:-1], root[1:]], 1)
     way = LineCollection(list(steps), cmap="viridis", lw=2.2)
     way.set_array(recording.time[:-1])
     above.add_collection(way)
@@ -282,7 +282,7 @@ def path_figure(recording: Recording) -> Figure:
     dots = above.scatter(bodies[..., 0], bodies[..., 1], s=14, c=instant, norm=way.norm, lw=0)
     every = (recording.time[-1] - recording.time[0]) / (_SNAPSHOTS - 1)
     dots.set(alpha=0.6, label=f"its bodies, every {every:.3g} s")
-    above.plot(*centre[0, :2], "o", color="black", ms=6, label="start", zorder=3)
+    above.plot(*root[0], "o", color="black", ms=6, label="start of its root", zorder=3)
     lit = bool(np.isfinite(recording.goal).all())
     if lit:
         above.plot(

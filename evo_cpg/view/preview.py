@@ -35,8 +35,8 @@ _MOST_NAMES = 24
 # Size of a name, and width of a letter, of one in the wider font, and height relative to that.
 _NAME, _LETTER, _WIDE, _LINE = 14, 0.56, 0.7, 1.35
 _OVERSAMPLING = 2
-# The smallest picture with room for what is written, and the one for which its sizes are meant.
-_SMALLEST, _SCREEN = (320, 180), (1280, 720)
+# The smallest picture with room for words, and the one for which their sizes are meant.
+_ROOM, _SCREEN = (320, 180), (1280, 720)
 
 
 def preview_path(path: str | os.PathLike[str], size: tuple[int, int]) -> Path:
@@ -47,7 +47,7 @@ def preview_path(path: str | os.PathLike[str], size: tuple[int, int]) -> Path:
         SettingError: the size is too small, or too large.
     """
     path = output_path(path, (".png",))
-    check_size(size, _SMALLEST, " preview")
+    check_size(size)
     return path
 
 
@@ -119,7 +119,8 @@ def preview(
         legend |= _add_sensors(plotter, creature, centres, rotations, scale, bool(ground))
         view = _frame(plotter, shown, size)
         notes = [f"{far} obstacle{'s' if far > 1 else ''} farther away"] if far else []
-        _add_texts(plotter, creature, centres, view, legend, notes, unit)
+        if size[0] >= _ROOM[0] and size[1] >= _ROOM[1]:
+            _add_texts(plotter, creature, centres, view, legend, notes, unit)
         plotter.show(auto_close=False, interactive=False)
         with frame_writer(path, size, rendered, 1) as write:
             write(pixels(plotter))

@@ -23,6 +23,8 @@ from evo_cpg.view.look import Look
 SHARE, LOWEST, SMALLEST = 0.3, 44, (160, 110)
 # The least, in pixels, of what is written and of a row of each kind.
 _LETTER, _ROW, _FOOT = 9.0, 16.0, 11.0
+# Of a letter, of its height.
+_WIDTH = 0.58
 # Letters in shares of the strip's height, where that is more.
 _LETTERS = 0.062
 # A page shows about so much time for every hundred pixels of width, and no more than this, s.
@@ -237,11 +239,14 @@ class Strip:
                 words.append((f"- - {signals.word}", colours[1]))
         if self._feet:
             words.append(("on the ground", colours[2]))
+        # Smaller where they would run out of the picture.
+        per_letter = self._letter / self._size[0]
+        wanted = sum(_WIDTH * len(word) + 2 for word, _ in words) * per_letter
+        share = min(1.0, (1.0 - left) / max(wanted, 1e-9))
+        style = {"fontsize": points * share, "va": "top", "parse_math": False}
         for word, colour in words:
-            figure.text(
-                left, top, legible(word), color=colour, fontsize=points, va="top", parse_math=False
-            )
-            left += (0.58 * len(word) + 2) * self._letter / self._size[0]
+            figure.text(left, top, legible(word), color=colour, **style)
+            left += (_WIDTH * len(word) + 2) * per_letter * share
 
 
 def _rows(signals: Signals, height: float, larger: float) -> tuple[list[int], list[int]]:

@@ -1,6 +1,7 @@
 """`import evo_cpg as evo`: what it gives is what the commands and the library give."""
 
 import csv
+import math
 import re
 import subprocess
 import sys
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 
 import evo_cpg as evo
+from evo_cpg.api import fitness
 from evo_cpg.cli import training
 from evo_cpg.cli.main import main
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
@@ -222,6 +224,30 @@ def test_the_fitness_function_has_the_value_and_a_slope(experiment, genomes, eva
     way = slope / np.linalg.norm(slope)
     ends = experiment.evaluate(0, np.stack([genomes[0] + h * way for h in (-0.01, 0.01)])).fitness
     assert (ends[1] - ends[0]) / 0.02 == pytest.approx(float(np.linalg.norm(slope)), rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("config", "horizon", "retention", "rough"),
+    [
+        ("iwadate2010_swimmer", None, None, False),
+        ("iwadate2010_swimmer", 1.0, math.exp(-1 / 60), False),
+        ("hexapod", None, None, True),
+        ("hexapod", 1.0, math.exp(-1 / 60), True),
+        ("hexapod", math.inf, None, False),
+    ],
+)
+def test_slopes_on_the_ground_are_exact_where_that_is_asked(
+    monkeypatch, config, horizon, retention, rough
+):
+    """That exact ones equal differences is shown in `simulation/test_fitness_gradients.py`."""
+    experiment, asked = evo.load(REPOSITORY / "configs" / f"{config}.yaml"), []
+    monkeypatch.setattr(fitness, "rollout", lambda *given: asked.append(given[-1]))
+    monkeypatch.setattr(fitness, "judge", lambda *_: [0.0])
+    of_genome = fitness.fitness_function(experiment.parts, {}, None, horizon, None, None)
+    of_genome(np.zeros(experiment.gene_count))
+    (backward,) = asked
+    assert backward.rough is rough
+    assert backward.retention == (retention and pytest.approx(retention))
 
 
 def test_rewards_of_an_episode_add_up_to_the_fitness(experiment, genomes):

@@ -32,6 +32,8 @@ def test_every_layer_with_mathematics_has_some_and_there_are_sixty_at_least():
         "control",
         "evolution",
         "simulation",
+        "fusion",
+        "view",
         "spatial",
     }
     assert len(MUTANTS) >= 60

@@ -255,7 +255,7 @@ def test_a_film_of_unknown_kind_or_size_is_refused(refused, finished_run, tmp_pa
 
 def test_a_preview_that_cannot_be_is_refused(refused):
     message = refused("preview", CONFIG, "--size", "12x12", "-o", "body.png")
-    assert message == "size is 12 x 12 pixels; the smallest preview is 320 x 180"
+    assert message == "size is 12 x 12 pixels; the smallest is 16 x 16"
     message = refused("preview", CONFIG, "--size", "9999x720", "-o", "body.png")
     assert message == "size is 9999 x 720 pixels; the largest is 8192 x 8192"
     assert "there is no folder no" in refused("preview", CONFIG, "-o", "no/body.png")

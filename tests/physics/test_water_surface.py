@@ -102,6 +102,7 @@ def test_displaced_volume_and_moment_in_any_position(shape, dtype):
     pose = np.concatenate([up, height[None]])[:, None].astype(dtype)
     cells = make_cells(creature, tree)
     found = jax.tree.map(np.asarray, quick_jit(lambda pose: displacement(cells, pose))(pose))
+    assert found.volume.dtype == found.moment.dtype == dtype
     size = np.linalg.norm(shape.half_extents)
     tolerance = {Box: 0.003, Capsule: 0.01}.get(type(shape), 0.001)
     for k in range(40):

@@ -19,6 +19,7 @@ from evo_cpg.physics.terrain import Boulder, Plane
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.view import frame_processes, output
 from evo_cpg.view.camera import follow, project, smooth
+from evo_cpg.view.captions import _fitting
 from evo_cpg.view.clip import sample
 from evo_cpg.view.film import side_by_side
 from evo_cpg.view.frame_processes import DrawingError, drawn_frames
@@ -545,3 +546,12 @@ def test_importing_the_package_loads_neither_vtk_nor_matplotlib():
         "print([m for m in ('vtkmodules', 'pyvista', 'matplotlib', 'jax') if m in sys.modules])"
     )
     assert subprocess.check_output([sys.executable, "-c", code], text=True).strip() == "[]"
+
+
+@pytest.mark.parametrize("letters", [12.0, 30.0, 60.0])
+def test_a_title_fits_beside_the_time(letters):
+    for title in ("hexapod", "champion: fitness -0.629 in fresh draws", 90 * "x", ""):
+        shown, size = _fitting(title, letters)
+        assert len(shown) * size <= letters + 1e-9
+        assert 0.5 < size <= 1
+        assert shown == title or shown == title[: len(shown) - 3] + "..."

@@ -132,9 +132,19 @@ def test_a_preview_shows_what_stands_around(tmp_path, floor):
 def test_a_preview_has_limits(tmp_path):
     with pytest.raises(OutputError, match=r"use \.png"):
         preview(synthetic.swimmer(), tmp_path / "body.mp4")
-    for size, words in (((4, 4), "4 x 4 pixels; .* 320 x 180"), ((8193, 200), "8192 x 8192")):
+    for size, words in (((4, 4), "4 x 4 pixels; .* 16 x 16"), ((8193, 200), "8192 x 8192")):
         with pytest.raises(SettingError, match=words):
             preview(synthetic.swimmer(), tmp_path / "body.png", size=size)
+
+
+def test_a_small_preview_has_no_words(tmp_path):
+    """What is written is dark; the animal and what stands for its axes are not."""
+
+    def dark(size):
+        image = synthetic.read(preview(synthetic.swimmer(), tmp_path / "x.png", size))
+        return int((image.max(-1) < 70).sum())
+
+    assert dark((320, 180)) > 100 > 3 * dark((318, 178))
 
 
 def test_a_preview_has_no_dots_that_feel_where_there_is_no_ground(tmp_path):
@@ -250,7 +260,7 @@ def test_a_path_says_what_its_dots_are(recording):
     figure = path_figure(recording)
     (dots, start, *_) = [text.get_text() for text in figure.axes[0].get_legend().get_texts()]
     every = (recording.time[-1] - recording.time[0]) / 6
-    assert (dots, start) == (f"its bodies, every {every:.3g} s", "start")
+    assert (dots, start) == (f"its bodies, every {every:.3g} s", "start of its root")
 
 
 def test_the_best_so_far_is_seen_where_it_is_the_best_of_the_generation():
