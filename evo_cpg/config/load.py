@@ -276,9 +276,12 @@ def _worded(
         found = given.get("type") if isinstance(given, dict) else given
         return ConfigError(source, (*key, "type"), f"{found!r} is not known; allowed: {allowed}")
     if kind in _LENGTH:
-        least, most = (problem["ctx"].get(name) for name in ("min_length", "max_length"))
-        words = f"at least {least}" if kind == "too_short" else f"at most {most}"
-        count = problem["ctx"]["actual_length"]
+        limits = problem.get("ctx", {})
+        if kind == "too_short":
+            words = f"at least {limits.get('min_length')}"
+        else:
+            words = f"at most {limits.get('max_length')}"
+        count = limits.get("actual_length")
         return ConfigError(source, key, f"{_short(given)}: must have {words}, has {count}")
     more = f" ({len(problems)} problems in all)" if len(problems) > 1 else ""
     return ConfigError(source, key, f"{_short(given)}: {_lower(message)}{more}")
