@@ -54,7 +54,7 @@ PLOT_SUFFIXES = (".png", ".svg", ".pdf")
 GUTTER = 4
 # Sides of a picture, and of what is drawn of it (software renderers go no further), pixels; and how
 # many of these in all, for which VTK takes some 3 GB of memory.
-SMALLEST_SIDE, LARGEST_SIDE, _LARGEST_DRAWN, _MOST_DRAWN = 16, 8192, 16384, 2**26
+_SMALLEST, _LARGEST, _LARGEST_DRAWN, _MOST_DRAWN = 16, 8192, 16384, 2**26
 
 
 class SettingError(UserError, ValueError):
@@ -62,26 +62,36 @@ class SettingError(UserError, ValueError):
 
 
 def check_size(
-    size: tuple[int, int], smallest: tuple[int, int] = (SMALLEST_SIDE, SMALLEST_SIDE), of: str = ""
+    size: tuple[int, int], smallest: tuple[int, int] = (_SMALLEST, _SMALLEST), what: str = ""
 ) -> None:
-    """Check that a picture of this width and height (pixels) can be drawn.
+    """Check that a picture can be drawn.
+
+    Args:
+        size: width and height, pixels.
+        smallest: that has room, pixels.
+        what: it has to have room for, in the message.
 
     Raises:
-        SettingError: it is smaller than ``smallest``, which is that ``of`` something, or too large.
+        SettingError: it is too small, or too large.
     """
     width, height = size
     if width < smallest[0] or height < smallest[1]:
         raise SettingError(
-            f"size is {width} x {height} pixels; the smallest{of} is {smallest[0]} x {smallest[1]}"
+            f"size is {width} x {height} pixels; the smallest{what} is {smallest[0]} x {smallest[1]}"
         )
-    if max(size) > LARGEST_SIDE:
+    if max(size) > _LARGEST:
         raise SettingError(
-            f"size is {width} x {height} pixels; the largest is {LARGEST_SIDE} x {LARGEST_SIDE}"
+            f"size is {width} x {height} pixels; the largest is {_LARGEST} x {_LARGEST}"
         )
 
 
 def oversampling(size: tuple[int, int], wanted: float) -> float:
-    """Pixels drawn per pixel of a picture, a side: as wanted, or as many as can be drawn."""
+    """Pixels drawn per pixel of a picture, a side: as wanted, or as many as can be drawn.
+
+    Args:
+        size: width and height of the picture, pixels, as `check_size` allows them.
+        wanted: at least 1.
+    """
     width, height = size
     most = min(_LARGEST_DRAWN / max(size), (_MOST_DRAWN / (width * height)) ** 0.5)
     return min(wanted, most)

@@ -349,7 +349,10 @@ def _crests(
     """
     swing = level(angle)
     span = time[-1] - time[0]
-    trial = np.linspace(2 / span, min(0.5 * (len(time) - 1) / span, 10.0), 2000)
+    slowest, fastest = 2 / span, min(0.5 * (len(time) - 1) / span, 10.0)
+    if slowest >= fastest:
+        return None
+    trial = np.linspace(slowest, fastest, 2000)
     window = np.hanning(len(time))[:, None]
     spectrum = np.exp(-2j * np.pi * np.outer(trial, time)) @ (window * swing)
     total = np.square(np.abs(spectrum)).sum(1)

@@ -199,6 +199,13 @@ def test_a_drift_has_no_crests(drift):
     assert _crests(time, drift(time)[:, None] * [1.0, 0.5]) is None
 
 
+@pytest.mark.parametrize(("count", "span"), [(2, 1.0), (4, 1.0), (30, 0.15)])
+def test_what_is_too_short_has_no_crests(count, span):
+    """Too few instants, or too little time, for two periods of what is looked for."""
+    time = np.linspace(0, span, count)
+    assert _crests(time, np.sin(2 * np.pi * 1.3 * time[:, None] / span + [0.0, 0.5])) is None
+
+
 def test_crests_are_found_on_a_drift():
     time = np.linspace(0, 3, 181)
     angle = 30 * time[:, None] + np.sin(2 * np.pi * 1.4 * time[:, None] - [0.0, 0.6])
