@@ -76,13 +76,12 @@ def check_size(
     """
     width, height = size
     if width < smallest[0] or height < smallest[1]:
-        raise SettingError(
-            f"size is {width} x {height} pixels; the smallest{what} is {smallest[0]} x {smallest[1]}"
-        )
-    if max(size) > _LARGEST:
-        raise SettingError(
-            f"size is {width} x {height} pixels; the largest is {_LARGEST} x {_LARGEST}"
-        )
+        limit = f"smallest{what} is {smallest[0]} x {smallest[1]}"
+    elif max(size) > _LARGEST:
+        limit = f"largest is {_LARGEST} x {_LARGEST}"
+    else:
+        return
+    raise SettingError(f"size is {width} x {height} pixels; the {limit}")
 
 
 def oversampling(size: tuple[int, int], wanted: float) -> float:
