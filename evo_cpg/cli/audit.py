@@ -15,6 +15,7 @@ from evo_cpg.analysis.verdict import Check, LimitError, Limits, limits_from, sho
 from evo_cpg.api.load import class_folders
 from evo_cpg.api.training import now, require_configured
 from evo_cpg.cli.errors import UsageError
+from evo_cpg.cli.exit_codes import ExitCode
 from evo_cpg.cli.progress import working
 from evo_cpg.cli.training import open_champion
 from evo_cpg.config.load import load_config
@@ -23,9 +24,6 @@ from evo_cpg.training.run_folder import RunFolder
 
 if TYPE_CHECKING:
     from evo_cpg.api.audit import Audit
-
-# What the command ends with where a champion does not pass.
-NOT_PASSED = 3
 
 # Columns of the summary, by the key of the check.
 _KEPT = {
@@ -61,7 +59,7 @@ def audit_run(
 
     Raises:
         UsageError: a limit that does not exist, or one run or cell and all.
-        SystemExit: with `NOT_PASSED`, where a champion does not pass.
+        SystemExit: with `ExitCode.NOT_PASSED`, where a champion does not pass.
     """
     # Before anything that takes long.
     _limits(settings)
@@ -135,7 +133,7 @@ def _say(run: Path, champions: Sequence[Champion], made: Sequence["Audit"], who:
     else:
         print(f"{run}: {who} {'passes' if passed else 'does not pass'} its audit")
     if passed < len(made):
-        raise SystemExit(NOT_PASSED)
+        raise SystemExit(ExitCode.NOT_PASSED)
 
 
 def _write(folder: RunFolder, name: str, champion: Champion, done: "Audit") -> None:

@@ -7,6 +7,7 @@ from typing import Any
 import typer
 
 from evo_cpg.cli.errors import UsageError
+from evo_cpg.cli.exit_codes import ExitCode
 from evo_cpg.config.errors import nearest
 from evo_cpg.studies.benchmarks import bench_suite
 from evo_cpg.view.output import output_path
@@ -55,7 +56,7 @@ def run_suite(
     except suite.rows.RowsError as error:
         raise UsageError(f"--compare: {error}") from None
     if not fine:
-        raise typer.Exit(1)
+        raise typer.Exit(ExitCode.NOT_PASSED)
 
 
 def _sizes(text: str) -> tuple[int, ...]:

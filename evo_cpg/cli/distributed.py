@@ -15,18 +15,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from evo_cpg.cli.errors import UsageError
+from evo_cpg.cli.exit_codes import ExitCode
 from evo_cpg.cli.interrupts import leave_at_once
 from evo_cpg.errors import UserError
 
 if TYPE_CHECKING:
     from evo_cpg.training.processes import Team
     from evo_cpg.training.roll_call import Place
-
-LOST = 4
-"""Exit code where another process was lost."""
-
-# As in `evo_cpg.cli.main`.
-_FAULT, _WRONG_INPUT, _INTERRUPTED = 1, 2, 130
 
 JOIN_TIMEOUT = 60.0
 """So long the processes may take to come together, s."""
@@ -122,11 +117,11 @@ def together(asked: Distribution, run: Path) -> Iterator["Team"]:
         yield team
     except processes.TeamError as error:
         _say(f"evo-cpg: {error}; {advice}")
-        leave_at_once(LOST)
+        leave_at_once(ExitCode.LOST)
     except KeyboardInterrupt:
         if team.count == 1:
             raise
-        leave_at_once(_INTERRUPTED)
+        leave_at_once(ExitCode.INTERRUPTED)
     except Exception as error:
         if team.count == 1:
             raise
@@ -136,9 +131,9 @@ def together(asked: Distribution, run: Path) -> Iterator["Team"]:
                 team.leave()
         if isinstance(error, UserError):
             _say(f"evo-cpg: {error}")
-            leave_at_once(_WRONG_INPUT)
+            leave_at_once(ExitCode.WRONG_INPUT)
         traceback.print_exc()
-        leave_at_once(_FAULT)
+        leave_at_once(ExitCode.FAULT)
 
 
 def require_same(team: "Team", own: Mapping[str, Mapping[str, str]]) -> None:
@@ -182,7 +177,7 @@ def _join(asked: Distribution, advice: str) -> "Team":
         return words and f"evo-cpg: process {place.index} of {place.count}: {words}; {advice}"
 
     meeting = call_roll(place, _versions(), asked.join_timeout)
-    keep_apart(explain, LOST)
+    keep_apart(explain, ExitCode.LOST)
     return join(place, meeting, PATIENCE if asked.patience is None else asked.patience)
 
 

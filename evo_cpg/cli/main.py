@@ -13,6 +13,7 @@ from typer.core import TyperGroup
 
 from evo_cpg.cli.completion import complete_config
 from evo_cpg.cli.configs import app as configs_app
+from evo_cpg.cli.exit_codes import ExitCode
 from evo_cpg.cli.interrupts import interrupts_delivered, leave_at_once
 from evo_cpg.cli.options import (
     Cell,
@@ -36,10 +37,6 @@ from evo_cpg.cli.options import (
     find_config_or_folder,
 )
 from evo_cpg.errors import UserError
-
-# Exit codes: 0 done, 1 a fault of ours, 2 wrong input, 3 an audit that is not passed, 4 another
-# process lost, 130 interrupted.
-_FAULT, _WRONG_INPUT, _INTERRUPTED = 1, 2, 130
 
 
 class _Commands(TyperGroup):
@@ -229,7 +226,7 @@ def sweep(
 
     given = config, overrides or [], grid or [], settings, out, cores, only or []
     if not run_sweep(*given, jobs, job_option or []):
-        raise typer.Exit(_FAULT)
+        raise typer.Exit(ExitCode.FAULT)
 
 
 @app.command()
@@ -676,7 +673,7 @@ def bench(
     ] = None,
     compare: Annotated[
         Path | None,
-        typer.Option("--compare", help="An earlier --json file; exit code 1 if anything lost."),
+        typer.Option("--compare", help="An earlier --json file; exit code 3 if anything lost."),
     ] = None,
     tolerance: Annotated[
         float, typer.Option(min=0, max=1, help="Share that may be lost before that.")
@@ -700,10 +697,10 @@ def main() -> None:
         with interrupts_delivered():
             app()
     except KeyboardInterrupt:
-        raise SystemExit(_INTERRUPTED) from None
+        raise SystemExit(ExitCode.INTERRUPTED) from None
     except UserError as error:
         print(f"evo-cpg: {error}", file=sys.stderr)
-        raise SystemExit(_WRONG_INPUT) from None
+        raise SystemExit(ExitCode.WRONG_INPUT) from None
 
 
 def program() -> None:
@@ -711,6 +708,6 @@ def program() -> None:
     try:
         main()
     except SystemExit as stop:
-        if stop.code == _INTERRUPTED:
-            leave_at_once(_INTERRUPTED)
+        if stop.code == ExitCode.INTERRUPTED:
+            leave_at_once(ExitCode.INTERRUPTED)
         raise

@@ -26,6 +26,7 @@ from evo_cpg.api.warm_start import What, warm_start
 from evo_cpg.cli.building import build, read_config
 from evo_cpg.cli.distributed import BY_ITSELF, Distribution, require_same, together
 from evo_cpg.cli.errors import UsageError
+from evo_cpg.cli.exit_codes import ExitCode
 from evo_cpg.cli.oscillators import warn_of_oscillators
 from evo_cpg.cli.progress import progress, working
 from evo_cpg.config.errors import ConfigError
@@ -277,7 +278,7 @@ def validate_configs(words: Sequence[str], strict: bool = False) -> None:
 
     Raises:
         UsageError: there is no file among the words.
-        SystemExit: with 2, where a file is wrong.
+        SystemExit: with `ExitCode.WRONG_INPUT`, where a file is wrong.
     """
     overrides = [word for word in words if "=" in word and not _exists(word)]
     paths = [Path(word) for word in words if word not in overrides]
@@ -301,7 +302,7 @@ def validate_configs(words: Sequence[str], strict: bool = False) -> None:
             )
             warn_of_oscillators(given, experiment.simulation)
     if wrong:
-        raise SystemExit(2)
+        raise SystemExit(ExitCode.WRONG_INPUT)
 
 
 def _exists(word: str) -> bool:
@@ -523,4 +524,4 @@ def _report(run: Path, differences: list[str]) -> None:
     if differences:
         for difference in differences:
             print(f"evo-cpg: {run}: {difference}", file=sys.stderr)
-        raise SystemExit(2)
+        raise SystemExit(ExitCode.NOT_PASSED)

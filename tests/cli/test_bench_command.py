@@ -85,7 +85,7 @@ def test_a_run_is_kept_and_compared(cli, tmp_path):
     record = json.loads(kept.read_text())
     assert [row["size"] for row in record["rows"]] == [3, 17]
     assert record["machine"]["cores"] == 2 and record["machine"]["float32_peak"] > 0
-    for factor, expected in ((0.01, 0), (100, 1)):
+    for factor, expected in ((0.01, 0), (100, 3)):
         earlier = tmp_path / "earlier.json"
         scaled = [{**row, "rate": row["rate"] * factor} for row in record["rows"]]
         earlier.write_text(json.dumps({**record, "rows": scaled}))

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from evo_cpg.cli import distributed, local
-from evo_cpg.cli.distributed import LOST
+from evo_cpg.cli.exit_codes import ExitCode
 from evo_cpg.training.loop import TIMING_COLUMNS
 from evo_cpg.training.run_folder import RunFolder
 from loopback import free_port, loopback
@@ -154,7 +154,7 @@ def lose(
 def assert_lost(ends: list[tuple[int, str]], run: Path, words: str) -> None:
     """Each said it in one line."""
     for code, said in ends:
-        assert code == LOST, said
+        assert code == ExitCode.LOST, said
         assert said.startswith("evo-cpg: process "), said
         assert words in said
         advice = f"; go on with `evo-cpg resume {run}`, on any number of processes\n"
@@ -293,7 +293,7 @@ def test_a_stopped_local_process_is_ended_with_the_others(start, tmp_path):
         worker = max(map(int, listed.stdout.split()))
         os.kill(worker, signal.SIGSTOP)
         _, err = process.communicate(timeout=30)
-    assert process.returncode == LOST
+    assert process.returncode == ExitCode.LOST
     assert "process 0 of 2 has waited" in err
     with pytest.raises(ProcessLookupError):
         os.kill(worker, 0)

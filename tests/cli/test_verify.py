@@ -58,7 +58,7 @@ def test_an_altered_config_is_found_by_digest_and_by_replay(copied_run, cli):
     config["world"]["water"]["density"] *= 0.8
     copied_run.config.write_text(yaml.safe_dump(config))
     code, out, err = cli("verify", copied_run.path)
-    assert (code, out) == (2, "")
+    assert (code, out) == (3, "")
     found = complaints(err, copied_run.path)
     assert found[0] == "config.yaml is not the one that the champion was evolved with"
     assert any(line.startswith("energy: recorded 0.") and "replayed 0." in line for line in found)
@@ -70,7 +70,7 @@ def test_genes_altered_with_all_digests_are_found_by_replay(copied_run, cli):
     alter(copied_run, genes=genes, genes_sha256=genes_digest(genes))
     shutil.rmtree(copied_run.path / "checkpoints")
     code, out, err = cli("verify", copied_run.path)
-    assert (code, out) == (2, "")
+    assert (code, out) == (3, "")
     found = complaints(err, copied_run.path)
     assert found[0].startswith("fitness: recorded ")
     assert not any("champion.npz" in line for line in found)
@@ -82,14 +82,14 @@ def test_one_altered_gene_is_found(copied_run, cli, without_replay):
     genes[3] = np.nextafter(genes[3], np.float32(9))
     alter(copied_run, genes=genes)
     code, _, err = cli("verify", copied_run.path)
-    assert code == 2
+    assert code == 3
     assert complaints(err, copied_run.path) == [
         "champion.npz: the genome is not the one that was evolved",
         "champion.npz: the genome is not that of the newest checkpoint",
     ]
     alter(copied_run, genes_sha256=genes_digest(genes))
     code, _, err = cli("verify", copied_run.path)
-    assert code == 2
+    assert code == 3
     assert complaints(err, copied_run.path) == [
         "champion.npz: the genome is not that of the newest checkpoint"
     ]
@@ -104,7 +104,7 @@ def test_altered_figures_are_found(copied_run, cli, without_replay, name, digest
     if digest:
         alter(copied_run, outcome_sha256=outcome_digest(copied_run.load_champion()[0]))
     code, _, err = cli("verify", copied_run.path)
-    assert code == 2
+    assert code == 3
     found = complaints(err, copied_run.path)
     assert ("fitness or terms are not those that were recorded" in found[0]) == (not digest)
     assert "champion.npz: the newest checkpoint records other fitness or terms" in found
@@ -115,7 +115,7 @@ def test_altered_figures_are_found(copied_run, cli, without_replay, name, digest
 def test_a_genome_of_another_size_cannot_be_replayed(copied_run, cli):
     alter(copied_run, genes=np.zeros(3, np.float32))
     code, _, err = cli("verify", copied_run.path)
-    assert code == 2
+    assert code == 3
     assert complaints(err, copied_run.path)[-1].startswith("the genome has 3 genes, not ")
     copied_run.config.write_text(copied_run.config.read_text() + "\n")
     code, _, err = cli("render", copied_run.path)
