@@ -364,13 +364,14 @@ def plot(
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="Folder; RUN/plots by default.")
     ] = None,
+    number: Number = None,
     trial: Trial = 0,
     cell: Cell = None,
 ) -> None:
     """Plot the fitness over the generations, the champion's joint signals and path, and the map."""
     from evo_cpg.cli.pictures import plot_run
 
-    plot_run(run, output, trial, cell)
+    plot_run(run, output, number, trial, cell)
 
 
 @app.command()

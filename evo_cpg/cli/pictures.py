@@ -17,13 +17,16 @@ from evo_cpg.training.experiment import Experiment
 from evo_cpg.training.run_folder import RunFolder
 
 
-def plot_run(run: Path, output: Path | None, trial: int, cell: str | None = None) -> None:
-    """`evo-cpg plot`."""
-    experiment, champion, recording, folder = champion_motion(run, trial=trial, cell=cell)
+def plot_run(
+    run: Path, output: Path | None, number: int | None, trial: int, cell: str | None = None
+) -> None:
+    """`evo-cpg plot`; see `champion_motion`."""
+    experiment, champion, recording, folder = champion_motion(run, number, trial, cell)
     from evo_cpg.view.plots import plot_fitness, plot_joint_signals, plot_path
 
-    place, which = output or folder.path / "plots", of_trial(trial)
-    which += "" if cell is None else f"_cell_{cell.replace(',', '_')}"
+    place = output or folder.path / "plots"
+    of_run = "" if number is None else f"_run{number}"
+    which = of_run + of_trial(trial) + ("" if cell is None else f"_cell_{cell.replace(',', '_')}")
     history = folder.history()
     history["best_so_far"] = history["champion"]
     print(plot_fitness(history, place / "fitness.png"))
@@ -42,10 +45,10 @@ def plot_run(run: Path, output: Path | None, trial: int, cell: str | None = None
         )
         print(made)
     print(plot_path(recording, place / f"path{which}.png"))
-    _plot_map(experiment, champion, folder, place)
+    _plot_map(experiment, champion, folder, place / f"map{of_run}.png")
 
 
-def _plot_map(experiment: Experiment, champion: Champion, folder: RunFolder, place: Path) -> None:
+def _plot_map(experiment: Experiment, champion: Champion, folder: RunFolder, path: Path) -> None:
     """Draw the map of the champion's run, where it has one."""
     from evo_cpg.training.elites import gait_map
 
@@ -55,7 +58,7 @@ def _plot_map(experiment: Experiment, champion: Champion, folder: RunFolder, pla
         from evo_cpg.view.map_plot import plot_map
 
         title = experiment.name + (f", run {champion.run}" if experiment.runs > 1 else "")
-        print(plot_map(found.axes, found.fitness, place / "map.png", title))
+        print(plot_map(found.axes, found.fitness, path, title))
 
 
 def preview_config(

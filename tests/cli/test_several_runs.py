@@ -5,6 +5,8 @@ import shutil
 
 import pytest
 
+from evo_cpg.cli import pictures
+from evo_cpg.cli.training import champion_motion
 from evo_cpg.training.run_folder import RunFolder
 from tiny_run import CONFIG, PAIR
 
@@ -69,6 +71,25 @@ def test_the_champion_of_any_run_is_filmed(noisy_run, cli, tmp_path):
     code, out, err = cli("render", noisy_run, *options)
     assert (code, out) == (0, f"{picture}\n"), err
     assert picture.stat().st_size > 0
+
+
+def test_the_champion_of_any_run_is_plotted(noisy_run, cli, tmp_path, monkeypatch):
+    kept, _, _ = RunFolder(noisy_run).load_champion()
+    other = 1 - kept.run
+    whose = []
+
+    def seen(run, number, trial, cell):
+        experiment, champion, recording, folder = champion_motion(run, number, trial, cell)
+        whose.append(champion.run)
+        return experiment, champion, recording, folder
+
+    monkeypatch.setattr(pictures, "champion_motion", seen)
+    code, out, err = cli("plot", noisy_run, "--run", other, "-o", tmp_path)
+    drawn = [f"joint_signals_run{other}.png", f"path_run{other}.png"]
+    assert code == 0 and whose == [other], err
+    assert out.splitlines() == [str(tmp_path / name) for name in ("fitness.png", *drawn)]
+    code, _, err = cli("plot", noisy_run, "--run", 2, "-o", tmp_path)
+    assert code == 2 and f"--run: {noisy_run} holds 2 run(s), counted from 0" in err
 
 
 def test_the_lineage_of_a_noisy_run_ends_with_its_champion(noisy_run, cli, tmp_path):

@@ -71,7 +71,7 @@ def test_the_first_trial_is_shown_from_the_folder_and_others_are_replayed(
     monkeypatch.setattr(loop, "replay_champion", replay)
     monkeypatch.setattr(training, "use_cores", lambda count=None: 2)
     for trial in (0, 2):
-        plot_run(situated_run, tmp_path, trial)
+        plot_run(situated_run, tmp_path, None, trial)
     assert asked == [(champion.fitness, 2)]
 
 
