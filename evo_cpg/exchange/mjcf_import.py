@@ -19,13 +19,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from evo_cpg.config.schema.creature import (
-    ActuatorConfig,
-    BodyConfig,
-    CreatureConfig,
-    JointConfig,
-    MaterialConfig,
-)
+from evo_cpg.config.schema.creature import BodyConfig, CreatureConfig, MaterialConfig
+from evo_cpg.config.schema.joint import ActuatorConfig, JointConfig
 from evo_cpg.exchange.compiled import (
     TOLERANCE,
     WORLD,

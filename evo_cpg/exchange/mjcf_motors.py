@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from evo_cpg.config.schema.creature import ActuatorConfig
+from evo_cpg.config.schema.joint import ActuatorConfig
 from evo_cpg.config.schema.section import LARGEST
 from evo_cpg.exchange.compiled import TOLERANCE, Compiled, tidy
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from evo_cpg.config.schema.creature import (
+from evo_cpg.config.schema.shape import (
     BoxConfig,
     CapsuleConfig,
     EllipsoidConfig,

@@ -7,8 +7,8 @@ import numpy as np
 
 from evo_cpg.config.errors import Key
 from evo_cpg.config.plausible.doubt import Case, Doubt
-from evo_cpg.config.schema.creature import SolidConfig
 from evo_cpg.config.schema.ground import BoulderConfig, HillsConfig, ReliefConfig
+from evo_cpg.config.schema.shape import SolidConfig
 from evo_cpg.creature.shapes import Box
 
 # Of solids, from foam to osmium, and of liquids, from petrol to the Dead Sea, kg/m^3.

@@ -1,0 +1,188 @@
+"""How a body hangs on its parent, and what moves it there."""
+
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from evo_cpg.config.schema.copies import MirrorAxis
+from evo_cpg.config.schema.frames import moved, opposed, reflected, unit
+from evo_cpg.config.schema.section import Finite, NotNegative, Positive, Section, Vector
+from evo_cpg.creature.creature import Actuator, Joint
+from evo_cpg.spatial.numerics import as_vector, xp
+from evo_cpg.spatial.rotation import euler_to_matrix
+
+# The middle one of three axes must keep this far from where the three lie in one plane; of axes at
+# right angles that is at 90 degrees, where the first and the last one coincide.
+_SINGULARITY_MARGIN_DEG = 5.0
+
+AxisName = Literal["x", "y", "z", "-x", "-y", "-z"]
+
+_AXES = {
+    "x": (1.0, 0.0, 0.0),
+    "y": (0.0, 1.0, 0.0),
+    "z": (0.0, 0.0, 1.0),
+    "-x": (-1.0, 0.0, 0.0),
+    "-y": (0.0, -1.0, 0.0),
+    "-z": (0.0, 0.0, -1.0),
+}
+
+
+class ActuatorConfig(Section):
+    """Motor on each axis.
+
+    Attributes:
+        gain: torque per velocity error, N m s/rad.
+        torque_limit: largest torque, N m; none if left out.
+        stiffness: torque per angle error, N m/rad; 0 for a pure velocity servo.
+    """
+
+    gain: Positive
+    torque_limit: Positive | None = None
+    stiffness: NotNegative = 0.0
+
+
+def _require_regular(directions: np.ndarray, lower: float, upper: float) -> None:
+    """Check that three axes stay independent while the middle one turns.
+
+    The volume that they span is a cosine of its angle.
+
+    Args:
+        directions: of the axes ``(3, 3)``.
+        lower: limit of the middle one, degrees.
+        upper: likewise.
+
+    Raises:
+        ValueError: they come into one plane, or nearly so.
+    """
+    first, middle, last = directions / np.linalg.norm(directions, axis=1)[:, None]
+    across = np.cross(middle, last)
+    cosine, sine = first @ across, first @ np.cross(middle, across)
+    margin = _SINGULARITY_MARGIN_DEG
+    if np.hypot(cosine, sine) < np.sin(np.radians(margin)):
+        raise ValueError(
+            f"axes: the middle one of three must be {margin:g} degrees at least from the others"
+        )
+    # The first angle above the lower limit at which they lie in one plane.
+    plane = np.degrees(np.arctan2(sine, cosine)) + 90.0
+    plane += 180.0 * np.ceil((lower - margin - plane) / 180.0 + 1e-9)
+    if plane < upper + margin - 1e-6:
+        near = plane - 180.0 if lower + upper < 2 * plane else plane
+        raise ValueError(
+            f"limits_deg: where the middle one of three axes turns by {plane:.4g} degrees, they "
+            f"lie in one plane; allowed for it: {near + margin:.4g} to "
+            f"{near + 180.0 - margin:.4g}, got {lower:g} to {upper:g}"
+        )
+
+
+class JointConfig(Section):
+    """How a body hangs on its parent.
+
+    Attributes:
+        parent: name of the parent body.
+        at: place of the joint in the parent's frame, m.
+        child_at: place of the joint in this body's frame, m.
+        axes: 1 to 3 axes that turn one after the other: x, y, z, -x, -y, -z or a vector.
+        limits_deg: lower and upper limit, for all axes or one pair for each, degrees; the middle
+            one of three axes at right angles turns by at most 85.
+        rotation_deg: roll, pitch and yaw of this body against its parent at rest, degrees; about
+            the parent's x, then y, then z.
+        stiffness: passive spring, N m/rad.
+        damping: passive damping, N m s/rad.
+        armature: rotor inertia, kg m^2.
+        actuator: the motors; a joint without is passive.
+    """
+
+    parent: str
+    at: Vector
+    child_at: Vector
+    axes: Annotated[list[AxisName | Vector], Field(min_length=1, max_length=3)]
+    limits_deg: tuple[Finite, Finite] | list[tuple[Finite, Finite]] = (-60.0, 60.0)
+    rotation_deg: Vector = (0.0, 0.0, 0.0)
+    stiffness: NotNegative = 0.0
+    damping: NotNegative = 0.0
+    armature: NotNegative = 0.0
+    actuator: ActuatorConfig | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> "JointConfig":
+        limits = self.limits
+        if len(limits) != len(self.axes):
+            raise ValueError(
+                f"limits_deg gives {len(limits)} pairs for {len(self.axes)} axes; "
+                "give one pair for all, or one for each"
+            )
+        for lower, upper in limits:
+            if not lower < upper:
+                raise ValueError(f"limits_deg: {lower:g} is not below {upper:g}")
+        directions = np.array(self.directions)
+        if np.linalg.matrix_rank(directions, tol=1e-6) < len(directions):
+            raise ValueError("axes: they must be independent of each other and not zero")
+        if len(self.axes) == 3:
+            _require_regular(directions, *limits[1])
+        return self
+
+    @property
+    def limits(self) -> list[tuple[float, float]]:
+        """One pair of limits for each axis, degrees."""
+        if isinstance(self.limits_deg, tuple):
+            return [self.limits_deg] * len(self.axes)
+        return self.limits_deg
+
+    @property
+    def directions(self) -> list[tuple[float, ...]]:
+        """The axes as vectors, not normalised."""
+        return [_AXES[axis] if isinstance(axis, str) else axis for axis in self.axes]
+
+    def turned(self, angle_deg: float) -> "JointConfig":
+        """The joint and all that hangs on it, turned about the parent's vertical axis."""
+        if not angle_deg:
+            return self
+        roll, pitch, yaw = self.rotation_deg
+        at = euler_to_matrix(0.0, 0.0, np.deg2rad(angle_deg)) @ xp.array(self.at)
+        update = {"at": as_vector(at), "rotation_deg": (roll, pitch, yaw + angle_deg)}
+        return self.model_copy(update=update)
+
+    def mirrored(self, axis: MirrorAxis) -> "JointConfig":
+        """The joint's image, parent and child being mirrored in planes of their frames.
+
+        The same angle is then the mirrored pose, so limits stay as they are.
+        """
+        return self.model_copy(
+            update={
+                "at": reflected(self.at, axis),
+                "child_at": reflected(self.child_at, axis),
+                "axes": [opposed(direction, axis) for direction in self.directions],
+                "rotation_deg": opposed(self.rotation_deg, axis),
+            }
+        )
+
+    def build(self, parent: str, parent_centre: np.ndarray, centre: np.ndarray) -> Joint:
+        """The joint, on the given parent, in frames moved to the bodies' centres of mass.
+
+        Args:
+            parent: its name.
+            parent_centre: its centre of mass in the frame that ``at`` is given in, m.
+            centre: that of the body itself, in the frame of ``child_at``, m.
+        """
+        rotation = euler_to_matrix(*xp.deg2rad(xp.array(self.rotation_deg)))
+        limits = xp.deg2rad(xp.array(self.limits))
+        actuator = self.actuator
+        return Joint(
+            parent=parent,
+            parent_anchor=moved(self.at, parent_centre),
+            child_anchor=moved(self.child_at, centre),
+            axes=tuple(unit(axis) for axis in self.directions),
+            lower=tuple(limits[:, 0]),
+            upper=tuple(limits[:, 1]),
+            orientation=tuple(map(as_vector, rotation)),
+            stiffness=self.stiffness,
+            damping=self.damping,
+            armature=self.armature,
+            actuator=actuator
+            and Actuator(
+                actuator.gain,
+                float("inf") if actuator.torque_limit is None else actuator.torque_limit,
+                actuator.stiffness,
+            ),
+        )

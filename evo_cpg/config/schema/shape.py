@@ -1,0 +1,136 @@
+"""How the shapes of bodies are written: lengths in m, in the frame of the body."""
+
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field, model_validator
+from typing_extensions import override
+
+from evo_cpg.config.schema.copies import MirrorAxis
+from evo_cpg.config.schema.frames import reflected
+from evo_cpg.config.schema.section import Positive, Section, Vector
+from evo_cpg.creature.mesh import ConvexMesh, convex_mesh
+from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
+
+Size = tuple[Positive, Positive, Positive]
+# Of a vertex; larger ones do not fit into arrays.
+Index = Annotated[int, Field(ge=0, lt=2**31)]
+
+
+class SolidConfig(Section):
+    """A kind of shape."""
+
+    @property
+    def centre(self) -> np.ndarray:
+        """Centre of mass ``(3,)`` in the body's frame, m; a mesh's alone is not at 0."""
+        return np.zeros(3)
+
+
+class BoxConfig(SolidConfig):
+    """Cuboid.
+
+    Attributes:
+        type: ``box``.
+        size: edges along x, y and z, m.
+    """
+
+    type: Literal["box"]
+    size: Size
+
+    def build(self) -> Shape:
+        """The shape."""
+        return Box(self.size)
+
+
+class SphereConfig(SolidConfig):
+    """Sphere.
+
+    Attributes:
+        type: ``sphere``.
+        radius: from centre to surface, m.
+    """
+
+    type: Literal["sphere"]
+    radius: Positive
+
+    def build(self) -> Shape:
+        """The shape."""
+        return Sphere(self.radius)
+
+
+class EllipsoidConfig(SolidConfig):
+    """Ellipsoid.
+
+    Attributes:
+        type: ``ellipsoid``.
+        radii: semi-axes along x, y and z, m.
+    """
+
+    type: Literal["ellipsoid"]
+    radii: Size
+
+    def build(self) -> Shape:
+        """The shape."""
+        return Ellipsoid(self.radii)
+
+
+class CapsuleConfig(SolidConfig):
+    """Cylinder along x with half-spherical ends.
+
+    Attributes:
+        type: ``capsule``.
+        radius: of the cylinder and its ends, m.
+        length: of the cylinder, without its ends, m.
+    """
+
+    type: Literal["capsule"]
+    radius: Positive
+    length: Positive
+
+    def build(self) -> Shape:
+        """The shape."""
+        return Capsule(self.radius, self.length)
+
+
+class MeshConfig(SolidConfig):
+    """Convex polyhedron, in a frame of its own choice.
+
+    Attributes:
+        type: ``mesh``.
+        vertices: places of the corners, m; with ``file`` they are read from there.
+        faces: triangles of three vertices, counted from 0, counterclockwise seen from outside.
+    """
+
+    type: Literal["mesh"]
+    vertices: tuple[Vector, ...]
+    faces: tuple[tuple[Index, Index, Index], ...]
+
+    @model_validator(mode="after")
+    def _check(self) -> "MeshConfig":
+        self._made()
+        return self
+
+    @property
+    @override
+    def centre(self) -> np.ndarray:
+        return self._made()[1]
+
+    def mirrored(self, axis: MirrorAxis) -> "MeshConfig":
+        """Its image in the plane of its frame with this normal; other shapes are their own."""
+        vertices = tuple(reflected(vertex, axis) for vertex in self.vertices)
+        faces = tuple((a, c, b) for a, b, c in self.faces)
+        return self.model_copy(update={"vertices": vertices, "faces": faces})
+
+    def build(self) -> Shape:
+        """The shape, centred on its own frame."""
+        return self._made()[0]
+
+    def _made(self) -> tuple[ConvexMesh, np.ndarray]:
+        faces = np.array(self.faces, int).reshape(-1, 3)
+        return convex_mesh(np.array(self.vertices).reshape(-1, 3), faces)
+
+
+ShapeConfig = Annotated[
+    BoxConfig | SphereConfig | EllipsoidConfig | CapsuleConfig | MeshConfig,
+    Field(discriminator="type"),
+]
