@@ -89,7 +89,9 @@ def page(
     """
     from evo_cpg.analysis.gait_numbers import chain_places, gait_numbers
     from evo_cpg.view.clip import sample
-    from evo_cpg.view.page import document, scene
+    from evo_cpg.view.page import scene
+    from evo_cpg.view.page.document import document
+    from evo_cpg.view.page.subject import Motion, Subject
     from evo_cpg.view.watch_picture import still
 
     config, simulation = load_config(folder.config), experiment.simulation
@@ -98,7 +100,7 @@ def page(
     numbers = gait_numbers(simulation, experiment.creature, frames, recording)
     doing("drawing")
     water = simulation.world.water
-    motion = document.Motion(
+    motion = Motion(
         recording=recording,
         clip=sample(recording, scene.RATE),
         numbers=numbers,
@@ -115,7 +117,7 @@ def page(
     )
     settings, signal = rhythm_of(simulation.controller)
     audit = _audit(folder, champion)
-    subject = document.Subject(
+    subject = Subject(
         name=experiment.name,
         changed=changed_config(folder),
         folder=folder.path.resolve().name,
@@ -137,7 +139,7 @@ def page(
         program=version().splitlines()[0],
         made=now(),
     )
-    return document.document(subject, motion)
+    return document(subject, motion)
 
 
 def _kept_at_half_the_step(meta: Mapping[str, Any], champion: Champion) -> float | None:

@@ -371,7 +371,7 @@ def differs(one: np.ndarray, other: np.ndarray) -> bool:
 
 
 def test_numbers_are_written_with_three_digits():
-    from evo_cpg.view.page.document import _number
+    from evo_cpg.view.page.words import number
 
-    assert _number(0.12345) == "0.123" and _number(11120.0) == "11120"
-    assert _number(math.nan) == "\N{EN DASH}" and _number(-2.0) == "\N{MINUS SIGN}2"
+    assert number(0.12345) == "0.123" and number(11120.0) == "11120"
+    assert number(math.nan) == "\N{EN DASH}" and number(-2.0) == "\N{MINUS SIGN}2"

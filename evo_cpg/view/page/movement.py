@@ -1,0 +1,206 @@
+"""Sections on how the animal moves: gait, signals, effort, and all that was measured."""
+
+import itertools
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from evo_cpg.analysis.gait_numbers import GaitNumbers, Quantity
+from evo_cpg.simulation.recording import Recording
+from evo_cpg.view.page import charts
+from evo_cpg.view.page.html import Html, join, long_table, table, tag
+from evo_cpg.view.page.subject import Motion, Subject
+from evo_cpg.view.page.words import number
+from evo_cpg.view.plots import joint_signals_figure, path_figure
+
+# The part of a trial that charts of signals and footfalls show, s and strides.
+_LEAST_SHOWN, _MOST_SHOWN, _STRIDES_SHOWN = 2.0, 8.0, 6.0
+# Of the path only so many places are drawn.
+_PLACES = 400
+
+
+def gait(motion: Motion) -> Html:
+    """Footfalls, the wave along the body, and the way."""
+    numbers, recording = motion.numbers, motion.recording
+    window = _window(recording, numbers.frequency)
+    parts: list[Any] = []
+    feet, wave = numbers.feet, numbers.wave
+    if feet is not None and feet.names:
+        parts += [
+            tag("h3", "Footfalls"),
+            charts.chart(
+                charts.footfall_figure(feet, numbers.step, window),
+                "When what touches the ground: a bar is a stance. Click into a chart, and the "
+                "animal goes to that instant.",
+                timed=True,
+            ),
+            _feet_table(numbers),
+        ]
+    elif feet is not None:
+        parts.append(tag("p", "Nothing but its root ever touches the ground."))
+    if wave is not None:
+        chain = list(numbers.chain)
+        names = [recording.dof_names[i].rpartition(".")[0] for i in chain]
+        bending = np.asarray(recording.joint_angle)[:, chain] * numbers.axis_signs[chain]
+        parts += [
+            tag("h3", "The wave along the body"),
+            charts.chart(
+                charts.wave_figure(bending, numbers.step, window, names),
+                f"Bending of each joint about {recording.dof_names[chain[0]].rpartition('.')[2]} "
+                "over time, the front above. A wave that runs to the tail slants to the lower "
+                "right; one that stands is upright.",
+                timed=True,
+            ),
+        ]
+        if math.isfinite(wave.count):
+            parts.append(
+                charts.chart(
+                    charts.lag_figure(wave, motion.chain_places),
+                    f"Phase and amplitude at {numbers.frequency:.3g} Hz. A straight line is a wave "
+                    f"of one speed; here {100 * wave.straightness:.0f} % of the phases' variance "
+                    "is that of a line.",
+                )
+            )
+    places = max(1, len(recording.time) // _PLACES)
+    parts += [
+        tag("h3", "Its way"),
+        charts.chart(
+            path_figure(_every(recording, places)), "From above, and the distance over time."
+        ),
+    ]
+    return join(*parts)
+
+
+def signals(subject: Subject, motion: Motion) -> Html | None:
+    """Angles of the joints and what drives them, and phase lags; None without joints."""
+    recording, numbers = motion.recording, motion.numbers
+    if not recording.dof_names:
+        return None
+    window = _window(recording, numbers.frequency)
+    figure = joint_signals_figure(
+        recording,
+        window=window,
+        chains=subject.chains,
+        signs=numbers.axis_signs,
+        signal=subject.signal,
+    )
+    parts: list[Any] = [
+        charts.chart(
+            figure,
+            "Angle of every joint about the axis that bends most, and what drives it. Thin lines "
+            "join crests of neighbours, or a crest and a trough where their axes point against "
+            "each other: their slope is the phase lag.",
+            timed=True,
+        )
+    ]
+    rows = []
+    for row in subject.chains:
+        for before, after in itertools.pairwise(row):
+            lag = numbers.lags.lag[before, after]
+            if math.isfinite(lag):
+                rows.append(
+                    [
+                        recording.dof_names[before],
+                        recording.dof_names[after],
+                        number(round(float(lag))),
+                        number(numbers.lags.coherence[before, after]),
+                    ]
+                )
+    if rows:
+        words = (
+            f"By how much a joint is behind the one before it at {numbers.frequency:.3g} Hz, from "
+            "the cross-spectrum of their angles (Welch 1967), both about the direction of the axis "
+            "of the first in the row; coherence: 1 where the lag is always the same, 0 where it is "
+            "anything."
+        )
+        made = long_table(["joint", "next", "lag (deg)", "coherence"], rows, numbers=(2, 3))
+        parts += [tag("h3", "Phase lags"), made, tag("p", words, class_="note")]
+    elif not numbers.frequency > 0:
+        parts.append(tag("p", "The joints do not repeat themselves, so there are no phase lags."))
+    return join(*parts)
+
+
+def effort(motion: Motion) -> Html:
+    """Power, speed and torques."""
+    recording, numbers, clip = motion.recording, motion.numbers, motion.clip
+    figure = charts.effort_figure(recording.time, numbers.power, clip.time, clip.speed)
+    order = np.argsort(-numbers.peak_torque)
+    rows = [
+        [
+            recording.dof_names[i],
+            number(float(numbers.peak_torque[i])),
+            number(float(numbers.rms_torque[i])),
+            number(np.degrees(np.ptp(recording.joint_angle[:, i]) / 2)),
+        ]
+        for i in order
+    ]
+    parts: list[Any] = [
+        charts.chart(
+            figure,
+            "Power of all motors, in tenths of a second, and speed of the animal's middle, "
+            "averaged over half a second.",
+            timed=True,
+        )
+    ]
+    if rows:
+        head = ["joint", "peak torque (N m)", "rms torque (N m)", "half range (deg)"]
+        parts.append(long_table(head, rows, numbers=(1, 2, 3)))
+    return join(*parts)
+
+
+def all_numbers(quantities: Sequence[Quantity]) -> Html:
+    """A table of all that was measured, each with its definition."""
+    rows = [
+        [
+            each.name,
+            number(each.value),
+            each.unit,
+            f"{each.definition}. None: {each.missing}." if each.missing else each.definition,
+        ]
+        for each in quantities
+    ]
+    return table(["", "value", "unit", "what it is"], rows, numbers=(1,))
+
+
+def _feet_table(numbers: GaitNumbers) -> Html:
+    feet = numbers.feet
+    assert feet is not None
+    rows = []
+    reference = feet.phases.reference
+    for i, name in enumerate(feet.names):
+        phase = number(feet.phases.phase[i])
+        rows.append(
+            [
+                name,
+                number(feet.duty_factor[i]),
+                f"{phase} (reference)" if i == reference else phase,
+                number(feet.phases.regularity[i]),
+                number(feet.slip[i]),
+            ]
+        )
+    words = (
+        "Phase: where in the stride of the reference it touches down, from 0 to 1 (Hildebrand "
+        "1965); regularity: 1 where always at the same, 0 where at any time."
+    )
+    head = ["body", "duty factor", "phase", "regularity", "slip (m/s)"]
+    return join(table(head, rows, numbers=(1, 2, 3, 4)), tag("p", words, class_="note"))
+
+
+def _window(recording: Recording, frequency: float) -> tuple[float, float]:
+    """The part that charts over time show: some strides in the middle of the second half, s."""
+    start, end = float(recording.time[0]), float(recording.time[-1])
+    length = _STRIDES_SHOWN / frequency if frequency > 0 else _MOST_SHOWN
+    length = min(max(length, _LEAST_SHOWN), _MOST_SHOWN, end - start)
+    middle = start + 0.75 * (end - start)
+    first = max(start, min(middle - length / 2, end - length))
+    return first, first + length
+
+
+def _every(recording: Recording, step: int) -> Recording:
+    arrays = {
+        name: value[::step] if name not in ("goal", "dof_names") else value
+        for name, value in recording._asdict().items()
+    }
+    return Recording(**arrays)

@@ -1,0 +1,139 @@
+"""Sections on where the champion comes from: evolution, audit, the paper, how to repeat it."""
+
+import hashlib
+import shlex
+from collections.abc import Mapping
+from typing import Any
+
+from evo_cpg.view.page import charts
+from evo_cpg.view.page.html import Html, join, long_table, table, tag
+from evo_cpg.view.page.subject import Motion, Subject
+from evo_cpg.view.page.words import cell, listed, number, share, without_folders
+from evo_cpg.view.plots import fitness_figure
+
+
+def evolution(subject: Subject, motion: Motion) -> Html:
+    """Fitness over the generations, and what the champion came to."""
+    rows = [[name, number(value)] for name, value in subject.champion.items()]
+    words = (
+        f"The champion comes from generation {subject.generation} (counted from 0; "
+        f"{subject.generations} are done), with the seed {subject.seed}"
+    )
+    if subject.run is not None:
+        words += f", run {subject.run}"
+    if subject.trial is not None:
+        words += f"; this is its trial {subject.trial}"
+    return join(
+        tag("p", words + "."),
+        charts.chart(
+            fitness_figure(motion.history),
+            "Fitness over the generations, and how many individuals diverged or broke a rule.",
+        ),
+        table(["", "champion"], rows, numbers=(1,)),
+        tag("p", "Fitness is maximised; the other rows are the terms that it is made of.",
+            class_="note"),
+    )  # fmt: skip
+
+
+def audit(subject: Subject) -> Html:
+    """Verdict and checks of the audit, or how to make one."""
+    found, command = subject.audit, tag("code", "evo-cpg audit RUN")
+    look: Any = None
+    if subject.half_step is not None:
+        look = tag(
+            "p", f"At half the physics step it keeps {100 * subject.half_step:.3g} % of its way."
+        )
+    if found is None:
+        return join(
+            look, tag("p", "It was not audited. ", command, " looks closer, and this page tells "
+                      "its verdict when it is made again.")
+        )  # fmt: skip
+    passed = bool(found.get("passed"))
+    verdict = tag("span", "passes" if passed else "does not pass",
+                  class_="passed" if passed else "failed")  # fmt: skip
+    old = None
+    if subject.stale:
+        old = tag("p", "That audit was of another champion; ", command, " looks at this one.",
+                  class_="failed")  # fmt: skip
+    reasons = [reason for reason in listed(found.get("reasons")) if isinstance(reason, str)]
+    rows = []
+    for check in listed(found.get("checks")):
+        if isinstance(check, Mapping):
+            passed = check.get("passed")
+            word = {True: "passed", False: "failed"}.get(passed) if passed is not None else ""
+            limit = share(check.get("limit"), check.get("unit"))
+            if limit:
+                limit = f"{'at least' if check.get('least') else 'at most'} {limit}"
+            measured = share(check.get("measured"), check.get("unit"))
+            rows.append([check.get("question", ""), measured or "diverged", limit,
+                         tag("span", word, class_=word)])  # fmt: skip
+    return join(
+        old,
+        tag("p", "The champion ", verdict, " its audit", f" of {found.get('made', '')}.", *(
+            [" ", "; ".join(reasons), "."] if reasons else [])),
+        table(["check", "measured", "allowed", ""], rows, numbers=(1, 2)),
+    )  # fmt: skip
+
+
+def paper(subject: Subject) -> Html | None:
+    """What differs from the shipped configuration and its paper; None where there is none."""
+    found = subject.departures
+    if found is None:
+        return None
+    parts: list[Any] = [tag("p", found.about)]
+    if found.differences:
+        rows = [[tag("code", d.key), cell(d.shipped), cell(d.own)] for d in found.differences]
+        parts += [
+            tag("h3", "This run against the shipped configuration"),
+            long_table(["key", "shipped", "this run"], rows),
+        ]
+    else:
+        parts.append(tag("p", "This run has all values of the shipped configuration."))
+    if found.notes:
+        rows = [
+            [tag("code", note.key), cell(note.value), "ours" if note.ours else "paper", note.text]
+            for note in found.notes
+        ]
+        parts += [
+            tag("h3", "The shipped configuration against the paper"),
+            tag("p", "What the paper gives, and what it leaves open and is ours, as the shipped "
+                "files say beside their values.", class_="note"),
+            table(["key", "shipped value", "whose", "note"], rows),
+        ]  # fmt: skip
+    return join(*parts)
+
+
+def repetition(subject: Subject) -> Html:
+    """Commands, versions and the configuration."""
+    run, meta = subject.folder, subject.meta
+    commands = [
+        "evo-cpg train config.yaml --out again",
+        f"evo-cpg verify {shlex.quote(run)}",
+        f"evo-cpg render {shlex.quote(run)}",
+        f"evo-cpg analyse {shlex.quote(run)}",
+    ]
+    rows = [[key, cell(meta[key])] for key in ("started", "resumed", "finished") if key in meta]
+    versions = meta.get("versions")
+    if isinstance(versions, Mapping):
+        said = ", ".join(f"{name} {version}" for name, version in versions.items())
+        rows.append(["versions", f"Python {meta.get('python', '?')}, {said}"])
+    for key in ("commit", "processor", "system", "engine", "instructions", "devices", "processes"):
+        if key in meta:
+            rows.append([key, cell(meta[key])])
+    digest = hashlib.sha256(subject.config.encode()).hexdigest()
+    rows.append(["configuration", f"SHA-256 {digest}"])
+    command = meta.get("command")
+    if isinstance(command, list):
+        words = [without_folders(str(word)) for word in command]
+        rows.append(["first command", f"evo-cpg {shlex.join(words)}"])
+    return join(
+        tag("p", "With the configuration below as ", tag("code", "config.yaml"), ", on the same "
+            "processor, with the same versions and number of cores, the same comes out bit for "
+            "bit; elsewhere numbers round differently, and evolution may take another turn. A "
+            "configuration that names files, such as meshes, or classes of its own needs those, "
+            "too."),
+        tag("pre", tag("code", "\n".join(commands))),
+        table(["", ""], rows),
+        tag("details", tag("summary", "The configuration"), tag("pre", tag("code",
+            subject.config))),
+    )  # fmt: skip

@@ -1,0 +1,84 @@
+"""What a page is about: who evolved, and how it moves."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from evo_cpg.analysis.gait_numbers import GaitNumbers
+from evo_cpg.simulation.recording import Recording
+from evo_cpg.view.clip import Clip
+from evo_cpg.view.page.departures import Departures
+
+
+class Subject(NamedTuple):
+    """What a page is about.
+
+    Attributes:
+        name: of the experiment.
+        changed: what is to be said of a configuration that the champion did not evolve in; None
+            where it is the one.
+        folder: name of the run folder.
+        sentence: what evolved, where, for what.
+        champion: fitness and terms, by name.
+        generation: that the champion comes from.
+        generations: that are done.
+        run: which of several runs; None where there is one.
+        trial: which of several trials; None where there is one.
+        seed: of the experiment.
+        chains: degrees of freedom in rows, as `plot_joint_signals` has them.
+        signal: what the controller's signal is, with its unit.
+        config: the resolved configuration, as a file.
+        meta: contents of meta.json.
+        audit: contents of audit.json; None where no audit was made.
+        stale: whether that audit was of another champion.
+        half_step: share of its way that it kept at half the physics step when training ended; None
+            where that was not looked at.
+        departures: from the shipped configuration and the paper; None where there is none of the
+            name.
+        program: that made the page, with its version.
+        made: when.
+    """
+
+    name: str
+    changed: str | None
+    folder: str
+    sentence: str
+    champion: Mapping[str, float]
+    generation: int
+    generations: int
+    run: int | None
+    trial: int | None
+    seed: int
+    chains: Sequence[Sequence[int]]
+    signal: str
+    config: str
+    meta: Mapping[str, Any]
+    audit: Mapping[str, Any] | None
+    stale: bool
+    half_step: float | None
+    departures: Departures | None
+    program: str
+    made: str
+
+
+class Motion(NamedTuple):
+    """How it moves.
+
+    Attributes:
+        recording: the motion.
+        clip: the same at the viewer's frames.
+        numbers: measured from it.
+        scene: for the viewer.
+        still: a picture, JPEG.
+        history: columns of metrics.csv.
+        chain_places: of the joints along the body, m behind the first.
+    """
+
+    recording: Recording
+    clip: Clip
+    numbers: GaitNumbers
+    scene: Mapping[str, Any]
+    still: bytes
+    history: Mapping[str, np.ndarray]
+    chain_places: np.ndarray

@@ -1,0 +1,60 @@
+"""How a page writes numbers, and values that it does not know: they may come from strangers."""
+
+import math
+from pathlib import PurePath
+from typing import Any
+
+import numpy as np
+
+from evo_cpg.analysis.gait_numbers import Quantity
+
+# Longest text of a cell.
+_LETTERS = 120
+
+
+def number(value: float | np.floating) -> str:
+    """Three digits; a dash where there is none."""
+    if not math.isfinite(value):
+        return "\N{EN DASH}"
+    words = f"{value:.3g}"
+    if "e" in words:
+        words = f"{value:.0f}" if 1e3 <= abs(value) < 1e6 else words
+    return words.replace("-", "\N{MINUS SIGN}", 1) if words.startswith("-") else words
+
+
+def with_unit(each: Quantity) -> str:
+    """Its value and unit."""
+    return f"{number(each.value)} {each.unit}".rstrip()
+
+
+def share(value: Any, unit: Any) -> str:
+    """A number from a file with its unit; nothing where it is none."""
+    if not _is_number(value):
+        return ""
+    return f"{100 * value:.3g} %" if unit == "%" else f"{value:.3g} {unit}".rstrip()
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def listed(value: Any) -> list[Any]:
+    """A list from a file; empty where it is none."""
+    return value if isinstance(value, list) else []
+
+
+def cell(value: Any) -> str:
+    """Any value in a few letters; a dash for None."""
+    if value is None:
+        return "\N{EN DASH}"
+    words = f"{value:.6g}" if isinstance(value, float) else str(value)
+    return words if len(words) <= _LETTERS else words[: _LETTERS - 3] + "..."
+
+
+def without_folders(word: str) -> str:
+    """A path without the folders that it is in: pages are shown to others."""
+    key, mark, value = word.partition("=")
+    place = value if mark else word
+    if PurePath(place).is_absolute() or place.startswith("~"):
+        return f"{key}{mark}{PurePath(place).name}" if mark else PurePath(place).name
+    return word
