@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from rich.console import Console
 
-from evo_cpg.cli.training import open_champion
+from evo_cpg.cli.champions import open_champion
 from evo_cpg.control.postures import PostureController
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.pairs import separations

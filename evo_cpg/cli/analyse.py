@@ -6,9 +6,9 @@ from pathlib import Path
 from evo_cpg.api.analyse import page, page_path
 from evo_cpg.api.load import changed_config
 from evo_cpg.api.training import require_configured
+from evo_cpg.cli.champions import open_champion, require_trial
 from evo_cpg.cli.errors import UsageError, require_free
 from evo_cpg.cli.progress import working
-from evo_cpg.cli.training import open_champion, require_trial
 from evo_cpg.files import write_text
 
 _SUFFIXES = (".html", ".htm")

@@ -14,10 +14,10 @@ from rich.table import Table
 from evo_cpg.analysis.verdict import Check, LimitError, Limits, limits_from, shown
 from evo_cpg.api.load import class_folders
 from evo_cpg.api.training import now, require_configured
+from evo_cpg.cli.champions import open_champion
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.exit_codes import ExitCode
 from evo_cpg.cli.progress import working
-from evo_cpg.cli.training import open_champion
 from evo_cpg.config.load import load_config
 from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.run_folder import RunFolder

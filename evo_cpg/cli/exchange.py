@@ -5,9 +5,9 @@ import sys
 from pathlib import Path
 
 from evo_cpg.cli.building import build
+from evo_cpg.cli.champions import champion_motion, champion_record, open_run
 from evo_cpg.cli.errors import UsageError, require_free
 from evo_cpg.cli.progress import working
-from evo_cpg.cli.training import champion_motion, champion_record, open_run
 from evo_cpg.config.load import dump_creature, load_config
 from evo_cpg.config.schema.section import LARGEST
 from evo_cpg.exchange.mjcf_export import mjcf_model, mjcf_text

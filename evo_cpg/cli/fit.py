@@ -10,10 +10,10 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from evo_cpg.cli.champions import open_champion
 from evo_cpg.cli.errors import UsageError, require_free
 from evo_cpg.cli.measured_motion import TARGET, MeasuredMotion, commands, read_motion
 from evo_cpg.cli.progress import Work, working
-from evo_cpg.cli.training import open_champion
 from evo_cpg.config.errors import ConfigError, nearest
 from evo_cpg.config.load import dump_config, load_config
 from evo_cpg.config.numbers import number_at, with_numbers

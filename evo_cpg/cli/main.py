@@ -522,7 +522,7 @@ def preview(
 @app.command()
 def verify(run: Run, cores: Cores = None) -> None:
     """Replay the champion and compare it with what was recorded."""
-    from evo_cpg.cli.training import verify_run
+    from evo_cpg.cli.verify import verify_run
 
     verify_run(run, cores)
 
@@ -560,7 +560,7 @@ def validate(
     strict: Strict = False,
 ) -> None:
     """Check configuration files without running them."""
-    from evo_cpg.cli.training import validate_configs
+    from evo_cpg.cli.validate import validate_configs
 
     validate_configs(configs, strict)
 

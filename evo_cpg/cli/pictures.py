@@ -6,9 +6,9 @@ from pathlib import Path
 
 from evo_cpg.analysis.chains import axis_signs, joint_rows, rhythm_of
 from evo_cpg.cli.building import read_config
+from evo_cpg.cli.champions import champion_motion
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.progress import working
-from evo_cpg.cli.training import champion_motion
 from evo_cpg.config.build import build_creature, build_experiment
 from evo_cpg.config.schema.ground import GroundConfig, PlaneConfig
 from evo_cpg.simulation.situation import starting_pose

@@ -6,9 +6,9 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from evo_cpg.cli.champions import open_champion
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.progress import working
-from evo_cpg.cli.training import open_champion
 from evo_cpg.config.situations import out_of_reach
 from evo_cpg.files import make_folder, write_table
 from evo_cpg.simulation.situation import Situation

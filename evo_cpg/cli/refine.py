@@ -8,19 +8,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from evo_cpg.api.load import class_folders, misfit
 from evo_cpg.api.training import now, require_configured
 from evo_cpg.cli.building import build
-from evo_cpg.cli.errors import UsageError
-from evo_cpg.cli.progress import progress
-from evo_cpg.cli.training import (
+from evo_cpg.cli.champions import (
     REPLAY_TOLERANCE,
     champion_of,
-    class_folders,
     live_again,
-    misfit,
     open_run,
     use_cores_of,
 )
+from evo_cpg.cli.errors import UsageError
+from evo_cpg.cli.progress import progress
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.fingerprint import fingerprint

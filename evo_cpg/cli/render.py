@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, NamedTuple
 from evo_cpg.analysis.chains import rhythm_of
 from evo_cpg.api.load import misfit
 from evo_cpg.api.record import Life, lives_again
-from evo_cpg.cli.errors import UsageError
-from evo_cpg.cli.pictures import of_trial, pixels_of
-from evo_cpg.cli.progress import working
-from evo_cpg.cli.training import (
+from evo_cpg.cli.champions import (
     REPLAY_TOLERANCE,
     champion_motion,
     open_champion,
     require_trial,
 )
+from evo_cpg.cli.errors import UsageError
+from evo_cpg.cli.pictures import of_trial, pixels_of
+from evo_cpg.cli.progress import working
 from evo_cpg.files import make_folder
 from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.devices import available_cores

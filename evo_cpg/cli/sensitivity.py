@@ -10,9 +10,10 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from evo_cpg.api.load import class_folders
+from evo_cpg.cli.champions import open_champion
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.progress import Work, working
-from evo_cpg.cli.training import class_folders, open_champion
 from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.load import load_config
 from evo_cpg.config.parameters import Parameters, all_parameters, parametrise

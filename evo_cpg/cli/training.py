@@ -1,18 +1,15 @@
-"""The commands that evolve and check: train, resume, verify, validate."""
+"""The commands that evolve: train and resume."""
 
 import contextlib
 import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from evo_cpg.analysis.verdict import Check, shown
-from evo_cpg.api.load import changed_config, class_folders, misfit
-from evo_cpg.api.surroundings import differences as changed_surroundings
-from evo_cpg.api.surroundings import surroundings
 from evo_cpg.api.training import (
     Recorder,
     begin_run,
@@ -24,18 +21,16 @@ from evo_cpg.api.training import (
 )
 from evo_cpg.api.warm_start import What, warm_start
 from evo_cpg.cli.building import build, read_config
+from evo_cpg.cli.champions import open_run, use_cores_of
 from evo_cpg.cli.distributed import BY_ITSELF, Distribution, require_same, together
 from evo_cpg.cli.errors import UsageError
-from evo_cpg.cli.exit_codes import ExitCode
 from evo_cpg.cli.oscillators import warn_of_oscillators
 from evo_cpg.cli.progress import progress, working
-from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.fingerprint import changes, fingerprint
 from evo_cpg.config.load import load_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
-from evo_cpg.config.shipped import find_config
 from evo_cpg.simulation.task import term_names
-from evo_cpg.training.checkpoint import Champion, Checkpoint, genes_digest, outcome_digest
+from evo_cpg.training.checkpoint import Checkpoint, genes_digest
 from evo_cpg.training.devices import use_cores
 from evo_cpg.training.experiment import TABLE_COLUMNS, Experiment
 from evo_cpg.training.reevaluation import is_finished
@@ -43,12 +38,7 @@ from evo_cpg.training.run_folder import RunFolder, RunFolderError
 from evo_cpg.training.scalars import FOLDER, MissingWriterError, Scalars, require_writer
 
 if TYPE_CHECKING:
-    from evo_cpg.api.record import Record
     from evo_cpg.training.processes import Team
-
-# The replayed fitness and terms must agree with those recorded to this relative accuracy. On the
-# machine of the training run they are equal; another processor rounds differently.
-REPLAY_TOLERANCE = 1e-3
 
 
 def start_run(
@@ -225,199 +215,6 @@ def _say_finished(folder: RunFolder, done: int) -> None:
     print(folder.path)
 
 
-def verify_run(run: Path, cores: int | None) -> None:
-    """`evo-cpg verify`."""
-    use_cores_of(run, cores)
-    folder, _, experiment = open_run(run)
-    require_configured(folder)
-    champion, _, digests = folder.load_champion()
-    differences = []
-    if digests["genes_sha256"] != genes_digest(champion.genes):
-        differences.append("champion.npz: the genome is not the one that was evolved")
-    if digests["outcome_sha256"] != outcome_digest(champion):
-        differences.append("champion.npz: fitness or terms are not those that were recorded")
-    changed = changed_config(folder)
-    if changed:
-        differences.append(changed)
-    checkpoint = folder.load()
-    kept = checkpoint.champion if checkpoint else None
-    if kept and kept.generation == champion.generation:
-        if not np.array_equal(kept.genes, champion.genes):
-            differences.append("champion.npz: the genome is not that of the newest checkpoint")
-        if outcome_digest(kept) != outcome_digest(champion):
-            differences.append("champion.npz: the newest checkpoint records other fitness or terms")
-    wrong = misfit(experiment, champion)
-    if wrong:
-        _report(run, [*differences, wrong])
-    devices = folder.read_meta().get("devices", 1)
-    fitness, terms, _ = live_again(experiment, champion, devices)
-    recorded = {"fitness": champion.fitness, **champion.terms}
-    replayed = {"fitness": fitness, **terms}
-    for name, value in recorded.items():
-        if name not in replayed:
-            differences.append(f"{name}: recorded {value:.6g}, and not replayed")
-            continue
-        now = replayed[name]
-        if not np.isclose(now, value, REPLAY_TOLERANCE, REPLAY_TOLERANCE, equal_nan=True):
-            differences.append(f"{name}: recorded {value:.6g}, replayed {now:.6g}")
-    here = surroundings(experiment.simulation.engine, devices)
-    for changed in changed_surroundings(folder.read_meta(), here):
-        print(f"{run}: {changed}; bits may differ", file=sys.stderr)
-    _report(run, differences)
-    same = all(np.array_equal(replayed[name], recorded[name], True) for name in recorded)
-    exact = "exactly" if same else f"to {REPLAY_TOLERANCE:g}"
-    print(f"{run}: the champion's fitness {champion.fitness:.6f} comes out as recorded ({exact})")
-
-
-def validate_configs(words: Sequence[str], strict: bool = False) -> None:
-    """`evo-cpg validate`.
-
-    Args:
-        words: files, and settings that hold for all of them.
-        strict: refuse what is hardly meant.
-
-    Raises:
-        UsageError: there is no file among the words.
-        SystemExit: with `ExitCode.WRONG_INPUT`, where a file is wrong.
-    """
-    overrides = [word for word in words if "=" in word and not _exists(word)]
-    paths = [Path(word) for word in words if word not in overrides]
-    if not paths:
-        raise UsageError(f"validate: {overrides[0]} is a setting; name a configuration file, too")
-    wrong = 0
-    for given in paths:
-        path = given
-        try:
-            path = find_config(given)
-            experiment = build(read_config(path, overrides, strict), path)
-        except (ConfigError, UsageError) as error:
-            wrong += 1
-            print(f"evo-cpg: {error}", file=sys.stderr)
-        else:
-            tree = experiment.simulation.world.tree
-            print(
-                f"{given}: {tree.body_count} bodies, {tree.dof_count} joint axes, "
-                f"{experiment.creature.mass:.3g} kg, "
-                f"{experiment.simulation.controller.gene_count} genes"
-            )
-            warn_of_oscillators(given, experiment.simulation)
-    if wrong:
-        raise SystemExit(ExitCode.WRONG_INPUT)
-
-
-def _exists(word: str) -> bool:
-    """Whether a word is a file; one that no file can be called is none."""
-    try:
-        return Path(word).exists()
-    except (OSError, ValueError):
-        return False
-
-
-def open_run(run: Path) -> tuple[RunFolder, ExperimentConfig, Experiment]:
-    """A run folder with its configuration, built.
-
-    Raises:
-        RunFolderError: there is no run.
-        ConfigError: its configuration is wrong.
-    """
-    folder = RunFolder(run)
-    folder.require()
-    config = load_config(folder.config)
-    return folder, config, build(config, folder.config, class_folders(folder))
-
-
-def open_champion(
-    run: Path, number: int | None = None, cell: str | None = None
-) -> tuple[Experiment, Champion, Any, RunFolder]:
-    """The champion of a run, with its motion in its first trial where the folder has that.
-
-    Args:
-        run: the run folder.
-        number: whose champion, where the folder holds several runs; None for the best.
-        cell: of the run's map, whose elite is wanted instead, as ``3,0,7``; None for the champion.
-    """
-    use_cores_of(run)
-    folder, _, experiment = open_run(run)
-    champion, recording, digests = folder.load_champion()
-    if cell is not None:
-        of_run = champion.run if number is None else number
-        champion, recording = _elite_of(folder, experiment, cell, of_run), None
-    elif number is not None and number != champion.run:
-        champion, recording = champion_of(folder, number), None
-    wrong = misfit(experiment, champion)
-    if wrong:
-        raise RunFolderError(f"{folder.config} was changed after training: {wrong}")
-    if digests["config_sha256"] != folder.config_digest():
-        recording = None
-    return experiment, champion, recording, folder
-
-
-def champion_motion(
-    run: Path, number: int | None = None, trial: int = 0, cell: str | None = None
-) -> tuple[Experiment, Champion, Any, RunFolder]:
-    """The champion of a run with its motion, which is replayed where it was not recorded.
-
-    Args:
-        run: the run folder.
-        number: whose champion, where the folder holds several runs; None for the best.
-        trial: in which of its trials, from 0.
-        cell: see `open_champion`.
-    """
-    experiment, champion, recording, folder = open_champion(run, number, cell)
-    require_trial(experiment, folder, trial)
-    # The folder keeps the motion in the first.
-    if recording is None or trial > 0:
-        devices = folder.read_meta().get("devices", 1)
-        _, _, recording = live_again(experiment, champion, devices, trial)
-    return experiment, champion, recording, folder
-
-
-def champion_record(
-    run: Path, number: int | None = None, trial: int = 0, cell: str | None = None
-) -> "Record":
-    """All that can be told of the champion's trial, lived again; see `champion_motion`."""
-    experiment, champion, _, folder = open_champion(run, number, cell)
-    require_trial(experiment, folder, trial)
-    from evo_cpg.api.record import as_record, lives_again
-
-    with working("replaying the champion: compiling takes some seconds, a trial less"):
-        ((_, frames, motion),) = lives_again(experiment, [champion], folder, trial, full=True)
-    return as_record(experiment.simulation, frames, motion)
-
-
-def require_trial(experiment: Experiment, folder: RunFolder, trial: int) -> None:
-    """Check that an individual has a trial of that number, from 0.
-
-    Raises:
-        UsageError: it has not.
-    """
-    if trial >= experiment.trials:
-        raise UsageError(
-            f"--trial: an individual of {folder.path} has {experiment.trials} trial(s), counted "
-            "from 0"
-        )
-
-
-def use_cores_of(run: Path, cores: int | None = None) -> int:
-    """As many cores as the run was trained on, unless told otherwise.
-
-    Before it is built: finding a place to stand on uneven ground starts JAX.
-    """
-    meta = RunFolder(run).read_meta()
-    # Of several processes those of one say nothing.
-    noted = meta.get("devices") if meta.get("processes", 1) == 1 else None
-    return use_cores(cores or noted)
-
-
-def live_again(experiment: Experiment, champion: Champion, devices: int, trial: int = 0) -> Any:
-    """The champion's fitness, terms and motion, lived again; says so where it takes long."""
-    # Importing the loop starts nothing, but it takes JAX a second.
-    from evo_cpg.training.loop import replay_champion
-
-    with working("replaying the champion: compiling takes some seconds, a trial less"):
-        return replay_champion(experiment, champion, devices, trial)
-
-
 def _evolve(
     experiment: Experiment,
     folder: RunFolder,
@@ -490,38 +287,3 @@ def _standing(rows: list[dict[str, float]]) -> str:
     diverged = sum(row["diverged"] for row in rows)
     speed = rows[0]["steps_per_second"] / 1e3
     return f"{fitness}  diverged {diverged:3d}  {speed:6.0f} k steps/s"
-
-
-def champion_of(folder: RunFolder, number: int) -> Champion:
-    """The champion of one of several runs, as the newest checkpoint knows it."""
-    checkpoint = folder.load()
-    champions = checkpoint.champions if checkpoint else ()
-    if number >= len(champions):
-        raise UsageError(f"--run: {folder.path} holds {len(champions)} run(s), counted from 0")
-    champion = champions[number]
-    if champion is None:
-        raise UsageError(f"--run: every individual of run {number} diverged: it has no champion")
-    return champion
-
-
-def _elite_of(folder: RunFolder, experiment: Experiment, cell: str, number: int) -> Champion:
-    """The elite of a cell, as the newest checkpoint knows it."""
-    from evo_cpg.training.elites import elite
-
-    try:
-        place = tuple(int(part) for part in cell.split(","))
-    except ValueError:
-        raise UsageError(
-            f"--cell: {cell!r} is not a list of whole numbers, such as 3,0,7"
-        ) from None
-    champion_of(folder, number)
-    checkpoint = folder.load()
-    assert checkpoint is not None
-    return elite(experiment, checkpoint, place, number)
-
-
-def _report(run: Path, differences: list[str]) -> None:
-    if differences:
-        for difference in differences:
-            print(f"evo-cpg: {run}: {difference}", file=sys.stderr)
-        raise SystemExit(ExitCode.NOT_PASSED)

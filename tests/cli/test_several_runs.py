@@ -6,7 +6,7 @@ import shutil
 import pytest
 
 from evo_cpg.cli import pictures
-from evo_cpg.cli.training import champion_motion
+from evo_cpg.cli.champions import champion_motion
 from evo_cpg.training.run_folder import RunFolder
 from tiny_run import CONFIG, PAIR
 

@@ -14,7 +14,7 @@ from evo_cpg.cli import sweep as command
 from evo_cpg.cli import training
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.sweep import run_sweep
-from evo_cpg.cli.training import verify_run
+from evo_cpg.cli.verify import verify_run
 from evo_cpg.config.load import as_overrides
 from evo_cpg.config.settings import combine
 from evo_cpg.training import together

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import yaml
 
-from evo_cpg.cli import training
+from evo_cpg.cli import champions
 from evo_cpg.cli.options import View
 from evo_cpg.cli.pictures import plot_run
 from evo_cpg.training import loop
@@ -69,7 +69,7 @@ def test_the_first_trial_is_shown_from_the_folder_and_others_are_replayed(
         return champion.fitness, champion.terms, kept
 
     monkeypatch.setattr(loop, "replay_champion", replay)
-    monkeypatch.setattr(training, "use_cores", lambda count=None: 2)
+    monkeypatch.setattr(champions, "use_cores", lambda count=None: 2)
     for trial in (0, 2):
         plot_run(situated_run, tmp_path, None, trial)
     assert asked == [(champion.fitness, 2)]

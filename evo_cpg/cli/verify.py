@@ -1,0 +1,65 @@
+"""`evo-cpg verify`: whether a champion is what it was, and comes out as recorded."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from evo_cpg.api.load import changed_config, misfit
+from evo_cpg.api.surroundings import differences as changed_surroundings
+from evo_cpg.api.surroundings import surroundings
+from evo_cpg.api.training import require_configured
+from evo_cpg.cli.champions import REPLAY_TOLERANCE, live_again, open_run, use_cores_of
+from evo_cpg.cli.exit_codes import ExitCode
+from evo_cpg.training.checkpoint import genes_digest, outcome_digest
+
+
+def verify_run(run: Path, cores: int | None) -> None:
+    """`evo-cpg verify`."""
+    use_cores_of(run, cores)
+    folder, _, experiment = open_run(run)
+    require_configured(folder)
+    champion, _, digests = folder.load_champion()
+    differences = []
+    if digests["genes_sha256"] != genes_digest(champion.genes):
+        differences.append("champion.npz: the genome is not the one that was evolved")
+    if digests["outcome_sha256"] != outcome_digest(champion):
+        differences.append("champion.npz: fitness or terms are not those that were recorded")
+    changed = changed_config(folder)
+    if changed:
+        differences.append(changed)
+    checkpoint = folder.load()
+    kept = checkpoint.champion if checkpoint else None
+    if kept and kept.generation == champion.generation:
+        if not np.array_equal(kept.genes, champion.genes):
+            differences.append("champion.npz: the genome is not that of the newest checkpoint")
+        if outcome_digest(kept) != outcome_digest(champion):
+            differences.append("champion.npz: the newest checkpoint records other fitness or terms")
+    wrong = misfit(experiment, champion)
+    if wrong:
+        _report(run, [*differences, wrong])
+    devices = folder.read_meta().get("devices", 1)
+    fitness, terms, _ = live_again(experiment, champion, devices)
+    recorded = {"fitness": champion.fitness, **champion.terms}
+    replayed = {"fitness": fitness, **terms}
+    for name, value in recorded.items():
+        if name not in replayed:
+            differences.append(f"{name}: recorded {value:.6g}, and not replayed")
+            continue
+        now = replayed[name]
+        if not np.isclose(now, value, REPLAY_TOLERANCE, REPLAY_TOLERANCE, equal_nan=True):
+            differences.append(f"{name}: recorded {value:.6g}, replayed {now:.6g}")
+    here = surroundings(experiment.simulation.engine, devices)
+    for changed in changed_surroundings(folder.read_meta(), here):
+        print(f"{run}: {changed}; bits may differ", file=sys.stderr)
+    _report(run, differences)
+    same = all(np.array_equal(replayed[name], recorded[name], True) for name in recorded)
+    exact = "exactly" if same else f"to {REPLAY_TOLERANCE:g}"
+    print(f"{run}: the champion's fitness {champion.fitness:.6f} comes out as recorded ({exact})")
+
+
+def _report(run: Path, differences: list[str]) -> None:
+    if differences:
+        for difference in differences:
+            print(f"evo-cpg: {run}: {difference}", file=sys.stderr)
+        raise SystemExit(ExitCode.NOT_PASSED)
