@@ -5,14 +5,23 @@ be positive, and all others as they are:
 
     minimise  sum_i ((y_i - m_i(theta)) / sigma_i)^2.
 
-The noise sigma of each kind of column (places, attitudes, joint angles) is estimated from its
-residuals, and the fit repeated with it. With J the Jacobian of the weighted residuals at the end,
-n numbers and k parameters,
+The noise sigma of each kind of column (places, attitudes, joint angles) is estimated from the
+residuals of its n_q numbers, less what the parameters take up of these, and the fit repeated with
+it until it stays (Foerstner, "Ein Verfahren zur Schaetzung von Varianz- und
+Kovarianzkomponenten", Allgemeine Vermessungs-Nachrichten 86, 1979). With J the Jacobian of the
+weighted residuals, n numbers and k parameters,
 
+    sigma_q^2 = sum_(i in q) r_i^2 / (n_q - sum_(i in q) h_i),      h = diag(J (J^T J)^-1 J^T),
     s^2 = |residuals|^2 / (n - k),      cov(theta) = s^2 (J^T J)^-1,
 
-and a 95 % interval is theta +- t(0.975, n - k) standard errors (Student), for logarithms made into
-factors. It holds where the noise is normal and independent from number to number, the model is
+and a 95 % interval is theta +- t(0.975, nu) standard errors (Student), for logarithms made into
+factors. With one kind nu = n - k, with known noise infinite; with more the variance of a parameter
+is a sum v_q over the kinds, whose own noises are known only so well (Satterthwaite, "An approximate
+distribution of estimates of variance components", Biometrics Bulletin 2, 1946):
+
+    nu = (sum_q v_q)^2 / sum_q (v_q^2 / (n_q - sum_(i in q) h_i)).
+
+It holds where the noise is normal and independent from number to number, the model is
 right, and the error so small that the model is linear within it.
 
 The search has found its end where the residuals have next to nothing along J (Bates and Watts,
@@ -33,8 +42,8 @@ import numpy as np
 import optimistix
 from jaxtyping import Array, Bool, Float, Int
 
-# Fits, each with the noise of the one before it.
-_ROUNDS = 3
+# Fits, each with the noise of the one before it, until that stays to this share; at most so many.
+_STAYS, _ROUNDS = 0.01, 20
 
 _TOLERANCE, _MOST_STEPS = 1e-6, 60
 
@@ -53,6 +62,9 @@ CORRELATED, VAGUE = 0.98, 0.5
 
 CONFIDENCE = 0.95
 
+# Of a kind's numbers at least so much is left to its noise, so that it does not vanish with them.
+_LEAST_FREEDOM = 1e-3
+
 
 class Fit(NamedTuple):
     """What the data say.
@@ -66,6 +78,7 @@ class Fit(NamedTuple):
         noise: of each kind of column.
         freedom: n - k.
         found: whether the search converged.
+        felt: which parameters anything depends on that was measured.
     """
 
     values: Float[Array, " k"]
@@ -76,6 +89,7 @@ class Fit(NamedTuple):
     noise: Float[Array, " kinds"]
     freedom: Float[Array, ""]
     found: Bool[Array, ""]
+    felt: Bool[Array, " k"]
 
 
 def fit(
@@ -114,10 +128,16 @@ def fit(
 
     evaluate = _with_slopes(gaps)
 
-    def spread(gap: Array) -> Array:
+    def spread(gap: Array, taken: Array) -> Array:
         squares = (gap * gap).sum(0) @ members
-        share = jnp.maximum(counts * freedom / counts.sum(), 1.0)
-        return jnp.sqrt(squares / share)
+        return jnp.sqrt(squares / jnp.maximum(counts - taken, _LEAST_FREEDOM))
+
+    def taken_up(slopes: Array, sigma: Array) -> Array:
+        """Of each kind's numbers, how many the parameters take up."""
+        jacobian = slopes / (members @ sigma)[None, :, None]
+        along, singular, _ = jnp.linalg.svd(jacobian.reshape(-1, len(start)), full_matrices=False)
+        along = jnp.where(singular > _FLAT * singular[0], along, 0.0)
+        return (along * along).sum(1).reshape(data.shape).sum(0) @ members
 
     def weighted(theta: Array, sigma: Array) -> tuple[Array, tuple[Array, Array]]:
         gap, slopes = evaluate(theta)
@@ -125,24 +145,28 @@ def fit(
 
     solver = optimistix.LevenbergMarquardt(rtol=_TOLERANCE, atol=_TOLERANCE)
 
-    def once(carry: tuple, _: None) -> tuple[tuple, None]:
-        theta, sigma = carry[:2]
+    def once(carry: tuple) -> tuple:
+        number, _, theta, sigma = carry[:4]
         solution = optimistix.least_squares(
             weighted, solver, theta, args=sigma, max_steps=_MOST_STEPS, has_aux=True, throw=False
         )
         gap, slopes = solution.aux
-        again = jnp.maximum(spread(gap), jnp.finfo(data.dtype).tiny ** 0.25)
-        sigma = again if noise is None else sigma
-        return (solution.value, sigma, gap, slopes), None
+        again = spread(gap, taken_up(slopes, sigma)) if noise is None else sigma
+        again = jnp.maximum(again, jnp.finfo(data.dtype).tiny ** 0.25)
+        # Only their ratios move the estimate.
+        ratios = again / sigma
+        stays = (jnp.abs(ratios / ratios.max() - 1.0) < _STAYS).all()
+        return number + 1, stays, solution.value, again, gap, slopes
 
     theta = jnp.where(positive, jnp.log(jnp.where(positive, start, 1.0)), start)
     middle = (clean.sum(0) / jnp.maximum(known.sum(0), 1))[None]
-    first = jnp.maximum(spread(jnp.where(known, data - middle, 0.0)), 1e-12)
+    first = jnp.maximum(spread(jnp.where(known, data - middle, 0.0), jnp.zeros(())), 1e-12)
     sigma = first if noise is None else jnp.asarray(noise, data.dtype)
-    # Where all noise is alike it does not move the estimate.
-    rounds = _ROUNDS if noise is None and kinds.max() > 0 else 1
-    begin = (theta, sigma, clean, jnp.zeros((*data.shape, len(start)), data.dtype))
-    (theta, sigma, gap, slopes), _ = jax.lax.scan(once, begin, length=rounds)
+    slopes = jnp.zeros((*data.shape, len(start)), data.dtype)
+    begin = (jnp.zeros((), int), jnp.zeros((), bool), theta, sigma, clean, slopes)
+    _, _, theta, sigma, gap, slopes = jax.lax.while_loop(
+        lambda carry: (carry[0] < _ROUNDS) & ~carry[1], once, begin
+    )
     weights = 1.0 / (members @ sigma)[None]
     residuals = (gap * weights).reshape(-1)
     jacobian = (slopes * weights[..., None]).reshape(-1, len(start))
@@ -158,8 +182,10 @@ def fit(
     # Data without noise.
     exact = (jnp.abs(step) <= _TOLERANCE * (1.0 + jnp.abs(theta))).all()
     errors = jnp.sqrt(jnp.diagonal(covariance))
-    quantiles = jnp.asarray(student_quantiles(0.5 + CONFIDENCE / 2, data.size), data.dtype)
-    reach = quantiles[jnp.maximum(freedom, 0).astype(int)] * errors
+    of_kinds = ((along @ rows) ** 2).reshape(*data.shape, -1).sum(0).T @ members
+    left = jnp.maximum(counts - taken_up(slopes, sigma), _LEAST_FREEDOM)
+    unsure = 0.0 if noise is not None else (of_kinds**2 / left[None]).sum(1) / of_kinds.sum(1) ** 2
+    reach = student_quantile(0.5 + CONFIDENCE / 2, unsure, data.size) * errors
     return Fit(
         to_values(theta),
         errors,
@@ -169,6 +195,7 @@ def fit(
         sigma,
         freedom,
         (near | exact) & jnp.isfinite(theta).all(),
+        (jacobian != 0).any(0),
     )
 
 
@@ -196,14 +223,24 @@ def _with_slopes(
     return evaluate
 
 
-def student_quantiles(probability: float, most: int) -> Float[np.ndarray, " freedoms"]:
-    """Quantiles of Student's t with 0 (NaN), 1, ... degrees of freedom, to the most there may be.
+def student_quantile(
+    probability: float, unsure: Float[Array, " k"] | float, most: int
+) -> Float[Array, " k"]:
+    """Quantiles of Student's t; infinite below one degree of freedom.
 
-    A table, because how much of a recording is missing may be known to the compiled program only.
+    Between whole degrees of freedom they are linear in one over these.
+
+    Args:
+        probability: that is not exceeded.
+        unsure: one over the degrees of freedom; 0 for the normal distribution.
+        most: degrees of freedom that there may be.
     """
-    from scipy.special import stdtrit
+    from scipy.special import ndtri, stdtrit
 
-    return stdtrit(np.arange(most + 1), probability)
+    freedoms = np.arange(most, 0, -1)
+    known = np.append(ndtri(probability), stdtrit(freedoms, probability))
+    found = jnp.interp(unsure, np.append(0.0, 1.0 / freedoms), known)
+    return jnp.where(jnp.asarray(unsure) > 1.0 + 1e-6, jnp.inf, found)
 
 
 def doubts(keys: tuple[str, ...], positive: np.ndarray, result: Fit) -> list[str]:

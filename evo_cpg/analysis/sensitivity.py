@@ -32,6 +32,9 @@ _AGREEMENT = 0.2
 # Changes of a measure up to this share of it are no disagreement.
 _NEGLIGIBLE = 1e-5
 
+# A measure (m/s, or fitness) that is no larger has no per cent: it may be nothing but rounding.
+_NOTHING = 1e-9
+
 MEASURES = ("speed", "fitness")
 
 # Name of the term that tells the speed; no term of a task or measure is called so.
@@ -61,7 +64,7 @@ class Sensitivity(NamedTuple):
     def elasticity(self) -> float:
         """Per cent of the measure per per cent of the parameter; per unit where that is 0.
 
-        NaN where the measure is 0, which has no per cent.
+        NaN where the measure is nothing, which has no per cent.
         """
         return self._share(self.slope)
 
@@ -72,7 +75,7 @@ class Sensitivity(NamedTuple):
 
     def _share(self, slope: float) -> float:
         size = abs(self.measure)
-        return slope * (self.value or 1.0) / size if size else math.nan
+        return slope * (self.value or 1.0) / size if size > _NOTHING else math.nan
 
     @property
     def confirmed(self) -> bool:
@@ -98,13 +101,13 @@ class _Followed(Task):
         task: the animal's own.
         light: that of the task.
         duration: from the first control step to the last, s.
-        ahead: whether only the way along x counts.
+        axes: along which the way counts: the first alone is the way ahead.
     """
 
     light: tuple[float, float, float] | None
     task: Task
     duration: float
-    ahead: bool = eqx.field(static=True)
+    axes: int = eqx.field(static=True)
 
     def begin(self, batch: tuple[int, ...], dtype: jnp.dtype, steps: int) -> _Journey:
         """See `Task.begin`."""
@@ -122,8 +125,8 @@ class _Followed(Task):
 
     def terms(self, tally: _Journey, steps: int) -> dict[str, Float[Array, " *n"]]:
         """Those of the task, and `_SPEED` (m/s)."""
-        way = tally.end - tally.start
-        along = way[0] if self.ahead else jnp.sqrt(way[0] ** 2 + way[1] ** 2)
+        way = (tally.end - tally.start)[: self.axes]
+        along = way[0] if self.axes == 1 else jnp.sqrt((way * way).sum(0))
         return self.task.terms(tally.own, steps) | {_SPEED: along / self.duration}
 
     def fitness(self, terms, scales) -> Float[Array, " *n"]:
@@ -135,12 +138,13 @@ def followed(simulation: Simulation) -> Simulation:
     """The same trial, with `_SPEED` among its terms: its task's way over the time, m/s.
 
     That is how fast the distance to the light shrinks; without a light it is the way ahead where
-    the task wants that, else the straight way in any direction.
+    the task wants that, else the straight way in any direction, over ground without its height.
     """
     task = simulation.task
     ahead = simulation.lights[0] is not None or getattr(task, "heading", "any") == "forward"
     duration = (simulation.steps - 1) / simulation.control_rate
-    followed = _Followed(light=task.light, task=task, duration=duration, ahead=ahead)
+    axes = 1 if ahead else 3 if simulation.world.footing is None else 2
+    followed = _Followed(light=task.light, task=task, duration=duration, axes=axes)
     return eqx.tree_at(lambda s: s.task, simulation, followed)
 
 

@@ -17,9 +17,19 @@ if TYPE_CHECKING:
 # Columns of commands begin with this.
 TARGET = "target."
 
-_UNIT = re.compile(r"\s*\[[^]]*\]$")
+# A command that is stamped later than a control step by less than this share of it is the step's:
+# stamps are rounded, to milliseconds or microseconds.
+_ON_TIME = 0.05
+
+_UNIT = re.compile(r"\s*\[([^]]*)\]$")
+# Units of what is measured, in SI.
+_TIMES = {"s": 1.0, "ms": 1e-3}
+_LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
+_ANGLES = {"rad": 1.0, "deg": math.pi / 180, "mrad": 1e-3}
+_RATES = {f"{angle}/s": size for angle, size in _ANGLES.items()}
 # By this a motion is known that `evo-cpg export` wrote; the root's comes first.
 _EXPORTED = ".rotation_xx"
+_PLACES = ("x", "y", "z")
 _ATTITUDE = ("xx", "yx", "zx", "zy", "zz")
 
 
@@ -54,7 +64,9 @@ def read_motion(path: Path) -> MeasuredMotion:
     if len(lines) < 2:
         raise UsageError(f"{path}: has no numbers; give a line of names and lines of numbers")
     # A unit may stand behind a name: `time [s]`.
-    names = [_UNIT.sub("", name.strip()) for name in lines[0][1]]
+    heads = [name.strip() for name in lines[0][1]]
+    names = [_UNIT.sub("", head) for head in heads]
+    units = [match[1].strip() if (match := _UNIT.search(head)) else None for head in heads]
     twice = [name for i, name in enumerate(names) if name in names[:i]]
     if twice:
         raise UsageError(f"{path}: the column {twice[0]!r} is there twice")
@@ -66,6 +78,9 @@ def read_motion(path: Path) -> MeasuredMotion:
             raise UsageError(f"{path}: line {line} has {len(row)} cells, not {len(names)}")
         for j, cell in enumerate(row):
             table[i, j] = _measured(cell, f"{path}: line {line}, {names[j]}")
+    if not any(name.endswith(_EXPORTED) for name in names):
+        # In an exported motion they are ours, and many columns are of something else.
+        table *= [_in_si(name, unit, path) for name, unit in zip(names, units, strict=True)]
     columns = _of_export(dict(zip(names, table.T, strict=True)), path)
     time = columns.pop("time")
     if not np.isfinite(time).all() or time.min() < 0 or (np.diff(time) <= 0).any():
@@ -78,6 +93,21 @@ def read_motion(path: Path) -> MeasuredMotion:
         raise UsageError(f"{path}: nothing was measured: there is only time")
     targets = {name.removeprefix(TARGET): column for name, column in targets.items()}
     return MeasuredMotion(time, tuple(columns), np.stack(list(columns.values()), 1), targets)
+
+
+def _in_si(name: str, unit: str | None, path: Path) -> float:
+    """The unit of a column in that which is meant where none is written."""
+    if unit is None:
+        return 1.0
+    if name.startswith(TARGET):
+        allowed = _RATES
+    else:
+        allowed = _TIMES if name == "time" else _LENGTHS if name in _PLACES else _ANGLES
+    if unit not in allowed:
+        raise UsageError(
+            f"{path}: {name} [{unit}]: cannot be in that unit; choose {' or '.join(allowed)}"
+        )
+    return allowed[unit]
 
 
 def _of_export(columns: dict[str, np.ndarray], path: Path) -> dict[str, np.ndarray]:
@@ -110,13 +140,23 @@ def _of_export(columns: dict[str, np.ndarray], path: Path) -> dict[str, np.ndarr
 
 def commands(recording: MeasuredMotion, simulation: "Simulation") -> Commanded:
     """The recorded commands as a controller: each is held from its row to the next."""
-    tree = simulation.world.tree
-    step = np.arange(simulation.steps) / float(simulation.control_rate)
-    row = np.searchsorted(recording.time, step + 1e-9, side="right") - 1
+    tree, rate = simulation.world.tree, float(simulation.control_rate)
+    step = (np.arange(simulation.steps) + _ON_TIME) / rate
+    row = np.searchsorted(recording.time, step, side="right") - 1
     rates = np.zeros((simulation.steps, tree.dof_count))
     for name, column in recording.targets.items():
         rates[:, tree.dof_names.index(name)] = np.where(row >= 0, column[np.maximum(row, 0)], 0.0)
     return Commanded(tree=tree, rates=rates)
+
+
+def late_commands(recording: MeasuredMotion, simulation: "Simulation") -> int:
+    """How many commands change between two control steps."""
+    if not recording.targets:
+        return 0
+    table = np.stack(list(recording.targets.values()), 1)
+    new = np.append(table[:1] != 0, np.diff(table, axis=0) != 0, 0).any(1)
+    steps = recording.time * float(simulation.control_rate)
+    return int((new & (np.abs(steps - np.round(steps)) > _ON_TIME)).sum())
 
 
 def _measured(cell: str, where: str) -> float:

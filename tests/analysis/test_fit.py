@@ -8,7 +8,7 @@ import pytest
 from scipy import optimize, stats
 
 from creatures import quick_jit
-from evo_cpg.analysis.fit import doubts, fit
+from evo_cpg.analysis.fit import doubts, fit, student_quantile
 from evo_cpg.config.load import check_config, load_config
 from evo_cpg.config.parameters import parametrise
 from evo_cpg.control.commanded import Commanded
@@ -107,6 +107,53 @@ def coverage(model, truth, start, sigma, seed):
     assert found.found.all()
     np.testing.assert_allclose(found.noise.mean(), sigma, rtol=0.05)
     return ((found.lower < truth) & (truth < found.upper)).sum(0), found
+
+
+@pytest.mark.parametrize(("many", "few"), [(60, 8), (6, 60)])
+def test_kinds_of_which_one_has_few_numbers(many, few):
+    """A decaying oscillation; each kind's noise is known only as well as its numbers tell.
+
+    Of 400 experiments, 0.95 hold the truth but for what the noise's own uncertainty leaves, which
+    Satterthwaite's degrees of freedom meet nearly; with those of all numbers together it is 0.87.
+    """
+    times, truth, sigma = np.linspace(0, 6, 60), np.array([2.0, 0.3, 0.4]), np.array([0.02, 0.002])
+
+    def model(p):
+        wave = p[2] * jnp.exp(-p[1] * times)
+        return jnp.stack([wave * jnp.cos(p[0] * times), wave / 2 * jnp.sin(p[0] * times)], 1)
+
+    rng = np.random.default_rng(0)
+    data = np.asarray(model(truth)) + sigma * rng.normal(size=(400, 60, 2))
+    for column, count in enumerate((many, few)):
+        data[:, rng.permutation(60)[count:], column] = np.nan
+    start, positive = jnp.array([2.1, 0.33, 0.42]), np.array([True, True, False])
+
+    def one(recorded):
+        return fit(model, recorded, start, positive, np.arange(2), np.zeros(2, bool))
+
+    found = jax.device_get(quick_jit(jax.vmap(one))(jnp.asarray(data)))
+    assert found.found.mean() > 0.99
+    held = ((found.lower < truth) & (truth < found.upper)).mean(0)
+    assert (held > 0.91).all() and (held < 0.98).all(), held
+
+
+def test_a_quantile_between_whole_degrees_of_freedom():
+    """Infinitely many are the normal distribution, less than one tell nothing."""
+    freedoms = np.array([1.0, 2.5, 7.0, 30.5])
+    found = np.asarray(student_quantile(0.975, jnp.asarray(1 / freedoms), 60))
+    np.testing.assert_allclose(found, stats.t.ppf(0.975, freedoms), rtol=0.02)
+    assert found[2] == pytest.approx(stats.t.ppf(0.975, 7), rel=1e-9)
+    assert float(student_quantile(0.975, 0.0, 60)) == pytest.approx(stats.norm.ppf(0.975))
+    assert np.isinf(student_quantile(0.975, jnp.array([1.2]), 60)).all()
+
+
+def test_a_parameter_that_nothing_depends_on_is_told():
+    x = np.linspace(0, 3, 40)
+    data = jnp.asarray(2.0 * x)[:, None]
+    found = quick_jit(
+        lambda data: one_kind(lambda p: (p[0] * x)[:, None], data, jnp.ones(2), [False] * 2)
+    )(data)
+    assert found.felt.tolist() == [True, False]
 
 
 @pytest.mark.slow

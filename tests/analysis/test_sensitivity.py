@@ -9,6 +9,7 @@ import pytest
 import trials
 from evo_cpg.analysis import sensitivity
 from evo_cpg.analysis.sensitivity import changed, differentiate, measured, sensitivities
+from evo_cpg.physics.footing import Ground, make_footing
 from evo_cpg.simulation.rollout import Outcome
 from trials import OneTerm
 
@@ -62,7 +63,7 @@ def test_at_the_edge_of_what_is_allowed_the_difference_is_one_sided(x64):
 
 def test_of_nothing_there_is_no_per_cent(x64):
     one = np.ones(1)
-    ((row,),) = sensitivities(("p",), one, 0 * one, one[None], np.zeros((1, 2, 1)), one)
+    ((row,),) = sensitivities(("p",), one, 1e-17 * one, one[None], np.zeros((1, 2, 1)), one)
     assert np.isnan([row.elasticity, row.finite]).all() and not row.confirmed
 
 
@@ -78,6 +79,8 @@ def test_a_step_beside_the_value_is_not_confirmed_and_ranks_by_the_change_found(
 def test_speed_is_neither_taken_for_a_term_of_the_task_nor_for_a_measure(monkeypatch, measures):
     """Of both called so, a measure comes last, see `rollout`: here it has the task's own value."""
     simulation = dataclasses.replace(trials.experiment(steps=91).simulation, task=OneTerm("speed"))
+    ground = make_footing(trials.swimmer(()), simulation.world.tree, Ground(0.0, 0.6, 0.6))
+    world = dataclasses.replace(simulation.world, footing=ground)
     start, end = jnp.zeros((3, 1)), jnp.array([[3.0], [4.0], [1.0]])
 
     def lived(simulation, genes, keys):
@@ -85,6 +88,7 @@ def test_speed_is_neither_taken_for_a_term_of_the_task_nor_for_a_measure(monkeyp
         return Outcome(simulation.task.terms(tally, 91) | measures, jnp.array([True]))
 
     monkeypatch.setattr(sensitivity, "rollout", lived)
-    speed, fitness = measured(simulation, jnp.zeros((2, 1)), {})
-    # 5 m over the ground in 1.5 s.
-    np.testing.assert_allclose([speed[0], fitness[0]], [5 / 1.5, 7.0], rtol=1e-6)
+    # In 1.5 s 5 m over ground, where heights do not count, and more through water.
+    for lives, way in ((simulation, 26**0.5), (dataclasses.replace(simulation, world=world), 5)):
+        speed, fitness = measured(lives, jnp.zeros((2, 1)), {})
+        np.testing.assert_allclose([speed[0], fitness[0]], [way / 1.5, 7.0], rtol=1e-6)

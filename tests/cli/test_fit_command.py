@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from creatures import quick_jit
-from evo_cpg.cli.measured_motion import commands, read_motion
+from evo_cpg.cli.measured_motion import commands, late_commands, read_motion
 from evo_cpg.config.load import check_config, load_config
 from evo_cpg.config.numbers import number_at
 from evo_cpg.config.parameters import parametrise
@@ -58,6 +58,33 @@ def config(tmp_path):
     path = tmp_path / "dropped.yaml"
     path.write_text(yaml.safe_dump(FALL))
     return path
+
+
+def test_units_in_brackets_are_heeded(tmp_path):
+    table = tmp_path / "data.csv"
+    write(
+        table,
+        ["time [ms]", "x [cm]", "yaw [deg]", "tail.y", "target.tail.y [deg/s]"],
+        [[0, 1, 90, 1, 180], [500, 2, "", 2, 0]],
+    )
+    found = read_motion(table)
+    np.testing.assert_allclose(found.time, [0, 0.5])
+    np.testing.assert_allclose(found.data, [[0.01, np.pi / 2, 1], [0.02, np.nan, 2]])
+    np.testing.assert_allclose(found.targets["tail.y"], [np.pi, 0])
+
+
+@pytest.mark.parametrize("form", ["{:.15g}", "{:.9g}", "{:.6f}", "{:.3f}"])
+def test_rounded_stamps_are_those_of_their_control_steps(config, tmp_path, form):
+    simulation = parametrise(load_config(config), config, ()).experiment.simulation
+    table, steps = tmp_path / "data.csv", np.arange(20)
+    rates = np.arange(20) + 1.0
+    stamps = [form.format(step / 60) for step in steps]
+    write(table, ["time", "x", "target.tail.y"], zip(stamps, rates, rates, strict=True))
+    recording = read_motion(table)
+    np.testing.assert_allclose(commands(recording, simulation).rates[:, 0], rates)
+    assert late_commands(recording, simulation) == 0
+    late = recording._replace(time=recording.time + 0.3 / 60)
+    assert late_commands(late, simulation) == 20
 
 
 @pytest.mark.slow
@@ -151,6 +178,15 @@ def test_an_estimate_that_is_not_allowed_is_told(cli, config, tmp_path):
         (["time", "w"], [[0.1, 1]], "nothing called w; "),
         (["time", "x", "target.tail.z"], [[0.1, 1, 1]], "nothing called target.tail.z; did you"),
         (["time", "x"], [[0.1, 1]], "1 numbers cannot determine 1 parameters"),
+        (["time", "x [kg]"], [[0, 1]], "x [kg]: cannot be in that unit; choose m or cm or mm"),
+        (["time [min]", "x"], [[0, 1]], "time [min]: cannot be in that unit; choose s or ms"),
+        (["time", "tail.y [m]"], [[0, 1]], "tail.y [m]: cannot be in that unit; choose rad or"),
+        (
+            ["time", "x", "yaw"],
+            [[0.1, 1, 1], *([i, 1, ""] for i in range(1, 9))],
+            "1 number(s) of kind attitude are too few to tell how noisy they are, beside 1 "
+            "parameter(s) 6 are needed; give --noise position=.. --noise attitude=..",
+        ),
     ],
 )
 def test_what_is_no_recording_is_refused(cli, config, tmp_path, header, rows, words):
@@ -175,6 +211,7 @@ def test_what_is_no_recording_is_refused(cli, config, tmp_path, header, rows, wo
         (["initial.velocity.w"], "initial.velocity.w: does not exist; did you mean 'velocity."),
         (["world.water.form_drag", "--noise", "place=1"], "--noise: place=1; give position="),
         (["world.water.form_drag", "--noise", "angle=1"], "also give that of position"),
+        (["world.water.form_drag=2", "--set", "world.water.form_drag=1"], "searched for and set"),
     ],
 )
 def test_wrong_keys_and_options_are_refused(cli, config, tmp_path, arguments, words):
