@@ -166,9 +166,11 @@ def _jpeg(picture: "Image.Image") -> bytes:
 
 def _sentence(experiment: Experiment, config: ExperimentConfig) -> str:
     simulation, creature = experiment.simulation, experiment.creature
-    where = "in water" if simulation.world.water is not None else "on land"
-    if simulation.world.water is not None and simulation.world.footing is not None:
-        where = "in water and on the ground"
+    surroundings = (
+        ("in water", simulation.world.water is not None),
+        ("on the ground", simulation.world.footing is not None),
+    )
+    where = " and ".join(words for words, there in surroundings if there) or "in empty space"
     bodies = f"{len(creature.bodies)} bodies and {simulation.world.tree.dof_count} joint axes"
     return (
         f"An animal of {bodies} ({float(creature.mass):.3g} kg) {where}, driven by the controller "

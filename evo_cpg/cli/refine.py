@@ -25,7 +25,7 @@ from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.fingerprint import fingerprint
 from evo_cpg.config.load import dump_config
 from evo_cpg.config.parameters import Parameters, parametrise
-from evo_cpg.training.run_folder import RunFolderError
+from evo_cpg.training.run_folder import RunFolderError, refinements
 
 _COMPILING = "compiling, which takes a minute or two for a new body"
 
@@ -122,7 +122,10 @@ def refine_run(
     best, _, _ = folder.load_champion()
     _, config, experiment = open_run(run)
     folder.save_champion(best, live_again(experiment, best, devices)[2])
-    folder.update_meta(refined=now(), fingerprint=fingerprint(config))
+    done = {"finished": now(), "command": sys.argv[1:], "from": last.began}
+    done["to"] = last.champion.fitness
+    before = refinements(folder.read_meta())
+    folder.update_meta(refined=[*before, done], fingerprint=fingerprint(config))
     terms = ", ".join(f"{name} {value:.3g}" for name, value in last.champion.terms.items())
     for key, value in zip(keys, last.values, strict=True):
         print(f"{key}: {value:.6g}", file=sys.stderr)

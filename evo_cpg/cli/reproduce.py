@@ -111,7 +111,5 @@ def _list(names: Sequence[str], out: Path | None) -> None:
         for part, declared in study(name).parts.items():
             told = known.get(part, {})
             made = f"{told['date'][:10]}, {told['commit']}" if "date" in told else "never"
-            if told.get("made"):
-                made = f"by hand, {told['commit']}"
             table.add_row(name, part, declared.title, made)
     Console().print(table)

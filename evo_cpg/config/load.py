@@ -250,7 +250,8 @@ def _worded(
     key = _key_in(data, problem["loc"], problem["type"] == "missing")
     kind, given = problem["type"], problem.get("input")
     if kind in _UNKNOWN_KEY:
-        valid = _siblings(ExperimentConfig, data, key[:-1])
+        tags = frozenset(part for part in problem["loc"] if isinstance(part, str))
+        valid = _siblings(ExperimentConfig, data, key[:-1], tags)
         # A key of a section, without the section.
         inner = [
             f"{section}.{key[0]}"
@@ -308,44 +309,60 @@ def _key_in(data: Any, location: Key, missing: bool) -> tuple[str | int, ...]:
     return tuple(key)
 
 
-def _siblings(model: type[pydantic.BaseModel], data: Any, key: Key) -> list[str]:
-    """Keys that are valid beside the one in question: those without which the part is refused."""
+def _siblings(
+    model: type[pydantic.BaseModel], data: Any, key: Key, tags: frozenset[str] = frozenset()
+) -> list[str]:
+    """Keys that are valid beside the one in question: those without which the part is refused.
+
+    Args:
+        model: of all that was read.
+        data: what was read.
+        key: of the part.
+        tags: among them the kinds that pydantic took sections for which say no ``type``.
+    """
     schema = model.model_json_schema()
-    return sorted(_properties(schema, schema, data, key))
+    return sorted(_properties(schema, schema, data, key, tags))
 
 
-def _properties(schema: dict, root: dict, data: Any, key: Key) -> set[str]:
+def _properties(schema: dict, root: dict, data: Any, key: Key, tags: frozenset[str]) -> set[str]:
     """Property names of a JSON schema at a place, following references and the given types."""
     if "$ref" in schema:
-        return _properties(root["$defs"][schema["$ref"].rsplit("/", 1)[-1]], root, data, key)
+        return _properties(root["$defs"][schema["$ref"].rsplit("/", 1)[-1]], root, data, key, tags)
     for choice in ("oneOf", "anyOf"):
         if choice in schema:
-            found = [
-                _properties(option, root, data, key)
-                for option in schema[choice]
-                if _matches(option, root, data)
-            ]
-            return set().union(*found)
+            chosen = _chosen(schema[choice], root, data, tags)
+            return set().union(*(_properties(one, root, data, key, tags) for one in chosen))
     if not key:
         return set(schema.get("properties", {}))
     part = key[0]
     below = cast(Any, data)[part] if isinstance(data, (dict, list)) else None
     if isinstance(part, int):
-        return _properties(schema.get("items", {}), root, below, key[1:])
+        return _properties(schema.get("items", {}), root, below, key[1:], tags)
     inner = schema.get("properties", {}).get(part)
     if inner is None:
         inner = schema.get("additionalProperties", {})
-    return _properties(inner, root, below, key[1:]) if isinstance(inner, dict) else set()
+    return _properties(inner, root, below, key[1:], tags) if isinstance(inner, dict) else set()
 
 
-def _matches(option: dict, root: dict, data: Any) -> bool:
-    """Whether a member of a union is the one that the given ``type`` asks for."""
+def _chosen(options: list[dict], root: dict, data: Any, tags: frozenset[str]) -> list[dict]:
+    """Members of a union that the given ``type`` asks for; of classes of one's own it is another.
+
+    Without one it is the kind among ``tags``, and where that does not tell, any.
+    """
+    kinds = [_kind(option, root) for option in options]
+    given = data.get("type") if isinstance(data, dict) else None
+    asked = {given} if given is not None else tags.intersection(filter(None, kinds))
+    if not asked:
+        return options
+    exact = [option for option, kind in zip(options, kinds, strict=True) if kind in asked]
+    return exact or [option for option, kind in zip(options, kinds, strict=True) if kind is None]
+
+
+def _kind(option: dict, root: dict) -> str | None:
+    """Which ``type`` a member of a union stands for; None where that may be any, or is none."""
     if "$ref" in option:
         option = root["$defs"][option["$ref"].rsplit("/", 1)[-1]]
-    kind = option.get("properties", {}).get("type", {})
-    if not isinstance(data, dict) or "type" not in data or "const" not in kind:
-        return True
-    return kind["const"] == data["type"]
+    return option.get("properties", {}).get("type", {}).get("const")
 
 
 def _short(value: Any) -> str:

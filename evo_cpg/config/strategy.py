@@ -108,7 +108,10 @@ def _build_evosax(
             options=tuple(sorted(given.options.items())),
         )
     except (AssertionError, TypeError, ValueError) as error:
-        raise ConfigError(source, _KEY, f"{given.algorithm} cannot be built ({error})") from None
+        whose = f"{population} individuals" + (" on each island" if given.islands else "")
+        raise ConfigError(
+            source, _KEY, f"{given.algorithm} of {whose} cannot be built ({error})"
+        ) from None
 
 
 def _build_pyribs(

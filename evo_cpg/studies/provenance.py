@@ -60,8 +60,6 @@ def problems(folder: Path) -> list[str]:
 
 def caption(study: str, part: str, told: Mapping[str, Any]) -> str:
     """The line under every table that says how it was made."""
-    if told.get("made"):
-        return f"*Made {told['made']}: commit {told['commit']}.*"
     words = (
         f"*Made by `evo-cpg reproduce {study} {part}` with evo-cpg {told['versions']['evo-cpg']}"
     )

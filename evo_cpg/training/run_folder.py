@@ -457,6 +457,12 @@ class RunFolder:
         write_text(self.metrics, self._table[1])
 
 
+def refinements(meta: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """What `evo-cpg refine` did to a run, as meta.json has it: when, the command, and the gain."""
+    found = meta.get("refined")
+    return [one for one in found if isinstance(one, dict)] if isinstance(found, list) else []
+
+
 def _generation_of(checkpoint: Path) -> int:
     """By its name; as text the millionth would come before those that have six digits."""
     return int(checkpoint.stem.removeprefix("generation_"))

@@ -6,6 +6,7 @@ import math
 import re
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from evo_cpg.api.departures import departures, notes
 from evo_cpg.config.load import load_config
 from evo_cpg.training.checkpoint import genes_digest
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
+from evo_cpg.view.page import origin
 from tiny_run import CONFIG, REPOSITORY, TINY
 
 CHANGED = "config.yaml is not the one that the champion was evolved with"
@@ -375,3 +377,20 @@ def test_numbers_are_written_with_three_digits():
 
     assert number(0.12345) == "0.123" and number(11120.0) == "11120"
     assert number(math.nan) == "\N{EN DASH}" and number(-2.0) == "\N{MINUS SIGN}2"
+
+
+@pytest.mark.parametrize("refined", [None, "2026-11-26", [{"from": 2.5, "to": 3.0}, {}]])
+def test_what_refine_did_is_part_of_how_to_repeat_it(refined):
+    """Also of a run folder that an older program wrote, or somebody else."""
+    done = {
+        "finished": "2026-11-26T12:00:00+0000",
+        "command": ["refine", "/home/me/runs/eel", "--rounds", "2"],
+    }
+    meta = {} if refined is None else {"refined": refined}
+    if isinstance(refined, list):
+        meta["refined"] = [done | refined[0], *refined[1:]]
+    told = SimpleNamespace(folder="eel", meta=meta, config="name: eel")
+    shown = origin.repetition(told)  # pyright: ignore[reportArgumentType]
+    assert ("repeats the evolution only" in shown) == isinstance(refined, list)
+    assert ("evo-cpg refine eel --rounds 2" in shown) == isinstance(refined, list)
+    assert ("2.5 to 3" in shown) == isinstance(refined, list)

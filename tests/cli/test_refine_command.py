@@ -10,7 +10,7 @@ import yaml
 from evo_cpg.cli.refine import _free
 from evo_cpg.config.load import load_config
 from evo_cpg.config.parameters import parametrise
-from evo_cpg.training.run_folder import RunFolder
+from evo_cpg.training.run_folder import RunFolder, refinements
 from tiny_run import CONFIG, REPOSITORY, TINY
 
 QUICK = "--rounds", 1, "--steps", 3
@@ -49,7 +49,10 @@ def test_the_folder_tells_what_was_gained_and_what_was_there_before(refined, fin
         assert set(kept) == set(began)
         for name in kept:
             np.testing.assert_array_equal(kept[name], began[name])
-    assert folder.read_meta()["refined"]
+    (told,) = refinements(folder.read_meta())
+    began = RunFolder(finished_run).load_champion()[0]
+    assert (told["from"], told["to"]) == (pytest.approx(began.fitness), champion.fitness)
+    assert told["command"][0] == "refine" and str(folder.path) in told["command"]
 
 
 def test_evolution_goes_on_from_it(refined, cli, tmp_path):

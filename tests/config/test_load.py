@@ -107,6 +107,18 @@ def test_shipped_configs_build_and_survive_being_written_and_read(path, tmp_path
         ("evolution__elite", 3, "evolution.elite: unknown key; did you mean 'elites'?"),
         ("world__water__densty", 1, "world.water.densty: unknown key; did you mean 'density'?"),
         (
+            "evolution",
+            {"type": "random", "population": 8, "islands": {"count": 2}},
+            "evolution.islands: unknown key; valid here: axes, generations, population, type",
+        ),
+        (
+            "evolution__sigm",
+            0.5,
+            "evolution.sigm: unknown key; valid here: axes, "
+            "crossover_probability, elites, gene_bound, generations, islands, learning, "
+            "mutation_rate, mutation_sigma, parent_fraction, population, selection, type",
+        ),
+        (
             "controller__cpg__time_scal",
             1,
             "controller.cpg.time_scal: unknown key; did you mean 'time_scale'?",

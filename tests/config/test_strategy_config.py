@@ -112,9 +112,13 @@ def test_an_algorithm_of_evosax():
     assert build(CONFIG, f"evolution={given}").strategy.strategy.population == 50
     for bad, words in (
         ("{type: evosax, algorithm: Sep_CMA}", "evosax has no 'Sep_CMA'; did you mean 'Sep_CMA_ES"),
-        ("{type: evosax, algorithm: Open_ES, population: 7}", "Open_ES cannot be built .*even"),
+        ("{type: evosax, algorithm: Open_ES, population: 7}", "Open_ES of 7 individuals can.*even"),
+        (
+            "{type: evosax, algorithm: Open_ES, population: 30, islands: {count: 2}}",
+            "Open_ES of 15 individuals on each island cannot be built .*even",
+        ),
         ("{type: evosax, algorithm: Open_ES, params: {lr: 1}}", "no parameter lr; it has none"),
-        ("{type: evosax, algorithm: Open_ES, options: {lr: 1}}", "Open_ES cannot be .*'lr'"),
+        ("{type: evosax, algorithm: Open_ES, options: {lr: 1}}", "Open_ES of .* cannot be .*'lr'"),
     ):
         with pytest.raises(ConfigError, match=words):
             build(CONFIG, f"evolution={bad}")

@@ -118,7 +118,11 @@ def signals(subject: Subject, motion: Motion) -> Html | None:
         made = long_table(["joint", "next", "lag (deg)", "coherence"], rows, numbers=(2, 3))
         parts += [tag("h3", "Phase lags"), made, tag("p", words, class_="note")]
     elif not numbers.frequency > 0:
-        parts.append(tag("p", "The joints do not repeat themselves, so there are no phase lags."))
+        words = (
+            "Over the second half of the trial the joints do not repeat themselves, so there are "
+            "no phase lags; a frequency above is that of the part that the chart shows."
+        )
+        parts.append(tag("p", words))
     return join(*parts)
 
 

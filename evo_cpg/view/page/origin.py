@@ -2,9 +2,10 @@
 
 import hashlib
 import shlex
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
+from evo_cpg.training.run_folder import refinements
 from evo_cpg.view.page import charts
 from evo_cpg.view.page.html import Html, join, long_table, table, tag
 from evo_cpg.view.page.subject import Motion, Subject
@@ -103,6 +104,23 @@ def paper(subject: Subject) -> Html | None:
     return join(*parts)
 
 
+def _refined(done: Sequence[Mapping[str, Any]]) -> Html:
+    """What `evo-cpg refine` made of the champion, which evolution alone does not come to."""
+    rows = []
+    for one in done:
+        words = [without_folders(str(word)) for word in listed(one.get("command"))]
+        gained = f"{cell(one.get('from'))} to {cell(one.get('to'))}"
+        rows.append([cell(one.get("finished")), f"evo-cpg {shlex.join(words)}", gained])
+    return join(
+        tag("p", "After it had evolved this champion, the run was refined along the slope of the "
+            "fitness, and what follows repeats the evolution only: without it, the champion is "
+            "another one. The configuration below is the refined one; what the last refinement "
+            "that gained began with is config_before.yaml and champion_before.npz in the run "
+            "folder."),
+        table(["refined", "command", "fitness"], rows),
+    )  # fmt: skip
+
+
 def repetition(subject: Subject) -> Html:
     """Commands, versions and the configuration."""
     run, meta = subject.folder, subject.meta
@@ -126,7 +144,9 @@ def repetition(subject: Subject) -> Html:
     if isinstance(command, list):
         words = [without_folders(str(word)) for word in command]
         rows.append(["first command", f"evo-cpg {shlex.join(words)}"])
+    refined = refinements(meta)
     return join(
+        _refined(refined) if refined else None,
         tag("p", "With the configuration below as ", tag("code", "config.yaml"), ", on the same "
             "processor, with the same versions and number of cores, the same comes out bit for "
             "bit; elsewhere numbers round differently, and evolution may take another turn. A "
