@@ -1,6 +1,7 @@
 """The command that tells what a champion's success depends on: sensitivity."""
 
 import itertools
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -173,6 +174,8 @@ def _table(rows: list[dict[str, Any]]) -> Table:
             size = row[f"{name}_elasticity" if sure else f"{name}_found"]
             unit = " %/%" if row["relative"] else " %/unit"
             share = size if row["relative"] else 100 * size
-            words.append(f"{'' if sure else '? '}{share:+.3g}{unit}")
+            # Of a measure that is nothing there is no per cent.
+            told = f"{share:+.3g}{unit}" if math.isfinite(share) else "\N{EN DASH}"
+            words.append(f"{'' if sure else '? '}{told}")
         table.add_row(row["key"], f"{row['value']:.4g}", *words)
     return table

@@ -4,6 +4,7 @@ import csv
 
 import pytest
 
+from evo_cpg.analysis.sensitivity import Sensitivity
 from evo_cpg.cli import sensitivity
 from evo_cpg.config.schema.controller import PosturesConfig
 
@@ -58,3 +59,13 @@ def test_bits_have_no_sensitivity(finished_run, cli, monkeypatch):
     code, _, complaint = cli("sensitivity", finished_run, "genes")
     assert code == 2
     assert "genes: bits count as 0 or 1" in complaint and "controller.graded: true" in complaint
+
+
+def test_of_nothing_the_table_has_a_dash():
+    speed = Sensitivity("p", 2.0, 3.0, 0.12, 0.04, 6.0)
+    nothing = Sensitivity("p", 2.0, 1e-17, 0.0, 0.04, 1e-17)
+    table = sensitivity._table([sensitivity._row(speed, nothing)])
+    assert [list(column.cells) for column in table.columns[2:]] == [
+        ["+1 %/%"],
+        ["? \N{EN DASH}"],
+    ]
