@@ -1,5 +1,6 @@
 """YAML as configurations are written in it: what is read is what was written, and back again."""
 
+import itertools
 import re
 from typing import Any
 
@@ -12,6 +13,7 @@ _SafeLoader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 _INT, _FLOAT = "tag:yaml.org,2002:int", "tag:yaml.org,2002:float"
 _TIMESTAMP = "tag:yaml.org,2002:timestamp"
+_MERGE, _VALUE, _TEXT = (f"tag:yaml.org,2002:{kind}" for kind in ("merge", "value", "str"))
 _DIGITS = list("-+.0123456789")
 # YAML 1.1, which PyYAML reads, takes 1e-3, 1.0e5 and -.5 for text, 0200 for 128 and 1:40 for 100.
 _NUMBERS = {
@@ -28,8 +30,34 @@ class _Loader(_SafeLoader):
     """Safe YAML with some of its traps closed.
 
     These are keys given twice, values that PyYAML fails to make, numbers that it takes for text or
-    for other numbers, and dates, which nothing in a configuration is.
+    for other numbers, dates, which nothing in a configuration is, and merges (``<<``) of what is
+    merged itself, or of a list, of which PyYAML 6.0.4 takes other values than 6.0.3.
     """
+
+    def flatten_mapping(self, node: yaml.MappingNode) -> None:
+        """Merge: a mapping's own keys count before merged ones, and these in the order of a list.
+
+        See https://yaml.org/type/merge.html.
+        """
+        own, merged = [], []
+        for key, value in node.value:
+            if key.tag != _MERGE:
+                if key.tag == _VALUE:
+                    key.tag = _TEXT
+                own.append((key, value))
+                continue
+            for one in value.value if isinstance(value, yaml.SequenceNode) else [value]:
+                if not isinstance(one, yaml.MappingNode):
+                    raise yaml.constructor.ConstructorError(
+                        None, None, "<< takes a mapping or a list of them", one.start_mark
+                    )
+                self.flatten_mapping(one)
+                merged.insert(0, one.value)
+        pairs = {}
+        for key, value in itertools.chain(*merged, own):
+            name = (key.tag, key.value) if isinstance(key, yaml.ScalarNode) else id(key)
+            pairs[name] = key, value
+        node.value = list(pairs.values())
 
     def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
         """Refuse what is said to be a number or a truth and is none, such as ``!!int x``."""

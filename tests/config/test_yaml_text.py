@@ -66,6 +66,28 @@ def test_a_mapping_may_be_merged_into_one_that_is_merged():
     assert parse_yaml(text)["c"] == {"p": 2}
 
 
+@pytest.mark.parametrize(
+    ("merged", "found"),
+    [
+        ("{<<: *A, q: 5}", {"p": 1, "q": 5}),
+        ("{q: 5, <<: *A}", {"p": 1, "q": 5}),
+        ("{<<: [*A, *B]}", {"p": 1, "q": 3, "r": 4}),
+        ("{<<: [*B, *A]}", {"p": 2, "q": 3, "r": 4}),
+        ("{<<: []}", {}),
+    ],
+)
+def test_own_keys_count_before_merged_ones_and_these_in_their_order(merged, found):
+    """As https://yaml.org/type/merge.html has it, whichever PyYAML reads."""
+    text = f"a: &A {{p: 1, q: 3}}\nb: &B {{p: 2, r: 4}}\nc: {merged}\n"
+    assert parse_yaml(text)["c"] == found
+
+
+@pytest.mark.parametrize("merged", ["3", "[*A, 3]", "[[*A]]"])
+def test_only_mappings_are_merged(merged):
+    with pytest.raises(yaml.YAMLError, match="<< takes a mapping or a list of them"):
+        parse_yaml(f"a: &A {{p: 1}}\nc: {{<<: {merged}}}\n")
+
+
 @pytest.mark.parametrize("text", ["{a: 1, a: 2}", "[{b: {a: 1, a: 2}}]", "x: &A {a: 1, a: 2}"])
 def test_a_key_that_stands_twice_is_refused(text):
     with pytest.raises(yaml.YAMLError, match="the key 'a' is given twice"):
