@@ -15,6 +15,7 @@ _INT, _FLOAT = "tag:yaml.org,2002:int", "tag:yaml.org,2002:float"
 _TIMESTAMP = "tag:yaml.org,2002:timestamp"
 _MERGE, _VALUE, _TEXT = (f"tag:yaml.org,2002:{kind}" for kind in ("merge", "value", "str"))
 _DIGITS = list("-+.0123456789")
+_LINE_ENDS = "\x85\u2028\u2029"
 # YAML 1.1, which PyYAML reads, takes 1e-3, 1.0e5 and -.5 for text, 0200 for 128 and 1:40 for 100.
 _NUMBERS = {
     _INT: re.compile(r"[-+]?(0|[1-9][0-9_]*|0x[0-9a-fA-F_]+|0b[01_]+)$"),
@@ -101,6 +102,15 @@ _Loader.yaml_implicit_resolvers = {
 for _tag, _pattern in _NUMBERS.items():
     _Loader.add_implicit_resolver(_tag, _pattern, _DIGITS)
     _Dumper.add_implicit_resolver(_tag, _pattern, _DIGITS)
+
+
+def _write_text(dumper: yaml.SafeDumper, text: str) -> yaml.ScalarNode:
+    """Between double quotation marks where YAML would take a character for the end of a line."""
+    style = '"' if any(end in text for end in _LINE_ENDS) else None
+    return dumper.represent_scalar(_TEXT, text, style=style)
+
+
+_Dumper.add_representer(str, _write_text)
 
 
 def parse_yaml(text: str) -> Any:

@@ -34,6 +34,8 @@ def test_text_that_looks_like_a_number_stays_text(text):
 
 
 @given(PLAIN)
+@example("a\x85b")
+@example(["\u2028", "\u2029 x"])
 def test_what_is_written_is_read_again(value):
     for flow in (False, True, None):
         assert parse_yaml(to_yaml({"x": value}, flow)) == {"x": value}
