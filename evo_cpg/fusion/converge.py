@@ -9,16 +9,10 @@ import functools
 from collections.abc import Callable
 from typing import Any, TypeVar
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from evo_cpg.fusion import jax_internals as internals
-
 Value = TypeVar("Value")
-Given = TypeVar("Given")
-Answer = TypeVar("Answer")
-Notes = TypeVar("Notes")
 
 
 def while_each(
@@ -48,41 +42,31 @@ def while_each(
 
 
 def implicit(
-    search: Callable[[Given, Value], tuple[Answer, Notes]],
-    replay: Callable[[Given, Notes], Answer],
-    given: Given,
-    x: Value,
-) -> Answer:
-    """The answer of ``search(given, x)``, with the derivatives of what ``replay`` gives.
+    search: Callable[[Value], tuple[Any, Any]], replay: Callable[[Any], Any], x: Value, like: Any
+) -> Any:
+    """The first of ``search(x)``, with the derivatives of what ``replay`` gives.
 
     Args:
         search: gives an answer, and notes on how it came about.
-        replay: of the notes; the same answer by steps that JAX can differentiate. It is neither
-            traced nor computed where no derivative is asked for.
-        given: a pytree that holds all by which there are derivatives.
-        x: where the search starts, by which there is none.
+        replay: of the notes; the same answer by steps that JAX can differentiate. It is not
+            computed where no derivative is asked for.
+        x: where the search starts, by which there is no derivative.
+        like: notes of the same shape.
     """
-    traced, fixed = eqx.partition(given, _is_traced_number)
-    return _implicit(
-        lambda traced, x: search(eqx.combine(traced, fixed), x),
-        lambda traced, notes: replay(eqx.combine(traced, fixed), notes),
-        traced,
-        x,
-    )
-
-
-def _is_traced_number(leaf: Any) -> bool:
-    return isinstance(leaf, internals.Tracer) and jnp.issubdtype(leaf.dtype, jnp.inexact)
+    found, found_closed = jax.closure_convert(search, x)
+    again, again_closed = jax.closure_convert(replay, like)
+    return _implicit(found, again, x, found_closed, again_closed)
 
 
 @functools.partial(jax.custom_jvp, nondiff_argnums=(0, 1))
-def _implicit(search: Callable, replay: Callable, traced: Any, x: Any) -> Any:
-    del replay
-    return search(traced, x)[0]
+def _implicit(search: Callable, replay: Callable, x: Any, closed: list, replayed: list) -> Any:
+    del replay, replayed
+    return search(x, *closed)[0]
 
 
 @_implicit.defjvp
 def _implicit_jvp(search: Callable, replay: Callable, primals: tuple, tangents: tuple) -> Any:
-    traced, x = primals
-    found, notes = search(traced, x)
-    return found, jax.jvp(lambda traced: replay(traced, notes), primals[:1], tangents[:1])[1]
+    x, closed, replayed = primals
+    found, notes = search(x, *closed)
+    *_, changes = tangents
+    return found, jax.jvp(lambda p: replay(notes, *p), (replayed,), (changes,))[1]

@@ -17,6 +17,7 @@ Derivatives follow by the implicit function theorem: where the laws hold, one mo
 there goes nowhere, and its derivative is that of the answer.
 """
 
+import functools
 from typing import NamedTuple
 
 import jax
@@ -57,10 +58,6 @@ _TOLERANCE, _ROUGH, _COULOMB, _EXACT = 1e-3, 0.05, 1e-2, 1e-10
 
 # Squared friction (N^2) that counts as none.
 _NONE = 1e-12
-
-
-# What a search is given: the problem, and the radius of the friction cone with which it begins.
-_Given = tuple[StepProblem, Float[Array, "p *n"]]
 
 
 class _Search(NamedTuple):
@@ -156,7 +153,14 @@ def search(
     whole = jnp.ones(state.q.shape[1:], state.q.dtype)
     radius, start = warmstart.radius, problem.bounded(whole)
     first = start.motion(start.linearized(radius, warmstart.qdd, warmstart.velocity))
-    answer = implicit(_descend, _replay, (problem, radius), first)
+    rounds = _cone_count(problem) + _sweep_count(problem) - 1
+    like = _Notes((first,) * rounds, whole, jnp.zeros(whole.shape, jnp.int32))
+    answer = implicit(
+        functools.partial(_descend, problem, radius),
+        functools.partial(_replay, problem, radius),
+        first,
+        like,
+    )
     end = problem.bounded(answer.restitution).swept(answer.sweep)
     return _imposed(end, answer.radius, answer.y)
 
@@ -217,9 +221,10 @@ def _newton_step(
     return problem.motion(problem.linearized(radius, y[ROOT_DOFS:], problem.velocity(y)))
 
 
-def _descend(given: _Given, first: Float[Array, "v *n"]) -> tuple[_Answer, _Notes]:
+def _descend(
+    problem: StepProblem, radius: Float[Array, "p *n"], first: Float[Array, "v *n"]
+) -> tuple[_Answer, _Notes]:
     """The answer, and what `_replay` needs."""
-    problem, radius = given
     count, most = _cone_count(problem), _sweep_count(problem)
     none = jnp.zeros(first.shape[1:], jnp.int32)
     whole = jnp.ones(first.shape[1:], first.dtype)
@@ -301,9 +306,8 @@ def _judged(
     )
 
 
-def _replay(given: _Given, notes: _Notes) -> _Answer:
+def _replay(problem: StepProblem, radius: Float[Array, "p *n"], notes: _Notes) -> _Answer:
     """The same answer by one Newton step under each radius and sweep, for derivatives."""
-    problem, radius = given
     restitution, count = notes.restitution, _cone_count(problem)
     reached, further = notes.reached[:count], notes.reached[count:]
     start, end = problem.bounded(jnp.ones_like(restitution)), problem.bounded(restitution)

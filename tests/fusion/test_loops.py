@@ -174,23 +174,23 @@ def test_branches_that_do_not(place):
 def kepler(given):
     """Angle of a planet, from the eccentricity and the mean angle, by Newton's method."""
 
-    def closer(given, angle):
+    def closer(angle):
         eccentricity, mean = given
         miss = angle - eccentricity * jnp.sin(angle) - mean
         return angle - miss / (1 - eccentricity * jnp.cos(angle)), jnp.abs(miss)
 
-    def search(given, angle):
+    def search(angle):
         def goes_on(state):
             return (state[1] > 1e-15) & (state[2] < 20)
 
         def advance(state):
-            return *closer(given, state[0]), state[2] + 1
+            return *closer(state[0]), state[2] + 1
 
         count = jnp.zeros(angle.shape, jnp.int32)
         found, _, _ = while_each(goes_on, advance, (angle, jnp.ones_like(angle), count))
         return found, found
 
-    return implicit(search, lambda *notes: closer(*notes)[0], given, given[1])
+    return implicit(search, lambda angle: closer(angle)[0], given[1], given[1])
 
 
 PLANETS = jnp.stack([jnp.linspace(0.01, 0.4, 11), jnp.linspace(-2.0, 3.0, 11)])
@@ -230,8 +230,7 @@ def test_derivatives_of_a_search_by_what_all_share(x64):
     """Of a pytree, against finite differences."""
 
     def settle(gain, x):
-        def closer(given, state):
-            gain, x = given
+        def closer(state):
             # One step of Newton's method for a = tanh(gain b + x0), b = 0.4 a + x1.
             _, (b,) = state
             tangent = jnp.tanh(gain * b + x[0])
@@ -239,11 +238,12 @@ def test_derivatives_of_a_search_by_what_all_share(x64):
             new = (tangent + slope * (x[1] - b)) / (1 - 0.4 * slope)
             return new, (0.4 * new + x[1],)
 
-        def search(given, state):
-            state = lax.fori_loop(0, 30, lambda _, state: closer(given, state), state)
+        def search(state):
+            state = lax.fori_loop(0, 30, lambda _, state: closer(state), state)
             return state, state
 
-        a, (b,) = implicit(search, closer, (gain, x), (x[0], (x[1],)))
+        start = x[0], (x[1],)
+        a, (b,) = implicit(search, closer, start, start)
         return a * b
 
     x = sample((2, 7), dtype=np.float64)
