@@ -91,7 +91,8 @@ WALKER = {
             "floor": {"slope_deg": 4.0},
         },
     },
-    "simulation": {"steps": 14, "substeps": 2},
+    # Long enough for a foot to slip.
+    "simulation": {"steps": 45, "substeps": 2},
     "controller": {"type": "brain_cpg", "brain": {"hidden": [3]}},
     "task": {"type": "walk"},
 }
