@@ -132,10 +132,13 @@ def fit(
         squares = (gap * gap).sum(0) @ members
         return jnp.sqrt(squares / jnp.maximum(counts - taken, _LEAST_FREEDOM))
 
-    def taken_up(slopes: Array, sigma: Array) -> Array:
-        """Of each kind's numbers, how many the parameters take up."""
+    def decomposed(slopes: Array, sigma: Array) -> tuple[Array, Array, Array]:
+        """Singular values of J and their vectors; what the data do not tell has small ones."""
         jacobian = slopes / (members @ sigma)[None, :, None]
-        along, singular, _ = jnp.linalg.svd(jacobian.reshape(-1, len(start)), full_matrices=False)
+        return jnp.linalg.svd(jacobian.reshape(-1, len(start)), full_matrices=False)
+
+    def taken_up(along: Array, singular: Array) -> Array:
+        """Of each kind's numbers, how many the parameters take up."""
         along = jnp.where(singular > _FLAT * singular[0], along, 0.0)
         return (along * along).sum(1).reshape(data.shape).sum(0) @ members
 
@@ -151,8 +154,11 @@ def fit(
             weighted, solver, theta, args=sigma, max_steps=_MOST_STEPS, has_aux=True, throw=False
         )
         gap, slopes = solution.aux
-        again = spread(gap, taken_up(slopes, sigma)) if noise is None else sigma
-        again = jnp.maximum(again, jnp.finfo(data.dtype).tiny ** 0.25)
+        again = sigma
+        if noise is None:
+            along, singular, _ = decomposed(slopes, sigma)
+            again = spread(gap, taken_up(along, singular))
+            again = jnp.maximum(again, jnp.finfo(data.dtype).tiny ** 0.25)
         # Only their ratios move the estimate.
         ratios = again / sigma
         stays = (jnp.abs(ratios / ratios.max() - 1.0) < _STAYS).all()
@@ -167,12 +173,10 @@ def fit(
     _, _, theta, sigma, gap, slopes = jax.lax.while_loop(
         lambda carry: (carry[0] < _ROUNDS) & ~carry[1], once, begin
     )
-    weights = 1.0 / (members @ sigma)[None]
-    residuals = (gap * weights).reshape(-1)
-    jacobian = (slopes * weights[..., None]).reshape(-1, len(start))
+    residuals = (gap / (members @ sigma)[None]).reshape(-1)
     scale = 1.0 if noise is not None else (residuals * residuals).sum() / freedom
     # By singular values, so that what the data do not tell has a large error and not none.
-    along, singular, turned = jnp.linalg.svd(jacobian, full_matrices=False)
+    along, singular, turned = decomposed(slopes, sigma)
     least = jnp.finfo(data.dtype).eps * singular[0] * len(start)
     rows = turned / jnp.maximum(singular, least)[:, None]
     covariance = scale * rows.T @ rows
@@ -183,7 +187,7 @@ def fit(
     exact = (jnp.abs(step) <= _TOLERANCE * (1.0 + jnp.abs(theta))).all()
     errors = jnp.sqrt(jnp.diagonal(covariance))
     of_kinds = ((along @ rows) ** 2).reshape(*data.shape, -1).sum(0).T @ members
-    left = jnp.maximum(counts - taken_up(slopes, sigma), _LEAST_FREEDOM)
+    left = jnp.maximum(counts - taken_up(along, singular), _LEAST_FREEDOM)
     unsure = 0.0 if noise is not None else (of_kinds**2 / left[None]).sum(1) / of_kinds.sum(1) ** 2
     reach = student_quantile(0.5 + CONFIDENCE / 2, unsure, data.size) * errors
     return Fit(
@@ -195,7 +199,7 @@ def fit(
         sigma,
         freedom,
         (near | exact) & jnp.isfinite(theta).all(),
-        (jacobian != 0).any(0),
+        (slopes != 0).any((0, 1)),
     )
 
 

@@ -29,7 +29,6 @@ _ANGLES = {"rad": 1.0, "deg": math.pi / 180, "mrad": 1e-3}
 _RATES = {f"{angle}/s": size for angle, size in _ANGLES.items()}
 # By this a motion is known that `evo-cpg export` wrote; the root's comes first.
 _EXPORTED = ".rotation_xx"
-_PLACES = ("x", "y", "z")
 _ATTITUDE = ("xx", "yx", "zx", "zy", "zz")
 
 
@@ -78,10 +77,10 @@ def read_motion(path: Path) -> MeasuredMotion:
             raise UsageError(f"{path}: line {line} has {len(row)} cells, not {len(names)}")
         for j, cell in enumerate(row):
             table[i, j] = _measured(cell, f"{path}: line {line}, {names[j]}")
-    if not any(name.endswith(_EXPORTED) for name in names):
-        # In an exported motion they are ours, and many columns are of something else.
-        table *= [_in_si(name, unit, path) for name, unit in zip(names, units, strict=True)]
-    columns = _of_export(dict(zip(names, table.T, strict=True)), path)
+    root = next((name.removesuffix(_EXPORTED) for name in names if name.endswith(_EXPORTED)), "")
+    table *= [_in_si(name, unit, root, path) for name, unit in zip(names, units, strict=True)]
+    columns = dict(zip(names, table.T, strict=True))
+    columns = _of_export(columns, root, path) if root else columns
     time = columns.pop("time")
     if not np.isfinite(time).all() or time.min() < 0 or (np.diff(time) <= 0).any():
         raise UsageError(f"{path}: time must grow from row to row, from 0 or later")
@@ -95,14 +94,24 @@ def read_motion(path: Path) -> MeasuredMotion:
     return MeasuredMotion(time, tuple(columns), np.stack(list(columns.values()), 1), targets)
 
 
-def _in_si(name: str, unit: str | None, path: Path) -> float:
-    """The unit of a column in that which is meant where none is written."""
-    if unit is None:
-        return 1.0
-    if name.startswith(TARGET):
+def _in_si(name: str, unit: str | None, root: str, path: Path) -> float:
+    """The unit of a column in that which is meant where none is written.
+
+    Of an exported motion, which has the name of a root, not all columns are taken.
+    """
+    from evo_cpg.simulation.track import POSITION
+
+    body, _, what = name.rpartition(".")
+    if name == "time":
+        allowed = _TIMES
+    elif name.startswith(TARGET) or (root and what == "target_rate"):
         allowed = _RATES
+    elif body == root and what in POSITION:
+        allowed = _LENGTHS
     else:
-        allowed = _TIMES if name == "time" else _LENGTHS if name in _PLACES else _ANGLES
+        allowed = _ANGLES if what == "angle" or not root else None
+    if unit is None or allowed is None:
+        return 1.0
     if unit not in allowed:
         raise UsageError(
             f"{path}: {name} [{unit}]: cannot be in that unit; choose {' or '.join(allowed)}"
@@ -110,14 +119,11 @@ def _in_si(name: str, unit: str | None, path: Path) -> float:
     return allowed[unit]
 
 
-def _of_export(columns: dict[str, np.ndarray], path: Path) -> dict[str, np.ndarray]:
-    """What a motion tracker would have seen of an exported motion; others as they are.
+def _of_export(columns: dict[str, np.ndarray], root: str, path: Path) -> dict[str, np.ndarray]:
+    """What a motion tracker would have seen of an exported motion.
 
     The attitude is yaw, then pitch, then roll about the root's own axes.
     """
-    root = next((name.removesuffix(_EXPORTED) for name in columns if name.endswith(_EXPORTED)), "")
-    if not root:
-        return columns
     needed = [*(f"{root}.rotation_{axes}" for axes in _ATTITUDE), *(f"{root}.{x}" for x in "xyz")]
     lacking = [name for name in needed if name not in columns]
     if lacking:

@@ -44,7 +44,7 @@ class Commanded(Controller):
         """The rates of the present control step."""
         del decoded
         still = jnp.zeros_like(observation.joint_angle)
-        if self.rates is None or not len(still):
+        if self.rates is None:
             return state + 1, Command(still, still)
         table = jnp.asarray(array_of(self.rates), still.dtype)
         # All individuals are at the same step.

@@ -132,6 +132,8 @@ def _taken(graph, x, first, window):
         first: index of the window's first element along each axis, within the array.
         window: ``(axes, ...)``, indices within the window.
     """
+    if not window[0].size:
+        return np.empty(window[0].shape, object)
     if all(node.value is not None for node in first):
         begin = [int(node.value) for node in first]
         return np.asarray(x[tuple(b + w for b, w in zip(begin, window, strict=True))], object)

@@ -1,6 +1,7 @@
 """`evo-cpg fit`: a recorded motion in, estimates out; and what is refused."""
 
 import csv
+import dataclasses
 
 import equinox as eqx
 import jax
@@ -10,10 +11,12 @@ import pytest
 import yaml
 
 from creatures import quick_jit
-from evo_cpg.cli.measured_motion import commands, late_commands, read_motion
+from evo_cpg.cli.errors import UsageError
+from evo_cpg.cli.measured_motion import MeasuredMotion, commands, late_commands, read_motion
 from evo_cpg.config.load import check_config, load_config
 from evo_cpg.config.numbers import number_at
 from evo_cpg.config.parameters import parametrise
+from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.track import track
 from evo_cpg.training.run_folder import RunFolder
 from tiny_run import CONFIG, REPOSITORY
@@ -71,6 +74,34 @@ def test_units_in_brackets_are_heeded(tmp_path):
     np.testing.assert_allclose(found.time, [0, 0.5])
     np.testing.assert_allclose(found.data, [[0.01, np.pi / 2, 1], [0.02, np.nan, 2]])
     np.testing.assert_allclose(found.targets["tail.y"], [np.pi, 0])
+
+
+def test_units_of_an_exported_motion_are_heeded_where_a_column_is_taken(tmp_path):
+    table = tmp_path / "data.csv"
+    rotation = [f"head.rotation_{row}{column} [1]" for row in "xyz" for column in "xyz"]
+    heads = ["time [s]", "head.x [cm]", "head.y [m]", "head.z [m]", *rotation]
+    heads += ["tail.y.angle [deg]", "tail.y.target_rate [rad/s]", "flow.x [m/s]"]
+    write(table, heads, [[0, 50, 2, 3, *np.eye(3).ravel(), 180, 4, 5]])
+    found = read_motion(table)
+    assert found.columns == ("x", "y", "z", "roll", "pitch", "yaw", "tail.y")
+    np.testing.assert_allclose(found.data, [[0.5, 2, 3, 0, 0, 0, np.pi]])
+    np.testing.assert_allclose(found.targets["tail.y"], [4])
+    heads[heads.index("head.x [cm]")] = "head.x [ft]"
+    write(table, heads, [[0, 50, 2, 3, *np.eye(3).ravel(), 180, 4, 5]])
+    with pytest.raises(UsageError, match=r"head.x \[ft\]: cannot be in that unit"):
+        read_motion(table)
+
+
+def test_a_body_without_joints_is_commanded_in_native_code(tmp_path):
+    """A warning, which is an error here, would say that it runs on plain JAX."""
+    creature = FALL["creature"] | {"bodies": FALL["creature"]["bodies"][:1]}
+    path = tmp_path / "ball.yaml"
+    path.write_text(yaml.safe_dump(FALL | {"creature": creature}))
+    simulation = parametrise(load_config(path), path, ()).experiment.simulation
+    recording = MeasuredMotion(np.arange(20) / 60, ("x",), np.zeros((20, 1)), {})
+    driven = dataclasses.replace(simulation, controller=commands(recording, simulation))
+    fell = quick_jit(lambda genes: rollout(driven, genes).terms["distance"])(jnp.zeros((0, 2)))
+    np.testing.assert_array_equal(fell[0], fell[1])
 
 
 @pytest.mark.parametrize("form", ["{:.15g}", "{:.9g}", "{:.6f}", "{:.3f}"])

@@ -66,6 +66,7 @@ COMPUTED = {
     "update": lambda x, i: lax.dynamic_update_slice(x, 10 * x[:2, :2], (i[0], i[1])),
     "update a row": lambda x, i: lax.dynamic_update_index_in_dim(x, x[3], i[1], 0),
     "row": lambda x, i: x[i[0]],
+    "row of none": lambda x, i: jnp.append(x[:, :0][i[0]], x[i[1]]),
     "element": lambda x, i: x[i[0], i[1]],
     "column, clipped": lambda x, i: x.at[:, i[1]].get(mode="clip"),
     "column, filled": lambda x, i: x.at[:, i[1]].get(mode="fill"),
