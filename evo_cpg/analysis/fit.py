@@ -135,7 +135,9 @@ def fit(
     def decomposed(slopes: Array, sigma: Array) -> tuple[Array, Array, Array]:
         """Singular values of J and their vectors; what the data do not tell has small ones."""
         jacobian = slopes / (members @ sigma)[None, :, None]
-        return jnp.linalg.svd(jacobian.reshape(-1, len(start)), full_matrices=False)
+        jacobian = jacobian.reshape(-1, len(start))
+        left, singular, right = jnp.linalg.svd(jacobian, full_matrices=False)
+        return left, singular, right
 
     def taken_up(along: Array, singular: Array) -> Array:
         """Of each kind's numbers, how many the parameters take up."""
