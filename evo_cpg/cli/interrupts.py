@@ -64,15 +64,22 @@ class _Again:
 
     def __init__(self) -> None:
         self._timer: threading.Timer | None = None
+        self._asked = False
 
     def __call__(self) -> None:
-        if self._timer is not None and self._timer.is_alive():
+        if self._asked:
             return
+        self._asked = True
         # To this thread, so that it wakes up should it sleep by then.
         main = threading.main_thread().ident
-        self._timer = threading.Timer(_MOMENT, signal.pthread_kill, [main, signal.SIGINT])
+        self._timer = threading.Timer(_MOMENT, self._interrupt, [main])
         self._timer.daemon = True
         self._timer.start()
+
+    def _interrupt(self, main: int) -> None:
+        # First: the interrupt may ask for another one while this thread has not ended yet.
+        self._asked = False
+        signal.pthread_kill(main, signal.SIGINT)
 
     def cancel(self) -> None:
         """Not, if there is still time."""

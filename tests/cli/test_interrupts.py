@@ -37,6 +37,31 @@ def test_it_waits_until_a_key_is_hashed():
     assert list(known.values()) == ["there"]
 
 
+def test_it_waits_longer_than_a_moment(monkeypatch):
+    """Each try comes while the thread of the one before has not ended, as on a busy machine."""
+    tried, kill, end = [], signal.pthread_kill, time.monotonic() + LONG
+
+    def slowly(thread, number):
+        tried.append(number)
+        kill(thread, number)
+        time.sleep(0.1)
+
+    monkeypatch.setattr(signal, "pthread_kill", slowly)
+
+    class Key:
+        def __hash__(self):
+            signal.raise_signal(signal.SIGINT)
+            while len(tried) < 3 and time.monotonic() < end:
+                time.sleep(0.001)
+            return 1
+
+    known = {}
+    with interrupts_delivered(), pytest.raises(KeyboardInterrupt):
+        known[Key()] = "there"
+        time.sleep(LONG)
+    assert list(known.values()) == ["there"]
+
+
 def test_one_that_was_forgotten_comes_again():
     class Dying:
         def __del__(self):
