@@ -1,7 +1,8 @@
 """Every shipped config with the native back end and with it switched off: trials, in float64.
 
 Switched off (`engine: jax`) the simulation is plain JAX, which is what its code says; both must
-come to the same. From single steps to many see `test_shipped_configs`.
+come to the same. From single steps to many see `test_shipped_configs`. Without noise, which is
+drawn in float32 and so rounded apart by a millionth: see `tests/simulation/test_noise.py`.
 """
 
 import dataclasses
@@ -15,6 +16,7 @@ import yaml
 
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import load_config
+from evo_cpg.simulation.noise import Noise
 from evo_cpg.simulation.rollout import rollout_and_record
 
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -37,7 +39,8 @@ def trial(name, overrides, engine):
     """What a short trial of some individuals comes to, and the recording of one."""
     path = CONFIGS / f"{name}.yaml"
     config = load_config(path, [f"engine={engine}", *overrides])
-    simulation = dataclasses.replace(build_experiment(config, path).simulation, steps=STEPS)
+    simulation = build_experiment(config, path).simulation
+    simulation = dataclasses.replace(simulation, steps=STEPS, noise=Noise())
     keys = jax.random.key_data(jax.random.split(jax.random.key(1), INDIVIDUALS)).T
     genes = simulation.controller.random_genes(jax.random.key(0), (INDIVIDUALS,), jnp.float64)
     live = jax.jit(lambda genes, keys: rollout_and_record(simulation, genes, 0, keys, full=True))

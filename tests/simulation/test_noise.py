@@ -158,3 +158,19 @@ def test_a_noisy_trial_and_its_recording_are_the_same_trial(simulation):
     place = np.asarray(frames["position"])[:, :, simulation.world.tree.names.index("head")]
     way = np.linalg.norm(np.array([3.0, 1.0, 0.5])[:, None] - place, axis=1)
     np.testing.assert_allclose(distance, way.mean(0) / way[0], rtol=1e-5)
+
+
+@pytest.mark.usefixtures("x64")
+def test_chance_is_the_same_with_native_code_and_without(simulation):
+    """It is drawn in float32, whose last digit is 1e-7, and moves the animal by centimetres."""
+    silent = dataclasses.replace(simulation, steps=3)
+    noisy = dataclasses.replace(silent, noise=Noise(0.3, 0.3, 2.0))
+    genes, keys = jnp.full((2, 3), 2.0), jnp.asarray(KEYS[:, :3])
+
+    def trial(simulation, engine):
+        chosen = dataclasses.replace(simulation, engine=Engine(engine))
+        return quick_jit(lambda g, k: record(chosen, g, 2, k))(genes, keys)["position"]
+
+    found, wanted = (trial(noisy, engine) for engine in ("native", "jax"))
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-6)
+    assert np.abs(wanted - trial(silent, "native")).max() > 0.05
