@@ -20,6 +20,15 @@ def python_as_it_starts():
     signal.signal(signal.SIGINT, before)
 
 
+def assert_interrupted_afterwards(key):
+    """Not while the key is hashed, but soon after."""
+    known = {}
+    with interrupts_delivered(), pytest.raises(KeyboardInterrupt):
+        known[key] = "there"
+        time.sleep(LONG)
+    assert list(known.values()) == ["there"]
+
+
 def test_it_waits_until_a_key_is_hashed():
     class Key:
         def __hash__(self):
@@ -30,11 +39,7 @@ def test_it_waits_until_a_key_is_hashed():
         signal.raise_signal(signal.SIGINT)
         return 1
 
-    known = {}
-    with interrupts_delivered(), pytest.raises(KeyboardInterrupt):
-        known[Key()] = "there"
-        time.sleep(LONG)
-    assert list(known.values()) == ["there"]
+    assert_interrupted_afterwards(Key())
 
 
 def test_it_waits_longer_than_a_moment(monkeypatch):
@@ -55,11 +60,7 @@ def test_it_waits_longer_than_a_moment(monkeypatch):
                 time.sleep(0.001)
             return 1
 
-    known = {}
-    with interrupts_delivered(), pytest.raises(KeyboardInterrupt):
-        known[Key()] = "there"
-        time.sleep(LONG)
-    assert list(known.values()) == ["there"]
+    assert_interrupted_afterwards(Key())
 
 
 def test_one_that_was_forgotten_comes_again():
