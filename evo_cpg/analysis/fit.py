@@ -230,8 +230,8 @@ def _with_slopes(
 
 
 def student_quantile(
-    probability: float, unsure: Float[Array, " k"] | float, most: int
-) -> Float[Array, " k"]:
+    probability: float, unsure: Float[Array, "*k"] | float, most: int
+) -> Float[Array, "*k"]:
     """Quantiles of Student's t; infinite below one degree of freedom.
 
     Between whole degrees of freedom they are linear in one over these.

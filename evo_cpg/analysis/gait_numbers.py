@@ -119,7 +119,7 @@ class GaitNumbers(NamedTuple):
 def gait_numbers(
     simulation: Simulation,
     creature: Creature,
-    frames: Mapping[str, Array],
+    frames: Mapping[str, Array | np.ndarray],
     recording: Recording,
 ) -> GaitNumbers:
     """Measure a motion.
@@ -310,7 +310,7 @@ def _of_the_wave(
 def _feet(
     simulation: Simulation,
     creature: Creature,
-    frames: Mapping[str, Array],
+    frames: Mapping[str, Array | np.ndarray],
     recording: Recording,
     first: int,
     frequency: float,

@@ -104,7 +104,7 @@ class Compiled(NamedTuple):
             for number, *place in np.argwhere(wrong).tolist():
                 if kind == "geom" and model.geom_bodyid[number] == WORLD:
                     continue
-                owner = ("joint", model.dof_jntid[number]) if kind == "dof" else (kind, number)
+                owner = ("joint", int(model.dof_jntid[number])) if kind == "dof" else (kind, number)
                 value = values[number, *place]
                 allowed = "numbers" if field in _LIMITS else "finite numbers"
                 raise self.refusal(*owner, f"its {word} holds {value:g}", allowed)

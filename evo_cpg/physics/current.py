@@ -40,7 +40,7 @@ def stream(
     gradient: Gradient | None,
     vortices: tuple[Vortex, ...],
     places: Float[Array, "3 b *n"],
-) -> Float[Array, "3 b *#n"]:
+) -> Float[Array, "3 #b *#n"]:
     """Velocity of the water, in world axes, m/s.
 
     Args:

@@ -332,7 +332,7 @@ def judge(
         The mean fitness, -inf for an individual that diverged in any trial, and the mean outcome.
     """
 
-    def mean(values: Float[Array, "*n trials"]) -> Float[Array, " *n"]:
+    def mean(values: Shaped[Array, "*n trials"]) -> Float[Array, " *n"]:
         # Of truth values: the share of trials.
         values = values.astype(jnp.result_type(values, float))
         # One after the other: the order in which `mean` adds, and with it the rounding, would

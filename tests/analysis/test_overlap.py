@@ -12,12 +12,14 @@ from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Sphere
 EGG = Ellipsoid((0.18, 0.08, 0.03))
 OCTAHEDRON, _ = convex_mesh(
     0.1 * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]]),
-    [(0, 2, 4), (2, 1, 4), (1, 3, 4), (3, 0, 4), (2, 0, 5), (1, 2, 5), (3, 1, 5), (0, 3, 5)],
+    np.array(
+        [[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]]
+    ),
 )
 # Its centre of mass is at the origin, its corners are not the same to both sides.
 WEDGE, _ = convex_mesh(
     0.1 * np.array([[3, 0, 0], [-1, 2, 0], [-1, -1, 1.5], [-1, -1, -1.5]]),
-    [(0, 1, 2), (0, 3, 1), (0, 2, 3), (1, 3, 2)],
+    np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]]),
 )
 
 

@@ -6,7 +6,6 @@ import math
 import re
 import shutil
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -21,6 +20,7 @@ from evo_cpg.config.load import load_config
 from evo_cpg.training.checkpoint import genes_digest
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
 from evo_cpg.view.page import origin
+from evo_cpg.view.page.subject import Subject
 from tiny_run import CONFIG, REPOSITORY, TINY
 
 CHANGED = "config.yaml is not the one that the champion was evolved with"
@@ -389,8 +389,9 @@ def test_what_refine_did_is_part_of_how_to_repeat_it(refined):
     meta = {} if refined is None else {"refined": refined}
     if isinstance(refined, list):
         meta["refined"] = [done | refined[0], *refined[1:]]
-    told = SimpleNamespace(folder="eel", meta=meta, config="name: eel")
-    shown = origin.repetition(told)  # pyright: ignore[reportArgumentType]
+    nothing = Subject._make([None] * len(Subject._fields))
+    told = nothing._replace(folder="eel", meta=meta, config="name: eel")
+    shown = origin.repetition(told)
     assert ("repeats the evolution only" in shown) == isinstance(refined, list)
     assert ("evo-cpg refine eel --rounds 2" in shown) == isinstance(refined, list)
     assert ("2.5 to 3" in shown) == isinstance(refined, list)

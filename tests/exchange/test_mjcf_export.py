@@ -126,7 +126,7 @@ def test_a_start_in_a_pose_is_a_keyframe_and_the_model_stays_neutral(compiled, n
     tree, rng = build_tree(creature), np.random.default_rng(number)
     state = random_state(tree, rng)
     start = tuple(np.asarray(state.position).tolist())
-    pose = {"orientation": np.asarray(state.orientation), "angles": np.asarray(state.q)}
+    pose = {"orientation": state.orientation.tolist(), "angles": state.q.tolist()}
     model = compiled(creature, GRAVITY, start=start, **pose)
     np.testing.assert_allclose(model.qpos0, [*start, 1, 0, 0, 0, *[0] * tree.dof_count])
     data = mujoco.MjData(model)

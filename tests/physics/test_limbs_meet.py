@@ -272,7 +272,7 @@ def test_boxes_that_turn_beside_each_other_do_not_push(yaw):
             axes=((0.0, 1.0, 0.0),),
             lower=(-1.5,),
             upper=(1.5,),
-            orientation=turn,
+            orientation=tuple(map(tuple, turn.tolist())),
         )
         bodies.append(Body(name, Box((0.03, 0.03, 0.2)), FLESH, joint))
     creature = Creature("legs", tuple(bodies))

@@ -1,6 +1,6 @@
 """What studies measure, where the answer is known."""
 
-from types import SimpleNamespace
+from unittest import mock
 
 import jax.numpy as jnp
 import numpy as np
@@ -16,7 +16,7 @@ from evo_cpg.studies import fukui2003, search
 from evo_cpg.studies.audits import audit_table, kept_table
 from evo_cpg.studies.lights import _still, lived
 from evo_cpg.studies.study import Table
-from evo_cpg.studies.workshop import markdown
+from evo_cpg.studies.workshop import Workshop, markdown
 from evo_cpg.training.checkpoint import Champion
 from evo_cpg.view import sweep_plot
 from tiny_run import CONFIG, PAIR
@@ -96,12 +96,11 @@ def test_a_figure_of_searches_shows_what_their_champions_are_worth(monkeypatch):
     """As the table beside it does; the history has the luckiest scores."""
     terms = {"distance": 0.4}
     champion = Champion(np.zeros(1), 0.9, 1, terms, {}, lives=16, expected=0.7)
-    workshop = SimpleNamespace(
-        experiment=lambda name: SimpleNamespace(strategy=SimpleNamespace(population=4)),
-        column=lambda name, column: np.array([[0.5, 0.6], [0.9, 0.9]]),
-        champions=lambda name: [champion, champion._replace(expected=0.8)],
-        picture=lambda: "searches.png",
-    )
+    workshop = mock.create_autospec(Workshop, instance=True)
+    workshop.experiment.return_value.strategy.population = 4
+    workshop.column.return_value = np.array([[0.5, 0.6], [0.9, 0.9]])
+    workshop.champions.return_value = [champion, champion._replace(expected=0.8)]
+    workshop.picture.return_value = "searches.png"
     drawn = []
     monkeypatch.setattr(sweep_plot, "plot_sweep", lambda curves, *_: drawn.extend(curves))
     (made,) = search.searches(workshop, "two_eyes")
