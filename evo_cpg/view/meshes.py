@@ -133,6 +133,7 @@ def add_bodies(plotter: pv.Plotter, creature: Creature, ambient: float) -> list[
                 diffuse=0.8,
                 specular=0.25,
                 specular_power=18,
+                culling="back",
             )
         ]
         for body, color in zip(creature.bodies, body_colors(creature), strict=True)
@@ -141,7 +142,14 @@ def add_bodies(plotter: pv.Plotter, creature: Creature, ambient: float) -> list[
         carrier = bodies[creature.body_index(sensor.body)]
         for mesh, color in zip(eye_meshes(creature, sensor), ("#fdfdf8", "#10151c"), strict=True):
             carrier.append(
-                plotter.add_mesh(mesh, color=color, smooth_shading=True, ambient=0.4, specular=0.8)
+                plotter.add_mesh(
+                    mesh,
+                    color=color,
+                    smooth_shading=True,
+                    ambient=0.4,
+                    specular=0.8,
+                    culling="back",
+                )
             )
     return bodies
 

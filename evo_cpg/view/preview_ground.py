@@ -1,6 +1,7 @@
 """What a creature stands on in the picture of its body plan: pale ground, and stones."""
 
 import dataclasses
+import functools
 
 import numpy as np
 import pyvista as pv
@@ -11,7 +12,7 @@ from evo_cpg.view.ground import add_floor, grid_spacing
 from evo_cpg.view.look import LOOKS
 from evo_cpg.view.obstacles import add_obstacles, obstacle_mesh
 from evo_cpg.view.shadows import add_contacts, add_shadows
-from evo_cpg.view.terrain import make_terrain
+from evo_cpg.view.terrain import heights, make_terrain
 
 # Names and axes stand out from it.
 _LOOK = dataclasses.replace(
@@ -67,7 +68,8 @@ def add_preview_ground(
     middle = (shown.min(0) + shown.max(0)) / 2
     radius = float(np.linalg.norm(shown - middle, axis=1).max())
     if ground is not None:
-        add_obstacles(plotter, ground.obstacles, _AMBIENT)
+        above = functools.partial(heights, ground.floor)
+        add_obstacles(plotter, ground.obstacles, _AMBIENT, above)
         height = dataclasses.replace(ground, obstacles=()).level
     else:
         height = lowest_height(creature, (centres, rotations))

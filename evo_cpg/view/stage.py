@@ -270,7 +270,7 @@ def _add_terrain(
         centre = clip.position.mean(1)
         moving.append(add_numbers(plotter, look, marks, centre, dry, radius, sight, away))
     obstacles = () if stage.ground is None else stage.ground.obstacles
-    add_obstacles(plotter, obstacles, look.ambient)
+    add_obstacles(plotter, obstacles, look.ambient, terrain.height)
     if obstacles:
         shades = [obstacle_mesh(obstacle, shade=True) for obstacle in obstacles]
         meshes, places, turns = zip(*shades, strict=True)

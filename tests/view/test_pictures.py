@@ -52,6 +52,11 @@ def test_a_mesh_is_closed_and_has_the_size_of_its_shape(shape):
     assert np.abs(shape.distance(np.asarray(mesh.points))).max() < 0.3 * shape.half_extents.min()
     outward = np.einsum("ij,ij->i", mesh.points, mesh.point_data.active_normals)
     assert (outward > 0).all()
+    # Corners run anticlockwise, seen from outside: sides that face away are not drawn. Where
+    # octants meet without a gap, triangles between them have no area.
+    a, b, c = np.moveaxis(np.asarray(mesh.points, float)[mesh.regular_faces], 1, 0)
+    volumes = np.einsum("ij,ij->i", np.cross(b - a, c - a), a + b + c) / 18
+    assert volumes.min() > -1e-12 and volumes.sum() == pytest.approx(mesh.volume)
 
 
 def test_an_unknown_shape_is_refused():

@@ -11,7 +11,7 @@ from evo_cpg.physics.terrain import Block, Boulder, Plane, Relief, Shore
 from evo_cpg.view.camera import hidden, project
 from evo_cpg.view.clip import sample
 from evo_cpg.view.look import SHORE
-from evo_cpg.view.obstacles import obstacle_mesh, obstacle_top
+from evo_cpg.view.obstacles import add_obstacles, obstacle_mesh, obstacle_top
 from evo_cpg.view.particles import add_particles
 from evo_cpg.view.stage import Stage, camera_path, surface_is_seen
 from evo_cpg.view.terrain import heights, make_terrain
@@ -117,6 +117,21 @@ def test_a_stone_has_the_shape_of_the_physics(stone):
         points = np.column_stack([np.tile(spot, (41, 1)), column])
         gap, _ = distance(points.T)
         assert np.asarray(gap).min() > -1e-6
+
+
+def test_what_is_buried_is_not_drawn():
+    """Through ground that fades towards the horizon it would shine."""
+    stones = (Boulder((0.0, 0.0, 0.0), 1.0), Boulder((5.0, 0.0, -1.5), 1.0))
+    plotter = pv.Plotter(off_screen=True)
+    add_obstacles(plotter, stones, 0.3, lambda place: np.zeros(len(place)))
+    (actor,) = plotter.actors.values()
+    seen = actor.mapper.dataset
+    plotter.close()
+    corners = np.asarray(seen.points)[seen.regular_faces]
+    # The upper half, and what reaches a little into the ground.
+    assert corners[..., 2].max() == pytest.approx(1.0, abs=1e-3)
+    assert -0.15 < corners[..., 2].min() < 0.0
+    assert 2 * np.pi * 0.99 < seen.area < 2 * np.pi * 1.15
 
 
 def test_an_unknown_obstacle_is_refused():
