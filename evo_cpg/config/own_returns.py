@@ -135,13 +135,14 @@ def check_own_strategy(
             _expect_array(where, found[0], shape)
             _expect_like(where, "the state", found[1], found[1] if kept is None else kept)
             kept = found[1]
-            told = checked(key, strategy, "metrics", lambda metrics, x=kept: metrics(x))
-            _expect_dict(checked.where("metrics"), told, "metric")
-            if set(told) != set(metrics):
-                wanted, given = (", ".join(names) or "nothing" for names in (metrics, told))
-                checked.where("metrics").fail(
-                    f"must return what metric_names has, {wanted}; got {given}"
-                )
+        # Of a state after trials, as in a run.
+        told = checked(key, strategy, "metrics", lambda metrics: metrics(kept))
+        _expect_dict(checked.where("metrics"), told, "metric")
+        if set(told) != set(metrics):
+            wanted, given = (", ".join(names) or "nothing" for names in (metrics, told))
+            checked.where("metrics").fail(
+                f"must return what metric_names has, {wanted}; got {given}"
+            )
 
     given = (jax.ShapeDtypeStruct(x, jnp.float32) for x in (shape, shape[1:]))
     jax.eval_shape(go, *given)

@@ -128,7 +128,7 @@ class Strategy(eqx.Module):
         """Names of the `metrics`; none that metrics.csv has already."""
         return ()
 
-    def metrics(self, state: PyTree) -> dict[str, Float[Array, ""]]:
+    def metrics(self, state: PyTree[Array]) -> dict[str, Float[Array, ""]]:
         """Numbers for metrics.csv, by name; none unless overridden.
 
         Args:

@@ -2,7 +2,7 @@
 
 Switched off (`engine: jax`) the simulation is plain JAX, which is what its code says; both must
 come to the same. From single steps to many see `test_shipped_configs`. Without noise, which is
-drawn in float32 and so rounded apart by a millionth: see `tests/simulation/test_noise.py`.
+drawn in float32, of which the last digit differs: see `tests/simulation/test_noise.py`.
 """
 
 import dataclasses
