@@ -124,6 +124,8 @@ class _Emitter:
         self.functions: list[str] = []
         self.driver: list[str] = []
         self.label = "vector"
+        # Calls of the functions of the present stretch that are written already.
+        self.pieces: list[str] = []
         # Of what crosses stretches, and of what left the registers in this one.
         self.slots: dict[Node, int] = {}
         self.spilled: dict[Node, int] = {}
@@ -153,11 +155,33 @@ class _Emitter:
         self.names: dict[Node, str] = {}
         self.memory.buffers = {}
 
-    def _end(self, result: str = "", kind: str = "i1") -> str:
-        """The stretch as a function of its own, called by the driver; the name of its result."""
-        if not self.w.lines and not result:
-            return ""
-        name, kind = f"stretch{len(self.functions)}", kind if result else "void"
+    def _cut(self) -> None:
+        """Go on in another function, if this one is long.
+
+        The time and the stack that LLVM takes grow faster than a function. All that is used again
+        goes through memory. Nothing may be held by its name alone where this is called.
+        """
+        if len(self.w.lines) < machine_constants.LONGEST_FUNCTION:
+            return
+        for (node, wide), name in self.registers.empty():
+            if wide != node.uniform:
+                self._spill(node, name)
+        for node, name in self.names.items():
+            if self.registers.is_used_again(node):
+                self._spill(node, name)
+        self.pieces.append(self._function())
+        self.w.lines, self.names = [], {}
+
+    def _spill(self, node: Node, name: str) -> None:
+        """Keep a value in the memory that vectors share, unless it is in memory already."""
+        if node in self.spilled or home(node) in self.slots:
+            return
+        self.spilled[node] = place = self.memory.borrow(self._row_bytes(node))
+        self.memory.store(name, node.dtype, self.memory.borrowed(place), node.uniform)
+
+    def _function(self, result: str = "", kind: str = "void") -> str:
+        """Write a function of the lines that there are; return a call of it, without the result."""
+        name = f"stretch{len(self.functions)}"
         buffers = [f"ptr noalias {buffer}, " for buffer in self.memory.buffers]
         body = ["entry:", *self._valid(), *self.w.lines, f"ret {kind} {result}"]
         # Not inlined: within the driver's loops LLVM would take constants out of them, thousands,
@@ -167,13 +191,28 @@ class _Emitter:
             f"i64 %first) noinline #0 {{\n" + "\n".join(body) + "\n}"
         )
         given = "".join(buffers).replace(" noalias", "")
+        return f"call {kind} @{name}({given}ptr %scratch, i64 %n, i64 %first)"
+
+    def _end(self, result: str = "", kind: str = "i1") -> str:
+        """The stretch as a function of its own, called by the driver; the name of its result."""
+        if not self.w.lines and not result and not self.pieces:
+            return ""
+        kind = kind if result else "void"
+        if self.pieces:
+            # The pieces take turns for each vector, for what they hand on is in shared memory.
+            last = self._function(result, kind)
+            found = "%result" if result else ""
+            calls = [*self.pieces, f"{found} = {last}" if result else last]
+            self.w.lines, result, self.pieces = calls, found, []
+        call = self._function(result, kind)
+        name = call.partition("@")[2].partition("(")[0]
+        given = "".join(f"ptr {buffer}, " for buffer in self.memory.buffers)
         if self.ganged and self.packed is None:
             self.late.append(functools.partial(each_vector, name, given, given))
             self.driver.append(
                 f"call void @{name}.gang({given}ptr %scratch, i64 %n, i64 %first, i64 %count)"
             )
             return ""
-        call = f"call {kind} @{name}({given}ptr %scratch, i64 %n, i64 %first)"
         found = f"%found{len(self.functions)}" if result else ""
         self.driver.append(f"{found} = {call}" if result else call)
         return found
@@ -188,6 +227,7 @@ class _Emitter:
             for node in run:
                 self._operation(node)
                 self._used()
+                self._cut()
             if loop is not None:
                 self._loop(loop, loop.detail)
 
@@ -225,11 +265,8 @@ class _Emitter:
             if node in self.spilled:
                 self.memory.give_back(self._row_bytes(node), self.spilled.pop(node))
         for (node, wide), name in leaving:
-            kept = node in self.spilled or home(node) in self.slots
-            if not kept and wide != node.uniform:
-                self.spilled[node] = place = self.memory.borrow(self._row_bytes(node))
-                pointer = self.memory.borrowed(place)
-                self.memory.store(name, node.dtype, pointer, node.uniform)
+            if wide != node.uniform:
+                self._spill(node, name)
 
     def _hold(self, node: Node, wide: bool, name: str) -> None:
         if node.dtype.kind == "f" or (wide and self.width > 1 and node.dtype.kind in "iu"):
@@ -314,6 +351,7 @@ class _Emitter:
                 base = f"%b{len(self.arguments) + k}"
                 self.memory.store_row(self._ref(node), base, row, buffer.dtype)
                 self._used()
+                self._cut()
 
     # Loops.
 
@@ -323,6 +361,7 @@ class _Emitter:
         for k in kept:
             self._store(self._ref(loop.start[k]), loop.carried[k], self.slots[loop.carried[k]])
             self._used()
+            self._cut()
             self._wrote(loop.carried[k])
         for one in lists:
             self.tables[one] = self.memory.room(self._row_bytes(one) * (loop.count or 1))
@@ -478,6 +517,7 @@ class _Emitter:
             pointer = self.w.let(f"getelementptr i8, ptr {start}, i32 {steps}")
             self.memory.store(self._ref(value), one.dtype, pointer)
             self._used()
+            self._cut()
         copies = [(k, self._copy(loop, k)) for k in moved]
         for k in kept:
             value = self._ref(ends[k])
@@ -486,6 +526,7 @@ class _Emitter:
                 value = self._unless_done(loop, k, value)
                 self._used()
             self._store(value, loop.carried[k], self.slots[loop.carried[k]])
+            self._cut()
         for k, place in copies:
             node = loop.carried[k]
             self._store(self.memory.load(node.dtype, place), node, self.slots[node])

@@ -14,7 +14,7 @@ import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from evo_cpg.fusion import machine_constants
+from evo_cpg.fusion import compiler, machine_constants
 from evo_cpg.fusion.unsupported import Unsupported
 
 if TYPE_CHECKING:
@@ -134,38 +134,16 @@ def code_bytes() -> int:
 
 def _load(name: str, text: str, target: Target) -> int:
     if name not in _loaded:
-        code = _read(name) or _compile(name, text, target)
+        code = _read(name)
+        if code is None:
+            effort = machine_constants.LLVM_EFFORT
+            code = compiler.object_code(text, target.processor, target.features, effort)
+            _write(name, code)
         builder = _llvm().JITLibraryBuilder()
         builder.add_object_img(code).add_current_process().export_symbol("handler")
         tracker = builder.link(_linker(), name)
         _loaded[name] = tracker["handler"], len(code), tracker
     return _loaded[name][0]
-
-
-def _compile(name: str, text: str, target: Target) -> bytes:
-    llvm = _llvm()
-    module = llvm.parse_assembly(text)
-    # The order of instructions and what is in registers is settled (`evo_cpg.fusion.registers`);
-    # looking for a better one takes longer than all the rest. The setting is the whole process's.
-    llvm.set_option("", "-enable-misched=false")
-    try:
-        code = _target_machine(target, machine_constants.LLVM_EFFORT).emit_object(module)
-    finally:
-        llvm.set_option("", "-enable-misched=true")
-    _write(name, code)
-    return code
-
-
-@functools.cache
-def _target_machine(target: Target, effort: int) -> "llvm.TargetMachine":
-    llvm = _llvm()
-    return llvm.Target.from_default_triple().create_target_machine(
-        cpu=target.processor,
-        features=target.features,
-        opt=effort,
-        reloc="pic",
-        codemodel="small",
-    )
 
 
 @functools.cache

@@ -66,6 +66,10 @@ KEPT_FOR_THE_WAY_BACK = 256 * 2**20
 beyond that parts are computed again: with 0, gradients of 16 swimmers take 1.4 times as long. To be
 raised where there is memory."""
 
+LONGEST_FUNCTION = 6000
+"""Fitted: lines of LLVM IR in one function, about. Where a function is cut, all that is used again
+goes through memory."""
+
 MOST_OPERATIONS = 600_000
 """A limit: more would take minutes to compile, and more memory than code should."""
 

@@ -73,6 +73,16 @@ class Registers:
             leaving.append((held, self._names.pop(held)))
         return leaving, over
 
+    def is_used_again(self, node: Node) -> bool:
+        """Return whether the code that was expected still uses a node."""
+        return bool(self._uses.get(node))
+
+    def empty(self) -> list[tuple[Held, str]]:
+        """Take all values out of the registers; return those that are used again."""
+        leaving = [(held, name) for held, name in self._names.items() if self._uses.get(held[0])]
+        self._names, self._next_use = {}, {}
+        return leaving
+
     def _is_over(self, node: Node) -> bool:
         """Whether the use of a node that is now was its last one."""
         uses = self._uses[node]

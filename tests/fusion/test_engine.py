@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from against_jax import sample
 
-from evo_cpg.fusion import engine, machine, machine_constants, native
+from evo_cpg.fusion import compiler, engine, machine, machine_constants, native
 from evo_cpg.fusion.engine import Engine, EngineWarning, described, using
 from evo_cpg.fusion.fuse import fuse
 from evo_cpg.fusion.unsupported import Unsupported
@@ -242,13 +242,13 @@ def test_code_that_llvm_refuses(monkeypatch):
 def seven(tmp_path, monkeypatch):
     """Loads a function as if anew: what it returns, and how often it was compiled so far."""
     machine.keep_code_in(tmp_path)
-    compiled, make = [], machine._compile
+    compiled, make = [], compiler.object_code
 
-    def compile_and_count(name, *args):
-        compiled.append(name)
-        return make(name, *args)
+    def compile_and_count(text, *args):
+        compiled.append(text)
+        return make(text, *args)
 
-    monkeypatch.setattr(machine, "_compile", compile_and_count)
+    monkeypatch.setattr(compiler, "object_code", compile_and_count)
 
     def load():
         monkeypatch.setattr(machine, "_loaded", {})

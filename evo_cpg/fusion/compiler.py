@@ -1,0 +1,116 @@
+"""LLVM in a process of its own, so that a compiler that dies does not end the run.
+
+The process starts with the first program that is not on disk yet, and ends with this one. Where no
+process can be started, LLVM runs in this one, on a thread with a large stack.
+"""
+
+import atexit
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+from pathlib import Path
+from typing import BinaryIO, cast
+
+from evo_cpg.fusion import compiler_process
+from evo_cpg.fusion.unsupported import Unsupported
+
+# A process that has compiled more text than this (bytes) ends, for LLVM keeps its memory.
+_LARGE_TEXT = 4 * 2**20
+
+
+class CompilerDied(Unsupported):
+    """LLVM ended its process while it compiled a program."""
+
+
+def object_code(text: str, processor: str, features: str, effort: int) -> bytes:
+    """Compile a module of LLVM IR.
+
+    Args:
+        text: the module.
+        processor: LLVM's name of it.
+        features: LLVM's list of what it has.
+        effort: of the optimiser, 0 to 3.
+
+    Raises:
+        CompilerDied: LLVM ended its process.
+        RuntimeError: the text is not valid IR, or LLVM has no such processor.
+    """
+    with _lock:
+        process = _running()
+        if process is None:
+            return compiler_process.object_code(text, processor, features, effort)
+        try:
+            return _asked(process, text, processor, features, effort)
+        except BaseException:
+            # The pipes hold half a request or half an answer.
+            _stop()
+            raise
+        finally:
+            if len(text) > _LARGE_TEXT:
+                _stop()
+
+
+def _asked(
+    process: subprocess.Popen, text: str, processor: str, features: str, effort: int
+) -> bytes:
+    """Send a request and read the answer."""
+    requests, answers = cast(BinaryIO, process.stdin), cast(BinaryIO, process.stdout)
+    given = text.encode()
+    request = {"processor": processor, "features": features, "effort": effort, "size": len(given)}
+    with contextlib.suppress(BrokenPipeError):
+        requests.write(json.dumps(request).encode() + b"\n" + given)
+        requests.flush()
+    line = answers.readline()
+    answer = json.loads(line) if line.endswith(b"\n") else {"size": 1}
+    code = answers.read(answer["size"])
+    if len(code) < answer["size"]:
+        raise CompilerDied(f"the compiler ended with {_cause(process.wait())}")
+    if "error" in answer:
+        raise RuntimeError(answer["error"])
+    return code
+
+
+def _cause(status: int) -> str:
+    """Describe the exit status of a process."""
+    with contextlib.suppress(ValueError):
+        return signal.Signals(-status).name
+    return f"exit status {status}"
+
+
+_lock = threading.Lock()
+_process: subprocess.Popen | None = None
+_owner = 0
+
+
+def _running() -> subprocess.Popen | None:
+    """Return the compiler's process, started where it is needed; None where none can be."""
+    global _process, _owner
+    # After a fork the pipes are the parent's.
+    if _process is None or _owner != os.getpid() or _process.poll() is not None:
+        command = [sys.executable, "-P", str(Path(compiler_process.__file__))]
+        try:
+            _process = subprocess.Popen(
+                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+            )
+        except OSError:
+            _process = None
+        _owner = os.getpid()
+    return _process
+
+
+@atexit.register
+def _stop() -> None:
+    """End the compiler's process."""
+    global _process
+    if _process is None or _owner != os.getpid():
+        return
+    _process.kill()
+    for pipe in (_process.stdin, _process.stdout):
+        with contextlib.suppress(OSError):
+            cast(BinaryIO, pipe).close()
+    _process.wait()
+    _process = None

@@ -1,0 +1,118 @@
+"""LLVM runs in a process of its own: what it makes, and what happens when it dies."""
+
+import ctypes
+import os
+import subprocess
+import sys
+import threading
+import warnings
+
+import jax
+import numpy as np
+import pytest
+from against_jax import sample
+
+from evo_cpg.fusion import compiler, compiler_process, machine, machine_constants
+from evo_cpg.fusion.engine import EngineWarning
+from evo_cpg.fusion.fuse import fuse
+
+SEVEN = "define i32 @handler() { ret i32 7 }"
+
+
+@pytest.fixture
+def compiles(monkeypatch):
+    """Compile a module as the library does, in a new process that ends afterwards."""
+    target = machine.host()
+    compiler._stop()
+    yield lambda text: compiler.object_code(text, target.processor, target.features, 2)
+    compiler._stop()
+
+
+def test_process_makes_the_same_code(compiles):
+    target = machine.host()
+    here = compiler_process.object_code(SEVEN, target.processor, target.features, 2)
+    assert compiles(SEVEN) == here
+    assert compiler._process is not None and compiler._process.pid != os.getpid()
+
+
+def test_process_serves_several_requests(compiles):
+    first = compiles(SEVEN)
+    process = compiler._process
+    with pytest.raises(RuntimeError, match="LLVM IR parsing error"):
+        compiles("this is no code")
+    assert compiles(SEVEN) == first
+    assert process is not None and process.returncode is not None, "an error starts it anew"
+
+
+def test_large_text_ends_the_process(compiles, monkeypatch):
+    monkeypatch.setattr(compiler, "_LARGE_TEXT", 1)
+    compiles(SEVEN)
+    assert compiler._process is None
+
+
+def test_without_processes_it_compiles_here(compiles, monkeypatch):
+    def refuse(*args, **options):
+        raise OSError("no more processes")
+
+    monkeypatch.setattr(subprocess, "Popen", refuse)
+    assert compiles(SEVEN)
+    assert compiler._process is None
+
+
+def test_program_falls_back_when_compiler_dies(monkeypatch):
+    """A process that ends like one whose stack overflows."""
+    compiler._stop()
+    start = subprocess.Popen
+    command = [sys.executable, "-c", "import os; os.kill(os.getpid(), 11)"]
+    monkeypatch.setattr(subprocess, "Popen", lambda _, **options: start(command, **options))
+    x = sample((3, 9))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        # A number that no other test has, so that the code is not in memory yet.
+        got = jax.jit(lambda x: fuse(lambda x: x * 0.7310585, x, batch_ndim=1, name="times"))(x)
+    (only,) = [each for each in caught if each.category is EngineWarning]
+    assert str(only.message) == (
+        "times runs on plain JAX, not as native code: the compiler ended with SIGSEGV"
+    )
+    np.testing.assert_array_equal(got, x * np.float32(0.7310585))
+    monkeypatch.undo()
+    compiler._stop()
+
+
+def test_deep_code_needs_the_large_stack():
+    """A long chain in one function, which recursion goes down; the answer is right."""
+    lines = ["%v0 = load volatile float, ptr %p"]
+    for k in range(20_000):
+        lines.append(f"%v{k + 1} = fadd float %v{k}, 1.0")
+    text = "\n".join(lines)
+    module = f"define float @handler(ptr %p) {{\n{text}\nret float %v20000\n}}"
+    _, address = machine.load(module, machine.host())
+    call = ctypes.CFUNCTYPE(ctypes.c_float, ctypes.POINTER(ctypes.c_float))(address)
+    assert call(ctypes.byref(ctypes.c_float(0.5))) == 20_000.5
+
+
+def test_stack_size_of_other_threads_stays():
+    before = threading.stack_size()
+    compiler_process._on_large_stack(lambda: b"")
+    assert threading.stack_size() == before
+
+
+def test_errors_of_the_thread_are_raised():
+    with pytest.raises(ZeroDivisionError):
+        compiler_process._on_large_stack(lambda: bytes(1 // 0))
+
+
+def test_cut_functions_have_the_same_bits(monkeypatch):
+    def program(x):
+        def turn(carry, i):
+            y = carry + 0.1 * jax.numpy.sin(x * i.astype(x.dtype))
+            return jax.numpy.where(y > 0.2, y - carry[::-1], y * carry), y[0] > 0
+
+        return jax.lax.scan(turn, x, jax.numpy.arange(4))
+
+    x = sample((5, 37))
+    whole = jax.jit(lambda x: fuse(program, x, batch_ndim=1))(x)
+    monkeypatch.setattr(machine_constants, "LONGEST_FUNCTION", 20)
+    cut = jax.jit(lambda x: fuse(program, x, batch_ndim=1))(x)
+    for one, other in zip(jax.tree.leaves(whole), jax.tree.leaves(cut), strict=True):
+        np.testing.assert_array_equal(one, other)
