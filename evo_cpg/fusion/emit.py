@@ -110,7 +110,7 @@ class _Emitter:
 
     Of the attributes ``w`` has the lines of the stretch that is being written, ``registers`` and
     ``names`` where its values are. With a gang, the driver's calls are for all of its vectors, but
-    for those in ``packed``, the loop whose functions are being written.
+    for those in ``packed``, the loop whose functions are being written, and while ``alone``.
     """
 
     def __init__(self, arguments, results, variant: Variant, plan: Plan):
@@ -130,8 +130,9 @@ class _Emitter:
         self.slots: dict[Node, int] = {}
         self.spilled: dict[Node, int] = {}
         self.tables: dict[Node, int | str] = {}
-        self.ganged = variant.width > 1 and not variant.masked and plan.loops_with_conditions
+        self.ganged = variant.width > 1 and not variant.masked and plan.packs
         self.packed: _Packed | None = None
+        self.alone = False
         # What is written once it is known how much memory a vector needs.
         self.late: list[Callable[[Gang], str]] = []
         self._begin()
@@ -147,6 +148,11 @@ class _Emitter:
         self._write_results()
         self._end()
         return Code(*self._text())
+
+    @property
+    def _takes_turns(self) -> bool:
+        """Whether the driver's calls are for all vectors of a gang."""
+        return self.ganged and self.packed is None and not self.alone
 
     def _begin(self) -> None:
         """A new stretch, in which nothing is known yet."""
@@ -207,7 +213,7 @@ class _Emitter:
         call = self._function(result, kind)
         name = call.partition("@")[2].partition("(")[0]
         given = "".join(f"ptr {buffer}, " for buffer in self.memory.buffers)
-        if self.ganged and self.packed is None:
+        if self._takes_turns:
             self.late.append(functools.partial(each_vector, name, given, given))
             self.driver.append(
                 f"call void @{name}.gang({given}ptr %scratch, i64 %n, i64 %first, i64 %count)"
@@ -236,6 +242,13 @@ class _Emitter:
             self._rows(node)
         elif node.op == "constants":
             self._constants(node)
+        elif node.op == "sums":
+            self._sums(node)
+        elif node.op == "totals":
+            self.tables[node] = self.tables[node.detail.memory]
+            self._wrote(node)
+        elif node.op == "accumulate":
+            self._accumulate(node)
         elif node.op not in ("result", "list"):
             name = self._lookup(node) if node.op == "lookup" else self._write(node)
             self._hold(node, not node.uniform, name)
@@ -328,6 +341,26 @@ class _Emitter:
             self._store(self._ref(operand, node.uniform), node, start + i * size)
         self._wrote(node)
 
+    def _sums(self, node: Node) -> None:
+        """Begin sums in memory of their own."""
+        size = self._row_bytes(node)
+        start = self.tables[node] = self.memory.room(size * len(node.operands))
+        for i, operand in enumerate(node.operands):
+            self._store(self._ref(operand), node, start + i * size)
+            self._cut()
+        self._wrote(node)
+
+    def _accumulate(self, node: Node) -> None:
+        """Add to a number in memory."""
+        place, value = node.operands
+        base = self.memory.at(self.tables[node.detail.memory])
+        steps = self.w.let(f"mul i32 {self._ref(place, True)}, {self._row_bytes(node)}")
+        pointer = self.w.let(f"getelementptr i8, ptr {base}, i32 {steps}")
+        t = self.w.type_of(node.dtype, False)
+        before = self.memory.load(node.dtype, pointer)
+        add = "fadd" if node.dtype.kind == "f" else "add"
+        self.memory.store(self.w.let(f"{add} {t} {before}, {self._ref(value)}"), node.dtype, pointer)
+
     def _constants(self, node: Node) -> None:
         values = node.detail.values
         t = "i8" if node.dtype.kind == "b" else TYPES[node.dtype.char]
@@ -367,9 +400,16 @@ class _Emitter:
             self.tables[one] = self.memory.room(self._row_bytes(one) * (loop.count or 1))
             self._wrote(one)
         self._end()
-        if self.ganged and self.packed is None and loop.condition is not None:
+        if self._takes_turns and loop.once:
+            self._apart(loop, kept)
+            return
+        if self._takes_turns and loop.condition is not None:
             self._pack(node, loop, kept)
             return
+        self._around(loop, kept, lists)
+
+    def _around(self, loop: Loop, kept: list[int], lists: list[Node]) -> None:
+        """The driver's lines of a loop or a branch, and the functions of its stretches."""
         number = self.w.count = self.w.count + 1
         counter, head, body, after = (
             f"{word}{number}" for word in ("round", "head", "body", "after")
@@ -390,18 +430,39 @@ class _Emitter:
         self._begin()
         self._round(loop, kept, lists)
         self._end()
-        self.driver[phi] = (
-            f"%{counter} = phi i32 [ 0, %{before} ], [ %next{number}, %{self.label} ]"
-        )
-        self.driver += [f"%next{number} = add i32 %{counter}, 1", f"br label %{head}", f"{after}:"]
+        if loop.once:
+            self.driver += [f"br label %{after}", f"{after}:"]
+        else:
+            self.driver[phi] = (
+                f"%{counter} = phi i32 [ 0, %{before} ], [ %next{number}, %{self.label} ]"
+            )
+            self.driver += [f"%next{number} = add i32 %{counter}, 1", f"br label %{head}"]
+            self.driver.append(f"{after}:")
         self.label = after
         self._begin()
+
+    def _apart(self, loop: Loop, kept: list[int]) -> None:
+        """A branch that each vector of a gang takes by itself, as a function of one vector."""
+        name, outside, label = f"branch{len(self.functions)}", self.driver, self.label
+        parameters = f"{self._buffers()}ptr {FRAME}, "
+        self.driver, self.label, self.alone = [], "entry", True
+        self._around(loop, kept, [])
+        lines = "\n".join([*self.driver, "ret void"])
+        self.functions.append(
+            f"define internal void @{name}({parameters}ptr %scratch, i64 %n, i64 %first) #0 {{\n"
+            f"entry:\n{lines}\n}}"
+        )
+        self.driver, self.label, self.alone = outside, label, False
+        self.late.append(functools.partial(each_vector, name, parameters, parameters))
+        self.driver.append(
+            f"call void @{name}.gang({parameters}ptr %scratch, i64 %n, i64 %first, i64 %count)"
+        )
 
     def _count(self, loop: Loop, counter: str) -> None:
         """Put the number of the round where it is read."""
         self._wrote(loop.counter)
         slot, number = self.slots[loop.counter], len(self.functions)
-        if self.ganged and self.packed is None:
+        if self._takes_turns:
             name = f"count{number}"
             self.functions.append(
                 f"define internal void @{name}"
@@ -492,6 +553,8 @@ class _Emitter:
         rows = len(table.operands)
         if table.op == "list":
             rows = table.operands[0].detail.count or 1
+        if table.op == "totals":
+            rows = table.detail.size
         return [Place(start + i * size, table.dtype.itemsize, table.uniform) for i in range(rows)]
 
     def _buffers(self) -> str:

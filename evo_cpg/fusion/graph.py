@@ -57,10 +57,12 @@ class Block:
         parent: the block around it; None for the program.
         depth: number of blocks around it.
         active: whether an individual takes part, where some do not; else None.
+        owner: the loop that the block belongs to; None for the program.
     """
 
     def __init__(self, parent: "Block | None" = None):
         self.parent = parent
+        self.owner: Node | None = None
         self.depth: int = parent.depth + 1 if parent else 0
         self.active: Node | None = parent.active if parent else None
 
@@ -121,6 +123,7 @@ class Loop(NamedTuple):
         condition: None for a counted loop.
         place: where a round's values go in the lists.
         written: what each round adds to lists.
+        once: a branch: the condition is asked once, and the block runs once at most.
     """
 
     count: int | None
@@ -133,6 +136,28 @@ class Loop(NamedTuple):
     condition: Node | None
     place: Node
     written: list[Node]
+    once: bool = False
+
+
+class Sums:
+    """Numbers in memory to which the rounds of a loop add at computed places.
+
+    It stands for an array that a loop carries and only adds to.
+
+    Attributes:
+        shape: of the array.
+        memory: the node of its memory.
+        added: the nodes that add to it.
+    """
+
+    def __init__(self, shape: tuple[int, ...], memory: Node):
+        self.shape, self.memory = shape, memory
+        self.added: list[Node] = []
+
+    @property
+    def size(self) -> int:
+        """How many numbers there are."""
+        return int(np.prod(self.shape, dtype=int))
 
 
 class _Bytes:
@@ -224,7 +249,14 @@ class Graph:
 
     def table(self, column: Sequence[Node]) -> Node:
         """Numbers in a row, from which one can be taken at a computed place."""
-        dtype = column[0].dtype
+        dtype, first = column[0].dtype, column[0]
+        if first.op == "lookup" and first.operands[0].op == "list":
+            # A whole list, read one by one, is that list.
+            whole = first.operands[0]
+            places = [node.operands[1].value for node in column if node.op == "lookup"]
+            of_it = all(node.op == "lookup" and node.operands[0] is whole for node in column)
+            if of_it and places == list(range(whole.operands[0].detail.count)):
+                return whole
         if all([node.value is not None for node in column]):
             values = np.array([node.value for node in column], dtype)
             return self.make("constants", (), dtype, _Bytes(values))
@@ -238,6 +270,29 @@ class Graph:
             return self.constant(table.detail.values[int(place.value)], table.dtype)
         return self.make("lookup", (table, place), table.dtype)
 
+    def sums(self, start: np.ndarray) -> Sums:
+        """Memory for sums that begin with the given nodes, all of one type."""
+        nodes = tuple(start.flat)
+        memory = self._new("sums", nodes, nodes[0].dtype, self.block, False)
+        return Sums(start.shape, memory)
+
+    def accumulate(self, sums: Sums, place: Node, value: Node) -> None:
+        """Add a number to the one at a place (int32, the same for all individuals)."""
+        active = self.block.active
+        if active is not None and not active.uniform:
+            value = self.select(active, value, self.constant(0, value.dtype))
+        given = place, value
+        node = self._new("accumulate", given, value.dtype, self.block, False, detail=sums)
+        sums.added.append(node)
+
+    def totals(self, sums: Sums) -> np.ndarray:
+        """What sums have come to after the loop that was made last."""
+        table = self._new("totals", (), sums.memory.dtype, self.block, False, detail=sums)
+        places = [self.constant(place, np.int32) for place in range(sums.size)]
+        nodes = np.empty(sums.size, object)
+        nodes[:] = [self.lookup(table, place) for place in places]
+        return nodes.reshape(sums.shape)
+
     def loop(self, loop: Loop) -> tuple[list[Node], list[Node]]:
         """Put a loop into the current block.
 
@@ -246,6 +301,7 @@ class Graph:
         """
         block, flag = self.block, np.dtype(bool)
         node = self._new("loop", tuple(loop.start), flag, block, False, detail=loop)
+        loop.test.owner = loop.body.owner = node
         results = [
             self._new("result", (node,), one.dtype, block, False, detail=k)
             for k, one in enumerate(loop.carried)

@@ -4,13 +4,18 @@ Nodes that nothing needs are left out, and so is what a loop carries for them. A
 between two ends of loops; a value that is used in another stretch than its own crosses memory.
 """
 
+from collections.abc import Iterator
+
 from evo_cpg.fusion import machine_constants
 from evo_cpg.fusion.graph import Block, Node
 from evo_cpg.fusion.order import ordered, resolve
 from evo_cpg.fusion.unsupported import Unsupported
 
 _NO_CODE = {"input", "carried", "counter", "constant", "opaque"}
-_IN_MEMORY = {"carried", "counter", "result", "constant", "rows", "constants", "list", "loop"}
+_IN_MEMORY = {
+    "carried", "counter", "result", "constant", "rows", "constants", "list", "loop", "sums",
+    "totals",
+}  # fmt: skip
 
 
 class Plan:
@@ -21,7 +26,7 @@ class Plan:
         carried: placeholders of what loops carry, each of which has a place in memory.
         counters: numbers of rounds that are read, likewise.
         crossing: values that are used in other stretches of code than their own.
-        loops_with_conditions: whether there are loops that end when all individuals are done.
+        packs: whether there are loops that end when all individuals are done.
 
     Raises:
         Unsupported: there are more operations than code is made of.
@@ -44,7 +49,9 @@ class Plan:
             node.detail.carried[k] for node, kept in self._kept.items() for k in sorted(kept)
         ]
         self._lists: dict[Node, list[Node]] = {node: [] for node in self._kept}
-        self.loops_with_conditions = any(node.detail.condition is not None for node in self._kept)
+        self.packs = any(
+            node.detail.condition is not None and not node.detail.once for node in self._kept
+        )
         self.counters = [node for node in needed if node.op == "counter"]
         for node in needed:
             if node.op == "list":
@@ -86,9 +93,24 @@ class Plan:
                 waiting += [node.operands[0], loop.written[node.detail], loop.place]
             elif node.op == "carried":
                 waiting += self._keep(*self._loop_of[node])
+            elif node.op == "totals":
+                waiting += [node.detail.memory, *node.detail.added]
+            elif node.op == "accumulate":
+                # The loops around it run for its sake, whatever they carry.
+                waiting += [*node.operands, node.detail.memory, *self._around(node)]
             else:
                 waiting += node.operands
         return needed
+
+    def _around(self, node: Node) -> Iterator[Node]:
+        """The loops around a node that adds to sums, up to where these begin."""
+        block = node.block
+        while block is not node.detail.memory.block:
+            owner = block.owner
+            assert owner is not None and block.parent is not None
+            self._open(owner)
+            yield owner
+            block = block.parent
 
     def _open(self, node: Node):
         """What stands in a loop, of which nothing is kept yet."""

@@ -1,16 +1,21 @@
 """Loops and branches of a JAX program, as loops of the graph.
 
-A branch that depends on the individual becomes both, of which one is chosen, as under `jax.vmap`.
+A short branch that depends on the individual becomes both, of which one is chosen, as under
+`jax.vmap`. A long one is left out where no individual of a vector takes it.
+
+A loop that carries an array and only adds to it has the array in memory (`Sums`).
 """
 
 import functools
 from collections.abc import Callable, Sequence
 
 import numpy as np
+from jax.extend.core import ClosedJaxpr, Jaxpr
 
 from evo_cpg.fusion import jax_internals as internals
 from evo_cpg.fusion import machine_constants
-from evo_cpg.fusion.graph import Block, Graph, Loop, Node
+from evo_cpg.fusion.graph import Block, Graph, Loop, Node, Sums
+from evo_cpg.fusion.moves import SCATTER_ADD
 from evo_cpg.fusion.unsupported import Unsupported
 
 Trace = Callable[..., list[np.ndarray]]
@@ -29,7 +34,7 @@ def _scan(graph: Graph, operands: list[np.ndarray], params: dict, trace: Trace) 
     if length * sum(aval.size for aval in stacked) > machine_constants.LONGEST_LISTS:
         raise Unsupported(f"a loop of {length} rounds stacks more than native code keeps")
 
-    def one_round(place: Node, carried: list[np.ndarray]) -> list[np.ndarray]:
+    def one_round(place: Node, carried: list[np.ndarray | Sums]) -> list[np.ndarray | Sums]:
         row = [_row(graph, x, place) for x in read]
         return trace(graph, closed, [*consts, *carried, *row])
 
@@ -39,18 +44,90 @@ def _scan(graph: Graph, operands: list[np.ndarray], params: dict, trace: Trace) 
     test = Block(graph.block)
     body = Block(test)
     counter = graph.placeholder("counter", np.int32, body, uniform=True)
-    carried = [_placeholders(graph, x, body) for x in start]
+    sums = {
+        k: x if isinstance(x, Sums) else graph.sums(x)
+        for k, x in enumerate(start)
+        if isinstance(x, Sums)
+        or (x.size >= machine_constants.FEWEST_SUMS and _only_adds(closed.jaxpr, constant_count + k, k))
+    }
+    others = [k for k in range(carry_count) if k not in sums]
+    begin = [start[k] for k in others]
+    placed = [_placeholders(graph, x, body) for x in begin]
+    carried = [sums[k] if k in sums else placed[others.index(k)] for k in range(carry_count)]
     with graph.within(body):
         place = counter
         if params["reverse"]:
             place = graph.subtract(graph.constant(length - 1, np.int32), counter)
         results = one_round(place, carried)
+    following = [results[k] for k in others]
     loop = Loop(
-        length, test, body, counter, _flat(start), _flat(carried), _flat(results[:carry_count]),
+        length, test, body, counter, _flat(begin), _flat(placed), _flat(following),
         None, place, _flat(results[carry_count:]),
     )  # fmt: skip
     ends, lists = graph.loop(loop)
-    return [*_like(ends, start), *_stacks(graph, lists, stacked, length)]
+    found = dict(zip(others, _like(ends, begin), strict=True))
+    # Sums of a loop around this one go on.
+    found |= {k: x if x is start[k] else graph.totals(x) for k, x in sums.items()}
+    return [*(found[k] for k in range(carry_count)), *_stacks(graph, lists, stacked, length)]
+
+
+def _only_adds(jaxpr: Jaxpr, into: int, out: int) -> bool:
+    """Whether a program does nothing to an argument but add to it, and returns it.
+
+    Args:
+        jaxpr: the program.
+        into: number of the argument.
+        out: number of the result that it is to become.
+    """
+    array = jaxpr.invars[into]
+    for equation in jaxpr.eqns:
+        places = [k for k, atom in enumerate(equation.invars) if atom is array]
+        if not places:
+            continue
+        if len(places) > 1:
+            return False
+        (place,), name, params = places, equation.primitive.name, equation.params
+        if name in SCATTER_ADD:
+            numbers = params["dimension_numbers"]
+            simple = numbers.inserted_window_dims == (0,) and not numbers.update_window_dims
+            if place or array.aval.ndim != 1 or not simple or not _in_bounds(params):
+                return False
+            array = equation.outvars[0]
+        elif name == "cond" and place:
+            returned = _returned(params, place - 1)
+            if returned is None:
+                return False
+            array = equation.outvars[returned]
+        elif name == "scan":
+            constants, carries = internals.scan_counts(params)
+            inner = place - constants
+            if not 0 <= inner < carries or not _only_adds(params["jaxpr"].jaxpr, place, inner):
+                return False
+            array = equation.outvars[inner]
+        elif name in ("jit", "pjit"):
+            inner = params["jaxpr"].jaxpr
+            outs = [k for k in range(len(inner.outvars)) if _only_adds(inner, place, k)]
+            if not outs:
+                return False
+            array = equation.outvars[outs[0]]
+        else:
+            return False
+    ends = [k for k, atom in enumerate(jaxpr.outvars) if atom is array]
+    return ends == [out]
+
+
+def _in_bounds(params: dict) -> bool:
+    """Whether a scatter is told that its places are within the array."""
+    return "PROMISE" in str(params["mode"])
+
+
+def _returned(params: dict, place: int) -> int | None:
+    """Number of the result in which all branches return an argument that they only add to."""
+    counts = range(len(params["branches"][0].jaxpr.outvars))
+    fits = [
+        k for k in counts if all(_only_adds(each.jaxpr, place, k) for each in params["branches"])
+    ]
+    return fits[0] if fits else None
 
 
 def _while(
@@ -85,19 +162,84 @@ def _while(
     return _like(ends, start)
 
 
-def _cond(graph: Graph, operands: list[np.ndarray], params: dict, trace: Trace) -> list[np.ndarray]:
+def _cond(graph: Graph, operands: list, params: dict, trace: Trace) -> list:
     which, *given = operands
     number, branches = which.item(), params["branches"]
     if number.value is not None:
         place = int(np.clip(int(number.value), 0, len(branches) - 1))
         return trace(graph, branches[place], given)
-    results = [trace(graph, branch, given) for branch in branches]
-    chosen = results[-1]
-    for k in range(len(branches) - 2, -1, -1):
-        here = graph.apply("le", graph.convert(number, np.int32), graph.constant(k, np.int32))
+    first, *rest = branches
+    results = _without_sums(graph, trace, first, given)
+    for k, branch in enumerate(rest, 1):
+        more = "eq" if k + 1 < len(branches) else "ge"
+        here = graph.apply(more, graph.convert(number, np.int32), graph.constant(k, np.int32))
+        results = _branch(graph, branch, given, here, results, trace)
+    return results
+
+
+def _without_sums(graph: Graph, trace: Trace, branch: ClosedJaxpr, given: list) -> list:
+    """The results of a branch that is always computed; it must not add to anything."""
+    before = [len(x.added) for x in given if isinstance(x, Sums)]
+    results = trace(graph, branch, given)
+    if before != [len(x.added) for x in given if isinstance(x, Sums)]:
+        raise Unsupported("a branch that adds to an array where the condition does not hold")
+    return results
+
+
+def _branch(
+    graph: Graph, branch: ClosedJaxpr, given: list, here: Node, otherwise: list, trace: Trace
+) -> list:
+    """The results of a branch for whoever takes it, and the other results for all others."""
+    adds = any(isinstance(x, Sums) for x in otherwise)
+    if not adds and _length(branch.jaxpr) < machine_constants.SHORTEST_BRANCH:
         choose = np.frompyfunc(functools.partial(graph.select, here), 2, 1)
-        chosen = [np.asarray(choose(a, b), object) for a, b in zip(results[k], chosen, strict=True)]
-    return chosen
+        results = trace(graph, branch, given)
+        return [np.asarray(choose(a, b), object) for a, b in zip(results, otherwise, strict=True)]
+    test = Block(graph.block)
+    body = Block(test)
+    around = graph.block.active
+    with graph.within(test):
+        condition = graph.opaque(here, test)
+        if around is not None:
+            condition = graph.apply("and", condition, around)
+    body.active = condition
+    start = [x for x in otherwise if not isinstance(x, Sums)]
+    carried = [_placeholders(graph, x, body) for x in start]
+
+    def hide(node: Node) -> Node:
+        """Return a node as the branch sees it, so that what it alone needs is computed in it."""
+        return graph.opaque(node, body) if node.block is graph.block else node
+
+    inside = [
+        x if isinstance(x, Sums) else np.asarray(np.frompyfunc(hide, 1, 1)(x), object)
+        for x in given
+    ]
+    with graph.within(body):
+        results = trace(graph, branch, inside)
+    following = [x for x in results if not isinstance(x, Sums)]
+    counter = graph.placeholder("counter", np.int32, body, uniform=True)
+    loop = Loop(
+        None, test, body, counter, _flat(start), _flat(carried), _flat(following),
+        condition, counter, [], once=True,
+    )  # fmt: skip
+    ends = iter(_like(graph.loop(loop)[0], start))
+    return [x if isinstance(x, Sums) else next(ends) for x in otherwise]
+
+
+def _length(jaxpr: Jaxpr) -> int:
+    """About how many scalars a program computes."""
+    total = 0
+    for equation in jaxpr.eqns:
+        inner = [
+            part.jaxpr if isinstance(part, ClosedJaxpr) else part
+            for value in equation.params.values()
+            for part in (value if isinstance(value, (tuple, list)) else (value,))
+            if isinstance(part, (Jaxpr, ClosedJaxpr))
+        ]
+        total += sum(map(_length, inner))
+        if not inner:
+            total += sum(atom.aval.size for atom in equation.outvars)
+    return total
 
 
 LOOPS: dict[str, Callable[[Graph, list[np.ndarray], dict, Trace], list[np.ndarray]]] = {

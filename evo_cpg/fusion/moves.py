@@ -229,6 +229,21 @@ def _same(graph, operands, params):
     return operands
 
 
+# JAX's names of the operation that adds to some places of an array.
+SCATTER_ADD = ("scatter-add", "scatter_add")
+
+
+def add_to_sums(graph: Graph, operands: list, params: dict) -> list:
+    """Add to numbers in memory, at places that are the same for all individuals."""
+    sums, indices, updates = operands
+    places = indices.reshape(-1)
+    if not all(node.uniform for node in places):
+        raise Unsupported("it adds to places that differ from individual to individual")
+    for place, value in zip(places, updates.reshape(-1), strict=True):
+        graph.accumulate(sums, graph.convert(place, np.int32), value)
+    return [sums]
+
+
 def _scatter_add(graph, operands, params):
     return _scatter(graph, operands, params, graph.add)
 

@@ -14,9 +14,9 @@ from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
 
 from evo_cpg.fusion import jax_internals as internals
 from evo_cpg.fusion.elementary import FLOAT32
-from evo_cpg.fusion.graph import Graph, Node
+from evo_cpg.fusion.graph import Graph, Node, Sums
 from evo_cpg.fusion.loops import LOOPS
-from evo_cpg.fusion.moves import MOVES
+from evo_cpg.fusion.moves import MOVES, SCATTER_ADD, add_to_sums
 from evo_cpg.fusion.primitives import Program, fused_p, linear_map_p, trace_of
 from evo_cpg.fusion.sums import chain_sums
 from evo_cpg.fusion.unsupported import Unsupported
@@ -160,6 +160,8 @@ def _equation(graph: Graph, equation, operands: list[np.ndarray]) -> list[np.nda
     if equation.primitive is linear_map_p:
         inner = trace_of(params, [atom.aval for atom in equation.invars])
         return trace_closed(graph, inner, operands)
+    if any(isinstance(operand, Sums) for operand in operands) and name in SCATTER_ADD:
+        return add_to_sums(graph, operands, params)
     if operands and all(operand.size == 0 for operand in operands):
         return _evaluate(graph, equation, operands)
     if name in _SCALAR:
