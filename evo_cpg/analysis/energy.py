@@ -30,7 +30,7 @@ from evo_cpg.physics.contact import find_contacts
 from evo_cpg.physics.fluid import drag
 from evo_cpg.physics.joints import expected_limit_torque, limit_torque
 from evo_cpg.physics.kinematics import Kinematics, kinematics
-from evo_cpg.physics.pairs import find_pair_contacts
+from evo_cpg.physics.pair_contacts import find_pair_contacts
 from evo_cpg.physics.per_body import take
 from evo_cpg.physics.state import State
 from evo_cpg.physics.step import searches
@@ -202,8 +202,7 @@ def _limb_work(
     if world.pairs is None:
         return jnp.zeros_like(kin.origin[0, 0])
     contacts = find_pair_contacts(world.tree, world.pairs, kin, rate, h)
-    parting = (contacts.jacobian * rate[None]).sum(1)
-    return h * (steps.pair_force * parting).sum(0)
+    return h * (steps.pair_force * contacts.parting(rate)).sum(0)
 
 
 def _water_work(

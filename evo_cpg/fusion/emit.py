@@ -359,7 +359,9 @@ class _Emitter:
         t = self.w.type_of(node.dtype, False)
         before = self.memory.load(node.dtype, pointer)
         add = "fadd" if node.dtype.kind == "f" else "add"
-        self.memory.store(self.w.let(f"{add} {t} {before}, {self._ref(value)}"), node.dtype, pointer)
+        self.memory.store(
+            self.w.let(f"{add} {t} {before}, {self._ref(value)}"), node.dtype, pointer
+        )
 
     def _constants(self, node: Node) -> None:
         values = node.detail.values

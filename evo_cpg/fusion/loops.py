@@ -47,8 +47,7 @@ def _scan(graph: Graph, operands: list[np.ndarray], params: dict, trace: Trace) 
     sums = {
         k: x if isinstance(x, Sums) else graph.sums(x)
         for k, x in enumerate(start)
-        if isinstance(x, Sums)
-        or (x.size >= machine_constants.FEWEST_SUMS and _only_adds(closed.jaxpr, constant_count + k, k))
+        if isinstance(x, Sums) or _only_adds(closed.jaxpr, constant_count + k, k)
     }
     others = [k for k in range(carry_count) if k not in sums]
     begin = [start[k] for k in others]

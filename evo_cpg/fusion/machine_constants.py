@@ -76,9 +76,6 @@ MOST_OPERATIONS = 600_000
 SHORTEST_BRANCH = 60
 """Fitted: scalars of a branch from which on it is jumped over where no individual takes it."""
 
-FEWEST_SUMS = 24
-"""A limit: an array of fewer numbers to which a loop adds stays in registers."""
-
 LONGEST_LISTS = 1 << 17
 """A limit: scalars that a loop may hand out as lists; each is a row of memory for every vector."""
 

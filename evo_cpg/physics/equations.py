@@ -14,7 +14,8 @@ from evo_cpg.physics.joints import (
     servo_torque,
 )
 from evo_cpg.physics.kinematics import Kinematics, kinematics, motion_of_bodies
-from evo_cpg.physics.pairs import PairContacts, find_pair_contacts
+from evo_cpg.physics.many_pairs import ManyPairContacts
+from evo_cpg.physics.pair_contacts import PairContacts, find_pair_contacts
 from evo_cpg.physics.spatial_algebra import Inertia, Wrench, plus
 from evo_cpg.physics.state import State
 from evo_cpg.physics.world import World, bias_of_mean, body_equations
@@ -41,7 +42,7 @@ class Equations(NamedTuple):
     derivative: Array
     wanted: Array
     contacts: Contacts | None
-    pairs: PairContacts | None
+    pairs: PairContacts | ManyPairContacts | None
 
 
 class ContactForces(NamedTuple):

@@ -11,7 +11,6 @@ from jaxtyping import Array, Bool, Float
 
 from evo_cpg.fusion.converge import while_each
 from evo_cpg.physics.generalized import ROOT_DOFS
-from evo_cpg.physics.pairs import parting_change
 from evo_cpg.physics.step_problem import StepProblem
 from evo_cpg.spatial.linear import dot, matvec
 
@@ -41,7 +40,7 @@ def line_search(
     way, h = end - start, problem.h
     turn, pairs = way[ROOT_DOFS:], problem.equations.pairs
     change = None if velocity is None else problem.change_of_velocity(way)
-    parting = None if pairs is None else parting_change(pairs, turn, h)
+    parting = None if pairs is None else pairs.change(turn)
     rest, bend = dot(way, problem.resistance(start)), dot(way, matvec(problem.mass, way))
 
     def at(share: Array) -> tuple[Array, Array | None]:
@@ -57,7 +56,7 @@ def line_search(
         if change is not None and there.contact is not None:
             total = total - (change * there.contact.force).sum((0, 1))
         if parting is not None and there.pairs is not None:
-            total = total - dot(parting, there.pairs.force)
+            total = total - there.pairs.power(parting)
         return total
 
     one = jnp.ones_like(bend)

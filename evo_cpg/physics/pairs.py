@@ -1,12 +1,12 @@
-"""Bodies of one creature that must not pass through each other.
+"""The pairs of bodies of one creature that must not pass through each other, and their gaps.
 
 The law of a pair is that of a point on the ground (`evo_cpg.physics.contact`) without friction and
 restitution: with the velocity v_n at which the nearest points part after the forces have acted,
 
     f_n = max(0, c (v* - v_n)),      v* = -gap / h, or a slow way out of an overlap.
 
-A pair couples branches of the tree; in generalized coordinates it is a few elements of the matrix
-(`evo_cpg.physics.step_problem`).
+Few pairs are written out one by one (`evo_cpg.physics.pair_contacts`). For many there is a loop
+(`evo_cpg.physics.many_pairs`).
 """
 
 import itertools
@@ -26,7 +26,7 @@ from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.box_separation import separation_of_boxes
 from evo_cpg.physics.contact import BAUMGARTE_SHARE, BAUMGARTE_SPEED
 from evo_cpg.physics.flat_separation import separation_of_flat
-from evo_cpg.physics.kinematics import Kinematics, Motion, motion_of_bodies
+from evo_cpg.physics.kinematics import Kinematics
 from evo_cpg.physics.per_body import take
 from evo_cpg.physics.separation import (
     RoundedBoxes,
@@ -36,20 +36,27 @@ from evo_cpg.physics.separation import (
     separation_of_rounded,
 )
 from evo_cpg.spatial.choices import chosen
-from evo_cpg.spatial.linear import cross, dot, expand_dims_like, matvec, skew
+from evo_cpg.spatial.linear import expand_dims_like, matvec
 from evo_cpg.spatial.numerics import Numbers, xp
 
 # c h of a pair: so many times the geometric mean of the two masses.
 _STIFFNESS = 60.0
 
 # How pairs are treated, and how many points each of them has then.
-_KINDS = {
+KINDS = {
     "lines": (separation_of_lines, 2),
     "flat": (separation_of_flat, 2),
     "boxes": (separation_of_boxes, 3),
     "line and box": (separation_of_line_and_box, 2),
     "rounded": (separation_of_rounded, 2),
 }
+
+# By so much (m) a pair may come elsewhere within a step.
+STRAY = 2e-4
+
+# Pairs beyond which they are gone through in loops (`evo_cpg.physics.many_pairs`), and not written
+# out one by one. The animals of the studies have 45 at most, and keep their bits.
+_MOST_WRITTEN_OUT = 60
 
 # Sine of the angle between axes that are parallel.
 _PARALLEL = 1e-9
@@ -59,7 +66,7 @@ class Alike(NamedTuple):
     """Pairs that are treated in the same way.
 
     Attributes:
-        kind: how (see `_KINDS`).
+        kind: how (see `KINDS`).
         turned: which axes of the first and the second body count as x, y and z.
         count: how many pairs.
     """
@@ -67,6 +74,21 @@ class Alike(NamedTuple):
     kind: str
     turned: tuple[tuple[int, int, int], tuple[int, int, int]]
     count: int
+
+    def boxes(
+        self, centre: Array, axes: Array, half: Array, radius: Array, side: int
+    ) -> RoundedBoxes:
+        """The first (0) or the second (1) bodies of some of the pairs.
+
+        Args:
+            centre: of their boxes, m.
+            axes: of them, as columns.
+            half: half extents, m.
+            radius: m.
+            side: which bodies.
+        """
+        order = np.array(self.turned[side])
+        return RoundedBoxes(centre, take(axes, order), take(half, order, 0), radius)
 
 
 class Pairs(eqx.Module):
@@ -95,42 +117,10 @@ class Pairs(eqx.Module):
         """The bodies of every point: of a run the first points of all pairs, then the next."""
         return _owners(self.first, self.second, self.runs)
 
-
-class PairContacts(NamedTuple):
-    """Where pairs are nearest, and what holds throughout one step.
-
-    Two bodies of one tree part only as the joints between them turn: along the normal of a point at
-    ``J qd``, and a force f of the pair is felt by these joints as the torques ``J^T f``.
-
-    Attributes:
-        gap: m.
-        jacobian: J; zeros of joints that are not between the bodies, m.
-        coasting: velocity if all joint accelerations were zero, mean over the step, m/s.
-        wanted: v*.
-        sweep: acceleration along the normal at constant joint rates, which is in `coasting`, m/s^2.
-        where: the nearest points.
-    """
-
-    gap: Float[Array, "p *n"]
-    jacobian: Float[Array, "p d *n"]
-    coasting: Float[Array, "p *n"]
-    wanted: Float[Array, "p *n"]
-    sweep: Float[Array, "p *n"]
-    where: Separation
-
-
-class PairLinearization(NamedTuple):
-    """The laws linearized at a velocity: ``f = force - slope (v - velocity)``.
-
-    Attributes:
-        velocity: m/s.
-        force: there, N.
-        slope: N s/m.
-    """
-
-    velocity: Float[Array, "p *n"]
-    force: Float[Array, "p *n"]
-    slope: Float[Array, "p *n"]
+    @property
+    def looped(self) -> bool:
+        """Whether pairs are gone through in loops, for there are many."""
+        return len(self.first) > _MOST_WRITTEN_OUT
 
 
 def make_pairs(creature: Creature, tree: Tree, wanted: SelfCollision) -> Pairs | None:
@@ -179,7 +169,7 @@ def _owners(
     def repeated(bodies: tuple[int, ...]) -> tuple[int, ...]:
         found, start = (), 0
         for run in runs:
-            found += bodies[start : start + run.count] * _KINDS[run.kind][1]
+            found += bodies[start : start + run.count] * KINDS[run.kind][1]
             start += run.count
         return found
 
@@ -248,156 +238,71 @@ def _passes(
     return bool(abs(aside) > sides)
 
 
-def separations(pairs: Pairs, kin: Kinematics) -> Separation:
-    """Of all points of all pairs; places are from the world's origin."""
+def placed_boxes(pairs: Pairs, kin: Kinematics) -> tuple[Array, Array, Array]:
+    """Centres ``(3, b, *n)``, half extents and radii of the boxes of all bodies, m."""
     centre = kin.origin + matvec(kin.rotation, expand_dims_like(pairs.centre, kin.origin))
     half = expand_dims_like(pairs.half_extents, kin.origin)
-    radius = expand_dims_like(pairs.radius, kin.origin[0])
+    return centre, half, expand_dims_like(pairs.radius, kin.origin[0])
+
+
+def rest_velocity(gap: Array, h: float) -> Array:
+    """v* of points that are so far apart, m/s."""
+    push = jnp.clip(-BAUMGARTE_SHARE / h * gap, 0.0, BAUMGARTE_SPEED)
+    return jnp.where(gap > 0, (-1.0 / h) * gap, push)
+
+
+def separations(pairs: Pairs, kin: Kinematics) -> Separation:
+    """Of all points of all pairs; places are from the world's origin."""
+    centre, half, radius = placed_boxes(pairs, kin)
     found, start = [], 0
     for run in pairs.runs:
-        sides = []
-        for bodies, order in zip((pairs.first, pairs.second), run.turned, strict=True):
-            own, axes = np.array(bodies[start : start + run.count]), np.array(order)
-            sides.append(
-                RoundedBoxes(
-                    take(centre, own),
-                    take(take(kin.rotation, own, 2), axes),
-                    take(take(half, own), axes, 0),
-                    take(radius, own, 0),
+        chosen = [
+            np.array(bodies[start : start + run.count]) for bodies in (pairs.first, pairs.second)
+        ]
+        find, _ = KINDS[run.kind]
+        if pairs.looped:
+            found += _one_by_one(run, chosen, (centre, kin.rotation, half, radius))
+        else:
+            found += find(
+                *(
+                    run.boxes(
+                        take(centre, own),
+                        take(kin.rotation, own, 2),
+                        take(half, own),
+                        take(radius, own, 0),
+                        side,
+                    )
+                    for side, own in enumerate(chosen)
                 )
             )
-        find, _ = _KINDS[run.kind]
-        found += find(*sides)
         start += run.count
     axis = 1 - kin.origin.ndim
     return jax.tree.map(lambda *parts: jnp.concatenate(parts, axis), *found)
 
 
-def find_pair_contacts(
-    tree: Tree, pairs: Pairs, kin: Kinematics, qd: Float[Array, "d *n"], h: float
-) -> PairContacts:
-    """Where pairs are nearest, and the velocity at which each is to part.
+def _one_by_one(run: Alike, chosen: list[np.ndarray], placed: tuple) -> list[Separation]:
+    """The points of the pairs of a run, in a loop over the pairs."""
+    axes = (1, 2, 1, 0)
 
-    Args:
-        tree: the creature.
-        pairs: those of it.
-        kin: kinematics at the start of the step.
-        qd: joint rates there, rad/s.
-        h: s.
-    """
-    where = separations(pairs, kin)
-    push = jnp.clip(-BAUMGARTE_SHARE / h * where.gap, 0.0, BAUMGARTE_SPEED)
-    wanted = jnp.where(where.gap > 0, (-1.0 / h) * where.gap, push)
-    sweep = _sweep(pairs, kin.origin, kin, where)
-    jacobian = _jacobian(tree, pairs, kin, where)
-    coasting = (jacobian * qd[None]).sum(1) + 0.5 * h * sweep
-    return PairContacts(where.gap, jacobian, coasting, wanted, sweep, where)
+    def look(carry: None, bodies: tuple[Array, Array]) -> tuple[None, list[Separation]]:
+        sides = [
+            run.boxes(
+                *(
+                    jax.lax.dynamic_index_in_dim(x, body, axis)
+                    for x, axis in zip(placed, axes, strict=True)
+                ),
+                side,
+            )
+            for side, body in enumerate(bodies)
+        ]
+        return carry, KINDS[run.kind][0](*sides)
 
+    given = tuple(jnp.asarray(bodies, jnp.int32) for bodies in chosen)
+    _, found = jax.lax.scan(look, None, given)
 
-def sweep_at(
-    tree: Tree, pairs: Pairs, kin: Kinematics, contacts: PairContacts, qd: Float[Array, "d *n"]
-) -> Float[Array, "p *n"]:
-    """The sweep at other joint rates, m/s^2.
+    def together(x: Array) -> Array:
+        """Put all pairs where the one pair was, behind the components."""
+        axis = x.ndim - (placed[0].ndim - 2) - 1
+        return jnp.moveaxis(x.squeeze(axis), 0, axis - 1)
 
-    Args:
-        tree: the creature.
-        pairs: those of it.
-        kin: kinematics at the start of the step.
-        contacts: of this step.
-        qd: rad/s.
-    """
-    # As if the root lay still.
-    still = jnp.zeros((6, *qd.shape[1:]), qd.dtype)
-    motion = motion_of_bodies(tree, kin, still, qd)
-    return _sweep(pairs, kin.origin, motion, contacts.where)
-
-
-def swept(contacts: PairContacts, sweep: Float[Array, "p *n"], h: float) -> PairContacts:
-    """The contacts with another sweep (m/s^2) throughout the step."""
-    coasting = contacts.coasting + 0.5 * h * (sweep - contacts.sweep)
-    return contacts._replace(coasting=coasting, sweep=sweep)
-
-
-def _sweep(pairs: Pairs, origin: Array, motion: Kinematics | Motion, where: Separation) -> Array:
-    """Acceleration along the normals at constant joint rates.
-
-    Args:
-        pairs: of a creature.
-        origin: of its bodies, m.
-        motion: of them.
-        where: the nearest points.
-    """
-    _, normal, *points, carried = where
-    # Of a body's point at the arm r: velocity v + w x r, drift a + A r.
-    spin, square = motion.angular, dot(motion.angular, motion.angular)
-    a = motion.bias_linear + cross(spin, motion.linear)
-    A = skew(motion.bias_angular) + spin[:, None] * spin[None]
-    A = A - square[None, None] * expand_dims_like(np.eye(3), A)
-    velocity, drift, turning = [], [], jnp.zeros_like(normal)
-    for bodies, point, share in zip(pairs.owners, points, carried, strict=True):
-        own = np.array(bodies)
-        arm, angular = point - take(origin, own), take(spin, own)
-        velocity.append(take(motion.linear, own) + cross(angular, arm))
-        drift.append(take(a, own) + matvec(take(A, own, 2), arm))
-        turning = turning + share[None] * angular
-    parting = velocity[1] - velocity[0]
-    # A normal that turns meets another part of what slides past it.
-    return dot(normal, drift[1] - drift[0]) - 2.0 * dot(cross(normal, turning), parting)
-
-
-def _jacobian(
-    tree: Tree, pairs: Pairs, kin: Kinematics, where: Separation
-) -> Float[Array, "p d *n"]:
-    """J of `PairContacts`."""
-    _, normal, *points, _ = where
-    joints = take(kin.origin, np.array(tree.dof_bodies, int))
-    ways = []
-    for point in points:
-        arm = point[:, :, None] - joints[:, None]
-        ways.append(
-            dot(kin.axes[:, None], cross(arm, jnp.broadcast_to(normal[:, :, None], arm.shape)))
-        )
-    between = [_between(tree, *pair) for pair in zip(*pairs.owners, strict=True)]
-    of_first, of_second = (
-        expand_dims_like(np.array([sides[k] for sides in between], float), ways[0])
-        for k in range(2)
-    )
-    return of_second * ways[1] - of_first * ways[0]
-
-
-def _between(tree: Tree, first: int, second: int) -> tuple[list[bool], list[bool]]:
-    """Of every degree of freedom, whether it moves only the first of two bodies, or the second."""
-    one, two = (set(chain_to_root(tree, body)) for body in (first, second))
-    return [body in one - two for body in tree.dof_bodies], [
-        body in two - one for body in tree.dof_bodies
-    ]
-
-
-def linearize_pairs(
-    pairs: Pairs, contacts: PairContacts, velocity: Array, h: float
-) -> PairLinearization:
-    """The laws linearized at some velocities, m/s."""
-    stiffness = expand_dims_like(pairs.stiffness / h, velocity)
-    short = contacts.wanted - velocity
-    touches = short > 0
-    force = stiffness * jnp.maximum(short, 0.0)
-    return PairLinearization(velocity, force, jnp.where(touches, stiffness, 0.0))
-
-
-def parting_change(
-    contacts: PairContacts, qdd: Float[Array, "d *n"], h: float
-) -> Float[Array, "p *n"]:
-    """By how much joint accelerations change the velocities at which points part in a step, m/s."""
-    return h * (contacts.jacobian * qdd[None]).sum(1)
-
-
-def parting_velocity(
-    contacts: PairContacts, qdd: Float[Array, "d *n"], h: float
-) -> Float[Array, "p *n"]:
-    """At the end of the step, m/s."""
-    return contacts.coasting + parting_change(contacts, qdd, h)
-
-
-def pushing_torque(contacts: PairContacts, force: Float[Array, "p *n"]) -> Float[Array, "d *n"]:
-    """What forces of pairs (N) are to the joints, N m."""
-    return (contacts.jacobian * force[:, None]).sum(0)
+    return jax.tree.map(together, found)

@@ -45,22 +45,13 @@ from evo_cpg.physics.generalized import (
     mass_matrix,
 )
 from evo_cpg.physics.joints import clamp_torque, limit_torque, overloaded, servo_slope
-from evo_cpg.physics.pairs import (
-    PairLinearization,
-    linearize_pairs,
-    parting_velocity,
-    pushing_torque,
-    sweep_at,
-    swept,
-)
+from evo_cpg.physics.many_pairs import ManyPairForces
+from evo_cpg.physics.pair_contacts import PairForces
 from evo_cpg.physics.spatial_algebra import Wrench
 from evo_cpg.physics.world import World
 from evo_cpg.spatial.ldl import solve_symmetric
-from evo_cpg.spatial.linear import dot, expand_dims_like, matvec, t_matmul
+from evo_cpg.spatial.linear import dot, expand_dims_like, matvec
 from evo_cpg.spatial.numerics import Number, xp
-
-# By so much (m) a pair may come elsewhere within a step.
-_STRAY = 2e-4
 
 # Where there is neither weight nor load nor torque, this share of the other forces (drag, springs,
 # what spins need) stands for the forces that there are.
@@ -89,7 +80,7 @@ class Linearization(NamedTuple):
     torque: Float[Array, "d *n"]
     slope: Float[Array, "d *n"]
     contact: ContactLinearization | None
-    pairs: PairLinearization | None
+    pairs: PairForces | ManyPairForces | None
 
 
 class StepProblem(NamedTuple):
@@ -131,7 +122,7 @@ class StepProblem(NamedTuple):
         equations = self.equations
         if equations.pairs is None:
             return self
-        pairs = swept(equations.pairs, sweep, self.h)
+        pairs = equations.pairs.with_sweep(sweep)  # pyright: ignore
         return self._replace(equations=equations._replace(pairs=pairs))
 
     def velocity(self, y: Float[Array, "v *n"]) -> Float[Array, "3 p *n"] | None:
@@ -170,9 +161,8 @@ class StepProblem(NamedTuple):
         footing, contacts, linear = self.world.footing, self.equations.contacts, None
         if footing is not None and contacts is not None and velocity is not None:
             linear = linearize_contacts(footing, contacts, radius, velocity, self.h)
-        pairs, apart, pushes = self.world.pairs, self.equations.pairs, None
-        if pairs is not None and apart is not None:
-            pushes = linearize_pairs(pairs, apart, parting_velocity(apart, qdd, self.h), self.h)
+        apart = self.equations.pairs
+        pushes = None if apart is None else apart.at(qdd)
         return Linearization(torque, slope, linear, pushes)
 
     def motion(self, linear: Linearization) -> Float[Array, "v *n"]:
@@ -184,13 +174,10 @@ class StepProblem(NamedTuple):
             blocks = contact_inertia(footing, contacts, linear.contact, equations.inertia, h)
             matrix = matrix + mass_matrix(tree, equations.kin, blocks)
             force = force + self._ground(linearized_force(linear.contact, contacts.coasting))
-        pairs = equations.pairs
         matrix = _plus_joint_diagonal(matrix, h * linear.slope)
-        if pairs is not None and linear.pairs is not None:
-            J, slope = pairs.jacobian, linear.pairs.slope
-            coasting = linear.pairs.force + slope * (linear.pairs.velocity - pairs.coasting)
-            torque = torque + pushing_torque(pairs, coasting)
-            matrix = _plus_joints(matrix, t_matmul(h * slope[:, None] * J, J))
+        if linear.pairs is not None:
+            pushes, stiffening = linear.pairs.newton()
+            torque, matrix = torque + pushes, _plus_joints(matrix, stiffening)
         return solve_symmetric(matrix, _plus_torque(force, torque))
 
     def residual(self, y: Float[Array, "v *n"], linear: Linearization) -> Float[Array, "*n"]:
@@ -206,8 +193,8 @@ class StepProblem(NamedTuple):
         law = _plus_torque(jnp.zeros_like(self.force), self.torque(y, linear))
         if linear.contact is not None:
             law = law + self._ground(linear.contact.force)
-        if self.equations.pairs is not None and linear.pairs is not None:
-            law = _plus_torque(law, pushing_torque(self.equations.pairs, linear.pairs.force))
+        if linear.pairs is not None:
+            law = _plus_torque(law, linear.pairs.torque)
         missed = self._square(self.resistance(y) - law)
         return jnp.sqrt(missed / self.square_of_forces(y, linear))
 
@@ -259,7 +246,7 @@ class StepProblem(NamedTuple):
         if linear.contact is not None:
             carried = carried + linear.contact.force[2].sum(0)
         if linear.pairs is not None:
-            carried = carried + linear.pairs.force.sum(0)
+            carried = carried + linear.pairs.load
         return jnp.maximum(carried, xp.maximum(weight, _NONE))
 
     def cone_radius(self, velocity: Float[Array, "3 p *n"] | None) -> Float[Array, "p *n"]:
@@ -292,8 +279,7 @@ class StepProblem(NamedTuple):
         if contacts is not None and velocity is not None:
             found = found | (contacts.wanted > velocity[2]).any(0)
         if pairs is not None:
-            parting = parting_velocity(pairs, y[ROOT_DOFS:], self.h)
-            found = found | (pairs.wanted > parting).any(0)
+            found = found | pairs.touches(y[ROOT_DOFS:])
         return found
 
     def overloads_otherwise(self, y: Float[Array, "v *n"]) -> Bool[Array, "*n"]:
@@ -319,21 +305,15 @@ class StepProblem(NamedTuple):
 
     def sweep(self, qdd: Float[Array, "d *n"]) -> Float[Array, "k *n"]:
         """Of pairs of bodies at the joint rates that some accelerations lead to, m/s^2."""
-        equations, pairs = self.equations, self.world.pairs
-        if pairs is None or equations.pairs is None:
-            return self.force[:0]
-        rates = equations.state.qd + self.h * qdd
-        return sweep_at(self.world.tree, pairs, equations.kin, equations.pairs, rates)
+        pairs = self.equations.pairs
+        return self.force[:0] if pairs is None else pairs.sweep_at(qdd)
 
     def strays(self, qdd: Float[Array, "d *n"], sweep: Float[Array, "k *n"]) -> Bool[Array, "*n"]:
         """Where pairs that push come elsewhere than they are to, for their sweep is another."""
-        contacts = self.equations.pairs
-        if contacts is None:
+        pairs = self.equations.pairs
+        if pairs is None:
             return jnp.zeros(qdd.shape[1:], bool)
-        velocity = parting_velocity(contacts, qdd, self.h)
-        other = parting_velocity(swept(contacts, sweep, self.h), qdd, self.h)
-        touches = (contacts.wanted > velocity) | (contacts.wanted > other)
-        return (touches & (self.h * jnp.abs(other - velocity) > _STRAY)).any(0)
+        return pairs.strays(qdd, sweep)  # pyright: ignore
 
     def _total_mass(self) -> Number:
         """Of the creature, kg."""

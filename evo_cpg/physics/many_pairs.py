@@ -1,0 +1,536 @@
+"""Contacts of an animal with many pairs of bodies that may touch, in loops over the pairs.
+
+The law is that of `evo_cpg.physics.pairs`. There every pair is written out, which a body with forty
+parts and hundreds of pairs cannot have. Here the code is the same for any number of pairs, and
+three tests leave out what cannot act:
+
+1. A pair whose bounding balls are too far apart is not looked at.
+2. A point whose gap is too large is left out of the step. Both distances are what the bodies can
+   come nearer in two steps at their present joint rates, plus a tenth of their thickness.
+3. A point that does not push adds nothing to the torques and the matrix.
+
+All places refer to the root's origin. With the twist of a body at constant rates (angular velocity
+w, velocity v_0 of its point at the origin), a normal n and points p_1 and p_2, points part at
+
+    v_n = n . v_02 + w_2 . (p_2 x n) - n . v_01 - w_1 . (p_1 x n),
+
+and the entry of J for a joint axis a through o is ``+-(a . (p x n) - n . (a x o))``.
+"""
+
+import functools
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from evo_cpg.creature.reach import chain_to_root
+from evo_cpg.creature.tree import Tree
+from evo_cpg.physics.kinematics import Kinematics, Motion, motion_of_bodies
+from evo_cpg.physics.pairs import KINDS, STRAY, Alike, Pairs, placed_boxes, rest_velocity
+from evo_cpg.spatial.linear import cross, dot, expand_dims_like, matvec, skew
+
+# Steps at present joint rates within which a point is watched.
+_STEPS_AHEAD = 2.0
+
+# Of the thickness of a body: so much nearer may it come by what happens within a step.
+_MARGIN = 0.1
+
+
+class _Points(NamedTuple):
+    """The points of pairs that are treated alike, ``(points, *n)`` each; 0 where left out.
+
+    Attributes:
+        watched: 1 where a point counts in this step.
+        gap: m.
+        normal: x, y and z, from the first body to the second.
+        first: the first body's point, x, y and z from the root's origin, m.
+        second: likewise.
+        carried: shares of the normal that turn with the first and the second body.
+    """
+
+    watched: Array
+    gap: Array
+    normal: tuple[Array, Array, Array]
+    first: tuple[Array, Array, Array]
+    second: tuple[Array, Array, Array]
+    carried: tuple[Array, Array]
+
+
+class _Paths(NamedTuple):
+    """The joint axes between the bodies of every pair of a run, as tables.
+
+    Attributes:
+        dofs: in ascending order, the number of all axes where there are no more, ``(pairs, k)``.
+        signs: 1 where an axis moves the second body, -1 the first, 0 where there is none.
+        rows: where the row of each axis begins in a packed lower triangle.
+    """
+
+    dofs: np.ndarray
+    signs: np.ndarray
+    rows: np.ndarray
+
+
+class _Run(NamedTuple):
+    """Pairs that are treated alike.
+
+    Attributes:
+        kind: how, and how many points each pair has.
+        first: body of each pair.
+        second: likewise.
+        stiffness: c h of each point, kg.
+        paths: the joints between them.
+        points: of this step.
+    """
+
+    kind: Alike
+    first: np.ndarray
+    second: np.ndarray
+    stiffness: Any
+    paths: _Paths
+    points: _Points
+
+    @property
+    def count(self) -> int:
+        """How many points there are."""
+        return self.kind.count * KINDS[self.kind.kind][1]
+
+
+class ManyPairContacts:
+    """Where pairs are nearest, and what holds throughout one step; see `PairContacts`.
+
+    Args:
+        tree: the creature.
+        pairs: those of it.
+        kin: kinematics at the start of the step.
+        qd: joint rates there, rad/s.
+        h: s.
+        found: points of an earlier step of this; None to find them.
+        rates_change: joint accelerations at whose end-of-step rates the normals' drift is taken;
+            None for the rates at the start.
+    """
+
+    def __init__(
+        self,
+        tree: Tree,
+        pairs: Pairs,
+        kin: Kinematics,
+        qd: Float[Array, "d *n"],
+        h: float,
+        found: tuple[_Run, ...] | None = None,
+        rates_change: Float[Array, "d *n"] | None = None,
+    ):
+        self.tree, self.pairs, self.qd, self.h = tree, pairs, qd, h
+        self.kin = kin
+        self.places = kin.origin - kin.origin[:, :1]
+        self.sweep = jnp.zeros_like(qd) if rates_change is None else rates_change
+        self.runs = _find(self) if found is None else found
+
+    def with_sweep(self, sweep: Float[Array, "d *n"]) -> "ManyPairContacts":
+        """Return the contacts with the drift of normals at other joint rates."""
+        given = self.tree, self.pairs, self.kin, self.qd, self.h
+        return ManyPairContacts(*given, self.runs, sweep)
+
+    def sweep_at(self, qdd: Float[Array, "d *n"]) -> Float[Array, "d *n"]:
+        """Return what `with_sweep` takes, for accelerations that a step came to."""
+        return qdd
+
+    def change(self, turn: Float[Array, "d *n"]) -> Float[Array, "d *n"]:
+        """Return what `ManyPairForces.power` takes, for a change of joint accelerations."""
+        return turn
+
+    def at(self, qdd: Float[Array, "d *n"]) -> "ManyPairForces":
+        """Return the forces at joint accelerations, and how they change."""
+        return ManyPairForces(self, qdd)
+
+    def touches(self, qdd: Float[Array, "d *n"]) -> Bool[Array, "*n"]:
+        """Return where any pair pushes at joint accelerations."""
+        twists, drifts = self.twists(qdd), self.drifts(self.sweep)
+
+        def look(run: _Run, found: Array, q: Array) -> Array:
+            point = _point(run, q)
+            velocity = self.velocity(run, point, q, twists, drifts)
+            return found | (point.watched & (rest_velocity(point.gap, self.h) > velocity))
+
+        return self.over_points(look, jnp.zeros(qdd.shape[1:], bool))
+
+    def strays(self, qdd: Float[Array, "d *n"], sweep: Float[Array, "d *n"]) -> Bool[Array, "*n"]:
+        """Return where pairs that push end elsewhere, for the drift of their normals is another."""
+        twists, before, after = self.twists(qdd), self.drifts(self.sweep), self.drifts(sweep)
+
+        def look(run: _Run, found: Array, q: Array) -> Array:
+            point = _point(run, q)
+            velocity, other = (
+                self.velocity(run, point, q, twists, drifts) for drifts in (before, after)
+            )
+            rest = rest_velocity(point.gap, self.h)
+            pushes = point.watched & ((rest > velocity) | (rest > other))
+            return found | (pushes & (self.h * jnp.abs(other - velocity) > STRAY))
+
+        return self.over_points(look, jnp.zeros(qdd.shape[1:], bool))
+
+    def parting(self, rates: Float[Array, "d *n"]) -> Float[Array, "p *n"]:
+        """Return ``J rates`` of all points, m/s; 0 of those that are left out."""
+        twists = self.twists_of(rates)
+
+        def look(run: _Run, q: Array) -> Array:
+            return self.turning_apart(run, _point(run, q), q, twists)
+
+        return self.of_points(look)
+
+    # Quantities of bodies, as tables.
+
+    def twists(self, qdd: Float[Array, "d *n"]) -> tuple[Array, Array]:
+        """Return the twists of all bodies at the end of the step, as if the root lay still."""
+        return self.twists_of(self.qd + self.h * qdd)
+
+    def twists_of(self, rates: Float[Array, "d *n"]) -> tuple[Array, Array]:
+        """Return the twists of all bodies at joint rates: rad/s, and m/s at the root's origin."""
+        motion = self.motion(rates)
+        return motion.angular, motion.linear - cross(motion.angular, self.places)
+
+    def drifts(self, qdd: Float[Array, "d *n"]) -> tuple[Array, ...]:
+        """Return twists, and accelerations at constant joint rates: ``d_0 + A p`` at a place p."""
+        motion = self.motion(self.qd + self.h * qdd)
+        spin = motion.angular
+        square = dot(spin, spin)
+        A = skew(motion.bias_angular) + spin[:, None] * spin[None]
+        A = A - square[None, None] * expand_dims_like(np.eye(3), A)
+        linear = motion.linear - cross(spin, self.places)
+        base = motion.bias_linear + cross(spin, motion.linear) - matvec(A, self.places)
+        return spin, linear, base, A
+
+    def motion(self, rates: Float[Array, "d *n"]) -> Motion:
+        """Return how all bodies move at joint rates, as if the root lay still."""
+        still = jnp.zeros((6, *rates.shape[1:]), rates.dtype)
+        return motion_of_bodies(self.tree, self.kin, still, rates)
+
+    def axes(self) -> tuple[Array, Array]:
+        """Return joint axes a and ``a x o``, with one more that is zero: ``(3, d + 1, *n)``."""
+        a = self.kin.axes
+        moments = cross(a, self.places[:, np.array(self.tree.dof_bodies, int)])
+        none = jnp.zeros_like(a[:, :1])
+        return jnp.concatenate([a, none], 1), jnp.concatenate([moments, none], 1)
+
+    # Quantities of points.
+
+    def turning_apart(self, run: _Run, point: "_Point", q: Array, twists: Any) -> Array:
+        """Return the velocity at which a point parts at constant twists, m/s."""
+        spin, linear = twists
+        i, j = _bodies(run, q)
+        n, first, second = point.normal, point.first, point.second
+        second_part = dot(n, _row(linear, j)) + dot(_row(spin, j), cross(second, n))
+        return second_part - dot(n, _row(linear, i)) - dot(_row(spin, i), cross(first, n))
+
+    def velocity(self, run: _Run, point: "_Point", q: Array, twists: Any, drifts: Any) -> Array:
+        """Return the velocity at which a point parts, mean over the step, m/s."""
+        spin, linear, base, A = drifts
+        bodies, n = _bodies(run, q), point.normal
+        moving, drift, turning = [], [], jnp.zeros_like(n)
+        for body, p, share in zip(bodies, (point.first, point.second), point.carried, strict=True):
+            own = _row(spin, body)
+            moving.append(_row(linear, body) + cross(own, p))
+            drift.append(_row(base, body) + matvec(_row(A, body, 2), p))
+            turning = turning + share[None] * own
+        # A normal that turns meets another part of what slides past it.
+        sweep = dot(n, drift[1] - drift[0])
+        sweep = sweep - 2.0 * dot(cross(n, turning), moving[1] - moving[0])
+        return self.turning_apart(run, point, q, twists) + 0.5 * self.h * sweep
+
+    def jacobian(self, run: _Run, point: "_Point", q: Array, axes: Any) -> tuple[Array, Array]:
+        """Return the entries of J that are not zero, ``(k, *n)``, and their axes, ``(k,)``."""
+        pair = q % run.kind.count
+        dofs, signs = (jnp.asarray(x)[pair] for x in (run.paths.dofs, run.paths.signs))
+        a, moments = (jnp.take(x, dofs, axis=1, mode="clip") for x in axes)
+        signs = expand_dims_like(signs.astype(a.dtype), a[0])
+        n = point.normal[:, None]
+        first, second = (cross(p, point.normal)[:, None] for p in (point.first, point.second))
+        moment = jnp.where(signs[None] > 0, second, first)
+        return signs * (dot(a, moment) - dot(n, moments)), dofs
+
+    # Loops.
+
+    def over_points(self, look: Callable, start: Any) -> Any:
+        """Carry something from point to point, past those that nobody watches."""
+        for run in self.runs:
+
+            def round_(carry: Any, q: Array, run: _Run = run) -> tuple[Any, None]:
+                anyone = jnp.any(_at(run.points.watched, q) > 0)
+                return jax.lax.cond(
+                    anyone, lambda carry: look(run, carry, q), lambda carry: carry, carry
+                ), None
+
+            start, _ = jax.lax.scan(round_, start, jnp.arange(run.count))
+        return start
+
+    def of_points(self, look: Callable) -> Float[Array, "p *n"]:
+        """Return a number of every point, 0 of those that nobody watches."""
+        found = []
+        for run in self.runs:
+
+            def round_(carry: None, q: Array, run: _Run = run) -> tuple[None, Array]:
+                watched = _at(run.points.watched, q)
+                none = jnp.zeros_like(watched)
+                value = jax.lax.cond(
+                    jnp.any(watched > 0), lambda: look(run, q), lambda: jnp.zeros_like(watched)
+                )
+                return carry, jnp.where(watched > 0, value, none)
+
+            found.append(jax.lax.scan(round_, None, jnp.arange(run.count))[1])
+        return jnp.concatenate(found)
+
+
+class ManyPairForces:
+    """The forces of all pairs at joint accelerations, and how they change with these.
+
+    Args:
+        contacts: of the step.
+        qdd: joint accelerations, rad/s^2.
+    """
+
+    def __init__(self, contacts: ManyPairContacts, qdd: Float[Array, "d *n"]):
+        self._contacts, self._qdd = contacts, qdd
+
+    @functools.cached_property
+    def force(self) -> Float[Array, "p *n"]:
+        """Of all points, N."""
+        return self._contacts.of_points(lambda run, q: self._push(run, q)[1])
+
+    @property
+    def load(self) -> Float[Array, "*n"]:
+        """Sum of all forces, N."""
+        return self._sums[1]
+
+    @property
+    def torque(self) -> Float[Array, "d *n"]:
+        """What the forces are to the joints, N m."""
+        return self._sums[0]
+
+    def power(self, change: Float[Array, "d *n"]) -> Float[Array, "*n"]:
+        """Of the forces when points part faster as `ManyPairContacts.change` says, W."""
+        return self._contacts.h * dot(change, self.torque)
+
+    def newton(self) -> tuple[Float[Array, "d *n"], Float[Array, "d d *n"]]:
+        """Torques of the linearized forces without joint accelerations, and ``h J^T K J``."""
+        contacts, qdd = self._contacts, self._qdd
+        h, batch, count = contacts.h, qdd.shape[1:], contacts.tree.dof_count
+        none = jnp.zeros((1, *batch), qdd.dtype)
+        rates, axes = jnp.concatenate([qdd, none]), contacts.axes()
+        size = (count + 1) * (count + 2) // 2
+        start = jnp.zeros((count + 1, *batch), qdd.dtype), jnp.zeros((size, *batch), qdd.dtype)
+
+        def add(run: _Run, sums: tuple[Array, Array], q: Array, point: Any, push: Array) -> Any:
+            torque, matrix = sums
+            J, dofs = contacts.jacobian(run, point, q, axes)
+            slope = jnp.where(push > 0, self._stiffness(run, q, push), 0.0)
+            own = jnp.take(rates, dofs, axis=0, mode="clip")
+            whole = push + slope * h * (J * own).sum(0)
+            rows = jnp.asarray(run.paths.rows)[q % run.kind.count]
+            i, j = np.tril_indices(len(dofs))
+            values = (h * slope * J[i]) * J[j]
+            return (
+                _plus(torque, dofs, J * whole[None]),
+                _plus(matrix, rows[i] + dofs[j], values),
+            )
+
+        torque, packed = self._where_pushing(add, start)
+        rows, columns = np.indices((count, count))
+        most, least = np.maximum(rows, columns), np.minimum(rows, columns)
+        places = most * (most + 1) // 2 + least
+        return torque[:count], packed[places.ravel()].reshape(count, count, *batch)
+
+    @functools.cached_property
+    def _sums(self) -> tuple[Float[Array, "d *n"], Float[Array, "*n"]]:
+        """Torques of the joints, N m, and the sum of all forces, N."""
+        contacts, qdd = self._contacts, self._qdd
+        axes, count = contacts.axes(), contacts.tree.dof_count
+        none = jnp.zeros_like(qdd[:1]).sum(0)
+        start = jnp.zeros((count + 1, *qdd.shape[1:]), qdd.dtype), none
+
+        def add(run: _Run, sums: tuple[Array, Array], q: Array, point: Any, push: Array) -> Any:
+            torque, load = sums
+            J, dofs = contacts.jacobian(run, point, q, axes)
+            return _plus(torque, dofs, J * push[None]), load + push
+
+        torque, load = self._where_pushing(add, start)
+        return torque[:count], load
+
+    @functools.cached_property
+    def _tables(self) -> tuple[Any, Any]:
+        return self._contacts.twists(self._qdd), self._contacts.drifts(self._contacts.sweep)
+
+    def _push(self, run: _Run, q: Array) -> tuple["_Point", Array]:
+        """Return a point and its force, N."""
+        contacts, point = self._contacts, _point(run, q)
+        velocity = contacts.velocity(run, point, q, *self._tables)
+        short = rest_velocity(point.gap, contacts.h) - velocity
+        force = self._stiffness(run, q, short) * jnp.maximum(short, 0.0)
+        return point, jnp.where(point.watched, force, 0.0)
+
+    def _stiffness(self, run: _Run, q: Array, like: Array) -> Array:
+        """Return c of a point, N s/m."""
+        return expand_dims_like(_at(jnp.asarray(run.stiffness), q), like) / self._contacts.h
+
+    def _where_pushing(self, add: Callable, start: Any) -> Any:
+        """Carry sums from point to point, past those that do not push."""
+        _ = self._tables
+
+        def look(run: _Run, sums: Any, q: Array) -> Any:
+            point, push = self._push(run, q)
+            return jax.lax.cond(
+                jnp.any(push > 0),
+                lambda sums: add(run, sums, q, point, push),
+                lambda sums: sums,
+                sums,
+            )
+
+        return self._contacts.over_points(look, start)
+
+
+class _Point(NamedTuple):
+    """One point of one pair; see `_Points`."""
+
+    watched: Array
+    gap: Array
+    normal: Array
+    first: Array
+    second: Array
+    carried: Array
+
+
+def _point(run: _Run, q: Array) -> _Point:
+    watched, gap, *vectors = jax.tree.map(
+        lambda x: _at(x, q), run.points, is_leaf=lambda x: isinstance(x, jax.Array)
+    )
+    return _Point(watched > 0, gap, *(jnp.stack(x) for x in vectors))
+
+
+def _bodies(run: _Run, q: Array) -> tuple[Array, Array]:
+    pair = q % run.kind.count
+    return jnp.asarray(run.first)[pair], jnp.asarray(run.second)[pair]
+
+
+def _at(x: Array, index: Array) -> Array:
+    return jax.lax.dynamic_index_in_dim(x, index, 0, keepdims=False)
+
+
+def _row(x: Array, body: Array, axis: int = 1, keepdims: bool = False) -> Array:
+    return jax.lax.dynamic_index_in_dim(x, body, axis, keepdims=keepdims)
+
+
+def _plus(sums: Array, places: Array, values: Array) -> Array:
+    return sums.at[places].add(values, mode="promise_in_bounds")
+
+
+def _find(contacts: ManyPairContacts) -> tuple[_Run, ...]:
+    """Find the points of all pairs."""
+    tree, pairs, h = contacts.tree, contacts.pairs, contacts.h
+    # Places from the root's origin.
+    kin = contacts.kin._replace(origin=contacts.places)
+    centre, half, radius = placed_boxes(pairs, kin)
+    own = contacts.motion(contacts.qd)
+    size = jnp.sqrt((half * half).sum(0)) + radius
+    arm = centre - contacts.places
+    passing = own.linear + cross(own.angular, arm)
+    speed = jnp.sqrt(dot(passing, passing)) + jnp.sqrt(dot(own.angular, own.angular)) * size
+    slack = _STEPS_AHEAD * h * speed + _MARGIN * (half.min(0) + radius)
+    found, start, points = [], 0, 0
+    for run in pairs.runs:
+        stop = start + run.count
+        first, second = (np.array(x[start:stop], np.int32) for x in (pairs.first, pairs.second))
+        count = run.count * KINDS[run.kind][1]
+        stiffness = pairs.stiffness[points : points + count]
+        placed = centre, half, radius, kin.rotation, size, slack
+        found.append(
+            _Run(
+                run,
+                first,
+                second,
+                stiffness,
+                _paths(tree, first, second),
+                _nearest(run, first, second, placed),
+            )
+        )
+        start, points = stop, points + count
+    return tuple(found)
+
+
+def _nearest(run: Alike, first: np.ndarray, second: np.ndarray, placed: tuple) -> _Points:
+    """Find the points of the pairs of a run.
+
+    Args:
+        run: how they are treated.
+        first: body of each pair.
+        second: likewise.
+        placed: of all bodies the centres, half extents and radii of their boxes, their rotations,
+            the radii of balls around them, and how far they may come in this step, m.
+    """
+    centre, half, radius, rotation, size, slack = placed
+    find, each = KINDS[run.kind]
+    like = slack[0]
+    none = jnp.zeros((run.count * each, *like.shape), like.dtype)
+    triple = none, none, none
+    start = _Points(none, none, triple, triple, triple, (none, none))
+
+    def round_(points: _Points, p: Array) -> tuple[_Points, None]:
+        bodies = jnp.asarray(first)[p], jnp.asarray(second)[p]
+        near = sum(_row(x, body, 0) for x in (size, slack) for body in bodies)
+        away = _row(centre, bodies[1]) - _row(centre, bodies[0])
+        close = dot(away, away) < near * near
+
+        def look(points: _Points) -> _Points:
+            boxes = [
+                run.boxes(
+                    _row(centre, body, keepdims=True),
+                    _row(rotation, body, 2, keepdims=True),
+                    _row(half, body, keepdims=True),
+                    _row(radius, body, 0, keepdims=True),
+                    side,
+                )
+                for side, body in enumerate(bodies)
+            ]
+            reach = _row(slack, bodies[0], 0) + _row(slack, bodies[1], 0)
+            found = find(*boxes)
+            gap = jnp.concatenate([one.gap for one in found])
+            new = _Points(
+                jnp.where(close & (gap < reach), jnp.ones_like(gap), 0.0),
+                gap,
+                _components([one.normal for one in found]),
+                _components([one.first for one in found]),
+                _components([one.second for one in found]),
+                _components([one.carried for one in found]),
+            )
+            places = p + run.count * jnp.arange(each)
+            return jax.tree.map(lambda x, value: _plus(x, places, value), points, new)
+
+        return jax.lax.cond(jnp.any(close), look, lambda points: points, points), None
+
+    return jax.lax.scan(round_, start, jnp.arange(run.count))[0]
+
+
+def _components(vectors: list[Array]) -> Any:
+    """Of ``(3, 1, *n)`` each: the first components of all, the second, and so on."""
+    return tuple(jnp.concatenate([x[k] for x in vectors]) for k in range(len(vectors[0])))
+
+
+def _paths(tree: Tree, first: np.ndarray, second: np.ndarray) -> _Paths:
+    """Find the joint axes between the bodies of each pair."""
+    chains = [set(chain_to_root(tree, body)) for body in range(tree.body_count)]
+    owners = tree.dof_bodies
+    paths = []
+    for one, two in zip(first, second, strict=True):
+        between = chains[one] ^ chains[two]
+        paths.append(
+            [
+                (k, 1.0 if body in chains[two] else -1.0)
+                for k, body in enumerate(owners)
+                if body in between
+            ]
+        )
+    most = max(map(len, paths))
+    padded = [path + [(len(owners), 0.0)] * (most - len(path)) for path in paths]
+    both = np.array(padded).reshape(len(paths), most, 2)
+    dofs = both[..., 0].astype(np.int32)
+    return _Paths(dofs, both[..., 1].astype(np.float32), dofs * (dofs + 1) // 2)
