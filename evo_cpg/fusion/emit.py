@@ -28,6 +28,7 @@ from evo_cpg.fusion.operations import write
 from evo_cpg.fusion.order import resolve
 from evo_cpg.fusion.packing import Gang, Place, declared, each_vector, packed_loop
 from evo_cpg.fusion.registers import Registers
+from evo_cpg.fusion.symmetric_solve import routine
 from evo_cpg.fusion.unsupported import Unsupported
 
 
@@ -167,16 +168,20 @@ class _Emitter:
         The time and the stack that LLVM takes grow faster than a function. All that is used again
         goes through memory. Nothing may be held by its name alone where this is called.
         """
-        if len(self.w.lines) < machine_constants.LONGEST_FUNCTION:
-            return
+        if len(self.w.lines) >= machine_constants.LONGEST_FUNCTION:
+            self._empty_registers()
+            self.pieces.append(self._function())
+            self.w.lines = []
+
+    def _empty_registers(self) -> None:
+        """Put all that is used again into memory."""
         for (node, wide), name in self.registers.empty():
             if wide != node.uniform:
                 self._spill(node, name)
         for node, name in self.names.items():
             if self.registers.is_used_again(node):
                 self._spill(node, name)
-        self.pieces.append(self._function())
-        self.w.lines, self.names = [], {}
+        self.names = {}
 
     def _spill(self, node: Node, name: str) -> None:
         """Keep a value in the memory that vectors share, unless it is in memory already."""
@@ -244,6 +249,8 @@ class _Emitter:
             self._constants(node)
         elif node.op == "sums":
             self._sums(node)
+        elif node.op == "solve":
+            self._solve(node)
         elif node.op == "totals":
             self.tables[node] = self.tables[node.detail.memory]
             self._wrote(node)
@@ -345,9 +352,54 @@ class _Emitter:
         """Begin sums in memory of their own."""
         size = self._row_bytes(node)
         start = self.tables[node] = self.memory.room(size * len(node.operands))
+        self._wrote(node)
+        first = node.operands[0]
+        if first.value is not None and all(operand is first for operand in node.operands):
+            self._fill(node, start, size, first)
+            return
         for i, operand in enumerate(node.operands):
             self._store(self._ref(operand), node, start + i * size)
             self._cut()
+
+    def _fill(self, node: Node, start: int, size: int, value: Node) -> None:
+        """Write the same constant to all rows, by a loop in a function of its own."""
+        t = self.w.type_of(node.dtype, False)
+        name = f"fill.{self.w.suffix(t)}"
+        self.w.declared[name] = (
+            f"define internal void @{name}(ptr %to, {t} %value, i64 %count) noinline #0 {{\n"
+            "entry:\nbr label %row\nrow:\n"
+            "%i = phi i64 [ 0, %entry ], [ %j, %row ]\n"
+            f"%steps = mul i64 %i, {size}\n"
+            "%place = getelementptr i8, ptr %to, i64 %steps\n"
+            f"store {t} %value, ptr %place, align {node.dtype.itemsize}\n"
+            "%j = add i64 %i, 1\n%more = icmp ult i64 %j, %count\n"
+            "br i1 %more, label %row, label %done\ndone:\nret void\n}"
+        )
+        to, filled = self.memory.at(start), self._ref(value)
+        self.w.lines.append(f"call void @{name}(ptr {to}, {t} {filled}, i64 {len(node.operands)})")
+
+    def _solve(self, node: Node) -> None:
+        """Put equations in memory and call the function that solves them."""
+        size, dtype = self._row_bytes(node), node.dtype
+        start = self.memory.room(size * len(node.operands))
+        for i, operand in enumerate(node.operands):
+            self._store(self._ref(operand, node.uniform), node, start + i * size)
+        answers = start + (len(node.operands) - node.detail) * size
+        self.tables[node] = answers
+        t = self.w.type_of(dtype, node.uniform)
+        name = f"solve.{self.w.suffix(t)}"
+        if self.w.fma:
+            fma = f"llvm.fma.{self.w.suffix(t)}"
+            self.w.declared[fma] = f"declare {t} @{fma}({t}, {t}, {t})"
+        if self.width > 1:
+            flags = f"<{self.width} x i1>"
+            any_of = f"llvm.vector.reduce.or.v{self.width}i1"
+            self.w.declared[any_of] = f"declare i1 @{any_of}({flags})"
+        self.w.declared[name] = routine(name, t, size, dtype.itemsize, self.w.fma)
+        H, b = self.memory.at(start), self.memory.at(answers)
+        # Registers do not outlast a call.
+        self._empty_registers()
+        self.w.lines.append(f"call void @{name}(ptr {H}, ptr {b}, i64 {node.detail})")
         self._wrote(node)
 
     def _accumulate(self, node: Node) -> None:
@@ -557,6 +609,8 @@ class _Emitter:
             rows = table.operands[0].detail.count or 1
         if table.op == "totals":
             rows = table.detail.size
+        if table.op == "solve":
+            rows = table.detail
         return [Place(start + i * size, table.dtype.itemsize, table.uniform) for i in range(rows)]
 
     def _buffers(self) -> str:

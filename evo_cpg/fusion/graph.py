@@ -160,6 +160,16 @@ class Sums:
         return int(np.prod(self.shape, dtype=int))
 
 
+def loops_around(node: Node) -> list[Node]:
+    """The loops around a node that adds to sums, up to where these begin."""
+    found, block = [], node.block
+    while block is not node.detail.memory.block:
+        assert block.owner is not None and block.parent is not None
+        found.append(block.owner)
+        block = block.parent
+    return found
+
+
 class _Bytes:
     """Values of a table, equal where they are the same to the last bit."""
 
@@ -219,6 +229,12 @@ class Graph:
         block = block or node.block
         return self._new("opaque", (node,), node.dtype, block, node.uniform, detail=given)
 
+    def inside(self, node: Node, block: Block) -> Node:
+        """A node as a block sees it, so that what is computed from it is computed in the block."""
+        if node.value is not None:
+            return node
+        return self._new("inside", (node,), node.dtype, block, node.uniform)
+
     def given(self, arrays: Sequence[np.ndarray]) -> Node:
         """What a program within the program is given, for those who must know what it uses."""
         nodes = tuple(node for array in arrays for node in array.flat)
@@ -269,6 +285,18 @@ class Graph:
         if place.value is not None and table.op == "constants":
             return self.constant(table.detail.values[int(place.value)], table.dtype)
         return self.make("lookup", (table, place), table.dtype)
+
+    def solve(self, triangle: np.ndarray, b: np.ndarray) -> np.ndarray:
+        """The answers to symmetric equations, by a function that loops.
+
+        Args:
+            triangle: the lower triangle of the matrix, row by row.
+            b: the other side.
+        """
+        table = self.make("solve", (*triangle, *b), b[0].dtype, len(b))
+        answers = np.empty(len(b), object)
+        answers[:] = [self.lookup(table, self.constant(place, np.int32)) for place in range(len(b))]
+        return answers
 
     def sums(self, start: np.ndarray) -> Sums:
         """Memory for sums that begin with the given nodes, all of one type."""

@@ -4,17 +4,15 @@ Nodes that nothing needs are left out, and so is what a loop carries for them. A
 between two ends of loops; a value that is used in another stretch than its own crosses memory.
 """
 
-from collections.abc import Iterator
-
 from evo_cpg.fusion import machine_constants
-from evo_cpg.fusion.graph import Block, Node
+from evo_cpg.fusion.graph import Block, Node, loops_around
 from evo_cpg.fusion.order import ordered, resolve
 from evo_cpg.fusion.unsupported import Unsupported
 
-_NO_CODE = {"input", "carried", "counter", "constant", "opaque"}
+_NO_CODE = {"input", "carried", "counter", "constant", "opaque", "inside"}
 _IN_MEMORY = {
-    "carried", "counter", "result", "constant", "rows", "constants", "list", "loop", "sums",
-    "totals",
+    "carried", "counter", "result", "constant", "rows", "constants", "list", "loop", "solve",
+    "sums", "totals",
 }  # fmt: skip
 
 
@@ -97,20 +95,13 @@ class Plan:
                 waiting += [node.detail.memory, *node.detail.added]
             elif node.op == "accumulate":
                 # The loops around it run for its sake, whatever they carry.
-                waiting += [*node.operands, node.detail.memory, *self._around(node)]
+                around = loops_around(node)
+                for loop in around:
+                    self._open(loop)
+                waiting += [*node.operands, node.detail.memory, *around]
             else:
                 waiting += node.operands
         return needed
-
-    def _around(self, node: Node) -> Iterator[Node]:
-        """The loops around a node that adds to sums, up to where these begin."""
-        block = node.block
-        while block is not node.detail.memory.block:
-            owner = block.owner
-            assert owner is not None and block.parent is not None
-            self._open(owner)
-            yield owner
-            block = block.parent
 
     def _open(self, node: Node):
         """What stands in a loop, of which nothing is kept yet."""

@@ -198,7 +198,7 @@ def _branch(
     body = Block(test)
     around = graph.block.active
     with graph.within(test):
-        condition = graph.opaque(here, test)
+        condition = graph.inside(here, test)
         if around is not None:
             condition = graph.apply("and", condition, around)
     body.active = condition
@@ -207,7 +207,7 @@ def _branch(
 
     def hide(node: Node) -> Node:
         """Return a node as the branch sees it, so that what it alone needs is computed in it."""
-        return graph.opaque(node, body) if node.block is graph.block else node
+        return graph.inside(node, body) if node.block is graph.block else node
 
     inside = [
         x if isinstance(x, Sums) else np.asarray(np.frompyfunc(hide, 1, 1)(x), object)

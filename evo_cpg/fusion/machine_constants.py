@@ -76,6 +76,9 @@ MOST_OPERATIONS = 600_000
 SHORTEST_BRANCH = 60
 """Fitted: scalars of a branch from which on it is jumped over where no individual takes it."""
 
+LONGEST_ELIMINATION = 5000
+"""Fitted: products of an elimination beyond which it is done by a loop."""
+
 LONGEST_LISTS = 1 << 17
 """A limit: scalars that a loop may hand out as lists; each is a row of memory for every vector."""
 

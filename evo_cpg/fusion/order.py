@@ -10,8 +10,8 @@ from evo_cpg.fusion.graph import Node
 
 
 def resolve(node: Node) -> Node:
-    """The node behind opaque ones."""
-    while node.op == "opaque":
+    """The node behind others that only stand for it."""
+    while node.op in ("opaque", "inside"):
         node = node.operands[0]
     return node
 

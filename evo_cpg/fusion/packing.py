@@ -11,7 +11,7 @@ An individual's numbers are the same wherever they lie, so its bits do not depen
 neighbours are.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
 _DECLARED = {
@@ -27,6 +27,9 @@ _CROWDED = 3 / 8
 # AVX-512's instruction that closes up chosen numbers, the smallest that it is used for, and its
 # vector, bytes.
 _COMPRESS, _NARROWEST, _VECTOR = "llvm.x86.avx512.mask.compress", 4, 64
+
+# As many places at equal distances are moved by a loop.
+_FEWEST_ROUNDS = 16
 
 # IR types by bytes of a number.
 _WORDS = {1: "i8", 2: "i16", 4: "i32", 8: "i64"}
@@ -297,10 +300,76 @@ noted:
   br label %seated"""
 
 
+class _Stretch(NamedTuple):
+    """Places one behind the other, at equal distances.
+
+    Attributes:
+        start: bytes, of the first.
+        size: bytes of one individual's number.
+        step: bytes from one to the next.
+        count: how many.
+    """
+
+    start: int
+    size: int
+    step: int
+    count: int
+
+
+def _stretches(places: Iterable[Place]) -> list[_Stretch]:
+    """Put places at equal distances together where they are many."""
+    found: list[_Stretch] = []
+    for start, size, _ in places:
+        if found and found[-1].size == size:
+            last = found[-1]
+            step = start - last.start - (last.count - 1) * last.step
+            if last.count == 1 or step == last.step:
+                found[-1] = last._replace(step=step, count=last.count + 1)
+                continue
+        found.append(_Stretch(start, size, 0, 1))
+    return [
+        part
+        for one in found
+        for part in (
+            [one]
+            if one.count >= _FEWEST_ROUNDS
+            else [_Stretch(one.start + k * one.step, one.size, 0, 1) for k in range(one.count)]
+        )
+    ]
+
+
+def _through(stretches: list[_Stretch], lines: Callable[[int, int, str], list[str]]) -> list[str]:
+    """Write what is done at each place, in loops over those at equal distances.
+
+    Args:
+        stretches: of places.
+        lines: of a number of its own, bytes of a number, and the place.
+    """
+    written, label = [], "entry"
+    for i, (start, size, step, count) in enumerate(stretches):
+        if count == 1:
+            written += lines(i, size, f"{start}")
+            continue
+        written += [
+            f"br label %stretch{i}",
+            f"stretch{i}:",
+            f"%turn{i} = phi i64 [ 0, %{label} ], [ %turn_next{i}, %stretch{i} ]",
+            f"%steps{i} = mul i64 %turn{i}, {step}",
+            f"%place{i} = add i64 %steps{i}, {start}",
+            *lines(i, size, f"%place{i}"),
+            f"%turn_next{i} = add i64 %turn{i}, 1",
+            f"%turn_more{i} = icmp ult i64 %turn_next{i}, {count}",
+            f"br i1 %turn_more{i}, label %stretch{i}, label %behind{i}",
+            f"behind{i}:",
+        ]
+        label = f"behind{i}"
+    return written
+
+
 def _move(name: str, places: list[Place], gang: Gang, source: str, target: str) -> str:
     """A function that moves an individual's numbers into a seat of the packed vector, or back.
 
-    Without a loop: what is moved lies far apart, and so the processor fetches many at a time.
+    What lies in no order is moved without a loop, so the processor fetches many at a time.
     """
     lines = []
     for size in sorted({place.size for place in places}):
@@ -310,13 +379,16 @@ def _move(name: str, places: list[Place], gang: Gang, source: str, target: str) 
             f"%far{size} = getelementptr i8, ptr %base, i64 %far_lane{size}",
             f"%near{size} = getelementptr i8, ptr %pack, i64 %near_lane{size}",
         ]
-    for i, (start, size, _) in enumerate(places):
-        lines += [
+
+    def move(i: int, size: int, start: str) -> list[str]:
+        return [
             f"%from{i} = getelementptr i8, ptr %{source}{size}, i64 {start}",
             f"%to{i} = getelementptr i8, ptr %{target}{size}, i64 {start}",
             f"%value{i} = load volatile {_WORDS[size]}, ptr %from{i}",
             f"store volatile {_WORDS[size]} %value{i}, ptr %to{i}",
         ]
+
+    lines += _through(_stretches(places), move)
     return f"""
 define internal void {name}(ptr %scratch, ptr %pack, i64 %who, i64 %seat) noinline #0 {{
 entry:
@@ -342,19 +414,20 @@ def _move_together(name: str, places: list[Place], gang: Gang) -> str:
     for size in sorted({place.size for place in places}):
         lines += [f"%seat{size} = mul i64 %seat, {size}"]
         lines += [f"%near{size} = getelementptr i8, ptr %pack, i64 %seat{size}"]
-    for i, (start, size, _) in enumerate(places):
+
+    def move(i: int, size: int, start: str) -> list[str]:
         kept, word = f"<{width} x {_WORDS[size]}>", _WORDS[max(size, _NARROWEST)]
         t, suffix = f"<{width} x {word}>", f"v{width}{word}"
         value = f"%value{i}"
-        lines += [
+        own = [
             f"%from{i} = getelementptr i8, ptr %base, i64 {start}",
             f"%to{i} = getelementptr i8, ptr %near{size}, i64 {start}",
             f"{value} = load volatile {kept}, ptr %from{i}, align {size}",
         ]
         if size < _NARROWEST:
-            lines.append(f"%wide{i} = zext {kept} {value} to {t}")
+            own.append(f"%wide{i} = zext {kept} {value} to {t}")
             value = f"%wide{i}"
-        lines += [
+        own += [
             f"%close{i} = call {t} @{_COMPRESS}.{suffix}"
             f"({t} {value}, {t} zeroinitializer, {flags} %chosen)",
             f"%first{i} = shufflevector {t} %close{i}, {t} poison, {zeros}",
@@ -362,12 +435,13 @@ def _move_together(name: str, places: list[Place], gang: Gang) -> str:
         ]
         value = f"%all{i}"
         if size < _NARROWEST:
-            lines.append(f"%narrow{i} = trunc {t} {value} to {kept}")
+            own.append(f"%narrow{i} = trunc {t} {value} to {kept}")
             value = f"%narrow{i}"
         store = f"llvm.masked.store.v{width}{_WORDS[size]}.p0"
-        lines.append(
-            f"call void @{store}({kept} {value}, ptr %to{i}, i32 {size}, {flags} %written)"
-        )
+        own.append(f"call void @{store}({kept} {value}, ptr %to{i}, i32 {size}, {flags} %written)")
+        return own
+
+    lines += _through(_stretches(places), move)
     return f"""
 define internal void {name}(ptr %scratch, ptr %pack, i64 %vector, i64 %seat, i32 %which, \
 i32 %come) noinline #0 {{

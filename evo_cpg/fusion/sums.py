@@ -17,7 +17,7 @@ with vectors of any width.
 
 import collections
 
-from evo_cpg.fusion.graph import Graph, Node
+from evo_cpg.fusion.graph import Graph, Node, loops_around
 
 _SUMS = {"add", "sub"}
 
@@ -58,8 +58,14 @@ def chain_sums(graph: Graph, wanted: list[Node], reorder: bool = True) -> None:
 
 def behind(node: Node) -> tuple[Node, ...]:
     """All that must be known before a node is."""
+    if node.op == "inside":
+        return node.operands
     if node.op == "opaque":
         return () if node.detail is None else (node.detail,)
+    if node.op == "totals":
+        return (node.detail.memory, *node.detail.added)
+    if node.op == "accumulate":
+        return (*node.operands, *loops_around(node))
     if node.op != "loop":
         return node.operands
     loop = node.detail

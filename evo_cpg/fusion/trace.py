@@ -19,6 +19,7 @@ from evo_cpg.fusion.loops import LOOPS
 from evo_cpg.fusion.moves import MOVES, SCATTER_ADD, add_to_sums
 from evo_cpg.fusion.primitives import Program, fused_p, linear_map_p, trace_of
 from evo_cpg.fusion.sums import chain_sums
+from evo_cpg.fusion.symmetric_solve import eliminate, eliminate_p, elimination_of
 from evo_cpg.fusion.unsupported import Unsupported
 
 # Programs within the program, by primitive, and the parameter that holds them.
@@ -50,6 +51,7 @@ LIBRARY = {
 }  # fmt: skip
 
 _LINEAR_SOLVE = "custom_linear_solve"
+_OWN = {linear_map_p.name, eliminate_p.name, _LINEAR_SOLVE}
 
 Rule = Callable[[Graph, list[np.ndarray], dict], list[np.ndarray]]
 
@@ -125,7 +127,7 @@ def constants(graph: Graph, values: np.ndarray) -> np.ndarray:
 
 def is_supported(name: str) -> bool:
     """Whether there is a rule for a primitive, whatever it is applied to."""
-    known = (_CALLS, _SCALAR, LOOPS, _RULES, FLOAT32, LIBRARY, {linear_map_p.name, _LINEAR_SOLVE})
+    known = (_CALLS, _SCALAR, LOOPS, _RULES, FLOAT32, LIBRARY, _OWN)
     return internals.is_random(name) or any(name in names for names in known)
 
 
@@ -168,6 +170,12 @@ def _equation(graph: Graph, equation, operands: list[np.ndarray]) -> list[np.nda
         return [_map(functools.partial(graph.apply, name), *operands)]
     if name in LOOPS:
         return LOOPS[name](graph, operands, params, trace_closed)
+    if equation.primitive is eliminate_p:
+        answers = eliminate(graph, operands)
+        if answers is not None:
+            return [answers]
+        inner = elimination_of([atom.aval for atom in equation.invars])
+        return trace_closed(graph, inner, operands)
     if name == _LINEAR_SOLVE:
         return _solve_linear(graph, operands, params)
     if name in _RULES:

@@ -16,7 +16,7 @@ Jacobian J of the points, whose velocities are ``v = v_0 + h J y``, laws lineari
 
     (M + h J^T K J) y = M y_free + J^T (F + K (v_k - v_0)),
 
-solved by elimination from the tips to the root (`evo_cpg.spatial.ldl`).
+solved by elimination from the tips to the root (`evo_cpg.fusion.symmetric_solve`).
 """
 
 from typing import NamedTuple
@@ -25,6 +25,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from evo_cpg.fusion.symmetric_solve import solve_symmetric
 from evo_cpg.physics.contact import (
     ContactLinearization,
     bounded,
@@ -49,7 +50,6 @@ from evo_cpg.physics.many_pairs import ManyPairForces
 from evo_cpg.physics.pair_contacts import PairForces
 from evo_cpg.physics.spatial_algebra import Wrench
 from evo_cpg.physics.world import World
-from evo_cpg.spatial.ldl import solve_symmetric
 from evo_cpg.spatial.linear import dot, expand_dims_like, matvec
 from evo_cpg.spatial.numerics import Number, xp
 

@@ -7,7 +7,6 @@ in fused code they, and all that is computed from them, cost nothing.
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -51,15 +50,3 @@ def solve_factorized(factors: Factors, b: Float[Array, "v *n"]) -> Float[Array, 
     for k, row in enumerate(factors.rows):
         x.append(halfway[k] - (row * jnp.stack(x)).sum(0) if x else halfway[k])
     return jnp.stack(x)
-
-
-def solve_symmetric(H: Float[Array, "v v *n"], b: Float[Array, "v *n"]) -> Float[Array, "v *n"]:
-    """``H^-1 b``, whose derivative is the answer to further such equations."""
-
-    def product(x: Array) -> Array:
-        return (H * x[None]).sum(1)
-
-    def answer(_: object, b: Array) -> Array:
-        return solve_factorized(factorize(H), b)
-
-    return jax.lax.custom_linear_solve(product, b, answer, symmetric=True)
