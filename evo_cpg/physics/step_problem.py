@@ -21,11 +21,14 @@ solved by elimination from the tips to the root (`evo_cpg.fusion.symmetric_solve
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from evo_cpg.creature.tree import Tree
 from evo_cpg.fusion.symmetric_solve import solve_symmetric
+from evo_cpg.physics.articulated import solve
 from evo_cpg.physics.contact import (
     ContactLinearization,
     bounded,
@@ -50,7 +53,7 @@ from evo_cpg.physics.many_pairs import ManyPairForces
 from evo_cpg.physics.pair_contacts import PairForces
 from evo_cpg.physics.spatial_algebra import Wrench
 from evo_cpg.physics.world import World
-from evo_cpg.spatial.linear import dot, expand_dims_like, matvec
+from evo_cpg.spatial.linear import dot, expand_dims_like, matvec, where_each
 from evo_cpg.spatial.numerics import Number, xp
 
 # Where there is neither weight nor load nor torque, this share of the other forces (drag, springs,
@@ -62,6 +65,11 @@ _OTHERWISE = 1e-3
 
 # Turn of a joint in a step (rad) beyond which the mass matrix at its start says little of its end.
 _WHIRL = 0.3
+
+# Joint axes in a row beyond which equations are solved body by body. Measured in float32 on a chain
+# of boxes on the ground: with 10 joints a step misses the laws by less than 1e-3, with 20 by 1e-3
+# at times, with 40 by a fifth.
+_LONGEST_ELIMINATED = 16
 
 # Force (N) or torque (N m) that counts as none.
 _NONE = 1e-12
@@ -166,7 +174,24 @@ class StepProblem(NamedTuple):
         return Linearization(torque, slope, linear, pushes)
 
     def motion(self, linear: Linearization) -> Float[Array, "v *n"]:
-        """The accelerations under linearized laws."""
+        """The accelerations under linearized laws.
+
+        Elimination in generalized coordinates loses digits with the fourth power of the number of
+        joints in a row: of 40 on the ground float32 has none left. Long animals are solved body by
+        body, and by elimination only where pairs push, which join branches of the tree.
+        """
+        if not _is_long(self.world.tree):
+            return self._by_elimination(linear)
+        free = self._body_by_body(linear)
+        if linear.pairs is None:
+            return free
+        pushed = linear.pairs.load > 0
+        joined = jax.lax.cond(
+            jnp.any(pushed), lambda: self._by_elimination(linear), lambda: jnp.zeros_like(free)
+        )
+        return where_each(pushed, joined, free)
+
+    def _by_elimination(self, linear: Linearization) -> Float[Array, "v *n"]:
         tree, equations, h = self.world.tree, self.equations, self.h
         footing, contacts = self.world.footing, equations.contacts
         matrix, force, torque = self.mass, self.force, linear.torque
@@ -179,6 +204,21 @@ class StepProblem(NamedTuple):
             pushes, stiffening = linear.pairs.newton()
             torque, matrix = torque + pushes, _plus_joints(matrix, stiffening)
         return solve_symmetric(matrix, _plus_torque(force, torque))
+
+    def _body_by_body(self, linear: Linearization) -> Float[Array, "v *n"]:
+        """The accelerations without pairs, by the articulated-body algorithm."""
+        equations, h = self.equations, self.h
+        footing, contacts = self.world.footing, equations.contacts
+        inertia, bias = equations.inertia, equations.bias
+        if footing is not None and contacts is not None and linear.contact is not None:
+            blocks = contact_inertia(footing, contacts, linear.contact, inertia, h)
+            inertia = jax.tree.map(jnp.add, inertia, blocks)
+            force = linearized_force(linear.contact, contacts.coasting)
+            wrench = contact_wrench(footing, contacts, force, bias)
+            bias = jax.tree.map(jnp.subtract, bias, wrench)
+        torque, slope = equations.passive + linear.torque, equations.derivative + h * linear.slope
+        found = solve(self.world.tree, equations.kin, inertia, bias, torque, slope)
+        return jnp.concatenate([found.root, found.qdd])
 
     def residual(self, y: Float[Array, "v *n"], linear: Linearization) -> Float[Array, "*n"]:
         """What the forces at a motion miss the laws by, as a share of the forces that there are.
@@ -330,6 +370,16 @@ class StepProblem(NamedTuple):
         assert footing is not None and equations.contacts is not None
         wrench = contact_wrench(footing, equations.contacts, force, equations.bias)
         return generalized_force(self.world.tree, equations.kin, wrench)
+
+
+def _is_long(tree: Tree) -> bool:
+    """Whether so many joints are in a row that elimination loses too many digits."""
+    depth = np.zeros(tree.body_count, int)
+    axes = np.bincount(np.array(tree.dof_bodies, int), minlength=tree.body_count)
+    for body, parent in enumerate(tree.parents):
+        if parent >= 0:
+            depth[body] = depth[parent] + axes[body]
+    return bool(depth.max() > _LONGEST_ELIMINATED)
 
 
 def _plus_torque(force: Float[Array, "v *n"], torque: Float[Array, "d *n"]) -> Array:
