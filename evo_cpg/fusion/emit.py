@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from evo_cpg.fusion import machine_constants
-from evo_cpg.fusion.graph import Block, Loop, Node
+from evo_cpg.fusion.graph import Block, Loop, Node, row_count
 from evo_cpg.fusion.ir import TYPES, Writer, number
 from evo_cpg.fusion.liveness import Plan, home
 from evo_cpg.fusion.memory import FRAME, FRAME_ORIGIN, Memory
@@ -604,13 +604,7 @@ class _Emitter:
         """The places of a table in scratch memory."""
         start, size = self.tables[table], self._row_bytes(table)
         assert isinstance(start, int)
-        rows = len(table.operands)
-        if table.op == "list":
-            rows = table.operands[0].detail.count or 1
-        if table.op == "totals":
-            rows = table.detail.size
-        if table.op == "solve":
-            rows = table.detail
+        rows = row_count(table)
         return [Place(start + i * size, table.dtype.itemsize, table.uniform) for i in range(rows)]
 
     def _buffers(self) -> str:

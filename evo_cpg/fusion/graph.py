@@ -170,6 +170,15 @@ def loops_around(node: Node) -> list[Node]:
     return found
 
 
+def row_count(table: Node) -> int:
+    """How many numbers a table in memory has."""
+    if table.op == "list":
+        return table.operands[0].detail.count or 1
+    if table.op == "totals":
+        return table.detail.size
+    return table.detail if table.op == "solve" else len(table.operands)
+
+
 class _Bytes:
     """Values of a table, equal where they are the same to the last bit."""
 
@@ -266,12 +275,12 @@ class Graph:
     def table(self, column: Sequence[Node]) -> Node:
         """Numbers in a row, from which one can be taken at a computed place."""
         dtype, first = column[0].dtype, column[0]
-        if first.op == "lookup" and first.operands[0].op == "list":
-            # A whole list, read one by one, is that list.
+        if first.op == "lookup" and first.operands[0].op in ("list", "totals"):
+            # All of a list, read one by one, are that list.
             whole = first.operands[0]
-            places = [node.operands[1].value for node in column if node.op == "lookup"]
             of_it = all(node.op == "lookup" and node.operands[0] is whole for node in column)
-            if of_it and places == list(range(whole.operands[0].detail.count)):
+            places = [node.operands[1].value for node in column] if of_it else []
+            if places == list(range(row_count(whole))):
                 return whole
         if all([node.value is not None for node in column]):
             values = np.array([node.value for node in column], dtype)

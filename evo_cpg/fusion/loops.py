@@ -206,8 +206,12 @@ def _branch(
     carried = [_placeholders(graph, x, body) for x in start]
 
     def hide(node: Node) -> Node:
-        """Return a node as the branch sees it, so that what it alone needs is computed in it."""
-        return graph.inside(node, body) if node.block is graph.block else node
+        """Return a node as the branch sees it, so that what it alone needs is computed in it.
+
+        A number of a list stays one, so that the list is not copied.
+        """
+        listed = node.op == "lookup" and node.operands[0].op in ("list", "totals")
+        return graph.inside(node, body) if node.block is graph.block and not listed else node
 
     inside = [
         x if isinstance(x, Sums) else np.asarray(np.frompyfunc(hide, 1, 1)(x), object)
