@@ -1,9 +1,11 @@
 """What every section is made of: its base class and the kinds of numbers."""
 
+import re
 from collections.abc import Callable
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, model_serializer
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_serializer
+from pydantic_core import PydanticCustomError
 
 # Of no quantity in SI units that animals have to do with; powers of it are still numbers.
 LARGEST = 1e12
@@ -15,6 +17,17 @@ Finite = Annotated[float, Field(ge=-LARGEST, le=LARGEST, allow_inf_nan=False)]
 Vector = tuple[Finite, Finite, Finite]
 # Far beyond what anybody waits for, and within 32 bits.
 Count = Annotated[int, Field(ge=1, le=1_000_000)]
+
+
+def pattern(expression: str, words: str) -> tuple[AfterValidator, Any]:
+    """Return what restricts a text to a regular expression, and says in words what is allowed."""
+
+    def check(text: str) -> str:
+        if not re.fullmatch(expression, text):
+            raise PydanticCustomError("pattern", words)  # pyright: ignore[reportArgumentType]
+        return text
+
+    return AfterValidator(check), Field(json_schema_extra={"pattern": expression})
 
 
 class Section(BaseModel):
