@@ -50,6 +50,12 @@ class EnvironmentState(eqx.Module):
     metrics: dict[str, Float[Array, ""]]
     inner: "_Inner"
 
+    def __repr__(self) -> str:
+        return (
+            f"EnvironmentState(obs of shape {self.obs.shape}, reward={_number(self.reward)}, "
+            f"done={_number(self.done)}, metrics: {', '.join(self.metrics)})"
+        )
+
 
 class _Inner(eqx.Module):
     animal: Animal
@@ -95,6 +101,14 @@ class Environment:
             name: x.shape[0] for name, x in seen._asdict().items() if x is not None
         }
         self.observation_size = sum(self.observation_sizes.values())
+
+    def __repr__(self) -> str:
+        senses = ", ".join(f"{name} {size}" for name, size in self.observation_sizes.items())
+        return (
+            f"Environment({self.action_size} actions ({self._actions}), {self.observation_size} "
+            f"observations ({senses}), {self.episode_length} steps of "
+            f"{1 / self._simulation.control_rate:.4g} s)"
+        )
 
     def reset(self, key: Array) -> EnvironmentState:
         """The animal at its start.
@@ -178,6 +192,13 @@ class Environment:
         terms = finish_tally(self._simulation, tally)
         value = self._simulation.task.fitness(terms, self._scales)
         return terms, jnp.where(jnp.isfinite(value), value, 0.0)
+
+
+def _number(value: Array) -> str:
+    """A number as it prints, or the shape of what is traced or stacked."""
+    if isinstance(value, jax.core.Tracer) or jnp.ndim(value):
+        return f"{value.dtype}{list(jnp.shape(value))}"
+    return f"{np.asarray(value).item():.4g}"
 
 
 def _vector(observation: Observation) -> Float[Array, " o"]:

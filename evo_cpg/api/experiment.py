@@ -51,6 +51,13 @@ class Trials:
     terms: dict[str, np.ndarray]
     alive: np.ndarray
 
+    def __repr__(self) -> str:
+        names, (count, trials) = ", ".join(self.terms), self.alive.shape
+        return (
+            f"Trials({count} individuals in {trials} trials each, {int((~self.alive).sum())} "
+            f"diverged; terms: {names})"
+        )
+
 
 class Experiment:
     """A creature in a world with a nervous system and a task; made by `evo_cpg.load`.
@@ -72,6 +79,20 @@ class Experiment:
         replaced: tuple[str, ...] = (),
     ):
         self.parts, self.config, self.source, self.replaced = parts, config, source, replaced
+
+    def __repr__(self) -> str:
+        simulation, strategy = self.parts.simulation, self.parts.strategy
+        search = f"{type(strategy).__name__} of {self.population} for {self.parts.generations}"
+        told = {
+            "creature": self.creature,
+            "world": self.world,
+            "genes": self.gene_count,
+            "task": type(self.task).__name__,
+            "trials": f"{self.trials} of {simulation.duration:.4g} s",
+            "search": f"{search} generations",
+        }
+        parts = [repr(self.name), *(f"{name}={value}" for name, value in told.items())]
+        return f"Experiment({', '.join(parts)})"
 
     @property
     def name(self) -> str:

@@ -51,6 +51,14 @@ class Trained:
     history: Rows
     expected: float | None = None
 
+    def __repr__(self) -> str:
+        terms = ", ".join(f"{name} {value:.4g}" for name, value in self.terms.items())
+        expected = "" if self.expected is None else f", expected {self.expected:.4g}"
+        return (
+            f"Trained({str(self.folder)!r}: fitness {self.fitness:.4g}{expected} ({terms}), "
+            f"{self.genome.size} genes, {len(self.history)} rows of history)"
+        )
+
 
 def train(
     experiment: Experiment,

@@ -20,6 +20,7 @@ from evo_cpg.cli.exit_codes import ExitCode
 from evo_cpg.cli.progress import working
 from evo_cpg.config.load import load_config
 from evo_cpg.training.checkpoint import Champion
+from evo_cpg.training.probe import UNSEEING
 from evo_cpg.training.run_folder import RunFolder
 
 if TYPE_CHECKING:
@@ -132,6 +133,13 @@ def _say(run: Path, champions: Sequence[Champion], made: Sequence["Audit"], who:
             )
         for reason in done.verdict.reasons:
             print(f"{run}: {_of(each, made)}{reason}", file=sys.stderr)
+        blind = _measured(done, "blind")
+        if blind is not None and blind >= UNSEEING:
+            print(
+                f"{run}: {_of(each, made)}note: the champion does not use its eyes: blind it keeps "
+                f"{blind:.0%} of its displacement",
+                file=sys.stderr,
+            )
     passed = sum(done.verdict.passed for done in made)
     if len(made) > 1:
         print(f"{run}: {passed} of {len(made)} champions pass their audit")

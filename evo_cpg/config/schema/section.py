@@ -1,7 +1,7 @@
 """What every section is made of: its base class and the kinds of numbers."""
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Annotated, Any
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_serializer
@@ -19,6 +19,10 @@ Vector = tuple[Finite, Finite, Finite]
 Count = Annotated[int, Field(ge=1, le=1_000_000)]
 
 
+# Entries of a list that are shown where a section is printed.
+_SHOWN = 3
+
+
 def pattern(expression: str, words: str) -> tuple[AfterValidator, Any]:
     """Return what restricts a text to a regular expression, and says in words what is allowed."""
 
@@ -34,6 +38,21 @@ class Section(BaseModel):
     """A part of a configuration file; unknown keys are refused."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+    def __repr_args__(self) -> Iterator[tuple[str | None, Any]]:
+        """Give what differs from its default, and of long lists how long they are."""
+        for name, value in self:
+            default = type(self).model_fields[name].get_default(call_default_factory=True)
+            if value != default:
+                long = isinstance(value, (list, tuple)) and len(value) > _SHOWN
+                yield name, _Count(len(value)) if long else value
+
+
+class _Count(int):
+    """The length of a list, in the place of the list."""
+
+    def __repr__(self) -> str:
+        return f"[{int(self)} entries]"
 
 
 class OpenSection(Section):
