@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from evo_cpg.api.progress import working
 from evo_cpg.control.controller import Command, Observation
 from evo_cpg.fusion.engine import using
 from evo_cpg.fusion.fuse import fuse
@@ -120,7 +121,7 @@ class Environment:
             key if jnp.issubdtype(key.dtype, jax.dtypes.prng_key) else jax.random.wrap_key_data(key)
         )
         keys = None if self._simulation.noise.silent else jax.random.key_data(key)
-        with using(self._simulation.engine):
+        with using(self._simulation.engine), working("compiling the start of the environment"):
             animal, observation = self._sense(self._start(keys), keys)
             tally = begin_tally(self._simulation, (), jnp.dtype("float32"))
             terms, value = self._judge(tally)
@@ -160,7 +161,7 @@ class Environment:
             animal, observation = self._sense(animal, keys, number + 1)
             return animal, tally, sane, observation, self._judge(tally)
 
-        with using(self._simulation.engine):
+        with using(self._simulation.engine), working("compiling a step of the environment"):
             given = inner.animal, inner.tally, inner.number, inner.keys, action
             animal, tally, sane, observation, (terms, value) = fuse(
                 whole, *given, batch_ndim=0, name="a step of the environment"
@@ -198,7 +199,8 @@ def _number(value: Array) -> str:
     """A number as it prints, or the shape of what is traced or stacked."""
     if isinstance(value, jax.core.Tracer) or jnp.ndim(value):
         return f"{value.dtype}{list(jnp.shape(value))}"
-    return f"{np.asarray(value).item():.4g}"
+    item = np.asarray(value).item()
+    return str(item) if isinstance(item, bool) else f"{item:.4g}"
 
 
 def _vector(observation: Observation) -> Float[Array, " o"]:

@@ -202,6 +202,8 @@ def _readings(given: Any) -> list[Any]:
     """Return what else a value may have been meant as."""
     found: list[Any] = [[given]]
     if isinstance(given, str):
+        if given.lower() in ("none", "nil"):
+            found.append(None)
         if "," in given:
             found.append([_number_or_text(part.strip()) for part in given.split(",")])
         found += [number for number in [_number_or_text(given)] if not isinstance(number, str)]

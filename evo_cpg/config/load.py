@@ -235,15 +235,22 @@ def _apply(data: dict[str, Any], override: str) -> None:
         elif isinstance(place, list) and is_index(part, place):
             place = place[int(part)]
         else:
-            raise ConfigError(
-                "command line", key.split("."), f"{'.'.join(parents[:i])} has no {part}"
-            )
+            problem = _lacks(".".join(parents[:i]), part, place)
+            raise ConfigError("command line", key.split("."), problem)
     if isinstance(place, list) and is_index(last, place):
         place[int(last)] = value
     elif isinstance(place, dict):
         place[last] = value
     else:
-        raise ConfigError("command line", key.split("."), f"{'.'.join(parents)} has no {last}")
+        problem = _lacks(".".join(parents), last, place)
+        raise ConfigError("command line", key.split("."), problem)
+
+
+def _lacks(key: str, part: str, place: Any) -> str:
+    """Return what is wrong with a part of a key, and what a list has instead."""
+    if isinstance(place, list) and place:
+        return f"{key} has no {part}; its entries are numbered from 0 to {len(place) - 1}"
+    return f"{key} has no {part}"
 
 
 def is_index(part: str, place: list[Any]) -> bool:

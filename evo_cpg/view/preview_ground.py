@@ -26,8 +26,9 @@ _WATER, _SHEET, _TINT = "#2f9fc4", 0.42, 0.4
 # Brightness of level ground that is lit from above, and how much slopes change it.
 _AMBIENT, _DIFFUSE = 0.55, 0.45
 # Obstacles that are nearer than this many lengths of the creature are in the picture, and ground
-# with relief reaches so many radii of the picture beyond them.
-_NEAR, _BEYOND = 5.0, 0.35
+# with relief reaches so many radii of the picture beyond them, finely and then coarsely, so that
+# its edge is in no picture.
+_NEAR, _BEYOND, _FAR = 5.0, 0.35, 4.0
 # What hides the buried parts of obstacles lies so deep under the floor and is so wide, in radii.
 _LIFT, _WIDE = 0.002, 20.0
 
@@ -143,7 +144,7 @@ def _add_relief(
     plotter: pv.Plotter, look: Look, ground: Ground, place: np.ndarray, radius: float
 ) -> None:
     """Ground that is not level."""
-    terrain = make_terrain(ground.floor, place, _BEYOND * radius, 0.0)
+    terrain = make_terrain(ground.floor, place, _BEYOND * radius, _FAR * radius)
     mesh = pv.PolyData.from_regular_faces(terrain.points(), terrain.triangles())
     mesh.point_data.active_normals = terrain.normals()
     plotter.add_mesh(

@@ -80,6 +80,7 @@ def problem(data: dict) -> str:
         ("world.ground", True, "must be null or a section with the keys restitution, "),
         ("world.ground", True, "write {}"),
         ("world.water", False, "write null"),
+        ("world.water", "None", "write null"),
         ("controller.cpg", None, "null: must be a section with the keys constants, "),
         ("controller.cpg", None, "the key has no value: leave it out, or give it one"),
         # Text, numbers and truth values.
