@@ -235,9 +235,7 @@ def _if_anywhere(speed: float, time: float, length: float) -> float:
     return speed if speed * time >= _NOWHERE * length else math.nan
 
 
-def _of_the_ground(
-    simulation: Simulation, numbers: GaitNumbers, moving: float
-) -> list[Quantity]:
+def _of_the_ground(simulation: Simulation, numbers: GaitNumbers, moving: float) -> list[Quantity]:
     feet, water = numbers.feet, simulation.world.water
     if feet is None:
         return []

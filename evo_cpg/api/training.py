@@ -98,7 +98,9 @@ def train(
         on_generation(rows)
 
     with Recorder(experiment.parts, folder, least) as recorder, begun:
-        begun.enter_context(working(f"compiling the search of {experiment.name!r} (first call only)"))
+        begun.enter_context(
+            working(f"compiling the search of {experiment.name!r} (first call only)")
+        )
         champion = evolve(experiment.parts, folder, on_rows, recorder)
         with working(f"recording the champion of {experiment.name!r}"):
             recorder.keep(champion)

@@ -168,7 +168,9 @@ class Allowed:
                 kind == "array"
                 and least <= len(value) <= most
                 and all(
-                    self._fits(each, [o for s in _entries(schema, i) for o in self._options(s, each)])
+                    self._fits(
+                        each, [o for s in _entries(schema, i) for o in self._options(s, each)]
+                    )
                     for i, each in enumerate(value)
                 )
             )

@@ -22,6 +22,7 @@ from evo_cpg.config.wording import short, worded
 from evo_cpg.config.yaml_problem import lost_colour, syntax_problem
 from evo_cpg.config.yaml_text import parse_yaml, to_yaml
 
+
 def load_config(path: Path | str, overrides: Sequence[str] = ()) -> ExperimentConfig:
     """Read and check a configuration file.
 
@@ -120,7 +121,9 @@ def read_yaml(path: Path) -> dict[str, Any]:
         raise ConfigError(path, (), f"cannot be read ({error.strerror})") from None
     except UnicodeDecodeError as error:
         row = error.object[: error.start].count(b"\n") + 1
-        problem = f"is not UTF-8 text (byte {error.start} is wrong, in line {row}); save it as UTF-8"
+        problem = (
+            f"is not UTF-8 text (byte {error.start} is wrong, in line {row}); save it as UTF-8"
+        )
         raise ConfigError(path, (), problem) from None
     except ValueError:
         raise ConfigError(path, (), "is no name of a file") from None

@@ -91,7 +91,11 @@ def _hint(lines: list[str], row: int, column: int, error: Any, problem: str) -> 
         return f"the {bracket} in line {opened.line + 1} is not closed, or a comma is missing{lost}"
     for number, line in ((above, _line(lines, above)), (row, here)):
         words = line.strip()
-        if number is not None and re.match(r"-[\w'\"{\[]", words) and not re.match(r"-\.?\d", words):
+        if (
+            number is not None
+            and re.match(r"-[\w'\"{\[]", words)
+            and not re.match(r"-\.?\d", words)
+        ):
             return f"a space is missing after the - in line {number + 1}"
         glued = re.match(r"(?:- +)?[A-Za-z_]\w*:(?![\s/]|$)", words)
         if number is not None and glued:

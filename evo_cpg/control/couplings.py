@@ -128,9 +128,7 @@ def axis_names(tree: Tree) -> tuple[str, ...]:
     )
 
 
-def matching_bodies(
-    tree: Tree, patterns: tuple[str, ...], where: Sequence[str | int]
-) -> set[int]:
+def matching_bodies(tree: Tree, patterns: tuple[str, ...], where: Sequence[str | int]) -> set[int]:
     """Indices of the bodies that are named by patterns such as ``*_arm``.
 
     Args:

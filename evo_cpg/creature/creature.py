@@ -173,8 +173,8 @@ class Creature:
         joints = [body.joint for body in self.bodies if body.joint is not None]
         axes = sum(len(joint.axes) for joint in joints)
         return (
-            f"Creature({self.name!r}, bodies={len(self.bodies)}, joints={len(joints)}, axes={axes}, "
-            f"eyes={len(self.light_sensors)})"
+            f"Creature({self.name!r}, bodies={len(self.bodies)}, joints={len(joints)}, "
+            f"axes={axes}, eyes={len(self.light_sensors)})"
         )
 
     def body_index(self, name: str) -> int:

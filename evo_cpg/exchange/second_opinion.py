@@ -56,8 +56,8 @@ class Opinion(NamedTuple):
         program: its name.
         path: of the root, m, the start first.
         upright: share of the time in which the root's up axis points up.
-        airborne: share of the time in which nothing touches the ground and no body's centre is under
-            water; None without ground or with water everywhere, where it means nothing.
+        airborne: share of the time in which nothing touches the ground and no body's centre is
+            under water; None without ground or with water everywhere, where it means nothing.
         joint_angle: rad, in our order of degrees of freedom.
     """
 
@@ -341,7 +341,7 @@ def _jumps(steps: PhysicsSteps) -> Float[np.ndarray, "3 t"]:
 
 
 def _airborne(world: World, held: Bool[np.ndarray, " t"]) -> float | None:
-    """Return the share of the time in which nothing holds the animal; None if that means nothing."""
+    """Return the share of the time in which nothing holds the animal; None without meaning."""
     everywhere = world.water is not None and world.water.surface is None
     return None if world.footing is None or everywhere else float(1.0 - held.mean())
 

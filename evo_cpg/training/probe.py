@@ -14,7 +14,6 @@ from evo_cpg.simulation.situation import Situation
 from evo_cpg.training.devices import layout, population_mesh, run_in_blocks, sharded
 from evo_cpg.training.experiment import compile_trials
 
-
 # An animal that keeps this share of its displacement without eyes does not steer by them: one that
 # swims straight ahead, wherever the light is, keeps 87 % towards a light 30 degrees aside, where it
 # is by default, and loses more only where it has to turn farther.

@@ -122,15 +122,16 @@ def preview(
             # The joints lie inside: let them show.
             actors[0].prop.SetOpacity(_OPACITY)
             actors[0].prop.SetBackfaceCulling(True)
-        surfacing = surface is not None and not sunk and (world is None or _above(surface, world))
-        if surfacing:
-            add_preview_water(plotter, surface, shown)
+        hidden = sunk or (surface is not None and world is not None and _below(surface, world))
+        sheet = None if hidden else surface
+        if sheet is not None:
+            add_preview_water(plotter, sheet, shown)
         # What is translucent is drawn in the order of adding: the farthest first.
         for i in np.argsort(-centres @ _VIEW):
             plotter.renderer.RemoveViewProp(bodies[i][0])
             plotter.renderer.AddViewProp(bodies[i][0])
-        if surfacing:
-            tint_under_water(plotter, surface, meshes)
+        if sheet is not None:
+            tint_under_water(plotter, sheet, meshes)
         legend = _add_joints(plotter, creature, centres, rotations, scale)
         legend |= _add_sensors(plotter, creature, centres, rotations, scale, bool(ground))
         view = _frame(plotter, shown, size)
@@ -152,10 +153,10 @@ def _placed(mesh: pv.PolyData, centre: np.ndarray, turn: np.ndarray) -> pv.PolyD
     return mesh
 
 
-def _above(surface: float, ground: Ground) -> bool:
-    """Return whether water may lie above the ground."""
+def _below(surface: float, ground: Ground) -> bool:
+    """Return whether water lies under the ground everywhere, as far as that is known."""
     level = dataclasses.replace(ground, obstacles=()).level
-    return level is None or surface > level
+    return level is not None and surface <= level
 
 
 class _View(NamedTuple):

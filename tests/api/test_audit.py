@@ -469,7 +469,13 @@ def test_what_means_nothing_is_not_checked(honest, swimming):
     def keys(found, trials):
         return {check.key for check in books(found, champion(), trials, Limits())}
 
-    of_ground = {"penetration", "push_out_energy", "airborne_way", "slipping", "seen_through_ground"}
+    of_ground = {
+        "penetration",
+        "push_out_energy",
+        "airborne_way",
+        "slipping",
+        "seen_through_ground",
+    }
     made, trials = swimming
     assert not of_ground & keys(made, trials)
     # Of two bodies on a hinge none can meet, and its motors have no limit.

@@ -63,7 +63,9 @@ def test_a_row_is_that_of_a_probe_of_its_light_alone(finished_run, cli, probed, 
 def test_its_own_trials_come_out_as_in_training(finished_run, cli, tmp_path):
     code, _, err = cli("probe", finished_run, "--trials", "--out", tmp_path)
     assert code == 0, err
-    missed = f"evo-cpg: warning: {finished_run}: the champion: it misses most lights: it reaches 0 of 1"
+    missed = (
+        f"evo-cpg: warning: {finished_run}: the champion: it misses most lights: it reaches 0 of 1"
+    )
     assert missed in err
     (row,) = rows(tmp_path / "probe.csv")
     champion, _, _ = RunFolder(finished_run).load_champion()
@@ -101,7 +103,10 @@ def made_of(bearings: list[float], left: list[float]) -> Probe:
         ([0.1, 0.1, 0.1, 0.1], ""),
         ([0.9, 0.9, 0.1, 0.1], ""),
         ([0.9, 0.9, 0.9, 0.1], "it misses most lights: it reaches 1 of 4, all of them on the left"),
-        ([0.1, 0.9, 0.9, 0.9], "it misses most lights: it reaches 1 of 4, all of them on the right"),
+        (
+            [0.1, 0.9, 0.9, 0.9],
+            "it misses most lights: it reaches 1 of 4, all of them on the right",
+        ),
         ([0.9, 0.9, 0.9, np.nan], "it misses most lights: it reaches 0 of 4"),
     ],
 )

@@ -57,7 +57,11 @@ def problem(data: dict) -> str:
         ),
         ("creature.bodies.1.joint.axes", "x, y", "write [x, y]"),
         ("creature.bodies.1.joint.axes", [0, 0, 1], "write [[0, 0, 1]]"),
-        ("creature.bodies.1.joint.limits_deg", 60, "must be a list of 2 numbers or a list of lists"),
+        (
+            "creature.bodies.1.joint.limits_deg",
+            60,
+            "must be a list of 2 numbers or a list of lists",
+        ),
         ("creature.bodies.1.joint.limits_deg", [[-60, "a"]], "must be a number"),
         ("creature.bodies.1.joint.at", 3, "3: must be a list of 3 numbers"),
         ("creature.pressure_sensors", "tail", "must be 'all' or a list of texts; write [tail]"),
@@ -90,11 +94,19 @@ def problem(data: dict) -> str:
         ("creature.bodies.1.joint.damping", "1.5 N m s", "must be a number; write 1.5"),
         ("creature.bodies.1.joint.damping", "0,5", "must be a number; write 0.5"),
         ("creature.bodies.1.joint.at.0", "\N{MINUS SIGN}0.11", "must be a number; write -0.11"),
-        ("world.water.law", "isotropc", "must be 'normal' or 'isotropic'; did you mean 'isotropic'?"),
+        (
+            "world.water.law",
+            "isotropc",
+            "must be 'normal' or 'isotropic'; did you mean 'isotropic'?",
+        ),
         # Keys.
         ("world.ground", {True: 1}, f"the key True must be text; {TRUTHS}"),
         ("creature.materials", {False: {"density": 1}}, f"the key False must be text; {TRUTHS}"),
-        ("creature.materials", {1: {"density": 1}}, "the key 1 must be text; write it in quotes: '1'"),
+        (
+            "creature.materials",
+            {1: {"density": 1}},
+            "the key 1 must be text; write it in quotes: '1'",
+        ),
         ("world.water", {"density": 1, 5: None}, "if it follows a decimal comma, write a point"),
     ],
 )
@@ -206,6 +218,8 @@ def test_what_is_set_on_the_command_line_has_no_line():
 def test_a_controller_that_names_parts_of_another_creature_is_answered_with_both(tmp_path):
     starfish = REPOSITORY / "configs" / "starfish.yaml"
     config = load_config(starfish, [f"creature={REPOSITORY}/configs/creatures/hexapod.yaml"])
-    with pytest.raises(ConfigError, match=r"controller\.groups\.arm1\.0: 'arm1_\*' matches no") as e:
+    with pytest.raises(
+        ConfigError, match=r"controller\.groups\.arm1\.0: 'arm1_\*' matches no"
+    ) as e:
         build_experiment(config, starfish)
     assert str(e.value).endswith("the controller must name parts of creature 'hexapod'")

@@ -34,7 +34,12 @@ def said(tmp_path, text: str | bytes, *overrides: str) -> str:
     ("old", "new", "place", "hint"),
     [
         ("  name: tiny", "\tname: tiny", "line 3, column 1", "a tab stands at the beginning"),
-        ("      material: flesh\n      c", "\tmaterial: flesh\n      c", "line 8, column 1", "a tab"),
+        (
+            "      material: flesh\n      c",
+            "\tmaterial: flesh\n      c",
+            "line 8, column 1",
+            "a tab",
+        ),
         ("      color", "    \t color", "line 9, column 5", "a tab stands at the beginning"),
         ("name: tail", "name: {side}_fin", "line 10", "with braces in quotes: '{side}_fin'"),
         ("name: tail", "name: {i}{j}", "line 10", "with braces in quotes: '{i}{j}'"),
@@ -53,7 +58,12 @@ def said(tmp_path, text: str | bytes, *overrides: str) -> str:
         ("      color", "     color", "line 9", "it is indented by 5 characters, line 8 by 6"),
         ("name: tail", "name:\xa0tail", "line 11", "the character U+00A0 looks like a space"),
         ("name: tail", "name: 'tail", "line 12", "the quote that opens in line 10 is not closed"),
-        ("size: [0.2, 0.1, 0.1]", "size: [0.2, 0.1, 0.1", "line 7", "the [ in line 7 is not closed"),
+        (
+            "size: [0.2, 0.1, 0.1]",
+            "size: [0.2, 0.1, 0.1",
+            "line 7",
+            "the [ in line 7 is not closed",
+        ),
         ("{density: 1000}}", "{density: 1000}", "line 5", "the { in line 4 is not closed"),
         ("[0.2, 0.1, 0.1]}", "[0.2, 0.1 # long", "line 8", "# after a space begins a comment"),
         ("name: tail", "name: tail\n---", "line 11", "leave out '---'"),
@@ -86,7 +96,9 @@ def test_another_encoding_is_named_with_its_line(tmp_path, text, place):
     assert place in said(tmp_path, text)
 
 
-@pytest.mark.parametrize("change", [lambda t: b"\xef\xbb\xbf" + t, lambda t: t.replace(b"\n", b"\r\n")])
+@pytest.mark.parametrize(
+    "change", [lambda t: b"\xef\xbb\xbf" + t, lambda t: t.replace(b"\n", b"\r\n")]
+)
 def test_other_line_ends_and_a_mark_at_the_beginning_are_read(tmp_path, change):
     """What is missed is only what the text lacks, in its line."""
     assert said(tmp_path, change(TEXT.encode())).startswith("line 10: creature.bodies.1.shape")

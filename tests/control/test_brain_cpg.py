@@ -238,7 +238,9 @@ def test_unknown_axes_and_bodies_are_refused(chain):
         build_brain_cpg(tree, 1, 1, legs)
     assert caught.value.where == ("groups", "legs", 1)
     sides = BrainCpgSettings(groups={"legs": ("b{i}x",)})
-    with pytest.raises(UnfitError, match=r"placeholders stand for nothing here, write 'b\*x'; valid"):
+    with pytest.raises(
+        UnfitError, match=r"placeholders stand for nothing here, write 'b\*x'; valid"
+    ):
         build_brain_cpg(tree, 1, 1, sides)
     with pytest.raises(UnfitError, match="names no body with a joint; bodies with one are b1, b2"):
         build_brain_cpg(tree, 1, 1, BrainCpgSettings(groups={"root": ("b0",)}))

@@ -30,7 +30,9 @@ def trials_alike(case: Case) -> Iterator[Doubt]:
         alike = all(trial == trials[0] for trial in trials)
         count, told = (len(trials) if alike else 1), "one would do"
     if count > 1:
-        problem = f"without noise all {count} trials are alike, so {told}; give noise, or a list of "
+        problem = (
+            f"without noise all {count} trials are alike, so {told}; give noise, or a list of "
+        )
         yield Doubt(("simulation", "trials"), count, f"{problem}situations that differ")
 
 

@@ -315,8 +315,8 @@ class CreatureConfig(Section):
             first = owners.setdefault(copy.name, copy.entry)
             if first != copy.entry:
                 problem = (
-                    f"two bodies are called {copy.name!r}, the other one in creature.bodies.{first}; "
-                    "every body needs a name of its own"
+                    f"two bodies are called {copy.name!r}, the other one in "
+                    f"creature.bodies.{first}; every body needs a name of its own"
                 )
                 return ("bodies", copy.entry, "name"), problem
         return None
