@@ -19,6 +19,7 @@ from evo_cpg.api.progress import working
 from evo_cpg.control.controller import Command, Observation
 from evo_cpg.fusion.engine import using
 from evo_cpg.fusion.fuse import fuse
+from evo_cpg.fusion.jax_internals import Tracer
 from evo_cpg.simulation.control_step import (
     Animal,
     Life,
@@ -32,7 +33,6 @@ from evo_cpg.simulation.noise import grip_of
 from evo_cpg.simulation.rollout import begin_tally, finish_tally, is_sane, update_tally
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.situation import light_places
-from evo_cpg.spatial.numerics import is_traced
 
 
 class EnvironmentState(eqx.Module):
@@ -198,7 +198,7 @@ class Environment:
 
 def _number(value: Array) -> str:
     """A number as it prints, or the shape of what is traced or stacked."""
-    if is_traced(value) or jnp.ndim(value):
+    if isinstance(value, Tracer) or jnp.ndim(value):
         return f"{value.dtype}{list(jnp.shape(value))}"
     item = np.asarray(value).item()
     return str(item) if isinstance(item, bool) else f"{item:.4g}"

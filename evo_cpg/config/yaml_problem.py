@@ -65,7 +65,7 @@ def _code(error: Any) -> int:
 
 def _hint(lines: list[str], row: int, column: int, error: Any, problem: str) -> str:
     """Return what was probably meant; empty if that is unknown."""
-    here = lines[min(row, len(lines) - 1)]
+    here = _line(lines, row)
     above = next((i for i in range(min(row, len(lines)) - 1, -1, -1) if lines[i].strip()), None)
     opened = getattr(error, "context_mark", None)
     context = str(getattr(error, "context", None) or "")
@@ -86,7 +86,7 @@ def _hint(lines: list[str], row: int, column: int, error: Any, problem: str) -> 
         return f"the quote that opens in line {opened.line + 1} is not closed"
     if "flow" in context and opened:
         bracket = "[" if "sequence" in context else "{"
-        rest = lines[opened.line][opened.column :]
+        rest = _line(lines, opened.line)[opened.column :]
         lost = "; # after a space begins a comment" if re.search(r"\s#", rest) else ""
         return f"the {bracket} in line {opened.line + 1} is not closed, or a comma is missing{lost}"
     for number, line in ((above, _line(lines, above)), (row, here)):
@@ -102,16 +102,17 @@ def _hint(lines: list[str], row: int, column: int, error: Any, problem: str) -> 
             return f"a space is missing after the colon in line {number + 1}"
     if "mapping values" in problem and len(_KEY.findall(here)) > 1:
         return "write text with a colon and a space in it in quotes"
-    if above is not None and at.strip() and _indent(here) != _indent(lines[above]):
+    if above is not None and at.strip() and _indent(here) != _indent(_line(lines, above)):
         return (
             f"it is indented by {_indent(here)} characters, line {above + 1} by "
-            f"{_indent(lines[above])}; keys of one section begin in the same column"
+            f"{_indent(_line(lines, above))}; keys of one section begin in the same column"
         )
     return ""
 
 
 def _line(lines: list[str], number: int | None) -> str:
-    return "" if number is None else lines[number]
+    """Return a line; an empty one behind the last."""
+    return "" if number is None or number >= len(lines) else lines[number]
 
 
 def _indent(line: str) -> int:

@@ -1,9 +1,13 @@
 """YAML that is none: the line, and how to mend it."""
 
 import pytest
+import yaml
+from hypothesis import example, given
+from hypothesis import strategies as st
 
 from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.load import load_config
+from evo_cpg.config.yaml_problem import syntax_problem
 from evo_cpg.config.yaml_text import parse_yaml
 
 TEXT = """name: tiny
@@ -102,6 +106,20 @@ def test_another_encoding_is_named_with_its_line(tmp_path, text, place):
 def test_other_line_ends_and_a_mark_at_the_beginning_are_read(tmp_path, change):
     """What is missed is only what the text lacks, in its line."""
     assert said(tmp_path, change(TEXT.encode())).startswith("line 10: creature.bodies.1.shape")
+
+
+@given(st.text("ab{}[]:,-'\"*&!%@`#|>?\t\n\r \x85\u2028\x07", max_size=30))
+@example("name: x\nb: [\n")
+@example("a: {b: [\n\n")
+@example("a: '\n")
+@example("\r\r- [")
+def test_whatever_is_no_yaml_is_answered_on_one_line(text):
+    try:
+        parse_yaml(text)
+    except yaml.YAMLError as error:
+        place, problem = syntax_problem(text, error)
+        assert place.startswith("line ") and problem
+        assert not {"\n", "\r"} & set(problem)
 
 
 @pytest.mark.parametrize(
