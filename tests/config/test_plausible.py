@@ -366,6 +366,12 @@ MISTAKES = {
         "creature.bodies.1.joint.actuator",
         "null: no joint has a motor, so the controller moves nothing",
     ),
+    "motors without torque": (
+        CONFIG,
+        ["creature.bodies.1.joint.actuator={gain: 1, torque_limit: 1e-9}"],
+        "creature.bodies.1.joint.actuator.torque_limit",
+        "1e-09: the motors are too weak to move anything: the strongest turns its own body by",
+    ),
     "motors that stand still": (
         CONFIG,
         ["controller.rate_gain=0"],

@@ -3,7 +3,12 @@
 from collections.abc import Iterator
 from typing import Any
 
+import numpy as np
+
 from evo_cpg.config.plausible.doubt import Case, Doubt
+
+# What a motor must be able to do to its own body in a trial, degrees.
+_LEAST_TURN = 1.0
 
 
 def no_motor(case: Case) -> Iterator[Doubt]:
@@ -31,4 +36,29 @@ def no_rate(case: Case) -> Iterator[Doubt]:
         )
 
 
-RULES = (no_motor, no_rate)
+def weak_motors(case: Case) -> Iterator[Doubt]:
+    """Motors of which none could turn even its own body by a degree in the whole trial."""
+    simulation = case.config.simulation
+    time = simulation.steps / simulation.control_rate_hz
+    found = []
+    for key, entry, body in case.bodies():
+        motor = entry.joint.actuator if entry.joint is not None else None
+        if motor is None:
+            continue
+        limit = np.inf if motor.torque_limit is None else motor.torque_limit
+        # Of a rod that turns about its end: other bodies and water only add to it.
+        mass = float(body.shape.volume * body.material.density)
+        inertia = mass * (2 * float(body.shape.half_extents.max())) ** 2 / 3
+        turn = float(np.rad2deg(limit / inertia * time**2 / 2))
+        found.append((turn, (*key, "joint", "actuator", "torque_limit"), limit))
+    if not found or max(found)[0] >= _LEAST_TURN:
+        return
+    turn, key, limit = max(found)
+    problem = (
+        f"the motors are too weak to move anything: the strongest turns its own body by {turn:.2g} "
+        f"degrees in the {time:.3g} s of a trial; torques are in N m"
+    )
+    yield Doubt(key, limit, problem)
+
+
+RULES = (no_motor, weak_motors, no_rate)
