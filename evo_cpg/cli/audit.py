@@ -191,7 +191,7 @@ def _summary(champions: Sequence[Champion], made: Sequence["Audit"]) -> Table:
     keys = [key for key in _KEPT if any(_measured(done, key) is not None for done in made)]
     names = [f"{_KEPT[key]} %" for key in keys]
     table = Table(
-        "run", "way m", *names, "MuJoCo: displacement m", "upright %", "",
+        "run", "way m", *names, "MuJoCo: way m", "upright %", "",
         box=box.SIMPLE_HEAD, pad_edge=False,
     )  # fmt: skip
     for column in table.columns[1:-1]:

@@ -138,7 +138,7 @@ def test_a_champion_is_audited(cli, finished_run, tmp_path, monkeypatch):
     alone = json.loads((run / "audit_run0.json").read_text())
     assert code == (0 if alone["passed"] else 3) and "of 1 champions pass" not in out
     assert [x["measured"] for x in alone["checks"]] == [x["measured"] for x in told["checks"]]
-    assert "quarter %" in out and "MuJoCo: displ" in out
+    assert "quarter %" in out and "MuJoCo: way" in out
     code, _, complaint = cli("audit", run, "--all", "--run", 0)
     assert code == 2 and "--all and --run" in complaint
     code, _, complaint = cli("audit", run, "way=1")
