@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from evo_cpg.api.environment import Environment, EnvironmentState
     from evo_cpg.api.experiment import Experiment, Trials
     from evo_cpg.api.load import load
+    from evo_cpg.api.progress import show_progress
     from evo_cpg.api.record import Record
     from evo_cpg.api.training import Trained, train
     from evo_cpg.config.errors import ConfigError
@@ -43,6 +44,7 @@ _HOMES = {
     "Trials": "api.experiment",
     "analyse": "api.analyse",
     "load": "api.load",
+    "show_progress": "api.progress",
     "train": "api.training",
 }
 
@@ -57,6 +59,7 @@ __all__ = [  # noqa: RUF022 - as the reference has them
     "train",
     "Trained",
     "analyse",
+    "show_progress",
     "Task",
     "Transition",
     "Snapshot",

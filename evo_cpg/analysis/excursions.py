@@ -91,7 +91,7 @@ def excursions(
 
     def depths(steps: PhysicsSteps) -> tuple[Array, Array, Array]:
         kin = kinematics(world.tree, steps.after)
-        return _clearance(world, kin), _gaps(every, kin), _swims(world, kin)
+        return _clearance(world, kin), _gaps(every, kin), _swims(world, steps)
 
     clearance, apart, swims = along_time(depths, steps)
     overlap, overlapping = _deepest_overlap(every, world, creature, steps, apart)
@@ -148,14 +148,20 @@ def _gaps(pairs: Pairs | None, kin: Kinematics) -> Float[Array, "k t"]:
     return kin.origin[0, :0] if pairs is None else separations(pairs, kin).gap
 
 
-def _swims(world: World, kin: Kinematics) -> Bool[Array, " t"]:
-    """Whether a body's centre is under water."""
-    height = kin.origin[2]
+def in_water(world: World, steps: PhysicsSteps) -> Bool[np.ndarray, " t"]:
+    """Return whether a body's centre is under water, after every step."""
+    return along_time(functools.partial(_swims, world), steps)
+
+
+def _swims(world: World, steps: PhysicsSteps) -> Bool[Array, " t"]:
+    """Return whether a body's centre is under water."""
+    count = steps.after.q.shape[-1:]
     if world.water is None:
-        return jnp.zeros(height.shape[1:], bool)
+        return jnp.zeros(count, bool)
     if world.water.surface is None:
-        return jnp.ones(height.shape[1:], bool)
-    return (height < world.water.surface).any(0)
+        return jnp.ones(count, bool)
+    centre, _ = _poses(world, steps)
+    return (centre[2] < world.water.surface).any(0)
 
 
 def _deepest_overlap(

@@ -212,7 +212,7 @@ def _quantities(
         Quantity("relative_stride", "relative stride length", stride_length / length, "lengths",
                  "stride length by body length", no_stride or _STAYS),
     ]  # fmt: skip
-    found += _of_the_ground(numbers, moving)
+    found += _of_the_ground(simulation, numbers, moving)
     found += _of_the_wave(simulation, creature, recording, numbers, middle, no_stride)
     found += [
         Quantity("power", "mean power", energy / duration, "W",
@@ -235,10 +235,13 @@ def _if_anywhere(speed: float, time: float, length: float) -> float:
     return speed if speed * time >= _NOWHERE * length else math.nan
 
 
-def _of_the_ground(numbers: GaitNumbers, moving: float) -> list[Quantity]:
-    feet = numbers.feet
+def _of_the_ground(simulation: Simulation, numbers: GaitNumbers, moving: float) -> list[Quantity]:
+    feet, water = numbers.feet, simulation.world.water
     if feet is None:
         return []
+    airborne, swims = feet.airborne, ""
+    if water is not None and water.surface is None:
+        airborne, swims = math.nan, "there is water everywhere, which holds it"
     limbs = feet.duty_factor if len(feet.names) else np.array([math.nan])
     never = "" if len(feet.names) else "nothing but the root ever touches the ground"
     slip, stays = math.nan, np.isfinite(feet.slip)
@@ -251,8 +254,8 @@ def _of_the_ground(numbers: GaitNumbers, moving: float) -> list[Quantity]:
         Quantity("duty_factor", "duty factor", float(limbs.mean()), "",
                  "share of the time on the ground (Alexander and Jayes 1983), mean of the bodies "
                  "that ever touch it but for the root", never),
-        Quantity("airborne", "airborne share", feet.airborne, "",
-                 "share of the control steps in which nothing touches the ground"),
+        Quantity("airborne", "airborne share", airborne, "",
+                 "share of the control steps in which nothing touches the ground", swims),
         Quantity("slip", "slip", slip, "m/s",
                  "horizontal speed of each foot's lowest point in control steps in which it "
                  "touches, and in those beside them, mean of all",

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from evo_cpg.analysis.chains import joint_rows, rhythm_of
 from evo_cpg.api.departures import departures
 from evo_cpg.api.load import changed_config, load, misfit
+from evo_cpg.api.progress import working
 from evo_cpg.api.record import lives_again
 from evo_cpg.api.training import now, require_configured
 from evo_cpg.api.version import version
@@ -58,7 +59,9 @@ def analyse(run: Path | str, trial: int = 0, trust: bool = False) -> Path:
     changed = changed_config(folder)
     if changed:
         warnings.warn(f"{folder.path}: {changed}", stacklevel=2)
-    path, text = page_path(folder, trial), page(experiment, champion, folder, trial)
+    path = page_path(folder, trial)
+    with working(f"making the page of {folder.path}"):
+        text = page(experiment, champion, folder, trial)
     write_text(path, text)
     return path
 

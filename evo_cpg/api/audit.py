@@ -21,6 +21,7 @@ from evo_cpg.exchange.errors import ExchangeError
 from evo_cpg.exchange.second_opinion import Brain, Opinion, own_opinion, second_opinion
 from evo_cpg.fusion.engine import Engine, described
 from evo_cpg.physics.current import stream
+from evo_cpg.physics.pairs import make_pairs
 from evo_cpg.simulation.physics_steps import PhysicsSteps, physics_steps
 from evo_cpg.simulation.reach_light import ReachLight
 from evo_cpg.simulation.simulation import Simulation
@@ -263,29 +264,21 @@ def books(
             max(_momentum_share(one) for one in ledgers),
         ),
         check(
-            "limb_energy",
-            "limbs pushed apart, of motors' work",
-            max(_given(one, one.limbs) for one in ledgers),
-        ),
-        check(
             "limit_energy",
             "joints pushed back, of motors' work",
             max(_given(one, one.limits) for one in ledgers),
         ),
-        check("overload", "torque over its limit", worst("overload")),
         check("speed", "fastest speed of the root", worst("peak_speed") / length, "lengths/s"),
         check("power", "largest power of all motors", worst("peak_power") / mass, "W/kg"),
         Check("peak_torque", "largest torque of a motor", worst("peak_torque"), unit="N m"),
         Check("mean_power", "power of all motors, mean", worst("mean_power") / mass, unit="W/kg"),
         Check("peak_rate", "fastest joint", worst("peak_rate"), unit="rad/s"),
     ]
-    deepest = max(found, key=lambda each: each.overlap)
-    words = [" in ".join(deepest.overlapping)] if deepest.overlapping else []
-    passing = _pairs_that_pass(experiment)
-    if passing:
-        words.append(f"not looked at, as they touch in the neutral pose: {passing}")
-    checks.append(check("overlap", "limbs overlap by", deepest.overlap, "m", "; ".join(words)))
-    if simulation.world.footing is not None:
+    world = simulation.world
+    if np.isfinite(world.tree.torque_limit).any():
+        checks.append(check("overload", "torque over its limit", worst("overload")))
+    checks += _between_limbs(experiment, found, ledgers, check)
+    if world.footing is not None:
         checks += [
             check("penetration", "penetration of the ground", worst("penetration"), "m"),
             check(
@@ -293,18 +286,43 @@ def books(
                 "push-out, of motors' work",
                 max(one.push_out.sum() / _effort(one) for one in ledgers),
             ),
-            check("airborne_way", "way made while airborne", worst("airborne_way")),
         ]
+        # In water everywhere nothing flies.
+        if world.water is None or world.water.surface is not None:
+            checks.append(check("airborne_way", "way made while airborne", worst("airborne_way")))
     if any(np.any(trial.steps.coulomb_residual) for trial in trials):
         checks.append(check("unsolved", "steps not solved", worst("unsolved")))
-        if simulation.world.footing is not None:
+        if world.footing is not None:
             checks.append(check("slipping", "steps off the friction cone", worst("slipping")))
-    if simulation.sensors.eye_bodies and simulation.world.footing is not None:
+    lit = any(light is not None for light in simulation.lights)
+    if lit and simulation.sensors.eye_bodies and world.footing is not None:
         seen = worst("seen_through_ground")
         checks.append(check("seen_through_ground", "light seen through the ground", seen))
     if isinstance(simulation.task, ReachLight):
         spent = champion.terms["energy"] / champion.scales["energy"] - 1.0
         checks.append(check("free_energy", "energy spent for free", max(0.0, spent)))
+    return checks
+
+
+def _between_limbs(
+    experiment: Experiment,
+    found: Sequence[Excursions],
+    ledgers: Sequence[Ledger],
+    check: Callable[..., Check],
+) -> list[Check]:
+    """What the limbs do to each other; nothing of an animal that has no two that could meet."""
+    checks, world = [], experiment.simulation.world
+    if world.pairs is not None or any(np.any(one.limbs) for one in ledgers):
+        pushed = max(_given(one, one.limbs) for one in ledgers)
+        checks.append(check("limb_energy", "limbs pushed apart, of motors' work", pushed))
+    passing = _pairs_that_pass(experiment)
+    if passing or make_pairs(experiment.creature, world.tree, world.watched) is not None:
+        deepest = max(found, key=lambda each: each.overlap)
+        words = [" in ".join(deepest.overlapping)] if deepest.overlapping else []
+        if passing:
+            words.append(f"not looked at, as they touch in the neutral pose: {passing}")
+        words = "; ".join(words)
+        checks.append(check("overlap", "limbs overlap by", deepest.overlap, "m", words))
     return checks
 
 

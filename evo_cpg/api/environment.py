@@ -15,9 +15,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from evo_cpg.api.progress import working
 from evo_cpg.control.controller import Command, Observation
 from evo_cpg.fusion.engine import using
 from evo_cpg.fusion.fuse import fuse
+from evo_cpg.fusion.jax_internals import Tracer
 from evo_cpg.simulation.control_step import (
     Animal,
     Life,
@@ -49,6 +51,12 @@ class EnvironmentState(eqx.Module):
     done: Bool[Array, ""]
     metrics: dict[str, Float[Array, ""]]
     inner: "_Inner"
+
+    def __repr__(self) -> str:
+        return (
+            f"EnvironmentState(obs of shape {self.obs.shape}, reward={_number(self.reward)}, "
+            f"done={_number(self.done)}, metrics: {', '.join(self.metrics)})"
+        )
 
 
 class _Inner(eqx.Module):
@@ -96,6 +104,14 @@ class Environment:
         }
         self.observation_size = sum(self.observation_sizes.values())
 
+    def __repr__(self) -> str:
+        senses = ", ".join(f"{name} {size}" for name, size in self.observation_sizes.items())
+        return (
+            f"Environment({self.action_size} actions ({self._actions}), {self.observation_size} "
+            f"observations ({senses}), {self.episode_length} steps of "
+            f"{1 / self._simulation.control_rate:.4g} s)"
+        )
+
     def reset(self, key: Array) -> EnvironmentState:
         """The animal at its start.
 
@@ -106,7 +122,7 @@ class Environment:
             key if jnp.issubdtype(key.dtype, jax.dtypes.prng_key) else jax.random.wrap_key_data(key)
         )
         keys = None if self._simulation.noise.silent else jax.random.key_data(key)
-        with using(self._simulation.engine):
+        with using(self._simulation.engine), working("compiling the start of the environment"):
             animal, observation = self._sense(self._start(keys), keys)
             tally = begin_tally(self._simulation, (), jnp.dtype("float32"))
             terms, value = self._judge(tally)
@@ -146,7 +162,7 @@ class Environment:
             animal, observation = self._sense(animal, keys, number + 1)
             return animal, tally, sane, observation, self._judge(tally)
 
-        with using(self._simulation.engine):
+        with using(self._simulation.engine), working("compiling a step of the environment"):
             given = inner.animal, inner.tally, inner.number, inner.keys, action
             animal, tally, sane, observation, (terms, value) = fuse(
                 whole, *given, batch_ndim=0, name="a step of the environment"
@@ -178,6 +194,14 @@ class Environment:
         terms = finish_tally(self._simulation, tally)
         value = self._simulation.task.fitness(terms, self._scales)
         return terms, jnp.where(jnp.isfinite(value), value, 0.0)
+
+
+def _number(value: Array) -> str:
+    """A number as it prints, or the shape of what is traced or stacked."""
+    if isinstance(value, Tracer) or jnp.ndim(value):
+        return f"{value.dtype}{list(jnp.shape(value))}"
+    item = np.asarray(value).item()
+    return str(item) if isinstance(item, bool) else f"{item:.4g}"
 
 
 def _vector(observation: Observation) -> Float[Array, " o"]:

@@ -7,6 +7,7 @@ turned round.
 import dataclasses
 import functools
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from jaxtyping import Array, Float
 from evo_cpg.api.bodies import Bodies, Numbers
 from evo_cpg.api.environment import Environment
 from evo_cpg.api.fitness import JudgedBy, fitness_function
+from evo_cpg.api.progress import working
 from evo_cpg.api.record import Record, as_record
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.numbers import number_at, with_numbers
@@ -51,6 +53,13 @@ class Trials:
     terms: dict[str, np.ndarray]
     alive: np.ndarray
 
+    def __repr__(self) -> str:
+        names, (count, trials) = ", ".join(self.terms), self.alive.shape
+        return (
+            f"Trials(individuals={count}, trials={trials}, diverged={int((~self.alive).sum())}, "
+            f"terms: {names})"
+        )
+
 
 class Experiment:
     """A creature in a world with a nervous system and a task; made by `evo_cpg.load`.
@@ -72,6 +81,21 @@ class Experiment:
         replaced: tuple[str, ...] = (),
     ):
         self.parts, self.config, self.source, self.replaced = parts, config, source, replaced
+        self._compiled: set[tuple] = set()
+
+    def __repr__(self) -> str:
+        simulation, strategy = self.parts.simulation, self.parts.strategy
+        search = f"{type(strategy).__name__} of {self.population} for {self.parts.generations}"
+        told = {
+            "creature": self.creature,
+            "world": self.world,
+            "genes": self.gene_count,
+            "task": type(self.task).__name__,
+            "trials": f"{self.trials} of {simulation.duration:.4g} s",
+            "search": f"{search} generations",
+        }
+        parts = [repr(self.name), *(f"{name}={value}" for name, value in told.items())]
+        return f"Experiment({', '.join(parts)})"
 
     @property
     def name(self) -> str:
@@ -145,8 +169,9 @@ class Experiment:
             None if numbers is None else np.tile(numbers, count),
             trials,
         )
-        own = self._bodies.trials(bodies, count) if bodies else None
-        outcome = own[0](*given, own[1]) if own else self._run_trials(*given)
+        with self._compiling("trials", f"{count} individuals", ("trials", count, *(bodies or ()))):
+            own = self._bodies.trials(bodies, count) if bodies else None
+            outcome = own[0](*given, own[1]) if own else self._run_trials(*given)
         shaped = jax.tree.map(lambda x: x.reshape(count, trials), outcome)
         return Trials(shaped.terms, shaped.alive)
 
@@ -187,7 +212,9 @@ class Experiment:
         keys = jax.device_get(training.generation_keys(first, 0))
         numbers = training.situation_numbers(first)
         numbers = None if numbers is None else np.tile(numbers, genes.shape[1])
-        outcome = self._run_trials(genes, keys, numbers, self.trials)
+        count = genes.shape[1]
+        with self._compiling("trials", "the first generation", ("trials", count)):
+            outcome = self._run_trials(genes, keys, numbers, self.trials)
         terms = {n: np.where(outcome.alive, x, np.nan) for n, x in outcome.terms.items()}
         return self.task.scales(jax.tree.map(jnp.asarray, terms))
 
@@ -230,7 +257,9 @@ class Experiment:
             raise ValueError(f"trial must be from 0 to {self.trials - 1}, got {trial}")
         keys, numbers = self._noise(_key(key), 1), training.situation_numbers(self.parts)
         keys = None if keys is None else keys[:, trial : trial + 1]
-        frames = self._record(genes, keys, None if numbers is None else numbers[trial : trial + 1])
+        own = None if numbers is None else numbers[trial : trial + 1]
+        with self._compiling("recording", "one individual", ("record",)):
+            frames = self._record(genes, keys, own)
         names = [body.name for body in self.creature.bodies]
         simulation = self.parts.simulation
         return as_record(simulation, frames, as_recording(simulation, frames, names, trial=trial))
@@ -295,6 +324,19 @@ class Experiment:
                     f"the shape {batch} one of that shape; got {described(found)}"
                 )
         return self.with_task(task)
+
+    def _compiling(self, what: str, of: str, program: tuple) -> AbstractContextManager[None]:
+        """Tell that a program is compiled, if this call is its first.
+
+        Args:
+            what: the program does.
+            of: whom it does that for.
+            program: what tells it from others of this experiment.
+        """
+        if program in self._compiled:
+            return nullcontext()
+        self._compiled.add(program)
+        return working(f"compiling the {what} of {self.name!r} for {of} (first call only)")
 
     @functools.cached_property
     def _run_trials(self) -> Callable[..., Outcome]:

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from evo_cpg.api.experiment import Experiment
+from evo_cpg.api.progress import working
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import as_overrides, complete_config, load_config
 from evo_cpg.config.shipped import find_config
@@ -61,7 +62,8 @@ def _load(
             source = source / "config.yaml"
         read = load_config(source, changed)
     use_cores(cores)
-    return Experiment(build_experiment(read, source, folders), read, source)
+    with working(f"building {read.name!r}"):
+        return Experiment(build_experiment(read, source, folders), read, source)
 
 
 def class_folders(folder: RunFolder) -> list[Path]:

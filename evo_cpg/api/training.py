@@ -5,6 +5,7 @@ import sys
 import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +14,7 @@ from jax.typing import ArrayLike
 
 from evo_cpg.analysis.verdict import Check
 from evo_cpg.api.experiment import Experiment
+from evo_cpg.api.progress import Generations, working
 from evo_cpg.api.surroundings import differences as changed_surroundings
 from evo_cpg.api.surroundings import surroundings
 from evo_cpg.api.warm_start import Start
@@ -51,6 +53,14 @@ class Trained:
     history: Rows
     expected: float | None = None
 
+    def __repr__(self) -> str:
+        terms = ", ".join(f"{name} {value:.4g}" for name, value in self.terms.items())
+        expected = "" if self.expected is None else f", expected {self.expected:.4g}"
+        return (
+            f"Trained({str(self.folder)!r}: fitness {self.fitness:.4g}{expected} ({terms}), "
+            f"{self.genome.size} genes, {len(self.history)} rows of history)"
+        )
+
 
 def train(
     experiment: Experiment,
@@ -79,10 +89,21 @@ def train(
     begin_run(folder, experiment.config, experiment.parts, devices, experiment.source, given)
     if experiment.replaced:
         folder.update_meta(replaced=list(experiment.replaced))
-    least = first_look_asked(experiment.config)
-    with Recorder(experiment.parts, folder, least) as recorder:
-        champion = evolve(experiment.parts, folder, on_generation, recorder)
-        recorder.keep(champion)
+    least, seen = first_look_asked(experiment.config), Generations(experiment.parts.generations)
+    begun = ExitStack()
+
+    def on_rows(rows: Rows) -> None:
+        begun.close()
+        seen.add(max(row["champion"] for row in rows))
+        on_generation(rows)
+
+    with Recorder(experiment.parts, folder, least) as recorder, begun:
+        begun.enter_context(
+            working(f"compiling the search of {experiment.name!r} (first call only)")
+        )
+        champion = evolve(experiment.parts, folder, on_rows, recorder)
+        with working(f"recording the champion of {experiment.name!r}"):
+            recorder.keep(champion)
     checkpoint = folder.load()
     history = checkpoint.history if checkpoint else []
     told = champion.genes, champion.fitness, champion.terms

@@ -20,6 +20,7 @@ from evo_cpg.cli.exit_codes import ExitCode
 from evo_cpg.cli.progress import working
 from evo_cpg.config.load import load_config
 from evo_cpg.training.checkpoint import Champion
+from evo_cpg.training.probe import UNSEEING
 from evo_cpg.training.run_folder import RunFolder
 
 if TYPE_CHECKING:
@@ -124,9 +125,21 @@ def _champions(folder: RunFolder) -> list[Champion]:
 def _say(run: Path, champions: Sequence[Champion], made: Sequence["Audit"], who: str) -> None:
     """The verdict, and the exit code that goes with it."""
     for each, done in zip(champions, made, strict=True):
+        if _measured(done, "half_step") is None:
+            print(
+                f"{run}: {_of(each, made)}displacement {shown(_measured(done, 'way'), 'm')}: too "
+                "little to try what is kept of it",
+                file=sys.stderr,
+            )
         for reason in done.verdict.reasons:
-            whose = f"run {each.run}: " if len(made) > 1 else ""
-            print(f"{run}: {whose}{reason}", file=sys.stderr)
+            print(f"{run}: {_of(each, made)}{reason}", file=sys.stderr)
+        blind = _measured(done, "blind")
+        if blind is not None and blind >= UNSEEING:
+            print(
+                f"{run}: {_of(each, made)}note: the champion does not use its eyes: blind it keeps "
+                f"{blind:.0%} of its displacement",
+                file=sys.stderr,
+            )
     passed = sum(done.verdict.passed for done in made)
     if len(made) > 1:
         print(f"{run}: {passed} of {len(made)} champions pass their audit")
@@ -134,6 +147,11 @@ def _say(run: Path, champions: Sequence[Champion], made: Sequence["Audit"], who:
         print(f"{run}: {who} {'passes' if passed else 'does not pass'} its audit")
     if passed < len(made):
         raise SystemExit(ExitCode.NOT_PASSED)
+
+
+def _of(champion: Champion, made: Sequence["Audit"]) -> str:
+    """Whose a line is, where there are several."""
+    return f"run {champion.run}: " if len(made) > 1 else ""
 
 
 def _write(folder: RunFolder, name: str, champion: Champion, done: "Audit") -> None:
@@ -173,7 +191,7 @@ def _summary(champions: Sequence[Champion], made: Sequence["Audit"]) -> Table:
     keys = [key for key in _KEPT if any(_measured(done, key) is not None for done in made)]
     names = [f"{_KEPT[key]} %" for key in keys]
     table = Table(
-        "run", "way m", *names, "MuJoCo: over ground m", "upright %", "",
+        "run", "way m", *names, "MuJoCo: way m", "upright %", "",
         box=box.SIMPLE_HEAD, pad_edge=False,
     )  # fmt: skip
     for column in table.columns[1:-1]:
@@ -223,8 +241,10 @@ def _table(checks: tuple[Check, ...]) -> Table:
 
 def _opinions(opinions: tuple) -> Table:
     """What two programs make of the same commands."""
+    # Without ground, or with water everywhere, nothing flies.
+    flight = [] if opinions[0].airborne is None else ["airborne"]
     table = Table(
-        "program", "over ground", "heading", "upright", "airborne", "joints off by",
+        "program", "displacement", "heading", "upright", *flight, "joints off by",
         box=box.SIMPLE_HEAD, pad_edge=False,
     )  # fmt: skip
     for one in opinions:
@@ -235,7 +255,7 @@ def _opinions(opinions: tuple) -> Table:
             f"{told['way_m']:.3g} m",
             f"{told['heading_deg']:.0f} deg",
             shown(one.upright, "%"),
-            shown(one.airborne, "%"),
+            *([] if one.airborne is None else [shown(one.airborne, "%")]),
             f"{math.degrees(off):.2g} deg" if one is not opinions[0] else "",
         )
     return table

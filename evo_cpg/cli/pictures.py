@@ -1,5 +1,6 @@
 """The commands that make pictures: plot, preview."""
 
+import math
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -71,8 +72,13 @@ def preview_config(
     from evo_cpg.view.preview import preview, preview_path
 
     place = preview_path(output or f"{creature.name}.png", pixels)
-    pose, ground = None, config.world.ground is not None
-    if config.simulation.start_pose == "settled" or _has_shape(config.world.ground):
+    pose, ground, water = None, config.world.ground is not None, config.world.water
+    surface = None
+    if water is not None:
+        surface = math.inf if water.surface is None else water.surface
+    on_shore = ground and surface is not None and math.isfinite(surface)
+    shaped = on_shore or _has_shape(config.world.ground)
+    if config.simulation.start_pose == "settled" or shaped:
         # As it starts, among what stands around.
         names = [body.name for body in creature.bodies]
         with working("finding how it starts"):
@@ -81,7 +87,7 @@ def preview_config(
         footing = simulation.world.footing
         ground = footing.ground if footing is not None else False
     with working("drawing"):
-        made = preview(creature, place, pixels, ground=ground, pose=pose)
+        made = preview(creature, place, pixels, ground=ground, pose=pose, surface=surface)
     print(made)
 
 

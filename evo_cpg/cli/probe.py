@@ -1,5 +1,6 @@
 """The command that puts a champion into situations that it never saw: probe."""
 
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,14 @@ from evo_cpg.config.situations import out_of_reach
 from evo_cpg.files import make_folder, write_table
 from evo_cpg.simulation.situation import Situation
 from evo_cpg.training.experiment import Experiment
-from evo_cpg.training.probe import Probe, around, blinded, probe, seen_from_start
+from evo_cpg.training.probe import (
+    UNSEEING,
+    Probe,
+    around,
+    blinded,
+    probe,
+    seen_from_start,
+)
 from evo_cpg.training.run_folder import RunFolder
 
 _BEARINGS = "-75:75:11"
@@ -48,9 +56,12 @@ def probe_run(
         situations = around(situations[0], turned, away)
         _require_reachable(experiment, situations)
     place = make_folder(out or folder.path)
-    simulation = blinded(experiment.simulation) if blind else experiment.simulation
-    with working(f"probing {len(situations)} lights: compiling takes 10 s to a minute"):
-        found = probe(simulation, champion.genes, situations)
+    simulation, genes = experiment.simulation, champion.genes
+    with working(f"probing {len(situations)} lights: compiling takes 10 s to a minute") as work:
+        found = seeing = probe(simulation, genes, situations)
+        if blind:
+            work.doing(f"probing {len(situations)} lights blind: compiling takes as long again")
+            found = probe(blinded(simulation), genes, situations)
     from evo_cpg.view.probe_plot import plot_probe
 
     reached = found.reached(reach)
@@ -62,9 +73,40 @@ def probe_run(
     who = f"{experiment.name}, blind" if blind else experiment.name
     picture = plot_probe(found, reach, f"{who}: {result}", table.with_suffix(".png"))
     Console().print(_table(rows))
+    if blind and seeing.displacement > 0:
+        kept = max(0.0, found.displacement) / seeing.displacement
+        print(f"blind it keeps {kept:.0%} of its displacement towards the lights")
     print(f"{result} ({reached.mean():.0%}): at most {reach:g} of the distance left")
     print(table)
     print(picture)
+    said = _missed(found, reach)
+    if blind:
+        said = _unseeing(seeing, found) if simulation.sensors.eye_bodies else "it has no eyes"
+    if said:
+        print(f"evo-cpg: warning: {run}: the champion: {said}", file=sys.stderr)
+
+
+def _missed(found: Probe, reach: float) -> str:
+    """Return what to say of an animal that misses most of its lights; empty if it does not."""
+    reached, turned = found.reached(reach), [seen_from_start(s)[1] for s in found.situations]
+    count, sides = int(reached.sum()), np.sign(np.round(turned, 9))
+    if count >= len(reached) / 2:
+        return ""
+    side = ""
+    for sign, name in ((1, "left"), (-1, "right")):
+        if count and (sides[reached] == sign).all() and (sides[~reached] == -sign).any():
+            side = f", all of them on the {name}"
+    return f"it misses most lights: it reaches {count} of {len(reached)}{side}"
+
+
+def _unseeing(seeing: Probe, blind: Probe) -> str:
+    """Return what to say of an animal that does without its eyes; empty if it does not."""
+    if not seeing.displacement > 0:
+        return "it comes no nearer to the lights with its eyes, so there is nothing to compare"
+    kept = max(0.0, blind.displacement) / seeing.displacement
+    if kept < UNSEEING:
+        return ""
+    return f"it does not use its eyes: blind it keeps {kept:.0%} of its displacement to the lights"
 
 
 def probe_rows(found: Probe, reach: float) -> list[dict[str, float | int]]:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from evo_cpg.config.errors import ConfigError, nearest
+from evo_cpg.config.lines import with_line
 from evo_cpg.config.numbers import unchecked
 from evo_cpg.config.own_classes import build_own, require_code
 from evo_cpg.config.own_returns import check_own_returns, check_own_strategy
@@ -22,7 +23,7 @@ from evo_cpg.config.terrain import build_ground
 from evo_cpg.config.trust import code_folders
 from evo_cpg.control.brain_cpg import BrainCpgSettings, build_brain_cpg
 from evo_cpg.control.controller import Controller
-from evo_cpg.control.couplings import CouplingError
+from evo_cpg.control.couplings import CouplingError, UnfitError
 from evo_cpg.control.postures import PostureSettings, build_posture_controller
 from evo_cpg.creature.creature import Creature, CreatureError, length_of
 from evo_cpg.creature.self_collision import PairNames
@@ -80,6 +81,19 @@ def build_experiment(
     Raises:
         ConfigError: parts that do not fit together.
     """
+    try:
+        return _build_experiment(config, source, folders, apart, pairs)
+    except ConfigError as error:
+        raise with_line(error, config.model_dump(mode="json")) from None
+
+
+def _build_experiment(
+    config: ExperimentConfig,
+    source: Path | str,
+    folders: Iterable[Path],
+    apart: bool,
+    pairs: PairNames | None,
+) -> Experiment:
     folders = (Path(source).parent, *folders)
     for folder in (*code_folders(folders), Path.cwd()):
         if str(folder.resolve()) not in sys.path:
@@ -361,8 +375,10 @@ def _build_controller(
             return build_posture_controller(tree, settings, step)
         settings = unchecked(BrainCpgSettings, options)
         return build_brain_cpg(tree, eyes, pressure, settings, step, depth, custom)
-    except CouplingError as error:
-        raise ConfigError(source, ("controller", "cpg", *error.where), str(error)) from None
+    except UnfitError as error:
+        inner = ("cpg",) if isinstance(error, CouplingError) else ()
+        problem = f"{error}; the controller must name parts of creature {creature.name!r}"
+        raise ConfigError(source, ("controller", *inner, *error.where), problem) from None
     except ValueError as error:
         raise ConfigError(source, ("controller",), str(error)) from None
 

@@ -1,20 +1,30 @@
 """Errors about what the user wrote: file, key, value, what is allowed, the nearest valid key."""
 
-import difflib
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from evo_cpg.errors import UserError
+from evo_cpg.errors import nearest as nearest
 
 Key = Sequence[str | int]
 
 
 class ConfigError(UserError):
-    """A configuration that cannot be used; the message is for the user as it stands."""
+    """A configuration that cannot be used; the message is for the user as it stands.
 
-    def __init__(self, source: str | Path, key: Key, problem: str):
+    Attributes:
+        source: file, or what else the value came from.
+        key: of the value.
+        problem: what is wrong with it.
+        line: of the file in which the value stands; None if that is unknown.
+    """
+
+    def __init__(self, source: str | Path, key: Key, problem: str, line: int | None = None):
+        self.source, self.key, self.problem = source, tuple(key), problem
+        self.line = line
         # What a stranger wrote may be of any length.
-        where = [_clipped(str(source)), *([_clipped(".".join(map(str, key)))] if key else [])]
+        where = [_clipped(str(source)), *([] if line is None else [f"line {line}"])]
+        where += [_clipped(".".join(map(str, key)))] if key else []
         super().__init__(": ".join([*where, _clipped(problem, 700)]))
 
 
@@ -23,11 +33,3 @@ def _clipped(text: str, most: int = 150) -> str:
     if len(text) <= most:
         return text
     return f"{text[: most // 2]}...{text[-(most // 2) :]}"
-
-
-def nearest(word: str, valid: Iterable[str]) -> str:
-    """A hint for a word that is not among the valid ones."""
-    choices = sorted(valid)
-    close = difflib.get_close_matches(word, choices, n=1, cutoff=0.5)
-    hint = f"did you mean {close[0]!r}? " if close else ""
-    return f"{hint}valid here: {', '.join(choices)}"

@@ -4,24 +4,23 @@ import copy
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import pydantic
 import yaml
 
 from evo_cpg.config.errors import ConfigError, Key, nearest
 from evo_cpg.config.files import read_small
+from evo_cpg.config.lines import with_line
 from evo_cpg.config.meshes import read_mesh
 from evo_cpg.config.schema.creature import CreatureConfig
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.config.shipped import shipped_names
 from evo_cpg.config.terrain import read_heights
 from evo_cpg.config.trust import beside, trusting
+from evo_cpg.config.wording import short, worded
+from evo_cpg.config.yaml_problem import lost_colour, syntax_problem
 from evo_cpg.config.yaml_text import parse_yaml, to_yaml
-
-# What pydantic calls an unknown key, in models and in dataclasses.
-_LENGTH = ("too_short", "too_long")
-_UNKNOWN_KEY = ("extra_forbidden", "unexpected_keyword_argument")
 
 
 def load_config(path: Path | str, overrides: Sequence[str] = ()) -> ExperimentConfig:
@@ -63,7 +62,10 @@ def complete_config(
             _read_files(data, source)
     with trusting():
         _read_meshes(data, source)
-    return check_config(data, source)
+    try:
+        return check_config(data, source)
+    except ConfigError as error:
+        raise with_line(error, data) from None
 
 
 def check_config(data: dict[str, Any], source: Path | str) -> ExperimentConfig:
@@ -75,14 +77,18 @@ def check_config(data: dict[str, Any], source: Path | str) -> ExperimentConfig:
     try:
         config = ExperimentConfig.model_validate(data)
     except pydantic.ValidationError as error:
-        raise _worded(error, data, source) from None
+        raise worded(error, ExperimentConfig, data, source) from None
     for key, value, problem in _misread(data, config.model_dump()):
-        raise ConfigError(source, key, f"{_short(value)}: {problem}")
+        raise ConfigError(source, key, f"{short(value)}: {problem}")
+    if twice := config.creature.named_twice():
+        key, problem = twice
+        raise ConfigError(source, ("creature", *key), problem)
     for key, name, valid in config.creature.references():
         if name not in valid:
-            raise ConfigError(
-                source, ("creature", *key), f"{name!r} does not exist; {nearest(name, valid)}"
-            )
+            problem = f"{name!r} does not exist; {nearest(name, valid)}"
+            if "*" in name:
+                problem = f"{problem}; a name here may have placeholders such as {{i}}, but no *"
+            raise ConfigError(source, ("creature", *key), problem)
     return config
 
 
@@ -114,16 +120,21 @@ def read_yaml(path: Path) -> dict[str, Any]:
     except OSError as error:
         raise ConfigError(path, (), f"cannot be read ({error.strerror})") from None
     except UnicodeDecodeError as error:
-        raise ConfigError(path, (), f"is not UTF-8 text (byte {error.start} is wrong)") from None
+        row = error.object[: error.start].count(b"\n") + 1
+        problem = (
+            f"is not UTF-8 text (byte {error.start} is wrong, in line {row}); save it as UTF-8"
+        )
+        raise ConfigError(path, (), problem) from None
     except ValueError:
         raise ConfigError(path, (), "is no name of a file") from None
     try:
         data = parse_yaml(text)
     except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        place = f"line {mark.line + 1}, column {mark.column + 1}: " if mark else ""
-        problem = getattr(error, "problem", None) or getattr(error, "reason", "cannot be parsed")
-        raise ConfigError(path, (), f"{place}not valid YAML: {problem}") from None
+        place, problem = syntax_problem(text, error)
+        where = f"{place}: " if place else ""
+        raise ConfigError(path, (), f"{where}not valid YAML: {problem}") from None
+    if lost := lost_colour(text):
+        raise ConfigError(path, (), lost)
     if data is None:
         raise ConfigError(path, (), "is empty; it must be a YAML mapping of keys to values")
     if not isinstance(data, dict):
@@ -215,8 +226,10 @@ def _apply(data: dict[str, Any], override: str) -> None:
         raise ConfigError("command line", (), f"{override!r} is not of the form key.path=value")
     try:
         value = parse_yaml(text)
-    except yaml.YAMLError:
-        raise ConfigError("command line", key.split("."), f"{text!r} is not YAML") from None
+    except yaml.YAMLError as error:
+        _, problem = syntax_problem(text, error)
+        words = f"{text!r} is not YAML: {problem}"
+        raise ConfigError("command line", key.split("."), words) from None
     *parents, last = key.split(".")
     place: Any = data
     for i, part in enumerate(parents):
@@ -225,150 +238,24 @@ def _apply(data: dict[str, Any], override: str) -> None:
         elif isinstance(place, list) and is_index(part, place):
             place = place[int(part)]
         else:
-            raise ConfigError(
-                "command line", key.split("."), f"{'.'.join(parents[:i])} has no {part}"
-            )
+            problem = _lacks(".".join(parents[:i]), part, place)
+            raise ConfigError("command line", key.split("."), problem)
     if isinstance(place, list) and is_index(last, place):
         place[int(last)] = value
     elif isinstance(place, dict):
         place[last] = value
     else:
-        raise ConfigError("command line", key.split("."), f"{'.'.join(parents)} has no {last}")
+        problem = _lacks(".".join(parents), last, place)
+        raise ConfigError("command line", key.split("."), problem)
+
+
+def _lacks(key: str, part: str, place: Any) -> str:
+    """Return what is wrong with a part of a key, and what a list has instead."""
+    if isinstance(place, list) and place:
+        return f"{key} has no {part}; its entries are numbered from 0 to {len(place) - 1}"
+    return f"{key} has no {part}"
 
 
 def is_index(part: str, place: list[Any]) -> bool:
     """Whether a part of a key, as ``bodies.1`` has it, is the number of an entry of a list."""
     return part.isascii() and part.isdigit() and int(part) < len(place)
-
-
-def _worded(
-    error: pydantic.ValidationError, data: dict[str, Any], source: Path | str
-) -> ConfigError:
-    """The first problem, in words. Unknown keys go first: a typo explains what is missing."""
-    problems = sorted(error.errors(), key=lambda p: p["type"] not in _UNKNOWN_KEY)
-    problem = problems[0]
-    key = _key_in(data, problem["loc"], problem["type"] == "missing")
-    kind, given = problem["type"], problem.get("input")
-    if kind in _UNKNOWN_KEY:
-        tags = frozenset(part for part in problem["loc"] if isinstance(part, str))
-        valid = _siblings(ExperimentConfig, data, key[:-1], tags)
-        # A key of a section, without the section.
-        inner = [
-            f"{section}.{key[0]}"
-            for section in (valid if len(key) == 1 else ())
-            if key[0] in _siblings(ExperimentConfig, {section: {}} | data, (section,))
-        ]
-        hint = f"did you mean {' or '.join(inner)}?" if inner else nearest(str(key[-1]), valid)
-        return ConfigError(source, key, f"unknown key; {hint}")
-    if kind == "missing":
-        beside = [p["loc"][-1] for p in problems if p["loc"][:-1] == problem["loc"][:-1]]
-        missing = [place + 1 for place in beside if isinstance(place, int)]
-        if missing:
-            return ConfigError(source, key, f"{_short(given)}: {max(missing)} values are needed")
-        return ConfigError(source, key, "is missing and has no default")
-    message = problem["msg"].removeprefix("Value error, ")
-    if kind == "value_error":
-        return ConfigError(source, key, message)
-    if kind == "union_tag_not_found" and isinstance(given, dict):
-        return ConfigError(source, (*key, "type"), "is missing and has no default")
-    if kind.startswith("union_tag"):
-        allowed = problem.get("ctx", {}).get("expected_tags", "")
-        allowed = allowed.replace("'custom'", "or module:Class for your own")
-        found = given.get("type") if isinstance(given, dict) else given
-        return ConfigError(source, (*key, "type"), f"{found!r} is not known; allowed: {allowed}")
-    if kind in _LENGTH:
-        limits = problem.get("ctx", {})
-        if kind == "too_short":
-            words = f"at least {limits.get('min_length')}"
-        else:
-            words = f"at most {limits.get('max_length')}"
-        count = limits.get("actual_length")
-        return ConfigError(source, key, f"{_short(given)}: must have {words}, has {count}")
-    more = f" ({len(problems)} problems in all)" if len(problems) > 1 else ""
-    return ConfigError(source, key, f"{_short(given)}: {_lower(message)}{more}")
-
-
-def _key_in(data: Any, location: Key, missing: bool) -> tuple[str | int, ...]:
-    """A pydantic location without the names of union members, which are no keys of the file.
-
-    Args:
-        data: what was read.
-        location: of the problem.
-        missing: whether the problem is that there is no such key.
-    """
-    key: list[str | int] = []
-    place: Any = data
-    for i, part in enumerate(location):
-        of_dict = isinstance(place, dict) and part in place
-        of_list = isinstance(place, list) and isinstance(part, int) and part < len(place)
-        if of_dict or of_list:
-            key.append(part)
-            place = cast(Any, place)[part]
-        elif missing and i == len(location) - 1 and isinstance(place, dict):
-            key.append(part)
-    return tuple(key)
-
-
-def _siblings(
-    model: type[pydantic.BaseModel], data: Any, key: Key, tags: frozenset[str] = frozenset()
-) -> list[str]:
-    """Keys that are valid beside the one in question: those without which the part is refused.
-
-    Args:
-        model: of all that was read.
-        data: what was read.
-        key: of the part.
-        tags: among them the kinds that pydantic took sections for which say no ``type``.
-    """
-    schema = model.model_json_schema()
-    return sorted(_properties(schema, schema, data, key, tags))
-
-
-def _properties(schema: dict, root: dict, data: Any, key: Key, tags: frozenset[str]) -> set[str]:
-    """Property names of a JSON schema at a place, following references and the given types."""
-    if "$ref" in schema:
-        return _properties(root["$defs"][schema["$ref"].rsplit("/", 1)[-1]], root, data, key, tags)
-    for choice in ("oneOf", "anyOf"):
-        if choice in schema:
-            chosen = _chosen(schema[choice], root, data, tags)
-            return set().union(*(_properties(one, root, data, key, tags) for one in chosen))
-    if not key:
-        return set(schema.get("properties", {}))
-    part = key[0]
-    below = cast(Any, data)[part] if isinstance(data, (dict, list)) else None
-    if isinstance(part, int):
-        return _properties(schema.get("items", {}), root, below, key[1:], tags)
-    inner = schema.get("properties", {}).get(part)
-    if inner is None:
-        inner = schema.get("additionalProperties", {})
-    return _properties(inner, root, below, key[1:], tags) if isinstance(inner, dict) else set()
-
-
-def _chosen(options: list[dict], root: dict, data: Any, tags: frozenset[str]) -> list[dict]:
-    """Members of a union that the given ``type`` asks for; of classes of one's own it is another.
-
-    Without one it is the kind among ``tags``, and where that does not tell, any.
-    """
-    kinds = [_kind(option, root) for option in options]
-    given = data.get("type") if isinstance(data, dict) else None
-    asked = {given} if given is not None else tags.intersection(filter(None, kinds))
-    if not asked:
-        return options
-    exact = [option for option, kind in zip(options, kinds, strict=True) if kind in asked]
-    return exact or [option for option, kind in zip(options, kinds, strict=True) if kind is None]
-
-
-def _kind(option: dict, root: dict) -> str | None:
-    """Which ``type`` a member of a union stands for; None where that may be any, or is none."""
-    if "$ref" in option:
-        option = root["$defs"][option["$ref"].rsplit("/", 1)[-1]]
-    return option.get("properties", {}).get("type", {}).get("const")
-
-
-def _short(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else text[:57] + "..."
-
-
-def _lower(message: str) -> str:
-    return message[:1].lower() + message[1:]

@@ -61,10 +61,12 @@ def build_own(given: CustomConfig, kind: type, key: Key, source: Path | str, **e
     taken = inspect.signature(made).parameters
     try:
         return made(**given.options, **{name: extra[name] for name in extra if name in taken})
-    except (TypeError, ValueError) as error:
-        raise ConfigError(
-            source, (*key, "options"), f"{given.type} cannot be built with them ({error})"
-        ) from None
+    except Exception as error:
+        # Whatever the user's class raises is about the user's class; some messages are but a key.
+        known = isinstance(error, (TypeError, ValueError))
+        words = f"{error}" if known else f"{type(error).__name__}: {error}"
+        problem = f"{given.type} cannot be built with them ({words})"
+        raise ConfigError(source, (*key, "options"), problem) from None
 
 
 def require_code(config: ExperimentConfig, source: Path | str, folders: Iterable[Path]) -> None:

@@ -123,6 +123,16 @@ def parse_yaml(text: str) -> Any:
     return yaml.load(text, _Loader)
 
 
+def compose_yaml(text: str) -> yaml.Node | None:
+    """Return the nodes of a text in YAML, which know their lines.
+
+    Raises:
+        yaml.YAMLError: it is none, or larger than any that is meant.
+    """
+    require_shallow(text, _Loader)
+    return yaml.compose(text, _Loader)
+
+
 def to_yaml(data: Any, flow: bool | None = False) -> str:
     """A text in YAML that says this.
 

@@ -48,9 +48,10 @@ from evo_cpg.control.brain import (
     think,
 )
 from evo_cpg.control.controller import Command, Controller, Observation, Origin
-from evo_cpg.control.couplings import axis_names, matching_bodies
+from evo_cpg.control.couplings import UnfitError, axis_names, matching_bodies
 from evo_cpg.control.matsuoka import CpgSettings, MatsuokaNetwork, MatsuokaState, build_network
 from evo_cpg.creature.tree import Tree
+from evo_cpg.errors import nearest
 from evo_cpg.spatial.choices import chosen
 from evo_cpg.spatial.linear import expand_dims_like
 from evo_cpg.spatial.numerics import Number, Numbers, xp
@@ -270,7 +271,8 @@ def build_brain_cpg(
         custom_count: readings of the creature's `sensors`.
 
     Raises:
-        ValueError: the creature has no joint, or lacks a body or an axis that the settings name.
+        ValueError: the creature has no joint.
+        UnfitError: it lacks a body or an axis that the settings name.
     """
     settings = settings or BrainCpgSettings()
     if not tree.dof_count:
@@ -279,7 +281,8 @@ def build_brain_cpg(
     kinds = sorted(set(axes))
     for axis in settings.axes:
         if axis not in kinds:
-            raise ValueError(f"axes names {axis!r}, but the joints turn about {', '.join(kinds)}")
+            problem = f"no joint turns about {axis!r}; {nearest(axis, kinds)}"
+            raise UnfitError(problem, ("axes", axis))
     joints = sorted(set(tree.dof_bodies))
     per_joint = tuple(joints.index(body) for body in tree.dof_bodies)
     per_dof = tuple(range(tree.dof_count))
@@ -332,14 +335,15 @@ def _grouped_axes(tree: Tree, groups: Mapping[str, tuple[str, ...]]) -> list[str
     """Axis of each degree of freedom, behind the group of its body where it is in one."""
     group_of: dict[int, str] = {}
     for group, patterns in groups.items():
-        found = matching_bodies(tree, patterns, f"groups.{group}")
+        found = matching_bodies(tree, patterns, ("groups", group))
         if not found & set(tree.dof_bodies):
-            raise ValueError(f"groups.{group} names no body with a joint")
+            names = [tree.names[body] for body in sorted(set(tree.dof_bodies))]
+            problem = f"names no body with a joint; bodies with one are {', '.join(names)}"
+            raise UnfitError(problem, ("groups", group))
         for body in found:
             if group_of.setdefault(body, group) != group:
-                raise ValueError(
-                    f"groups {group_of[body]} and {group} both name {tree.names[body]!r}"
-                )
+                problem = f"groups {group_of[body]} and {group} both name {tree.names[body]!r}"
+                raise UnfitError(problem, ("groups", group))
     names = [group_of.get(body) for body in tree.dof_bodies]
     axes = axis_names(tree)
     return [

@@ -21,12 +21,14 @@ network looks the same from each of them. ``docs/models/controller.md`` says whi
 import dataclasses
 import fnmatch
 import functools
+import re
 from collections.abc import Iterator, Sequence
 
 import numpy as np
 from jaxtyping import Float
 
 from evo_cpg.creature.tree import Tree
+from evo_cpg.errors import nearest
 from evo_cpg.spatial.choices import chosen
 from evo_cpg.spatial.numerics import Number, Numbers, xp
 
@@ -37,16 +39,25 @@ _NO_COUPLING = 1e-12
 _CLOSED_DEG = 0.1
 
 
-class CouplingError(ValueError):
-    """Couplings that do not fit a creature.
+class UnfitError(ValueError):
+    """Settings of a controller that do not fit the creature.
 
     Attributes:
-        where: path of the offending value in the settings, such as ``("rings", 0, "lag_deg")``.
+        where: path of the offending value in the settings, such as ``("groups", "legs", 0)``.
     """
 
     def __init__(self, message: str, where: Sequence[str | int]):
         super().__init__(message)
         self.where = tuple(where)
+
+
+class CouplingError(UnfitError):
+    """Couplings that do not fit a creature.
+
+    Attributes:
+        where: path of the offending value in the settings of the oscillators, such as
+            ``("rings", 0, "lag_deg")``.
+    """
 
 
 @dataclasses.dataclass(frozen=True)
@@ -117,24 +128,23 @@ def axis_names(tree: Tree) -> tuple[str, ...]:
     )
 
 
-def matching_bodies(tree: Tree, patterns: tuple[str, ...], setting: str) -> set[int]:
+def matching_bodies(tree: Tree, patterns: tuple[str, ...], where: Sequence[str | int]) -> set[int]:
     """Indices of the bodies that are named by patterns such as ``*_arm``.
 
     Args:
         tree: the creature.
         patterns: names, in which ``*`` stands for anything.
-        setting: where they are written, for the message.
+        where: path of the setting, for the message.
 
     Raises:
-        ValueError: a pattern that no body matches.
+        UnfitError: a pattern that no body matches.
     """
     found: set[int] = set()
-    for pattern in patterns:
+    for i, pattern in enumerate(patterns):
         matches = fnmatch.filter(tree.names, pattern)
         if not matches:
-            raise ValueError(
-                f"{setting} names {pattern!r}, but the bodies are {', '.join(tree.names)}"
-            )
+            problem = f"{pattern!r} matches no body; {_near(pattern, tree.names)}"
+            raise UnfitError(problem, (*where, i))
         found.update(map(tree.names.index, matches))
     return found
 
@@ -152,10 +162,17 @@ def matching_oscillators(tree: Tree, pattern: str, where: Sequence[str | int]) -
     """
     found = [i for i, name in enumerate(tree.dof_names) if fnmatch.fnmatchcase(name, pattern)]
     if not found:
-        raise CouplingError(
-            f"{pattern!r} is no degree of freedom; these are {', '.join(tree.dof_names)}", where
-        )
+        problem = f"{pattern!r} is no degree of freedom; {_near(pattern, tree.dof_names)}"
+        raise CouplingError(problem, where)
     return found
+
+
+def _near(pattern: str, names: Sequence[str]) -> str:
+    """Return a hint for a pattern that matches none of the names."""
+    starred = re.sub(r"\{\w+\}", "*", pattern)
+    if starred != pattern:
+        return f"placeholders stand for nothing here, write {starred!r}; {nearest(starred, names)}"
+    return nearest(pattern, names)
 
 
 def explicit_weights(

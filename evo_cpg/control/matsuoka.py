@@ -218,7 +218,7 @@ def inhibition_matrix(tree: Tree, settings: CpgSettings) -> Float[Numbers, "o o"
     direction = chosen(
         lambda: [-1 if (np.asarray(axis) <= 0).all() else 1 for axis in tree.joint_axes.T]
     )
-    opposite = matching_bodies(tree, settings.opposite, "opposite")
+    opposite = matching_bodies(tree, settings.opposite, ("cpg", "opposite"))
     oscillator = {key: i for i, key in enumerate(zip(tree.dof_bodies, axes, strict=True))}
     for child, (body, axis) in enumerate(zip(tree.dof_bodies, axes, strict=True)):
         ancestor = tree.parents[body]

@@ -169,6 +169,14 @@ class Creature:
     pressure_sensors: tuple[str, ...] = ()
     depth_sensors: tuple[DepthSensor, ...] = ()
 
+    def __repr__(self) -> str:
+        joints = [body.joint for body in self.bodies if body.joint is not None]
+        axes = sum(len(joint.axes) for joint in joints)
+        return (
+            f"Creature({self.name!r}, bodies={len(self.bodies)}, joints={len(joints)}, "
+            f"axes={axes}, eyes={len(self.light_sensors)})"
+        )
+
     def body_index(self, name: str) -> int:
         """Position of a body in ``bodies``."""
         return [body.name for body in self.bodies].index(name)

@@ -15,6 +15,7 @@ from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float, PyTree
 
@@ -34,6 +35,12 @@ class Evaluation(eqx.Module):
     terms: dict[str, Float[Any, " n"]]
     descriptors: dict[str, Float[Any, " n"]]
     trial_fitness: Float[Any, "trials n"]
+
+    def __repr__(self) -> str:
+        shape = f"of shape {list(jnp.shape(self.fitness))}"
+        if isinstance(self.fitness, np.ndarray) and self.fitness.size:
+            shape = f"of {self.fitness.size} individuals, best {self.fitness.max():.4g}"
+        return f"Evaluation(fitness {shape}; terms: {', '.join(self.terms)})"
 
 
 class Strategy(eqx.Module):

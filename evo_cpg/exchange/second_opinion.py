@@ -19,8 +19,9 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
+from evo_cpg.analysis.excursions import in_water
 from evo_cpg.control.controller import Command
 from evo_cpg.creature.creature import Creature
 from evo_cpg.exchange.errors import ExchangeError
@@ -55,14 +56,15 @@ class Opinion(NamedTuple):
         program: its name.
         path: of the root, m, the start first.
         upright: share of the time in which the root's up axis points up.
-        airborne: share of the time in which nothing touches the ground; 1 without ground.
+        airborne: share of the time in which nothing touches the ground and no body's centre is
+            under water; None without ground or with water everywhere, where it means nothing.
         joint_angle: rad, in our order of degrees of freedom.
     """
 
     program: str
     path: Float[np.ndarray, "3 t"]
     upright: float
-    airborne: float
+    airborne: float | None
     joint_angle: Float[np.ndarray, "d t"]
 
     @property
@@ -134,12 +136,12 @@ def own_opinion(simulation: Simulation, steps: PhysicsSteps) -> Opinion:
     """Ours, of a trial that was lived here."""
     each = slice(simulation.substeps - 1, None, simulation.substeps)
     start, place = steps.before.position[:, :1], steps.after.position[:, each]
-    touching = (np.abs(steps.contact_force).sum((0, 1)) > 0)[each]
+    held = (np.abs(steps.contact_force).sum((0, 1)) > 0) | in_water(simulation.world, steps)
     return Opinion(
         "evo_cpg",
         np.concatenate([start, place], 1).astype(float),
         _upright_share(np.asarray(steps.after.orientation[:, each])),
-        float(1.0 - touching.mean()),
+        _airborne(simulation.world, held[each]),
         np.asarray(steps.after.q[:, each], float),
     )
 
@@ -191,7 +193,7 @@ def second_opinion(
     player.begin(jax.tree.map(lambda x: np.asarray(x[..., 0], float), steps.before))
     jumps = _jumps(steps)
     signals = player.signals(*map(np.asarray, (steps.target_rate, steps.target_angle)))
-    substeps, path, turns, angles, touches = simulation.substeps, [], [], [], []
+    substeps, path, turns, angles, held = simulation.substeps, [], [], [], []
     path.append(player.data.qpos[:3].copy())
     for index in range(steps.torque.shape[-1]):
         player.push(jumps[:, index])
@@ -205,12 +207,12 @@ def second_opinion(
             path.append(player.data.qpos[:3].copy())
             turns.append(player.data.qpos[3:7].copy())
             angles.append(player.angles())
-            touches.append(player.touches())
+            held.append(player.touches() or player.swims())
     return Opinion(
         "MuJoCo" + ", hard contacts" * hard + ", own senses" * (brain is not None),
         np.array(path).T,
         _upright_share(np.array(turns).T),
-        float(1.0 - np.mean(touches)),
+        _airborne(simulation.world, np.array(held)),
         np.array(angles).T,
     )
 
@@ -231,7 +233,10 @@ class _Player:
         self._bodies = np.array([model.body(name).id for name in world.tree.names])
         self._animal = np.isin(model.geom_bodyid, self._bodies)
         self._structure = jax.tree.structure(resting_state(world.tree))
-        self._water = _water_forces(world) if world.water is not None else None
+        self._water, self._surface = None, -np.inf
+        if world.water is not None:
+            self._water = _water_forces(world)
+            self._surface = np.inf if world.water.surface is None else world.water.surface
 
     def begin(self, state: State) -> None:
         """Put the animal where ours began."""
@@ -273,6 +278,10 @@ class _Player:
             self._animal[contact.geom1] != self._animal[contact.geom2]
             for contact in self.data.contact
         )
+
+    def swims(self) -> bool:
+        """Whether a body's centre is under water."""
+        return bool((self.data.xipos[self._bodies, 2] < self._surface).any())
 
     def weight_borne(self) -> Float[np.ndarray, " b"]:
         """Normal force of what is no part of the animal on each of our bodies, N."""
@@ -329,6 +338,12 @@ def _jumps(steps: PhysicsSteps) -> Float[np.ndarray, "3 t"]:
     linear = np.asarray(steps.before.velocity[3:], float)
     came = np.concatenate([linear[:, :1], np.asarray(steps.after.velocity[3:, :-1], float)], 1)
     return linear - came
+
+
+def _airborne(world: World, held: Bool[np.ndarray, " t"]) -> float | None:
+    """Return the share of the time in which nothing holds the animal; None without meaning."""
+    everywhere = world.water is not None and world.water.surface is None
+    return None if world.footing is None or everywhere else float(1.0 - held.mean())
 
 
 def _upright_share(orientation: Float[np.ndarray, "4 t"]) -> float:

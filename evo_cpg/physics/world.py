@@ -53,6 +53,13 @@ class World(eqx.Module):
     added_inertia: Float[Numbers, "6 6 b"] | None = None
     pairs: Pairs | None = None
 
+    def __repr__(self) -> str:
+        water = "no water" if self.water is None else "water everywhere"
+        if self.water is not None and self.water.surface is not None:
+            water = f"water up to {self.water.surface} m"
+        ground = "no ground" if self.footing is None else "ground"
+        return f"World(gravity {self.gravity} m/s^2, {water}, {ground})"
+
     @property
     def pair_names(self) -> list[tuple[str, str]]:
         """Bodies that must not pass through each other."""

@@ -42,6 +42,13 @@ class Recording(NamedTuple):
     goal: Float[np.ndarray, "3"]
     dof_names: tuple[str, ...]
 
+    def __repr__(self) -> str:
+        span = f" from {self.time[0]:.4g} to {self.time[-1]:.4g} s" if len(self.time) else ""
+        return (
+            f"Recording({len(self.time)} instants{span}, {self.position.shape[1]} bodies, "
+            f"{len(self.dof_names)} joint axes)"
+        )
+
 
 def require_whole(recording: Recording, creature: Creature) -> None:
     """Check that a recording shows an animal from its start to its end.

@@ -14,6 +14,11 @@ from evo_cpg.simulation.situation import Situation
 from evo_cpg.training.devices import layout, population_mesh, run_in_blocks, sharded
 from evo_cpg.training.experiment import compile_trials
 
+# An animal that keeps this share of its displacement without eyes does not steer by them: one that
+# swims straight ahead, wherever the light is, keeps 87 % towards a light 30 degrees aside, where it
+# is by default, and loses more only where it has to turn farther.
+UNSEEING = 0.8
+
 
 class Probe(NamedTuple):
     """What became of one animal in several situations; arrays have a row for each.
@@ -37,6 +42,11 @@ class Probe(NamedTuple):
     def reached(self, share: float) -> Bool[np.ndarray, " n"]:
         """Where no more than this share of the distance was left."""
         return self.alive & (self.distance <= share)
+
+    @property
+    def displacement(self) -> float:
+        """How much nearer the animal came to its lights, all of them together, m."""
+        return float(np.nansum(self.start_distance * (1.0 - self.distance)))
 
 
 def probe(

@@ -1,5 +1,6 @@
 """A picture of a body plan: the neutral pose with names, joint axes, sensors and a scale."""
 
+import dataclasses
 import os
 from pathlib import Path
 from typing import NamedTuple
@@ -14,7 +15,14 @@ from evo_cpg.view.legible import legible, write_legibly
 from evo_cpg.view.meshes import add_bodies, shape_mesh
 from evo_cpg.view.offscreen import canvas, pixels
 from evo_cpg.view.output import check_size, frame_writer, output_path, oversampling
-from evo_cpg.view.preview_ground import add_preview_ground, obstacles_near
+from evo_cpg.view.preview_ground import (
+    SEA,
+    add_preview_ground,
+    add_preview_water,
+    obstacles_near,
+    tint_under_water,
+    water_note,
+)
 
 _BACKGROUND = "#f4f6f8"
 _TEXT = "#1d2530"
@@ -58,6 +66,7 @@ def preview(
     *,
     ground: Ground | bool = False,
     pose: tuple[np.ndarray, np.ndarray] | None = None,
+    surface: float | None = None,
 ) -> Path:
     """Draw a creature in its neutral pose, or another.
 
@@ -69,6 +78,8 @@ def preview(
             under its lowest point.
         pose: centres ``(bodies, 3)`` in m and rotations ``(bodies, 3, 3)``, in the world where the
             ground is; None for the neutral pose.
+        surface: height of the water in the same world, m; infinite for water everywhere, None for
+            none.
 
     Returns:
         The path.
@@ -81,12 +92,12 @@ def preview(
     path = preview_path(path, size)
     centres, rotations = neutral_pose(creature) if pose is None else pose
     half_extents = np.array([body.shape.half_extents for body in creature.bodies])
-    hull = np.concatenate(
-        [
-            np.asarray(shape_mesh(body.shape).points) @ turn.T + centre
-            for body, centre, turn in zip(creature.bodies, centres, rotations, strict=True)
-        ]
-    )
+    meshes = [
+        _placed(shape_mesh(body.shape), centre, turn)
+        for body, centre, turn in zip(creature.bodies, centres, rotations, strict=True)
+    ]
+    hull = np.concatenate([np.asarray(mesh.points) for mesh in meshes])
+    sunk = surface is not None and surface >= hull[:, 2].max()
     world = ground if isinstance(ground, Ground) else None
     stones, far = obstacles_near(world, hull)
     shown = np.concatenate([hull, stones])
@@ -95,13 +106,13 @@ def preview(
     unit = scale_up * max(min(size[0] / _SCREEN[0], size[1] / _SCREEN[1]), 0.5)
     rendered = (round(size[0] * scale_up), round(size[1] * scale_up))
     with canvas(rendered) as plotter:
-        plotter.background_color = pv.Color(_BACKGROUND)
+        plotter.background_color = pv.Color(SEA if sunk else _BACKGROUND)
         for place, intensity in (((0.3, 0.6, 1.6), 0.75), ((1.2, 0.9, 0.2), 0.4)):
             light = pv.Light(position=place, intensity=intensity, light_type="scene light")
             light.positional = False
             plotter.add_light(light)
         if ground:
-            add_preview_ground(plotter, creature, centres, rotations, shown, world)
+            add_preview_ground(plotter, creature, centres, rotations, shown, world, sunk)
         bodies = add_bodies(plotter, creature, _AMBIENT)
         for actors, centre, turn in zip(bodies, centres, rotations, strict=True):
             placed = np.eye(4)
@@ -111,20 +122,41 @@ def preview(
             # The joints lie inside: let them show.
             actors[0].prop.SetOpacity(_OPACITY)
             actors[0].prop.SetBackfaceCulling(True)
+        hidden = sunk or (surface is not None and world is not None and _below(surface, world))
+        sheet = None if hidden else surface
+        if sheet is not None:
+            add_preview_water(plotter, sheet, shown)
         # What is translucent is drawn in the order of adding: the farthest first.
         for i in np.argsort(-centres @ _VIEW):
             plotter.renderer.RemoveViewProp(bodies[i][0])
             plotter.renderer.AddViewProp(bodies[i][0])
+        if sheet is not None:
+            tint_under_water(plotter, sheet, meshes)
         legend = _add_joints(plotter, creature, centres, rotations, scale)
         legend |= _add_sensors(plotter, creature, centres, rotations, scale, bool(ground))
         view = _frame(plotter, shown, size)
         notes = [f"{far} obstacle{'s' if far > 1 else ''} farther away"] if far else []
+        if surface is not None:
+            notes.append(water_note(surface, hull))
         if size[0] >= _ROOM[0] and size[1] >= _ROOM[1]:
             _add_texts(plotter, creature, centres, view, legend, notes, unit)
         plotter.show(auto_close=False, interactive=False)
         with frame_writer(path, size, rendered, 1) as write:
             write(pixels(plotter))
     return path
+
+
+def _placed(mesh: pv.PolyData, centre: np.ndarray, turn: np.ndarray) -> pv.PolyData:
+    """Return a body's mesh where the body is in the world."""
+    mesh = mesh.copy()
+    mesh.points = np.asarray(mesh.points) @ turn.T + centre
+    return mesh
+
+
+def _below(surface: float, ground: Ground) -> bool:
+    """Return whether water lies under the ground everywhere, as far as that is known."""
+    level = dataclasses.replace(ground, obstacles=()).level
+    return level is not None and surface <= level
 
 
 class _View(NamedTuple):

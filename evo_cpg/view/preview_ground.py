@@ -1,4 +1,4 @@
-"""What a creature stands on in the picture of its body plan: pale ground, and stones."""
+"""What is around a creature in the picture of its body plan: pale ground, stones and water."""
 
 import dataclasses
 import functools
@@ -9,7 +9,7 @@ import pyvista as pv
 from evo_cpg.creature.creature import Creature, lowest_height
 from evo_cpg.physics.footing import Ground
 from evo_cpg.view.ground import add_floor, grid_spacing
-from evo_cpg.view.look import LOOKS
+from evo_cpg.view.look import LOOKS, Look
 from evo_cpg.view.obstacles import add_obstacles, obstacle_mesh
 from evo_cpg.view.shadows import add_contacts, add_shadows
 from evo_cpg.view.terrain import heights, make_terrain
@@ -18,11 +18,17 @@ from evo_cpg.view.terrain import heights, make_terrain
 _LOOK = dataclasses.replace(
     LOOKS["land"], floor=("#d3cab8", "#ece5d8"), grid="#a89c84", visibility=1.7
 )
+# The same under water, and what is behind.
+_SUNK = dataclasses.replace(_LOOK, floor=("#86b5bd", "#a9d0d4"), grid="#4f8b95")
+SEA = "#cde5ec"
+# Colour and opacity of the water's surface, and of what is under it.
+_WATER, _SHEET, _TINT = "#2f9fc4", 0.42, 0.4
 # Brightness of level ground that is lit from above, and how much slopes change it.
 _AMBIENT, _DIFFUSE = 0.55, 0.45
 # Obstacles that are nearer than this many lengths of the creature are in the picture, and ground
-# with relief reaches so many radii of the picture beyond them.
-_NEAR, _BEYOND = 5.0, 0.35
+# with relief reaches so many radii of the picture beyond them, finely and then coarsely, so that
+# its edge is in no picture.
+_NEAR, _BEYOND, _FAR = 5.0, 0.35, 4.0
 # What hides the buried parts of obstacles lies so deep under the floor and is so wide, in radii.
 _LIFT, _WIDE = 0.002, 20.0
 
@@ -54,6 +60,7 @@ def add_preview_ground(
     rotations: np.ndarray,
     shown: np.ndarray,
     ground: Ground | None,
+    sunk: bool,
 ) -> None:
     """Ground, shadows where the creature stands on it, and the obstacles.
 
@@ -64,7 +71,9 @@ def add_preview_ground(
         rotations: of its bodies ``(b, 3, 3)``.
         shown: points of all that the picture is to show ``(n, 3)``, m.
         ground: as it is in the world; None for level ground under the creature's lowest point.
+        sunk: whether all of it is under water.
     """
+    look = _SUNK if sunk else _LOOK
     middle = (shown.min(0) + shown.max(0)) / 2
     radius = float(np.linalg.norm(shown - middle, axis=1).max())
     if ground is not None:
@@ -74,7 +83,7 @@ def add_preview_ground(
     else:
         height = lowest_height(creature, (centres, rotations))
     if ground is not None and height is None:
-        _add_relief(plotter, ground, shown[:, :2], radius)
+        _add_relief(plotter, look, ground, shown[:, :2], radius)
         return
     assert height is not None
     if ground is not None and ground.obstacles:
@@ -82,20 +91,65 @@ def add_preview_ground(
         side, deep = _WIDE * radius, height - _LIFT * radius
         below = pv.Plane(center=(middle[0], middle[1], deep), i_size=side, j_size=side)
         plotter.add_mesh(below, color=plotter.background_color, lighting=False)
-    add_floor(plotter, _LOOK, height, radius, grid_spacing(radius))(middle)
+    add_floor(plotter, look, height, radius, grid_spacing(radius))(middle)
     half_extents = np.array([body.shape.half_extents for body in creature.bodies])
-    add_shadows(plotter, _LOOK, height, half_extents)(centres, rotations)
-    add_contacts(plotter, _LOOK, creature, height)(centres, rotations)
+    add_shadows(plotter, look, height, half_extents)(centres, rotations)
+    add_contacts(plotter, look, creature, height)(centres, rotations)
 
 
-def _add_relief(plotter: pv.Plotter, ground: Ground, place: np.ndarray, radius: float) -> None:
+def water_note(surface: float, hull: np.ndarray) -> str:
+    """Return where a creature is in the water, in words.
+
+    Args:
+        surface: height of the water, m; infinite for water everywhere.
+        hull: points of the creature ``(n, 3)``, m.
+    """
+    low, high = float(hull[:, 2].min()), float(hull[:, 2].max())
+    if surface == np.inf:
+        return "water everywhere"
+    if surface >= high:
+        return f"{surface - high:.2g} m under water"
+    return "partly under water" if surface > low else f"{low - surface:.2g} m above the water"
+
+
+def add_preview_water(plotter: pv.Plotter, surface: float, shown: np.ndarray) -> None:
+    """The surface of the water.
+
+    Args:
+        plotter: draws it.
+        surface: height of the water, m.
+        shown: points of all that the picture is to show ``(n, 3)``, m.
+    """
+    middle = (shown.min(0) + shown.max(0)) / 2
+    side = _WIDE * float(np.linalg.norm(shown - middle, axis=1).max())
+    sheet = pv.Plane(center=(middle[0], middle[1], surface), i_size=side, j_size=side)
+    plotter.add_mesh(sheet, color=_WATER, opacity=_SHEET, lighting=False)
+
+
+def tint_under_water(plotter: pv.Plotter, surface: float, meshes: list[pv.PolyData]) -> None:
+    """What of the creature is under water.
+
+    Args:
+        plotter: draws it.
+        surface: height of the water, m.
+        meshes: of the bodies, in the world.
+    """
+    for mesh in meshes:
+        wet = mesh.clip("z", origin=(0.0, 0.0, surface))
+        if wet.n_points:
+            plotter.add_mesh(wet, color=_WATER, opacity=_TINT, lighting=False)
+
+
+def _add_relief(
+    plotter: pv.Plotter, look: Look, ground: Ground, place: np.ndarray, radius: float
+) -> None:
     """Ground that is not level."""
-    terrain = make_terrain(ground.floor, place, _BEYOND * radius, 0.0)
+    terrain = make_terrain(ground.floor, place, _BEYOND * radius, _FAR * radius)
     mesh = pv.PolyData.from_regular_faces(terrain.points(), terrain.triangles())
     mesh.point_data.active_normals = terrain.normals()
     plotter.add_mesh(
         mesh,
-        color=_LOOK.floor[1],
+        color=look.floor[1],
         smooth_shading=True,
         ambient=_AMBIENT,
         diffuse=_DIFFUSE,

@@ -461,3 +461,33 @@ def test_changes_that_a_world_does_not_have_are_refused(honest, swimming):
         with_drag(honest[0].simulation, 1.1)
     with pytest.raises(ValueError, match="no ground to be rough"):
         with_friction(swimming[0].simulation, 1.1)
+
+
+def test_what_means_nothing_is_not_checked(honest, swimming):
+    """Of who has no ground nothing is said about it, and of who is in water not that it flies."""
+
+    def keys(found, trials):
+        return {check.key for check in books(found, champion(), trials, Limits())}
+
+    of_ground = {
+        "penetration",
+        "push_out_energy",
+        "airborne_way",
+        "slipping",
+        "seen_through_ground",
+    }
+    made, trials = swimming
+    assert not of_ground & keys(made, trials)
+    # Of two bodies on a hinge none can meet, and its motors have no limit.
+    assert not {"limb_energy", "overlap"} & keys(made, trials)
+    walking, steps = honest
+    on_land = keys(walking, steps)
+    assert of_ground <= on_land and {"overlap", "overload"} <= on_land
+    world = walking.simulation.world
+    for surface, flies in ((None, False), (2.0, True)):
+        water = dataclasses.replace(world, water=Water(1000.0, 1.0, 0.0, surface=surface))
+        simulation = dataclasses.replace(walking.simulation, world=water)
+        wet = keys(walking._replace(simulation=simulation), steps)
+        assert ("airborne_way" in wet) == flies and "penetration" in wet
+    dark = walker()
+    assert "seen_through_ground" not in keys(dark, steps)

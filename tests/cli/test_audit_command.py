@@ -2,16 +2,19 @@
 
 import json
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from evo_cpg.analysis.verdict import Check, Limits, Verdict, limits_from, shown
 from evo_cpg.api import audit
+from evo_cpg.api.audit import Audit
+from evo_cpg.cli import audit as audit_command
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import load_config
-from evo_cpg.training.checkpoint import genes_digest
+from evo_cpg.training.checkpoint import Champion, genes_digest
 from evo_cpg.training.run_folder import RunFolder
 from evo_cpg.training.variations import Variation, finer, live
 from tiny_run import CONFIG, PAIR
@@ -135,8 +138,34 @@ def test_a_champion_is_audited(cli, finished_run, tmp_path, monkeypatch):
     alone = json.loads((run / "audit_run0.json").read_text())
     assert code == (0 if alone["passed"] else 3) and "of 1 champions pass" not in out
     assert [x["measured"] for x in alone["checks"]] == [x["measured"] for x in told["checks"]]
-    assert "quarter %" in out and "MuJoCo: over" in out
+    assert "quarter %" in out and "MuJoCo: way" in out
     code, _, complaint = cli("audit", run, "--all", "--run", 0)
     assert code == 2 and "--all and --run" in complaint
     code, _, complaint = cli("audit", run, "way=1")
     assert code == 2 and "no limit 'way'" in complaint
+
+
+def judged(*checks: Check) -> Audit:
+    return Audit(Verdict(checks), (), 1.0)
+
+
+def test_who_does_without_its_eyes_is_told(capsys):
+    champion = Champion(np.zeros(1), 0.0, 0, {}, {})
+    sees, blind, still = (
+        judged(Check("way", "", way), *(Check(key, "", share) for key, share in shares.items()))
+        for way, shares in (
+            (2.0, {"half_step": 1.0, "blind": 0.3}),
+            (2.0, {"half_step": 1.0, "blind": 0.83}),
+            (0.004, {}),
+        )
+    )
+    audit_command._say(Path("run"), [champion], [sees], "the champion")
+    assert capsys.readouterr() == ("run: the champion passes its audit\n", "")
+    audit_command._say(Path("run"), [champion], [blind], "the champion")
+    assert capsys.readouterr().err == (
+        "run: note: the champion does not use its eyes: blind it keeps 83% of its displacement\n"
+    )
+    audit_command._say(Path("run"), [champion, champion._replace(run=1)], [sees, still], "")
+    assert capsys.readouterr().err == (
+        "run: run 1: displacement 0.004 m: too little to try what is kept of it\n"
+    )

@@ -8,6 +8,9 @@ import numpy as np
 import pytest
 import yaml
 
+from evo_cpg.cli.probe import _missed, _unseeing
+from evo_cpg.simulation.situation import Situation
+from evo_cpg.training.probe import Probe, around
 from evo_cpg.training.run_folder import RunFolder
 
 LIGHTS = ("--bearings=-60:60:3", "--distances", "3,5")
@@ -60,6 +63,10 @@ def test_a_row_is_that_of_a_probe_of_its_light_alone(finished_run, cli, probed, 
 def test_its_own_trials_come_out_as_in_training(finished_run, cli, tmp_path):
     code, _, err = cli("probe", finished_run, "--trials", "--out", tmp_path)
     assert code == 0, err
+    missed = (
+        f"evo-cpg: warning: {finished_run}: the champion: it misses most lights: it reaches 0 of 1"
+    )
+    assert missed in err
     (row,) = rows(tmp_path / "probe.csv")
     champion, _, _ = RunFolder(finished_run).load_champion()
     assert row["bearing_deg"] == 30 and row["start_distance"] == pytest.approx(8)
@@ -70,6 +77,7 @@ def test_its_own_trials_come_out_as_in_training(finished_run, cli, tmp_path):
 def test_the_blind_see_nothing_and_have_files_of_their_own(finished_run, cli, probed, tmp_path):
     code, out, err = cli("probe", finished_run, *LIGHTS, "--blind", "--out", tmp_path)
     assert code == 0, err
+    assert f"warning: {finished_run}: the champion: it " in err or "blind it keeps" in out
     found = rows(tmp_path / "probe_blind.csv")
     assert out.splitlines()[-1] == str(tmp_path / "probe_blind.png")
     assert all(row["light"] == 0 for row in found)
@@ -78,6 +86,51 @@ def test_the_blind_see_nothing_and_have_files_of_their_own(finished_run, cli, pr
         one["distance"] != pytest.approx(other["distance"], rel=1e-4)
         for one, other in zip(found, seeing, strict=True)
     )
+
+
+def made_of(bearings: list[float], left: list[float]) -> Probe:
+    """Lights 5 m away, and the share of the distance that is left of each."""
+    start = Situation((0.0, 0.0, 0.0), 0.0, (5.0, 0.0, 0.0))
+    situations = around(start, np.deg2rad(bearings))
+    count = len(left)
+    alive, paths = np.isfinite(left), np.zeros((count, 2, 3))
+    return Probe(situations, np.full(count, 5.0), np.array(left), np.zeros(count), alive, paths)
+
+
+@pytest.mark.parametrize(
+    ("left", "words"),
+    [
+        ([0.1, 0.1, 0.1, 0.1], ""),
+        ([0.9, 0.9, 0.1, 0.1], ""),
+        ([0.9, 0.9, 0.9, 0.1], "it misses most lights: it reaches 1 of 4, all of them on the left"),
+        (
+            [0.1, 0.9, 0.9, 0.9],
+            "it misses most lights: it reaches 1 of 4, all of them on the right",
+        ),
+        ([0.9, 0.9, 0.9, np.nan], "it misses most lights: it reaches 0 of 4"),
+    ],
+)
+def test_who_misses_most_lights_is_told(left, words):
+    assert _missed(made_of([-60, -20, 20, 60], left), 0.2) == words
+
+
+@pytest.mark.parametrize(
+    ("left", "words"),
+    [
+        ([0.25, 0.25], "it does not use its eyes: blind it keeps 83% of its displacement"),
+        ([0.1, 0.1], "it does not use its eyes: blind it keeps 100% of its displacement"),
+        ([0.9, 0.3], ""),
+        ([2.0, np.nan], ""),
+    ],
+)
+def test_who_does_without_its_eyes_is_told(left, words):
+    found = _unseeing(made_of([-30, 30], [0.1, 0.1]), made_of([-30, 30], left))
+    assert found.startswith(words) and bool(found) == bool(words)
+
+
+def test_who_gets_nowhere_cannot_be_compared():
+    lost = made_of([-30, 30], [1.0, 1.1])
+    assert "nothing to compare" in _unseeing(lost, lost)
 
 
 @pytest.mark.parametrize(

@@ -29,6 +29,8 @@ class Jump(Task):
     def __check_init__(self):
         if self.height < 0:
             raise ValueError(f"height must not be negative, got {self.height}")
+        if self.height > 100:
+            raise KeyError(f"tail{self.height:g}.z")
 
     def begin(self, batch, dtype, steps):
         return jnp.zeros(batch, dtype)
@@ -270,9 +272,10 @@ def test_a_preview_that_cannot_be_is_refused(refused):
         ("..my_tasks:Jump", {}, "task.type: '..my_tasks:Jump' cannot be imported (TypeError"),
         ("my_tasks:NotATask", {}, "is not a subclass of evo_cpg.simulation.task:Task"),
         ("my_tasks:Unfinished", {}, "task.options: my_tasks:Unfinished cannot be built with them"),
+        ("my_tasks:Jump", {"height": 101}, "be built with them (KeyError: 'tail101.z')"),
         ("my_tasks:Jump", {"hieght": 2}, "cannot be built with them (Jump.__init__() got an unexp"),
         ("my_tasks:Jump", {"height": -2}, "height must not be negative, got -2"),
-        ("my tasks:Jump", {}, "task.type: 'my tasks:Jump': string should match pattern"),
+        ("my tasks:Jump", {}, "task.type: 'my tasks:Jump': must be a module and a class"),
         (
             "my_tasks:Forgets",
             {},
@@ -365,7 +368,7 @@ def test_validate_reports_every_file_and_fails_if_one_is_wrong(cli, tmp_path):
     code, out, err = cli("validate", tmp_path / "x.yaml", CONFIG)
     assert code == 2
     assert out == f"{CONFIG}: 10 bodies, 27 joint axes, 20 kg, 1639 genes\n"
-    assert err.startswith(f"evo-cpg: {tmp_path / 'x.yaml'}: nam: unknown key; did you mean 'name'?")
+    assert err.startswith(f"evo-cpg: {tmp_path / 'x.yaml'}: line 1: nam: unknown key; did you")
     assert err.count("\n") == 1
 
 

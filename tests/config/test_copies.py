@@ -219,7 +219,7 @@ def test_copies_survive_being_written_and_read_and_are_differentiated_together()
         (STAR, {"radial": 0}, ".radial: 0: input should be greater than or equal to 1"),
         (STAR, {"raidal": 5}, ".raidal: unknown key; did you mean 'radial'?"),
         (BUG, {"name": "thigh"}, ": name: a mirrored body needs {side} in its name, got 'thigh'"),
-        (BUG, {"mirror": "w"}, ".mirror: 'w': input should be 'x', 'y' or 'z'"),
+        (BUG, {"mirror": "w"}, ".mirror: 'w': must be 'x', 'y', 'z' or null"),
     ],
 )
 def test_wrong_copies_are_refused(text, changes, expected):

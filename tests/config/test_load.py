@@ -165,7 +165,7 @@ def test_an_unknown_key_is_answered_with_the_nearest_valid_one(key, value, expec
     ("key", "value", "expected"),
     [
         ("creature__materials__flesh__density", -1, "-1: input should be greater than 0"),
-        ("creature__materials__flesh__density", "heavy", "'heavy': input should be a valid number"),
+        ("creature__materials__flesh__density", "heavy", "'heavy': must be a number"),
         ("creature__materials__flesh__density", "1000", "'1000': must be a number"),
         ("creature__materials__flesh__density", True, "True: must be a number"),
         ("creature__materials__flesh__density", float("nan"), "nan: input should be a finite"),
@@ -174,7 +174,7 @@ def test_an_unknown_key_is_answered_with_the_nearest_valid_one(key, value, expec
         ("creature__bodies", [], "[]: must have at least 1, has 0"),
         ("creature__bodies__0__shape__size", [0.2, 0, 0.1], "0: input should be greater than 0"),
         ("creature__bodies__0__shape__type", "cube", "'cube' is not known; allowed: 'box'"),
-        ("creature__bodies__0__color", "red", "'red': string should match"),
+        ("creature__bodies__0__color", "red", "'red': must be '#' and six hexadecimal digits"),
         ("creature__bodies__1__repeat", 100_000, "100000: input should be less than or equal"),
         ("creature__bodies__1__repeat", 3, "name: a repeated body needs {i} in its name"),
         ("creature__bodies__0__repeat", 3, "name: a repeated body needs {i} in its name"),
@@ -195,14 +195,14 @@ def test_an_unknown_key_is_answered_with_the_nearest_valid_one(key, value, expec
         ("world__gravity", -9.81, "-9.81: input should be greater than or equal to 0"),
         ("world__gravity", False, "False: must be a number"),
         ("world__water__sheltered", 1, "1: must be true or false"),
-        ("world__water__law", "newton", "'newton': input should be 'normal' or 'isotropic'"),
+        ("world__water__law", "newton", "'newton': must be 'normal' or 'isotropic'"),
         ("simulation__steps", 0, "0: input should be greater than or equal to 1"),
         ("simulation__steps", 10**12, "1000000000000: input should be less than or equal"),
-        ("simulation__steps", 1.5, "1.5: input should be a valid integer"),
-        ("simulation__control_rate_hz", "fast", "'fast': input should be a valid number"),
+        ("simulation__steps", 1.5, "1.5: must be a whole number"),
+        ("simulation__control_rate_hz", "fast", "'fast': must be a number"),
         ("seed", -1, "-1: input should be greater than or equal to 0"),
         ("seed", True, "True: must be a number"),
-        ("name", "../elsewhere", "'../elsewhere': string should match"),
+        ("name", "../elsewhere", "'../elsewhere': must be the name of a folder"),
         ("evolution__mutation_rate", 1.5, "1.5: input should be less than or equal to 1"),
         ("evolution__population", 8, "elites: must be fewer than the population of 8, got 20"),
         ("controller__rate_gain", float("inf"), "inf: must be a finite number"),
@@ -216,7 +216,7 @@ def test_an_unknown_key_is_answered_with_the_nearest_valid_one(key, value, expec
             "win",
             "'win' is not known; allowed: 'reach_light', 'distance', 'walk', or module:Class",
         ),
-        ("task", {"type": "distance", "heading": "up"}, "'up': input should be 'any' or 'forward'"),
+        ("task", {"type": "distance", "heading": "up"}, "'up': must be 'any' or 'forward'"),
         ("task", {"type": "walk", "tilt_weight": -1}, "-1: input should be greater than or equal"),
         ("simulation__start_clearance", -0.1, "-0.1: input should be greater than or equal to 0"),
         ("task__light__distance", 0, "0: input should be greater than 0"),
@@ -396,11 +396,15 @@ def test_axes_may_point_the_other_way():
 
 def test_limbs_have_drives_of_their_own_and_unknown_ones_are_named():
     message = problem(small(controller__groups={"fins": ["fin*"]}))
-    assert message.startswith("controller: groups.fins names 'fin*', but the bodies are head, tail")
+    assert message.startswith(
+        "controller.groups.fins.0: 'fin*' matches no body; valid here: head, tail"
+    )
     message = problem(small(controller__axes={"q": {"gain": 2}}))
-    assert message.startswith("controller: axes names 'q', but the joints turn about")
+    assert message.startswith("controller.axes.q: no joint turns about 'q'; valid here: z")
     message = problem(small(controller__cpg={"opposite": ["fin"]}))
-    assert message.startswith("controller: opposite names 'fin', but the bodies are head, tail")
+    assert message.startswith(
+        "controller.cpg.opposite.0: 'fin' matches no body; valid here: head, tail"
+    )
     message = problem(small(controller__axes={"z": {"gian": 2}}))
     assert message.startswith("controller.axes.z.gian: unknown key; did you mean 'gain'?")
 
@@ -409,7 +413,8 @@ def test_couplings_are_read_and_wrong_ones_are_answered_with_their_place():
     coupling = {"source": "tail.y", "target": "tail.z"}
     message = problem(small(controller__cpg={"couplings": [coupling]}))
     assert message == (
-        "controller.cpg.couplings.0.source: 'tail.y' is no degree of freedom; these are tail.z"
+        "controller.cpg.couplings.0.source: 'tail.y' is no degree of freedom; did you mean "
+        "'tail.z'? valid here: tail.z; the controller must name parts of creature 'pair'"
     )
     message = problem(small(controller__cpg={"couplings": [coupling | {"wieght": 1}]}))
     assert message.startswith("controller.cpg.couplings.0.wieght: unknown key; did you mean")
@@ -460,7 +465,7 @@ def test_what_is_missing_is_named():
         ("a: 1\n\tb: 2\n", "line 2, column 1: not valid YAML"),
         ("a: 1\nb:\n  c: 1\n  d: 2\n  c: 3\n", "line 5, column 3: not valid YAML: the key 'c' is"),
         ("a: {[1]: 2}", "line 1, column 5: not valid YAML: found unhashable key"),
-        ("a: \x01", "not valid YAML: control characters are not allowed"),
+        ("a: \x01", "line 1, column 4: not valid YAML: control characters are not allowed"),
         (
             "a: !!python/object:os.system {}",
             "line 1, column 4: not valid YAML: could not determine",
@@ -516,6 +521,9 @@ def test_numbers_may_be_written_with_an_exponent(tmp_path, text):
         ("seed=[1", "seed: '[1' is not YAML"),
         ("name=!!int x", "name: '!!int x' is not YAML"),
         ("creature.bodies.7.repeat=2", "creature.bodies.7.repeat: creature.bodies has no 7"),
+        ("creature.bodies.head.repeat=2", "has no head; its entries are numbered from 0 to 1"),
+        ("creature.bodies.-1.repeat=2", "has no -1; its entries are numbered from 0 to 1"),
+        ("creature.bodies.2=x", "creature.bodies has no 2; its entries are numbered from 0 to 1"),
         ("name.first=x", "name.first: name has no first"),
         ("world.watter=null", "world.watter: unknown key; did you mean 'water'?"),
         ("creature=fish.yaml", "fish.yaml: no such file"),

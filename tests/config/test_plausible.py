@@ -294,6 +294,127 @@ MISTAKES = {
         "world.gravity",
         "the animal falls from start to end",
     ),
+    "ground under water by default": (
+        CONFIG,
+        ["world={ground: {}}"],
+        "world.water",
+        "left out: unless it is written, there is water everywhere, so the ground lies under water",
+    ),
+    "shore without water": (
+        CONFIG,
+        ["world={ground: {floor: {type: shore, stop: 3, stop_height: -1}}}"],
+        "world.water",
+        "water: null for dry land",
+    ),
+    "ground without weight": (
+        WALKER,
+        ["world.gravity=0"],
+        "world.gravity",
+        "without gravity nothing holds the animal on the ground",
+    ),
+    "start in mm": (
+        WALKER,
+        ["simulation.start_clearance=50"],
+        "simulation.start_clearance",
+        "falls from that height; plausible is up to",
+    ),
+    "start above no ground": (
+        CONFIG,
+        ["simulation.start_clearance=0.1"],
+        "simulation.start_clearance",
+        "there is no ground, so this changes nothing",
+    ),
+    "start above the water": (
+        CONFIG,
+        ["world.water.surface=-500"],
+        "world.water.surface",
+        "m above the water, at height 0, and falls in",
+    ),
+    "walking in water": (
+        CONFIG,
+        ["task={type: walk}", "creature.light_sensors=[]"],
+        "task.type",
+        "there is no ground to walk on",
+    ),
+    "light without eyes": (
+        CONFIG,
+        ["creature.light_sensors=[]"],
+        "creature.light_sensors",
+        "the animal has no eye; add one, such as light_sensors: [{body: head}]",
+    ),
+    "light without eyes, by default": (
+        CONFIG,
+        ["creature.light_sensors=[]", "task={}"],
+        "creature.light_sensors",
+        "the task rewards coming near to a light (reach_light, the default)",
+    ),
+    "light with postures": (
+        LEGS,
+        ["task={type: reach_light}"],
+        "task.type",
+        "the animal cannot steer towards the light",
+    ),
+    "velocity sensor of postures": (
+        LEGS,
+        ["creature.sensors=[{type: velocity, body: torso}]"],
+        "creature.sensors",
+        "a controller of type 'postures' senses nothing",
+    ),
+    "no motor": (
+        CONFIG,
+        ["creature.bodies.1.joint.actuator=null"],
+        "creature.bodies.1.joint.actuator",
+        "null: no joint has a motor, so the controller moves nothing",
+    ),
+    "motors without torque": (
+        CONFIG,
+        ["creature.bodies.1.joint.actuator={gain: 1, torque_limit: 1e-9}"],
+        "creature.bodies.1.joint.actuator.torque_limit",
+        "1e-09: the motors are too weak to move anything: the strongest turns its own body by",
+    ),
+    "motors that stand still": (
+        CONFIG,
+        ["controller.rate_gain=0"],
+        "controller.rate_gain",
+        "the animal stays in its neutral pose",
+    ),
+    "trials without noise": (
+        CONFIG,
+        ["simulation.trials=5"],
+        "simulation.trials",
+        "without noise all 5 trials are alike, so one is run",
+    ),
+    "situations that do not differ": (
+        CONFIG,
+        ["simulation.trials=[{}, {}]"],
+        "simulation.trials",
+        "without noise all 2 trials are alike, so one would do",
+    ),
+    "a row that hangs far off": (
+        CONFIG,
+        [
+            "creature.bodies.0.shape={type: box, size: [0.6, 0.1, 0.1]}",
+            "creature.bodies.1.joint.at=[-0.31, 0, 0]",
+        ],
+        "creature.bodies.1.joint.at",
+        "repeat takes this place for every body of the row: on 'head', on which the first one "
+        "hangs, it fits, but it lies 0.21 m outside of 'segment1'",
+    ),
+    "a row that hangs inside": (
+        CONFIG,
+        [
+            "creature.bodies.0.shape={type: box, size: [0.05, 0.1, 0.1]}",
+            "creature.bodies.1.joint.at=[-0.03, 0, 0]",
+        ],
+        "creature.bodies.1.joint.at",
+        "it lies 0.05 m inside 'segment1', on which the next one hangs",
+    ),
+    "a row that curls up": (
+        CONFIG,
+        ["creature.bodies.1.joint.rotation_deg=[0, 90, 0]"],
+        "creature.bodies.1.joint.rotation_deg",
+        "repeat turns every body of the row by 90 degrees against the one before it",
+    ),
 }
 
 
@@ -360,6 +481,23 @@ def test_every_rule_has_a_mistake():
             ["world.ground.obstacles=[{type: block, centre: [90, 0, 0], size: [1, 900, 3]}]"],
         ),
         (SHORE, [GAUGE]),
+        # Ground under water, if that is written.
+        (CONFIG, ["world.water={}", "world.ground={}"]),
+        (CONFIG, ["world={ground: {}, water: null}"]),
+        (CONFIG, ["world={ground: {}}", "world.water.surface=1"]),
+        # Eyes of the user's own, and a task without a light.
+        (
+            CONFIG,
+            ["creature.light_sensors=[]", "creature.sensors=[{type: 'mine:Eye'}]"],
+        ),
+        (CONFIG, ["creature.light_sensors=[]", "task={type: distance}"]),
+        # A joint without a motor beside others, trials that differ, and a row that bends a little.
+        (CONFIG, ["simulation.trials=[{}, {start_heading_deg: 90}]"]),
+        (CONFIG, ["simulation.trials=5", "noise.push=0.01"]),
+        (CONFIG, ["creature.bodies.1.joint.rotation_deg=[0, 20, 0]"]),
+        # A dive, and a fall of less than a length.
+        (CONFIG, ["world.water.surface=-1"]),
+        (WALKER, ["simulation.start_clearance=0.1"]),
     ],
 )
 def test_what_may_be_meant_is_not_doubted(path, settings):

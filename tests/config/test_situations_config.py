@@ -157,7 +157,7 @@ STONE = "world.ground.obstacles=[{type: block, centre: [4, 0, 0], size: [2, 2, 2
     [
         (
             ["simulation.start_pose=setled"],
-            "simulation.start_pose: 'setled': input should be 'neutral' or 'settled'",
+            "simulation.start_pose: 'setled': must be 'neutral' or 'settled'; did you mean 'se",
         ),
         (
             ["simulation.start_pose=settled", "world.water.surface=0", "world.water.density=900"],
@@ -165,7 +165,10 @@ STONE = "world.ground.obstacles=[{type: block, centre: [4, 0, 0], size: [2, 2, 2
         ),
         (["simulation.trials=[]"], "simulation.trials: []: must have at least 1, has 0"),
         (["simulation.trials={}"], "simulation.trials: must be a number, or a list of situations"),
-        (["simulation.trials=[3]"], "simulation.trials.0: 3: input should be a valid dictionary"),
+        (
+            ["simulation.trials=[3]"],
+            "simulation.trials.0: 3: must be a section with the keys start",
+        ),
         (
             ["simulation.trials=[{}, {strat: [1, 2]}]"],
             "simulation.trials.1.strat: unknown key; did you mean 'start'?",

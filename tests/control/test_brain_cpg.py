@@ -13,6 +13,7 @@ from evo_cpg.control import matsuoka
 from evo_cpg.control.brain import BrainSettings
 from evo_cpg.control.brain_cpg import AxisSettings, BrainCpgSettings, build_brain_cpg, max_amplitude
 from evo_cpg.control.controller import Observation
+from evo_cpg.control.couplings import UnfitError
 from evo_cpg.control.matsuoka import CpgSettings
 
 
@@ -229,14 +230,22 @@ def test_creature_without_joints_is_refused(grow):
 def test_unknown_axes_and_bodies_are_refused(chain):
     tree = chain(3, "yz")
     settings = BrainCpgSettings(axes={"x": AxisSettings(0.5)})
-    with pytest.raises(ValueError, match="axes names 'x', but the joints turn about y, z"):
+    with pytest.raises(UnfitError, match="no joint turns about 'x'; valid here: y, z") as caught:
         build_brain_cpg(tree, 1, 1, settings)
-    with pytest.raises(ValueError, match=r"groups\.legs names 'leg\*', but the bodies are b0"):
-        build_brain_cpg(tree, 1, 1, BrainCpgSettings(groups={"legs": ("leg*",)}))
-    with pytest.raises(ValueError, match=r"groups\.root names no body with a joint"):
+    assert caught.value.where == ("axes", "x")
+    legs = BrainCpgSettings(groups={"legs": ("b1", "leg*")})
+    with pytest.raises(UnfitError, match=r"'leg\*' matches no body; valid here: b0, b1") as caught:
+        build_brain_cpg(tree, 1, 1, legs)
+    assert caught.value.where == ("groups", "legs", 1)
+    sides = BrainCpgSettings(groups={"legs": ("b{i}x",)})
+    with pytest.raises(
+        UnfitError, match=r"placeholders stand for nothing here, write 'b\*x'; valid"
+    ):
+        build_brain_cpg(tree, 1, 1, sides)
+    with pytest.raises(UnfitError, match="names no body with a joint; bodies with one are b1, b2"):
         build_brain_cpg(tree, 1, 1, BrainCpgSettings(groups={"root": ("b0",)}))
     twice = BrainCpgSettings(groups={"front": ("b1",), "all": ("b*",)})
-    with pytest.raises(ValueError, match="groups front and all both name 'b1'"):
+    with pytest.raises(UnfitError, match="groups front and all both name 'b1'"):
         build_brain_cpg(tree, 1, 1, twice)
 
 

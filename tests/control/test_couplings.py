@@ -240,7 +240,7 @@ def test_oscillators_that_are_coupled_to_nothing_are_found(star):
         (
             {"couplings": (Coupling("arm1_1.x", "arm2_1.y"),)},
             ("couplings", 0, "source"),
-            r"'arm1_1\.x' is no degree of freedom; these are arm1_1\.y, arm2_1\.y",
+            r"'arm1_1\.x' is no degree of freedom; did you mean 'arm1_1\.y'\? valid",
         ),
         (
             {"couplings": (Coupling("arm[12]_1.y", "arm*_1.y"),)},

@@ -13,6 +13,7 @@ from evo_cpg.config.load import load_config
 from evo_cpg.control.postures import PostureController
 from evo_cpg.exchange.errors import ExchangeError
 from evo_cpg.exchange.second_opinion import Brain, own_opinion, second_opinion
+from evo_cpg.physics.footing import Ground, make_footing
 from evo_cpg.simulation.physics_steps import physics_steps
 from tiny_run import CONFIG, PAIR
 
@@ -51,6 +52,31 @@ def test_in_water_commands_and_controller_lead_to_our_own_motion(swimmer):
     for other in (told, sensed):
         np.testing.assert_allclose(other.joint_angle, own.joint_angle, atol=5e-3)
         np.testing.assert_allclose(other.path, own.path, atol=2e-3)
+
+
+def test_who_is_in_water_is_not_airborne(swimmer):
+    """Without ground the word means nothing, and above a floor the water holds the animal."""
+    experiment, _, steps = swimmer
+    simulation, creature = experiment.simulation, experiment.creature
+    assert own_opinion(simulation, steps).airborne is None
+    assert second_opinion(simulation, creature, steps).airborne is None
+    world = simulation.world
+    footing = make_footing(creature, world.tree, Ground())
+    for surface, share in ((None, None), (2.0, 0.0), (-2.0, 1.0)):
+        water = dataclasses.replace(world.water, surface=surface)
+        changed = dataclasses.replace(world, water=water, footing=footing)
+        pool = dataclasses.replace(simulation, world=changed)
+        assert own_opinion(pool, steps).airborne == share
+
+
+def test_mujocos_animal_in_water_is_not_airborne():
+    """It hangs a metre above the floor of a pool that is 3 m deep."""
+    pool = ["world.ground={}", "world.water.surface=3", "simulation.start_clearance=1"]
+    experiment, _, steps = lived(CONFIG, *PAIR, *pool, "simulation.steps=12")
+    own = own_opinion(experiment.simulation, steps)
+    told = second_opinion(experiment.simulation, experiment.creature, steps)
+    assert (own.airborne, told.airborne) == (0.0, 0.0)
+    assert not np.any(steps.contact_force)
 
 
 def test_a_controller_hears_what_mujocos_animal_feels(swimmer):

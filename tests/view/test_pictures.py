@@ -24,7 +24,7 @@ from evo_cpg.view.plots import (
     plot_path,
 )
 from evo_cpg.view.preview import preview
-from evo_cpg.view.preview_ground import obstacles_near
+from evo_cpg.view.preview_ground import obstacles_near, water_note
 
 
 @pytest.fixture(scope="module")
@@ -132,6 +132,62 @@ def test_a_preview_shows_what_stands_around(tmp_path, floor):
     far = Boulder((500.0, 0.0, 0.0), 1.0)
     assert obstacles_near(Ground(obstacles=(*STONES, far)), centres)[1] == 1
     assert len(obstacles_near(Ground(obstacles=(far,)), centres)[0]) == 0
+
+
+def blue(image: np.ndarray) -> np.ndarray:
+    """Where a picture is bluer than it is red."""
+    return image[..., 2].astype(int) - image[..., 0] > 12
+
+
+def test_under_water_a_preview_looks_so(tmp_path):
+    """All around the animal; on dry land nothing but its hind end is blue."""
+    creature = synthetic.walker()
+
+    def seen(**where):
+        return blue(synthetic.read(preview(creature, tmp_path / "x.png", (480, 270), **where)))
+
+    assert seen(ground=True).mean() < 0.15
+    for surface in (np.inf, 2.0):
+        assert seen(ground=True, surface=surface).mean() > 0.8
+        assert seen(surface=surface).mean() > 0.8
+
+
+def test_a_preview_shows_the_surface_of_the_water(tmp_path):
+    """The sheet fills the picture up to land that rises out of it; what is below is tinted."""
+    creature = synthetic.swimmer()
+
+    def picture(**where):
+        path = preview(creature, tmp_path / "x.png", (480, 270), **where)
+        return synthetic.read(path).astype(int)
+
+    dry, half, low = picture(), picture(surface=0.0), picture(surface=-0.5)
+    assert blue(low)[:30].mean() > 0.9 > 0.1 > blue(dry)[:30].mean()
+    warm = [((each[..., 0] - each[..., 2]) > 100).sum() for each in (low, half, dry)]
+    # What is above the water keeps its colours, through which the blue shines a little.
+    assert warm[0] > 1.3 * warm[1] > 0
+    # A slope that goes down to the left of the picture, where the animal looks: half is land.
+    centres, turns = neutral_pose(creature)
+    slope = Ground(floor=Plane((0.3, 0.0, 0.954)))
+    pose = centres + np.array([0, 0, 0.8]), turns
+    shore = blue(picture(ground=slope, pose=pose, surface=0.3))
+    assert shore[100:, :120].mean() > 0.8 > 0.2 > shore[:160, -120:].mean()
+    # Water that lies under level ground is not seen.
+    buried = picture(ground=Ground(floor=Plane(height=-0.2)), surface=-0.3)
+    assert (buried == picture(ground=Ground(floor=Plane(height=-0.2)))).all(-1).mean() > 0.98
+
+
+@pytest.mark.parametrize(
+    ("surface", "words"),
+    [
+        (np.inf, "water everywhere"),
+        (1.5, "0.5 m under water"),
+        (1.0, "0 m under water"),
+        (0.25, "partly under water"),
+        (-0.25, "0.25 m above the water"),
+    ],
+)
+def test_a_preview_says_where_the_water_is(surface, words):
+    assert water_note(surface, np.array([[0.0, 0, 0], [0, 0, 1.0]])) == words
 
 
 def test_a_preview_has_limits(tmp_path):

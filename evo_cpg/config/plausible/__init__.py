@@ -8,11 +8,19 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from evo_cpg.config.build import build_creature
-from evo_cpg.config.plausible import angles, places, search, sensors, sizes
+from evo_cpg.config.plausible import angles, motors, places, search, sensors, sizes, surroundings
 from evo_cpg.config.plausible.doubt import Case, Doubt
 from evo_cpg.config.schema.experiment import ExperimentConfig
 
-RULES = (*sizes.RULES, *angles.RULES, *places.RULES, *sensors.RULES, *search.RULES)
+RULES = (
+    *sizes.RULES,
+    *angles.RULES,
+    *places.RULES,
+    *surroundings.RULES,
+    *sensors.RULES,
+    *motors.RULES,
+    *search.RULES,
+)
 
 
 def doubts(config: ExperimentConfig, source: Path | str) -> list[Doubt]:

@@ -67,6 +67,11 @@ class Case(NamedTuple):
                 yield i, entry, next(built)
 
     @property
+    def root(self) -> str:
+        """The name of the body without a joint."""
+        return next(body.name for body in self.creature.bodies if body.joint is None)
+
+    @property
     def length(self) -> float:
         """Of the creature in its neutral pose, from its first to its last centre and beyond, m."""
         centres, _ = neutral_pose(self.creature)
@@ -76,6 +81,8 @@ class Case(NamedTuple):
 
 def _written(value: Any) -> str:
     """A value as it stands in a configuration."""
+    if value is None:
+        return "null"
     if isinstance(value, float):
         return f"{value:g}"
     if isinstance(value, (list, tuple)):

@@ -12,6 +12,45 @@ from evo_cpg.creature.shapes import Shape
 # joined with gaps between them, and eyes stand on stalks.
 _OUT = 0.3
 
+# Bodies of a row that are each turned by so much against the one before it make a ring, degrees.
+_CURLS = 45.0
+
+
+def repeated_place(case: Case) -> Iterator[Doubt]:
+    """A row whose joint fits the first body's parent, but not the bodies of the row themselves."""
+    bodies = {body.name: body for body in case.creature.bodies}
+    for key, entry, body in case.bodies():
+        if entry.repeat == 1 or entry.joint is None or body.joint is None:
+            continue
+        parent, at = bodies[body.joint.parent], body.joint.parent_anchor
+        fits, gap = _gap(parent.shape, at), _gap(body.shape, at)
+        if abs(fits) > _OUT * parent.shape.half_extents.max():
+            continue
+        if abs(gap) > _OUT * body.shape.half_extents.max():
+            side = "outside of" if gap > 0 else "inside"
+            yield Doubt(
+                (*key, "joint", "at"),
+                entry.joint.at,
+                f"repeat takes this place for every body of the row: on {parent.name!r}, on which "
+                f"the first one hangs, it fits, but it lies {abs(gap):.3g} m {side} {body.name!r}, "
+                "on which the next one hangs; give the first body an entry of its own",
+            )
+
+
+def repeated_turn(case: Case) -> Iterator[Doubt]:
+    """A row that curls up: each of its bodies is turned against the one before it."""
+    for key, entry, _ in case.bodies():
+        angles = entry.joint.rotation_deg if entry.joint else ()
+        most = max(map(abs, angles), default=0.0)
+        if entry.repeat > 1 and most >= _CURLS:
+            yield Doubt(
+                (*key, "joint", "rotation_deg"),
+                angles,
+                f"repeat turns every body of the row by {most:g} degrees against the one before "
+                f"it; plausible are less than {_CURLS:g}; to turn the row as a whole give the "
+                "first body an entry of its own",
+            )
+
 
 def joint_anchor(case: Case) -> Iterator[Doubt]:
     """A joint that is nowhere near one of the bodies that it joins."""
@@ -50,12 +89,17 @@ def sensor_place(case: Case) -> Iterator[Doubt]:
             )
 
 
+def _gap(shape: Shape, place: tuple[float, float, float]) -> float:
+    """Return the distance from a shape's surface to a place in its frame, m; negative inside."""
+    return float(shape.distance(np.array([place]))[0])
+
+
 def _outside(
     key: Key, value: object, whose: str, shape: Shape, place: tuple[float, float, float]
 ) -> Iterator[Doubt]:
     """Doubt a place, in the shape's own frame, that is too far outside of it."""
     half = shape.half_extents
-    gap = float(shape.distance(np.array([place]))[0])
+    gap = _gap(shape, place)
     if gap <= _OUT * half.max():
         return
     x, y, z = half
@@ -70,4 +114,4 @@ def _outside(
     )
 
 
-RULES = (joint_anchor, sensor_place)
+RULES = (repeated_place, repeated_turn, joint_anchor, sensor_place)

@@ -19,4 +19,21 @@ def selection(case: Case) -> Iterator[Doubt]:
         yield Doubt(("evolution", "selection"), evolution.selection, problem)
 
 
-RULES = (selection,)
+def trials_alike(case: Case) -> Iterator[Doubt]:
+    """Several trials that differ in nothing."""
+    trials = case.config.simulation.trials
+    if not case.config.noise.silent:
+        return
+    if isinstance(trials, int):
+        count, told = trials, "one is run"
+    else:
+        alike = all(trial == trials[0] for trial in trials)
+        count, told = (len(trials) if alike else 1), "one would do"
+    if count > 1:
+        problem = (
+            f"without noise all {count} trials are alike, so {told}; give noise, or a list of "
+        )
+        yield Doubt(("simulation", "trials"), count, f"{problem}situations that differ")
+
+
+RULES = (selection, trials_alike)

@@ -1,12 +1,12 @@
-"""Sensors that can never feel anything, and animals that nothing holds."""
+"""Sensors that can never feel anything, and animals that sense nothing of their task."""
 
 from collections.abc import Iterator
 
 import numpy as np
 
 from evo_cpg.config.plausible.doubt import Case, Doubt
+from evo_cpg.config.plausible.surroundings import lowest_ground
 from evo_cpg.config.schema.choice import CustomConfig
-from evo_cpg.config.schema.ground import PlaneConfig, ReliefConfig, ShoreConfig
 from evo_cpg.config.schema.task import ReachLightConfig
 from evo_cpg.creature.creature import neutral_pose
 
@@ -29,6 +29,33 @@ def light_without(case: Case) -> Iterator[Doubt]:
             f"a task of type {task.type!r} has no light, so this eye sees none (it still tells how "
             "far it is tilted); leave the eye out, or choose a task with a light: reach_light",
         )
+
+
+def light_unseen(case: Case) -> Iterator[Doubt]:
+    """A task about a light, and an animal that has no eye, or whose controller uses none."""
+    config = case.config
+    if not isinstance(config.task, ReachLightConfig):
+        return
+    instead = "or choose a task without a light, such as task: {type: distance}"
+    if config.controller.type == "postures":
+        yield Doubt(
+            ("task", "type"),
+            config.task.type,
+            "a controller of type 'postures' senses nothing, so the animal cannot steer towards "
+            f"the light; take a controller that does, such as brain_cpg, {instead}",
+        )
+    elif not config.creature.light_sensors and not _own_sensors(case):
+        yield Doubt(
+            ("creature", "light_sensors"),
+            [],
+            "the task rewards coming near to a light (reach_light, the default), but the animal "
+            f"has no eye; add one, such as light_sensors: [{{body: {case.root}}}], {instead}",
+        )
+
+
+def _own_sensors(case: Case) -> bool:
+    """Return whether the creature has sensors of the user's own, which may see the light."""
+    return any(isinstance(sensor, CustomConfig) for sensor in case.config.creature.sensors)
 
 
 def light_never_in_view(case: Case) -> Iterator[Doubt]:
@@ -121,7 +148,7 @@ def depth_without_surface(case: Case) -> Iterator[Doubt]:
 
 def depth_out_of_scale(case: Case) -> Iterator[Doubt]:
     """Depth gauges whose scale is so long that the deepest place is a tick on it."""
-    water, lowest = case.config.world.water, _lowest(case)
+    water, lowest = case.config.world.water, lowest_ground(case)
     if water is None or water.surface is None or lowest is None:
         return
     deepest = water.surface - lowest
@@ -138,37 +165,6 @@ def depth_out_of_scale(case: Case) -> Iterator[Doubt]:
             )
 
 
-def water_below_ground(case: Case) -> Iterator[Doubt]:
-    """Water that lies under the ground everywhere."""
-    water, lowest = case.config.world.water, _lowest(case)
-    if water is None or water.surface is None or lowest is None or water.surface > lowest:
-        return
-    yield Doubt(
-        ("world", "water", "surface"),
-        water.surface,
-        f"the ground is nowhere lower than {lowest:.3g} m, so there is no water above it; raise "
-        "the surface, lower the ground (world.ground.floor), or leave the water out (water: null)",
-    )
-
-
-def _lowest(case: Case) -> float | None:
-    """Height of the lowest ground, m; None where there is no ground, no end to it, or no telling.
-
-    Slopes go down for ever.
-    """
-    ground = case.config.world.ground
-    if ground is None:
-        return None
-    floor = ground.floor
-    if isinstance(floor, PlaneConfig):
-        return None if floor.slope_deg else floor.height
-    if isinstance(floor, ShoreConfig):
-        return min(floor.start_height, floor.stop_height)
-    if isinstance(floor, ReliefConfig):
-        return min(map(min, floor.heights))
-    return None
-
-
 def controller_without_senses(case: Case) -> Iterator[Doubt]:
     """Sensors of an animal that takes its postures in turn and senses nothing."""
     creature = case.config.creature
@@ -178,6 +174,7 @@ def controller_without_senses(case: Case) -> Iterator[Doubt]:
     listed = [("light_sensors", eye.body) for eye in creature.light_sensors]
     listed += [("depth_sensors", gauge.body) for gauge in creature.depth_sensors]
     listed += [("pressure_sensors", name) for name in named]
+    listed += [("sensors", sensor.type) for sensor in creature.sensors]
     for kind in dict.fromkeys(kind for kind, _ in listed):
         names = [name for other, name in listed if other == kind]
         yield Doubt(
@@ -188,26 +185,13 @@ def controller_without_senses(case: Case) -> Iterator[Doubt]:
         )
 
 
-def nothing_to_hold_it(case: Case) -> Iterator[Doubt]:
-    """Gravity, but neither water nor ground: the animal falls for ever."""
-    world = case.config.world
-    if world.gravity and world.water is None and world.ground is None:
-        yield Doubt(
-            ("world", "gravity"),
-            world.gravity,
-            "there is neither water nor ground, so the animal falls from start to end; give the "
-            "world a ground (ground: {}) or water (water: {}), or set gravity to 0",
-        )
-
-
 RULES = (
     light_without,
+    light_unseen,
     light_never_in_view,
     touch_without_ground,
     touch_inside,
     depth_without_surface,
     depth_out_of_scale,
-    water_below_ground,
     controller_without_senses,
-    nothing_to_hold_it,
 )

@@ -4,7 +4,7 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, Discriminator, Field
 
-from evo_cpg.config.schema.section import Section
+from evo_cpg.config.schema.section import Section, pattern
 
 
 def _as_read_again(options: dict[str, Any]) -> dict[str, Any]:
@@ -49,7 +49,9 @@ class CustomConfig(Section):
         options: of its constructor.
     """
 
-    type: Annotated[str, Field(pattern=r"^[\w.]+:\w+$")]
+    type: Annotated[
+        str, *pattern(r"^[\w.]+:\w+$", "must be a module and a class, such as my_module:MyClass")
+    ]
     options: Options = Field(default_factory=dict)
 
 

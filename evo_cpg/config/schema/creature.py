@@ -9,7 +9,7 @@ from pydantic import AfterValidator, Field, model_validator
 from evo_cpg.config.schema.copies import SIDES, Copy, Entry, MirrorAxis, copies, copies_named
 from evo_cpg.config.schema.frames import moved, reflected, unit
 from evo_cpg.config.schema.joint import JointConfig
-from evo_cpg.config.schema.section import NotNegative, Positive, Section, Share, Vector
+from evo_cpg.config.schema.section import NotNegative, Positive, Section, Share, Vector, pattern
 from evo_cpg.config.schema.sensor import SensorConfig, VelocitySensorConfig
 from evo_cpg.config.schema.shape import MeshConfig, ShapeConfig
 from evo_cpg.creature.creature import (
@@ -40,6 +40,11 @@ BodyName = Annotated[
     str,
     AfterValidator(_require_printed),
     Field(json_schema_extra={"pattern": f"^{_PRINTED}+$"}),
+]
+
+
+Color = Annotated[
+    str, *pattern(r"^#[0-9a-fA-F]{6}$", "must be '#' and six hexadecimal digits, such as '#ff8800'")
 ]
 
 
@@ -84,7 +89,7 @@ class BodyConfig(Section):
     repeat: Annotated[int, Field(ge=1, le=1000)] = 1
     radial: Annotated[int, Field(ge=1, le=1000)] = 1
     mirror: MirrorAxis | None = None
-    color: Annotated[str, Field(pattern=r"^#[0-9a-fA-F]{6}$")] | None = None
+    color: Color | None = None
 
     @model_validator(mode="after")
     def _check(self) -> "BodyConfig":
@@ -302,6 +307,19 @@ class CreatureConfig(Section):
                         if name != "all":
                             refer(("self_collision", which, i, k), name)
         return found
+
+    def named_twice(self) -> tuple[tuple[str | int, ...], str] | None:
+        """Return the key of a name that another body has as well, and the problem; or None."""
+        owners: dict[str, int] = {}
+        for copy in self.copies():
+            first = owners.setdefault(copy.name, copy.entry)
+            if first != copy.entry:
+                problem = (
+                    f"two bodies are called {copy.name!r}, the other one in "
+                    f"creature.bodies.{first}; every body needs a name of its own"
+                )
+                return ("bodies", copy.entry, "name"), problem
+        return None
 
     def _shape(self, copy: Copy) -> ShapeConfig:
         shape = self.bodies[copy.entry].shape

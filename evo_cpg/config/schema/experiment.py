@@ -8,7 +8,7 @@ from evo_cpg.config.schema.audit import AuditConfig
 from evo_cpg.config.schema.controller import BrainCpgConfig, ControllerConfig
 from evo_cpg.config.schema.creature import CreatureConfig
 from evo_cpg.config.schema.evolution import EvolutionConfig, RealEvolutionConfig
-from evo_cpg.config.schema.section import Section
+from evo_cpg.config.schema.section import Section, pattern
 from evo_cpg.config.schema.task import ReachLightConfig, TaskConfig
 from evo_cpg.config.schema.trial import NoiseConfig, SimulationConfig
 from evo_cpg.config.schema.world import WorldConfig
@@ -38,7 +38,13 @@ class ExperimentConfig(Section):
         instruction_set: of the machine code; ``host`` is the largest that this processor has.
     """
 
-    name: Annotated[str, Field(pattern=r"^[^./\\\x00][^/\\\x00]*$")]
+    name: Annotated[
+        str,
+        *pattern(
+            r"^[^./\\\x00][^/\\\x00]*$",
+            "must be the name of a folder: not empty, without / and \\, no dot at its beginning",
+        ),
+    ]
     seed: Annotated[int, Field(ge=0, lt=2**31)] = 0
     runs: Annotated[int, Field(ge=1, le=10_000)] = 1
     creature: CreatureConfig

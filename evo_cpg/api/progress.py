@@ -1,0 +1,95 @@
+"""A line on standard error for work that takes long: on a terminal and in a notebook, or if asked.
+
+A library says nothing that its user did not ask for, so logs and pipes stay as they are. But the
+first call of a program compiles it, which takes some seconds to half a minute, and a user who
+watches should know what is going on.
+"""
+
+import contextlib
+import sys
+import threading
+import time
+from collections.abc import Iterator
+
+# What is done sooner is not worth a line, s.
+_SOON = 1.0
+
+# Between two lines about generations, s.
+_BETWEEN = 10.0
+
+_shown: bool | None = None
+
+
+def show_progress(on: bool | None = None) -> None:
+    """Choose whether long work of this library tells on standard error what it is doing.
+
+    Args:
+        on: True for always, False for never, None for only on a terminal and in a notebook, as it
+            is from the start.
+    """
+    global _shown
+    _shown = on
+
+
+@contextlib.contextmanager
+def working(what: str) -> Iterator[None]:
+    """Tell what is being done if it takes more than a second, and afterwards how long it took.
+
+    Args:
+        what: is being done.
+    """
+    if not _wanted():
+        yield
+        return
+    start, done, said = time.monotonic(), threading.Event(), threading.Event()
+
+    def wait() -> None:
+        if not done.wait(_SOON):
+            said.set()
+            _say(f"{what} ...")
+
+    waiter = threading.Thread(target=wait, name="progress", daemon=True)
+    waiter.start()
+    try:
+        yield
+    finally:
+        done.set()
+        waiter.join()
+        if said.is_set():
+            _say(f"{what}: {time.monotonic() - start:.1f} s")
+
+
+class Generations:
+    """Tells how far a search is, a line every ten seconds.
+
+    Args:
+        total: generations of the search.
+    """
+
+    def __init__(self, total: int):
+        self._total, self._done, self._next = total, 0, time.monotonic() + _BETWEEN
+
+    def add(self, best: float) -> None:
+        """Count a generation, and tell how far the search is if a line is due.
+
+        Args:
+            best: fitness so far.
+        """
+        self._done += 1
+        if time.monotonic() >= self._next and _wanted():
+            self._next = time.monotonic() + _BETWEEN
+            _say(f"{self._done} of {self._total} generations, best fitness {best:.4g}")
+
+
+def _wanted() -> bool:
+    """Return whether somebody watches, or asked for it."""
+    if _shown is not None:
+        return _shown
+    # What a notebook shows of standard error is no terminal.
+    return sys.stderr is not None and (sys.stderr.isatty() or "ipykernel" in sys.modules)
+
+
+def _say(line: str) -> None:
+    # A closed stream is no reason to stop working.
+    with contextlib.suppress(OSError, ValueError):
+        print(f"evo_cpg: {line}", file=sys.stderr, flush=True)

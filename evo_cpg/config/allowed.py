@@ -1,0 +1,262 @@
+"""What a place of a configuration takes, in words, from its JSON Schema."""
+
+import difflib
+import functools
+from typing import Any, cast
+
+import pydantic
+
+Schema = dict[str, Any]
+Place = tuple[str | int, ...]
+
+_SIMPLE = {
+    "string": ("text", "texts"),
+    "number": ("a number", "numbers"),
+    "integer": ("a whole number", "whole numbers"),
+    "boolean": ("true or false", "truth values"),
+    "null": ("null", "nulls"),
+}
+
+
+class Allowed:
+    """The JSON Schema of a configuration, read at the places of a given one.
+
+    Args:
+        model: of the whole configuration.
+        data: the given configuration, whose ``type`` keys choose among the kinds of a section.
+        tags: the kinds that pydantic took sections for which give no ``type``.
+    """
+
+    def __init__(self, model: type[pydantic.BaseModel], data: Any, tags: frozenset[str]):
+        self._root, self._data, self._tags = _schema_of(model), data, tags
+
+    def keys(self, place: Place) -> list[str]:
+        """Return the keys that are valid in the section at a place."""
+        options = self._at(place)
+        return sorted({key for option in options for key in option.get("properties", {})})
+
+    def words(self, place: Place) -> str:
+        """Return what the place takes: ``a number``, ``a list of 3 numbers``."""
+        return self._words(self._at(place))
+
+    def hint(self, place: Place, given: Any) -> str:
+        """Return how to write what was probably meant; empty if that is unknown."""
+        options = self._at(place)
+        last = place[-1] if place else None
+        if isinstance(last, int) and not isinstance(given, (list, dict)):
+            # A flat list where a list of lists is expected.
+            whole = self._value(place[:-1])
+            if isinstance(whole, list) and self._fits([whole], self._at(place[:-1])):
+                return f"write {as_written([whole])}"
+        if given is None:
+            return "the key has no value: leave it out, or give it one"
+        for item in _readings(given):
+            if self._fits(item, options):
+                return f"write {as_written(item)}"
+        if isinstance(given, dict) and any(option.get("type") == "array" for option in options):
+            return "begin each entry with '- '"
+        if isinstance(given, str) and given in map(self._kind, options):
+            return f"write {{type: {given}}}"
+        words = [word for o in options for word in o.get("enum", []) if isinstance(word, str)]
+        if close := difflib.get_close_matches(str(given), words, n=1, cutoff=0.5):
+            return f"did you mean {close[0]!r}?"
+        for option in options:
+            (only, *more) = option.get("required", []) or ["", ""]
+            if not more and self._fits({only: given}, [option]):
+                return f"write {as_written({only: given})}"
+        return ""
+
+    def _at(self, place: Place) -> list[Schema]:
+        """Return the schemas that a place may follow, references resolved."""
+        options, here = self._options(self._root, self._data), self._data
+        for part in place:
+            here = _inside(here, part)
+            options = [
+                each
+                for option in options
+                for inner in _entries(option, part)
+                for each in self._options(inner, here)
+            ]
+        return options
+
+    def _value(self, place: Place) -> Any:
+        here = self._data
+        for part in place:
+            here = _inside(here, part)
+        return here
+
+    def _options(self, schema: Schema, given: Any) -> list[Schema]:
+        """Return the alternatives of a schema that the given ``type`` chooses, or all of them."""
+        if "$ref" in schema:
+            return self._options(self._root["$defs"][schema["$ref"].rsplit("/", 1)[-1]], given)
+        union = schema.get("oneOf") or schema.get("anyOf")
+        if union is None:
+            return [schema]
+        options = [each for option in union for each in self._options(option, given)]
+        if not isinstance(given, dict):
+            return options
+        kinds = [self._kind(option) for option in options]
+        written = given.get("type")
+        asked = {written} if written is not None else self._tags.intersection(filter(None, kinds))
+        if not asked:
+            return options
+        exact = [option for option, kind in zip(options, kinds, strict=True) if kind in asked]
+        return exact or [o for o, kind in zip(options, kinds, strict=True) if kind is None]
+
+    def _kind(self, option: Schema) -> str | None:
+        """Return the ``type`` that an alternative stands for; None if it may be any, or none."""
+        return option.get("properties", {}).get("type", {}).get("const")
+
+    def _words(self, options: list[Schema]) -> str:
+        choices: list[str] = []
+        for option in options:
+            for each in option.get("enum", [option["const"]] if "const" in option else []):
+                choices.append(repr(each))
+        choices += [_SIMPLE[kind][0] for kind in map(_simple_kind, options) if kind]
+        for option in options:
+            if option.get("type") == "array":
+                choices.append(f"a list of {self._entries(option)}")
+        sections = [option for option in options if option.get("type") == "object"]
+        kinds = [kind for kind in map(self._kind, sections) if kind]
+        if len(kinds) > 1:
+            own = ["module:Class"] if len(kinds) < len(sections) else []
+            choices.append(f"a section whose type is {_listed([*map(repr, kinds), *own])}")
+        else:
+            choices += [f"a section {self._keys(section)}" for section in sections]
+        return _listed(list(dict.fromkeys(choices))) or "something else"
+
+    def _keys(self, schema: Schema) -> str:
+        if "properties" in schema:
+            return f"with the keys {', '.join(schema['properties'])}"
+        inner = schema.get("additionalProperties")
+        if isinstance(inner, dict):
+            return f"of names, each with {self._words(self._options(inner, None))}"
+        return "of keys and values"
+
+    def _entries(self, schema: Schema) -> str:
+        """Return what a list takes, in the plural."""
+        items = schema.get("prefixItems") or [schema.get("items", {})]
+        options = self._options(items[0], None)
+        least, most = schema.get("minItems"), schema.get("maxItems")
+        count = f"{least} " if least == most and least is not None else ""
+        if len(options) > 1 or "enum" in options[0]:
+            return f"{count}entries, each {self._words(options)}"
+        kind = options[0].get("type")
+        if kind == "array":
+            return f"{count}lists of {self._entries(options[0])}"
+        if kind == "object":
+            return f"{count}sections {self._keys(options[0])}"
+        return f"{count}{_SIMPLE[kind][1]}" if kind in _SIMPLE else f"{count}entries"
+
+    def _fits(self, value: Any, options: list[Schema]) -> bool:
+        """Return whether a value has the kind that one of the schemas asks for."""
+        return any(self._fits_one(value, option) for option in options)
+
+    def _fits_one(self, value: Any, schema: Schema) -> bool:
+        if "enum" in schema or "const" in schema:
+            return value in schema.get("enum", [schema.get("const")])
+        kind, number = schema.get("type"), isinstance(value, (int, float))
+        if isinstance(value, bool) or value is None:
+            return kind == ("null" if value is None else "boolean")
+        if isinstance(value, str):
+            return kind == "string"
+        if number:
+            return kind == "number" or (kind == "integer" and value == round(value))
+        if isinstance(value, list):
+            least, most = schema.get("minItems", 0), schema.get("maxItems", len(value))
+            return (
+                kind == "array"
+                and least <= len(value) <= most
+                and all(
+                    self._fits(
+                        each, [o for s in _entries(schema, i) for o in self._options(s, each)]
+                    )
+                    for i, each in enumerate(value)
+                )
+            )
+        return (
+            kind == "object"
+            and set(schema.get("required", [])) <= set(value)
+            and all(
+                self._fits(each, [o for s in _entries(schema, key) for o in self._options(s, each)])
+                for key, each in value.items()
+            )
+        )
+
+
+@functools.cache
+def _schema_of(model: type[pydantic.BaseModel]) -> Schema:
+    return model.model_json_schema()
+
+
+def as_written(value: Any) -> str:
+    """Return a value on one line of YAML."""
+    if isinstance(value, list):
+        return f"[{', '.join(map(as_written, value))}]"
+    if isinstance(value, dict):
+        return f"{{{', '.join(f'{key}: {as_written(each)}' for key, each in value.items())}}}"
+    if value is None or isinstance(value, bool):
+        return "null" if value is None else str(value).lower()
+    return repr(value) if isinstance(value, str) and not value.isidentifier() else str(value)
+
+
+def _readings(given: Any) -> list[Any]:
+    """Return what else a value may have been meant as."""
+    found: list[Any] = [[given]]
+    if isinstance(given, str):
+        if given.lower() in ("none", "nil"):
+            found.append(None)
+        if "," in given:
+            found.append([_number_or_text(part.strip()) for part in given.split(",")])
+        found += [number for number in [_number_or_text(given)] if not isinstance(number, str)]
+    elif isinstance(given, list) and len(given) == 1:
+        found.append(given[0])
+    elif isinstance(given, dict) and len(given) == 1 and list(given.values()) == [None]:
+        # A placeholder, which YAML takes for a mapping.
+        found.append(f"{{{next(iter(given))}}}")
+    elif isinstance(given, bool):
+        found.append({} if given else None)
+    elif isinstance(given, (int, float)):
+        found.append(str(given))
+    return found
+
+
+def _simple_kind(option: Schema) -> str | None:
+    """Return the type of a single value, if a schema asks for one of any value."""
+    named = "enum" in option or "const" in option
+    return None if named or option.get("type") not in _SIMPLE else option["type"]
+
+
+def _number_or_text(text: str) -> Any:
+    """Return the number that a text begins with, or the text."""
+    plain = text.replace("\N{MINUS SIGN}", "-").replace(",", ".")
+    words = plain.split()
+    for kind in (int, float):
+        try:
+            return kind(words[0])
+        except (IndexError, ValueError):
+            continue
+    return text
+
+
+def _entries(schema: Schema, part: str | int) -> list[Schema]:
+    """Return the schema of an entry of a list or a section, if it can have one."""
+    if isinstance(part, int):
+        first = schema.get("prefixItems", [])
+        found = first[part] if part < len(first) else schema.get("items")
+    else:
+        found = schema.get("properties", {}).get(part, schema.get("additionalProperties"))
+    return [found] if isinstance(found, dict) else []
+
+
+def _inside(here: Any, part: str | int) -> Any:
+    """Return an entry of a list or a section; None if there is none."""
+    try:
+        return cast(Any, here)[part]
+    except (IndexError, KeyError, TypeError):
+        return None
+
+
+def _listed(words: list[str]) -> str:
+    """Return words as a list with ``or`` before the last one."""
+    return " or ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))

@@ -1,0 +1,177 @@
+"""What pydantic finds wrong with a configuration, in words: key, value, what is allowed."""
+
+from pathlib import Path
+from typing import Any, cast
+
+import pydantic
+
+from evo_cpg.config.allowed import Allowed
+from evo_cpg.config.errors import ConfigError, Key, nearest
+
+# What pydantic calls an unknown key, in models and in dataclasses.
+_UNKNOWN_KEY = ("extra_forbidden", "unexpected_keyword_argument")
+_LENGTH = ("too_short", "too_long")
+
+# A value of another kind than the place takes.
+_WRONG_KIND = (
+    "bool_parsing",
+    "bool_type",
+    "dataclass_type",
+    "dict_type",
+    "float_parsing",
+    "float_type",
+    "int_from_float",
+    "int_parsing",
+    "int_type",
+    "list_type",
+    "literal_error",
+    "mapping_type",
+    "model_attributes_type",
+    "model_type",
+    "string_type",
+    "tuple_type",
+)
+
+# The last part of pydantic's location of a key that is not of the right kind.
+_OF_KEY = "[key]"
+
+_TRUTHS = "YAML reads yes, no, on, off, true and false as truth values; in quotes they are text"
+
+
+def worded(
+    error: pydantic.ValidationError,
+    model: type[pydantic.BaseModel],
+    data: dict[str, Any],
+    source: Path | str,
+) -> ConfigError:
+    """Return the first problem, in words.
+
+    A key that is no text and an unknown key go first: a typo explains what is missing.
+
+    Args:
+        error: what pydantic found.
+        model: of the whole configuration.
+        data: the given configuration.
+        source: file it came from, for messages.
+    """
+    problems = sorted(
+        error.errors(), key=lambda p: not (_is_of_key(p) or p["type"] in _UNKNOWN_KEY)
+    )
+    problem = _closest(problems, data)
+    key = _key_of(problem, data)
+    kind, given = problem["type"], problem.get("input")
+    tags = frozenset(part for part in problem["loc"] if isinstance(part, str))
+    allowed = Allowed(model, data, tags)
+    if _is_of_key(problem):
+        return ConfigError(source, key, _about_key(given, _value_at(data, (*key, given))))
+    if kind in _UNKNOWN_KEY:
+        return ConfigError(source, key, f"unknown key; {_near_key(allowed, key)}")
+    if kind == "missing":
+        beside = [p["loc"][-1] for p in problems if p["loc"][:-1] == problem["loc"][:-1]]
+        missing = [place + 1 for place in beside if isinstance(place, int)]
+        if missing:
+            return ConfigError(source, key, f"{short(given)}: {max(missing)} values are needed")
+        return ConfigError(source, key, "is missing and has no default")
+    message = problem["msg"].removeprefix("Value error, ")
+    if kind == "value_error":
+        return ConfigError(source, key, message)
+    if kind == "union_tag_not_found" and isinstance(given, dict):
+        return ConfigError(source, (*key, "type"), "is missing and has no default")
+    if kind.startswith("union_tag") and isinstance(given, dict):
+        expected = problem.get("ctx", {}).get("expected_tags", "")
+        expected = expected.replace("'custom'", "or module:Class for your own")
+        found = given.get("type")
+        return ConfigError(source, (*key, "type"), f"{found!r} is not known; allowed: {expected}")
+    if kind in _LENGTH:
+        limits = problem.get("ctx", {})
+        if kind == "too_short":
+            words = f"at least {limits.get('min_length')}"
+        else:
+            words = f"at most {limits.get('max_length')}"
+        count = limits.get("actual_length")
+        return ConfigError(source, key, f"{short(given)}: must have {words}, has {count}")
+    if kind in _WRONG_KIND or kind.startswith("union_tag"):
+        return ConfigError(source, key, f"{short(given)}: {_about_kind(allowed, key, given)}")
+    keys = {_key_of(each, data) for each in problems}
+    more = f" ({len(keys)} problems in all)" if len(keys) > 1 else ""
+    return ConfigError(source, key, f"{short(given)}: {message[:1].lower()}{message[1:]}{more}")
+
+
+def short(value: Any) -> str:
+    """Return a value as a message shows it, at most 60 characters long."""
+    text = "null" if value is None else repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def _about_kind(allowed: Allowed, key: tuple[str | int, ...], given: Any) -> str:
+    """Return what a place takes that was given another kind of value, and how to write it."""
+    words = allowed.words(key)
+    problem = f"must be {words}"
+    if isinstance(given, bool) and words.startswith("text"):
+        return f"{problem}; {_TRUTHS}"
+    hint = allowed.hint(key, given)
+    return f"{problem}; {hint}" if hint else problem
+
+
+def _about_key(given: Any, value: Any) -> str:
+    """Return what is wrong with a key that is no text."""
+    if isinstance(given, bool):
+        return f"the key {given} must be text; {_TRUTHS}"
+    if value is None:
+        return f"the key {given} must be text; if it follows a decimal comma, write a point"
+    return f"the key {given} must be text; write it in quotes: '{given}'"
+
+
+def _near_key(allowed: Allowed, key: tuple[str | int, ...]) -> str:
+    """Return the valid keys beside an unknown one, or the sections that have one of its name."""
+    valid = allowed.keys(key[:-1])
+    inner = []
+    if len(key) == 1:
+        inner = [f"{section}.{key[0]}" for section in valid if key[0] in allowed.keys((section,))]
+    return f"did you mean {' or '.join(inner)}?" if inner else nearest(str(key[-1]), valid)
+
+
+def _closest(problems: list[Any], data: dict[str, Any]) -> Any:
+    """Return the first problem, or one within the same list or section that is more exact.
+
+    Where a place takes several kinds, pydantic reports what is wrong with each of them.
+    """
+    first = problems[0]
+    if first["type"] not in _WRONG_KIND or not isinstance(first.get("input"), (dict, list)):
+        return first
+    key = _key_of(first, data)
+    inner = [each for each in problems if _key_of(each, data)[: len(key)] == key]
+    return max(inner, key=lambda each: len(_key_of(each, data)))
+
+
+def _key_of(problem: Any, data: Any) -> tuple[str | int, ...]:
+    """Return the key of a problem.
+
+    A pydantic location also has the names of union members, which are no keys of the file.
+    """
+    location, missing = problem["loc"], problem["type"] == "missing"
+    if _is_of_key(problem):
+        # Without the key itself, which pydantic has as text.
+        location = location[: -2 if location[-1] == _OF_KEY else -1]
+    key: list[str | int] = []
+    place: Any = data
+    for i, part in enumerate(location):
+        of_dict = isinstance(place, dict) and part in place
+        of_list = isinstance(place, list) and isinstance(part, int) and part < len(place)
+        if of_dict or of_list:
+            key.append(part)
+            place = cast(Any, place)[part]
+        elif missing and i == len(location) - 1 and isinstance(place, dict):
+            key.append(part)
+    return tuple(key)
+
+
+def _is_of_key(problem: Any) -> bool:
+    """Return whether it is about a key, and not its value."""
+    return problem["type"] == "invalid_key" or problem["loc"][-1:] == (_OF_KEY,)
+
+
+def _value_at(data: Any, key: Key) -> Any:
+    for part in key:
+        data = data[part]
+    return data

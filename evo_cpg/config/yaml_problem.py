@@ -1,0 +1,129 @@
+"""What is wrong with a text that is no YAML: the line, what the parser says, and how to mend it."""
+
+import re
+from typing import Any
+
+import yaml
+
+# What YAML reserves at the beginning of a value: anchors, references to them, tags and directives.
+_RESERVED = "*&!%@`"
+
+# Text around braces, such as {side}_fin.
+_BRACES = re.compile(r"[^\s,:\[\]{}'\"]*\{\w+\}[^\s,:\[\]{}'\"]*(?:\{\w+\}[^\s,:\[\]{}'\"]*)*")
+
+# A colour without quotes: the rest of the line is a comment.
+_COLOUR = re.compile(r"\bcolor:[ \t]+(#[0-9a-fA-F]{6})\b", re.MULTILINE)
+
+_KEY = re.compile(r"(?:- +)*[\w-]+:(?=\s|$)")
+
+
+def syntax_problem(text: str, error: yaml.YAMLError) -> tuple[str, str]:
+    """Return the place of an error, and what the parser says with how to mend it.
+
+    Args:
+        text: that is no YAML.
+        error: that the parser raised.
+
+    Returns:
+        ``line 3, column 7``, empty if that is unknown, and the problem, on one line.
+    """
+    mark = getattr(error, "problem_mark", None)
+    row, column = (mark.line, mark.column) if mark else _place_of(error, text)
+    problem = getattr(error, "problem", None) or getattr(error, "reason", "cannot be parsed")
+    if row is None:
+        return "", problem
+    hint = _hint(text.splitlines() or [""], row, column, error, problem)
+    return f"line {row + 1}, column {column + 1}", f"{problem}{f'; {hint}' if hint else ''}"
+
+
+def lost_colour(text: str) -> str | None:
+    """Return what is wrong where a colour without quotes is a comment; None if there is none."""
+    for line, words in enumerate(text.splitlines()):
+        found = _COLOUR.search(words)
+        if found and "#" not in words[: found.start()]:
+            return (
+                f"line {line + 1}: color: {found[1]} has no value, since # begins a comment; write "
+                f"it in quotes: '{found[1]}'"
+            )
+    return None
+
+
+def _place_of(error: Any, text: str) -> tuple[int | None, int]:
+    """Return line and column of a character that no YAML may have."""
+    position = getattr(error, "position", None)
+    if not isinstance(position, int):
+        return None, 0
+    found = next((i for i, one in enumerate(text) if ord(one) == _code(error)), position)
+    before = text[:found]
+    return before.count("\n"), found - (before.rfind("\n") + 1)
+
+
+def _code(error: Any) -> int:
+    character = getattr(error, "character", 0)
+    return ord(character) if isinstance(character, str) else int(character)
+
+
+def _hint(lines: list[str], row: int, column: int, error: Any, problem: str) -> str:
+    """Return what was probably meant; empty if that is unknown."""
+    here = _line(lines, row)
+    above = next((i for i in range(min(row, len(lines)) - 1, -1, -1) if lines[i].strip()), None)
+    opened = getattr(error, "context_mark", None)
+    context = str(getattr(error, "context", None) or "")
+    at = here[column : column + 1]
+    if re.match(r"[ -]*\t", here):
+        return "a tab stands at the beginning of the line, where YAML takes spaces only"
+    if strange := re.search(r"[\u00a0\u2000-\u200b\u3000\ufeff]", f"{here}{_line(lines, above)}"):
+        code = f"U+{ord(strange[0]):04X}"
+        return f"the character {code} looks like a space but is none; write a space"
+    if braces := _unquoted_braces(here) or _unquoted_braces(_line(lines, above)):
+        return f"write text with braces in quotes: '{braces}'"
+    word = re.split(r"[\s,\]}#]", here[column:])[0]
+    if at and at in _RESERVED and not word.startswith("!!"):
+        return f"YAML reserves {at} at the beginning of a value; write it in quotes: '{word}'"
+    if "another document" in problem:
+        return "a file holds one configuration: leave out '---'"
+    if "quoted scalar" in context and opened:
+        return f"the quote that opens in line {opened.line + 1} is not closed"
+    if "flow" in context and opened:
+        bracket = "[" if "sequence" in context else "{"
+        rest = _line(lines, opened.line)[opened.column :]
+        lost = "; # after a space begins a comment" if re.search(r"\s#", rest) else ""
+        return f"the {bracket} in line {opened.line + 1} is not closed, or a comma is missing{lost}"
+    for number, line in ((above, _line(lines, above)), (row, here)):
+        words = line.strip()
+        if (
+            number is not None
+            and re.match(r"-[\w'\"{\[]", words)
+            and not re.match(r"-\.?\d", words)
+        ):
+            return f"a space is missing after the - in line {number + 1}"
+        glued = re.match(r"(?:- +)?[A-Za-z_]\w*:(?![\s/]|$)", words)
+        if number is not None and glued:
+            return f"a space is missing after the colon in line {number + 1}"
+    if "mapping values" in problem and len(_KEY.findall(here)) > 1:
+        return "write text with a colon and a space in it in quotes"
+    if above is not None and at.strip() and _indent(here) != _indent(_line(lines, above)):
+        return (
+            f"it is indented by {_indent(here)} characters, line {above + 1} by "
+            f"{_indent(_line(lines, above))}; keys of one section begin in the same column"
+        )
+    return ""
+
+
+def _line(lines: list[str], number: int | None) -> str:
+    """Return a line; an empty one behind the last."""
+    return "" if number is None or number >= len(lines) else lines[number]
+
+
+def _indent(line: str) -> int:
+    """Return how far a line is indented; the dash of an entry of a list counts as a space."""
+    return len(line) - len(re.sub(r"^[ -]*", "", line))
+
+
+def _unquoted_braces(line: str) -> str | None:
+    """Return a text with braces that stands in no quotes; None if there is none."""
+    plain = re.sub(r"'[^']*'|\"[^\"]*\"", lambda found: " " * len(found[0]), line)
+    for found in _BRACES.finditer(plain.split(" #")[0]):
+        if not re.fullmatch(r"\{\w+\}", found[0]):
+            return found[0]
+    return None
