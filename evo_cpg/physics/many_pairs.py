@@ -329,7 +329,7 @@ class ManyPairForces:
             whole = push + slope * h * (J * own).sum(0)
             rows = jnp.asarray(run.paths.rows)[q % run.kind.count]
             i, j = np.tril_indices(len(dofs))
-            values = (h * slope * J[i]) * J[j]
+            values = (h * slope)[None] * J[i] * J[j]
             return (
                 _plus(torque, dofs, J * whole[None]),
                 _plus(matrix, rows[i] + dofs[j], values),
@@ -495,7 +495,7 @@ def _nearest(run: Alike, first: np.ndarray, second: np.ndarray, placed: tuple) -
             found = find(*boxes)
             gap = jnp.concatenate([one.gap for one in found])
             new = _Points(
-                jnp.where(close & (gap < reach), jnp.ones_like(gap), 0.0),
+                jnp.where(close[None] & (gap < reach[None]), jnp.ones_like(gap), 0.0),
                 gap,
                 _components([one.normal for one in found]),
                 _components([one.first for one in found]),

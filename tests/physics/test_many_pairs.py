@@ -1,0 +1,214 @@
+"""Many pairs of limbs in loops do what few do written out, and many joints in a row hold."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from creatures import quick_jit
+from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, Material
+from evo_cpg.creature.self_collision import SelfCollision
+from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid
+from evo_cpg.creature.tree import build_tree
+from evo_cpg.fusion.engine import Engine, using
+from evo_cpg.physics import pairs as written_out
+from evo_cpg.physics.footing import Ground, make_footing
+from evo_cpg.physics.kinematics import kinematics
+from evo_cpg.physics.many_pairs import ManyPairContacts
+from evo_cpg.physics.pairs import make_pairs, separations
+from evo_cpg.physics.state import resting_state
+from evo_cpg.physics.step import first_warmstart, step
+from evo_cpg.physics.world import World
+
+H, COUNT = 1 / 240, 24
+FLESH = Material(500.0, static_friction=0.8, dynamic_friction=0.8)
+LIMBS = {
+    "capsules": Capsule(0.03, 0.24),
+    "boxes": Box((0.3, 0.06, 0.05)),
+    "ellipsoids": Ellipsoid((0.15, 0.05, 0.03)),
+}
+
+
+def clapper(shape, axes):
+    """A trunk with two limbs of two bodies each that can clap together in front of it."""
+    unit = {"y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+    bodies = [Body("trunk", Box((0.2, 0.3, 0.1)), FLESH)]
+    for side, name in ((1, "left"), (-1, "right")):
+        for part, parent, place in (
+            ("arm", "trunk", (0.1, side * 0.12, 0.0)),
+            ("hand", f"{name}_arm", (0.16, 0.0, 0.0)),
+        ):
+            joint = Joint(
+                parent,
+                place,
+                child_anchor=(-0.16, 0.0, 0.0),
+                axes=tuple(unit[axis] for axis in axes),
+                lower=(-1.2,) * len(axes),
+                upper=(1.2,) * len(axes),
+                actuator=Actuator(2.0, torque_limit=5.0),
+            )
+            bodies.append(Body(f"{name}_{part}", shape, FLESH, joint))
+    return Creature("clapper", tuple(bodies))
+
+
+@pytest.fixture
+def loops(monkeypatch):
+    """Whether pairs are gone through in loops from here on."""
+    return lambda yes: monkeypatch.setattr(written_out, "_MOST_WRITTEN_OUT", 0 if yes else 10**6)
+
+
+def folded(tree, dtype):
+    """Limbs turned inwards and turning on, so that some push; the root lies still."""
+    rng = np.random.default_rng(3)
+    inwards = np.array([-1.0 if name.startswith("left") else 1.0 for name in tree.dof_names])
+    about_z = np.array([name.endswith("z") for name in tree.dof_names])
+    turned = (inwards * about_z)[:, None] * rng.uniform(0.1, 1.0, (tree.dof_count, COUNT))
+    q = turned + 0.1 * rng.normal(size=turned.shape)
+    qd = 4.0 * (inwards * about_z)[:, None] + rng.normal(size=turned.shape)
+    state = resting_state(tree, (COUNT,), dtype)
+    return dataclasses.replace(state, q=jnp.asarray(q, dtype), qd=jnp.asarray(qd, dtype))
+
+
+def one_step(world, state):
+    rates = jnp.zeros_like(state.qd)
+    return quick_jit(lambda s: step(world, s, rates, H))(state)
+
+
+@pytest.mark.parametrize(
+    ("shape", "axes"),
+    [
+        ("capsules", "z"),
+        ("boxes", "z"),
+        pytest.param("boxes", "yz", marks=pytest.mark.slow),
+        pytest.param("ellipsoids", "yz", marks=pytest.mark.slow),
+    ],
+)
+def test_loops_find_the_same_step(x64, loops, shape, axes):
+    creature = clapper(LIMBS[shape], axes)
+    tree = build_tree(creature)
+    world = World(tree, 0.0, pairs=make_pairs(creature, tree, SelfCollision()))
+    state = folded(tree, jnp.float64)
+    loops(False)
+    expected, effort = one_step(world, state)
+    loops(True)
+    got, its_effort = one_step(world, state)
+    # One point may have left the margin in which points are watched; it does not push.
+    pushes = np.asarray(effort.pair_force)
+    assert (pushes.sum(0) > 0).sum() >= 5, "the test is about pushes"
+    np.testing.assert_allclose(its_effort.pair_force, pushes, rtol=1e-8, atol=1e-8 * pushes.max())
+    np.testing.assert_allclose(got.qd, expected.qd, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(got.velocity, expected.velocity, rtol=1e-9, atol=1e-9)
+
+
+def test_loops_on_plain_jax(x64, loops):
+    """Individuals with and without pushes side by side, in programs that are not native."""
+    creature = clapper(LIMBS["capsules"], "z")
+    tree = build_tree(creature)
+    world = World(tree, 0.0, pairs=make_pairs(creature, tree, SelfCollision()))
+    state = folded(tree, jnp.float64)
+    loops(True)
+    expected, effort = one_step(world, state)
+    with using(Engine("jax")):
+        got, its_effort = one_step(world, state)
+    np.testing.assert_allclose(got.qd, expected.qd, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(its_effort.pair_force, effort.pair_force, rtol=1e-8, atol=1e-8)
+
+
+@pytest.mark.parametrize("shape", LIMBS)
+def test_loops_measure_the_same_gaps(x64, loops, shape):
+    creature = clapper(LIMBS[shape], "yz")
+    tree = build_tree(creature)
+    pairs = make_pairs(creature, tree, SelfCollision())
+    state = folded(tree, jnp.float64)
+
+    def measure(state):
+        return separations(pairs, kinematics(tree, state))
+
+    loops(False)
+    expected = quick_jit(measure)(state)
+    loops(True)
+    got = jax.jit(measure)(state)
+    for name, one, other in zip(expected._fields, got, expected, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9, err_msg=name)
+
+
+def test_points_left_out_do_not_push(x64, loops):
+    """Whatever is not watched in a step is too far away to push, at any rate that limbs reach."""
+    creature = clapper(LIMBS["capsules"], "z")
+    tree = build_tree(creature)
+    pairs = make_pairs(creature, tree, SelfCollision())
+    state = folded(tree, jnp.float64)
+    state = dataclasses.replace(state, qd=8.0 * state.qd)
+
+    def watch(state):
+        kin = kinematics(tree, state)
+        contacts = ManyPairContacts(tree, pairs, kin, state.qd, H)
+        return separations(pairs, kin).gap, jnp.concatenate(
+            [run.points.watched for run in contacts.runs]
+        )
+
+    loops(True)
+    gap, watched = (np.asarray(x) for x in jax.jit(watch)(state))
+    later = dataclasses.replace(state, q=state.q + H * state.qd)
+    gap_later = np.asarray(jax.jit(watch)(later)[0])
+    # A further point may appear where there was none; one of the pair is watched.
+    (run,) = pairs.runs
+    gap, watched, gap_later = (x.reshape(-1, run.count, COUNT) for x in (gap, watched, gap_later))
+    comes = (gap.min(0) > 0) & (gap_later.min(0) < 0)
+    seen = watched.max(0) == 1
+    assert comes.sum() >= 3 and (~seen).sum() >= 3, "the test is about pairs that come near"
+    assert seen[comes].all()
+
+
+def snake(count):
+    """Boxes in a row with one upright axis between neighbours, lying on the ground."""
+    size = Box((0.1, 0.05, 0.05))
+    bodies = [Body("head", size, FLESH)]
+    for k in range(1, count):
+        joint = Joint(
+            bodies[-1].name,
+            (-0.055, 0.0, 0.0),
+            child_anchor=(0.055, 0.0, 0.0),
+            axes=((0.0, 0.0, 1.0),),
+            lower=(-1.0,),
+            upper=(1.0,),
+            actuator=Actuator(2.0),
+        )
+        bodies.append(Body(f"part{k}", size, FLESH, joint))
+    return Creature("snake", tuple(bodies))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [18, 40])
+def test_long_snakes_have_the_motion_of_float64(count):
+    """Single precision finds the step that double precision finds, and says that it solved it."""
+    creature = snake(count)
+    tree = build_tree(creature)
+    world = World(tree, 9.81, footing=make_footing(creature, tree, Ground()))
+    rng = np.random.default_rng(0)
+    start = 0.5 * rng.uniform(-1, 1, (tree.dof_count, 8)), rng.normal(size=(tree.dof_count, 8))
+    with jax.enable_x64(True):
+        ends = {}
+        for dtype in (jnp.float32, jnp.float64):
+            state = resting_state(tree, (8,), dtype)
+            q, rates = (jnp.asarray(x, dtype) for x in start)
+            position = state.position.at[2].set(0.0249)
+            state = dataclasses.replace(state, q=q, position=position)
+
+            def run(state, rates=rates, dtype=dtype):
+                def advance(carry, _):
+                    state, warm = carry
+                    state, effort = step(world, state, rates, 1 / 120, None, warm)
+                    return (state, effort.warmstart), effort.residual.solved
+
+                begin = state, first_warmstart(world, (8,), dtype)
+                (state, _), residual = jax.lax.scan(advance, begin, length=10)
+                return state.qd, residual
+
+            ends[dtype] = jax.jit(run)(state)
+        (single, missed), (double, exact) = ends.values()
+    assert np.max(exact) < 1e-9
+    assert np.quantile(missed, 0.9) < 1e-3 and np.max(missed) < 3e-3
+    assert np.abs(single - double).max() < 0.03 * np.abs(double).max()
