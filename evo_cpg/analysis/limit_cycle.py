@@ -30,7 +30,7 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from evo_cpg.control.matsuoka import MatsuokaNetwork, MatsuokaState, parts, sub_network
-from evo_cpg.control.piecewise import BudgetError, Crossing, Flow, Rest, Run
+from evo_cpg.control.piecewise import BudgetError, Flow, Rest, Run, returned
 
 # Samples along an orbit.
 STEPS = 1000
@@ -235,7 +235,7 @@ def settle(flow: Flow, state: Float[np.ndarray, " k"]) -> Orbit:
             run = flow.run(state, stretch)
             state, time = run.state, time + stretch
             swing = float((run.highest - run.lowest).max())
-            guess = _returned(run.onsets, near)
+            guess = returned(run.onsets, near)
             found = None if guess is None else close(flow, *guess)
             stayed = 0 if found is None else stayed + 1
             if found is not None and (_is_stable(flow, found) or stayed == _STAYS):
@@ -325,23 +325,6 @@ def outputs(flow: Flow, orbit: Orbit) -> Float[np.ndarray, "o t"]:
     return extensor - flexor
 
 
-def _returned(
-    onsets: Sequence[Crossing], near: float
-) -> tuple[Float[np.ndarray, " k"], float] | None:
-    """The latest state at which a neuron began to fire, and how long ago it was nearly the same."""
-    if not onsets:
-        return None
-    last = onsets[-1]
-    # Only what still goes on says how far the network swings.
-    recent = np.array([onset.state for onset in onsets[len(onsets) // 2 :]])
-    swing = float(np.ptp(recent, axis=0).max())
-    for before in reversed(onsets[:-1]):
-        apart = np.abs(last.state - before.state).max()
-        if before.neuron == last.neuron and apart <= near * swing:
-            return last.state, last.time - before.time
-    return None
-
-
 def _once(flow: Flow, orbit: Orbit) -> tuple[Orbit, Float[np.ndarray, "k t"]]:
     """An orbit that may have been gone around several times, once, and the states along it."""
     samples = sampled(flow, orbit)
@@ -379,16 +362,15 @@ def _neutral_error(flow: Flow, orbit: Orbit) -> float:
 
 def _rest_words(flow: Flow, rest: Rest, time: float) -> str:
     """What it is to be at rest there, and which way out."""
-    decay = -1 / rest.rates[0].real / flow.second
-    extensors, flexors = rest.firing.reshape(2, -1)
-    if (extensors & flexors).all():
-        how = "both neurons of every oscillator fire evenly; stronger inhibition (pair_weight)"
+    rate = rest.rates[0].real * flow.second
+    push = f"a push decays within {-1 / rate:.3g} s" if rate < 0 else "a push does not grow"
+    if rest.firing.all():
+        how = "All neurons fire evenly: stronger inhibition (pair_weight) may let it swing"
     else:
-        how = "some neurons keep others silent; weaker inhibition (pair_weight), a larger b"
+        how = "Some neurons silence others: a smaller pair_weight or a larger b may let it swing"
     return (
-        f"from its start the network comes to rest: after {time / flow.second:.3g} s it is near a "
-        f"stable equilibrium, which nothing leads away from (a push decays within {decay:.3g} s). "
-        f"There, {how} may let it swing: it oscillates where 1 + T_r / T_a < a < 1 + b for its "
+        f"the network comes to rest: after {time / flow.second:.3g} s it is near a stable "
+        f"equilibrium, where {push}. {how}. It oscillates where 1 + T_r / T_a < a < 1 + b for its "
         "effective inhibition a (docs/models/controller.md)"
     )
 
@@ -396,18 +378,18 @@ def _rest_words(flow: Flow, rest: Rest, time: float) -> str:
 def _failure_words(flow: Flow, state: np.ndarray, time: float, swing: float) -> str:
     """What the search saw when its budget ended."""
     words = (
-        f"the search failed, which says nothing about the network: in {time / flow.second:.3g} s "
-        f"of simulation ({_BUDGET} steps) it neither came to rest nor repeated itself"
+        "the search failed, so nothing is known of the network: in "
+        f"{time / flow.second:.3g} s of simulation it neither came to rest nor repeated itself"
     )
     near = flow.equilibrium(state)
-    if near is not None and np.abs(near.rates[0].imag) > 0:
-        rate = near.rates[0].real * flow.second
+    if near is None:
         return (
-            f"{words}; swings about an equilibrium grow by a factor e in {1 / rate:.3g} s"
-            if rate > 0
-            else f"{words}; swings about an equilibrium decay by a factor e in {-1 / rate:.3g} s"
-        ) + ", too slow for the search. Try a pair_weight or gain a little farther from this border"
+            f"{words}. Its output swings by up to {swing * flow.scale:.3g}. The rhythm may be "
+            "irregular or settle slowly; try another --gain or other weights"
+        )
+    rate = near.rates[0].real * flow.second
+    change = "grow" if rate > 0 else "decay"
     return (
-        f"{words}; its output still swings by {swing * flow.scale:.3g}. It may be irregular, or "
-        "have two periods that do not fit. Try another gain, or look at a simulation"
+        f"{words}. Swings about an equilibrium {change}, by a factor e in {abs(1 / rate):.3g} s. "
+        "Try a pair_weight a little farther from this border of oscillation"
     )

@@ -20,6 +20,7 @@ NumPy alone: nothing has to compile, so this can be called before every run.
 """
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -68,6 +69,10 @@ _LEAP = 50
 
 # A mode is gone after as many of its time constants: e^-50 = 2e-22.
 _FADED = 50
+
+# Halvings of an eighth of a step that bracket a crossing, and steps of Newton's method that then
+# find it to rounding.
+_HALVINGS, _REFINEMENTS = 8, 4
 
 # The matrices of all patterns met are kept, up to this many bytes.
 _KEPT_BYTES = 2**28
@@ -242,8 +247,8 @@ class Flow:
                 middle = columns + half @ columns
                 end = middle + half @ middle
             else:
-                middle = _taylor(piece.generator, columns, length / 2)
-                end = _taylor(piece.generator, columns, length)
+                terms = _terms(piece.generator, columns)
+                middle, end = _sum(terms, length / 2), _sum(terms, length)
             x0, xm, x1 = columns[:n, 0], middle[:n, 0], end[:n, 0]
             v0 = length * (piece.generator[:n] @ columns[:, 0])
             v1 = length * (piece.generator[:n] @ end[:, 0])
@@ -261,9 +266,8 @@ class Flow:
                 continue
             place = int(wrong.any(1).argmax())
             share, neuron = _first_root(x0, x1, v0, v1, np.flatnonzero(wrong[place]), place)
-            columns, travelled = self._toward(piece, columns, share * length)
-            columns, more = self._onto_zero(piece, columns, neuron)
-            time += travelled + more
+            columns, passed = self._onto_zero(piece, columns, share * length, neuron)
+            time += passed
             columns[neuron, 0] = 0.0
             firing = firing.copy()
             firing[neuron] = not firing[neuron]
@@ -286,7 +290,9 @@ class Flow:
         """
         if np.abs(self.slope(state)).max() < _STILL:
             here = self._with_rates(state, self._pattern(state))
-            return here if here.rates[0].real < _STILL else None
+            # A potential of zero may be at the border of a pattern that leads away.
+            certain = here.rates[0].real < _STILL and self._margin(here).min() > _STILL**0.5
+            return here if certain else None
         near = self.equilibrium(state)
         if near is None or not near.rates[0].real < 0:
             return None
@@ -409,42 +415,71 @@ class Flow:
             steps.append(step)
         return _Piece(generator, steps[::-1])
 
-    def _toward(
-        self, piece: _Piece, columns: np.ndarray, duration: float
+    def _onto_zero(
+        self, piece: _Piece, columns: np.ndarray, about: float, neuron: int
     ) -> tuple[np.ndarray, float]:
-        """Columns after a duration in one piece, by tabulated steps and a Taylor series."""
-        left = duration
+        """Move along one piece to where a neuron's potential is zero, and tell when that is.
+
+        Args:
+            piece: that holds until then.
+            columns: the state, and its derivatives.
+            about: a guess of the time.
+            neuron: whose potential it is.
+        """
+        left = about
         for step, length in zip(piece.steps, self._lengths, strict=True):
             if step is not None and left >= length:
                 columns, left = columns + step @ columns, left - length
-        return _taylor(piece.generator, columns, left), duration
-
-    def _onto_zero(
-        self, piece: _Piece, columns: np.ndarray, neuron: int
-    ) -> tuple[np.ndarray, float]:
-        """Move along one piece to where a neuron's potential is zero, which must be near."""
-        longest, moved = float(self._lengths[-1]), 0.0
-        for _ in range(8):
-            x = columns[neuron, 0]
-            slope = float(piece.generator[neuron] @ columns[:, 0])
-            if x == 0 or slope == 0:
+        # From here a series reaches both ways, as far as the shortest step.
+        terms = _terms(piece.generator, columns)
+        series = [float(term[neuron, 0]) for term in terms]
+        reach, moment = float(self._lengths[-1]), left
+        for _ in range(_REFINEMENTS):
+            value = slope = 0.0
+            for coefficient in reversed(series):
+                slope = slope * moment + value
+                value = value * moment + coefficient
+            if slope == 0:
                 break
-            change = -x / slope
-            if abs(change) > longest:
-                break
-            columns = _taylor(piece.generator, columns, change)
-            moved += change
-            if abs(change) < 1e-13 * longest:
-                break
-        return columns, moved
+            moment = min(max(moment - value / slope, -reach), 2 * reach)
+        return _sum(terms, moment), about - left + moment
 
 
-def _taylor(generator: np.ndarray, columns: np.ndarray, duration: float) -> np.ndarray:
-    """Columns after a duration that is short against all rates."""
-    total = term = columns
+def returned(
+    onsets: Sequence[Crossing], near: float
+) -> tuple[Float[np.ndarray, " k"], float] | None:
+    """The latest state at which a neuron began to fire, and how long ago it was nearly the same.
+
+    Args:
+        onsets: of one run.
+        near: how far the two may be apart, as a share of the swing.
+    """
+    if not onsets:
+        return None
+    last = onsets[-1]
+    # Only what still goes on says how far the network swings.
+    recent = np.array([onset.state for onset in onsets[len(onsets) // 2 :]])
+    swing = float(np.ptp(recent, axis=0).max())
+    for before in reversed(onsets[:-1]):
+        apart = np.abs(last.state - before.state).max()
+        if before.neuron == last.neuron and apart <= near * swing:
+            return last.state, last.time - before.time
+    return None
+
+
+def _terms(generator: np.ndarray, columns: np.ndarray) -> list[np.ndarray]:
+    """Coefficients of the Taylor series of columns in time."""
+    terms = [columns]
     for order in range(1, _TERMS):
-        term = generator @ term * (duration / order)
-        total = total + term
+        terms.append(generator @ terms[-1] / order)
+    return terms
+
+
+def _sum(terms: Sequence[np.ndarray], duration: float) -> np.ndarray:
+    """A Taylor series after a duration that is short against all rates."""
+    total = terms[-1]
+    for term in reversed(terms[:-1]):
+        total = total * duration + term
     return total
 
 
@@ -461,7 +496,8 @@ def _first_root(
         return a + t * (b + t * (c + t * d))
 
     after = np.sign(cubic(high))
-    for _ in range(24):
+    # Closely enough for Newton's method, which follows.
+    for _ in range(_HALVINGS):
         middle = (low + high) / 2
         beyond = np.sign(cubic(middle)) == after
         low, high = np.where(beyond, low, middle), np.where(beyond, middle, high)

@@ -27,7 +27,7 @@ def test_constants_that_cannot_oscillate_are_said_to_rest(cli):
     code, out, err = cli("cpg", SWIMMER, *SMALL, "controller.cpg.constants=as_printed")
     assert code == 0
     assert f"evo-cpg: warning: {SWIMMER}: at rest under a constant drive: segment1.x, " in err
-    assert out.count("none") == 3
+    assert len(re.findall(r" rest +$", out, re.MULTILINE)) == 3
     assert (
         out.count("segment1.x + 2, segment1.y + 2, segment1.z + 2: the network comes to rest") == 1
     )
@@ -113,4 +113,4 @@ def test_a_wanted_rhythm_needs_oscillators(cli, nothing_kept):
 def test_without_a_drive_the_drive_is_named(cli):
     code, out, _ = cli("cpg", SWIMMER, *SMALL, "--tonic-input", 0)
     assert code == 0
-    assert "nothing drives the network: tonic input and feedback are 0" in out
+    assert "nothing drives the network" in out
