@@ -27,7 +27,7 @@ can be had.
 
 import dataclasses
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -228,9 +228,8 @@ def _improve(problem: Problem, x: np.ndarray, lag: float) -> np.ndarray:
     from scipy.optimize import least_squares
 
     begin = x - problem.present
-    found = least_squares(
-        residuals, begin, derivative, method="lm", xtol=1e-4, ftol=1e-4, max_nfev=50
-    )
+    options: dict[str, Any] = {"jac": derivative, "method": "lm", "max_nfev": 50}
+    found = least_squares(residuals, begin, xtol=1e-4, ftol=1e-4, **options)
     return problem.present + problem.free * found.x
 
 

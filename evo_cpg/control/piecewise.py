@@ -328,7 +328,7 @@ class Flow:
                 reach = (sizes * np.exp(modes.rates.real * (time + length))).sum(1)
             if (reach < margin).all():
                 time += float(length)
-        grown = (modes.shapes_of_all * np.exp(modes.rates * time)).sum(1).real
+        grown = np.real((modes.shapes_of_all * np.exp(modes.rates * time)).sum(1))
         return (near.state + grown, time) if time else (state, 0.0)
 
     def equilibrium(self, state: Float[np.ndarray, " k"]) -> Rest | None:
