@@ -99,11 +99,18 @@ def _words(cycle: LimitCycle) -> tuple[str, ...]:
     # Beside an oscillator that rests there is no lag.
     lags = cycle.lag[np.isfinite(cycle.lag)]
     lag = f"{lags.min():.1f} to {lags.max():.1f}" if len(lags) else ""
-    recovery = f"{cycle.recovery_time:.3g} s" if cycle.stable else "unstable"
     return (
         f"{cycle.frequency:#.5g}",
         lag,
         f"{cycle.amplitude.min():.3g} to {cycle.amplitude.max():.3g}",
-        f"{np.abs(cycle.multipliers[0]):.3g}",
-        recovery,
+        *stability(cycle, " s"),
     )
+
+
+def stability(cycle: LimitCycle, unit: str) -> tuple[str, str]:
+    """The largest multiplier, and the time of recovery with its unit."""
+    size = np.abs(cycle.multipliers[0])
+    if np.isnan(size):
+        return "unknown", "unknown"
+    recovery = f"{cycle.recovery_time:.3g}{unit}" if cycle.stable else "unstable"
+    return f"{size:.3g}", recovery

@@ -101,6 +101,7 @@ class Run(NamedTuple):
 
     Attributes:
         state: at its end.
+        duration: what was asked for, or less.
         tangent: derivative of that with respect to the state at the start; None unless asked for.
         onsets: neurons that began to fire, in order of time.
         lowest: smallest output of each oscillator, at the steps that were taken.
@@ -109,6 +110,7 @@ class Run(NamedTuple):
     """
 
     state: Float[np.ndarray, " k"]
+    duration: float
     tangent: Float[np.ndarray, "k k"] | None
     onsets: list[Crossing]
     lowest: Float[np.ndarray, " o"]
@@ -204,13 +206,20 @@ class Flow:
         generator = self._piece(self._pattern(state)).generator
         return generator[:-1, :-1] @ state + generator[:-1, -1]
 
-    def run(self, state: Float[np.ndarray, " k"], duration: float, tangent: bool = False) -> Run:
+    def run(
+        self,
+        state: Float[np.ndarray, " k"],
+        duration: float,
+        tangent: bool = False,
+        most_onsets: float = math.inf,
+    ) -> Run:
         """Follow the network for some time.
 
         Args:
             state: at the start.
             duration: in units of the flow.
             tangent: also find the derivative of the end with respect to the start.
+            most_onsets: end earlier, when neurons began to fire so often.
 
         Raises:
             BudgetError: `steps_left` were not enough.
@@ -226,7 +235,7 @@ class Flow:
         lowest, highest = np.full(self.count, np.inf), np.full(self.count, -np.inf)
         most = np.zeros(self.count)
         time, level = 0.0, self._depth // 2
-        while duration - time > 1e-15 * duration:
+        while duration - time > 1e-15 * duration and len(onsets) < most_onsets:
             self.steps_left -= 1
             if self.steps_left < 0:
                 raise BudgetError
@@ -275,12 +284,16 @@ class Flow:
             if firing[neuron]:
                 onsets.append(Crossing(time, neuron, columns[:-1, 0].copy()))
         derivative = columns[:-1, 1:].copy() if tangent else None
-        return Run(columns[:-1, 0].copy(), derivative, onsets, lowest, highest, most)
+        return Run(columns[:-1, 0].copy(), time, derivative, onsets, lowest, highest, most)
 
     @property
     def driven(self) -> bool:
         """Whether any neuron has a drive, without which none fires for long."""
         return bool((self._drive > 0).any())
+
+    def stands_still(self, state: Float[np.ndarray, " k"]) -> bool:
+        """Whether a state changes by rounding only."""
+        return bool(np.abs(self.slope(state)).max() < _STILL)
 
     def rest(self, state: Float[np.ndarray, " k"]) -> Rest | None:
         """The equilibrium that a state is certain to decay to; None where that is not certain.
@@ -288,7 +301,7 @@ class Flow:
         The state and the equilibrium have the same pattern, the equilibrium is stable, and what is
         left of the distance can nowhere bring a potential across zero: it decays mode by mode.
         """
-        if np.abs(self.slope(state)).max() < _STILL:
+        if self.stands_still(state):
             here = self._with_rates(state, self._pattern(state))
             # A potential of zero may be at the border of a pattern that leads away.
             certain = here.rates[0].real < _STILL and self._margin(here).min() > _STILL**0.5

@@ -13,6 +13,9 @@ from evo_cpg.control.piecewise import BudgetError, Flow, Run, returned
 # How long the network runs at most, in units of T_r + T_a: in stretches, each half as long again.
 _LONGEST, _STRETCH, _LONGER = 70.0, 10.0, 1.5
 
+# A stretch ends earlier where each neuron begins to fire more often in a unit of time.
+_ONSETS = 4
+
 # A part repeats itself where it came back to the same state but for this share of its swing, or, at
 # the end, for the larger share.
 _NEAR, _NEAR_ENOUGH = 1e-4, 0.02
@@ -68,8 +71,8 @@ def _part_rests(part: MatsuokaNetwork, drive: float, gain: float) -> Bool[np.nda
     time, stretch = 0.0, _STRETCH
     try:
         while True:
-            run = flow.run(state, stretch)
-            state, time, stretch = run.state, time + stretch, _LONGER * stretch
+            run = flow.run(state, stretch, most_onsets=_ONSETS * flow.neurons * stretch)
+            state, time, stretch = run.state, time + run.duration, _LONGER * stretch
             if flow.rest(state) is not None:
                 return np.ones(count, bool)
             if returned(run.onsets, _NEAR if time < _LONGEST else _NEAR_ENOUGH) is not None:

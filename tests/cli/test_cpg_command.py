@@ -114,3 +114,21 @@ def test_without_a_drive_the_drive_is_named(cli):
     code, out, _ = cli("cpg", SWIMMER, *SMALL, "--tonic-input", 0)
     assert code == 0
     assert "nothing drives the network" in out
+
+
+def test_a_rhythm_that_was_denied_is_shown(cli):
+    code, out, err = cli("cpg", SWIMMER, *SMALL, "controller.cpg.pair_weight=3", "--gain", 8)
+    assert code == 0, err
+    assert "rest" not in out and len(re.findall(r"\+ 2 +[\d.]+", out)) == 3
+
+
+def test_a_search_that_fails_is_no_rest(cli, nothing_kept, monkeypatch):
+    monkeypatch.setattr("evo_cpg.analysis.limit_cycle._BUDGET", 20)
+    code, out, err = cli("cpg", SWIMMER, *SMALL)
+    assert code == 1
+    assert out.count("not found") == 3 and "rest" not in out
+    names = "segment1.x + 2, segment1.y + 2, segment1.z + 2"
+    assert f"evo-cpg: {SWIMMER}: {names}: the search failed, so nothing is known" in err
+    code, out, err = cli("cpg", SWIMMER, *SMALL, "--frequency", 1)
+    assert (code, out) == (1, "")
+    assert f"evo-cpg: {SWIMMER}: segment1.x + 2: the search failed, so nothing is known" in err
