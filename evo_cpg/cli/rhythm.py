@@ -100,11 +100,16 @@ def _words(cycle: LimitCycle) -> tuple[str, ...]:
     lags = cycle.lag[np.isfinite(cycle.lag)]
     lag = f"{lags.min():.1f} to {lags.max():.1f}" if len(lags) else ""
     return (
-        f"{cycle.frequency:#.5g}",
+        hertz(cycle),
         lag,
-        f"{cycle.amplitude.min():.3g} to {cycle.amplitude.max():.3g}",
+        f"{cycle.amplitude.min():.2g} to {cycle.amplitude.max():.2g}",
         *stability(cycle, " s"),
     )
+
+
+def hertz(cycle: LimitCycle) -> str:
+    """The frequency, with four digits after those of a whole number, however slow it is."""
+    return f"{cycle.frequency:#.5g}" if cycle.frequency >= 1 else f"{cycle.frequency:#.4g}"
 
 
 def stability(cycle: LimitCycle, unit: str) -> tuple[str, str]:

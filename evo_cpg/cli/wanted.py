@@ -16,7 +16,7 @@ from evo_cpg.analysis.limit_cycle import NoRhythmError, RhythmSearchError
 from evo_cpg.analysis.wanted_rhythm import Rhythm, rhythm, wanted_rhythm
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.exit_codes import ExitCode
-from evo_cpg.cli.rhythm import read_oscillators, stability
+from evo_cpg.cli.rhythm import hertz, read_oscillators, stability
 from evo_cpg.config.errors import nearest
 from evo_cpg.control.matsuoka import CpgSettings
 from evo_cpg.creature.tree import Tree
@@ -163,9 +163,9 @@ def _words(found: Rhythm | str) -> tuple[str, ...]:
     cycle, lags = found.cycle, found.lags
     amplitude = cycle.amplitude
     return (
-        f"{cycle.frequency:#.5g}",
+        hertz(cycle),
         f"{found.lag:.2f}" if len(lags) else "",
         f"{lags.min():.1f} to {lags.max():.1f}" if len(lags) else "",
-        f"{amplitude.min():.3g} to {amplitude.max():.3g}",
+        f"{amplitude.min():.2g} to {amplitude.max():.2g}",
         *stability(cycle, ""),
     )

@@ -338,7 +338,7 @@ class Flow:
         time = 0.0
         for length in 2.0 ** np.arange(_LEAP, 0, -1):
             with np.errstate(over="ignore", invalid="ignore"):
-                reach = (sizes * np.exp(modes.rates.real * (time + length))).sum(1)
+                reach = (sizes * np.exp(np.real(modes.rates) * (time + length))).sum(1)
             if (reach < margin).all():
                 time += float(length)
         grown = np.real((modes.shapes_of_all * np.exp(modes.rates * time)).sum(1))
