@@ -39,9 +39,9 @@ def test_a_controller_without_oscillators_is_refused(cli):
     assert "has no oscillators" in err
 
 
-@pytest.mark.slow
-def test_the_lags_around_a_ring_are_shown(cli):
-    code, out, err = cli("cpg", REPOSITORY / "configs" / "starfish.yaml", "--gain", 4)
+@pytest.mark.parametrize("gain", [1, 4])
+def test_the_lags_around_a_ring_are_shown(cli, gain):
+    code, out, err = cli("cpg", REPOSITORY / "configs" / "starfish.yaml", "--gain", gain)
     assert code == 0, err
     names = ", ".join(f"arm{j}_1.y" for j in range(1, 6))
     assert f"ring of {names}: 72.0, 72.0, 72.0, 72.0, 72.0 deg behind the one before" in out
@@ -114,12 +114,6 @@ def test_without_a_drive_the_drive_is_named(cli):
     code, out, _ = cli("cpg", SWIMMER, *SMALL, "--tonic-input", 0)
     assert code == 0
     assert "nothing drives the network" in out
-
-
-def test_a_rhythm_that_was_denied_is_shown(cli):
-    code, out, err = cli("cpg", SWIMMER, *SMALL, "controller.cpg.pair_weight=3", "--gain", 8)
-    assert code == 0, err
-    assert "rest" not in out and len(re.findall(r"\+ 2 +[\d.]+", out)) == 3
 
 
 def test_a_search_that_fails_is_no_rest(cli, nothing_kept, monkeypatch):
