@@ -26,6 +26,8 @@ of the orbit, so they hold for every drive and every time scale.
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Complex, Float
 
@@ -309,7 +311,10 @@ def describe(flow: Flow, chosen: tuple[int, ...], orbit: Orbit) -> LimitCycle:
     """
     orbit, samples = _once(flow, orbit)
     assert orbit.run.tangent is not None
-    states = MatsuokaState(*flow.scale * samples.reshape(2, 2, flow.count, STEPS))
+    # Arrays of NumPy, with all their digits, in a class that is made of JAX's.
+    kind = jax.tree.structure(MatsuokaState(jnp.zeros((2, 1)), jnp.zeros((2, 1))))
+    along = flow.scale * samples.reshape(2, 2, flow.count, STEPS)
+    states = jax.tree.unflatten(kind, list(along))
     multipliers = _multipliers(flow, orbit)
     if not _neutral_error(flow, orbit) < _NEUTRAL:
         multipliers = np.full_like(multipliers, np.nan)

@@ -28,7 +28,7 @@ def chain(joints: int = 1, **settings) -> MatsuokaNetwork:
 
 def found(network: MatsuokaNetwork, gain: float, drive: np.ndarray | float = 1.0) -> LimitCycle:
     count = network.oscillator_count
-    return limit_cycle(network, np.broadcast_to(drive, (2, count)), np.full(count, gain))
+    return limit_cycle(network, np.broadcast_to(drive, (2, count)), np.full(count, float(gain)))
 
 
 def simulated(
