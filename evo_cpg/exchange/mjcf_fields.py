@@ -305,7 +305,10 @@ def refuse_fields(compiled: Compiled) -> None:
                 continue
             owner = ("joint", int(model.dof_jntid[number])) if kind == "dof" else (kind, number)
             if np.any(values) and np.min(values) >= 0:
-                problem, allowed = f"its {word} is {_text(found[number])}", _text(values)
+                problem, allowed = (
+                    f"its {word} is {_text(np.ravel(found[number]))}",
+                    _text(np.ravel(values)),
+                )
             else:
                 problem, allowed = f"it has {word}", f"no {word}"
             compiled.refuse(*owner, problem, allowed)
@@ -335,5 +338,5 @@ def left_out_options(compiled: Compiled) -> list[str]:
     return found
 
 
-def _text(values: np.ndarray | float | tuple[float, ...]) -> str:
-    return " ".join(f"{value:g}" for value in np.ravel(values))
+def _text(values: np.ndarray) -> str:
+    return " ".join(f"{value:g}" for value in values)
