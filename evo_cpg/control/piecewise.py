@@ -32,6 +32,11 @@ from evo_cpg.control.matsuoka import MatsuokaNetwork
 # series as are exact to rounding below it: 0.125^12 / 12! = 3e-20.
 _SHORTEST, _TERMS = 0.125, 12
 
+# Networks with more numbers than this take no tabulated steps: every pattern needs a table, and the
+# tables of 25 oscillators are as much as is quickly made. They go by series as long as this times
+# the largest rate: 0.5^12 / 12! = 5e-13.
+_TABULATED, _SERIES = 100, 0.5
+
 # Where a cubic meets the exact path in the middle of a step to this share of the potential, it
 # meets it everywhere, and shows every crossing but a dip of this share.
 _SMOOTH = 1e-4
@@ -188,8 +193,12 @@ class Flow:
         rates = 1 + self._inhibition.sum(1) + self._gain + np.abs(self._drive)
         quickest = max(self._rise * rates.max(), 2 * self._adaptation)
         slowest = min(self._rise, self._adaptation)
-        self._depth = max(3, math.ceil(math.log2(4 * quickest / slowest / _SHORTEST)))
-        self._lengths = _SHORTEST / quickest * 2.0 ** np.arange(self._depth, -1, -1)
+        shortest, self._depth = _SHORTEST, 0
+        if self.size <= _TABULATED:
+            self._depth = max(3, math.ceil(math.log2(4 * quickest / slowest / _SHORTEST)))
+        else:
+            shortest = _SERIES
+        self._lengths = shortest / quickest * 2.0 ** np.arange(self._depth, -1, -1)
         self._pieces: dict[bytes, _Piece] = {}
 
     def vector(self, potential: np.ndarray, adaptation: np.ndarray) -> Float[np.ndarray, " k"]:
@@ -247,7 +256,7 @@ class Flow:
             while level < self._depth - 1 and self._lengths[level] > left:
                 level += 1
             length = min(float(self._lengths[level]), left)
-            whole = length == self._lengths[level]
+            whole = self._depth > 0 and length == self._lengths[level]
             if whole:
                 half = piece.steps[level + 1]
                 if half is None:
@@ -414,6 +423,8 @@ class Flow:
         generator[:n, k] = self._rise * self._drive
         generator[n:k, :n] = self._adaptation * np.diag(firing.astype(float))
         generator[n:k, n:k] = -self._adaptation * np.eye(n)
+        if not self._depth:
+            return _Piece(generator, [None])
         # Without the identity, beside which slow rates would lose their digits.
         shortest = generator * self._lengths[-1]
         step = term = shortest
@@ -443,6 +454,9 @@ class Flow:
         for step, length in zip(piece.steps, self._lengths, strict=True):
             if step is not None and left >= length:
                 columns, left = columns + step @ columns, left - length
+        if not self._depth:
+            # The series is exact as far as a whole step.
+            left = min(left, float(self._lengths[0]))
         # From here a series reaches both ways, as far as the shortest step.
         terms = _terms(piece.generator, columns)
         series = [float(term[neuron, 0]) for term in terms]

@@ -143,6 +143,15 @@ def test_an_oscillator_may_rest_while_others_swing():
     assert np.isnan(cycle.lag[1]) and np.isfinite(cycle.lag[0])
 
 
+def test_series_and_tables_give_the_same_rhythm(monkeypatch):
+    """Large networks go by series."""
+    tabulated = found(chain(3), 4.0)
+    monkeypatch.setattr("evo_cpg.control.piecewise._TABULATED", 0)
+    series = found(chain(3), 4.0)
+    assert series.period == pytest.approx(tabulated.period, rel=1e-10)
+    np.testing.assert_allclose(series.multipliers, tabulated.multipliers, atol=1e-9)
+
+
 def test_a_search_that_fails_is_no_rest(monkeypatch):
     network = chain(pair_weight=2.0)
     monkeypatch.setattr("evo_cpg.analysis.limit_cycle._BUDGET", 50)
