@@ -22,6 +22,12 @@ _NODES = (np.geomspace(*GAINS, 5), np.geomspace(*STRONGER, 3), np.geomspace(*SHA
 # settle and then looks at them, in units of the longer. Its lags are within 0.05 degrees.
 _SHARE, _SETTLING, _WATCHED, _EVERY = 8, 200, 100, 2
 
+# Largest step times the rate at which a potential changes: Runge-Kutta steps are stable to 2.8.
+_STABLE = 1.0
+
+# An oscillator rests if it swings by less than this share of what its neurons fire.
+_LEAST_SWING = 5e-3
+
 # A rhythm is steady if the two halves of what is watched differ by less: degrees, and share of the
 # frequency. It needs so many periods in each.
 _STEADY_LAG, _STEADY_FREQUENCY, _FEWEST = 0.1, 1e-3, 3
@@ -44,9 +50,16 @@ def survey(problem: Problem) -> tuple[tuple[np.ndarray, ...], Float[np.ndarray, 
     )
     points = np.log(np.stack(np.meshgrid(*nodes, indexing="ij"), -1))
     times = problem.template.rise_time, problem.template.adaptation_time
-    h = min(times) / _SHARE
+    # A potential changes at the rate of all that inhibits it. Strong weights need smaller steps.
+    strongest = 1 + max(_inhibition(problem, x) for x in points.reshape(-1, 3))
+    h = min(min(times) / _SHARE, _STABLE * problem.template.rise_time / strongest)
     signals = np.asarray(_watch(problem, jnp.asarray(points.reshape(-1, 3)), h, max(times)))
-    lags = np.array([_steady_lag(problem, one, _EVERY * h) for one in signals])
+    lags = np.array(
+        [
+            _steady_lag(problem, one, _EVERY * h, np.exp(x[0]))
+            for one, x in zip(signals, points.reshape(-1, 3), strict=True)
+        ]
+    )
     return nodes, lags.reshape(points.shape[:-1])
 
 
@@ -111,16 +124,21 @@ def _watch(problem: Problem, points: Array, h: float, unit: float) -> Array:
     return jax.vmap(signals)(points)
 
 
-def _steady_lag(problem: Problem, signals: np.ndarray, step: float) -> float:
+def _inhibition(problem: Problem, x: np.ndarray) -> float:
+    """The largest sum of weights on one neuron."""
+    network, _ = network_at(problem, jnp.asarray(x))
+    return float(np.abs(network.matrix).sum(1).max())
+
+
+def _steady_lag(problem: Problem, signals: np.ndarray, step: float, gain: float) -> float:
     """Mean lag, degrees; nan if there is no steady rhythm."""
+    # Neurons that fire evenly fire about as much as the drive over 1 + b.
+    least = _LEAST_SWING * float(np.abs(problem.drive).max()) / (1 + gain)
     seen = []
     for half in np.array_split(signals[: len(signals) // 2 * 2], 2):
         one = half[:, 0] - half[:, 0].mean()
         rising = np.flatnonzero((one[:-1] < 0) & (one[1:] >= 0))
-        if (
-            len(rising) <= _FEWEST
-            or np.ptp(half, axis=0).min() < 1e-3 * np.abs(problem.drive).max()
-        ):
+        if len(rising) <= _FEWEST or np.ptp(half, axis=0).min() < least:
             return np.nan
         times = rising + one[rising] / (one[rising] - one[rising + 1])
         frequency = (len(times) - 1) / (times[-1] - times[0]) / step

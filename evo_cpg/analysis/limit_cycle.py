@@ -1,65 +1,92 @@
 """The rhythm of a Matsuoka network as a periodic orbit: its period, shape and stability.
 
+A network may be simulated exactly, one linear piece at a time (`evo_cpg.control.piecewise`). The
+search for a rhythm has three outcomes, which are never taken for one another:
+
+| outcome | what was checked |
+|---|---|
+| a `LimitCycle` | a state comes back to itself, to rounding; the simulation leads to it |
+| `NoRhythmError` | the simulation comes near a stable equilibrium, from where nothing leads away |
+| `RhythmSearchError` | neither, within the budget: nothing is known of the network |
+
 A state s that comes back to itself after T solves ``flow(s, T) = s``. The flow does not care where
-on the orbit s lies, so one number is fixed: the output of the first oscillator, which is set to the
-mean of its swing. Newton's method (`optimistix.root_find`) on the 4 o + 1 unknowns starts from a
-simulation that has settled (shooting, e.g. Guckenheimer & Meloon 2000).
+on the orbit s lies, so one number is fixed: s lies in the plane across the flow through the first
+guess. Newton's method solves for the 4 o + 1 unknowns (shooting, e.g. Guckenheimer & Meloon 2000).
+The guess is a state of the simulation that came back nearly to itself.
 
 The derivative of the flow over one period, the monodromy matrix, says what becomes of a small push:
 its eigenvalues are the Floquet multipliers. One of them is 1, a push along the orbit, which only
 shifts the phase. The others say by which factor what is left of a push shrinks in each period; if
 one is larger than 1 the rhythm is not stable.
 
-All is done in float64.
+All is done in float64, in units of the network (`Flow`). All tolerances are relative to the swing
+of the orbit, so they hold for every drive and every time scale.
 """
 
-import functools
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optimistix
-from jax.flatten_util import ravel_pytree
-from jax.typing import ArrayLike
-from jaxtyping import Array, Complex, Float
+from jaxtyping import Complex, Float
 
-from evo_cpg.control.matsuoka import (
-    MatsuokaNetwork,
-    MatsuokaState,
-    initial_state,
-    output,
-    runge_kutta_step,
-    sub_network,
-)
+from evo_cpg.control.matsuoka import MatsuokaNetwork, MatsuokaState, parts, sub_network
+from evo_cpg.control.piecewise import BudgetError, Flow, Rest, Run, returned
 
-# Runge-Kutta steps in a period. The period is then within 4e-7 of that with eight times as many
-# (nine joints, b from 1.5 to 10).
+# Samples along an orbit.
 STEPS = 1000
 
-# How long the network settles before the period is looked for, in units of the slower time
-# constant, and as how few crossings of its level a signal counts as at rest.
-_SETTLING, _FEWEST_CROSSINGS = 200.0, 4
+# The first stretch that is simulated before the search looks back, in units of T_r + T_a. Every
+# further one is half as long again.
+_STRETCH, _LONGER = 10.0, 1.5
 
-# A rhythm whose output swings by less than this share of the largest drive is none.
-_LEAST_SWING = 1e-3
+# A stretch ends earlier where each neuron begins to fire more often in a unit of time. Quick
+# rhythms need no more rounds than slow ones.
+_ONSETS = 4
 
-# States closer than this share of the swing are taken for the same, until Newton's method tells.
-_SAME = 0.01
+# Steps of the simulation in all, about 100 us each for a chain of nine. The slowest rhythm that is
+# found takes this many.
+_BUDGET = 200_000
 
-# Of Newton's method, which takes 3 to 6 from a settled state.
-_NEWTON = 15
+# A state has come back where it is as near to an earlier one as this share of the swing; half of
+# it after each stretch, down to the least. A rhythm that repeats every second time only is then
+# told from one that repeats every time.
+_NEAR, _NEAREST = 0.02, 1e-7
 
-# An orbit is closed if no number of the state misses itself by more.
-CLOSED = 1e-6
+# Newton's method takes 3 to 6 steps from a settled state. It has found what the simulation does
+# where it moved by less than this share of the swing, and of the period.
+_NEWTON, _MOVED = 12, 0.1
 
-# The multiplier of a push along the orbit is 1 but for the error of the steps.
-_NEUTRAL = 1e-2
+# The gap at which an orbit is closed, as a share of its swing. Rounding leaves 1e-15 times what the
+# flow amplifies it by within a period, for which the search allows 1e4.
+CLOSED = 1e-11
+
+# What rounding of the drive, the unit of states, may come to. It matters where neurons fire faintly
+# beside the drive: from b = 10,000 on.
+_ROUNDING = 1e-13
+
+# How far the monodromy matrix may turn the flow's own direction, which it should leave alone, as a
+# share. Multipliers are as exact.
+_NEUTRAL = 1e-4
+
+# An oscillator that swings by less than this share of the widest one has no phase: rounding.
+_FAINT = 1e-9
+
+# A harmonic that is smaller than this share of the largest may be missing; the orbit may then
+# consist of equal rounds.
+_FUNDAMENTAL = 1e-2
+
+# An orbit that is not stable counts only where the simulation stays on it for this many stretches.
+_STAYS = 3
 
 
 class NoRhythmError(ValueError):
-    """The network comes to rest, or never repeats itself."""
+    """The network comes to rest: a fact, checked by simulation."""
+
+
+class RhythmSearchError(ValueError):
+    """The search found neither a rhythm nor rest: a failure of the search, no fact."""
 
 
 class LimitCycle(NamedTuple):
@@ -69,7 +96,8 @@ class LimitCycle(NamedTuple):
         oscillators: which of the network's it is of.
         period: s.
         states: along the orbit, every ``period / STEPS``; extensors first, ``(2, o, STEPS)``.
-        multipliers: Floquet multipliers without the neutral one, largest magnitude first.
+        multipliers: Floquet multipliers without the neutral one, largest magnitude first; nan where
+            they could not be computed, as for a rhythm that nearly stands still in between.
         monodromy: derivative of the flow over one period at the first state, whose numbers stand in
             the order of `MatsuokaState`.
     """
@@ -87,19 +115,27 @@ class LimitCycle(NamedTuple):
 
     @property
     def stable(self) -> bool:
-        """Whether pushes die away."""
+        """Whether pushes certainly die away."""
         return bool(np.abs(self.multipliers[0]) < 1)
 
     @property
     def recovery_time(self) -> float:
-        """After which what is left of the slowest push has shrunk to 1/e, s; inf if unstable."""
+        """After which what is left of the slowest push has shrunk to 1/e, s; inf if unstable.
+
+        nan where the multipliers are.
+        """
         size = np.abs(self.multipliers[0])
+        if np.isnan(size):
+            return np.nan
+        if size == 0:
+            return 0.0
         return float(-self.period / np.log(size)) if size < 1 else np.inf
 
     @property
     def outputs(self) -> Float[np.ndarray, "o t"]:
         """Motor signals along the orbit, in units of the tonic input."""
-        return np.asarray(output(self.states))
+        extensor, flexor = np.maximum(np.asarray(self.states.potential), 0.0)
+        return extensor - flexor
 
     @property
     def amplitude(self) -> Float[np.ndarray, " o"]:
@@ -116,25 +152,29 @@ class LimitCycle(NamedTuple):
 
         Args:
             order: some of `oscillators`.
+
+        Returns:
+            Degrees; nan beside an oscillator that rests.
         """
         component = np.fft.rfft(self.outputs, axis=1)[:, 1]
+        component[self.amplitude < _FAINT * self.amplitude.max()] = np.nan
         component = component[[self.oscillators.index(i) for i in order]]
-        return np.rad2deg(np.angle(np.roll(component, 1) / component))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.rad2deg(np.angle(np.roll(component, 1) / component))
 
 
-def parts(network: MatsuokaNetwork) -> list[tuple[int, ...]]:
-    """Oscillators that are joined to each other, directly or not, part by part.
+class Orbit(NamedTuple):
+    """A closed orbit in units of a flow.
 
-    Axes that do not inhibit each other have rhythms of their own, each with a phase of its own.
+    Attributes:
+        state: on the orbit.
+        period: after which the state comes back.
+        run: one period from there, with its tangent.
     """
-    joined = (
-        (network.matrix != 0)
-        | (network.matrix.T != 0)
-        | np.eye(network.oscillator_count, dtype=bool)
-    )
-    for _ in range(network.oscillator_count.bit_length()):
-        joined = joined @ joined
-    return list(dict.fromkeys(tuple(map(int, np.flatnonzero(row))) for row in joined))
+
+    state: Float[np.ndarray, " k"]
+    period: float
+    run: Run
 
 
 def limit_cycle(
@@ -143,7 +183,7 @@ def limit_cycle(
     adaptation_gain: Float[np.ndarray, " o"],
     oscillators: tuple[int, ...] | None = None,
 ) -> LimitCycle:
-    """The orbit to which one part of a network settles under a constant drive.
+    """The orbit to which one part of a network settles from its start, under a constant drive.
 
     Args:
         network: connections and time constants.
@@ -152,174 +192,227 @@ def limit_cycle(
         oscillators: the part; the first of `parts` if None.
 
     Raises:
-        NoRhythmError: it does not oscillate, or Newton's method finds no orbit.
+        NoRhythmError: it comes to rest.
+        RhythmSearchError: it neither came to rest nor repeated itself.
     """
     chosen = parts(network)[0] if oscillators is None else oscillators
     part = sub_network(network, chosen)
-    with jax.enable_x64(True):
-        drive = jnp.asarray(np.asarray(tonic_input, float)[:, list(chosen)])
-        drive = drive + network.sensory_feedback
-        gain = jnp.asarray(np.asarray(adaptation_gain, float)[list(chosen)])
-        start, period, level = settle(part, drive, gain)
-        state, found, mismatch = find_orbit(part, drive, gain, level, start, jnp.asarray(period))
-        if not float(mismatch) < CLOSED or not 0.5 * period < float(found) < 2 * period:
-            raise NoRhythmError(
-                f"no orbit near a period of {period:.3g} s: the rhythm does not repeat"
-            )
-        return _describe(part, drive, gain, chosen, state, float(found))
+    flow = flow_of(part, tonic_input, adaptation_gain, chosen)
+    return describe(flow, chosen, settle(flow, start_of(flow, part)))
 
 
-@functools.partial(jax.jit, static_argnames="steps")
-def path(
-    network: MatsuokaNetwork,
-    drive: Array,
-    gain: Array,
-    state: MatsuokaState,
-    length: Array,
-    steps: int,
-) -> tuple[MatsuokaState, MatsuokaState]:
-    """The state after some seconds, and those at the beginning of every step.
+def flow_of(
+    part: MatsuokaNetwork,
+    tonic_input: Float[np.ndarray, "2 o"],
+    adaptation_gain: Float[np.ndarray, " o"],
+    chosen: Sequence[int],
+) -> Flow:
+    """The flow of a part of a network, with the search's budget.
 
     Args:
-        network: connections and time constants.
-        drive: tonic input and sensory feedback of each neuron.
-        gain: b of each oscillator.
-        state: at the start.
-        length: s.
-        steps: into how many Runge-Kutta steps the length is divided.
+        part: some of a network's oscillators.
+        tonic_input: u of each neuron of the network, extensors first.
+        adaptation_gain: b of each of its oscillators.
+        chosen: which of them are in the part.
     """
-
-    def onward(state: MatsuokaState, _: None) -> tuple[MatsuokaState, MatsuokaState]:
-        return runge_kutta_step(network, length / steps, state, drive, gain), state
-
-    return jax.lax.scan(onward, state, length=steps)
+    drive = np.asarray(tonic_input, float)[:, list(chosen)] + float(part.sensory_feedback)
+    return Flow(part, drive, np.asarray(adaptation_gain, float)[list(chosen)])
 
 
-def settle(
-    network: MatsuokaNetwork, drive: Array, gain: Array
-) -> tuple[MatsuokaState, float, float]:
-    """A state on the orbit, about how long it takes to come back, and the first signal's level.
+def start_of(flow: Flow, part: MatsuokaNetwork) -> Float[np.ndarray, " k"]:
+    """The state in which an animal's oscillators start, in units of the flow."""
+    return flow.vector(part.initial_potential, np.zeros((2, flow.count)))
+
+
+def settle(flow: Flow, state: Float[np.ndarray, " k"]) -> Orbit:
+    """The orbit to which a simulation leads.
 
     Args:
-        network: connections and time constants.
-        drive: tonic input and sensory feedback of each neuron.
-        gain: b of each oscillator.
+        flow: whose steps are limited.
+        state: at the start.
 
     Raises:
-        NoRhythmError: it comes to rest, or never repeats itself.
+        NoRhythmError: it leads to rest.
+        RhythmSearchError: it leads nowhere within the flow's budget.
     """
-    if not np.abs(drive).max() > 0:
-        raise NoRhythmError("nothing drives the network: tonic input and feedback are 0")
-    rest = initial_state(network, dtype=jnp.float64)
-    slow = max(network.rise_time, network.adaptation_time)
-    h = min(network.rise_time, network.adaptation_time) / 20
-    steps = round(_SETTLING * slow / h)
-    state, _ = path(network, drive, gain, rest, jnp.asarray(steps * h), steps)
-    state, states = path(network, drive, gain, state, jnp.asarray(steps * h), steps)
-    signal = np.asarray(output(jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), states)))[0]
-    low, high = signal.min(), signal.max()
-    level = (low + high) / 2
-    rising = np.flatnonzero((signal[:-1] < level) & (signal[1:] >= level))
-    if high - low < _LEAST_SWING * float(np.abs(drive).max()) or len(rising) <= _FEWEST_CROSSINGS:
+    if not flow.driven:
         raise NoRhythmError(
-            f"the network comes to rest (its output swings by {high - low:.2g}); it oscillates "
-            "where 1 + T_r / T_a < a < 1 + b for its effective inhibition a (docs/models/"
-            "controller.md)"
+            "nothing drives the network, so it comes to rest: tonic input and sensory feedback "
+            "together are at most 0 for every neuron"
         )
-    # Where the signal meets its level, between two samples.
-    share = (level - signal[rising]) / (signal[rising + 1] - signal[rising])
-    crossings = jax.tree.map(
-        lambda x: x[rising] + share[:, None, None] * (x[rising + 1] - x[rising]), states
-    )
-    # One signal may cross its level more than once in a period: the state tells which crossing.
-    places = np.concatenate(
-        [np.asarray(x).reshape(len(rising), -1) for x in jax.tree.leaves(crossings)], 1
-    )
-    back = np.abs(places[1:] - places[0]).max(1) < _SAME * np.ptp(places) + _SAME * (high - low)
-    if not back.any():
-        raise NoRhythmError("the rhythm does not repeat itself: no crossing is like the first")
-    again = int(back.argmax()) + 1
-    first = jax.tree.map(lambda x: x[0], crossings)
-    length = (rising[again] + share[again] - rising[0] - share[0]) * h
-    return first, float(length), float(level)
+    flow.steps_left = _BUDGET
+    time, stretch, near = 0.0, _STRETCH, _NEAR
+    stayed, swing = 0, np.nan
+    try:
+        while True:
+            rest = flow.rest(state)
+            if rest is not None:
+                raise NoRhythmError(_rest_words(flow, rest, time))
+            if flow.stands_still(state):
+                raise RhythmSearchError(_border_words(flow, time))
+            run = flow.run(state, stretch, most_onsets=_ONSETS * flow.neurons * stretch)
+            state, time = run.state, time + run.duration
+            swing = float((run.highest - run.lowest).max())
+            guess = returned(run.onsets, near)
+            found = None if guess is None else close(flow, *guess)
+            stayed = 0 if found is None else stayed + 1
+            if found is not None and (_is_stable(flow, found) or stayed == _STAYS):
+                return found
+            state, leapt = flow.leap(state)
+            time += leapt
+            stretch, near = _LONGER * stretch, max(near / 2, _NEAREST)
+    except BudgetError:
+        raise RhythmSearchError(_failure_words(flow, state, time, swing)) from None
 
 
-@jax.jit
-def find_orbit(
-    network: MatsuokaNetwork,
-    drive: Array,
-    gain: Array,
-    level: ArrayLike,
-    start: MatsuokaState,
-    period: Array,
-) -> tuple[MatsuokaState, Array, Array]:
-    """Newton's method for a state that comes back to itself.
-
-    The result has derivatives with respect to all arguments but the guesses, by the implicit
-    function theorem.
+def close(flow: Flow, state: Float[np.ndarray, " k"], period: float) -> Orbit | None:
+    """Newton's method for a state that comes back to itself; None where it finds none nearby.
 
     Args:
-        network: connections and time constants.
-        drive: tonic input and sensory feedback of each neuron.
-        gain: b of each oscillator.
-        level: what the first oscillator's output is at the state that is looked for.
-        start: a guess of it.
-        period: a guess, s.
-
-    Returns:
-        The state, the period, and by how much the orbit fails to close (nan where Newton's
-        method fails): it is one if that is less than `CLOSED`.
+        flow: of the network.
+        state: a guess.
+        period: a guess, in units of the flow.
     """
-    begin, unflatten = ravel_pytree((start, period))
-
-    def gap(unknown: Array, known: tuple[MatsuokaNetwork, Array, Array]) -> Array:
-        state, length = unflatten(unknown)
-        end, _ = path(*known, state, length, STEPS)
-        away, _ = ravel_pytree(jax.tree.map(jnp.subtract, end, state))
-        return jnp.append(away, output(state)[0] - level)
-
-    known = (network, drive, gain)
-    fixed = jax.lax.stop_gradient(known)
-    solver = optimistix.Newton(rtol=1e-9, atol=1e-9)
-    guess = jax.lax.stop_gradient(begin)
-    found = optimistix.root_find(gap, solver, guess, fixed, max_steps=_NEWTON, throw=False).value
-    # A last step of Newton's, in which only the gap has derivatives: those of the root. They are
-    # what root_find would give by itself, which raises an error where there is no root.
-    found = jax.lax.stop_gradient(found)
-    left = gap(found, known)
-    state, length = unflatten(found - jnp.linalg.solve(jax.jacfwd(gap)(found, fixed), left))
-    return state, length, jnp.abs(left).max()
-
-
-@jax.jit
-def _monodromy(
-    network: MatsuokaNetwork, drive: Array, gain: Array, state: MatsuokaState, period: Array
-) -> Array:
-    """Derivative of the state after a period with respect to that before."""
-    flat, unflatten = ravel_pytree(state)
-
-    def flow(flat: Array) -> Array:
-        end, _ = path(network, drive, gain, unflatten(flat), period, STEPS)
-        return ravel_pytree(end)[0]
-
-    return jax.jacfwd(flow)(flat)
+    first, about = state, period
+    across = flow.slope(first)
+    across = across / np.linalg.norm(across)
+    swing = None
+    for _ in range(_NEWTON):
+        run = flow.run(state, period, tangent=True)
+        gap = run.state - state
+        if swing is None:
+            visited = np.array([onset.state for onset in run.onsets] + [state])
+            swing = float(np.ptp(visited, axis=0).max()) or float(np.abs(state).max())
+        if np.abs(gap).max() < CLOSED * swing + _ROUNDING:
+            return Orbit(state, period, run)
+        assert run.tangent is not None
+        matrix = np.zeros((flow.size + 1, flow.size + 1))
+        matrix[:-1, :-1] = run.tangent - np.eye(flow.size)
+        matrix[:-1, -1] = flow.slope(run.state)
+        matrix[-1, :-1] = across
+        try:
+            change = np.linalg.solve(matrix, np.append(-gap, across @ (first - state)))
+        except np.linalg.LinAlgError:
+            return None
+        state, period = state + change[:-1], period + float(change[-1])
+        strayed = np.abs(state - first).max() > _MOVED * swing
+        if strayed or not abs(period - about) < _MOVED * about:
+            return None
+    return None
 
 
-def _describe(
-    network: MatsuokaNetwork,
-    drive: Array,
-    gain: Array,
-    chosen: tuple[int, ...],
-    state: MatsuokaState,
-    period: float,
-) -> LimitCycle:
-    monodromy = np.asarray(_monodromy(network, drive, gain, state, jnp.asarray(period)))
-    multipliers = np.linalg.eigvals(monodromy)
-    neutral = int(np.abs(multipliers - 1).argmin())
-    if abs(multipliers[neutral] - 1) > _NEUTRAL:
-        raise NoRhythmError("the orbit has no neutral direction: it is not one of the flow")
-    others = np.delete(multipliers, neutral)
-    _, states = path(network, drive, gain, state, jnp.asarray(period), STEPS)
-    states = jax.tree.map(lambda x: np.moveaxis(np.asarray(x), 0, -1), states)
-    order = np.argsort(-np.abs(others), kind="stable")
-    return LimitCycle(chosen, period, states, others[order].astype(complex), monodromy)
+def describe(flow: Flow, chosen: tuple[int, ...], orbit: Orbit) -> LimitCycle:
+    """An orbit in the user's units.
+
+    Args:
+        flow: of the part.
+        chosen: the part's oscillators.
+        orbit: that was found.
+    """
+    orbit, samples = _once(flow, orbit)
+    assert orbit.run.tangent is not None
+    # Arrays of NumPy, with all their digits, in a class that is made of JAX's.
+    kind = jax.tree.structure(MatsuokaState(jnp.zeros((2, 1)), jnp.zeros((2, 1))))
+    along = flow.scale * samples.reshape(2, 2, flow.count, STEPS)
+    states = jax.tree.unflatten(kind, list(along))
+    multipliers = _multipliers(flow, orbit)
+    if not _neutral_error(flow, orbit) < _NEUTRAL:
+        multipliers = np.full_like(multipliers, np.nan)
+    period = orbit.period / flow.second
+    return LimitCycle(chosen, period, states, multipliers, orbit.run.tangent)
+
+
+def sampled(flow: Flow, orbit: Orbit) -> Float[np.ndarray, "k t"]:
+    """States along an orbit, every ``period / STEPS``, in units of the flow."""
+    states, state = [], orbit.state
+    for _ in range(STEPS):
+        states.append(state)
+        state = flow.run(state, orbit.period / STEPS).state
+    return np.transpose(states)
+
+
+def outputs(flow: Flow, orbit: Orbit) -> Float[np.ndarray, "o t"]:
+    """Motor signals along an orbit, in units of the flow."""
+    extensor, flexor = np.maximum(sampled(flow, orbit)[: flow.neurons], 0).reshape(
+        2, flow.count, STEPS
+    )
+    return extensor - flexor
+
+
+def _once(flow: Flow, orbit: Orbit) -> tuple[Orbit, Float[np.ndarray, "k t"]]:
+    """An orbit that may have been gone around several times, once, and the states along it."""
+    samples = sampled(flow, orbit)
+    swings = samples - samples.mean(1, keepdims=True)
+    harmonics = np.abs(np.fft.rfft(swings, axis=1)[:, 1:]).max(0)
+    times = 1 + int((harmonics > _FUNDAMENTAL * harmonics.max()).argmax())
+    if times == 1:
+        return orbit, samples
+    once = close(flow, orbit.state, orbit.period / times)
+    swing = float(np.ptp(samples, axis=1).max())
+    if once is None or np.abs(once.state - orbit.state).max() > CLOSED**0.5 * swing:
+        return orbit, samples
+    return once, sampled(flow, once)
+
+
+def _is_stable(flow: Flow, orbit: Orbit) -> bool:
+    return bool(np.abs(_multipliers(flow, orbit)).max(initial=0.0) < 1)
+
+
+def _multipliers(flow: Flow, orbit: Orbit) -> Complex[np.ndarray, " m"]:
+    """Floquet multipliers but the neutral one, whose direction, the flow's own, is divided out."""
+    assert orbit.run.tangent is not None
+    along = flow.slope(orbit.state)
+    across = np.linalg.qr(along[:, None], mode="complete")[0][:, 1:]
+    values = np.linalg.eigvals(across.T @ orbit.run.tangent @ across)
+    return values[np.argsort(-np.abs(values), kind="stable")].astype(complex)
+
+
+def _neutral_error(flow: Flow, orbit: Orbit) -> float:
+    """By how much the monodromy matrix changes the flow's own direction, as a share."""
+    along = flow.slope(orbit.state)
+    assert orbit.run.tangent is not None
+    return float(np.linalg.norm(orbit.run.tangent @ along - along) / np.linalg.norm(along))
+
+
+def _rest_words(flow: Flow, rest: Rest, time: float) -> str:
+    """What it is to be at rest there, and which way out."""
+    rate = rest.rates[0].real * flow.second
+    push = f"a push decays within {-1 / rate:.3g} s" if rate < 0 else "a push does not grow"
+    if rest.firing.all():
+        how = "All neurons fire evenly: stronger inhibition (pair_weight) may let it swing"
+    else:
+        how = "Some neurons silence others: a smaller pair_weight or a larger b may let it swing"
+    return (
+        f"the network comes to rest: after {time / flow.second:.3g} s it is near a stable "
+        f"equilibrium, where {push}. {how}. It oscillates where 1 + T_r / T_a < a < 1 + b for its "
+        "effective inhibition a (docs/models/controller.md)"
+    )
+
+
+def _border_words(flow: Flow, time: float) -> str:
+    """What a state that neither moves nor is certain to stay says."""
+    return (
+        "the search failed, so nothing is known of the network: after "
+        f"{time / flow.second:.3g} s it stands still at the very border between rest and a "
+        "rhythm. Try a slightly smaller or larger pair_weight or --gain"
+    )
+
+
+def _failure_words(flow: Flow, state: np.ndarray, time: float, swing: float) -> str:
+    """What the search saw when its budget ended."""
+    words = (
+        "the search failed, so nothing is known of the network: in "
+        f"{time / flow.second:.3g} s of simulation it neither came to rest nor repeated itself"
+    )
+    near = flow.equilibrium(state)
+    if near is None:
+        return (
+            f"{words}. Its output swings by up to {swing * flow.scale:.3g}. The rhythm may be "
+            "irregular or settle slowly; try another --gain or other weights"
+        )
+    rate = near.rates[0].real * flow.second
+    change = "grow" if rate > 0 else "decay"
+    return (
+        f"{words}. Swings about an equilibrium {change}, by a factor e in {abs(1 / rate):.3g} s. "
+        "Try a pair_weight a little farther from this border of oscillation"
+    )

@@ -15,10 +15,10 @@ of which the one nearest to the present settings x0 is taken, as the least squar
 
     min  (L(x) - wanted)^2 / l^2 + |x - x0|^2 + w^2 |what x lies outside its bounds by|^2
 
-by Levenberg and Marquardt's method (`optimistix.least_squares`). With l = 0.1 degrees the second
-term keeps L from the wanted lag by some 1e-3 degrees. L comes from the periodic orbit
-(`evo_cpg.analysis.limit_cycle`), with its derivatives by the implicit function theorem; where there
-is no orbit a step is refused.
+by Levenberg and Marquardt's method (`scipy.optimize.least_squares`). With l = 0.1 degrees the
+second term keeps L from the wanted lag by some 1e-3 degrees. L comes from the periodic orbit
+(`evo_cpg.analysis.limit_cycle`), which is exact, so differences give its derivatives. A step to
+where there is no orbit is refused.
 
 Where to start, and what can be reached at all, tells a simulation of networks all over the bounds,
 side by side (`survey`). L is continuous, so all between the smallest and the largest of their lags
@@ -26,31 +26,39 @@ can be had.
 """
 
 import dataclasses
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optimistix
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from evo_cpg.analysis.chains import Chain
 from evo_cpg.analysis.couplings import Problem, network_at, problem_of
 from evo_cpg.analysis.lag_survey import UnreachableRhythmError, starting_place, survey
 from evo_cpg.analysis.limit_cycle import (
-    CLOSED,
-    STEPS,
     LimitCycle,
-    find_orbit,
+    NoRhythmError,
+    Orbit,
+    RhythmSearchError,
+    close,
+    flow_of,
     limit_cycle,
-    path,
+    outputs,
     settle,
+    start_of,
 )
-from evo_cpg.control.matsuoka import CpgSettings, MatsuokaState, build_network, output
+from evo_cpg.control.matsuoka import CpgSettings, build_network
+from evo_cpg.control.piecewise import Flow
 from evo_cpg.creature.tree import Tree
 
 # l in degrees, w, and how often the search may begin anew where it ended.
 _LAG_UNIT, _WALL, _ROUNDS = 0.1, 1e3, 4
+
+# Of the derivative of the lag, by differences of an orbit that is exact to 1e-11; and what a place
+# without an orbit counts as, in units of l: more than any lag does.
+_CHANGE, _NO_ORBIT = 1e-5, 1e4
 
 # Digits that the answer is rounded to, and how near it then must be, degrees.
 _DIGITS, _TOLERANCE = 5, 0.02
@@ -90,16 +98,15 @@ def rhythm(
         tonic_input: u; the largest if None.
 
     Raises:
-        NoRhythmError: it does not oscillate.
+        NoRhythmError: it comes to rest.
+        RhythmSearchError: the search found neither a rhythm nor rest.
     """
     network = build_network(tree, settings)
     tonic = settings.max_tonic_input if tonic_input is None else tonic_input
     drive = np.full((2, network.oscillator_count), tonic)
     gains = np.full(network.oscillator_count, gain)
     cycle = limit_cycle(network, drive, gains, chain.part)
-    component = np.fft.rfft(cycle.outputs[list(chain.places)], axis=1)[:, 1]
-    turns = chain.sides * component[:-1] / component[1:]
-    return Rhythm(settings, gain, cycle, np.rad2deg(np.angle(turns)))
+    return Rhythm(settings, gain, cycle, _lags(cycle.outputs, chain.places, chain.sides))
 
 
 def wanted_rhythm(
@@ -127,6 +134,7 @@ def wanted_rhythm(
     Raises:
         NoRhythmError: the settings give no rhythm: the present ones, or those that were found for
             the lag at this tonic input.
+        RhythmSearchError: the search found neither a rhythm nor rest there.
         UnreachableRhythmError: the lag is out of reach; the message says what is within.
         ValueError: a frequency, lag or b that is none.
     """
@@ -190,43 +198,51 @@ def _rounded(number: float) -> float:
 
 
 def _improve(problem: Problem, x: np.ndarray, lag: float) -> np.ndarray:
-    """Least squares from a settled orbit at x."""
-    network, gain = network_at(problem, jnp.asarray(x))
-    state, period, level = settle(network, jnp.asarray(problem.drive), gain)
-    guess = (state, jnp.asarray(period), jnp.asarray(level))
-    return np.asarray(_least_squares(problem, guess, jnp.asarray(x), jnp.asarray(lag)))
+    """Least squares from the orbit at x; a place without an orbit is worse than any other."""
+    nearby: list[Orbit] = []
 
+    def mean_lag(x: np.ndarray) -> float:
+        flow = _flow_at(problem, x)
+        orbit = close(flow, nearby[-1].state, nearby[-1].period) if nearby else None
+        if orbit is None:
+            try:
+                orbit = settle(flow, start_of(flow, problem.template))
+            except (NoRhythmError, RhythmSearchError):
+                return np.nan
+        nearby[:] = [orbit]
+        return float(_lags(outputs(flow, orbit), problem.chain, problem.sides).mean())
 
-@jax.jit
-def _least_squares(
-    problem: Problem, guess: tuple[MatsuokaState, Array, Array], x: Array, lag: Array
-) -> Array:
-    def residuals(change: Array, _: None) -> Array:
-        x = jnp.asarray(problem.present) + problem.free * change
+    def residuals(change: np.ndarray) -> np.ndarray:
+        there = problem.present + problem.free * change
         low, high = problem.bounds
-        outside = jnp.maximum(x - high, 0) - jnp.maximum(low - x, 0)
-        off = (_mean_lag(problem, guess, x) - lag) / _LAG_UNIT
-        return jnp.concatenate([off[None], change, problem.free * _WALL * outside])
+        outside = np.maximum(there - high, 0) - np.maximum(low - there, 0)
+        off = (mean_lag(there) - lag) / _LAG_UNIT
+        off = off if np.isfinite(off) else _NO_ORBIT
+        return np.concatenate([[off], change, problem.free * _WALL * outside])
 
-    solver = optimistix.LevenbergMarquardt(rtol=1e-4, atol=1e-4)
-    solution = optimistix.least_squares(
-        residuals, solver, x - problem.present, max_steps=100, throw=False
-    )
-    return jnp.asarray(problem.present) + problem.free * solution.value
+    def derivative(change: np.ndarray) -> np.ndarray:
+        here = residuals(change)
+        moved = [residuals(change + _CHANGE * unit) for unit in np.eye(len(change))]
+        return (np.transpose(moved) - here[:, None]) / _CHANGE
+
+    from scipy.optimize import least_squares
+
+    begin = x - problem.present
+    options: dict[str, Any] = {"jac": derivative, "method": "lm", "max_nfev": 50}
+    found = least_squares(residuals, begin, xtol=1e-4, ftol=1e-4, **options)
+    return problem.present + problem.free * found.x
 
 
-def _mean_lag(problem: Problem, guess: tuple[MatsuokaState, Array, Array], x: Array) -> Array:
-    """Mean lag of the orbit near a guess, degrees; nan where there is none."""
-    start, period, level = guess
-    network, gain = network_at(problem, x)
-    drive = jnp.asarray(problem.drive)
-    state, found, mismatch = find_orbit(network, drive, gain, level, start, period)
-    _, states = path(network, drive, gain, state, found, STEPS)
-    signals = output(jax.tree.map(lambda s: jnp.moveaxis(s, 0, -1), states))
-    signals = signals[np.array(problem.chain)]
-    turn = jnp.exp(-2j * jnp.pi * jnp.arange(STEPS) / STEPS)
-    component = signals @ turn
-    turns = jnp.asarray(problem.sides) * component[:-1] * component[1:].conj()
-    swings = jnp.abs(component).min() > 1e-4 * jnp.abs(drive).max() * STEPS
-    good = (mismatch < CLOSED) & (0.3 * period < found) & (found < 3 * period) & swings
-    return jnp.where(good, jnp.rad2deg(jnp.angle(turns)).mean(), jnp.nan)
+def _flow_at(problem: Problem, x: np.ndarray) -> Flow:
+    with jax.enable_x64(True):
+        network, gain = network_at(problem, jnp.asarray(x))
+    every = range(network.oscillator_count)
+    # Its drive has the feedback in it.
+    bare = dataclasses.replace(network, sensory_feedback=0.0)
+    return flow_of(bare, problem.drive, np.asarray(gain), every)
+
+
+def _lags(signals: np.ndarray, places: Sequence[int], sides: np.ndarray) -> np.ndarray:
+    """Of each oscillator of a chain behind the one before it, degrees."""
+    component = np.fft.rfft(signals[list(places)], axis=1)[:, 1]
+    return np.rad2deg(np.angle(sides * component[:-1] * component[1:].conj()))

@@ -7,7 +7,7 @@ class ExitCode(IntEnum):
     """Other than 0, which says that all was done."""
 
     FAULT = 1
-    """Of the program's own, or a job of a sweep failed."""
+    """Of the program's own; a job of a sweep, or the search for a rhythm, failed."""
 
     WRONG_INPUT = 2
     """Of the user's; what is wrong was said."""

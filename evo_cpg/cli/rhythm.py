@@ -1,5 +1,6 @@
 """The command that shows the rhythm of a config's oscillators: cpg."""
 
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -8,9 +9,16 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
-from evo_cpg.analysis.limit_cycle import LimitCycle, NoRhythmError, limit_cycle, parts
+from evo_cpg.analysis.limit_cycle import (
+    LimitCycle,
+    NoRhythmError,
+    RhythmSearchError,
+    limit_cycle,
+    parts,
+)
 from evo_cpg.cli.building import build
 from evo_cpg.cli.errors import UsageError
+from evo_cpg.cli.exit_codes import ExitCode
 from evo_cpg.cli.oscillators import warn_of_oscillators
 from evo_cpg.config.load import load_config
 from evo_cpg.control.brain_cpg import BrainCpg
@@ -38,7 +46,11 @@ def read_oscillators(path: Path, overrides: Sequence[str]) -> tuple[Simulation, 
 def show_rhythm(
     path: Path, overrides: Sequence[str], gain: float | None, tonic_input: float | None
 ) -> None:
-    """`evo-cpg cpg`."""
+    """`evo-cpg cpg`.
+
+    Raises:
+        SystemExit: with `ExitCode.FAULT`, where the search failed for some oscillators.
+    """
     simulation, controller = read_oscillators(path, overrides)
     tree = simulation.world.tree
     cpg, network = controller.settings.cpg, controller.network
@@ -51,6 +63,7 @@ def show_rhythm(
         left = column == "joints"
         table.add_column(column, justify="left" if left else "right", no_wrap=left)
     rests: dict[str, list[str]] = {}
+    failures: dict[str, list[str]] = {}
     cycles: dict[int, LimitCycle] = {}
     for part in parts(network):
         first, *others = part
@@ -60,8 +73,11 @@ def show_rhythm(
             table.add_row(names, *_words(cycle))
             cycles |= dict.fromkeys(part, cycle)
         except NoRhythmError as error:
-            table.add_row(names, "none")
+            table.add_row(names, "rest")
             rests.setdefault(str(error), []).append(names)
+        except RhythmSearchError as error:
+            table.add_row(names, "not found")
+            failures.setdefault(str(error), []).append(names)
     Console().print(table)
     for i, ring in enumerate(cpg.rings):
         members = ring_members(tree, ring, i)
@@ -72,16 +88,34 @@ def show_rhythm(
     for reason, who in rests.items():
         print(f"{', '.join(who)}: {reason}")
     warn_of_oscillators(path, simulation)
+    if failures:
+        for reason, who in failures.items():
+            print(f"evo-cpg: {path}: {', '.join(who)}: {reason}", file=sys.stderr)
+        raise SystemExit(ExitCode.FAULT)
 
 
 def _words(cycle: LimitCycle) -> tuple[str, ...]:
     """A row of the table."""
-    lag = f"{cycle.lag.min():.1f} to {cycle.lag.max():.1f}" if len(cycle.lag) else ""
-    recovery = f"{cycle.recovery_time:.2f} s" if cycle.stable else "unstable"
+    # Beside an oscillator that rests there is no lag.
+    lags = cycle.lag[np.isfinite(cycle.lag)]
+    lag = f"{lags.min():.1f} to {lags.max():.1f}" if len(lags) else ""
     return (
-        f"{cycle.frequency:.4f}",
+        hertz(cycle),
         lag,
-        f"{cycle.amplitude.min():.2f} to {cycle.amplitude.max():.2f}",
-        f"{np.abs(cycle.multipliers[0]):.3f}",
-        recovery,
+        f"{cycle.amplitude.min():.2g} to {cycle.amplitude.max():.2g}",
+        *stability(cycle, " s"),
     )
+
+
+def hertz(cycle: LimitCycle) -> str:
+    """The frequency, with four digits after those of a whole number, however slow it is."""
+    return f"{cycle.frequency:#.5g}" if cycle.frequency >= 1 else f"{cycle.frequency:#.4g}"
+
+
+def stability(cycle: LimitCycle, unit: str) -> tuple[str, str]:
+    """The largest multiplier, and the time of recovery with its unit."""
+    size = np.abs(cycle.multipliers[0])
+    if np.isnan(size):
+        return "unknown", "unknown"
+    recovery = f"{cycle.recovery_time:.3g}{unit}" if cycle.stable else "unstable"
+    return f"{size:.3g}", recovery

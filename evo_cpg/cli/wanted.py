@@ -1,6 +1,7 @@
 """Of the command cpg: the search for settings that give a wanted rhythm."""
 
 import shlex
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -11,10 +12,11 @@ from rich.table import Table
 
 from evo_cpg.analysis.chains import Chain, chains
 from evo_cpg.analysis.lag_survey import UnreachableRhythmError
-from evo_cpg.analysis.limit_cycle import NoRhythmError
+from evo_cpg.analysis.limit_cycle import NoRhythmError, RhythmSearchError
 from evo_cpg.analysis.wanted_rhythm import Rhythm, rhythm, wanted_rhythm
 from evo_cpg.cli.errors import UsageError
-from evo_cpg.cli.rhythm import read_oscillators
+from evo_cpg.cli.exit_codes import ExitCode
+from evo_cpg.cli.rhythm import hertz, read_oscillators, stability
 from evo_cpg.config.errors import nearest
 from evo_cpg.control.matsuoka import CpgSettings
 from evo_cpg.creature.tree import Tree
@@ -33,7 +35,12 @@ def find_rhythm(
     lag: float | None,
     joint: str | None,
 ) -> None:
-    """`evo-cpg cpg` with `--frequency` or `--lag`."""
+    """`evo-cpg cpg` with `--frequency` or `--lag`.
+
+    Raises:
+        UsageError: an option is wrong, the oscillators rest, or the rhythm is out of reach.
+        SystemExit: with `ExitCode.FAULT`, where the search failed.
+    """
     _check(frequency, lag, gain, tonic_input)
     keep_compiled_programs()
     simulation, controller = read_oscillators(path, overrides)
@@ -49,7 +56,9 @@ def find_rhythm(
     try:
         before = rhythm(tree, settings, chain, b, tonic_input)
     except NoRhythmError:
-        before = None
+        before = "rest"
+    except RhythmSearchError:
+        before = "not found"
     try:
         found = wanted_rhythm(
             tree, settings, chain, b, frequency, lag, gain is not None, tonic_input
@@ -59,6 +68,9 @@ def find_rhythm(
     except NoRhythmError as error:
         hint = "; --lag looks for one that does" if lag is None else ""
         raise UsageError(f"{path}: {chain.name}: {error}{hint}") from None
+    except RhythmSearchError as error:
+        print(f"evo-cpg: {path}: {chain.name}: {error}", file=sys.stderr)
+        raise SystemExit(ExitCode.FAULT) from None
     Console().print(_table(chain, settings, b, before, found))
     changes = _changes(settings, found)
     if not changes:
@@ -120,7 +132,7 @@ def _changes(settings: CpgSettings, found: Rhythm) -> dict[str, float]:
 
 
 def _table(
-    chain: Chain, settings: CpgSettings, gain: float, before: Rhythm | None, found: Rhythm
+    chain: Chain, settings: CpgSettings, gain: float, before: Rhythm | str, found: Rhythm
 ) -> Table:
     table = Table(title=chain.name, box=box.SIMPLE_HEAD, pad_edge=False)
     table.add_column("")
@@ -144,17 +156,16 @@ _NAMES = (
 )
 
 
-def _words(found: Rhythm | None) -> tuple[str, ...]:
-    """What the rhythm is."""
-    if found is None:
-        return ("none", *[""] * (len(_NAMES) - 1))
+def _words(found: Rhythm | str) -> tuple[str, ...]:
+    """A rhythm's numbers, or a word for what there is in its place."""
+    if isinstance(found, str):
+        return (found, *[""] * (len(_NAMES) - 1))
     cycle, lags = found.cycle, found.lags
     amplitude = cycle.amplitude
     return (
-        f"{cycle.frequency:.4f}",
+        hertz(cycle),
         f"{found.lag:.2f}" if len(lags) else "",
         f"{lags.min():.1f} to {lags.max():.1f}" if len(lags) else "",
-        f"{amplitude.min():.2f} to {amplitude.max():.2f}",
-        f"{np.abs(cycle.multipliers[0]):.3f}",
-        f"{cycle.recovery_time:.2f}" if cycle.stable else "unstable",
+        f"{amplitude.min():.2g} to {amplitude.max():.2g}",
+        *stability(cycle, ""),
     )

@@ -258,6 +258,21 @@ def build_network(tree: Tree, settings: CpgSettings) -> MatsuokaNetwork:
     )
 
 
+def parts(network: MatsuokaNetwork) -> list[tuple[int, ...]]:
+    """Oscillators that are joined to each other, directly or not, part by part.
+
+    Axes that do not inhibit each other have rhythms of their own, each with a phase of its own.
+    """
+    joined = (
+        (network.matrix != 0)
+        | (network.matrix.T != 0)
+        | np.eye(network.oscillator_count, dtype=bool)
+    )
+    for _ in range(network.oscillator_count.bit_length()):
+        joined = joined @ joined
+    return list(dict.fromkeys(tuple(map(int, np.flatnonzero(row))) for row in joined))
+
+
 def sub_network(network: MatsuokaNetwork, oscillators: tuple[int, ...]) -> MatsuokaNetwork:
     """Some of a network's oscillators with what joins them."""
     connections = _connections(network.matrix[np.ix_(oscillators, oscillators)])

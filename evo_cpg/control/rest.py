@@ -1,21 +1,40 @@
-"""Which oscillators come to rest under any drive, found by letting them run, in NumPy and SciPy.
+"""Which oscillators come to rest under a constant drive, checked by letting them run.
 
-`evo_cpg.analysis.limit_cycle` says much more, but has to compile first; this takes a second at
-most, so that it can be asked before every run.
+`evo_cpg.analysis.limit_cycle` says much more. This takes a second at most, so that it can be asked
+before every run.
 """
 
 from typing import Any
 
 import numpy as np
+from jaxtyping import Bool, Float
 
-from evo_cpg.control.matsuoka import MatsuokaNetwork
+from evo_cpg.control.matsuoka import MatsuokaNetwork, parts, sub_network
+from evo_cpg.control.piecewise import BudgetError, Flow, Run, returned
 
-# How long the network settles, and is looked at then, in units of the slower time constant.
+# How long the network runs at most, in units of T_r + T_a: in stretches, each half as long again.
+_LONGEST, _STRETCH, _LONGER = 70.0, 10.0, 1.5
+
+# A stretch ends earlier where each neuron begins to fire more often in a unit of time.
+_ONSETS = 4
+
+# A part repeats itself where it came back to the same state but for this share of its swing, or, at
+# the end, for the larger share.
+_NEAR, _NEAR_ENOUGH = 1e-4, 0.02
+
+# An oscillator rests in a part that swings where its output swings by less than this share of what
+# its neurons fire.
+_LEAST_SWING = 1e-3
+
+# Parts with more oscillators than this are first looked at by an inexact simulation: with all gains
+# at once, to these relative and absolute tolerances, for so long and then a little longer, in units
+# of the slower time constant. What swings there is not said to rest.
+_LARGE = 12
+_RELATIVE, _ABSOLUTE = 1e-4, 1e-5
 _SETTLING, _SEEN = 60.0, 10.0
 
-# An output that swings by less than this share of the drive is at rest, as in
-# `evo_cpg.analysis.limit_cycle`; the integration has to be better than that.
-_LEAST_SWING, _RELATIVE, _ABSOLUTE = 1e-3, 1e-4, 1e-5
+# Steps of each part; what needs more is not said to rest.
+_BUDGET = 20_000
 
 
 def resting(
@@ -23,20 +42,67 @@ def resting(
 ) -> list[int]:
     """Oscillators whose output does not swing, with the smallest, middle and largest gain.
 
+    Only those count that certainly rest: the whole part is near a stable equilibrium, or it
+    repeats itself without them.
+
     Args:
         network: connections and time constants.
         tonic_input: u of every neuron; outputs are proportional to it where s is 0.
         min_gain: smallest b.
         max_gain: largest b.
     """
+    drive = tonic_input + float(network.sensory_feedback)
+    rests = np.ones(network.oscillator_count, bool)
+    known: dict[bytes, Bool[np.ndarray, " o"]] = {}
+    for chosen in parts(network):
+        part = sub_network(network, chosen)
+        # The axes of a body are often alike.
+        same = part.matrix.tobytes() + np.asarray(part.initial_potential).tobytes()
+        if same not in known:
+            gains = np.linspace(min_gain, max_gain, 3)
+            known[same] = np.ones(len(chosen), bool)
+            if len(chosen) > _LARGE and drive > 0:
+                known[same] = _seems_to_rest(part, drive, gains)
+            for gain in gains:
+                # With the first gain most parts swing, and nothing is left to check.
+                if known[same].any():
+                    known[same] &= _part_rests(part, drive, gain)
+        rests[list(chosen)] = known[same]
+    return [int(i) for i in np.flatnonzero(rests)]
+
+
+def _part_rests(part: MatsuokaNetwork, drive: float, gain: float) -> Bool[np.ndarray, " o"]:
+    """Which oscillators of a part rest with a gain."""
+    count = part.oscillator_count
+    flow = Flow(part, np.full((2, count), drive), np.full(count, gain))
+    if not flow.driven:
+        return np.ones(count, bool)
+    flow.steps_left = _BUDGET
+    state = flow.vector(part.initial_potential, np.zeros((2, count)))
+    time, stretch = 0.0, _STRETCH
+    try:
+        while True:
+            run = flow.run(state, stretch, most_onsets=_ONSETS * flow.neurons * stretch)
+            state, time, stretch = run.state, time + run.duration, _LONGER * stretch
+            if flow.rest(state) is not None:
+                return np.ones(count, bool)
+            if returned(run.onsets, _NEAR if time < _LONGEST else _NEAR_ENOUGH) is not None:
+                return _still(run)
+            if time >= _LONGEST:
+                return np.zeros(count, bool)
+    except BudgetError:
+        return np.zeros(count, bool)
+
+
+def _seems_to_rest(
+    part: MatsuokaNetwork, drive: float, gains: Float[np.ndarray, " g"]
+) -> Bool[np.ndarray, " o"]:
+    """Which oscillators of a part seem to rest with all gains."""
     from scipy.integrate import solve_ivp
 
-    count, drive = network.oscillator_count, tonic_input + float(network.sensory_feedback)
-    if drive <= 0:
-        return list(range(count))
-    gains = np.linspace(min_gain, max_gain, 3)
-    other, own = np.maximum(network.matrix, 0.0), np.maximum(-network.matrix, 0.0)
-    rise_time, adaptation_time = float(network.rise_time), float(network.adaptation_time)
+    count = part.oscillator_count
+    other, own = np.maximum(part.matrix, 0.0), np.maximum(-part.matrix, 0.0)
+    rise_time, adaptation_time = float(part.rise_time), float(part.adaptation_time)
 
     def change(time: float, numbers: np.ndarray) -> np.ndarray:
         """Eqs. 4-6 of Iwadate 2010, of a network for each gain."""
@@ -48,12 +114,16 @@ def resting(
         return np.stack([rise, (firing - adaptation) / adaptation_time]).ravel()
 
     start = np.zeros((2, 2, count, len(gains)))
-    start[0] = np.asarray(network.initial_potential)[..., None]
+    start[0] = np.asarray(part.initial_potential)[..., None]
     slow, quick = max(rise_time, adaptation_time), min(rise_time, adaptation_time)
     end = (_SETTLING + _SEEN) * slow
     seen = np.arange(_SETTLING * slow, end, quick / 2)
     errors: dict[str, Any] = {"rtol": _RELATIVE, "atol": _ABSOLUTE * drive}
     found = solve_ivp(change, (0.0, end), start.ravel(), t_eval=seen, **errors)
     extensor, flexor = np.maximum(found.y.reshape(2, 2, count, len(gains), -1)[0], 0.0)
-    swing = np.ptp(extensor - flexor, axis=-1).max(-1)
-    return [int(i) for i in np.flatnonzero(swing < _LEAST_SWING * drive)]
+    swing, most = np.ptp(extensor - flexor, axis=-1), (extensor + flexor).max(-1)
+    return (swing <= 10 * _LEAST_SWING * most).all(-1)
+
+
+def _still(run: Run) -> Bool[np.ndarray, " o"]:
+    return run.highest - run.lowest <= _LEAST_SWING * run.most

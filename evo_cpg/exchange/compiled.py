@@ -12,6 +12,7 @@ import pydantic
 
 from evo_cpg.config.schema.section import Section
 from evo_cpg.exchange.errors import ExchangeError
+from evo_cpg.exchange.refusals import Lines, Refusal, Refusals, RefusedError, element_lines
 
 _Section = TypeVar("_Section", bound=Section)
 
@@ -23,7 +24,7 @@ _DIGITS = 12
 WORLD = 0
 
 # Numbers that are read: their fields in the compiled model, whose they are and how they are
-# written. Those that MuJoCo makes of others come last.
+# written.
 _FINITE = {
     "body_pos": ("body", "pos"),
     "body_quat": ("body", "orientation"),
@@ -42,6 +43,9 @@ _FINITE = {
     "actuator_gear": ("actuator", "gear"),
     "actuator_gainprm": ("actuator", "gain"),
     "actuator_biasprm": ("actuator", "bias"),
+}
+# Likewise, those that MuJoCo makes of others.
+_MADE_OF_OTHERS = {
     "body_mass": ("body", "mass"),
     "body_ipos": ("body", "centre of mass"),
     "body_iquat": ("body", "inertia"),
@@ -62,16 +66,19 @@ class Compiled(NamedTuple):
         mujoco: the module.
         model: the compiled model.
         source: the file, for messages.
+        refusals: what was found that no creature can have.
+        lines: where the elements stand in the file.
     """
 
     mujoco: Any
     model: Any
     source: Path
+    refusals: Refusals
+    lines: Lines
 
     def named(self, kind: str, number: int) -> str:
         """An element as it is called in messages."""
-        code = getattr(self.mujoco.mjtObj, f"mjOBJ_{kind.upper()}", None)
-        name = code is not None and self.mujoco.mj_id2name(self.model, code, number)
+        name = self._name(kind, number)
         if name:
             return f"{kind} {name!r}"
         owner = {"joint": "jnt_bodyid", "geom": "geom_bodyid"}.get(kind)
@@ -79,46 +86,82 @@ class Compiled(NamedTuple):
             return f"{kind} number {number} (unnamed)"
         return f"unnamed {kind} of {self.named('body', int(getattr(self.model, owner)[number]))}"
 
-    def refusal(self, kind: str, number: int, problem: str, allowed: str) -> ExchangeError:
-        """What to say of an element that no creature can have."""
-        what = self.named(kind, number)
-        return ExchangeError(f"{self.source}: {what}: {problem}; allowed: {allowed}")
+    def refusal(self, kind: str, number: int, problem: str, allowed: str) -> RefusedError:
+        """An error that ends the reading of an element that no creature can have."""
+        return RefusedError(self._refused(kind, number, problem, allowed))
+
+    def refuse(self, kind: str, number: int, problem: str, allowed: str) -> None:
+        """Remember an element that no creature can have, and go on."""
+        self.refusals.add(self._refused(kind, number, problem, allowed))
+
+    def refuse_as(self, what: str, problem: str) -> None:
+        """Remember what is no element of its own."""
+        self.refusals.add(Refusal(what, problem))
+
+    def _refused(self, kind: str, number: int, problem: str, allowed: str) -> Refusal:
+        said = f"{problem}; allowed: {allowed}"
+        return Refusal(self.named(kind, number), said, self._line(kind, number))
+
+    def _line(self, kind: str, number: int) -> int | None:
+        sizes = {"body": "nbody", "joint": "njnt", "geom": "ngeom", "equality": "neq"}
+        count = getattr(self.model, sizes.get(kind, f"n{kind}"), None)
+        if count is None:
+            count = self.model.nu
+        return self.lines.find(kind, number, int(count), self._name(kind, number))
+
+    def _name(self, kind: str, number: int) -> str | None:
+        code = getattr(self.mujoco.mjtObj, f"mjOBJ_{kind.upper()}", None)
+        return None if code is None else self.mujoco.mj_id2name(self.model, code, number)
+
+    def enabled(self, flag: str) -> bool:
+        """Whether a flag of the option element is that is not by default."""
+        bit = getattr(self.mujoco.mjtEnableBit, f"mjENBL_{flag.upper()}", 0)
+        return bool(self.model.opt.enableflags & int(bit))
 
     def disabled(self, flag: str) -> bool:
         """Whether a flag of the option element is; of one that MuJoCo does not know, not."""
         bit = getattr(self.mujoco.mjtDisableBit, f"mjDSBL_{flag.upper()}", 0)
         return bool(self.model.opt.disableflags & int(bit))
 
-    def require_zero(self, kind: str, number: int, fields: dict[str, str], at: int) -> None:
-        """Refuse an element with a property that no creature has."""
-        for field, word in fields.items():
-            if np.any(getattr(self.model, field, np.zeros(at + 1))[at]):
-                raise self.refusal(kind, number, f"it has {word}", f"no {word}")
-
     def require_numbers(self) -> None:
-        """Refuse an element with NaN or an infinite number, which no comparison would find."""
-        model = self.model
-        for field, (kind, word) in (_FINITE | _LIMITS).items():
-            values = np.asarray(getattr(model, field))
-            wrong = np.isnan(values) if field in _LIMITS else ~np.isfinite(values)
-            for number, *place in np.argwhere(wrong).tolist():
-                if kind == "geom" and model.geom_bodyid[number] == WORLD:
-                    continue
-                owner = ("joint", int(model.dof_jntid[number])) if kind == "dof" else (kind, number)
-                value = values[number, *place]
-                allowed = "numbers" if field in _LIMITS else "finite numbers"
-                raise self.refusal(*owner, f"its {word} holds {value:g}", allowed)
+        """Refuse elements with NaN or an infinite number, which no comparison would find.
 
-    def checked(self, what: str, section: type[_Section], values: dict[str, Any]) -> _Section:
+        Raises:
+            ExchangeError: there are some; nothing else can be told of such a model.
+        """
+        for fields in (_FINITE | _LIMITS, _MADE_OF_OTHERS):
+            for field, (kind, word) in fields.items():
+                self._require_finite(field, kind, word)
+            self.refusals.check()
+
+    def _require_finite(self, field: str, kind: str, word: str) -> None:
+        model = self.model
+        values = np.asarray(getattr(model, field))
+        wrong = np.isnan(values) if field in _LIMITS else ~np.isfinite(values)
+        allowed = "numbers" if field in _LIMITS else "finite numbers"
+        for number, *place in np.argwhere(wrong).tolist():
+            if kind == "geom" and model.geom_bodyid[number] == WORLD:
+                continue
+            owner = ("joint", int(model.dof_jntid[number])) if kind == "dof" else (kind, number)
+            self.refuse(*owner, f"its {word} holds {values[number, *place]:g}", allowed)
+
+    def checked(
+        self,
+        what: str,
+        section: type[_Section],
+        values: dict[str, Any],
+        at: tuple[str, int] | None = None,
+    ) -> _Section:
         """A section of the creature, or what its own rules say against an element.
 
         Args:
             what: the element, as `named` has it.
             section: to be made of it.
             values: of its keys; None for what is left open.
+            at: kind and number of the element; None for the model.
 
         Raises:
-            ExchangeError: they break its rules.
+            RefusedError: they break its rules.
         """
         try:
             return section(**{key: value for key, value in values.items() if value is not None})
@@ -128,7 +171,8 @@ class Compiled(NamedTuple):
         if problem["type"] != "value_error":
             said = f"{problem['input']}: {said[:1].lower()}{said[1:]}"
         key = ".".join(map(str, problem["loc"]))
-        raise ExchangeError(": ".join([str(self.source), what, *([key] if key else []), said]))
+        line = None if at is None else self._line(*at)
+        raise RefusedError(Refusal(what, ": ".join([*([key] if key else []), said]), line))
 
 
 def compile_model(path: Path) -> Compiled:
@@ -156,7 +200,7 @@ def compile_model(path: Path) -> Compiled:
         raise ExchangeError(
             f"{path}: MuJoCo cannot load it: {' '.join(str(error).split())}"
         ) from None
-    return Compiled(mujoco, model, path)
+    return Compiled(mujoco, model, path, Refusals(path), element_lines(path))
 
 
 def _require_mjcf(path: Path) -> None:

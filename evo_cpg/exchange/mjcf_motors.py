@@ -1,49 +1,46 @@
 """Motors of a compiled model: position and velocity servos, and what passes for one."""
 
+from collections.abc import Container
+
 import numpy as np
 
 from evo_cpg.config.schema.joint import ActuatorConfig
 from evo_cpg.config.schema.section import LARGEST
 from evo_cpg.exchange.compiled import TOLERANCE, Compiled, tidy
 
-_ZERO_OF_ACTUATOR = {
-    "actuator_delay": "delay",
-    "actuator_damping": "damping",
-    "actuator_dampingpoly": "damping polynomial",
-    "actuator_armature": "armature",
-}
-
 # Those that can be disabled.
 _GROUPS = 31
 
 
-def read_motors(compiled: Compiled, motor_gain: float | None) -> dict[int, ActuatorConfig]:
-    """The motor of every joint that has one."""
-    model = compiled.model
-    motors: dict[int, ActuatorConfig] = {}
-    for number in range(model.nu):
-        joint = int(model.actuator_trnid[number, 0])
-        compiled.require_zero("actuator", number, _ZERO_OF_ACTUATOR, number)
-        group = int(model.actuator_group[number])
-        if 0 <= group < _GROUPS and model.opt.disableactuator >> group & 1:
-            raise compiled.refusal(
-                "actuator",
-                number,
-                f"actuatorgroupdisable disables its group, {group}",
-                "an enabled group",
-            )
-        on_joint = int(model.actuator_trntype[number]) == compiled.mujoco.mjtTrn.mjTRN_JOINT
-        if not on_joint or int(model.jnt_type[joint]) != compiled.mujoco.mjtJoint.mjJNT_HINGE:
-            raise compiled.refusal("actuator", number, "it drives no hinge", "joint=, a hinge")
-        if joint in motors:
-            raise compiled.refusal(
-                "actuator",
-                number,
-                f"it is the second that drives {compiled.named('joint', joint)}",
-                "one",
-            )
-        motors[joint] = _read_motor(compiled, number, joint, motor_gain)
+def read_motors(compiled: Compiled, motor_gain: float | None) -> dict[int, ActuatorConfig | None]:
+    """The motor of every joint that has one; None for one that is refused, which is remembered."""
+    motors: dict[int, ActuatorConfig | None] = {}
+    for number in range(len(compiled.model.actuator_trnid)):
+        with compiled.refusals.collecting():
+            joint = _driven_joint(compiled, number, motors)
+            motors[joint] = None
+            motors[joint] = _read_motor(compiled, number, joint, motor_gain)
     return motors
+
+
+def _driven_joint(compiled: Compiled, number: int, driven: Container[int]) -> int:
+    """The hinge that an actuator drives."""
+    model = compiled.model
+    joint, group = int(model.actuator_trnid[number, 0]), int(model.actuator_group[number])
+    if 0 <= group < _GROUPS and model.opt.disableactuator >> group & 1:
+        raise compiled.refusal(
+            "actuator",
+            number,
+            f"actuatorgroupdisable disables its group, {group}",
+            "an enabled group",
+        )
+    on_joint = int(model.actuator_trntype[number]) == compiled.mujoco.mjtTrn.mjTRN_JOINT
+    if not on_joint or int(model.jnt_type[joint]) != compiled.mujoco.mjtJoint.mjJNT_HINGE:
+        raise compiled.refusal("actuator", number, "it drives no hinge", "joint=, a hinge")
+    if joint in driven:
+        first = compiled.named("joint", joint)
+        raise compiled.refusal("actuator", number, f"it is the second that drives {first}", "one")
+    return joint
 
 
 def _read_motor(
@@ -51,7 +48,7 @@ def _read_motor(
 ) -> ActuatorConfig:
     """One motor; the gear stretches the angle and multiplies the force."""
     mujoco, model = compiled.mujoco, compiled.model
-    gear = float(model.actuator_gear[number, 0])
+    gear = float(model.actuator_gear[_place(compiled, "out", number), 0])
     strength = float(model.actuator_gainprm[number, 0])
     offset, stiffness, damping = (-model.actuator_biasprm[number, :3]).tolist()
     affine = int(model.actuator_biastype[number]) == mujoco.mjtBias.mjBIAS_AFFINE
@@ -82,7 +79,7 @@ def _read_motor(
                 "position, velocity, or --motor-gain, which makes velocity servos of torque motors",
             )
         # What a motor can give at most, its servo may.
-        command = gear * strength * model.actuator_ctrlrange[number]
+        command = gear * strength * model.actuator_ctrlrange[_place(compiled, "ctrl", number)]
         limits.append((command, _limits_commands(compiled, number)))
         gain, stiffness = motor_gain, 0.0
     elif not damping > 0:
@@ -103,20 +100,26 @@ def _read_motor(
         "stiffness": tidy(stiffness),
         "torque_limit": tidy(min(abs(float(upper)) for _, upper in torques)) if torques else None,
     }
-    return compiled.checked(compiled.named("actuator", number), ActuatorConfig, values)
+    what, at = compiled.named("actuator", number), ("actuator", number)
+    return compiled.checked(what, ActuatorConfig, values, at)
 
 
 def command_ranges(compiled: Compiled) -> list[int]:
     """Servos whose commands have limits, which ours have not: their numbers."""
     model = compiled.model
     affine = model.actuator_biastype == compiled.mujoco.mjtBias.mjBIAS_AFFINE
-    limited = [number for number in range(model.nu) if _limits_commands(compiled, number)]
-    return [number for number in limited if affine[number]]
+    return [i for i in range(len(affine)) if affine[i] and _limits_commands(compiled, i)]
 
 
 def _limits_commands(compiled: Compiled, number: int) -> bool:
-    limited = bool(compiled.model.actuator_ctrllimited[number])
+    limited = bool(compiled.model.actuator_ctrllimited[_place(compiled, "ctrl", number)])
     return limited and not compiled.disabled("clampctrl")
+
+
+def _place(compiled: Compiled, what: str, number: int) -> int:
+    """Where an actuator's first command or output stands; older versions have one of each."""
+    places = getattr(compiled.model, f"actuator_{what}adr", None)
+    return number if places is None else int(places[number])
 
 
 def _boundless(torque: np.ndarray) -> bool:

@@ -16,8 +16,6 @@ from evo_cpg.config.schema.shape import (
 from evo_cpg.creature.mesh import MeshError, convex_mesh
 from evo_cpg.exchange.compiled import TOLERANCE, Compiled, rotation, tidy, tidy_size, tidy_vector
 
-_ZERO_OF_GEOM = {"geom_adhesion": "adhesion", "geom_surfacevel": "surface velocity"}
-
 # Of an inertia by turning it, as a share of the largest moment; a mesh has corners in single
 # precision, and `TOLERANCE` in its place.
 _ROUNDING = 1e-12
@@ -45,9 +43,7 @@ def only_geom(compiled: Compiled, body: int) -> int:
     count = int(model.body_geomnum[body])
     if count != 1:
         raise compiled.refusal("body", body, f"it has {count} geoms", "one, its shape")
-    geom = int(model.body_geomadr[body])
-    compiled.require_zero("geom", geom, _ZERO_OF_GEOM, geom)
-    return geom
+    return int(model.body_geomadr[body])
 
 
 def place_body(compiled: Compiled, body: int, geom: int, is_root: bool) -> Placed:
@@ -60,24 +56,24 @@ def place_body(compiled: Compiled, body: int, geom: int, is_root: bool) -> Place
     outer = rotation(compiled, model.body_quat[body]) if is_root else np.eye(3)
     turn = outer @ rotation(compiled, model.geom_quat[geom])
     kind = int(model.geom_type[geom])
-    what = compiled.named("geom", geom)
+    what, at = compiled.named("geom", geom), ("geom", geom)
     if kind == kinds.mjGEOM_SPHERE:
         values = {"type": "sphere", "radius": tidy(size[0])}
-        shape, turn = compiled.checked(what, SphereConfig, values), np.eye(3)
+        shape, turn = compiled.checked(what, SphereConfig, values, at), np.eye(3)
     elif kind == kinds.mjGEOM_CAPSULE:
         # MuJoCo's capsules lie along z, ours along x; either end may be the front.
         turn = _shortest_turn(turn[:, 2] if turn[0, 2] >= 0 else -turn[:, 2])
         values = {"type": "capsule", "radius": tidy(size[0]), "length": tidy(2 * size[1])}
-        shape = compiled.checked(what, CapsuleConfig, values)
+        shape = compiled.checked(what, CapsuleConfig, values, at)
     elif kind in (kinds.mjGEOM_BOX, kinds.mjGEOM_ELLIPSOID):
         best = max(_TURNS, key=lambda own: np.trace(turn @ own))
         turn, size = turn @ best, np.abs(best.T @ size)
         if kind == kinds.mjGEOM_BOX:
             values = {"type": "box", "size": tidy_size(2 * size)}
-            shape = compiled.checked(what, BoxConfig, values)
+            shape = compiled.checked(what, BoxConfig, values, at)
         else:
             values = {"type": "ellipsoid", "radii": tidy_size(size)}
-            shape = compiled.checked(what, EllipsoidConfig, values)
+            shape = compiled.checked(what, EllipsoidConfig, values, at)
     elif kind == kinds.mjGEOM_MESH:
         # MuJoCo has turned it to its principal axes.
         shape, turn = _read_mesh(compiled, geom, turn), np.eye(3)
@@ -136,7 +132,7 @@ def _read_mesh(compiled: Compiled, geom: int, turn: np.ndarray) -> MeshConfig:
     # MuJoCo keeps vertices in single precision.
     vertices = tuple(tidy_vector(vertex) for vertex in vertices - centre)
     values = {"type": "mesh", "vertices": vertices, "faces": faces.tolist()}
-    return compiled.checked(compiled.named("geom", geom), MeshConfig, values)
+    return compiled.checked(compiled.named("geom", geom), MeshConfig, values, ("geom", geom))
 
 
 def _shortest_turn(direction: np.ndarray) -> np.ndarray:

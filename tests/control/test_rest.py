@@ -61,3 +61,10 @@ def test_it_says_of_each_part_what_its_orbit_says(settings):
         except NoRhythmError:
             without += part
     assert still == sorted(without)
+
+
+@pytest.mark.parametrize("settings", [{}, {"pair_weight": 0.6}])
+def test_large_parts_are_judged_like_small_ones(monkeypatch, settings):
+    small = resting(chain(3, **settings), 1.0, *GAINS)
+    monkeypatch.setattr("evo_cpg.control.rest._LARGE", 0)
+    assert resting(chain(3, **settings), 1.0, *GAINS) == small

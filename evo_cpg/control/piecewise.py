@@ -1,0 +1,532 @@
+"""The exact flow of a Matsuoka network under a constant drive, one linear piece at a time.
+
+The equations (`evo_cpg.control.matsuoka`) are linear as long as no neuron begins or ceases to fire.
+With the signs of all potentials given, the *pattern*, a state s moves by
+
+    ds/dt = A s + c,    s(t + h) = s(t) + E(h) (s(t), 1),
+
+with E(h) from the matrix exponential. So no step has an error of integration, however stiff the
+network is, and a step may be as long as the pattern lasts. Steps are halved until a cubic through
+their ends foretells their middle. This finds where a potential crosses zero. A Taylor series, which
+is exact there, then locates the crossing.
+
+The field is continuous where the pattern changes. A product of the pieces' derivatives is therefore
+the derivative of the flow, without a term for the change.
+
+Units: time in units of ``T_r + T_a`` and states in units of the largest drive. The equations are
+homogeneous in both, so no tolerance depends on how strong the drive or how quick the network is.
+
+NumPy alone: nothing has to compile, so this can be called before every run.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Complex, Float
+
+from evo_cpg.control.matsuoka import MatsuokaNetwork
+
+# The shortest tabulated step times the largest rate of the network, and as many terms of a Taylor
+# series as are exact to rounding below it: 0.125^12 / 12! = 3e-20.
+_SHORTEST, _TERMS = 0.125, 12
+
+# Networks with more numbers than this take no tabulated steps: every pattern needs a table, and the
+# tables of 25 oscillators are as much as is quickly made. They go by series as long as this times
+# the largest rate: 0.5^12 / 12! = 5e-13.
+_TABULATED, _SERIES = 100, 0.5
+
+# Where a cubic meets the exact path in the middle of a step to this share of the potential, it
+# meets it everywhere, and shows every crossing but a dip of this share.
+_SMOOTH = 1e-4
+# A step twice as long has 16 times the error.
+_LENGTHEN = _SMOOTH / 32
+
+# Potentials nearer to zero than this, in units of the largest drive, have no sign: rounding.
+_ZERO = 1e-14
+
+# Places within a step at which the cubic is looked at, and the cubic there from the values and
+# slopes at its ends (Hermite).
+_PLACES = np.arange(1, 9) / 8
+_CUBIC = np.stack(
+    [
+        (1 + 2 * _PLACES) * (1 - _PLACES) ** 2,
+        _PLACES**2 * (3 - 2 * _PLACES),
+        _PLACES * (1 - _PLACES) ** 2,
+        _PLACES**2 * (_PLACES - 1),
+    ],
+    axis=1,
+)
+
+# No step is smooth in which anything grows by more.
+_LARGEST_GROWTH = 1e6
+
+# A state that changes by less than this share of the drive in a unit of time stands still. So does
+# what grows by less.
+_STILL = 1e-12
+
+# A sum of modes is a distance if it differs by less than this share.
+_REBUILT = 1e-9
+
+# A leap is shorter than two to this power, in units of the flow.
+_LEAP = 50
+
+# A mode is gone after as many of its time constants: e^-50 = 2e-22.
+_FADED = 50
+
+# Halvings of an eighth of a step that bracket a crossing, and steps of Newton's method that then
+# find it to rounding.
+_HALVINGS, _REFINEMENTS = 8, 4
+
+# The matrices of all patterns met are kept, up to this many bytes.
+_KEPT_BYTES = 2**28
+
+
+class BudgetError(Exception):
+    """The flow needs more steps than it may take."""
+
+
+class Crossing(NamedTuple):
+    """A neuron that begins to fire.
+
+    Attributes:
+        time: since the start of the run, in the flow's units.
+        neuron: its number, extensors first.
+        state: of the network then, in the flow's units.
+    """
+
+    time: float
+    neuron: int
+    state: Float[np.ndarray, " k"]
+
+
+class Run(NamedTuple):
+    """What a stretch of time came to.
+
+    Attributes:
+        state: at its end.
+        duration: what was asked for, or less.
+        tangent: derivative of that with respect to the state at the start; None unless asked for.
+        onsets: neurons that began to fire, in order of time.
+        lowest: smallest output of each oscillator, at the steps that were taken.
+        highest: largest output.
+        most: largest sum of what the two neurons of an oscillator fire.
+    """
+
+    state: Float[np.ndarray, " k"]
+    duration: float
+    tangent: Float[np.ndarray, "k k"] | None
+    onsets: list[Crossing]
+    lowest: Float[np.ndarray, " o"]
+    highest: Float[np.ndarray, " o"]
+    most: Float[np.ndarray, " o"]
+
+
+class Rest(NamedTuple):
+    """A stable equilibrium, from whose surroundings a state never comes away.
+
+    Attributes:
+        state: the equilibrium, in the flow's units.
+        rates: eigenvalues of the network there, largest real part first, in the flow's units.
+        firing: which neurons fire, extensors first.
+    """
+
+    state: Float[np.ndarray, " k"]
+    rates: Complex[np.ndarray, " k"]
+    firing: Bool[np.ndarray, " n"]
+
+
+class _Piece(NamedTuple):
+    """A pattern's generator, with the constant in the last column, and its tabulated steps.
+
+    Steps, longest first, are None where a swing would grow by more than a step can hold.
+    """
+
+    generator: np.ndarray
+    steps: list[np.ndarray | None]
+
+
+class _Modes(NamedTuple):
+    """What a distance from an equilibrium is the sum of: rates, and shapes of the potentials."""
+
+    rates: np.ndarray
+    shapes: np.ndarray
+    shapes_of_all: np.ndarray
+
+
+class Flow:
+    """A network under a constant drive.
+
+    States are vectors: potentials of the extensors, of the flexors, then their adaptations.
+
+    Args:
+        network: connections and time constants.
+        drive: tonic input and sensory feedback of each neuron, extensors first.
+        adaptation_gain: b of each oscillator.
+
+    Attributes:
+        second: a second in units of the flow.
+        scale: the largest drive; the unit of states.
+        steps_left: how many more steps may be taken before `BudgetError`.
+    """
+
+    def __init__(
+        self,
+        network: MatsuokaNetwork,
+        drive: Float[np.ndarray, "2 o"],
+        adaptation_gain: Float[np.ndarray, " o"],
+    ):
+        rise, adaptation = float(network.rise_time), float(network.adaptation_time)
+        count = network.oscillator_count
+        self.count, self.neurons, self.size = count, 2 * count, 4 * count
+        unit = rise + adaptation
+        self.second = 1.0 / unit
+        drive = np.asarray(drive, float)
+        self.scale = float(np.abs(drive).max()) or 1.0
+        self.steps_left = math.inf
+        self._rise, self._adaptation = unit / rise, unit / adaptation
+        self._drive = (drive / self.scale).ravel()
+        self._gain = np.tile(np.asarray(adaptation_gain, float), 2)
+        other, own = np.maximum(network.matrix, 0.0), np.maximum(-network.matrix, 0.0)
+        self._inhibition = np.block([[own, other], [other, own]])
+        rates = 1 + self._inhibition.sum(1) + self._gain + np.abs(self._drive)
+        quickest = max(self._rise * rates.max(), 2 * self._adaptation)
+        slowest = min(self._rise, self._adaptation)
+        shortest, self._depth = _SHORTEST, 0
+        if self.size <= _TABULATED:
+            self._depth = max(3, math.ceil(math.log2(4 * quickest / slowest / _SHORTEST)))
+        else:
+            shortest = _SERIES
+        self._lengths = shortest / quickest * 2.0 ** np.arange(self._depth, -1, -1)
+        self._pieces: dict[bytes, _Piece] = {}
+
+    def vector(self, potential: np.ndarray, adaptation: np.ndarray) -> Float[np.ndarray, " k"]:
+        """A state in units of the flow.
+
+        Args:
+            potential: x of each neuron, extensors first, in the user's units.
+            adaptation: z likewise.
+        """
+        return np.concatenate([np.ravel(potential), np.ravel(adaptation)]) / self.scale
+
+    def slope(self, state: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
+        """Derivative of a state with respect to time."""
+        generator = self._piece(self._pattern(state)).generator
+        return generator[:-1, :-1] @ state + generator[:-1, -1]
+
+    def run(
+        self,
+        state: Float[np.ndarray, " k"],
+        duration: float,
+        tangent: bool = False,
+        most_onsets: float = math.inf,
+    ) -> Run:
+        """Follow the network for some time.
+
+        Args:
+            state: at the start.
+            duration: in units of the flow.
+            tangent: also find the derivative of the end with respect to the start.
+            most_onsets: end earlier, when neurons began to fire so often.
+
+        Raises:
+            BudgetError: `steps_left` were not enough.
+        """
+        n = self.neurons
+        columns = np.zeros((self.size + 1, 1 + self.size * tangent))
+        columns[:-1, 0], columns[-1, 0] = state, 1.0
+        if tangent:
+            columns[:-1, 1:] = np.eye(self.size)
+        firing = self._pattern(state)
+        piece = self._piece(firing)
+        onsets: list[Crossing] = []
+        lowest, highest = np.full(self.count, np.inf), np.full(self.count, -np.inf)
+        most = np.zeros(self.count)
+        time, level = 0.0, self._depth // 2
+        while duration - time > 1e-15 * duration and len(onsets) < most_onsets:
+            self.steps_left -= 1
+            if self.steps_left < 0:
+                raise BudgetError
+            fired = np.maximum(columns[:n, 0], 0.0).reshape(2, -1)
+            signal = fired[0] - fired[1]
+            lowest, highest = np.minimum(lowest, signal), np.maximum(highest, signal)
+            most = np.maximum(most, fired.sum(0))
+            left = duration - time
+            while level < self._depth - 1 and self._lengths[level] > left:
+                level += 1
+            length = min(float(self._lengths[level]), left)
+            whole = self._depth > 0 and length == self._lengths[level]
+            if whole:
+                half = piece.steps[level + 1]
+                if half is None:
+                    level += 1
+                    continue
+                middle = columns + half @ columns
+                end = middle + half @ middle
+            else:
+                terms = _terms(piece.generator, columns)
+                middle, end = _sum(terms, length / 2), _sum(terms, length)
+            x0, xm, x1 = columns[:n, 0], middle[:n, 0], end[:n, 0]
+            v0 = length * (piece.generator[:n] @ columns[:, 0])
+            v1 = length * (piece.generator[:n] @ end[:, 0])
+            size = np.maximum(np.maximum(np.abs(x0), np.abs(x1)), np.abs(xm)) + _ZERO / _SMOOTH
+            error = float((np.abs(xm - (x0 + x1) / 2 - (v0 - v1) / 8) / size).max())
+            if whole and error > _SMOOTH and level < self._depth - 1:
+                level += 1
+                continue
+            seen = _CUBIC @ np.stack([x0, x1, v0, v1])
+            wrong = np.where(firing, seen < -_ZERO, seen > _ZERO)
+            if not wrong.any():
+                columns, time = end, time + length
+                if whole and error < _LENGTHEN and level > 0:
+                    level -= 1
+                continue
+            place = int(wrong.any(1).argmax())
+            share, neuron = _first_root(x0, x1, v0, v1, np.flatnonzero(wrong[place]), place)
+            columns, passed = self._onto_zero(piece, columns, share * length, neuron)
+            time += passed
+            columns[neuron, 0] = 0.0
+            firing = firing.copy()
+            firing[neuron] = not firing[neuron]
+            piece = self._piece(firing)
+            if firing[neuron]:
+                onsets.append(Crossing(time, neuron, columns[:-1, 0].copy()))
+        derivative = columns[:-1, 1:].copy() if tangent else None
+        return Run(columns[:-1, 0].copy(), time, derivative, onsets, lowest, highest, most)
+
+    @property
+    def driven(self) -> bool:
+        """Whether any neuron has a drive, without which none fires for long."""
+        return bool((self._drive > 0).any())
+
+    def stands_still(self, state: Float[np.ndarray, " k"]) -> bool:
+        """Whether a state changes by rounding only."""
+        return bool(np.abs(self.slope(state)).max() < _STILL)
+
+    def rest(self, state: Float[np.ndarray, " k"]) -> Rest | None:
+        """The equilibrium that a state is certain to decay to; None where that is not certain.
+
+        The state and the equilibrium have the same pattern, the equilibrium is stable, and what is
+        left of the distance can nowhere bring a potential across zero: it decays mode by mode.
+        """
+        if self.stands_still(state):
+            here = self._with_rates(state, self._pattern(state))
+            # A potential of zero may be at the border of a pattern that leads away.
+            certain = here.rates[0].real < _STILL and self._margin(here).min() > _STILL**0.5
+            return here if certain else None
+        near = self.equilibrium(state)
+        if near is None or not near.rates[0].real < 0:
+            return None
+        distance = state - near.state
+        margin = self._margin(near)
+        modes = self._modes(near, distance)
+        if modes is not None and (np.abs(modes.shapes).sum(1) < margin).all():
+            return near
+        # Modes that are nearly parallel, as of oscillators that drive each other one way, say
+        # nothing. The norm of the flow then bounds what a distance can grow to.
+        reach = self._growth(near) * np.abs(distance).max()
+        return near if (reach < margin).all() else None
+
+    def leap(self, state: Float[np.ndarray, " k"]) -> tuple[Float[np.ndarray, " k"], float]:
+        """Follow swings that grow about an unstable equilibrium for as long as the pattern lasts.
+
+        Near the border of oscillation that may be millions of swings, which need no steps.
+
+        Returns:
+            The state after that, and the time it takes; the same state and 0 where nothing is
+            certain.
+        """
+        near = self.equilibrium(state)
+        if near is None or not near.rates[0].real > 0:
+            return state, 0.0
+        modes, margin = self._modes(near, state - near.state), self._margin(near)
+        if modes is None:
+            return state, 0.0
+        sizes = np.abs(modes.shapes)
+        time = 0.0
+        for length in 2.0 ** np.arange(_LEAP, 0, -1):
+            with np.errstate(over="ignore", invalid="ignore"):
+                reach = (sizes * np.exp(np.real(modes.rates) * (time + length))).sum(1)
+            if (reach < margin).all():
+                time += float(length)
+        grown = np.real((modes.shapes_of_all * np.exp(modes.rates * time)).sum(1))
+        return (near.state + grown, time) if time else (state, 0.0)
+
+    def equilibrium(self, state: Float[np.ndarray, " k"]) -> Rest | None:
+        """Where a state with the pattern of this one would stay; None where that has another."""
+        firing = self._pattern(state)
+        generator = self._piece(firing).generator
+        try:
+            still = -np.linalg.solve(generator[:-1, :-1], generator[:-1, -1])
+        except np.linalg.LinAlgError:
+            return None
+        free = self._drive > 0
+        x = still[: self.neurons]
+        if (np.where(firing, x, -x)[free] <= 0).any():
+            return None
+        return self._with_rates(still, firing)
+
+    def _with_rates(self, state: np.ndarray, firing: np.ndarray) -> Rest:
+        rates = np.linalg.eigvals(self._piece(firing).generator[:-1, :-1])
+        return Rest(state, rates[np.argsort(-rates.real)].astype(complex), firing)
+
+    def _margin(self, near: Rest) -> Float[np.ndarray, " n"]:
+        """How far each potential is from zero; a neuron without a drive never begins to fire."""
+        return np.where(self._drive > 0, np.abs(near.state[: self.neurons]), np.inf)
+
+    def _modes(self, near: Rest, distance: np.ndarray) -> _Modes | None:
+        """A distance from an equilibrium as a sum of modes; None where modes are too alike."""
+        rates, vectors = np.linalg.eig(self._piece(near.firing).generator[:-1, :-1])
+        try:
+            shapes = vectors * np.linalg.solve(vectors, distance)
+        except np.linalg.LinAlgError:
+            return None
+        rebuilt = np.abs(shapes.sum(1) - distance).max()
+        if not rebuilt <= _REBUILT * np.abs(distance).max():
+            return None
+        return _Modes(rates, shapes[: self.neurons], shapes)
+
+    def _growth(self, near: Rest) -> float:
+        """Bound of the norm of the flow to a rest; four times that at powers of two of a time."""
+        matrix = self._piece(near.firing).generator[:-1, :-1]
+        step = _SHORTEST / np.abs(matrix).sum(1).max()
+        onward = np.eye(len(matrix))
+        term = np.eye(len(matrix))
+        for k in range(1, _TERMS):
+            term = term @ matrix * (step / k)
+            onward = onward + term
+        largest, time = 1.0, step
+        while time * -near.rates[0].real < _FADED:
+            largest = max(largest, np.abs(onward).sum(1).max())
+            onward, time = onward @ onward, 2 * time
+        return 4 * largest
+
+    def _pattern(self, state: np.ndarray) -> Bool[np.ndarray, " n"]:
+        """Which neurons fire."""
+        return state[: self.neurons] > 0
+
+    def _piece(self, firing: np.ndarray) -> _Piece:
+        key = firing.tobytes()
+        piece = self._pieces.get(key)
+        if piece is None:
+            if (len(self._pieces) + 1) * (self._depth + 2) * 8 * (self.size + 1) ** 2 > _KEPT_BYTES:
+                self._pieces.pop(next(iter(self._pieces)), None)
+            piece = self._pieces[key] = self._make_piece(firing)
+        return piece
+
+    def _make_piece(self, firing: np.ndarray) -> _Piece:
+        n, k = self.neurons, self.size
+        generator = np.zeros((k + 1, k + 1))
+        generator[:n, :n] = -self._rise * (np.eye(n) + self._inhibition * firing)
+        generator[:n, n:k] = -self._rise * np.diag(self._gain)
+        generator[:n, k] = self._rise * self._drive
+        generator[n:k, :n] = self._adaptation * np.diag(firing.astype(float))
+        generator[n:k, n:k] = -self._adaptation * np.eye(n)
+        if not self._depth:
+            return _Piece(generator, [None])
+        # Without the identity, beside which slow rates would lose their digits.
+        shortest = generator * self._lengths[-1]
+        step = term = shortest
+        for order in range(2, _TERMS):
+            term = term @ shortest / order
+            step = step + term
+        steps: list[np.ndarray | None] = [step]
+        for _ in range(self._depth):
+            step = None if step is None else 2 * step + step @ step
+            if step is not None and np.abs(step).max() > _LARGEST_GROWTH:
+                step = None
+            steps.append(step)
+        return _Piece(generator, steps[::-1])
+
+    def _onto_zero(
+        self, piece: _Piece, columns: np.ndarray, about: float, neuron: int
+    ) -> tuple[np.ndarray, float]:
+        """Move along one piece to where a neuron's potential is zero, and tell when that is.
+
+        Args:
+            piece: that holds until then.
+            columns: the state, and its derivatives.
+            about: a guess of the time.
+            neuron: whose potential it is.
+        """
+        left = about
+        for step, length in zip(piece.steps, self._lengths, strict=True):
+            if step is not None and left >= length:
+                columns, left = columns + step @ columns, left - length
+        if not self._depth:
+            # The series is exact as far as a whole step.
+            left = min(left, float(self._lengths[0]))
+        # From here a series reaches both ways, as far as the shortest step.
+        terms = _terms(piece.generator, columns)
+        series = [float(term[neuron, 0]) for term in terms]
+        reach, moment = float(self._lengths[-1]), left
+        for _ in range(_REFINEMENTS):
+            value = slope = 0.0
+            for coefficient in reversed(series):
+                slope = slope * moment + value
+                value = value * moment + coefficient
+            if slope == 0:
+                break
+            moment = min(max(moment - value / slope, -reach), 2 * reach)
+        return _sum(terms, moment), about - left + moment
+
+
+def returned(
+    onsets: Sequence[Crossing], near: float
+) -> tuple[Float[np.ndarray, " k"], float] | None:
+    """The latest state at which a neuron began to fire, and how long ago it was nearly the same.
+
+    Args:
+        onsets: of one run.
+        near: how far the two may be apart, as a share of the swing.
+    """
+    if not onsets:
+        return None
+    last = onsets[-1]
+    # Only what still goes on says how far the network swings.
+    recent = np.array([onset.state for onset in onsets[len(onsets) // 2 :]])
+    swing = float(np.ptp(recent, axis=0).max())
+    for before in reversed(onsets[:-1]):
+        apart = np.abs(last.state - before.state).max()
+        if before.neuron == last.neuron and apart <= near * swing:
+            return last.state, last.time - before.time
+    return None
+
+
+def _terms(generator: np.ndarray, columns: np.ndarray) -> list[np.ndarray]:
+    """Coefficients of the Taylor series of columns in time."""
+    terms = [columns]
+    for order in range(1, _TERMS):
+        terms.append(generator @ terms[-1] / order)
+    return terms
+
+
+def _sum(terms: Sequence[np.ndarray], duration: float) -> np.ndarray:
+    """A Taylor series after a duration that is short against all rates."""
+    total = terms[-1]
+    for term in reversed(terms[:-1]):
+        total = total * duration + term
+    return total
+
+
+def _first_root(
+    x0: np.ndarray, x1: np.ndarray, v0: np.ndarray, v1: np.ndarray, who: np.ndarray, place: int
+) -> tuple[float, int]:
+    """The first of some neurons whose cubic crosses zero before a place, and where, as a share."""
+    low = np.full(len(who), _PLACES[place - 1] if place else 0.0)
+    high = np.full(len(who), _PLACES[place])
+    a, b, c, d = x0[who], v0[who], 3 * (x1 - x0)[who] - (2 * v0 + v1)[who], 0.0
+    d = 2 * (x0 - x1)[who] + (v0 + v1)[who]
+
+    def cubic(t: np.ndarray) -> np.ndarray:
+        return a + t * (b + t * (c + t * d))
+
+    after = np.sign(cubic(high))
+    # Closely enough for Newton's method, which follows.
+    for _ in range(_HALVINGS):
+        middle = (low + high) / 2
+        beyond = np.sign(cubic(middle)) == after
+        low, high = np.where(beyond, low, middle), np.where(beyond, middle, high)
+    first = int(high.argmin())
+    return float(low[first]), int(who[first])

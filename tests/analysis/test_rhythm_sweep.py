@@ -1,0 +1,217 @@
+"""Rhythm or rest of networks of many kinds, beside SciPy's plain simulation of eqs. 4-6."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.integrate import odeint
+
+from creatures import box_chain
+from evo_cpg.analysis.limit_cycle import LimitCycle, NoRhythmError, RhythmSearchError, limit_cycle
+from evo_cpg.cli.rhythm import stability
+from evo_cpg.control.matsuoka import (
+    TIME_CONSTANTS,
+    CpgSettings,
+    MatsuokaNetwork,
+    build_network,
+)
+from evo_cpg.creature.tree import build_tree
+
+RISE, ADAPTATION = TIME_CONSTANTS["swapped"]
+# Of a pair: it swings where 1 + T_r / T_a < a < 1 + b.
+LEAST = 1 + RISE / ADAPTATION
+
+
+def chain(joints: int = 1, **settings) -> MatsuokaNetwork:
+    return build_network(build_tree(box_chain(joints + 1, "z")), CpgSettings(**settings))
+
+
+def found(network: MatsuokaNetwork, gain: float, drive: np.ndarray | float = 1.0) -> LimitCycle:
+    count = network.oscillator_count
+    return limit_cycle(network, np.broadcast_to(drive, (2, count)), np.full(count, float(gain)))
+
+
+def simulated(
+    network: MatsuokaNetwork, gain: float, drive: np.ndarray | float, seconds: float, period: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """States before ``seconds``, over two periods and a quarter, and their times."""
+    count = network.oscillator_count
+    other, own = np.maximum(network.matrix, 0.0), np.maximum(-network.matrix, 0.0)
+    drive = np.broadcast_to(drive, (2, count)) + network.sensory_feedback
+    rise, adaptation = network.rise_time, network.adaptation_time
+
+    def change(numbers: np.ndarray, _: float) -> np.ndarray:
+        x, z = numbers.reshape(2, 2, count)
+        firing = np.maximum(x, 0.0)
+        inhibition = firing[::-1] @ other.T + firing @ own.T
+        rates = (drive - x - inhibition - gain * z) / rise, (firing - z) / adaptation
+        return np.ravel(rates)
+
+    start = np.concatenate([np.ravel(network.initial_potential), np.zeros(2 * count)])
+    times = np.append(0.0, np.linspace(seconds - 2.25 * period, seconds, 9001))
+    size = float(np.abs(drive).max())
+    states = odeint(change, start, times, rtol=1e-9, atol=1e-12 * size, mxstep=1_000_000)
+    return states[1:], times[1:]
+
+
+def outputs(states: np.ndarray) -> np.ndarray:
+    extensor, flexor = np.split(np.maximum(states[:, : states.shape[1] // 2], 0.0), 2, axis=1)
+    return extensor - flexor
+
+
+def is_what_simulation_shows(
+    network: MatsuokaNetwork, gain: float, drive: np.ndarray | float = 1.0
+) -> str:
+    """Compare, and return the outcome, ``rhythm`` or ``rest``."""
+    unit = network.rise_time + network.adaptation_time
+    size = float(np.max(np.abs(np.asarray(drive) + network.sensory_feedback)))
+    try:
+        cycle = found(network, gain, drive)
+    except NoRhythmError:
+        states, _ = simulated(network, gain, drive, 400 * unit, 40 * unit)
+        assert np.ptp(states, axis=0).max() < 1e-3 * size / (1 + gain)
+        return "rest"
+    # Where the multipliers are unknown, pushes die away within much less than a period.
+    fading = np.nan_to_num(-1 / np.log(np.abs(cycle.multipliers[0])))
+    seconds = 40 * unit + (10 + 10 * fading) * cycle.period
+    states, times = simulated(network, gain, drive, seconds, cycle.period)
+    # After a period it is where it was, and nowhere near at any time before.
+    swing = np.ptp(states, axis=0).max()
+    apart = np.abs(states - states[0]).max(1) / swing
+    step = times[1] - times[0]
+    back = round(cycle.period / step)
+    moved = np.abs(np.diff(states, axis=0)).max() / swing
+    assert apart[back] < 1e-3 + moved
+    assert apart[back // 20 : back - back // 20].min() > 2 * apart[back]
+    np.testing.assert_allclose(
+        cycle.amplitude, np.ptp(outputs(states), axis=0) / 2, rtol=5e-3, atol=1e-4 * swing
+    )
+    return "rhythm"
+
+
+@pytest.mark.parametrize(
+    ("weight", "gain"),
+    [(3.0, 4.0), (3.0, 2.5), (4.0, 3.5), (3.0, 2.01), (50.0, 60.0), (1.5, 2.0), (LEAST + 0.02, 4)],
+)
+def test_a_pair_that_swings_is_found(weight, gain):
+    assert is_what_simulation_shows(chain(pair_weight=weight), gain) == "rhythm"
+
+
+@pytest.mark.parametrize(("weight", "gain"), [(3.0, 1.9), (3.0, 1.99), (LEAST - 0.02, 4.0), (0, 4)])
+def test_a_pair_beyond_the_borders_rests(weight, gain):
+    assert is_what_simulation_shows(chain(pair_weight=weight), gain) == "rest"
+
+
+@pytest.mark.parametrize("constants", ["swapped", "as_printed"])
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
+@pytest.mark.parametrize("drive", [1e-30, 1.0, 1e30])
+def test_neither_drive_nor_time_scale_decides(constants, scale, drive):
+    """Frequencies divide by the time scale and amplitudes follow the drive, to rounding."""
+    plain = found(chain(pair_weight=12.0, constants=constants), 20.0)
+    settings = {"time_scale": scale, "max_tonic_input": drive}
+    cycle = found(chain(pair_weight=12.0, constants=constants, **settings), 20.0, drive)
+    assert cycle.period == pytest.approx(scale * plain.period, rel=1e-9)
+    np.testing.assert_allclose(cycle.amplitude, drive * plain.amplitude, rtol=1e-9)
+    np.testing.assert_allclose(cycle.multipliers, plain.multipliers, atol=1e-8)
+
+
+def test_the_frequency_near_the_lower_border_is_that_of_the_linear_network():
+    """w = sqrt((1 - a + b) / (T_r T_a)) at a = 1 + T_r / T_a, from either side."""
+    gain = 4.0
+    hertz = np.sqrt((1 - LEAST + gain) / (RISE * ADAPTATION)) / (2 * np.pi)
+    assert found(chain(pair_weight=LEAST + 1e-6), gain).frequency == pytest.approx(hertz, rel=1e-4)
+    with pytest.raises(NoRhythmError, match=r"rest: after .* All neurons fire evenly: stronger"):
+        found(chain(pair_weight=LEAST - 1e-6), gain)
+
+
+def test_rest_on_one_side_is_told_from_even_rest():
+    with pytest.raises(NoRhythmError, match=r"Some neurons silence others: a smaller pair_weight"):
+        found(chain(pair_weight=3.0), 1.5)
+
+
+@pytest.mark.parametrize("feedback", [-1.0, -3.0])
+def test_no_drive_is_rest(feedback):
+    with pytest.raises(NoRhythmError, match="nothing drives the network, so it comes to rest"):
+        found(chain(pair_weight=2.0, sensory_feedback=feedback), 4.0)
+
+
+def test_an_oscillator_may_rest_while_others_swing():
+    """Near the border to rest the tail stops first. Beside it there is no lag."""
+    cycle = found(chain(3), 0.3)
+    assert is_what_simulation_shows(chain(3), 0.3) == "rhythm"
+    assert cycle.amplitude[2] < 1e-9 * cycle.amplitude[0]
+    assert np.isnan(cycle.lag[1]) and np.isfinite(cycle.lag[0])
+
+
+def test_series_and_tables_give_the_same_rhythm(monkeypatch):
+    """Large networks go by series."""
+    tabulated = found(chain(3), 4.0)
+    monkeypatch.setattr("evo_cpg.control.piecewise._TABULATED", 0)
+    series = found(chain(3), 4.0)
+    assert series.period == pytest.approx(tabulated.period, rel=1e-10)
+    np.testing.assert_allclose(series.multipliers, tabulated.multipliers, atol=1e-9)
+
+
+def test_a_search_that_fails_is_no_rest(monkeypatch):
+    network = chain(pair_weight=2.0)
+    monkeypatch.setattr("evo_cpg.analysis.limit_cycle._BUDGET", 50)
+    with pytest.raises(RhythmSearchError, match=r"the search failed, so nothing is known") as error:
+        found(network, 4.0)
+    assert "try another --gain or other weights" in str(error.value)
+    monkeypatch.setattr("evo_cpg.analysis.limit_cycle._BUDGET", 20_000)
+    with pytest.raises(RhythmSearchError, match="farther from this border of oscillation"):
+        found(chain(pair_weight=LEAST), 4.0)
+
+
+def test_a_rhythm_whose_stability_is_unknown_is_still_a_rhythm(monkeypatch):
+    monkeypatch.setattr("evo_cpg.analysis.limit_cycle._NEUTRAL", 0.0)
+    cycle = found(chain(pair_weight=3.0), 4.0)
+    assert cycle.frequency == pytest.approx(0.425, abs=1e-3)
+    assert np.isnan(cycle.multipliers).all() and np.isnan(cycle.recovery_time)
+    assert stability(cycle, " s") == ("unknown", "unknown")
+
+
+def test_the_very_border_is_neither_rest_nor_rhythm():
+    """At a = 1 + b one side rests where the other would begin to fire."""
+    with pytest.raises(RhythmSearchError, match="stands still at the very border between rest"):
+        found(chain(pair_weight=5.0), 4.0)
+
+
+@pytest.mark.parametrize(("weight", "gain"), [(2.0, 1e3), (1e4, 1.1e4)])
+def test_large_weights_and_gains(weight, gain):
+    assert is_what_simulation_shows(chain(pair_weight=weight), gain) == "rhythm"
+
+
+def drawn(seed: int) -> tuple[MatsuokaNetwork, float, np.ndarray]:
+    """A network of any kind."""
+    rng = np.random.default_rng(seed)
+
+    def between(low: float, high: float) -> float:
+        return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+
+    joints = int(rng.choice([1, 2, 3, 5]))
+    drive = between(1e-6, 1e6)
+    network = chain(
+        joints,
+        pair_weight=between(0.5, 20.0),
+        parent_weight=float(rng.uniform(0, 2)),
+        child_weight=float(rng.choice([0.0, 0.2, rng.uniform(0, 2)])),
+        time_scale=between(1e-2, 1e2),
+        max_tonic_input=drive,
+    )
+    if rng.random() < 0.5:
+        rise = network.adaptation_time * between(1e-3, 3.0)
+        network = dataclasses.replace(network, rise_time=rise)
+    uneven = rng.uniform(0.7, 1.3, (2, joints)) if rng.random() < 0.5 else np.ones((2, joints))
+    return network, between(0.3, 50.0), drive * uneven
+
+
+@pytest.mark.parametrize("seed", [1, 11, 12, 34, 51])
+def test_a_few_networks_drawn_at_random_do_what_simulation_shows(seed):
+    is_what_simulation_shows(*drawn(seed))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(100))
+def test_networks_drawn_at_random_do_what_simulation_shows(seed):
+    is_what_simulation_shows(*drawn(seed))

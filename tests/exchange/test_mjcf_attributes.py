@@ -1,0 +1,459 @@
+"""Attributes of MJCF, one by one: each moves as in MuJoCo, is refused, or is left out by name."""
+
+import dataclasses
+
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+from creatures import quick_jit
+from evo_cpg.creature.tree import Tree, build_tree
+from evo_cpg.exchange import mjcf_fields
+from evo_cpg.exchange.errors import ExchangeError
+from evo_cpg.exchange.mjcf_import import Imported, read_mjcf
+from evo_cpg.physics.articulated import solve
+from evo_cpg.physics.joints import passive_torque
+from evo_cpg.physics.kinematics import kinematics
+from evo_cpg.physics.state import resting_state
+from evo_cpg.physics.world import World, body_equations
+from evo_cpg.spatial.linear import expand_dims_like
+
+GRAVITY = "gravity (0, 0, -9.81) m/s^2"
+
+
+def model(
+    joint: str = "",
+    geom: str = "",
+    actuator: str = "",
+    body: str = "",
+    option: str = "",
+    flag: str = "",
+    top: str = "",
+    within: str = "",
+    drive: str = "velocity",
+) -> str:
+    """A trunk with one limb, with attributes (or elements) in some places."""
+    # An attribute that is there already is replaced.
+    hinge = attributes('name="h" axis="0 1 0.3" range="-60 60" pos="-0.1 0.02 0"', joint)
+    limb = attributes('name="g" type="box" size="0.2 0.05 0.03" pos="0.1 0 0"', geom)
+    place = attributes('name="limb" pos="0.3 0.1 0"', body)
+    motor = attributes('name="m" joint="h" kv="1"', actuator)
+    return f"""<mujoco>
+      <option {option}><flag {flag}/></option>
+      {top}
+      <worldbody>
+        <body name="trunk"><freejoint name="root"/><geom name="t" type="box" size=".2 .1 .1"/>
+          <body {place}>
+            <joint {hinge}/>
+            <geom {limb}/>
+            {within}
+          </body>
+        </body>
+      </worldbody>
+      <actuator><{drive} {motor}/></actuator>
+    </mujoco>"""
+
+
+def attributes(usual: str, given: str) -> str:
+    """Attributes of an element, of which those that are given replace usual ones."""
+    pairs = [part.split("=", 1) for part in (usual + " " + given).replace('" ', '"\n').split("\n")]
+    chosen = {key.strip(): value for key, value in (pair for pair in pairs if len(pair) == 2)}
+    return " ".join(f"{key}={value}" for key, value in chosen.items() if value != '"-"')
+
+
+@pytest.fixture
+def read(tmp_path):
+    """What a model's text comes to."""
+
+    def call(text: str) -> Imported:
+        path = tmp_path / "model.xml"
+        path.write_text(text)
+        return read_mjcf(path)
+
+    return call
+
+
+@quick_jit
+def accelerations(tree: Tree, q, qd):
+    rest = resting_state(tree, dtype=float)
+    state = dataclasses.replace(rest, q=q, qd=qd)
+    kin = kinematics(tree, state)
+    inertia, bias = body_equations(World(tree, 9.81), kin, 0.0)
+    torque, derivative = passive_torque(tree, state, 0.0)
+    rotor = derivative + expand_dims_like(tree.armature, torque)
+    return solve(tree, kin, inertia, bias, torque, rotor).qdd
+
+
+def moves_as_in_mujoco(text: str, found: Imported) -> None:
+    """The joint's acceleration at some angles and rates within its limits."""
+    theirs = mujoco.MjModel.from_xml_string(text)
+    theirs.opt.disableflags |= (
+        mujoco.mjtDisableBit.mjDSBL_ACTUATION | mujoco.mjtDisableBit.mjDSBL_CONTACT
+    )
+    data = mujoco.MjData(theirs)
+    creature = found.creature.build()
+    tree, joint = build_tree(creature), creature.bodies[1].joint
+    assert joint is not None
+    np.testing.assert_allclose(
+        np.array([joint.lower[0], joint.upper[0]]), theirs.jnt_range[1] - theirs.qpos0[7], rtol=1e-9
+    )
+    for q, qd in ((0.3, 2.0), (-0.2, -5.0)):
+        data.qpos = theirs.qpos0
+        data.qpos[7] += q
+        data.qvel[6] = qd
+        mujoco.mj_forward(theirs, data)
+        ours = accelerations(tree, jnp.array([q]), jnp.array([qd]))
+        np.testing.assert_allclose(ours, data.qacc[6:], rtol=1e-8)
+
+
+# What is read, or has no part in the motion.
+MAPPED = {
+    "joint axis": model(joint='axis="1 2 3"'),
+    "joint pos": model(joint='pos="0.05 0.1 -0.02"'),
+    "joint range": model(joint='range="-30 80"'),
+    "joint ref": model(joint='ref="10" springref="10" stiffness="2"'),
+    "joint stiffness": model(joint='stiffness="3"'),
+    "joint damping": model(joint='damping="0.4"'),
+    "joint armature": model(joint='armature="0.05"'),
+    "joint springdamper": model(joint='springdamper="0.5 0.8"'),
+    "joint solreffriction": model(joint='solreffriction="0.1 1" solimpfriction=".5 .6 .1 .5 2"'),
+    "joint group, user": model(joint='group="2" user="1"'),
+    "freejoint group": model().replace('name="root"', 'name="root" group="3"'),
+    "body pos": model(body='pos="0.1 0.5 -0.3"'),
+    "body euler": model(body='euler="20 30 40"'),
+    "body quat": model(body='quat="1 0.2 0.3 0.1"'),
+    "body axisangle": model(body='axisangle="1 1 0 30"'),
+    "body xyaxes": model(body='xyaxes="0 1 0 -1 0 0.2"'),
+    "body zaxis": model(body='zaxis="1 0 1"'),
+    "body sleep": model().replace('name="trunk"', 'name="trunk" sleep="never"'),
+    "geom size": model(geom='size="0.1 0.2 0.05"'),
+    "geom fromto": model(geom='type="capsule" size="0.03" pos="-" fromto="0 0 0 0.3 0.1 0.2"'),
+    "geom euler": model(geom='euler="0 10 20"'),
+    "geom mass": model(geom='mass="3"'),
+    "geom density": model(geom='density="300"'),
+    "geom friction, 2nd and 3rd": model(geom='friction="1 0.5 0.5"'),
+    "geom fluidshape, without a fluid": model(geom='fluidshape="ellipsoid" fluidcoef="1 1 1 1 1"'),
+    "geom group, rgba": model(geom='group="3" rgba="1 0 0 1"'),
+    "inertial, that of the geom": model(
+        within='<inertial pos="0.1 0 0" mass="3" diaginertia=".0034 .0409 .0425"/>'
+    ),
+    "compiler angle": model(top='<compiler angle="radian"/>', joint='range="-1 1"'),
+    "compiler eulerseq": model(top='<compiler eulerseq="ZYX"/>', body='euler="20 30 40"'),
+    "compiler settotalmass": model(top='<compiler settotalmass="7"/>'),
+    "default": model(top='<default><joint damping="0.3" stiffness="2"/></default>'),
+    "option timestep, solver": model(
+        option='timestep="0.01" solver="CG" iterations="5" tolerance="1e-3" jacobian="dense"'
+    ),
+    "option integrator of our export": model(option='integrator="implicitfast"'),
+    "flags of no matter": model(
+        flag=" ".join(
+            f'{flag}="disable"'
+            for flag in ("warmstart", "refsafe", "eulerdamp", "midphase", "sensor", "frictionloss")
+        )
+    ),
+    "flags of readings": model(flag='energy="enable" fwdinv="enable"'),
+    "actuator lengthrange": model(top='<compiler><lengthrange mode="none"/></compiler>'),
+    "custom": model(top='<custom><numeric name="n" data="1"/></custom>'),
+    "statistic, visual": model(top='<statistic meaninertia="3"/><visual><map znear="1"/></visual>'),
+}
+
+
+@pytest.mark.parametrize("name", MAPPED)
+def test_what_is_read_moves_as_in_mujoco(read, name):
+    found = read(MAPPED[name])
+    assert found.left_out == (GRAVITY,)
+    moves_as_in_mujoco(MAPPED[name], found)
+
+
+JOINT, GEOM, MOTOR = "joint 'h': ", "geom 'g': ", "actuator 'm': "
+REFUSED = {
+    "joint margin": (model(joint='margin="5"'), JOINT + "it has margin; allowed: no margin"),
+    "margin of a class": (
+        model(top='<default><joint margin="0.1"/></default>'),
+        JOINT + "it has margin",
+    ),
+    "joint solreflimit": (
+        model(joint='solreflimit="0.1 1"'),
+        JOINT + "its solreflimit is 0.1 1; allowed: 0.02 1",
+    ),
+    "joint solimplimit": (
+        model(joint='solimplimit="0.5 0.6 0.001 0.5 2"'),
+        JOINT + "its solimplimit is 0.5 0.6 0.001 0.5 2; allowed: 0.9 0.95 0.001 0.5 2",
+    ),
+    "joint frictionloss": (model(joint='frictionloss="1"'), JOINT + "it has frictionloss"),
+    "joint springref": (
+        model(joint='stiffness="1" springref="10"'),
+        JOINT + "its springref is not its ref",
+    ),
+    "joint limited": (model(joint='limited="false"'), JOINT + "it has no limits"),
+    "joint type": (model(joint='type="slide"'), JOINT + "it is a slide joint"),
+    "joint actuatorgravcomp": (
+        model(joint='actuatorgravcomp="true"'),
+        JOINT + "it has actuatorgravcomp",
+    ),
+    "geom margin": (model(geom='margin="0.01"'), GEOM + "it has margin"),
+    "geom gap": (model(geom='gap="0.01"'), GEOM + "it has gap"),
+    "geom solref": (model(geom='solref="0.1 1"'), GEOM + "its solref is 0.1 1; allowed: 0.02 1"),
+    "geom solimp": (model(geom='solimp="0.5 0.6"'), GEOM + "its solimp is 0.5 0.6 0.001 0.5 2"),
+    "geom solmix": (model(geom='solmix="2"'), GEOM + "its solmix is 2; allowed: 1"),
+    "geom priority": (model(geom='priority="1"'), GEOM + "it has priority"),
+    "geom condim": (model(geom='condim="6"'), GEOM + "its condim is 6; allowed: 3"),
+    "geom type": (model(geom='type="cylinder"'), GEOM + "it is a cylinder"),
+    "body gravcomp": (model(body='gravcomp="1"'), "body 'limb': its gravcomp is not the buoyancy"),
+    "body mocap": (
+        model().replace("</worldbody>", '<body name="k" mocap="true"/></worldbody>'),
+        "body 'k': it has mocap; allowed: no mocap",
+    ),
+    "inertial": (
+        model(within='<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'),
+        "body 'limb': its centre of mass or inertia is not that of its box",
+    ),
+    "second geom": (model(within='<geom size="0.1"/>'), "body 'limb': it has 2 geoms; allowed"),
+    "actuator forcerange": (
+        model(actuator='forcerange="-1 2"'),
+        MOTOR + "its limits -1 and 2 differ; allowed: equal limits",
+    ),
+    "actuator gainprm": (
+        model(drive="general", actuator='kv="-" gainprm="2" biastype="affine" biasprm="0 0 -1"'),
+        MOTOR + "its law is not that of a servo",
+    ),
+    "actuator dyntype": (
+        model(drive="general", actuator='kv="-" dyntype="integrator"'),
+        MOTOR + "its law is not that of a servo",
+    ),
+    "actuator actearly": (
+        model(drive="general", actuator='kv="-" dyntype="integrator" actearly="true"'),
+        MOTOR + "its law is not that of a servo",
+    ),
+    "position timeconst": (
+        model(drive="position", actuator='kp="2" timeconst="0.1"'),
+        MOTOR + "its law is not that of a servo",
+    ),
+    "muscle": (
+        model(drive="muscle", actuator='kv="-" lengthrange="0 1"').replace(
+            ' lengthrange="0 1"', ""
+        ),
+        MOTOR + "its law is not that of a servo",
+    ),
+    "equality": (
+        model(top='<equality><joint name="e" joint1="h"/></equality>'),
+        "equality 'e': no creature has such a thing",
+    ),
+    "tendon": (
+        model(top='<tendon><fixed name="c"><joint joint="h" coef="1"/></fixed></tendon>'),
+        "tendon 'c': no creature has such a thing",
+    ),
+    **{
+        f"flag {flag}": (
+            model(flag=f'{flag}="disable"'),
+            f"flag '{flag}': it is disabled; allowed: enable",
+        )
+        for flag in ("constraint", "limit", "spring", "damper", "actuation")
+    },
+    **{
+        f"flag {flag}": (
+            model(flag=f'{flag}="enable"', option='o_margin="0.1"'),
+            f"flag '{flag}': it is enabled; allowed: disable",
+        )
+        for flag in ("override", "sleep")
+    },
+}
+# Of newer versions of MuJoCo.
+NEWER = {
+    "joint damping polynomial": (
+        "dof_dampingpoly",
+        model(joint='damping="1 2 3"'),
+        JOINT + "it has damping polynomial",
+    ),
+    "joint stiffness polynomial": (
+        "jnt_stiffnesspoly",
+        model(joint='stiffness="1 2 3"'),
+        JOINT + "it has stiffness polynomial",
+    ),
+    "joint springyield": (
+        "jnt_springyield",
+        model(joint='stiffness="1" springyield="0.1"'),
+        JOINT + "it has springyield",
+    ),
+    "geom adhesion": ("geom_adhesion", model(geom='adhesion="1"'), GEOM + "it has adhesion"),
+    "geom surfacevel": (
+        "geom_surfacevel",
+        model(geom='surfacevel="1 0 0 0 0 0"'),
+        GEOM + "it has surfacevel",
+    ),
+    "actuator delay": (
+        "actuator_delay",
+        model(actuator='delay="0.1" nsample="2"'),
+        MOTOR + "it has delay",
+    ),
+    "actuator damping": (
+        "actuator_damping",
+        model(actuator='damping="1"'),
+        MOTOR + "it has damping",
+    ),
+    "actuator armature": (
+        "actuator_armature",
+        model(actuator='armature="1"'),
+        MOTOR + "it has armature",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_would_move_otherwise_is_refused(read, name):
+    text, expected = REFUSED[name]
+    with pytest.raises(ExchangeError) as refusal:
+        read(text)
+    assert expected in str(refusal.value)
+
+
+@pytest.mark.parametrize("name", NEWER)
+def test_what_newer_versions_have_is_refused(read, name):
+    field, text, expected = NEWER[name]
+    if not hasattr(mujoco.MjModel, field):
+        pytest.skip("this MuJoCo does not have it")
+    with pytest.raises(ExchangeError) as refusal:
+        read(text)
+    assert expected in str(refusal.value)
+
+
+BALL = '<sensor><jointpos joint="h"/></sensor>'
+LEFT_OUT = {
+    "gravity": (model(option='gravity="0 0 -3"'), "gravity (0, 0, -3) m/s^2"),
+    "density": (model(option='density="1000"'), "drag of the fluid (option density)"),
+    "viscosity": (
+        model(option='density="1" viscosity="0.1"'),
+        "drag of the fluid (option density, viscosity)",
+    ),
+    "wind": (model(option='wind="1 0 0"'), "option wind"),
+    "integrator": (model(option='integrator="RK4"'), "option integrator"),
+    "cone": (model(option='cone="elliptic"'), "option cone"),
+    "impratio": (model(option='impratio="10"'), "option impratio"),
+    "noslip_iterations": (model(option='noslip_iterations="3"'), "option noslip_iterations"),
+    "flag contact": (model(flag='contact="disable"'), "flag contact"),
+    "flag filterparent": (model(flag='filterparent="disable"'), "flag filterparent"),
+    "contype": (model(geom='contype="2"'), "contype and conaffinity of 1 geom"),
+    "conaffinity": (model(geom='conaffinity="0"'), "contype and conaffinity of 1 geom"),
+    "pair": (
+        model(top='<contact><pair geom1="t" geom2="g"/></contact>'),
+        "1 contact pair",
+    ),
+    "margin of a pair": (
+        model(top='<contact><pair geom1="t" geom2="g" condim="1" margin="0.1"/></contact>'),
+        "1 contact pair",
+    ),
+    "exclude": (
+        model(top='<contact><exclude body1="trunk" body2="limb"/></contact>'),
+        "1 contact exclude",
+    ),
+    "ctrlrange": (model(actuator='ctrlrange="-1 1"'), "the ctrlrange of actuator 'm'"),
+    "site": (model(within="<site/>"), "1 site"),
+    "camera": (model(within="<camera/>"), "1 camera"),
+    "light": (model(within="<light/>"), "1 light"),
+    "sensor": (model(top='<sensor><jointpos joint="h"/></sensor>'), "1 sensor"),
+    "keyframe": (model(top='<keyframe><key time="1"/></keyframe>'), "1 keyframe"),
+}
+
+
+@pytest.mark.parametrize("name", LEFT_OUT)
+def test_what_belongs_to_the_world_is_left_out_by_name(read, name):
+    text, expected = LEFT_OUT[name]
+    assert expected in read(text).left_out
+
+
+def test_pairs_of_our_own_export_need_no_word(read):
+    pair = '<contact><pair geom1="t" geom2="g" condim="1"/></contact>'
+    assert read(model(top=pair)).left_out == (GRAVITY,)
+
+
+def test_somebody_decided_on_every_field_of_the_compiled_model():
+    """A field of a newer MuJoCo fails here, rather than being dropped unsaid."""
+    compiled = mujoco.MjModel.from_xml_string(model())
+    fields = [name for name in dir(compiled) if not name.startswith("_")]
+    fields = [name for name in fields if not callable(getattr(compiled, name))]
+    assert len(fields) > 300
+    assert [name for name in fields if mjcf_fields.treatment(name) is None] == []
+    options = [name for name in dir(compiled.opt) if not name.startswith("_")]
+    known = {*mjcf_fields.OPTIONS_OF_NO_MATTER, *mjcf_fields.OPTIONS_LEFT_OUT}
+    assert [name for name in options if name not in known] == []
+    flags = [*mujoco.mjtDisableBit.__members__, *mujoco.mjtEnableBit.__members__]
+    flags = [flag.split("_", 1)[1].lower() for flag in flags if "_" in flag]
+    known = {*mjcf_fields.ENABLED_FLAGS, *mjcf_fields.DISABLED_FLAGS, *mjcf_fields.FLAGS_READ}
+    assert [flag for flag in flags if flag not in known | {*mjcf_fields.FLAGS_OF_NO_MATTER}] == []
+
+
+def test_nobody_decided_on_a_field_that_is_not_there():
+    assert mjcf_fields.treatment("jnt_stickiness") is None
+    assert mjcf_fields.treatment("geom_colour") is None
+
+
+def test_all_that_is_refused_is_listed_with_its_lines(read, tmp_path):
+    text = model(
+        joint='margin="5" frictionloss="1" solreflimit="0.1 1"',
+        geom='type="cylinder" margin="0.1"',
+        actuator='forcerange="-1 2"',
+        flag='constraint="disable"',
+        top='<equality><joint name="e" joint1="h"/></equality>',
+    )
+    with pytest.raises(ExchangeError) as refusal:
+        read(text)
+    lines = str(refusal.value).splitlines()
+    assert lines[0] == f"{tmp_path / 'model.xml'}: no creature can have these 8 things:"
+    assert sorted(lines[1:]) == sorted(
+        [
+            "  equality 'e': no creature has such a thing; allowed: no equality (line 3)",
+            "  flag 'constraint': it is disabled; allowed: enable",
+            "  joint 'h': it has margin; allowed: no margin (line 7)",
+            "  joint 'h': its solreflimit is 0.1 1; allowed: 0.02 1 (line 7)",
+            "  joint 'h': it has frictionloss; allowed: no frictionloss (line 7)",
+            "  geom 'g': it has margin; allowed: no margin (line 8)",
+            "  geom 'g': it is a cylinder; allowed: box, sphere, ellipsoid, capsule, mesh (line 8)",
+            "  actuator 'm': its limits -1 and 2 differ; allowed: equal limits (line 13)",
+        ]
+    )
+
+
+def test_elements_with_the_same_fault_share_a_line(read, tmp_path):
+    limbs = "\n".join(
+        f'<body name="b{i}"><joint name="j{i}" range="-1 1" margin="1"/><geom size="0.1"/></body>'
+        for i in range(7)
+    )
+    with pytest.raises(ExchangeError) as refusal:
+        read(model(within=limbs))
+    named = ", ".join(f"joint 'j{i}'" for i in range(5))
+    assert str(refusal.value) == (
+        f"{tmp_path / 'model.xml'}: {named} and 2 more: it has margin; allowed: no margin "
+        "(lines 9, 10, 11, 12, 13)"
+    )
+
+
+def test_elements_of_included_files_have_no_line(read, tmp_path):
+    (tmp_path / "limb.xml").write_text(
+        '<mujocoinclude>\n\n<joint name="h" range="-1 1" margin="1"/></mujocoinclude>'
+    )
+    text = '<mujoco><worldbody><body name="a"><freejoint/><geom size="0.1"/>\n<body name="b">'
+    text += '<include file="limb.xml"/><geom size="0.1"/></body></body></worldbody></mujoco>'
+    with pytest.raises(ExchangeError, match=r"joint 'h': it has margin; allowed: no margin$"):
+        read(text)
+
+
+def test_elements_without_a_name_are_told_by_their_order(read):
+    """A geom of the parent may stand behind the child in the file, and before it in the model."""
+    text = """<mujoco>
+    <worldbody><geom type="plane" size="1 1 1"/>
+    <body><freejoint/>
+    <body><joint range="-1 1" margin="1"/>
+    <geom size="0.1" margin="1"/></body>
+    <geom size="0.1" solmix="2"/></body></worldbody>
+    <actuator>
+    <velocity joint="h"/></actuator></mujoco>""".replace("<joint ", '<joint name="h" ')
+    with pytest.raises(ExchangeError) as refusal:
+        read(text.replace("<velocity ", '<velocity gear="0" '))
+    assert str(refusal.value).splitlines()[1:] == [
+        "  joint 'h': it has margin; allowed: no margin (line 4)",
+        "  unnamed geom of body number 2 (unnamed): it has margin; allowed: no margin (line 5)",
+        "  unnamed geom of body number 1 (unnamed): its solmix is 2; allowed: 1 (line 6)",
+        "  actuator number 0 (unnamed): its law is not that of a servo; allowed: position, "
+        "velocity, motor without dynamics of their own (line 8)",
+    ]
