@@ -73,6 +73,12 @@ class Experiment:
     ):
         self.parts, self.config, self.source, self.replaced = parts, config, source, replaced
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what it is made of, without compiled programs, which no other process can use."""
+        # Measuring the scales anew takes a generation, and another machine may round otherwise.
+        kept = ("parts", "config", "source", "replaced", "scales")
+        return {name: value for name, value in vars(self).items() if name in kept}
+
     @property
     def name(self) -> str:
         """What the configuration calls it."""

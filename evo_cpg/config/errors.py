@@ -1,8 +1,10 @@
 """Errors about what the user wrote: file, key, value, what is allowed, the nearest valid key."""
 
+import copyreg
 import difflib
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
 from evo_cpg.errors import UserError
 
@@ -16,6 +18,10 @@ class ConfigError(UserError):
         # What a stranger wrote may be of any length.
         where = [_clipped(str(source)), *([_clipped(".".join(map(str, key)))] if key else [])]
         super().__init__(": ".join([*where, _clipped(problem, 700)]))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle the message: a pool of processes hands its errors on so."""
+        return copyreg.__newobj__, (type(self), *self.args)  # type: ignore[attr-defined]
 
 
 def _clipped(text: str, most: int = 150) -> str:
