@@ -41,25 +41,27 @@ def analyse(run: Path | str, trial: int = 0, trust: bool = False) -> Path:
 
     Raises:
         ConfigError: the configuration of the run is wrong.
+        LockedError: another process writes into the folder.
         RunFolderError: there is no run, or it has no champion, or one with another number of genes
             than its ``config.yaml`` asks for.
         ValueError: there is no such trial.
     """
     folder = RunFolder(run)
-    folder.require()
-    require_configured(folder)
-    experiment = load(run, trust=trust).parts
-    champion, _, _ = folder.load_champion()
-    wrong = misfit(experiment, champion)
-    if wrong:
-        raise RunFolderError(f"{folder.config} was changed after training: {wrong}")
-    if not 0 <= trial < experiment.trials:
-        raise ValueError(f"trial must be 0 to {experiment.trials - 1}, got {trial}")
-    changed = changed_config(folder)
-    if changed:
-        warnings.warn(f"{folder.path}: {changed}", stacklevel=2)
-    path, text = page_path(folder, trial), page(experiment, champion, folder, trial)
-    write_text(path, text)
+    with folder.locked():
+        folder.require()
+        require_configured(folder)
+        experiment = load(run, trust=trust).parts
+        champion, _, _ = folder.load_champion()
+        wrong = misfit(experiment, champion)
+        if wrong:
+            raise RunFolderError(f"{folder.config} was changed after training: {wrong}")
+        if not 0 <= trial < experiment.trials:
+            raise ValueError(f"trial must be 0 to {experiment.trials - 1}, got {trial}")
+        changed = changed_config(folder)
+        if changed:
+            warnings.warn(f"{folder.path}: {changed}", stacklevel=2)
+        path, text = page_path(folder, trial), page(experiment, champion, folder, trial)
+        write_text(path, text)
     return path
 
 

@@ -12,15 +12,17 @@ Settings with the same animal in the same trial run side by side in one program,
 are constants of it, which makes an evaluation faster and lets a champion live again to the bit.
 """
 
+import contextlib
 import hashlib
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from evo_cpg import locks
 from evo_cpg.analysis.compare import Comparison, Spread, compare, spread
 from evo_cpg.api.training import begin_run, reopen_run
 from evo_cpg.config.build import build_experiment
@@ -131,9 +133,14 @@ def claim(folder: Path, plan: Mapping[str, Any]) -> None:
                 f"`evo-cpg sweep {folder}` or choose another --out"
             )
         return
-    if folder.is_file() or (folder.is_dir() and any(folder.iterdir())):
+    if folder.is_file() or (folder.is_dir() and any(_others(folder))):
         raise RunFolderError(f"{folder} is not empty and holds no sweep; choose another --out")
     write_text(make_folder(folder) / _PLAN, json.dumps(plan, indent=2))
+
+
+def _others(folder: Path) -> Iterator[Path]:
+    """What a folder holds beside its lock."""
+    return (path for path in folder.iterdir() if path.name != locks.FILE)
 
 
 def read_plan(folder: Path) -> dict[str, Any] | None:
@@ -231,9 +238,28 @@ def run_group(
         devices: that share the population.
         on_generation: called after every generation of each.
         warn: called with what is otherwise than before, in words for the user.
+
+    Raises:
+        LockedError: another process evolves one of them.
+        OutputError: a folder cannot be written.
     """
     from evo_cpg.training.together import train_together
 
+    with contextlib.ExitStack() as stack:
+        for member in group:
+            stack.enter_context(member.folder.locked(new=True))
+        _reopen(group, source, devices, warn)
+        train_together(
+            [member.experiment for member in group],
+            [member.folder for member in group],
+            lambda number, rows: on_generation(group[number], rows),
+        )
+
+
+def _reopen(
+    group: Sequence[Member], source: Path, devices: int, warn: Callable[[str], object]
+) -> None:
+    """Make the run folders, or put those that are there in order."""
     for member in group:
         if not member.folder.config.is_file():
             begin_run(member.folder, member.config, member.experiment, devices, source)
@@ -243,11 +269,6 @@ def run_group(
             run = member.folder, member.config, member.experiment
             for words in reopen_run(*run, devices, source=source):
                 warn(words)
-    train_together(
-        [member.experiment for member in group],
-        [member.folder for member in group],
-        lambda number, rows: on_generation(group[number], rows),
-    )
 
 
 def summarise(folder: Path, members: Sequence[Member]) -> Summary:

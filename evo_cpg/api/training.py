@@ -69,13 +69,25 @@ def train(
 
     Raises:
         ValueError: the genomes are not of that shape, or not finite.
+        LockedError: another process evolves into the folder.
         RunFolderError: the folder holds a run or other files, or everybody diverged.
         TooLargeError: the machine has not the memory for it.
     """
+    folder = RunFolder(out)
+    given = None if start is None else Start(_genes(experiment, start), {"what": "genomes"})
+    with folder.locked(new=True):
+        return _train(experiment, folder, on_generation, given)
+
+
+def _train(
+    experiment: Experiment,
+    folder: RunFolder,
+    on_generation: Callable[[Rows], None],
+    given: Start | None,
+) -> Trained:
     import jax
 
-    folder, devices = RunFolder(out), len(jax.local_devices())
-    given = None if start is None else Start(_genes(experiment, start), {"what": "genomes"})
+    devices = len(jax.local_devices())
     begin_run(folder, experiment.config, experiment.parts, devices, experiment.source, given)
     if experiment.replaced:
         folder.update_meta(replaced=list(experiment.replaced))

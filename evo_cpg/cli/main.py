@@ -161,7 +161,8 @@ def resume(
     def check() -> None:
         from evo_cpg.training.run_folder import RunFolder
 
-        RunFolder(run).require()
+        with RunFolder(run).locked():
+            RunFolder(run).require()
 
     asked = Distribution(distributed, hosts, process, local, join_timeout, patience).checked()
     asked.start_local(cores, check)
@@ -353,9 +354,11 @@ def render(
 ) -> None:
     """Film the champion of a run, or anybody on its map of behaviour."""
     from evo_cpg.cli.render import Film, render_run
+    from evo_cpg.cli.writing import writing
 
     film = Film(output, size, sheet, camera.value, fps, speed, seconds, signals, title or [], cores)
-    render_run(run, film, number, trial, cell, lineage, beside or [])
+    with writing(run, output, "--output"):
+        render_run(run, film, number, trial, cell, lineage, beside or [])
 
 
 @app.command()
@@ -370,8 +373,10 @@ def plot(
 ) -> None:
     """Plot the fitness over the generations, the champion's joint signals and path, and the map."""
     from evo_cpg.cli.pictures import plot_run
+    from evo_cpg.cli.writing import writing
 
-    plot_run(run, output, number, trial, cell)
+    with writing(run, output, "--output"):
+        plot_run(run, output, number, trial, cell)
 
 
 @app.command()
@@ -387,8 +392,10 @@ def analyse(
 ) -> None:
     """Make a page of a run: the champion in 3D, its gait in numbers and charts."""
     from evo_cpg.cli.analyse import analyse_run
+    from evo_cpg.cli.writing import writing
 
-    analyse_run(run, output, number, trial, overwrite)
+    with writing(run, output, "--out"):
+        analyse_run(run, output, number, trial, overwrite)
 
 
 @app.command()
@@ -434,8 +441,10 @@ def probe_(
 ) -> None:
     """Put the champion into situations that it never saw."""
     from evo_cpg.cli.probe import probe_run
+    from evo_cpg.cli.writing import writing
 
-    probe_run(run, bearings, distances, trials, blind, reach, number, out)
+    with writing(run, out, "--out"):
+        probe_run(run, bearings, distances, trials, blind, reach, number, out)
 
 
 @app.command()
@@ -462,8 +471,10 @@ def sensitivity(
 ) -> None:
     """Tell what the champion's speed and fitness depend on, parameter by parameter."""
     from evo_cpg.cli.sensitivity import show_sensitivities
+    from evo_cpg.cli.writing import writing
 
-    show_sensitivities(run, keys or [], out, seconds, number, shapes)
+    with writing(run, out, "--out"):
+        show_sensitivities(run, keys or [], out, seconds, number, shapes)
 
 
 @app.command()
@@ -542,8 +553,10 @@ def audit(
 ) -> None:
     """Ask whether the champion's gait is one, or a trick of the simulation."""
     from evo_cpg.cli.audit import audit_run
+    from evo_cpg.cli.writing import writing
 
-    audit_run(run, limits or [], number, every, cell)
+    with writing(run):
+        audit_run(run, limits or [], number, every, cell)
 
 
 @app.command()

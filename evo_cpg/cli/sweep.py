@@ -65,8 +65,8 @@ def run_sweep(
     with working("building every setting"):
         members = members_of(folder, plan)
     chosen = _chosen(members, only)
-    claim(folder, plan)
     with claimed(folder, asked):
+        claim(folder, plan)
         failed = _evolve(folder, Path(plan["config"]), chosen, devices, asked, cores)
         if any(member.generation for member in members) or not failed:
             _tell(folder, members)

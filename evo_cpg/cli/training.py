@@ -59,10 +59,11 @@ def start_run(
     folder = RunFolder(out or Path("runs") / config.name)
     # Finding a place to stand on uneven ground starts JAX.
     devices = use_cores(cores)
-    with together(asked, folder.path) as team:
+    with together(asked, folder.path) as team, contextlib.ExitStack() as lock:
         experiment = build(config, path)
         require_same(team, fingerprint(config))
         if team.leads:
+            lock.enter_context(folder.locked(new=True))
             start = None
             if earlier is not None:
                 with working("reading the earlier run"):
@@ -83,9 +84,17 @@ def resume_run(
     tensorboard = goes_on_with_scalars(run, tensorboard)
     # Several processes need not be on the machine that the run was last on.
     devices = use_cores(cores) if asked.wanted else use_cores_of(run, cores)
-    if asked.leads:
-        # What was interrupted is put in order here, before the others come to read it.
-        RunFolder(run).require()
+    with contextlib.ExitStack() as lock:
+        if asked.leads:
+            lock.enter_context(RunFolder(run).locked())
+            # What was interrupted is put in order here, before the others come to read it.
+            RunFolder(run).require()
+        _resume(run, generations, devices, asked, tensorboard)
+
+
+def _resume(
+    run: Path, generations: int | None, devices: int, asked: Distribution, tensorboard: bool
+) -> None:
     with together(asked, run) as team:
         folder, config, experiment = open_run(run)
         require_configured(folder)
