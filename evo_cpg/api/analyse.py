@@ -16,6 +16,7 @@ from evo_cpg.api.version import version
 from evo_cpg.config.load import load_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.files import write_text
+from evo_cpg.system import resolved
 from evo_cpg.training.checkpoint import Champion, genes_digest
 from evo_cpg.training.experiment import Experiment
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
@@ -122,7 +123,7 @@ def page(
     subject = Subject(
         name=experiment.name,
         changed=changed_config(folder),
-        folder=folder.path.resolve().name,
+        folder=resolved(folder.path).name,
         sentence=_sentence(experiment, config),
         champion={"fitness": champion.fitness, **_expected(champion), **champion.terms},
         generation=champion.generation,

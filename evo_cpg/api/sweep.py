@@ -32,6 +32,7 @@ from evo_cpg.config.load import load_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.config.settings import Setting, is_folder_name
 from evo_cpg.files import make_folder, write_table, write_text
+from evo_cpg.system import resolved
 from evo_cpg.training.checkpoint import Checkpoint
 from evo_cpg.training.experiment import Experiment
 from evo_cpg.training.memory import require_memory
@@ -100,7 +101,7 @@ def new_plan(source: Path, overrides: Sequence[str], settings: Sequence[Setting]
         ConfigError: the configuration is wrong.
     """
     plan = {
-        "config": str(source.resolve()),
+        "config": str(resolved(source)),
         "config_sha256": _digest(source, overrides),
         "overrides": list(overrides),
         "settings": {setting.name: setting.values for setting in settings},

@@ -20,6 +20,7 @@ from evo_cpg.config.fingerprint import fingerprint
 from evo_cpg.config.load import dump_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.config.shipped import shipped_name
+from evo_cpg.system import resolved
 from evo_cpg.training import experiment as parts
 from evo_cpg.training.checkpoint import Champion, genes_digest
 from evo_cpg.training.memory import require_memory
@@ -143,7 +144,7 @@ def _known(
     meta: dict[str, Any] = {
         "name": config.name,
         "seed": config.seed,
-        "config": str(source.resolve()),
+        "config": str(resolved(source)),
         "command": sys.argv[1:],
         "fingerprint": fingerprint(config),
         "processes": processes,
@@ -181,8 +182,9 @@ def reopen_run(
         TooLargeError: the machine has not the memory for it.
     """
     require_memory(experiment)
-    folder.reopen(dump_config(config))
+    # Before anything is written: it starts JAX, which may find no device.
     here, before = surroundings(experiment.simulation.engine, devices), folder.read_meta()
+    folder.reopen(dump_config(config))
     noted = {"resumed": now(), "fingerprint": fingerprint(config), "processes": processes} | here
     if not before and source is not None:
         # It was killed before this was written.

@@ -28,6 +28,7 @@ from evo_cpg.cli.progress import Work, working
 from evo_cpg.config.trust import is_trusted, trusting
 from evo_cpg.files import write_text
 from evo_cpg.locks import LockedError, joined, locked
+from evo_cpg.system import told_by
 from evo_cpg.training.devices import available_cores, use_cores
 from evo_cpg.training.run_folder import RunFolderError
 
@@ -351,7 +352,7 @@ def _fallen(one: _Running, work: Work) -> list[str]:
     left = [member.setting.name for member in one.group if not member.finished]
     if left:
         path = Path(one.job.paths.stderr)
-        text = path.read_text(errors="replace") if path.is_file() else ""
+        text = told_by(path)
         last = [line for line in text.splitlines() if line.strip()][-_LAST_LINES:]
         work.say(f"job {one.job.job_id} failed ({', '.join(left)}); {path} ends:")
         for line in last or ["(nothing)"]:

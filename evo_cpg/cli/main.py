@@ -11,8 +11,10 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
+from evo_cpg.cli import streams
 from evo_cpg.cli.completion import complete_config
 from evo_cpg.cli.configs import app as configs_app
+from evo_cpg.cli.errors import told
 from evo_cpg.cli.exit_codes import ExitCode
 from evo_cpg.cli.interrupts import interrupts_delivered, leave_at_once
 from evo_cpg.cli.options import (
@@ -36,7 +38,9 @@ from evo_cpg.cli.options import (
     What,
     find_config_or_folder,
 )
-from evo_cpg.errors import UserError
+
+# What these evolve is in a folder, even if nobody can be told which.
+_EVOLVING = frozenset({"train", "resume", "refine", "sweep", "reproduce"})
 
 
 class _Commands(TyperGroup):
@@ -705,23 +709,41 @@ def bench(
     run_suite(cases or [], sizes, json, plot, compare, tolerance, limit, quick)
 
 
+def _command() -> str:
+    """Name of the command that this process was started with."""
+    return next((word for word in sys.argv[1:] if not word.startswith("-")), "")
+
+
 def main() -> None:
-    """Run the command line; errors of the user's become one or two lines and exit code 2."""
+    """Run the command line.
+
+    Errors that are the user's or the system's become one or two lines and exit code 2.
+    """
     try:
         with interrupts_delivered():
             app()
     except KeyboardInterrupt:
         raise SystemExit(ExitCode.INTERRUPTED) from None
-    except UserError as error:
-        print(f"evo-cpg: {error}", file=sys.stderr)
+    except Exception as error:
+        words = told(error)
+        if words is None:
+            raise
+        print(f"evo-cpg: {words}", file=sys.stderr)
         raise SystemExit(ExitCode.WRONG_INPUT) from None
 
 
 def program() -> None:
     """`main` as a process: when it was interrupted nobody waits for what still compiles."""
+    streams.protect()
     try:
         main()
     except SystemExit as stop:
         if stop.code == ExitCode.INTERRUPTED:
             leave_at_once(ExitCode.INTERRUPTED)
+        error = streams.output_error()
+        if error is not None:
+            words = f"cannot write to standard output ({error.strerror or error})"
+            print(f"evo-cpg: {words}", file=sys.stderr)
+            if not stop.code and _command() not in _EVOLVING:
+                raise SystemExit(ExitCode.WRONG_INPUT) from None
         raise

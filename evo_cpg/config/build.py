@@ -50,6 +50,7 @@ from evo_cpg.simulation.velocity_sensor import VelocitySensor
 from evo_cpg.simulation.walk import Distance, Walk
 from evo_cpg.spatial.choices import chosen
 from evo_cpg.spatial.numerics import Triple, xp
+from evo_cpg.system import resolved, with_working_folder
 from evo_cpg.training.experiment import Experiment, Learning
 
 # Random surface points are drawn from a quadrature this fine.
@@ -81,9 +82,9 @@ def build_experiment(
         ConfigError: parts that do not fit together.
     """
     folders = (Path(source).parent, *folders)
-    for folder in (*code_folders(folders), Path.cwd()):
-        if str(folder.resolve()) not in sys.path:
-            sys.path.append(str(folder.resolve()))
+    for folder in with_working_folder(code_folders(folders)):
+        if str(resolved(folder)) not in sys.path:
+            sys.path.append(str(resolved(folder)))
     require_code(config, source, folders)
     creature, simulation = build_simulation(config, source, apart, pairs)
     evolution = config.evolution

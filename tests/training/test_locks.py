@@ -69,9 +69,9 @@ def test_a_folder_is_locked_once_and_then_free(tmp_path):
 
 
 def test_a_shared_lock_lasts_until_the_last_has_left(tmp_path):
-    with joined(tmp_path):
-        with pytest.raises(LockedError, match="is in use by another process"), locked(tmp_path):
-            pass
+    words = "is in use by another process"
+    with joined(tmp_path), pytest.raises(LockedError, match=words), locked(tmp_path):
+        pass
     with locked(tmp_path) as lock:
         lock.share()
         with joined(tmp_path):
@@ -109,12 +109,12 @@ def test_a_folder_that_is_made_for_nothing_goes_again(tmp_path):
 
 def test_a_place_that_holds_no_lock_is_refused(tmp_path):
     (tmp_path / "file").touch()
-    with pytest.raises(OutputError, match="file is a file; choose another --out"):
-        with locked(tmp_path / "file", make=True):
-            pass
-    with pytest.raises(OutputError, match=r"cannot write .*missing \(No such file"):
-        with locked(tmp_path / "missing"):
-            pass
+    words = "file is a file; choose another --out"
+    with pytest.raises(OutputError, match=words), locked(tmp_path / "file", make=True):
+        pass
+    words = r"cannot write .*missing \(No such file"
+    with pytest.raises(OutputError, match=words), locked(tmp_path / "missing"):
+        pass
 
 
 @pytest.mark.parametrize("text", ["", "{}", '{"process": "x"}', "[" * 9999, "\xff"])
