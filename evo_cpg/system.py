@@ -45,6 +45,25 @@ def resolved(path: Path) -> Path:
         return path
 
 
+def named(text: str) -> Path:
+    """Return the path that a text in a file names. Such names are UTF-8, whatever the locale."""
+    try:
+        return Path(os.fsdecode(text.encode("utf-8", "surrogateescape")))
+    except UnicodeError:
+        # No file can have this name, as whoever opens it finds.
+        return Path(text)
+
+
+def name_of(path: Path) -> str:
+    """Return the text by which a file names a path; see `named`."""
+    return os.fsencode(path).decode("utf-8", "surrogateescape")
+
+
+def as_utf8(argument: str) -> str:
+    """Return an argument of the command line with the UTF-8 in it read, whatever the locale."""
+    return argument.encode("utf-8", "surrogateescape").decode("utf-8", "surrogateescape")
+
+
 def is_writable(folder: Path) -> bool:
     """Return whether this process can make files in a folder."""
     return os.path.isdir(folder) and os.access(folder, os.W_OK | os.X_OK)

@@ -32,7 +32,7 @@ from evo_cpg.config.load import load_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.config.settings import Setting, is_folder_name
 from evo_cpg.files import make_folder, write_table, write_text
-from evo_cpg.system import resolved
+from evo_cpg.system import name_of, named, resolved
 from evo_cpg.training.checkpoint import Checkpoint
 from evo_cpg.training.experiment import Experiment
 from evo_cpg.training.memory import require_memory
@@ -101,7 +101,7 @@ def new_plan(source: Path, overrides: Sequence[str], settings: Sequence[Setting]
         ConfigError: the configuration is wrong.
     """
     plan = {
-        "config": str(resolved(source)),
+        "config": name_of(resolved(source)),
         "config_sha256": _digest(source, overrides),
         "overrides": list(overrides),
         "settings": {setting.name: setting.values for setting in settings},
@@ -184,7 +184,7 @@ def members_of(
         ConfigError: a setting is wrong.
         TooLargeError: the machine has not the memory for one.
     """
-    source = Path(plan["config"])
+    source = named(plan["config"])
     if _digest(source, plan["overrides"]) != plan["config_sha256"]:
         raise RunFolderError(
             f"{folder}: {source} has changed since the sweep began; put it back as it was, or "
@@ -199,7 +199,7 @@ def members_of(
         config = config.model_copy(update={"name": f"{config.name} {name}"})
         experiment = build_experiment(config, source)
         require_memory(experiment)
-        members.append(Member(setting, config, experiment, RunFolder(folder / name)))
+        members.append(Member(setting, config, experiment, RunFolder(folder / named(name))))
     return members
 
 

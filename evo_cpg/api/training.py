@@ -20,7 +20,7 @@ from evo_cpg.config.fingerprint import fingerprint
 from evo_cpg.config.load import dump_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.config.shipped import shipped_name
-from evo_cpg.system import resolved
+from evo_cpg.system import name_of, resolved
 from evo_cpg.training import experiment as parts
 from evo_cpg.training.checkpoint import Champion, genes_digest
 from evo_cpg.training.memory import require_memory
@@ -144,7 +144,7 @@ def _known(
     meta: dict[str, Any] = {
         "name": config.name,
         "seed": config.seed,
-        "config": str(resolved(source)),
+        "config": name_of(resolved(source)),
         "command": sys.argv[1:],
         "fingerprint": fingerprint(config),
         "processes": processes,

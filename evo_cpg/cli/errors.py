@@ -38,8 +38,8 @@ def _of_system(error: Exception) -> str | None:
     """About what the operating system refused."""
     if isinstance(error, UnicodeEncodeError):
         return (
-            f"the locale (encoding {error.encoding}) has no characters for {error.object[:100]!a}; "
-            "choose one with UTF-8, such as LC_ALL=C.UTF-8"
+            f"{error.object[:100]!a} cannot be written in {error.encoding}; choose a locale with "
+            "UTF-8, such as LC_ALL=C.UTF-8, or another name"
         )
     if not isinstance(error, OSError):
         return None

@@ -28,7 +28,7 @@ from evo_cpg.cli.progress import Work, working
 from evo_cpg.config.trust import is_trusted, trusting
 from evo_cpg.files import write_text
 from evo_cpg.locks import LockedError, joined, locked
-from evo_cpg.system import told_by
+from evo_cpg.system import named, told_by
 from evo_cpg.training.devices import available_cores, use_cores
 from evo_cpg.training.run_folder import RunFolderError
 
@@ -92,7 +92,7 @@ class Job(NamedTuple):
             if plan is None:
                 raise RunFolderError(f"{folder} is no sweep any more")
             for group in groups(members_of(folder, plan, self.settings)):
-                run_group(group, Path(plan["config"]), devices, lambda member, rows: None)
+                run_group(group, named(plan["config"]), devices, lambda member, rows: None)
 
     def checkpoint(self) -> Any:
         """What submitit queues when SLURM takes its place away, or its time is over: the same."""

@@ -12,6 +12,7 @@ from evo_cpg.cli.progress import working
 from evo_cpg.config.build import build_creature, build_experiment
 from evo_cpg.config.schema.ground import GroundConfig, PlaneConfig
 from evo_cpg.simulation.situation import starting_pose
+from evo_cpg.system import named
 from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.experiment import Experiment
 from evo_cpg.training.run_folder import RunFolder
@@ -70,7 +71,7 @@ def preview_config(
     creature = build_creature(config, path)
     from evo_cpg.view.preview import preview, preview_path
 
-    place = preview_path(output or f"{creature.name}.png", pixels)
+    place = preview_path(output or named(f"{creature.name}.png"), pixels)
     pose, ground = None, config.world.ground is not None
     if config.simulation.start_pose == "settled" or _has_shape(config.world.ground):
         # As it starts, among what stands around.

@@ -14,9 +14,6 @@ from typing import TextIO
 
 _ESCAPE = "evo_cpg.escape"
 
-# A reader that has read enough is no fault.
-_READ_ENOUGH = (errno.EPIPE,)
-
 
 class _Raw(io.FileIO):
     """A descriptor that keeps the first error of a write, and raises none.
@@ -63,11 +60,21 @@ def opened(descriptor: int, like: TextIO | None) -> TextIO:
 
 
 def output_error() -> OSError | None:
-    """Return why standard output was lost; None where it was not, or nobody wanted the rest."""
+    """Return why standard output was lost; None where it was not, or nobody reads on."""
+    error = _error()
+    return None if error is None or error.errno == errno.EPIPE else error
+
+
+def is_read() -> bool:
+    """Return whether somebody may still read standard output, as far as writing to it has shown."""
+    error = _error()
+    return error is None or error.errno != errno.EPIPE
+
+
+def _error() -> OSError | None:
     sys.stdout.flush()
     raw = getattr(getattr(sys.stdout, "buffer", None), "raw", None)
-    error = raw.error if isinstance(raw, _Raw) else None
-    return None if error is None or error.errno in _READ_ENOUGH else error
+    return raw.error if isinstance(raw, _Raw) else None
 
 
 def _occupy(descriptor: int) -> None:

@@ -30,6 +30,7 @@ from evo_cpg.config.fingerprint import changes, fingerprint
 from evo_cpg.config.load import load_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.simulation.task import term_names
+from evo_cpg.system import named
 from evo_cpg.training.checkpoint import Checkpoint, genes_digest
 from evo_cpg.training.devices import use_cores
 from evo_cpg.training.experiment import TABLE_COLUMNS, Experiment
@@ -56,7 +57,7 @@ def start_run(
     if tensorboard:
         require_scalars()
     config = read_config(path, overrides, strict, asked.leads)
-    folder = RunFolder(out or Path("runs") / config.name)
+    folder = RunFolder(out or Path("runs") / named(config.name))
     # Finding a place to stand on uneven ground starts JAX.
     devices = use_cores(cores)
     with together(asked, folder.path) as team, contextlib.ExitStack() as lock:

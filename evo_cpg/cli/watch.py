@@ -23,6 +23,7 @@ from rich.text import Text
 
 from evo_cpg.cli.curve import curve
 from evo_cpg.cli.errors import told
+from evo_cpg.cli.streams import is_read
 from evo_cpg.training.checkpoint import Champion, Checkpoint
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
 
@@ -158,7 +159,7 @@ def _in_lines(
         made = _newest(now, draw)
         if made is not None:
             print(made, flush=True)
-        if once or now.finished:
+        if once or now.finished or not is_read():
             return
         time.sleep(LOOK)
 

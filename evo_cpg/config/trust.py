@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from evo_cpg.config.errors import ConfigError, Key
-from evo_cpg.system import resolved, working_folder
+from evo_cpg.system import named, resolved, working_folder
 
 # Says in the environment what `--trust` says on the command line; for clusters and scripts.
 VARIABLE = "EVO_CPG_TRUST"
@@ -63,7 +63,7 @@ def beside(source: Path, name: str, where: Key) -> Path:
     Raises:
         ConfigError: it lies outside of the configuration's folder, and that is not trusted.
     """
-    path = source.parent / name
+    path = source.parent / named(name)
     noted = _noted.get()
     if noted is not None and path not in noted:
         noted.append(path)

@@ -1,6 +1,7 @@
 """A file as MuJoCo understands it, and how its elements are called and refused."""
 
 import importlib
+import os
 import re
 import stat
 from pathlib import Path
@@ -145,7 +146,7 @@ def compile_model(path: Path) -> Compiled:
         ) from None
     _require_mjcf(path)
     try:
-        model = mujoco.MjModel.from_xml_path(str(path))
+        model = mujoco.MjModel.from_xml_path(os.fsencode(path))
         bytes(model.names).decode()
     except UnicodeDecodeError as error:
         # From one end of a name, in the file or in MuJoCo's words, to the other.

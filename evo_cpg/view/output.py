@@ -214,7 +214,8 @@ def frame_writer(
             code = process.wait()
         if code != 0 or not (numbered or partial.stat().st_size):
             complaints.seek(0)
-            reason = complaints.read().decode(errors="replace").strip() or f"code {code}"
+            said = complaints.read().decode(errors="replace").split()
+            reason = " ".join(said) or f"code {code}"
             raise OutputError(f"cannot write {path}: ffmpeg says: {reason}")
 
 
