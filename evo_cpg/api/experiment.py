@@ -121,7 +121,8 @@ class Experiment:
             key: of all chance: a number, or a key of JAX.
             count: how many; None for the configuration's population.
         """
-        controller, shape = self.parts.simulation.controller, (count or self.population,)
+        controller = self.parts.simulation.controller
+        shape = (self.population if count is None else count,)
         return np.asarray(training.random_genes(controller, _key(key), shape)).T.copy()
 
     def rollout(self, key: ArrayLike, genomes: ArrayLike, bodies: Numbers | None = None) -> Trials:

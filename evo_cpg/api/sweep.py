@@ -25,7 +25,7 @@ import numpy as np
 from evo_cpg import locks
 from evo_cpg.analysis.compare import Comparison, Spread, compare, spread
 from evo_cpg.api.training import begin_run, reopen_run
-from evo_cpg.config.build import build_experiment
+from evo_cpg.config.build import build_experiment, require_genes
 from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.fingerprint import fingerprint
 from evo_cpg.config.load import load_config
@@ -198,6 +198,7 @@ def members_of(
         config = load_config(source, [*plan["overrides"], *setting.overrides])
         config = config.model_copy(update={"name": f"{config.name} {name}"})
         experiment = build_experiment(config, source)
+        require_genes(experiment, source)
         require_memory(experiment)
         members.append(Member(setting, config, experiment, RunFolder(folder / named(name))))
     return members

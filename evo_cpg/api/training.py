@@ -16,6 +16,7 @@ from evo_cpg.api.experiment import Experiment
 from evo_cpg.api.surroundings import differences as changed_surroundings
 from evo_cpg.api.surroundings import surroundings
 from evo_cpg.api.warm_start import Start
+from evo_cpg.config.build import require_genes
 from evo_cpg.config.fingerprint import fingerprint
 from evo_cpg.config.load import dump_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
@@ -123,9 +124,11 @@ def begin_run(
         processes: that evolve together.
 
     Raises:
+        ConfigError: there are no genes to evolve.
         RunFolderError: the folder holds a run or other files, or cannot be written.
         TooLargeError: the machine has not the memory for it.
     """
+    require_genes(experiment, source)
     require_memory(experiment)
     meta = _known(config, experiment, devices, source, processes)
     if start is not None:
@@ -178,9 +181,11 @@ def reopen_run(
         What is otherwise than before, in words for the user.
 
     Raises:
+        ConfigError: there are no genes to evolve.
         RunFolderError: the folder cannot be written.
         TooLargeError: the machine has not the memory for it.
     """
+    require_genes(experiment, folder.config)
     require_memory(experiment)
     # Before anything is written: it starts JAX, which may find no device.
     here, before = surroundings(experiment.simulation.engine, devices), folder.read_meta()

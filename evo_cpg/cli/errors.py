@@ -50,15 +50,16 @@ def _of_system(error: Exception) -> str | None:
 def _of_platform() -> str | None:
     """About the devices that JAX was to compute on, where it has none of them."""
     jax = sys.modules.get("jax")
-    wanted = None if jax is None else jax.config.jax_platforms
-    if jax is None or not wanted:
+    if jax is None:
         return None
     try:
         jax.devices()
     except Exception:
         # JAX 0.10 raises RuntimeError or AssertionError.
+        names = ("JAX_PLATFORMS", "JAX_PLATFORM_NAME")
+        given = [f"{name} is {os.environ[name]!r}" for name in names if os.environ.get(name)]
         return (
-            f"JAX_PLATFORMS is {wanted!r}, and JAX finds no such device here; unset it, or set it "
-            "to 'cpu'"
+            f"JAX finds no device to compute on ({', '.join(given) or 'of any kind'}); set "
+            "JAX_PLATFORMS to 'cpu', or unset it"
         )
     return None

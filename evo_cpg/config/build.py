@@ -116,6 +116,26 @@ def build_experiment(
     )
 
 
+def require_genes(experiment: Experiment, source: Path | str) -> None:
+    """Check that there is something to evolve.
+
+    Args:
+        experiment: built from a configuration.
+        source: file it came from, for messages.
+
+    Raises:
+        ConfigError: the controller has no genes.
+    """
+    controller = experiment.simulation.controller
+    if controller.gene_count == 0:
+        raise ConfigError(
+            source,
+            ("controller",),
+            f"{type(controller).__name__} has no genes, so there is nothing to evolve; choose a "
+            "controller that has some, such as {type: brain_cpg}",
+        )
+
+
 def build_simulation(
     config: ExperimentConfig,
     source: Path | str,
