@@ -28,15 +28,14 @@ def command_for(extra: str) -> str:
     Args:
         extra: its name in ``pyproject.toml``, such as ``mujoco``.
     """
-    pip = f"{shlex.quote(_shown(sys.executable or 'python'))} -m pip install"
+    pip = f"{_quoted(_shown(sys.executable or 'python'))} -m pip install"
     checkout = _editable()
     if checkout is None:
-        return f"{pip} '{_NAME}[{extra}]'"
-    folder = _shown(checkout)
+        return f"{pip} {_quoted(f'{_NAME}[{extra}]')}"
     constraints = os.path.join(checkout, "constraints.txt")
     if os.path.isfile(constraints):
-        pip += f" -c {shlex.quote(_shown(constraints))}"
-    return f"{pip} -e {shlex.quote(f'{folder}[{extra}]')}"
+        pip += f" -c {_quoted(_shown(constraints))}"
+    return f"{pip} -e {_quoted(f'{_shown(checkout)}[{extra}]')}"
 
 
 def _editable() -> str | None:
@@ -49,6 +48,11 @@ def _editable() -> str | None:
     except (KeyError, OSError, TypeError, ValueError, metadata.PackageNotFoundError):
         pass
     return None
+
+
+def _quoted(word: str) -> str:
+    """A word as the shell of this system takes it."""
+    return f'"{word}"' if os.name == "nt" else shlex.quote(word)
 
 
 def _shown(path: str) -> str:

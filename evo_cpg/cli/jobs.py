@@ -27,6 +27,7 @@ from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.progress import Work, working
 from evo_cpg.config.trust import is_trusted, trusting
 from evo_cpg.files import write_text
+from evo_cpg.installation import command_for
 from evo_cpg.locks import LockedError, joined, locked
 from evo_cpg.system import named, told_by
 from evo_cpg.training.devices import available_cores, use_cores
@@ -133,8 +134,8 @@ def read_jobs(word: str | None, options: Sequence[str]) -> Jobs | None:
         importlib.import_module("submitit")
     except ImportError as error:
         raise UsageError(
-            f"--jobs: 'submitit' is not installed here ({error}); `pip install 'evo-cpg[jobs]'` "
-            "adds it"
+            f"--jobs: 'submitit' is not installed here ({error}); `{command_for('jobs')}` installs "
+            "it"
         ) from None
     if count is None and not (shutil.which("sbatch") and shutil.which("srun")):
         raise UsageError(
@@ -389,7 +390,7 @@ def _of_slurm(entry: Mapping[str, Any]) -> Any:
     except ImportError:
         raise RunFolderError(
             f"job {entry['id']} of this sweep may be with SLURM, and 'submitit' is not installed "
-            "here to look; `pip install 'evo-cpg[jobs]'` adds it"
+            f"here to look; `{command_for('jobs')}` installs it"
         ) from None
     return submitit.SlurmJob(entry["logs"], entry["id"])
 

@@ -13,6 +13,7 @@ import pydantic
 
 from evo_cpg.config.schema.section import Section
 from evo_cpg.exchange.errors import ExchangeError
+from evo_cpg.installation import command_for
 
 _Section = TypeVar("_Section", bound=Section)
 
@@ -142,7 +143,7 @@ def compile_model(path: Path) -> Compiled:
         mujoco = importlib.import_module("mujoco")
     except ModuleNotFoundError:
         raise ExchangeError(
-            "reading MJCF needs MuJoCo; install it with pip install 'evo-cpg[mujoco]'"
+            f"reading MJCF needs MuJoCo, which `{command_for('mujoco')}` installs"
         ) from None
     _require_mjcf(path)
     try:

@@ -235,7 +235,7 @@ assert as_utf8("name=\\udcc3\\udca9") == "name=\\u00e9"
 
 def test_names_that_are_no_utf8_stay_as_they_are(tmp_path):
     assert system.as_utf8("größe") == "größe"
-    assert system.name_of(system.named("größe–鮫")) == "größe–鮫"
+    assert system.name_of(system.named("größe·鮫")) == "größe·鮫"
     assert system.name_of(system.named("bad\udcff")) == "bad\udcff"
     # No file has this name.
     assert system.named("\ud800") == Path("\ud800")
@@ -245,7 +245,7 @@ def test_names_that_are_no_utf8_stay_as_they_are(tmp_path):
 
 @posix
 def test_without_utf8_commands_read_and_name_files(tmp_path):
-    path = tmp_path / "größe–鮫.yaml"
+    path = tmp_path / "größe·鮫.yaml"
     path.write_text(CONFIG.read_text().replace("creatures/", f"{CONFIG.parent}/creatures/"))
     code, out, err = run("validate", path, **ASCII)
     assert (code, err) == (0, "")
@@ -262,9 +262,9 @@ def test_without_utf8_commands_read_and_name_files(tmp_path):
 def test_without_utf8_a_run_goes_through(compiled, tmp_path):
     given = {"compiled": compiled, **ASCII}
     folder = tmp_path / "größe"
-    assert run("train", CONFIG, *SMALL, "name=é–鮫", "--out", folder, **given)[0] == 0
+    assert run("train", CONFIG, *SMALL, "name=é·鮫", "--out", folder, **given)[0] == 0
     assert 'name: "\\xE9\\u2013\\u9BAB"' in (text := (folder / "config.yaml").read_text()) or (
-        "name: é–鮫" in text
+        "name: é·鮫" in text
     )
     for words in (("resume", folder, "--generations", 3), ("plot", folder), ("verify", folder)):
         code, _, err = run(*words, **given)
@@ -359,7 +359,7 @@ def test_a_stream_keeps_its_encoding_and_escapes_the_rest():
     reading, writing = os.pipe()
     like = io.TextIOWrapper(io.BytesIO(), encoding="ascii", line_buffering=True)
     with streams.opened(writing, like) as stream:
-        print("größe–鮫 \udcff", file=stream)
+        print("größe·鮫 \udcff", file=stream)
         assert os.read(reading, 100) == b"gr\\xf6\\xdfe\\u2013\\u9bab \xff\n"
     os.close(reading)
     os.close(writing)
