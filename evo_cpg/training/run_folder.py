@@ -47,7 +47,7 @@ from jaxtyping import Float
 from evo_cpg import locks
 from evo_cpg.errors import UserError
 from evo_cpg.files import cannot_write, write_table, write_text, write_whole
-from evo_cpg.simulation.recording import Recording
+from evo_cpg.simulation.recording import Recording, require_shapes
 from evo_cpg.training.checkpoint import (
     Champion,
     Checkpoint,
@@ -404,7 +404,9 @@ class RunFolder:
                 name: arrays[_RECORDING_PREFIX + name] for name in Recording._fields
             }
             fields["dof_names"] = tuple(str(name) for name in fields["dof_names"])
-            return champion, Recording(**fields), digests
+            recording = Recording(**fields)
+            require_shapes(recording)
+            return champion, recording, digests
         except _DAMAGED as error:
             raise RunFolderError(
                 f"{self.champion} is damaged ({error}); `evo-cpg resume {self.path}` writes it anew"

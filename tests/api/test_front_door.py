@@ -85,6 +85,11 @@ def test_fitness_of_a_population_is_that_of_each_alone(experiment, genomes, eval
     np.testing.assert_allclose(evaluation.fitness, expected, rtol=1e-6)
 
 
+def test_zero_genomes_are_none(experiment):
+    assert experiment.random_genomes(0, 0).shape == (0, experiment.gene_count)
+    assert len(experiment.random_genomes(0)) == experiment.population
+
+
 @pytest.mark.parametrize("copied", [lambda x: pickle.loads(pickle.dumps(x)), copy.deepcopy])
 def test_a_used_experiment_can_be_pickled(experiment, genomes, evaluation, copied):
     experiment.record(0, genomes[0])
