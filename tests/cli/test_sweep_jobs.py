@@ -154,7 +154,7 @@ def test_what_is_no_such_thing_is_said(jobs, options, words):
 
 def test_without_submitit_it_says_how_to_get_it(monkeypatch):
     monkeypatch.setitem(sys.modules, "submitit", None)
-    with pytest.raises(UsageError, match=r"'submitit' is not installed here.*evo-cpg\[jobs\]"):
+    with pytest.raises(UsageError, match=r"'submitit' is not installed here.*\[jobs\]"):
         sweep_jobs.read_jobs("2", ())
 
 
