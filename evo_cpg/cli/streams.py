@@ -50,12 +50,13 @@ def opened(descriptor: int, like: TextIO | None) -> TextIO:
         descriptor: to write to.
         like: the stream in whose place it is, for its encoding; None where that was closed.
     """
+    # Python makes standard error unbuffered rather than line-buffered if PYTHONUNBUFFERED is set.
+    by_line = getattr(like, "line_buffering", True) or getattr(like, "write_through", False)
     return io.TextIOWrapper(
         io.BufferedWriter(_Raw(descriptor, "wb", closefd=False)),
         encoding=getattr(like, "encoding", None) or "utf-8",
         errors=_ESCAPE,
-        line_buffering=getattr(like, "line_buffering", True),
-        write_through=getattr(like, "write_through", False),
+        line_buffering=by_line,
     )
 
 

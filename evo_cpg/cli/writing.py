@@ -21,16 +21,18 @@ def writing(run: Path, output: Path | None = None, option: str = "") -> Iterator
     Raises:
         LockedError: another process writes into the folder.
         OutputError: nobody can write into it.
-        RunFolderError: there is no run.
     """
-    if output is not None and not Path(os.path.abspath(output)).is_relative_to(
+    folder = RunFolder(run)
+    elsewhere = output is not None and not Path(os.path.abspath(output)).is_relative_to(
         os.path.abspath(run)
-    ):
+    )
+    # That there is no run the command says, after what is wrong with its options.
+    if elsewhere or not folder.config.is_file():
         yield
         return
     with contextlib.ExitStack() as lock:
         try:
-            lock.enter_context(RunFolder(run).locked())
+            lock.enter_context(folder.locked())
         except LockedError as error:
             way_out = f", or write elsewhere with {option}" if option else ""
             raise LockedError(f"{error}{way_out}") from None
