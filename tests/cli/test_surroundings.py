@@ -15,6 +15,7 @@ from pathlib import Path
 
 import jax
 import pytest
+import yaml
 
 from evo_cpg import system
 from evo_cpg.api.version import version
@@ -263,9 +264,8 @@ def test_without_utf8_a_run_goes_through(compiled, tmp_path):
     given = {"compiled": compiled, **ASCII}
     folder = tmp_path / "größe"
     assert run("train", CONFIG, *SMALL, "name=é·鮫", "--out", folder, **given)[0] == 0
-    assert 'name: "\\xE9\\xB7\\u9BAB"' in (text := (folder / "config.yaml").read_text()) or (
-        "name: é·鮫" in text
-    )
+    config = yaml.safe_load((folder / "config.yaml").read_text(encoding="utf-8"))
+    assert config["name"] == "é·鮫"
     for words in (("resume", folder, "--generations", 3), ("plot", folder), ("verify", folder)):
         code, _, err = run(*words, **given)
         assert code == 0, err
@@ -393,12 +393,11 @@ def test_version_is_told_without_a_device(monkeypatch):
     assert version().endswith("engine: none: JAX finds no device for JAX_PLATFORMS=tpu")
 
 
-@pytest.mark.parametrize("platform", ["cuda", "nonsense"])
-def test_training_without_a_device_writes_nothing(platform, tmp_path):
+def test_training_without_a_device_writes_nothing(tmp_path):
     folder = tmp_path / "run"
-    code, out, err = run("train", CONFIG, *SMALL, "--out", folder, JAX_PLATFORMS=platform)
+    code, out, err = run("train", CONFIG, *SMALL, "--out", folder, JAX_PLATFORMS="nonsense")
     assert (code, out) == (2, "") and err.count("\n") == 1
-    assert f"(JAX_PLATFORMS is '{platform}'); set JAX_PLATFORMS to 'cpu'" in err
+    assert "(JAX_PLATFORMS is 'nonsense'); set JAX_PLATFORMS to 'cpu'" in err
     assert not folder.exists()
 
 

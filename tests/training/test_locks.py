@@ -3,7 +3,6 @@
 import json
 import os
 import platform
-import signal
 import subprocess
 import sys
 
@@ -50,7 +49,7 @@ def test_the_second_process_is_told_who_holds_the_folder(tmp_path):
 
 def test_the_lock_of_a_killed_process_is_released(tmp_path):
     with hold(tmp_path) as holder:
-        holder.send_signal(signal.SIGKILL)
+        holder.kill()
         holder.wait()
     assert (tmp_path / locks.FILE).exists()
     with locked(tmp_path):

@@ -281,11 +281,41 @@ def test_an_empty_array_damages_a_checkpoint(folder):
     with np.load(path) as arrays:
         names = [name for name in arrays if name == "genes" or name.startswith("history.")]
     assert len(names) > 2
-    for name in [*names, "champion.genes"]:
+    history = "the columns of its history are empty or not equally long"
+    words = dict.fromkeys(names, history)
+    words |= {"genes": "it is no checkpoint", "champion.genes": "it holds no genome"}
+    for name, problem in words.items():
         path.write_bytes(whole)
         emptied(path, name)
-        with pytest.raises(RunFolderError, match="no checkpoint can be read"):
+        with pytest.raises(RunFolderError, match=rf"no checkpoint can be read \(.*: {problem}"):
             folder.load()
+
+
+def test_a_champion_with_other_genes_damages_a_checkpoint(folder):
+    folder.save(checkpoint(2, CHAMPION._replace(genes=np.ones(3, np.float32))))
+    words = "a champion has another number of genes than the population"
+    with pytest.raises(RunFolderError, match=words):
+        folder.load()
+
+
+def test_a_history_without_rows_damages_a_checkpoint(folder):
+    folder.save(checkpoint(2))
+    (path,) = (folder.path / "checkpoints").iterdir()
+    for name in ("generation", "best", "diverged"):
+        emptied(path, f"history.{name}")
+    with pytest.raises(RunFolderError, match="columns of its history are empty"):
+        folder.load()
+
+
+def test_the_lock_of_a_killed_process_is_no_file_of_anybodys(tmp_path):
+    (tmp_path / ".lock").write_text("{}")
+    made = RunFolder(tmp_path)
+    with made.locked(new=True):
+        made.create("name: a\n", {})
+    assert files(made) == {"config.yaml", "meta.json"}
+    other = RunFolder(tmp_path / "other")
+    with pytest.raises(RunFolderError, match="is not a run folder"), other.locked():
+        pass
 
 
 def test_an_empty_array_damages_a_champion(folder):
@@ -295,7 +325,8 @@ def test_an_empty_array_damages_a_champion(folder):
     for name in ("genes", *(f"recording.{field}" for field in Recording._fields)):
         folder.champion.write_bytes(whole)
         emptied(folder.champion, name)
-        with pytest.raises(RunFolderError, match=r"champion\.npz is damaged"):
+        words = "it holds no genome" if name == "genes" else "its [a-z_]+ has the shape"
+        with pytest.raises(RunFolderError, match=rf"champion\.npz is damaged \({words}"):
             folder.load_champion()
 
 
