@@ -4,6 +4,8 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
+# pip says nothing for as long as it takes.
+INSTALLING := Installing into $(VENV); the first time this takes a minute or two
 CORE := $(VENV)/.installed-core
 DEV := $(VENV)/.installed-dev
 
@@ -67,9 +69,11 @@ $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
 
 $(CORE): pyproject.toml constraints.txt | $(BIN)/python
+	@echo "$(INSTALLING)"
 	$(PIP) -e .
 	touch $@
 
 $(DEV): pyproject.toml constraints.txt | $(BIN)/python
+	@echo "$(INSTALLING)"
 	$(PIP) -e '.[dev,docs]'
 	touch $(CORE) $@

@@ -4,6 +4,7 @@ What stands here is stable (see docs/api.md). It is imported when it is first as
 importing the package takes little time and starts nothing.
 """
 
+import contextlib
 import importlib
 import os
 from importlib import metadata
@@ -77,8 +78,9 @@ __all__ = [  # noqa: RUF022 - as the reference has them
 # matrices, without a word; neither 0.10.1 nor 0.11 does. XLA reads this when JAX first computes
 # anything.
 _WRONG, _WITHOUT = "0.10.2", "--xla_cpu_experimental_ynn_fusion_type="
-if metadata.version("jaxlib") == _WRONG and _WITHOUT not in os.environ.get("XLA_FLAGS", ""):
-    os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {_WITHOUT}".lstrip()
+with contextlib.suppress(metadata.PackageNotFoundError):
+    if metadata.version("jaxlib") == _WRONG and _WITHOUT not in os.environ.get("XLA_FLAGS", ""):
+        os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {_WITHOUT}".lstrip()
 
 
 def __getattr__(name: str) -> Any:

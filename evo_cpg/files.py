@@ -87,8 +87,8 @@ def write_whole(path: Path, write: Callable[[IO[bytes]], object]) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """`write_whole` of a text, in UTF-8."""
-    write_whole(path, lambda file: file.write(text.encode()))
+    """`write_whole` of a text, in UTF-8; bytes of names that are not UTF-8 stay as they are."""
+    write_whole(path, lambda file: file.write(text.encode(errors="surrogateescape")))
 
 
 def write_table(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:

@@ -17,6 +17,7 @@ from evo_cpg.api.version import version
 from evo_cpg.config.load import load_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.files import write_text
+from evo_cpg.system import resolved
 from evo_cpg.training.checkpoint import Champion, genes_digest
 from evo_cpg.training.experiment import Experiment
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
@@ -42,27 +43,29 @@ def analyse(run: Path | str, trial: int = 0, trust: bool = False) -> Path:
 
     Raises:
         ConfigError: the configuration of the run is wrong.
+        LockedError: another process writes into the folder.
         RunFolderError: there is no run, or it has no champion, or one with another number of genes
             than its ``config.yaml`` asks for.
         ValueError: there is no such trial.
     """
     folder = RunFolder(run)
-    folder.require()
-    require_configured(folder)
-    experiment = load(run, trust=trust).parts
-    champion, _, _ = folder.load_champion()
-    wrong = misfit(experiment, champion)
-    if wrong:
-        raise RunFolderError(f"{folder.config} was changed after training: {wrong}")
-    if not 0 <= trial < experiment.trials:
-        raise ValueError(f"trial must be 0 to {experiment.trials - 1}, got {trial}")
-    changed = changed_config(folder)
-    if changed:
-        warnings.warn(f"{folder.path}: {changed}", stacklevel=2)
-    path = page_path(folder, trial)
-    with working(f"making the page of {folder.path}"):
-        text = page(experiment, champion, folder, trial)
-    write_text(path, text)
+    with folder.locked():
+        folder.require()
+        require_configured(folder)
+        experiment = load(run, trust=trust).parts
+        champion, _, _ = folder.load_champion()
+        wrong = misfit(experiment, champion)
+        if wrong:
+            raise RunFolderError(f"{folder.config} was changed after training: {wrong}")
+        if not 0 <= trial < experiment.trials:
+            raise ValueError(f"trial must be 0 to {experiment.trials - 1}, got {trial}")
+        changed = changed_config(folder)
+        if changed:
+            warnings.warn(f"{folder.path}: {changed}", stacklevel=2)
+        path = page_path(folder, trial)
+        with working(f"making the page of {folder.path}"):
+            text = page(experiment, champion, folder, trial)
+        write_text(path, text)
     return path
 
 
@@ -123,7 +126,7 @@ def page(
     subject = Subject(
         name=experiment.name,
         changed=changed_config(folder),
-        folder=folder.path.resolve().name,
+        folder=resolved(folder.path).name,
         sentence=_sentence(experiment, config),
         champion={"fitness": champion.fitness, **_expected(champion), **champion.terms},
         generation=champion.generation,

@@ -1,5 +1,6 @@
 """Which state of the source this is."""
 
+import os
 import subprocess
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,7 +12,7 @@ def checkout() -> Path | None:
     """The checkout that this program lies in; None where it was installed."""
     folder = Path(evo_cpg.__file__).parents[1]
     # An installed package may lie in a folder that is somebody else's checkout.
-    return folder if (folder / ".git").exists() else None
+    return folder if os.path.exists(folder / ".git") else None
 
 
 def commit() -> str | None:
@@ -35,7 +36,7 @@ def commit_of(folder: Path, paths: Sequence[str] = (".",)) -> str | None:
         folder: of the checkout.
         paths: of it, whose changes count.
     """
-    if not (folder / ".git").exists():
+    if not os.path.exists(folder / ".git"):
         return None
     try:
         name = _git(folder, "rev-parse", "--short", "HEAD")
@@ -47,4 +48,5 @@ def commit_of(folder: Path, paths: Sequence[str] = (".",)) -> str | None:
 
 def _git(folder: Path, *arguments: str) -> str:
     command = ["git", "-C", str(folder), *arguments]
-    return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+    done = subprocess.run(command, capture_output=True, check=True)
+    return done.stdout.decode(errors="replace").strip()

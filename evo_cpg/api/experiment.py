@@ -97,6 +97,12 @@ class Experiment:
         parts = [repr(self.name), *(f"{name}={value}" for name, value in told.items())]
         return f"Experiment({', '.join(parts)})"
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what it is made of, without compiled programs, which no other process can use."""
+        # Measuring the scales anew takes a generation, and another machine may round otherwise.
+        kept = ("parts", "config", "source", "replaced", "scales")
+        return {name: value for name, value in vars(self).items() if name in kept}
+
     @property
     def name(self) -> str:
         """What the configuration calls it."""
@@ -139,7 +145,8 @@ class Experiment:
             key: of all chance: a number, or a key of JAX.
             count: how many; None for the configuration's population.
         """
-        controller, shape = self.parts.simulation.controller, (count or self.population,)
+        controller = self.parts.simulation.controller
+        shape = (self.population if count is None else count,)
         return np.asarray(training.random_genes(controller, _key(key), shape)).T.copy()
 
     def rollout(self, key: ArrayLike, genomes: ArrayLike, bodies: Numbers | None = None) -> Trials:

@@ -10,6 +10,7 @@ from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import as_overrides, complete_config, load_config
 from evo_cpg.config.shipped import find_config
 from evo_cpg.config.trust import trusting
+from evo_cpg.system import named
 from evo_cpg.training import experiment as parts
 from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.devices import use_cores
@@ -69,7 +70,7 @@ def _load(
 def class_folders(folder: RunFolder) -> list[Path]:
     """Where a user's own classes lie: beside the config that the run was started with."""
     origin = folder.read_meta().get("config")
-    return [Path(origin).parent] if isinstance(origin, str) else []
+    return [named(origin).parent] if isinstance(origin, str) else []
 
 
 def misfit(experiment: parts.Experiment, champion: Champion) -> str | None:

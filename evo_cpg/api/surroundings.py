@@ -2,11 +2,12 @@
 
 import platform
 from collections.abc import Mapping
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 from evo_cpg.fusion.engine import Engine, described
+from evo_cpg.installation import version_of
+from evo_cpg.system import told_by
 
 _PACKAGES = ("evo-cpg", "jax", "jaxlib", "equinox", "numpy")
 
@@ -25,7 +26,7 @@ _ROUNDING_PACKAGES = ("jax", "jaxlib", "numpy", "evo-cpg")
 def surroundings(engine: Engine, devices: int) -> dict[str, Any]:
     """What there is to note of a machine and its software, for meta.json."""
     return {
-        "versions": {package: metadata.version(package) for package in _PACKAGES},
+        "versions": {package: version_of(package) for package in _PACKAGES},
         "python": platform.python_version(),
         "machine": platform.machine(),
         "processor": _processor(),
@@ -54,11 +55,7 @@ def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
 
 def _processor() -> str:
     """Its name and number; where the system does not tell, its kind."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-    except OSError:
-        lines = []
-    parts = [line.partition(":") for line in lines]
+    parts = [line.partition(":") for line in told_by(Path("/proc/cpuinfo")).splitlines()]
     told = {name.strip(): value.strip() for name, _, value in parts}
     name = told.get("model name") or platform.processor() or platform.machine()
     numbers = [told[key] for key in ("cpu family", "model", "stepping") if key in told]

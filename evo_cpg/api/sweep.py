@@ -12,24 +12,27 @@ Settings with the same animal in the same trial run side by side in one program,
 are constants of it, which makes an evaluation faster and lets a champion live again to the bit.
 """
 
+import contextlib
 import hashlib
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from evo_cpg import locks
 from evo_cpg.analysis.compare import Comparison, Spread, compare, spread
 from evo_cpg.api.training import begin_run, reopen_run
-from evo_cpg.config.build import build_experiment
+from evo_cpg.config.build import build_experiment, require_genes
 from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.fingerprint import fingerprint
 from evo_cpg.config.load import load_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.config.settings import Setting, is_folder_name
 from evo_cpg.files import make_folder, write_table, write_text
+from evo_cpg.system import name_of, named, resolved
 from evo_cpg.training.checkpoint import Checkpoint
 from evo_cpg.training.experiment import Experiment
 from evo_cpg.training.memory import require_memory
@@ -98,7 +101,7 @@ def new_plan(source: Path, overrides: Sequence[str], settings: Sequence[Setting]
         ConfigError: the configuration is wrong.
     """
     plan = {
-        "config": str(source.resolve()),
+        "config": name_of(resolved(source)),
         "config_sha256": _digest(source, overrides),
         "overrides": list(overrides),
         "settings": {setting.name: setting.values for setting in settings},
@@ -131,9 +134,14 @@ def claim(folder: Path, plan: Mapping[str, Any]) -> None:
                 f"`evo-cpg sweep {folder}` or choose another --out"
             )
         return
-    if folder.is_file() or (folder.is_dir() and any(folder.iterdir())):
+    if folder.is_file() or (folder.is_dir() and any(_others(folder))):
         raise RunFolderError(f"{folder} is not empty and holds no sweep; choose another --out")
     write_text(make_folder(folder) / _PLAN, json.dumps(plan, indent=2))
+
+
+def _others(folder: Path) -> Iterator[Path]:
+    """What a folder holds beside its lock."""
+    return (path for path in folder.iterdir() if path.name != locks.FILE)
 
 
 def read_plan(folder: Path) -> dict[str, Any] | None:
@@ -176,7 +184,7 @@ def members_of(
         ConfigError: a setting is wrong.
         TooLargeError: the machine has not the memory for one.
     """
-    source = Path(plan["config"])
+    source = named(plan["config"])
     if _digest(source, plan["overrides"]) != plan["config_sha256"]:
         raise RunFolderError(
             f"{folder}: {source} has changed since the sweep began; put it back as it was, or "
@@ -190,8 +198,9 @@ def members_of(
         config = load_config(source, [*plan["overrides"], *setting.overrides])
         config = config.model_copy(update={"name": f"{config.name} {name}"})
         experiment = build_experiment(config, source)
+        require_genes(experiment, source)
         require_memory(experiment)
-        members.append(Member(setting, config, experiment, RunFolder(folder / name)))
+        members.append(Member(setting, config, experiment, RunFolder(folder / named(name))))
     return members
 
 
@@ -231,9 +240,28 @@ def run_group(
         devices: that share the population.
         on_generation: called after every generation of each.
         warn: called with what is otherwise than before, in words for the user.
+
+    Raises:
+        LockedError: another process evolves one of them.
+        OutputError: a folder cannot be written.
     """
     from evo_cpg.training.together import train_together
 
+    with contextlib.ExitStack() as stack:
+        for member in group:
+            stack.enter_context(member.folder.locked(new=True))
+        _reopen(group, source, devices, warn)
+        train_together(
+            [member.experiment for member in group],
+            [member.folder for member in group],
+            lambda number, rows: on_generation(group[number], rows),
+        )
+
+
+def _reopen(
+    group: Sequence[Member], source: Path, devices: int, warn: Callable[[str], object]
+) -> None:
+    """Make the run folders, or put those that are there in order."""
     for member in group:
         if not member.folder.config.is_file():
             begin_run(member.folder, member.config, member.experiment, devices, source)
@@ -243,11 +271,6 @@ def run_group(
             run = member.folder, member.config, member.experiment
             for words in reopen_run(*run, devices, source=source):
                 warn(words)
-    train_together(
-        [member.experiment for member in group],
-        [member.folder for member in group],
-        lambda number, rows: on_generation(group[number], rows),
-    )
 
 
 def summarise(folder: Path, members: Sequence[Member]) -> Summary:

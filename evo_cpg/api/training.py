@@ -18,10 +18,12 @@ from evo_cpg.api.progress import Generations, working
 from evo_cpg.api.surroundings import differences as changed_surroundings
 from evo_cpg.api.surroundings import surroundings
 from evo_cpg.api.warm_start import Start
+from evo_cpg.config.build import require_genes
 from evo_cpg.config.fingerprint import fingerprint
 from evo_cpg.config.load import dump_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.config.shipped import shipped_name
+from evo_cpg.system import name_of, resolved
 from evo_cpg.training import experiment as parts
 from evo_cpg.training.checkpoint import Champion, genes_digest
 from evo_cpg.training.memory import require_memory
@@ -79,13 +81,25 @@ def train(
 
     Raises:
         ValueError: the genomes are not of that shape, or not finite.
+        LockedError: another process evolves into the folder.
         RunFolderError: the folder holds a run or other files, or everybody diverged.
         TooLargeError: the machine has not the memory for it.
     """
+    folder = RunFolder(out)
+    given = None if start is None else Start(_genes(experiment, start), {"what": "genomes"})
+    with folder.locked(new=True):
+        return _train(experiment, folder, on_generation, given)
+
+
+def _train(
+    experiment: Experiment,
+    folder: RunFolder,
+    on_generation: Callable[[Rows], None],
+    given: Start | None,
+) -> Trained:
     import jax
 
-    folder, devices = RunFolder(out), len(jax.local_devices())
-    given = None if start is None else Start(_genes(experiment, start), {"what": "genomes"})
+    devices = len(jax.local_devices())
     begin_run(folder, experiment.config, experiment.parts, devices, experiment.source, given)
     if experiment.replaced:
         folder.update_meta(replaced=list(experiment.replaced))
@@ -131,9 +145,11 @@ def begin_run(
         processes: that evolve together.
 
     Raises:
+        ConfigError: there are no genes to evolve.
         RunFolderError: the folder holds a run or other files, or cannot be written.
         TooLargeError: the machine has not the memory for it.
     """
+    require_genes(experiment, source)
     require_memory(experiment)
     meta = _known(config, experiment, devices, source, processes)
     if start is not None:
@@ -152,7 +168,7 @@ def _known(
     meta: dict[str, Any] = {
         "name": config.name,
         "seed": config.seed,
-        "config": str(source.resolve()),
+        "config": name_of(resolved(source)),
         "command": sys.argv[1:],
         "fingerprint": fingerprint(config),
         "processes": processes,
@@ -186,12 +202,15 @@ def reopen_run(
         What is otherwise than before, in words for the user.
 
     Raises:
+        ConfigError: there are no genes to evolve.
         RunFolderError: the folder cannot be written.
         TooLargeError: the machine has not the memory for it.
     """
+    require_genes(experiment, folder.config)
     require_memory(experiment)
-    folder.reopen(dump_config(config))
+    # Before anything is written: it starts JAX, which may find no device.
     here, before = surroundings(experiment.simulation.engine, devices), folder.read_meta()
+    folder.reopen(dump_config(config))
     noted = {"resumed": now(), "fingerprint": fingerprint(config), "processes": processes} | here
     if not before and source is not None:
         # It was killed before this was written.

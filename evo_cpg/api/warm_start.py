@@ -11,6 +11,7 @@ from jaxtyping import Float
 from evo_cpg.api.load import class_folders
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import load_config
+from evo_cpg.system import name_of, resolved
 from evo_cpg.training.checkpoint import Champion, Checkpoint, genes_digest
 from evo_cpg.training.experiment import Experiment
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
@@ -63,7 +64,7 @@ def warm_start(experiment: Experiment, path: Path, what: What) -> Start:
     ]
     best = max(chosen, key=lambda champion: champion.worth)
     provenance = {
-        "from": str(path.resolve()),
+        "from": name_of(resolved(path)),
         "what": what,
         "generation": best.generation if what == "champion" else checkpoint.generation,
         "fitness": best.fitness,

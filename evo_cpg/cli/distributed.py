@@ -10,14 +10,13 @@ import json
 import sys
 import traceback
 from collections.abc import Callable, Iterator, Mapping
-from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from evo_cpg.cli.errors import UsageError
+from evo_cpg.cli.errors import UsageError, told
 from evo_cpg.cli.exit_codes import ExitCode
 from evo_cpg.cli.interrupts import leave_at_once
-from evo_cpg.errors import UserError
+from evo_cpg.installation import version_of
 
 if TYPE_CHECKING:
     from evo_cpg.training.processes import Team
@@ -129,8 +128,9 @@ def together(asked: Distribution, run: Path) -> Iterator["Team"]:
             # All know of it, and none should think that it has lost the others.
             with contextlib.suppress(processes.TeamError):
                 team.leave()
-        if isinstance(error, UserError):
-            _say(f"evo-cpg: {error}")
+        words = told(error)
+        if words is not None:
+            _say(f"evo-cpg: {words}")
             leave_at_once(ExitCode.WRONG_INPUT)
         traceback.print_exc()
         leave_at_once(ExitCode.FAULT)
@@ -202,7 +202,7 @@ def _place(asked: Distribution) -> "Place":
 
 def _versions() -> dict[str, str]:
     packages = ("evo-cpg", "jax", "jaxlib", "numpy")
-    return {f"the version of {name}": metadata.version(name) for name in packages}
+    return {f"the version of {name}": version_of(name) for name in packages}
 
 
 def _say(line: str) -> None:

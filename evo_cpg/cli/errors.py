@@ -1,6 +1,7 @@
-"""Errors that are about the command line itself."""
+"""Errors that are about the command line itself, and what to print of others."""
 
 import os
+import sys
 from pathlib import Path
 
 from evo_cpg.errors import UserError
@@ -19,3 +20,46 @@ def require_free(output: Path, overwrite: bool) -> None:
     # Unlike a path's own method this does not complain of names that no file can have.
     if os.path.exists(output) and not overwrite:
         raise UsageError(f"{output} exists already; --overwrite replaces it")
+
+
+def told(error: Exception) -> str | None:
+    """Return what to print of an error that is not a fault of the program; None for a fault.
+
+    Args:
+        error: that a command ended with.
+    """
+    if isinstance(error, UserError):
+        return str(error)
+    words = _of_system(error) or _of_platform()
+    return words and " ".join(words.split())
+
+
+def _of_system(error: Exception) -> str | None:
+    """About what the operating system refused."""
+    if isinstance(error, UnicodeEncodeError):
+        return (
+            f"{error.object[:100]!a} cannot be written in {error.encoding}; choose a locale with "
+            "UTF-8, such as LC_ALL=C.UTF-8, or another name"
+        )
+    if not isinstance(error, OSError):
+        return None
+    reason = error.strerror or str(error) or type(error).__name__
+    return reason if error.filename is None else f"{error.filename}: {reason}"
+
+
+def _of_platform() -> str | None:
+    """About the devices that JAX was to compute on, where it has none of them."""
+    jax = sys.modules.get("jax")
+    if jax is None:
+        return None
+    try:
+        jax.devices()
+    except Exception:
+        # JAX 0.10 raises RuntimeError or AssertionError.
+        names = ("JAX_PLATFORMS", "JAX_PLATFORM_NAME")
+        given = [f"{name} is {os.environ[name]!r}" for name in names if os.environ.get(name)]
+        return (
+            f"JAX finds no device to compute on ({', '.join(given) or 'of any kind'}); set "
+            "JAX_PLATFORMS to 'cpu', or unset it"
+        )
+    return None

@@ -1,6 +1,6 @@
 """`evo-cpg sweep --jobs`: settings that share no program as jobs, by submitit.
 
-    SWEEP/.jobs/lock         held by whoever works on the sweep, see `claimed`
+    SWEEP/.lock              held by whoever works on the sweep, see `claimed`
     SWEEP/.jobs/slurm.json   jobs of SLURM that have not been seen to end
     SWEEP/.jobs/TIME_.../    what submitit writes for the jobs of one command, and what they say;
                              gone when all have come to their ends
@@ -20,22 +20,20 @@ import tempfile
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import IO, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from evo_cpg.api.sweep import Member, groups, members_of, read_plan, run_group
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.progress import Work, working
 from evo_cpg.config.trust import is_trusted, trusting
-from evo_cpg.files import cannot_write, write_text
+from evo_cpg.files import write_text
+from evo_cpg.installation import command_for
+from evo_cpg.locks import LockedError, joined, locked
+from evo_cpg.system import named, told_by
 from evo_cpg.training.devices import available_cores, use_cores
 from evo_cpg.training.run_folder import RunFolderError
 
-try:
-    import fcntl
-except ImportError:  # Windows has no such locks, and submitit no local processes there.
-    fcntl = None
-
-_HIDDEN, _LOCK, _SLURM = ".jobs", "lock", "slurm.json"
+_HIDDEN, _SLURM = ".jobs", "slurm.json"
 
 # How often it looks at local jobs, and at those of SLURM, s.
 _LOOK, _LOOK_AT_SLURM = 0.25, 5.0
@@ -90,12 +88,12 @@ class Job(NamedTuple):
         with contextlib.ExitStack() as stack:
             stack.enter_context(trusting(self.trusted))
             if self.locks:
-                _share(stack.enter_context(_lock_file(folder)))
+                stack.enter_context(joined(folder))
             plan = read_plan(folder)
             if plan is None:
                 raise RunFolderError(f"{folder} is no sweep any more")
             for group in groups(members_of(folder, plan, self.settings)):
-                run_group(group, Path(plan["config"]), devices, lambda member, rows: None)
+                run_group(group, named(plan["config"]), devices, lambda member, rows: None)
 
     def checkpoint(self) -> Any:
         """What submitit queues when SLURM takes its place away, or its time is over: the same."""
@@ -136,8 +134,8 @@ def read_jobs(word: str | None, options: Sequence[str]) -> Jobs | None:
         importlib.import_module("submitit")
     except ImportError as error:
         raise UsageError(
-            f"--jobs: 'submitit' is not installed here ({error}); `pip install 'evo-cpg[jobs]'` "
-            "adds it"
+            f"--jobs: 'submitit' is not installed here ({error}); `{command_for('jobs')}` installs "
+            "it"
         ) from None
     if count is None and not (shutil.which("sbatch") and shutil.which("srun")):
         raise UsageError(
@@ -159,14 +157,15 @@ def claimed(folder: Path, jobs: Jobs | None) -> Iterator[None]:
         jobs: what is asked for: with those of SLURM one may go on with SLURM.
 
     Raises:
-        RunFolderError: somebody is at work.
+        LockedError: another command is at work, or a job that it has started.
+        OutputError: the folder cannot be written.
+        RunFolderError: jobs of the sweep are with SLURM.
     """
-    with _lock_file(folder) as file:
-        if not _take(file):
-            raise RunFolderError(
-                f"{folder}: another `evo-cpg sweep` is at work there, or a job that one has left; "
-                "wait until it is done, or end it"
-            )
+    with contextlib.ExitStack() as stack:
+        try:
+            lock = stack.enter_context(locked(folder, make=True))
+        except LockedError as error:
+            raise LockedError(f"{error}; a job that it has started may be at work, too") from None
         if jobs is None or jobs.count is not None:
             going_on = [entry["id"] for entry in _recorded(folder) if not _of_slurm(entry).done()]
             if going_on:
@@ -177,7 +176,7 @@ def claimed(folder: Path, jobs: Jobs | None) -> Iterator[None]:
                     f"{folder / _HIDDEN / _SLURM}"
                 )
             (folder / _HIDDEN / _SLURM).unlink(missing_ok=True)
-        _share(file)
+        lock.share()
         yield
 
 
@@ -354,7 +353,7 @@ def _fallen(one: _Running, work: Work) -> list[str]:
     left = [member.setting.name for member in one.group if not member.finished]
     if left:
         path = Path(one.job.paths.stderr)
-        text = path.read_text(errors="replace") if path.is_file() else ""
+        text = told_by(path)
         last = [line for line in text.splitlines() if line.strip()][-_LAST_LINES:]
         work.say(f"job {one.job.job_id} failed ({', '.join(left)}); {path} ends:")
         for line in last or ["(nothing)"]:
@@ -391,7 +390,7 @@ def _of_slurm(entry: Mapping[str, Any]) -> Any:
     except ImportError:
         raise RunFolderError(
             f"job {entry['id']} of this sweep may be with SLURM, and 'submitit' is not installed "
-            "here to look; `pip install 'evo-cpg[jobs]'` adds it"
+            f"here to look; `{command_for('jobs')}` installs it"
         ) from None
     return submitit.SlurmJob(entry["logs"], entry["id"])
 
@@ -401,37 +400,6 @@ def _new_folder(folder: Path) -> Path:
     (folder / _HIDDEN).mkdir(exist_ok=True)
     prefix = time.strftime("%Y%m%d_%H%M%S_")
     return Path(tempfile.mkdtemp(prefix=prefix, dir=folder / _HIDDEN)).resolve()
-
-
-@contextlib.contextmanager
-def _lock_file(folder: Path) -> Iterator[IO[bytes]]:
-    try:
-        (folder / _HIDDEN).mkdir(exist_ok=True)
-        file = (folder / _HIDDEN / _LOCK).open("ab")
-    except OSError as error:
-        raise cannot_write(folder, error) from None
-    # Closing it gives up the lock.
-    with file:
-        yield file
-
-
-def _take(file: IO[bytes]) -> bool:
-    """Whether nobody has the lock; where the file system knows no locks, that is taken for so."""
-    if fcntl is None:
-        return True
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    except OSError:
-        return True
-    return True
-
-
-def _share(file: IO[bytes]) -> None:
-    if fcntl is not None:
-        with contextlib.suppress(OSError):
-            fcntl.flock(file, fcntl.LOCK_SH)
 
 
 def _option(text: str) -> tuple[str, Any]:

@@ -11,8 +11,10 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
+from evo_cpg.cli import streams
 from evo_cpg.cli.completion import complete_config
 from evo_cpg.cli.configs import app as configs_app
+from evo_cpg.cli.errors import told
 from evo_cpg.cli.exit_codes import ExitCode
 from evo_cpg.cli.interrupts import interrupts_delivered, leave_at_once
 from evo_cpg.cli.options import (
@@ -36,7 +38,9 @@ from evo_cpg.cli.options import (
     What,
     find_config_or_folder,
 )
-from evo_cpg.errors import UserError
+
+# What these evolve is in a folder, even if nobody can be told which.
+_EVOLVING = frozenset({"train", "resume", "refine", "sweep", "reproduce"})
 
 
 class _Commands(TyperGroup):
@@ -161,7 +165,8 @@ def resume(
     def check() -> None:
         from evo_cpg.training.run_folder import RunFolder
 
-        RunFolder(run).require()
+        with RunFolder(run).locked():
+            RunFolder(run).require()
 
     asked = Distribution(distributed, hosts, process, local, join_timeout, patience).checked()
     asked.start_local(cores, check)
@@ -353,9 +358,11 @@ def render(
 ) -> None:
     """Film the champion of a run, or anybody on its map of behaviour."""
     from evo_cpg.cli.render import Film, render_run
+    from evo_cpg.cli.writing import writing
 
     film = Film(output, size, sheet, camera.value, fps, speed, seconds, signals, title or [], cores)
-    render_run(run, film, number, trial, cell, lineage, beside or [])
+    with writing(run, output, "--output"):
+        render_run(run, film, number, trial, cell, lineage, beside or [])
 
 
 @app.command()
@@ -370,8 +377,10 @@ def plot(
 ) -> None:
     """Plot the fitness over the generations, the champion's joint signals and path, and the map."""
     from evo_cpg.cli.pictures import plot_run
+    from evo_cpg.cli.writing import writing
 
-    plot_run(run, output, number, trial, cell)
+    with writing(run, output, "--output"):
+        plot_run(run, output, number, trial, cell)
 
 
 @app.command()
@@ -387,8 +396,10 @@ def analyse(
 ) -> None:
     """Make a page of a run: the champion in 3D, its gait in numbers and charts."""
     from evo_cpg.cli.analyse import analyse_run
+    from evo_cpg.cli.writing import writing
 
-    analyse_run(run, output, number, trial, overwrite)
+    with writing(run, output, "--out"):
+        analyse_run(run, output, number, trial, overwrite)
 
 
 @app.command()
@@ -434,8 +445,10 @@ def probe_(
 ) -> None:
     """Put the champion into situations that it never saw."""
     from evo_cpg.cli.probe import probe_run
+    from evo_cpg.cli.writing import writing
 
-    probe_run(run, bearings, distances, trials, blind, reach, number, out)
+    with writing(run, out, "--out"):
+        probe_run(run, bearings, distances, trials, blind, reach, number, out)
 
 
 @app.command()
@@ -462,8 +475,10 @@ def sensitivity(
 ) -> None:
     """Tell what the champion's speed and fitness depend on, parameter by parameter."""
     from evo_cpg.cli.sensitivity import show_sensitivities
+    from evo_cpg.cli.writing import writing
 
-    show_sensitivities(run, keys or [], out, seconds, number, shapes)
+    with writing(run, out, "--out"):
+        show_sensitivities(run, keys or [], out, seconds, number, shapes)
 
 
 @app.command()
@@ -542,8 +557,10 @@ def audit(
 ) -> None:
     """Ask whether the champion's gait is one, or a trick of the simulation."""
     from evo_cpg.cli.audit import audit_run
+    from evo_cpg.cli.writing import writing
 
-    audit_run(run, limits or [], number, every, cell)
+    with writing(run):
+        audit_run(run, limits or [], number, every, cell)
 
 
 @app.command()
@@ -692,23 +709,41 @@ def bench(
     run_suite(cases or [], sizes, json, plot, compare, tolerance, limit, quick)
 
 
+def _command() -> str:
+    """Name of the command that this process was started with."""
+    return next((word for word in sys.argv[1:] if not word.startswith("-")), "")
+
+
 def main() -> None:
-    """Run the command line; errors of the user's become one or two lines and exit code 2."""
+    """Run the command line.
+
+    Errors that are the user's or the system's become one or two lines and exit code 2.
+    """
     try:
         with interrupts_delivered():
             app()
     except KeyboardInterrupt:
         raise SystemExit(ExitCode.INTERRUPTED) from None
-    except UserError as error:
-        print(f"evo-cpg: {error}", file=sys.stderr)
+    except Exception as error:
+        words = told(error)
+        if words is None:
+            raise
+        print(f"evo-cpg: {words}", file=sys.stderr)
         raise SystemExit(ExitCode.WRONG_INPUT) from None
 
 
 def program() -> None:
     """`main` as a process: when it was interrupted nobody waits for what still compiles."""
+    streams.protect()
     try:
         main()
     except SystemExit as stop:
         if stop.code == ExitCode.INTERRUPTED:
             leave_at_once(ExitCode.INTERRUPTED)
+        error = streams.output_error()
+        if error is not None:
+            words = f"cannot write to standard output ({error.strerror or error})"
+            print(f"evo-cpg: {words}", file=sys.stderr)
+            if not stop.code and _command() not in _EVOLVING:
+                raise SystemExit(ExitCode.WRONG_INPUT) from None
         raise

@@ -6,6 +6,7 @@ So both descriptors lead into a pipe, while Python writes to where they led befo
 the processes are kept back; others pass. Where C++ aborts because of them, one line says it.
 """
 
+import contextlib
 import ctypes
 import os
 import re
@@ -16,6 +17,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 
+from evo_cpg.cli.streams import opened
 from evo_cpg.fusion.jax_internals import is_of_coordination
 
 # Lines of a log that begin an entry; those after it belong to it.
@@ -45,9 +47,7 @@ def keep_apart(explain: Callable[[str], str | None], code: int) -> None:
     for stream in (1, 2):
         os.dup2(writing, stream)
     os.close(writing)
-    sys.stdout = os.fdopen(shown, "w", encoding=sys.stdout.encoding)
-    sys.stderr = os.fdopen(errors, "w", encoding=sys.stderr.encoding, errors="backslashreplace")
-    sys.stderr.reconfigure(line_buffering=True)
+    sys.stdout, sys.stderr = opened(shown, sys.stdout), opened(errors, sys.stderr)
     kept: deque[str] = deque(maxlen=_KEPT_LINES)
 
     def read() -> None:
@@ -61,7 +61,9 @@ def keep_apart(explain: Callable[[str], str | None], code: int) -> None:
                 if ours:
                     kept.append(line)
                 else:
-                    os.write(errors, line.encode())
+                    # Who ends to read would have C++ wait for us.
+                    with contextlib.suppress(OSError):
+                        os.write(errors, line.encode())
 
     threading.Thread(target=read, name="native output", daemon=True).start()
     _on_abort(lambda: _end(kept, explain, code, errors))
@@ -71,10 +73,10 @@ def _end(kept: deque[str], explain: Callable[[str], str | None], code: int, erro
     time.sleep(_LATE)
     logged = "".join(kept)
     words = explain(logged)
+    with contextlib.suppress(OSError):
+        os.write(errors, (logged if words is None else f"{words}\n").encode())
     if words is not None:
-        os.write(errors, f"{words}\n".encode())
         os._exit(code)
-    os.write(errors, logged.encode())
 
 
 def _on_abort(act: Callable[[], None]) -> None:

@@ -13,6 +13,7 @@ from evo_cpg.cli.progress import working
 from evo_cpg.config.build import build_creature, build_experiment
 from evo_cpg.config.schema.ground import GroundConfig, PlaneConfig
 from evo_cpg.simulation.situation import starting_pose
+from evo_cpg.system import named
 from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.experiment import Experiment
 from evo_cpg.training.run_folder import RunFolder
@@ -71,7 +72,7 @@ def preview_config(
     creature = build_creature(config, path)
     from evo_cpg.view.preview import preview, preview_path
 
-    place = preview_path(output or f"{creature.name}.png", pixels)
+    place = preview_path(output or named(f"{creature.name}.png"), pixels)
     pose, ground, water = None, config.world.ground is not None, config.world.water
     surface = None
     if water is not None:

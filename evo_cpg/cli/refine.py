@@ -25,7 +25,7 @@ from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.fingerprint import fingerprint
 from evo_cpg.config.load import dump_config
 from evo_cpg.config.parameters import Parameters, parametrise
-from evo_cpg.training.run_folder import RunFolderError, refinements
+from evo_cpg.training.run_folder import RunFolder, RunFolderError, refinements
 
 _COMPILING = "compiling, which takes a minute or two for a new body"
 
@@ -46,6 +46,13 @@ def refine_run(
 ) -> None:
     """`evo-cpg refine`."""
     use_cores_of(run, cores)
+    with RunFolder(run).locked():
+        _refine(run, keys, rounds, steps, number, seed)
+
+
+def _refine(
+    run: Path, keys: Sequence[str], rounds: int, steps: int, number: int | None, seed: int
+) -> None:
     folder, config, experiment = open_run(run)
     require_configured(folder)
     champion, motion, _ = folder.load_champion()

@@ -13,6 +13,7 @@ from evo_cpg.api.commit import checkout
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.progress import progress, working
 from evo_cpg.config.errors import nearest
+from evo_cpg.locks import locked
 from evo_cpg.studies import provenance
 from evo_cpg.studies.catalogue import NAMES, study
 from evo_cpg.studies.study import Study
@@ -56,7 +57,13 @@ def make(
 ) -> None:
     """Make some parts of a study, one after the other, each written when it is done."""
     workshop = Workshop(chosen, folder, quick, devices)
+    with locked(folder, make=True):
+        _make(workshop, parts, fresh)
+
+
+def _make(workshop: Workshop, parts: Sequence[str], fresh: bool) -> None:
     workshop.claim()
+    chosen, folder, quick = workshop.study, workshop.folder, workshop.quick
     if fresh:
         for part in parts:
             workshop.forget(part)

@@ -27,6 +27,7 @@ from evo_cpg.cli.jobs import Jobs, claimed, read_jobs, run_jobs
 from evo_cpg.cli.progress import progress, working
 from evo_cpg.config.settings import Setting, combine, read_settings
 from evo_cpg.config.yaml_text import parse_yaml
+from evo_cpg.system import as_utf8, named
 from evo_cpg.training.devices import use_cores
 
 # More rows of a table than anybody reads on a terminal; the file has all.
@@ -53,6 +54,7 @@ def run_sweep(
         Whether all came to their ends; a job may have failed.
     """
     asked = read_jobs(jobs, job_options)
+    overrides, grid = [as_utf8(word) for word in overrides], [as_utf8(word) for word in grid]
     folder, plan = path, read_plan(path)
     if plan is None:
         folder = out or Path("runs") / f"{path.stem}_sweep"
@@ -65,9 +67,9 @@ def run_sweep(
     with working("building every setting"):
         members = members_of(folder, plan)
     chosen = _chosen(members, only)
-    claim(folder, plan)
     with claimed(folder, asked):
-        failed = _evolve(folder, Path(plan["config"]), chosen, devices, asked, cores)
+        claim(folder, plan)
+        failed = _evolve(folder, named(plan["config"]), chosen, devices, asked, cores)
         if any(member.generation for member in members) or not failed:
             _tell(folder, members)
     if failed:

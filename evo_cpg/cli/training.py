@@ -30,6 +30,7 @@ from evo_cpg.config.fingerprint import changes, fingerprint
 from evo_cpg.config.load import load_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.simulation.task import term_names
+from evo_cpg.system import named
 from evo_cpg.training.checkpoint import Checkpoint, genes_digest
 from evo_cpg.training.devices import use_cores
 from evo_cpg.training.experiment import TABLE_COLUMNS, Experiment
@@ -56,13 +57,14 @@ def start_run(
     if tensorboard:
         require_scalars()
     config = read_config(path, overrides, strict, asked.leads)
-    folder = RunFolder(out or Path("runs") / config.name)
+    folder = RunFolder(out or Path("runs") / named(config.name))
     # Finding a place to stand on uneven ground starts JAX.
     devices = use_cores(cores)
-    with together(asked, folder.path) as team:
+    with together(asked, folder.path) as team, contextlib.ExitStack() as lock:
         experiment = build(config, path)
         require_same(team, fingerprint(config))
         if team.leads:
+            lock.enter_context(folder.locked(new=True))
             start = None
             if earlier is not None:
                 with working("reading the earlier run"):
@@ -83,9 +85,17 @@ def resume_run(
     tensorboard = goes_on_with_scalars(run, tensorboard)
     # Several processes need not be on the machine that the run was last on.
     devices = use_cores(cores) if asked.wanted else use_cores_of(run, cores)
-    if asked.leads:
-        # What was interrupted is put in order here, before the others come to read it.
-        RunFolder(run).require()
+    with contextlib.ExitStack() as lock:
+        if asked.leads:
+            lock.enter_context(RunFolder(run).locked())
+            # What was interrupted is put in order here, before the others come to read it.
+            RunFolder(run).require()
+        _resume(run, generations, devices, asked, tensorboard)
+
+
+def _resume(
+    run: Path, generations: int | None, devices: int, asked: Distribution, tensorboard: bool
+) -> None:
     with together(asked, run) as team:
         folder, config, experiment = open_run(run)
         require_configured(folder)

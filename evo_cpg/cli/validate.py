@@ -8,6 +8,7 @@ from evo_cpg.cli.building import build, read_config
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.exit_codes import ExitCode
 from evo_cpg.cli.oscillators import warn_of_oscillators
+from evo_cpg.config.build import require_genes
 from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.shipped import find_config
 
@@ -33,6 +34,7 @@ def validate_configs(words: Sequence[str], strict: bool = False) -> None:
         try:
             path = find_config(given)
             experiment = build(read_config(path, overrides, strict), path)
+            require_genes(experiment, path)
         except (ConfigError, UsageError) as error:
             wrong += 1
             print(f"evo-cpg: {error}", file=sys.stderr)

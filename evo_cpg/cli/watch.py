@@ -8,6 +8,7 @@ process that gives way to all others.
 import contextlib
 import math
 import os
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -21,6 +22,8 @@ from rich.table import Table
 from rich.text import Text
 
 from evo_cpg.cli.curve import curve
+from evo_cpg.cli.errors import told
+from evo_cpg.cli.streams import is_read
 from evo_cpg.training.checkpoint import Champion, Checkpoint
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
 
@@ -99,7 +102,8 @@ def give_way() -> None:
     Where the system knows work for idle cores only, it is that; being nice still takes a share.
     """
     if hasattr(os, "nice"):
-        os.nice(max(0, _NICE - os.nice(0)))
+        with contextlib.suppress(OSError):
+            os.nice(max(0, _NICE - os.nice(0)))
     if hasattr(os, "SCHED_IDLE"):
         with contextlib.suppress(OSError):
             os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
@@ -155,7 +159,7 @@ def _in_lines(
         made = _newest(now, draw)
         if made is not None:
             print(made, flush=True)
-        if once or now.finished:
+        if once or now.finished or not is_read():
             return
         time.sleep(LOOK)
 
@@ -272,7 +276,13 @@ class _Pictures:
         if which == self._drawn or (began < self._next and not now.finished):
             return None
         self._drawn = which
-        made = self._make(champion, now)
+        try:
+            made = self._make(champion, now)
+        except OSError as error:
+            # Who looks on may have no permission to write there.
+            print(f"evo-cpg: warning: no picture: {told(error)}", file=sys.stderr)
+            self._next = math.inf
+            return None
         took = time.monotonic() - began
         self._next = time.monotonic() + max(_SELDOM, took / _SHARE)
         return made

@@ -51,6 +51,7 @@ from evo_cpg.simulation.velocity_sensor import VelocitySensor
 from evo_cpg.simulation.walk import Distance, Walk
 from evo_cpg.spatial.choices import chosen
 from evo_cpg.spatial.numerics import Triple, xp
+from evo_cpg.system import resolved, with_working_folder
 from evo_cpg.training.experiment import Experiment, Learning
 
 # Random surface points are drawn from a quadrature this fine.
@@ -95,9 +96,9 @@ def _build_experiment(
     pairs: PairNames | None,
 ) -> Experiment:
     folders = (Path(source).parent, *folders)
-    for folder in (*code_folders(folders), Path.cwd()):
-        if str(folder.resolve()) not in sys.path:
-            sys.path.append(str(folder.resolve()))
+    for folder in with_working_folder(code_folders(folders)):
+        if str(resolved(folder)) not in sys.path:
+            sys.path.append(str(resolved(folder)))
     require_code(config, source, folders)
     creature, simulation = build_simulation(config, source, apart, pairs)
     evolution = config.evolution
@@ -127,6 +128,26 @@ def _build_experiment(
         trials=trials,
         learning=learning,
     )
+
+
+def require_genes(experiment: Experiment, source: Path | str) -> None:
+    """Check that there is something to evolve.
+
+    Args:
+        experiment: built from a configuration.
+        source: file it came from, for messages.
+
+    Raises:
+        ConfigError: the controller has no genes.
+    """
+    controller = experiment.simulation.controller
+    if controller.gene_count == 0:
+        raise ConfigError(
+            source,
+            ("controller",),
+            f"{type(controller).__name__} has no genes, so there is nothing to evolve; choose a "
+            "controller that has some, such as {type: brain_cpg}",
+        )
 
 
 def build_simulation(

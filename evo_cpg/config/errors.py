@@ -1,7 +1,9 @@
 """Errors about what the user wrote: file, key, value, what is allowed, the nearest valid key."""
 
+import copyreg
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from evo_cpg.errors import UserError
 from evo_cpg.errors import nearest as nearest
@@ -26,6 +28,10 @@ class ConfigError(UserError):
         where = [_clipped(str(source)), *([] if line is None else [f"line {line}"])]
         where += [_clipped(".".join(map(str, key)))] if key else []
         super().__init__(": ".join([*where, _clipped(problem, 700)]))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle the message and what it is made of, as a pool of processes does."""
+        return copyreg.__newobj__, (type(self), *self.args), self.__dict__  # type: ignore[attr-defined]
 
 
 def _clipped(text: str, most: int = 150) -> str:

@@ -1,5 +1,6 @@
 """From a YAML file and overrides to a checked configuration."""
 
+import contextlib
 import copy
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -21,6 +22,7 @@ from evo_cpg.config.trust import beside, trusting
 from evo_cpg.config.wording import short, worded
 from evo_cpg.config.yaml_problem import lost_colour, syntax_problem
 from evo_cpg.config.yaml_text import parse_yaml, to_yaml
+from evo_cpg.system import as_utf8
 
 
 def load_config(path: Path | str, overrides: Sequence[str] = ()) -> ExperimentConfig:
@@ -213,9 +215,10 @@ def _elsewhere(path: Path) -> str:
     """Where a file that is missing may be instead: among those that are shipped, or near it."""
     if path.stem in shipped_names():
         return f"; that which comes with evo-cpg is called {path.stem}"
-    if not path.parent.is_dir():
-        return ""
-    names = [other.name for other in path.parent.iterdir() if other.suffix in (".yaml", ".yml")]
+    names = []
+    # There may be no such folder, or none that may be read.
+    with contextlib.suppress(OSError):
+        names = [other.name for other in path.parent.iterdir() if other.suffix in (".yaml", ".yml")]
     return f"; {nearest(path.name, names)}" if names else ""
 
 
@@ -224,6 +227,9 @@ def _apply(data: dict[str, Any], override: str) -> None:
     key, separator, text = override.partition("=")
     if not separator or not key:
         raise ConfigError("command line", (), f"{override!r} is not of the form key.path=value")
+    text = as_utf8(text)
+    if any("\ud800" <= character <= "\udfff" for character in text):
+        raise ConfigError("command line", key.split("."), f"{text!a} is not UTF-8 text")
     try:
         value = parse_yaml(text)
     except yaml.YAMLError as error:

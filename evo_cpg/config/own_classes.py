@@ -15,6 +15,7 @@ from evo_cpg.config.errors import ConfigError, Key
 from evo_cpg.config.schema.choice import CustomConfig
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.config.trust import code_folders, distrusted
+from evo_cpg.system import with_working_folder
 
 
 def own_parts(config: ExperimentConfig) -> list[tuple[tuple[str | int, ...], CustomConfig]]:
@@ -95,7 +96,7 @@ def require_code(config: ExperimentConfig, source: Path | str, folders: Iterable
                 f"{part.type!r} cannot be imported (no module {top!r}"
                 f"{distrusted(module, folders)})",
             )
-        own = _file_in((*code_folders(folders), Path.cwd()), top)
+        own = _file_in(with_working_folder(code_folders(folders)), top)
         if None not in (own, found) and own != found:
             raise ConfigError(
                 source,

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from evo_cpg.config.errors import ConfigError, nearest
+from evo_cpg.system import resolved
 
 _PACKAGE = Path(__file__).parents[1]
 
@@ -103,7 +104,7 @@ def find_config(given: Path | str, folders: bool = False) -> Path:
 def shipped_name(source: Path) -> str | None:
     """The name that a file goes by; None where it is none of those that come with the program."""
     folder = shipped_folder()
-    own = folder is not None and source.resolve().parent == folder.resolve()
+    own = folder is not None and resolved(source).parent == resolved(folder)
     return source.stem if own and source.stem in shipped_names() else None
 
 

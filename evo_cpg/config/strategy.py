@@ -24,6 +24,7 @@ from evo_cpg.evolution.map_elites import MapElites, Mapped, MapStrategy
 from evo_cpg.evolution.pyribs_state import UnknownPyribsError
 from evo_cpg.evolution.random_search import RandomSearch
 from evo_cpg.evolution.strategy import Strategy
+from evo_cpg.installation import command_for
 from evo_cpg.simulation.simulation import Simulation
 
 _KEY = ("evolution",)
@@ -144,5 +145,5 @@ def _missing(extra: str, error: ImportError, source: Path | str) -> ConfigError:
     return ConfigError(
         source,
         (*_KEY, "type"),
-        f"'{extra}' is not installed here ({error}); `pip install 'evo-cpg[{extra}]'` adds it",
+        f"'{extra}' is not installed here ({error}); `{command_for(extra)}` installs it",
     )

@@ -20,6 +20,7 @@ from evo_cpg.config.trust import beside
 from evo_cpg.physics.footing import Ground
 from evo_cpg.physics.terrain import Block, Boulder, Obstacle, Part, Plane, Relief, Shore
 from evo_cpg.spatial.numerics import xp
+from evo_cpg.system import lend_matplotlib_a_folder
 
 _FLOOR = ("world", "ground", "floor")
 _ARRAYS, _TABLES, _IMAGES = (".npy",), (".csv", ".txt"), (".png", ".jpg", ".jpeg", ".tif", ".tiff")
@@ -137,6 +138,7 @@ def _number(source: Path, where: tuple[str, ...], value: object) -> float:
 
 
 def _image(path: Path, lowest: float, highest: float) -> np.ndarray:
+    lend_matplotlib_a_folder()
     from matplotlib.image import imread
     from PIL import Image
 

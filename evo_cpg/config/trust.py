@@ -11,6 +11,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from evo_cpg.config.errors import ConfigError, Key
+from evo_cpg.system import named, resolved, working_folder
 
 # Says in the environment what `--trust` says on the command line; for clusters and scripts.
 VARIABLE = "EVO_CPG_TRUST"
@@ -62,7 +63,7 @@ def beside(source: Path, name: str, where: Key) -> Path:
     Raises:
         ConfigError: it lies outside of the configuration's folder, and that is not trusted.
     """
-    path = source.parent / name
+    path = source.parent / named(name)
     noted = _noted.get()
     if noted is not None and path not in noted:
         noted.append(path)
@@ -85,8 +86,8 @@ def beside(source: Path, name: str, where: Key) -> Path:
 
 def code_folders(folders: Iterable[Path]) -> list[Path]:
     """In which of some folders a user's own classes are looked for."""
-    here = Path.cwd().resolve()
-    return [folder for folder in folders if is_trusted() or folder.resolve() == here]
+    here = working_folder()
+    return [folder for folder in folders if is_trusted() or (here and resolved(folder) == here)]
 
 
 def distrusted(module: str, folders: Iterable[Path]) -> str:

@@ -1,6 +1,7 @@
 """A file as MuJoCo understands it, and how its elements are called and refused."""
 
 import importlib
+import os
 import re
 import stat
 from pathlib import Path
@@ -13,6 +14,7 @@ import pydantic
 from evo_cpg.config.schema.section import Section
 from evo_cpg.exchange.errors import ExchangeError
 from evo_cpg.exchange.refusals import Lines, Refusal, Refusals, RefusedError, element_lines
+from evo_cpg.installation import command_for
 
 _Section = TypeVar("_Section", bound=Section)
 
@@ -185,11 +187,11 @@ def compile_model(path: Path) -> Compiled:
         mujoco = importlib.import_module("mujoco")
     except ModuleNotFoundError:
         raise ExchangeError(
-            "reading MJCF needs MuJoCo; install it with pip install 'evo-cpg[mujoco]'"
+            f"reading MJCF needs MuJoCo, which `{command_for('mujoco')}` installs"
         ) from None
     _require_mjcf(path)
     try:
-        model = mujoco.MjModel.from_xml_path(str(path))
+        model = mujoco.MjModel.from_xml_path(os.fsencode(path))
         bytes(model.names).decode()
     except UnicodeDecodeError as error:
         # From one end of a name, in the file or in MuJoCo's words, to the other.

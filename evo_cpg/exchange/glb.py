@@ -11,9 +11,10 @@ import struct
 from collections.abc import Mapping
 from typing import Any
 
-import matplotlib.image
 import numpy as np
 from jaxtyping import Float, Int, UInt8
+
+from evo_cpg.system import lend_matplotlib_a_folder
 
 # Codes of the specification: kinds of numbers, and what a stretch of the buffer is for.
 _FLOAT, _UNSIGNED = 5126, 5125
@@ -79,8 +80,11 @@ class Glb:
 
     def texture(self, image: UInt8[np.ndarray, "h w 3"]) -> int:
         """Add a picture ``(height, width, 3)`` of bytes that repeats without end."""
+        lend_matplotlib_a_folder()
+        from matplotlib.image import imsave
+
         png = io.BytesIO()
-        matplotlib.image.imsave(png, np.ascontiguousarray(image), format="png")
+        imsave(png, np.ascontiguousarray(image), format="png")
         view = self._view(png.getvalue())
         source = self._add("images", {"bufferView": view, "mimeType": "image/png"})
         # Linear with mipmaps; both ways repeated.

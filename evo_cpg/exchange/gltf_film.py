@@ -5,8 +5,6 @@ seconds as we do, but has y upwards: one node, ``world``, turns everything below
 the file says of the bodies are the trajectory's own numbers in our axes (z upwards).
 """
 
-from importlib import metadata
-
 import numpy as np
 import pyvista as pv
 from jaxtyping import Float
@@ -14,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from evo_cpg.creature.creature import Creature
 from evo_cpg.exchange.glb import Glb, Node
+from evo_cpg.installation import version_of
 from evo_cpg.physics.footing import Ground
 from evo_cpg.physics.terrain import Part, Plane
 from evo_cpg.simulation.recording import Recording, require_whole
@@ -69,7 +68,7 @@ def gltf_film(
     if surface is not None and not surface_is_seen(creature, clip, ground, surface):
         surface = None
     look, radius = LOOKS[world] if surface is None else SHORE, animal_radius(creature, clip)
-    glb = Glb(f"evo-cpg {metadata.version('evo-cpg')}", title)
+    glb = Glb(f"evo-cpg {version_of('evo-cpg')}", title)
     root = glb.node(_apart(creature, "world"), rotation=list(Z_UP))
     _add_animal(glb, root, creature, recording)
     _add_ground(glb, root, creature, recording, look, radius, ground, surface)

@@ -28,6 +28,7 @@ from evo_cpg.exchange.errors import ExchangeError
 from evo_cpg.exchange.mjcf_export import mjcf_model, mjcf_text
 from evo_cpg.exchange.mujoco_state import dof_order, load_state, motor_order, root_rotation
 from evo_cpg.fusion.engine import using
+from evo_cpg.installation import command_for
 from evo_cpg.physics.fluid import drag
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import State, resting_state
@@ -170,7 +171,7 @@ def second_opinion(
         mujoco = importlib.import_module("mujoco")
     except ModuleNotFoundError:
         raise ExchangeError(
-            "MuJoCo is not installed; pip install 'evo-cpg[mujoco]' does that"
+            f"MuJoCo is not installed here; `{command_for('mujoco')}` installs it"
         ) from None
     world, h = simulation.world, simulation.step_length
     longest = _HARD_STEP if hard else h

@@ -161,7 +161,8 @@ def _wrong(found: machine.Target) -> str:
         test = subprocess.run(
             command,
             capture_output=True,
-            text=True,
+            encoding="utf-8",
+            errors="replace",
             timeout=machine_constants.LONGEST_SELF_TEST,
             env=own,
         )

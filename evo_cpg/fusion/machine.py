@@ -62,7 +62,8 @@ def llvm_version() -> str:
 
 def passed_self_test(target: Target, version: str) -> bool:
     """Whether code for a machine has passed its self-test with a version of JAX."""
-    return _folder is not None and (_folder / _self_test_name(target, version)).exists()
+    # Unlike a path's own method this does not complain of a folder that is another user's.
+    return _folder is not None and os.path.exists(_folder / _self_test_name(target, version))
 
 
 def remember_self_test(target: Target, version: str) -> None:

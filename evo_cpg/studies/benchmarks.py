@@ -8,6 +8,7 @@ from types import ModuleType
 
 import evo_cpg
 from evo_cpg.errors import UserError
+from evo_cpg.installation import command_for
 from evo_cpg.studies.study import Part, Study, Table
 from evo_cpg.studies.workshop import Workshop
 
@@ -36,7 +37,7 @@ def bench_suite() -> ModuleType:
         return importlib.import_module("benchmarks.suite")
     except ModuleNotFoundError as error:
         raise SuiteError(
-            f"the benchmark suite needs {error.name}; install it with pip install 'evo-cpg[test]'"
+            f"the benchmark suite needs {error.name}, which `{command_for('test')}` installs"
         ) from None
 
 

@@ -16,7 +16,6 @@ import shutil
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
-from importlib import metadata
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
@@ -35,6 +34,7 @@ from evo_cpg.config.shipped import shipped
 from evo_cpg.creature.creature import length_of
 from evo_cpg.files import make_folder, write_text
 from evo_cpg.fusion.engine import Engine
+from evo_cpg.installation import version_of
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.studies import provenance
 from evo_cpg.studies.study import Part, Study, Table
@@ -213,7 +213,7 @@ class Workshop:
             measure: how.
         """
         genes = "".join(genes_digest(each.genes) for name in names for each in self.champions(name))
-        program = program_commit() or metadata.version("evo-cpg")
+        program = program_commit() or version_of("evo-cpg")
         made_of = hashlib.sha256(f"{program} {genes}".encode()).hexdigest()
         path = self.folder / "runs" / f"{key}.json"
         try:

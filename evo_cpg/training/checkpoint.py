@@ -141,7 +141,13 @@ def champion_arrays(champion: Champion) -> dict[str, Any]:
 
 
 def read_champion(arrays: Mapping[str, np.ndarray]) -> Champion:
-    """The inverse of `champion_arrays`; a missing array is a KeyError."""
+    """The inverse of `champion_arrays`; a missing array is a KeyError.
+
+    Raises:
+        ValueError: the arrays are of something else.
+    """
+    if arrays["genes"].ndim != 1 or not arrays["genes"].size:
+        raise ValueError("it holds no genome")
     # Absent from files that were written before there were several runs, or second lives.
     names = "run", "index", "lives", "ended_early"
     run, index, lives, ended_early = (int(arrays.get(name, 0)) for name in names)
@@ -195,16 +201,20 @@ def read_checkpoint(arrays: Mapping[str, np.ndarray]) -> Checkpoint:
     Raises:
         ValueError: the arrays are of something else.
     """
-    if arrays["genes"].ndim != 2:
+    if arrays["genes"].ndim != 2 or not arrays["genes"].size:
         raise ValueError("it is no checkpoint")
     columns = _below(arrays, _HISTORY_PREFIX)
     rows = len(columns["generation"]) if columns else 0
+    if any(column.shape != (rows,) or not rows for column in columns.values()):
+        raise ValueError("the columns of its history are empty or not equally long")
     # Absent from files that were written before there were several.
     runs = int(arrays.get("runs", 1))
     records, chosen = (
         tuple(_champion_or_none(_below(arrays, _prefix(kind, run))) for run in range(runs))
         for kind in ("champion", "chosen")
     )
+    if any(one and len(one.genes) != len(arrays["genes"]) for one in (*records, *chosen)):
+        raise ValueError("a champion has another number of genes than the population")
     return Checkpoint(
         arrays["generation"].item(),
         arrays["genes"],

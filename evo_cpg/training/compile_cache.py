@@ -19,6 +19,7 @@ from pathlib import Path
 import jax
 
 from evo_cpg.fusion.machine import keep_code_in
+from evo_cpg.system import home_folder, is_writable, told_by
 
 # The oldest programs go when all take up more than this, bytes. One is 1 to 4 MB.
 _MOST = 1 << 30
@@ -40,12 +41,18 @@ def keep_compiled_programs() -> Path | None:
     if own:
         keep_code_in(Path(own))
         return None
-    home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    folder = Path(home) / "evo_cpg" / "compiled" / _processor()
+    home = home_folder()
+    own = os.environ.get("XDG_CACHE_HOME") or (home and home / ".cache")
+    if not own:
+        return None
+    folder = Path(own) / "evo_cpg" / "compiled" / _processor()
     try:
         folder.mkdir(parents=True, exist_ok=True)
         _prune(folder, _MOST)
     except OSError:
+        return None
+    # Otherwise JAX would warn of each program that it cannot keep.
+    if not is_writable(folder):
         return None
     jax.config.update("jax_compilation_cache_dir", str(folder))
     keep_code_in(folder)
@@ -55,10 +62,8 @@ def keep_compiled_programs() -> Path | None:
 def _processor() -> str:
     """A short name for the kind of processor, the same for all that run the same machine code."""
     kind = [platform.system(), platform.machine(), platform.processor()]
-    cpuinfo = Path("/proc/cpuinfo")
-    if cpuinfo.is_file():
-        lines = cpuinfo.read_text(encoding="utf-8", errors="replace").splitlines()
-        kind += sorted({line for line in lines if line.startswith(("flags", "Features", "model"))})
+    lines = told_by(Path("/proc/cpuinfo")).splitlines()
+    kind += sorted({line for line in lines if line.startswith(("flags", "Features", "model"))})
     return hashlib.sha256("\n".join(kind).encode()).hexdigest()[:16]
 
 

@@ -10,6 +10,7 @@ block only, so neither the time to compile nor the memory of the physics depends
 individuals there are.
 """
 
+import contextlib
 import os
 from collections.abc import Callable
 from typing import Any, NamedTuple, TypeVar
@@ -31,7 +32,8 @@ POPULATION_AXIS = "population"
 
 def available_cores() -> int:
     """How many cores this process may run on."""
-    if hasattr(os, "sched_getaffinity"):
+    # Windows and macOS have no such list, and a sandbox may not tell it.
+    with contextlib.suppress(AttributeError, OSError):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 

@@ -14,6 +14,7 @@ from pathlib import Path
 import jax
 
 from evo_cpg.errors import UserError
+from evo_cpg.system import told_by
 from evo_cpg.training.experiment import Experiment, begin
 
 # Bytes of everything else, and copies of all genomes, and of what a search remembers, at the worst
@@ -53,11 +54,9 @@ def available() -> int | None:
     """Bytes that the machine has, or its container; None where that cannot be known."""
     found = []
     for file in _CONTROL_GROUPS:
-        try:
-            found.append(int(Path(file).read_text()))
-        except (OSError, ValueError):
-            # No such group, or one without a limit.
-            continue
+        # No such group, or one without a limit.
+        with contextlib.suppress(ValueError):
+            found.append(int(told_by(Path(file))))
     with contextlib.suppress(AttributeError, OSError, ValueError):
         found.append(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
     return min(found, default=None)

@@ -17,6 +17,7 @@
     watch.png        the newest champion, by `watch`
     tensorboard/     the columns of metrics.csv for TensorBoard, where these were asked for
     probe.csv, sensitivity.csv, audit.json, and their pictures, what these commands find
+    .lock            names the process that writes here, while it does; see `evo_cpg.locks`
 
 Files are written beside their place and then moved into it, which is atomic. Those that belong
 together gather in a folder of their own first; once that has its name, whoever opens the run next
@@ -25,6 +26,7 @@ plain ``.npz`` files rather than orbax checkpoints: a dozen arrays are written i
 open in NumPy without JAX.
 """
 
+import contextlib
 import csv
 import hashlib
 import io
@@ -35,16 +37,17 @@ import re
 import shutil
 import struct
 import zipfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
 from jaxtyping import Float
 
+from evo_cpg import locks
 from evo_cpg.errors import UserError
 from evo_cpg.files import cannot_write, write_table, write_text, write_whole
-from evo_cpg.simulation.recording import Recording
+from evo_cpg.simulation.recording import Recording, require_shapes
 from evo_cpg.training.checkpoint import (
     Champion,
     Checkpoint,
@@ -131,6 +134,23 @@ class RunFolder:
         """Versions, host and times."""
         return self.path / "meta.json"
 
+    @contextlib.contextmanager
+    def locked(self, new: bool = False) -> Iterator[None]:
+        """Keep other processes from writing here for as long as the block lasts.
+
+        Args:
+            new: whether the run begins here, so that the folder may be missing.
+
+        Raises:
+            LockedError: another process does.
+            OutputError: the folder cannot be written.
+            RunFolderError: there is no run, and none begins.
+        """
+        if not new:
+            self._require_config()
+        with locks.locked(self.path, make=new):
+            yield
+
     def create(
         self,
         config_text: str,
@@ -153,7 +173,12 @@ class RunFolder:
                 raise RunFolderError(f"{self.path} is a file; choose another --out")
             if self.config.exists():
                 raise RunFolderError(f"{self.path} already holds a run; {self._way_on()}")
-            leftover = f".{self.config.name}.", f".{self.start.name}.", self.start.name
+            leftover = (
+                locks.FILE,
+                f".{self.config.name}.",
+                f".{self.start.name}.",
+                self.start.name,
+            )
             if self.path.is_dir() and any(
                 not other.name.startswith(leftover) for other in self.path.iterdir()
             ):
@@ -186,7 +211,15 @@ class RunFolder:
         Raises:
             RunFolderError: there is none.
         """
-        self._move_decided()
+        if locks.holds(self.path):
+            self._move_decided()
+        elif (self.path / _DECIDED).is_dir():
+            # Where another process works here, that puts it in order.
+            with contextlib.suppress(locks.LockedError), locks.locked(self.path):
+                self._move_decided()
+        self._require_config()
+
+    def _require_config(self) -> None:
         if not self.config.is_file():
             raise RunFolderError(f"{self.path} is not a run folder (it has no config.yaml)")
 
@@ -371,7 +404,9 @@ class RunFolder:
                 name: arrays[_RECORDING_PREFIX + name] for name in Recording._fields
             }
             fields["dof_names"] = tuple(str(name) for name in fields["dof_names"])
-            return champion, Recording(**fields), digests
+            recording = Recording(**fields)
+            require_shapes(recording)
+            return champion, recording, digests
         except _DAMAGED as error:
             raise RunFolderError(
                 f"{self.champion} is damaged ({error}); `evo-cpg resume {self.path}` writes it anew"

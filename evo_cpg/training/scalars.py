@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import IO, Any, cast
 
 from evo_cpg.files import cannot_write
+from evo_cpg.installation import command_for
 
 # Name of the folder; in it of each file, of which TensorBoard looks for the first part.
 FOLDER, _FILE = "tensorboard", "events.out.tfevents.evo-cpg"
@@ -135,8 +136,8 @@ def require_writer() -> None:
         import tensorboardX.proto.event_pb2  # noqa: F401
     except ImportError as error:
         raise MissingWriterError(
-            f"'tensorboardX' is not installed here ({error}); `pip install 'evo-cpg[tensorboard]'` "
-            "adds it"
+            f"'tensorboardX' is not installed here ({error}); `{command_for('tensorboard')}` "
+            "installs it"
         ) from None
 
 

@@ -1,5 +1,9 @@
 """Films, plots and previews.
 
-Nothing is imported here: VTK and matplotlib load with the module that needs them (`film`,
-`preview`, `plots`), so that a training run never pays for them.
+VTK and Matplotlib load with the module that needs them (`film`, `preview`, `plots`), so that a
+training run never pays for them.
 """
+
+from evo_cpg.system import lend_matplotlib_a_folder
+
+lend_matplotlib_a_folder()

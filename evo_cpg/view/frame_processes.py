@@ -10,12 +10,12 @@ import os
 import pickle
 import subprocess
 import sys
-import tempfile
 from collections.abc import Iterator, Sequence
 from typing import IO, cast
 
 import numpy as np
 
+from evo_cpg.system import scratch_file
 from evo_cpg.view.frames import Frames, Plan
 
 # To start a process and to set its scene takes as long as so many frames: of the swimmer, on two
@@ -63,7 +63,7 @@ def drawn_frames(plan: Plan, frames: Frames, processes: int) -> Iterator[Iterato
     # What this process can import; the CPU, for heights of the ground need no more.
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "JAX_PLATFORMS": "cpu"}
     with contextlib.ExitStack() as stack:
-        complaints = [stack.enter_context(tempfile.TemporaryFile()) for _ in range(processes)]
+        complaints = [stack.enter_context(scratch_file()) for _ in range(processes)]
         started = [
             stack.enter_context(
                 _ended(

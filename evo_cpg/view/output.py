@@ -14,6 +14,7 @@ import numpy as np
 
 from evo_cpg.errors import UserError
 from evo_cpg.files import OutputError, in_one_piece, require_place
+from evo_cpg.system import scratch_file
 
 # A palette per frame: one for the whole film would make ffmpeg hold all of it in memory.
 _GIF_PALETTE = "split[a][b];[a]palettegen=stats_mode=single[p];[b][p]paletteuse=new=1:dither=bayer"
@@ -195,7 +196,7 @@ def frame_writer(
     command += ["-r", f"{fps:.6f}", "-i", "-", "-vf", filters, *encoder]
     numbered = encoder is _NUMBERED
     whole = folder_in_one_piece(path.parent) if numbered else in_one_piece(path)
-    with whole as partial, tempfile.TemporaryFile() as complaints:
+    with whole as partial, scratch_file() as complaints:
         process = subprocess.Popen(
             # A relative path with a colon would be a protocol to ffmpeg.
             [*command, path.name if numbered else str(partial.absolute())],
@@ -213,7 +214,8 @@ def frame_writer(
             code = process.wait()
         if code != 0 or not (numbered or partial.stat().st_size):
             complaints.seek(0)
-            reason = complaints.read().decode(errors="replace").strip() or f"code {code}"
+            said = complaints.read().decode(errors="replace").split()
+            reason = " ".join(said) or f"code {code}"
             raise OutputError(f"cannot write {path}: ffmpeg says: {reason}")
 
 

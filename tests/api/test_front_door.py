@@ -1,7 +1,9 @@
 """`import evo_cpg as evo`: what it gives is what the commands and the library give."""
 
+import copy
 import csv
 import math
+import pickle
 import re
 import subprocess
 import sys
@@ -81,6 +83,43 @@ def test_fitness_of_a_population_is_that_of_each_alone(experiment, genomes, eval
         + weights.light_weight * evaluation.terms["light"]
     )
     np.testing.assert_allclose(evaluation.fitness, expected, rtol=1e-6)
+
+
+def test_zero_genomes_are_none(experiment):
+    assert experiment.random_genomes(0, 0).shape == (0, experiment.gene_count)
+    assert len(experiment.random_genomes(0)) == experiment.population
+
+
+@pytest.mark.parametrize("copied", [lambda x: pickle.loads(pickle.dumps(x)), copy.deepcopy])
+def test_a_used_experiment_can_be_pickled(experiment, genomes, evaluation, copied):
+    experiment.record(0, genomes[0])
+    again = copied(experiment)
+    assert again.scales == experiment.scales
+    assert not callable(vars(again).get("_run_trials"))
+    found = again.evaluate(0, genomes)
+    np.testing.assert_array_equal(found.fitness, evaluation.fitness)
+    assert again.name == experiment.name and again.config == experiment.config
+
+
+def test_everything_that_it_gives_can_be_pickled(experiment, genomes, evaluation):
+    environment = experiment.environment()
+    state = environment.reset(jax.random.key(0))
+    record, trials = experiment.record(0, genomes[0]), experiment.rollout(0, genomes)
+    given = (evaluation, trials, record, environment, state, experiment.task)
+    again = [pickle.loads(pickle.dumps(each)) for each in given]
+    np.testing.assert_array_equal(again[0].fitness, evaluation.fitness)
+    np.testing.assert_array_equal(again[1].terms["light"], trials.terms["light"])
+    np.testing.assert_array_equal(again[2]["energy"], record["energy"])
+    np.testing.assert_array_equal(again[3].reset(jax.random.key(0)).obs, state.obs)
+    np.testing.assert_array_equal(again[4].obs, state.obs)
+    assert again[5] == experiment.task
+
+
+def test_an_error_can_be_pickled():
+    with pytest.raises(evo.ConfigError, match="nam: unknown key") as refused:
+        evo.load({"nam": "x"})
+    again = pickle.loads(pickle.dumps(refused.value))
+    assert isinstance(again, evo.ConfigError) and str(again) == str(refused.value)
 
 
 def shell(*arguments: object) -> object:

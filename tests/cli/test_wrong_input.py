@@ -372,6 +372,68 @@ def test_validate_reports_every_file_and_fails_if_one_is_wrong(cli, tmp_path):
     assert err.count("\n") == 1
 
 
+BOX = {
+    "name": "box",
+    "creature": {
+        "name": "box",
+        "materials": {"m": {"density": 1000}},
+        "bodies": [{"name": "b", "shape": {"type": "box", "size": [0.1] * 3}, "material": "m"}],
+    },
+    "world": {"water": None, "ground": {}},
+    "controller": {"type": "evo_cpg.control.commanded:Commanded"},
+    "task": {"type": "distance"},
+    "evolution": {"population": 4, "elites": 1, "generations": 2},
+}
+
+
+def test_nothing_to_evolve_is_refused_by_all_that_evolve(cli, tmp_path):
+    path, folder = tmp_path / "box.yaml", tmp_path / "run"
+    path.write_text(yaml.safe_dump(BOX))
+    words = (
+        f"evo-cpg: {path}: controller: Commanded has no genes, so there is nothing to evolve; "
+        "choose a controller that has some, such as {type: brain_cpg}\n"
+    )
+    for command in (
+        ("validate", path),
+        ("train", path, "--out", folder),
+        ("sweep", path, "--grid", "seed=1,2", "--out", folder),
+    ):
+        assert cli(*command) == (2, "", words)
+    assert not folder.exists()
+    folder.mkdir()
+    path.rename(folder / "config.yaml")
+    code, _, err = cli("resume", folder)
+    assert code == 2 and "config.yaml: controller: Commanded has no genes" in err
+    assert [each.name for each in folder.iterdir()] == ["config.yaml"]
+
+
+def test_a_creature_without_genes_is_drawn_and_exported(cli, tmp_path):
+    path = tmp_path / "box.yaml"
+    path.write_text(yaml.safe_dump(BOX))
+    assert cli("export", path, tmp_path / "box.xml")[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("override", "words"),
+    [
+        ("evolution.generations=0", "evolution.generations: 0: input should be greater than"),
+        ("evolution.population=0", "evolution.population: 0: input should be greater than"),
+        ("simulation.steps=0", "simulation.steps: 0: input should be greater than"),
+        ("simulation.trials=0", "simulation.trials: 0: input should be greater than"),
+        ("simulation.trials=[]", "simulation.trials: []: must have at least 1, has 0"),
+        ("runs=0", "runs: 0: input should be greater than"),
+        ("controller.brain.hidden=[0]", "hidden layers need at least one unit each, got (0,)"),
+        ("creature.bodies=[]", "creature.bodies: []: must have at least 1, has 0"),
+        ("creature.bodies.1.joint.axes=[]", "joint.axes: []: must have at least 1, has 0"),
+        ("creature.bodies.0.shape.size=[0, 1, 1]", "shape.size.0: 0: input should be greater"),
+        ("creature.name=''", "creature.name: '': must not be empty"),
+    ],
+)
+def test_zero_of_anything_is_refused(cli, override, words):
+    code, out, err = cli("validate", CONFIG, *TINY, override)
+    assert (code, out) == (2, "") and words in err and err.count("\n") == 1
+
+
 @pytest.mark.slow
 def test_validate_accepts_every_shipped_config(cli):
     paths = sorted((REPOSITORY / "configs").glob("*.yaml"))

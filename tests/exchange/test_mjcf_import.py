@@ -592,5 +592,5 @@ def test_without_mujoco_the_extra_is_named(read, monkeypatch):
         raise ModuleNotFoundError(name=name)
 
     monkeypatch.setattr(importlib, "import_module", missing)
-    with pytest.raises(ExchangeError, match=r"install it with pip install 'evo-cpg\[mujoco\]'"):
+    with pytest.raises(ExchangeError, match=r"needs MuJoCo, which `.*\[mujoco\]'` installs"):
         read(model())

@@ -17,6 +17,19 @@ CHAMPION = Champion(
     np.array([0.25, -1.5], np.float32), -0.5, 1, {"distance": 0.75}, {"energy": 3.0}, 0, 3
 )
 
+RECORDING = Recording(
+    time=np.arange(2) / 60,
+    position=np.ones((2, 1, 3)),
+    rotation=np.ones((2, 1, 3, 3)),
+    joint_angle=np.ones((2, 1)),
+    target_rate=np.ones((2, 1)),
+    cpg_output=np.ones((2, 1)),
+    torque=np.ones((2, 1)),
+    distance=np.ones(2),
+    goal=np.ones(3),
+    dof_names=("tail.z",),
+)
+
 
 def checkpoint(done: int, *champions: Champion | None) -> Checkpoint:
     """The state after so many generations."""
@@ -141,25 +154,13 @@ def test_a_checkpoint_from_before_there_were_several_runs_is_read(folder):
 def test_the_champion_comes_back_with_its_motion_and_digests(folder):
     folder.save_champion(CHAMPION)
     assert folder.load_champion()[1] is None
-    recording = Recording(
-        time=np.arange(2) / 60,
-        position=np.ones((2, 1, 3)),
-        rotation=np.ones((2, 1, 3, 3)),
-        joint_angle=np.ones((2, 1)),
-        target_rate=np.ones((2, 1)),
-        cpg_output=np.ones((2, 1)),
-        torque=np.ones((2, 1)),
-        distance=np.ones(2),
-        goal=np.ones(3),
-        dof_names=("tail.z",),
-    )
-    folder.save_champion(CHAMPION, recording)
+    folder.save_champion(CHAMPION, RECORDING)
     champion, motion, digests = folder.load_champion()
     np.testing.assert_array_equal(champion.genes, CHAMPION.genes)
     assert champion[1:] == CHAMPION[1:]
     assert motion is not None and motion.dof_names == ("tail.z",)
     for name in set(Recording._fields) - {"dof_names"}:
-        np.testing.assert_array_equal(getattr(motion, name), getattr(recording, name))
+        np.testing.assert_array_equal(getattr(motion, name), getattr(RECORDING, name))
     assert digests == {
         "config_sha256": folder.config_digest(),
         "genes_sha256": genes_digest(CHAMPION.genes),
@@ -263,6 +264,70 @@ def test_a_damaged_champion_is_named_with_the_way_out(folder):
             assert "`evo-cpg resume" in str(error) and "\n" not in str(error)
         else:
             assert champion[1:] == CHAMPION[1:]
+
+
+def emptied(path, name):
+    """Write a file anew with one of its arrays empty."""
+    with np.load(path) as arrays:
+        told = dict(arrays)
+    told[name] = np.zeros((0,) * max(1, told[name].ndim), told[name].dtype)
+    np.savez(path, **told)
+
+
+def test_an_empty_array_damages_a_checkpoint(folder):
+    folder.save(checkpoint(2))
+    (path,) = (folder.path / "checkpoints").iterdir()
+    whole = path.read_bytes()
+    with np.load(path) as arrays:
+        names = [name for name in arrays if name == "genes" or name.startswith("history.")]
+    assert len(names) > 2
+    history = "the columns of its history are empty or not equally long"
+    words = dict.fromkeys(names, history)
+    words |= {"genes": "it is no checkpoint", "champion.genes": "it holds no genome"}
+    for name, problem in words.items():
+        path.write_bytes(whole)
+        emptied(path, name)
+        with pytest.raises(RunFolderError, match=rf"no checkpoint can be read \(.*: {problem}"):
+            folder.load()
+
+
+def test_a_champion_with_other_genes_damages_a_checkpoint(folder):
+    folder.save(checkpoint(2, CHAMPION._replace(genes=np.ones(3, np.float32))))
+    words = "a champion has another number of genes than the population"
+    with pytest.raises(RunFolderError, match=words):
+        folder.load()
+
+
+def test_a_history_without_rows_damages_a_checkpoint(folder):
+    folder.save(checkpoint(2))
+    (path,) = (folder.path / "checkpoints").iterdir()
+    for name in ("generation", "best", "diverged"):
+        emptied(path, f"history.{name}")
+    with pytest.raises(RunFolderError, match="columns of its history are empty"):
+        folder.load()
+
+
+def test_the_lock_of_a_killed_process_is_no_file_of_anybodys(tmp_path):
+    (tmp_path / ".lock").write_text("{}")
+    made = RunFolder(tmp_path)
+    with made.locked(new=True):
+        made.create("name: a\n", {})
+    assert files(made) == {"config.yaml", "meta.json"}
+    other = RunFolder(tmp_path / "other")
+    with pytest.raises(RunFolderError, match="is not a run folder"), other.locked():
+        pass
+
+
+def test_an_empty_array_damages_a_champion(folder):
+    folder.save_champion(CHAMPION, RECORDING)
+    whole = folder.champion.read_bytes()
+    assert folder.load_champion()[1] is not None
+    for name in ("genes", *(f"recording.{field}" for field in Recording._fields)):
+        folder.champion.write_bytes(whole)
+        emptied(folder.champion, name)
+        words = "it holds no genome" if name == "genes" else "its [a-z_]+ has the shape"
+        with pytest.raises(RunFolderError, match=rf"champion\.npz is damaged \({words}"):
+            folder.load_champion()
 
 
 def test_a_file_of_another_kind_in_its_place_is_damaged(folder):

@@ -116,5 +116,5 @@ def test_a_folder_that_cannot_be_written_is_named(tmp_path):
 
 def test_a_missing_package_is_named_with_its_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "tensorboardX.proto.event_pb2", None)
-    with pytest.raises(MissingWriterError, match=r"pip install 'evo-cpg\[tensorboard\]'"):
+    with pytest.raises(MissingWriterError, match=r"-m pip install .*\[tensorboard\]'` installs it"):
         require_writer()

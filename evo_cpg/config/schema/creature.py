@@ -36,7 +36,7 @@ def _require_printed(name: str) -> str:
     return name
 
 
-BodyName = Annotated[
+PrintedName = Annotated[
     str,
     AfterValidator(_require_printed),
     Field(json_schema_extra={"pattern": f"^{_PRINTED}+$"}),
@@ -82,7 +82,7 @@ class BodyConfig(Section):
         color: in pictures, ``"#rrggbb"``.
     """
 
-    name: BodyName
+    name: PrintedName
     shape: ShapeConfig
     material: str
     joint: JointConfig | None = None
@@ -178,7 +178,7 @@ class CreatureConfig(Section):
             differs from the rule; if left out, they are where there is ground.
     """
 
-    name: str
+    name: PrintedName
     materials: dict[str, MaterialConfig]
     bodies: Annotated[list[BodyConfig], Field(min_length=1)]
     light_sensors: list[LightSensorConfig] = Field(default_factory=list)

@@ -1,0 +1,63 @@
+"""How this program and the packages beside it are installed."""
+
+import json
+import os
+import shlex
+import sys
+from importlib import metadata
+from pathlib import Path
+from urllib.parse import urlsplit
+from urllib.request import url2pathname
+
+from evo_cpg.system import working_folder
+
+_NAME = "evo-cpg"
+
+
+def version_of(package: str) -> str:
+    """Return the version of a package; "unknown" where it was installed without saying so."""
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return "unknown"
+
+
+def command_for(extra: str) -> str:
+    """Return the command that adds an extra, and leaves the program installed as it is.
+
+    Args:
+        extra: its name in ``pyproject.toml``, such as ``mujoco``.
+    """
+    pip = f"{_quoted(_shown(sys.executable or 'python'))} -m pip install"
+    checkout = _editable()
+    if checkout is None:
+        return f"{pip} {_quoted(f'{_NAME}[{extra}]')}"
+    constraints = os.path.join(checkout, "constraints.txt")
+    if os.path.isfile(constraints):
+        pip += f" -c {_quoted(_shown(constraints))}"
+    return f"{pip} -e {_quoted(f'{_shown(checkout)}[{extra}]')}"
+
+
+def _editable() -> str | None:
+    """The folder that an editable installation imports from; None for another installation."""
+    try:
+        text = metadata.distribution(_NAME).read_text("direct_url.json") or ""
+        told = json.loads(text)
+        if told["dir_info"]["editable"]:
+            return url2pathname(urlsplit(told["url"]).path)
+    except (KeyError, OSError, TypeError, ValueError, metadata.PackageNotFoundError):
+        pass
+    return None
+
+
+def _quoted(word: str) -> str:
+    """A word as the shell of this system takes it."""
+    return f'"{word}"' if os.name == "nt" else shlex.quote(word)
+
+
+def _shown(path: str) -> str:
+    """A path as short as it can be written in the working folder."""
+    here = working_folder()
+    if here is None or not Path(path).is_relative_to(here):
+        return path
+    return str(Path(path).relative_to(here))

@@ -1,0 +1,233 @@
+"""Locks on folders: one process at a time changes what a folder holds.
+
+The lock belongs to an open file, so the system releases it when its process ends, even when that is
+killed. The file, ``.lock``, names its holder for others. It goes when the lock is released. A file
+that a killed process left behind locks nothing.
+
+File systems without locks keep nobody off.
+"""
+
+import contextlib
+import json
+import os
+import platform
+import shlex
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from evo_cpg.errors import UserError
+from evo_cpg.files import OutputError, cannot_write, make_folder
+
+FILE = ".lock"
+"""Name of the file, in the folder that it locks."""
+
+# Of a command line that a message shows, characters.
+_LONGEST = 120
+# Of the file, bytes.
+_MOST = 1 << 14
+
+# Folders that this process has locked, by their real paths.
+_held: set[str] = set()
+
+
+class LockedError(UserError):
+    """Another process works on a folder; the message names the process."""
+
+
+class Lock:
+    """A lock that this process holds.
+
+    Args:
+        descriptor: of the open file.
+    """
+
+    def __init__(self, descriptor: int):
+        self._descriptor = descriptor
+
+    def share(self) -> None:
+        """Let others `join`. The folder stays locked until the last of them has ended."""
+        _lock_shared(self._descriptor)
+
+
+@contextlib.contextmanager
+def locked(folder: Path, make: bool = False) -> Iterator[Lock]:
+    """Keep other processes off a folder for as long as the block lasts.
+
+    Args:
+        folder: to lock.
+        make: make the folder where it is missing; it goes again if nothing is written into it.
+
+    Raises:
+        LockedError: another process holds the lock.
+        OutputError: the folder cannot be written.
+    """
+    with contextlib.ExitStack() as stack:
+        if make:
+            stack.enter_context(_made(folder))
+        descriptor = stack.enter_context(_taken(folder))
+        _name_holder(descriptor)
+        name = os.path.realpath(folder)
+        _held.add(name)
+        stack.callback(_held.discard, name)
+        yield Lock(descriptor)
+
+
+@contextlib.contextmanager
+def joined(folder: Path) -> Iterator[None]:
+    """Hold the lock of a folder together with the process that shares it.
+
+    Args:
+        folder: locked by a process that called `Lock.share`.
+
+    Raises:
+        OutputError: the folder cannot be written.
+    """
+    with _taken(folder, shared=True):
+        yield
+
+
+def holds(folder: Path) -> bool:
+    """Return whether this process has locked a folder."""
+    return os.path.realpath(folder) in _held
+
+
+@contextlib.contextmanager
+def _made(folder: Path) -> Iterator[None]:
+    # Unlike a path's own methods these do not complain of names that no folder can have.
+    if os.path.exists(folder) and not os.path.isdir(folder):
+        raise OutputError(f"{folder} is a file; choose another --out")
+    missing = [each for each in (folder, *folder.parents) if not os.path.exists(each)]
+    make_folder(folder)
+    try:
+        yield
+    finally:
+        with contextlib.suppress(OSError):
+            for each in missing:
+                each.rmdir()
+
+
+@contextlib.contextmanager
+def _taken(folder: Path, shared: bool = False) -> Iterator[int]:
+    """Open the file and lock it."""
+    path = folder / FILE
+    while True:
+        descriptor = _open(path)
+        if shared:
+            _lock_shared(descriptor)
+        elif not _lock_alone(descriptor):
+            holder = _holder(descriptor)
+            os.close(descriptor)
+            raise LockedError(
+                f"{folder} is in use by {holder}; wait until that has ended, or end it"
+            )
+        # Whoever held the lock before may have deleted the file meanwhile.
+        if _is_file(descriptor, path):
+            break
+        os.close(descriptor)
+    try:
+        yield descriptor
+    finally:
+        _release(descriptor, path)
+
+
+def _open(path: Path) -> int:
+    try:
+        return os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+    except OSError as error:
+        # Another user's, which can be locked nevertheless.
+        with contextlib.suppress(OSError):
+            return os.open(path, os.O_RDONLY)
+        raise cannot_write(path.parent, error) from None
+
+
+def _is_file(descriptor: int, path: Path) -> bool:
+    try:
+        return os.path.samestat(os.fstat(descriptor), os.stat(path))
+    except FileNotFoundError:
+        return False
+
+
+def _name_holder(descriptor: int) -> None:
+    command = [Path(sys.argv[0]).name if sys.argv else "", *sys.argv[1:]]
+    if command[0] == "__main__.py":
+        command[0] = "evo-cpg"
+    told = {
+        "process": os.getpid(),
+        "host": platform.node(),
+        "command": shlex.join(command)[:_LONGEST],
+        "since": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
+    }
+    # On a full disk the lock holds all the same.
+    with contextlib.suppress(OSError):
+        os.ftruncate(descriptor, 0)
+        os.lseek(descriptor, 0, os.SEEK_SET)
+        os.write(descriptor, json.dumps(told).encode())
+
+
+def _holder(descriptor: int) -> str:
+    """Who holds a lock, in words."""
+    try:
+        os.lseek(descriptor, 0, os.SEEK_SET)
+        told = json.loads(os.read(descriptor, _MOST))
+        words = (
+            f"process {int(told['process'])} on {told['host']} (`{told['command']}`, since "
+            f"{told['since']})"
+        )
+    except (KeyError, OSError, RecursionError, TypeError, ValueError):
+        return "another process"
+    # Others can write the file: it stays one line of moderate length.
+    return "".join(each if each.isprintable() else "?" for each in words[: 3 * _LONGEST])
+
+
+if sys.platform == "win32":
+    import msvcrt
+
+    # Nobody can read a byte that is locked, so it lies beyond the text.
+    _PLACE = 1 << 20
+
+    def _lock_alone(descriptor: int) -> bool:
+        """Lock a file; return False where another process has."""
+        os.lseek(descriptor, _PLACE, os.SEEK_SET)
+        try:
+            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+        except PermissionError:
+            return False
+        except OSError:
+            return True
+        return True
+
+    def _lock_shared(descriptor: int) -> None:
+        """Do nothing: Windows shares no locks, and there are no jobs that would share one."""
+
+    def _release(descriptor: int, path: Path) -> None:
+        # Windows deletes no file that anybody has open.
+        os.close(descriptor)
+        with contextlib.suppress(OSError):
+            path.unlink()
+
+else:
+    import fcntl
+
+    def _lock_alone(descriptor: int) -> bool:
+        """Lock a file; return False where another process has."""
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return False
+        except OSError:
+            # The file system knows no locks.
+            return True
+        return True
+
+    def _lock_shared(descriptor: int) -> None:
+        with contextlib.suppress(OSError):
+            fcntl.flock(descriptor, fcntl.LOCK_SH)
+
+    def _release(descriptor: int, path: Path) -> None:
+        # The last one deletes the file, while nobody else can lock it.
+        if _lock_alone(descriptor):
+            with contextlib.suppress(OSError):
+                path.unlink()
+        os.close(descriptor)

@@ -1,0 +1,125 @@
+"""While a process writes into a run folder, other commands leave the folder as it is."""
+
+import os
+import shutil
+
+import pytest
+
+import evo_cpg as evo
+from evo_cpg.api.sweep import claim, new_plan
+from evo_cpg.cli.jobs import claimed
+from evo_cpg.config.settings import Setting
+from evo_cpg.locks import LockedError, locked
+from evo_cpg.training.run_folder import RunFolder
+from tiny_run import CONFIG, PAIR, TINY
+
+
+def contents(folder):
+    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.fixture
+def run(finished_run, tmp_path):
+    return shutil.copytree(finished_run, tmp_path / "run")
+
+
+@pytest.mark.parametrize(
+    ("command", "way_out"),
+    [
+        (("resume", "--generations", 90), ""),
+        (("refine", "--rounds", 1), ""),
+        (("render",), "--output"),
+        (("plot",), "--output"),
+        (("analyse",), "--out"),
+        (("probe",), "--out"),
+        (("sensitivity",), "--out"),
+        (("audit",), ""),
+    ],
+)
+def test_a_command_that_writes_is_refused(cli, run, command, way_out):
+    with RunFolder(run).locked():
+        before = contents(run)
+        code, out, err = cli(command[0], run, *command[1:])
+        assert contents(run) == before
+    assert (code, out) == (2, "")
+    assert err.startswith(f"evo-cpg: {run} is in use by process {os.getpid()} on ")
+    end = f", or write elsewhere with {way_out}\n" if way_out else ", or end it\n"
+    assert err.endswith(end) and err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    "command", [("resume", "--distributed", "--local", 2), ("render", "-o", "{run}/videos/x.mp4")]
+)
+def test_options_do_not_open_a_locked_run(cli, run, command):
+    given = [str(word).format(run=run) for word in command[1:]]
+    with RunFolder(run).locked():
+        code, _, err = cli(command[0], run, *given)
+    assert code == 2 and f"{run} is in use by process" in err
+
+
+def test_a_command_that_only_reads_is_not_kept_off(cli, run, tmp_path):
+    with RunFolder(run).locked():
+        before = contents(run)
+        assert cli("watch", run, "--once", "--no-picture")[0] == 0
+        assert cli("export", run, tmp_path / "model.xml")[0] == 0
+        assert cli("analyse", run, "--out", tmp_path / "x.html", "--trial", 7)[2].startswith(
+            "evo-cpg: --trial: an individual of"
+        )
+        assert contents(run) == before
+
+
+def test_a_new_run_is_refused_where_one_begins(cli, tmp_path):
+    folder = tmp_path / "run"
+    with RunFolder(folder).locked(new=True):
+        code, _, err = cli("train", CONFIG, *PAIR, "--out", folder)
+        assert code == 2 and f"{folder} is in use by process {os.getpid()} on " in err
+        with pytest.raises(LockedError, match="is in use by process"):
+            evo.train(evo.load(CONFIG, TINY), folder)
+        assert [path.name for path in folder.iterdir()] == [".lock"]
+
+
+def test_what_was_interrupted_is_left_to_who_works_there(run):
+    decided = run / ".decided"
+    decided.mkdir()
+    (decided / "config.yaml").write_text("name: new\n")
+    with locked(run):
+        RunFolder(run).require()
+        assert not decided.exists() and (run / "config.yaml").read_text() == "name: new\n"
+
+
+def test_what_another_process_has_decided_stays(run, monkeypatch):
+    (run / ".decided").mkdir()
+    (run / ".decided" / "config.yaml").write_text("name: new\n")
+    monkeypatch.setattr("evo_cpg.locks.holds", lambda folder: False)
+    with locked(run):
+        before = contents(run)
+        RunFolder(run).require()
+        assert contents(run) == before
+    RunFolder(run).require()
+    assert not (run / ".decided").exists()
+
+
+def test_a_sweep_is_refused_while_another_is_at_work(cli, tmp_path):
+    folder = tmp_path / "sweep"
+    words = (CONFIG, *PAIR, "--grid", "seed=1,2", "--out", folder)
+    with claimed(folder, None):
+        code, _, err = cli("sweep", *words)
+        assert code == 2 and f"{folder} is in use by process {os.getpid()} on " in err
+        assert [path.name for path in folder.iterdir()] == [".lock"]
+
+
+def test_a_sweep_leaves_a_setting_that_is_resumed(cli, tmp_path):
+    folder = tmp_path / "sweep"
+    settings = [Setting(f"seed={seed}", {"seed": seed}) for seed in (1, 2)]
+    claim(folder, new_plan(CONFIG, PAIR, settings))
+    with RunFolder(folder / "seed=1").locked(new=True):
+        code, _, err = cli("sweep", folder)
+        assert code == 2 and f"{folder / 'seed=1'} is in use by process" in err
+        assert {path.name for path in folder.rglob("*")} == {"sweep.json", "seed=1", ".lock"}
+
+
+def test_a_study_is_refused_while_another_command_makes_it(cli, tmp_path):
+    with locked(tmp_path):
+        code, _, err = cli("reproduce", "starfish", "--quick", "--out", tmp_path)
+        assert code == 2 and f"{tmp_path} is in use by process" in err
+        assert [path.name for path in tmp_path.iterdir()] == [".lock"]

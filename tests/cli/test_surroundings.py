@@ -1,0 +1,425 @@
+"""Surroundings that lack something: no home, no locale, no permission, nowhere to print.
+
+Most are made in this process. Those that only a new process has are tried with quick commands.
+"""
+
+import contextlib
+import errno
+import io
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import jax
+import pytest
+import yaml
+
+from evo_cpg import system
+from evo_cpg.api.version import version
+from evo_cpg.cli import streams, watch
+from evo_cpg.cli.errors import UsageError, told
+from evo_cpg.cli.main import program
+from evo_cpg.files import OutputError, write_text
+from evo_cpg.training.devices import available_cores
+from evo_cpg.training.run_folder import RunFolder
+from tiny_run import CONFIG, PAIR, REPOSITORY, environment
+
+FULL = Path("/dev/full")
+needs_full = pytest.mark.skipif(not FULL.exists(), reason="no /dev/full on this system")
+posix = pytest.mark.skipif(sys.platform == "win32", reason="of POSIX systems")
+
+ASCII = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+SMALL = (*PAIR, "evolution.generations=2")
+
+# Another user, whom no file of the system knows. This user may read everything, since the
+# interpreter may lie in a folder of root's, but writes only where anybody may.
+STRANGER = (
+    *("setpriv", "--reuid=54321", "--regid=54321", "--clear-groups"),
+    *("--inh-caps=-all,+dac_read_search", "--ambient-caps=+dac_read_search"),
+)
+
+
+@pytest.fixture(scope="module")
+def stranger():
+    """Begin of a command line that another user runs."""
+    if not hasattr(os, "geteuid") or os.geteuid() != 0:
+        pytest.skip("only root can become another user")
+    if shutil.which("setpriv") is None:
+        pytest.skip("there is no setpriv")
+    if subprocess.run([*STRANGER, "true"], capture_output=True).returncode:
+        pytest.skip("this root may not become another user")
+    return STRANGER
+
+
+@contextlib.contextmanager
+def deleted_working_folder():
+    before, folder = Path.cwd(), Path(tempfile.mkdtemp())
+    os.chdir(folder)
+    folder.rmdir()
+    try:
+        yield
+    finally:
+        os.chdir(before)
+
+
+def run(*arguments, prefix=(), compiled=None, without=(), **changed):
+    """`evo-cpg` as a process: exit code, output, complaints."""
+    own = (environment(compiled) if compiled else os.environ) | {"PYTHONPATH": str(REPOSITORY)}
+    own = {name: value for name, value in (own | changed).items() if name not in without}
+    command = [*prefix, sys.executable, "-m", "evo_cpg", *map(str, arguments)]
+    done = subprocess.run(command, env=own, capture_output=True)
+    return done.returncode, done.stdout.decode("utf-8", "replace"), done.stderr.decode()
+
+
+def python(code, **changed):
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env=os.environ | {"PYTHONPATH": str(REPOSITORY)} | changed,
+        capture_output=True,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+# No home
+
+
+@pytest.fixture
+def homeless(monkeypatch):
+    monkeypatch.delenv("HOME", raising=False)
+    monkeypatch.delenv("MPLCONFIGDIR", raising=False)
+
+    def unknown(number):
+        raise KeyError(f"getpwuid(): uid not found: {number}")
+
+    monkeypatch.setattr("pwd.getpwuid", unknown)
+
+
+@posix
+def test_without_a_home_matplotlib_gets_a_folder(homeless):
+    assert system.home_folder() is None
+    system.lend_matplotlib_a_folder()
+    assert system.is_writable(Path(os.environ["MPLCONFIGDIR"]))
+
+
+def test_who_has_a_home_keeps_matplotlib_there(monkeypatch, tmp_path):
+    monkeypatch.delenv("MPLCONFIGDIR", raising=False)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setenv("USERPROFILE", str(tmp_path))
+    system.lend_matplotlib_a_folder()
+    assert "MPLCONFIGDIR" not in os.environ
+
+
+def test_another_user_without_a_home_gets_by(stranger):
+    missing = ("HOME", "XDG_CACHE_HOME")
+    code, out, err = run("validate", "starfish", prefix=stranger, without=missing)
+    assert (code, err) == (0, "") and " genes\n" in out
+    assert run("--version", prefix=stranger, without=missing)[::2] == (0, "")
+
+
+@pytest.mark.slow
+def test_another_user_without_a_home_trains(stranger, compiled):
+    with tempfile.TemporaryDirectory() as place:
+        os.chmod(place, 0o777)
+        folder = Path(place) / "run"
+        words = ("train", CONFIG, *SMALL, "--out", folder)
+        missing = ("HOME", "XDG_CACHE_HOME", "JAX_COMPILATION_CACHE_DIR")
+        code, out, err = run(*words, prefix=stranger, compiled=compiled, without=missing)
+        assert (code, out) == (0, f"{folder}\n"), err
+        code, _, err = run("plot", folder, prefix=stranger, compiled=compiled, without=missing)
+        assert code == 0 and "Traceback" not in err
+
+
+# No permission
+
+
+def test_what_another_user_may_not_write_is_one_line(stranger, finished_run):
+    with tempfile.TemporaryDirectory() as place:
+        # Everybody may look into it.
+        os.chmod(place, 0o755)
+        folder = shutil.copytree(finished_run, Path(place) / "run")
+        code, out, err = run("resume", folder, prefix=stranger)
+        assert (code, out) == (2, "")
+        assert err == f"evo-cpg: cannot write {folder} (Permission denied)\n"
+        code, out, err = run("train", CONFIG, *PAIR, "--out", f"{place}/new", prefix=stranger)
+        assert (code, out) == (2, "")
+        assert err.endswith(f"evo-cpg: cannot write {place}/new (Permission denied)\n")
+
+
+def test_who_may_not_write_looks_on_without_a_picture(cli, finished_run, monkeypatch):
+    def refuse(self, champion, now):
+        raise OutputError("cannot write watch.png (Permission denied)")
+
+    monkeypatch.setattr(watch, "give_way", lambda: None)
+    monkeypatch.setattr(watch._Pictures, "_make", refuse)
+    code, out, err = cli("watch", finished_run, "--once")
+    assert code == 0 and out.count(" generations  champion") == 30
+    assert err == "evo-cpg: warning: no picture: cannot write watch.png (Permission denied)\n"
+
+
+def test_without_temporary_files_complaints_go_nowhere(monkeypatch):
+    def none(*args, **options):
+        raise FileNotFoundError(errno.ENOENT, "No usable temporary directory found in ['/tmp']")
+
+    monkeypatch.setattr(tempfile, "TemporaryFile", none)
+    with system.scratch_file() as file:
+        file.write(b"lost")
+        file.seek(0)
+        assert file.read() == b""
+
+
+def test_a_sandbox_that_hides_the_cores_has_some(monkeypatch):
+    def refused(number):
+        raise PermissionError(errno.EPERM, "Operation not permitted")
+
+    monkeypatch.setattr(os, "sched_getaffinity", refused, raising=False)
+    assert available_cores() == os.cpu_count()
+
+
+# No working folder
+
+
+@posix
+def test_without_a_working_folder_full_paths_work(cli, finished_run, tmp_path):
+    folder = tmp_path / "run"
+    with deleted_working_folder():
+        assert system.working_folder() is None
+        assert system.resolved(Path("x")) == Path("x")
+        code, out, err = cli("validate", CONFIG, "starfish")
+        assert code == 0 and out.count(" genes\n") == 2, err
+        assert cli("configs")[0] == 0
+        code, out, err = cli("train", CONFIG, *SMALL, "--out", folder)
+        assert (code, out) == (0, f"{folder}\n"), err
+        assert cli("resume", folder, "--generations", 3)[0] == 0
+        assert cli("watch", folder, "--once", "--no-picture")[0] == 0
+        assert cli("export", folder, tmp_path / "model.xml")[0] == 0
+
+
+@posix
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (("validate", "x.yaml"), "x.yaml: no such file"),
+        (("train", CONFIG, *SMALL), "cannot write runs/iwadate2010_swimmer (No such file"),
+        (("resume", "run"), "run is not a run folder"),
+        (("preview", CONFIG, *SMALL), "cannot write swimmer10.png"),
+        (("configs", "copy", "starfish"), "cannot be written (No such file"),
+        (("sweep", CONFIG, *SMALL, "--grid", "seed=1,2"), "cannot write runs/iwadate2010_swimmer_"),
+    ],
+)
+def test_without_a_working_folder_other_paths_are_refused(cli, words, expected):
+    with deleted_working_folder():
+        code, out, err = cli(*words)
+    assert (code, out) == (2, "") and err.count("\n") == 1
+    assert err.startswith("evo-cpg: ") and expected in err
+
+
+# No UTF-8
+
+
+@posix
+def test_names_are_utf8_whatever_the_locale():
+    code = """
+import os, sys
+from evo_cpg.system import as_utf8, name_of, named
+assert sys.getfilesystemencoding() == "ascii", sys.getfilesystemencoding()
+path = named("gr\\u00f6\\u00dfe")
+assert os.fsencode(path) == "gr\\u00f6\\u00dfe".encode()
+assert name_of(path) == "gr\\u00f6\\u00dfe"
+assert as_utf8("name=\\udcc3\\udca9") == "name=\\u00e9"
+"""
+    python(code, **ASCII)
+
+
+def test_names_that_are_no_utf8_stay_as_they_are(tmp_path):
+    assert system.as_utf8("größe") == "größe"
+    assert system.name_of(system.named("größe·鮫")) == "größe·鮫"
+    assert system.name_of(system.named("bad\udcff")) == "bad\udcff"
+    # No file has this name.
+    assert system.named("\ud800") == Path("\ud800")
+    write_text(tmp_path / "table.csv", "bad\udcff,größe")
+    assert (tmp_path / "table.csv").read_bytes() == b"bad\xff," + "größe".encode()
+
+
+@posix
+def test_without_utf8_commands_read_and_name_files(tmp_path):
+    path = tmp_path / "größe·鮫.yaml"
+    path.write_text(CONFIG.read_text().replace("creatures/", f"{CONFIG.parent}/creatures/"))
+    code, out, err = run("validate", path, **ASCII)
+    assert (code, err) == (0, "")
+    assert out.startswith(f"{path}: 10 bodies")
+    code, out, err = run("validate", path, PYTHONIOENCODING="ascii", PYTHONUTF8="1")
+    assert (code, err) == (0, "")
+    assert out.startswith(f"{tmp_path}/gr\\xf6\\xdfe\\xb7\\u9bab.yaml: 10 bodies")
+    code, out, err = run("configs", **ASCII)
+    assert (code, err) == (0, "") and out.isascii()
+
+
+@pytest.mark.slow
+@posix
+def test_without_utf8_a_run_goes_through(compiled, tmp_path):
+    given = {"compiled": compiled, **ASCII}
+    folder = tmp_path / "größe"
+    assert run("train", CONFIG, *SMALL, "name=é·鮫", "--out", folder, **given)[0] == 0
+    config = yaml.safe_load((folder / "config.yaml").read_text(encoding="utf-8"))
+    assert config["name"] == "é·鮫"
+    for words in (("resume", folder, "--generations", 3), ("plot", folder), ("verify", folder)):
+        code, _, err = run(*words, **given)
+        assert code == 0, err
+
+
+def test_a_setting_that_is_no_utf8_is_refused(cli):
+    code, _, err = cli("validate", CONFIG, "name=\udcff")
+    assert code == 2
+    assert err == "evo-cpg: command line: name: '\\udcff' is not UTF-8 text\n"
+
+
+# Nowhere to print
+
+
+@needs_full
+@pytest.mark.parametrize("which", ["out", "err", "both"])
+def test_training_finishes_where_nothing_can_be_printed(which, tmp_path, finished_run):
+    folder = tmp_path / "run"
+    with open(FULL, "wb", buffering=0) as full, pytest.MonkeyPatch.context() as patch:
+        # The devices that this process has.
+        for module in ("champions", "training"):
+            patch.setattr(f"evo_cpg.cli.{module}.use_cores", lambda count=None: 2)
+        patch.setattr(streams, "protect", lambda: None)
+        patch.setattr(sys, "argv", ["evo-cpg", "train", str(CONFIG), *SMALL, "--out", str(folder)])
+        lost, kept = streams.opened(full.fileno(), None), io.StringIO()
+        patch.setattr(sys, "stdout", kept if which == "err" else lost)
+        patch.setattr(sys, "stderr", kept if which == "out" else lost)
+        with pytest.raises(SystemExit) as stop:
+            program()
+    assert stop.value.code == 0
+    assert RunFolder(folder).newest == 2 and RunFolder(folder).load_champion()[1] is not None
+    if which == "out":
+        words = "evo-cpg: cannot write to standard output (No space left on device)\n"
+        assert kept.getvalue().endswith(words)
+
+
+@needs_full
+def test_a_command_whose_answer_is_lost_fails():
+    with open(FULL, "wb") as full:
+        words = [sys.executable, "-m", "evo_cpg", "configs"]
+        done = subprocess.run(words, stdout=full, stderr=subprocess.PIPE, check=False)
+    assert done.returncode == 2
+    words = b"evo-cpg: cannot write to standard output (No space left on device)\n"
+    assert done.stderr == words
+
+
+@posix
+def test_who_stops_reading_is_no_fault():
+    reading, writing = os.pipe()
+    os.close(reading)
+    words = [sys.executable, "-m", "evo_cpg", "configs"]
+    done = subprocess.run(words, stdout=writing, stderr=subprocess.PIPE, check=False)
+    os.close(writing)
+    assert (done.returncode, done.stderr) == (0, b"")
+
+
+@posix
+def test_a_watcher_whom_nobody_reads_ends():
+    reading, writing = os.pipe()
+    stream = streams.opened(writing, None)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "stdout", stream)
+        print("line")
+        assert streams.is_read()
+        os.close(reading)
+        print("line")
+        assert not streams.is_read() and streams.output_error() is None
+    os.close(writing)
+
+
+@posix
+def test_no_file_takes_the_number_of_a_closed_stream(tmp_path):
+    code = f"""
+import os, sys
+for number in (0, 1, 2):
+    os.close(number)
+from evo_cpg.cli import streams
+streams.protect()
+with open({str(tmp_path / "file")!r}, "w") as file:
+    assert file.fileno() > 2
+    print("lost")
+    os.write(1, b"lost, too")
+    file.write(str([os.get_inheritable(number) for number in (0, 1, 2)]))
+"""
+    python(code)
+    assert (tmp_path / "file").read_text() == "[True, True, True]"
+
+
+@posix
+def test_a_stream_keeps_its_encoding_and_escapes_the_rest():
+    reading, writing = os.pipe()
+    like = io.TextIOWrapper(io.BytesIO(), encoding="ascii", line_buffering=True)
+    with streams.opened(writing, like) as stream:
+        print("größe·鮫 \udcff", file=stream)
+        assert os.read(reading, 100) == b"gr\\xf6\\xdfe\\xb7\\u9bab \xff\n"
+    os.close(reading)
+    os.close(writing)
+    with pytest.raises(UnicodeDecodeError):
+        b"\xff".decode("utf-8", "evo_cpg.escape")
+
+
+# No device
+
+
+def test_a_platform_that_is_absent_is_one_line(monkeypatch):
+    def none():
+        raise RuntimeError("Unable to initialize backend 'cuda'")
+
+    monkeypatch.setattr(jax, "devices", none)
+    monkeypatch.setenv("JAX_PLATFORMS", "cuda")
+    expected = (
+        "JAX finds no device to compute on (JAX_PLATFORMS is 'cuda'); set JAX_PLATFORMS to 'cpu', "
+        "or unset it"
+    )
+    assert told(AssertionError()) == expected
+    assert told(RuntimeError("Unable to initialize backend 'cuda'")) == expected
+
+
+def test_version_is_told_without_a_device(monkeypatch):
+    def none(engine):
+        raise AssertionError
+
+    monkeypatch.setattr("evo_cpg.fusion.engine.described", none)
+    monkeypatch.setenv("JAX_PLATFORMS", "tpu")
+    assert version().endswith("engine: none: JAX finds no device for JAX_PLATFORMS=tpu")
+
+
+def test_training_without_a_device_writes_nothing(tmp_path):
+    folder = tmp_path / "run"
+    code, out, err = run("train", CONFIG, *SMALL, "--out", folder, JAX_PLATFORMS="nonsense")
+    assert (code, out) == (2, "") and err.count("\n") == 1
+    assert "(JAX_PLATFORMS is 'nonsense'); set JAX_PLATFORMS to 'cpu'" in err
+    assert not folder.exists()
+
+
+# In words
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (UsageError("x\ny"), "x\ny"),
+        (PermissionError(errno.EACCES, "Permission denied", "a/b"), "a/b: Permission denied"),
+        (FileNotFoundError(errno.ENOENT, "No usable\nplace"), "No usable place"),
+        (OSError("no words"), "no words"),
+        (TimeoutError(), "TimeoutError"),
+        (
+            UnicodeEncodeError("ascii", "größe", 2, 4, "ordinal not in range"),
+            "'gr\\xf6\\xdfe' cannot be written in ascii; choose a locale with UTF-8, such as "
+            "LC_ALL=C.UTF-8, or another name",
+        ),
+        (ValueError("a fault"), None),
+        (RuntimeError("a fault"), None),
+    ],
+)
+def test_what_the_system_refuses_is_said_and_faults_are_not_hidden(error, words):
+    assert told(error) == words

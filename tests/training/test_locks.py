@@ -1,0 +1,144 @@
+"""One process at a time changes a folder, and who is refused learns who that is."""
+
+import json
+import os
+import platform
+import subprocess
+import sys
+
+import pytest
+
+from evo_cpg import locks
+from evo_cpg.files import OutputError
+from evo_cpg.locks import LockedError, joined, locked
+from tiny_run import REPOSITORY
+
+HOLD = """
+import sys, time
+from pathlib import Path
+from evo_cpg.locks import locked
+with locked(Path(sys.argv[1])):
+    print("locked", flush=True)
+    time.sleep(600)
+"""
+
+
+def hold(folder):
+    """A process that locks a folder and keeps it locked."""
+    started = subprocess.Popen(
+        [sys.executable, "-c", HOLD, folder],
+        stdout=subprocess.PIPE,
+        env=os.environ | {"PYTHONPATH": str(REPOSITORY)},
+        text=True,
+    )
+    assert started.stdout is not None and started.stdout.readline() == "locked\n"
+    return started
+
+
+def test_the_second_process_is_told_who_holds_the_folder(tmp_path):
+    with hold(tmp_path) as holder:
+        try:
+            words = rf"is in use by process {holder.pid} on {platform.node()} \(`-c {tmp_path}`, "
+            with pytest.raises(LockedError, match=words) as refused, locked(tmp_path):
+                pass
+            assert "\n" not in str(refused.value)
+            assert str(refused.value).endswith("; wait until that has ended, or end it")
+        finally:
+            holder.kill()
+
+
+def test_the_lock_of_a_killed_process_is_released(tmp_path):
+    with hold(tmp_path) as holder:
+        holder.kill()
+        holder.wait()
+    assert (tmp_path / locks.FILE).exists()
+    with locked(tmp_path):
+        assert json.loads((tmp_path / locks.FILE).read_text())["process"] == os.getpid()
+    assert not (tmp_path / locks.FILE).exists()
+
+
+def test_a_folder_is_locked_once_and_then_free(tmp_path):
+    with locked(tmp_path):
+        assert locks.holds(tmp_path)
+        with pytest.raises(LockedError, match="is in use by process"), locked(tmp_path):
+            pass
+    assert not locks.holds(tmp_path) and not list(tmp_path.iterdir())
+    with locked(tmp_path):
+        pass
+
+
+def test_a_shared_lock_lasts_until_the_last_has_left(tmp_path):
+    words = "is in use by another process"
+    with joined(tmp_path), pytest.raises(LockedError, match=words), locked(tmp_path):
+        pass
+    with locked(tmp_path) as lock:
+        lock.share()
+        with joined(tmp_path):
+            pass
+        with pytest.raises(LockedError, match="is in use by process"), locked(tmp_path):
+            pass
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_file_that_its_holder_deleted_locks_nothing(tmp_path, monkeypatch):
+    """Two open the file of a third. It ends, one locks the file, and the other makes a new one."""
+    path, opened = tmp_path / locks.FILE, locks._open
+
+    def slow(place):
+        descriptor = opened(place)
+        monkeypatch.undo()
+        path.unlink()
+        return descriptor
+
+    monkeypatch.setattr(locks, "_open", slow)
+    with locked(tmp_path):
+        assert path.exists()
+        with pytest.raises(LockedError, match="is in use"), locked(tmp_path):
+            pass
+
+
+def test_a_folder_that_is_made_for_nothing_goes_again(tmp_path):
+    with locked(tmp_path / "runs" / "one", make=True):
+        assert (tmp_path / "runs" / "one" / locks.FILE).exists()
+    assert not (tmp_path / "runs").exists()
+    with locked(tmp_path / "runs" / "two", make=True):
+        (tmp_path / "runs" / "two" / "config.yaml").touch()
+    assert [path.name for path in (tmp_path / "runs").rglob("*")] == ["two", "config.yaml"]
+
+
+def test_a_place_that_holds_no_lock_is_refused(tmp_path):
+    (tmp_path / "file").touch()
+    words = "file is a file; choose another --out"
+    with pytest.raises(OutputError, match=words), locked(tmp_path / "file", make=True):
+        pass
+    words = r"cannot write .*missing \(No such file"
+    with pytest.raises(OutputError, match=words), locked(tmp_path / "missing"):
+        pass
+
+
+@pytest.mark.parametrize("text", ["", "{}", '{"process": "x"}', "[" * 9999, "\xff"])
+def test_a_holder_that_left_no_name_is_another_process(tmp_path, text):
+    with locked(tmp_path):
+        (tmp_path / locks.FILE).write_text(text, encoding="latin-1")
+        with pytest.raises(LockedError, match="is in use by another process"), locked(tmp_path):
+            pass
+
+
+def test_what_a_stranger_wrote_into_the_file_stays_one_line(tmp_path):
+    told = {"process": 1, "host": "a\x1b[2J\nb", "command": "c" * 5000, "since": "now"}
+    with locked(tmp_path):
+        (tmp_path / locks.FILE).write_text(json.dumps(told))
+        with pytest.raises(LockedError) as refused, locked(tmp_path):
+            pass
+    assert len(str(refused.value)) < 600 and str(refused.value).isprintable()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="locks of POSIX systems")
+def test_without_locks_nobody_is_kept_off(tmp_path, monkeypatch):
+    def unknown(descriptor, kind):
+        raise OSError(38, "Function not implemented")
+
+    monkeypatch.setattr(locks.fcntl, "flock", unknown)
+    with locked(tmp_path) as lock, locked(tmp_path):
+        lock.share()
+    assert not list(tmp_path.iterdir())
