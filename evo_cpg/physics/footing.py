@@ -26,7 +26,7 @@ Combination = Literal["multiply", "average", "geometric", "min", "max"]
 # c h of a point: so many times the geometric mean of its body's mass and the creature's. A rigid
 # body loses (1 + e) / 61 of the speed of its rebound. Depth hardly depends on it: of the points of
 # tumbling quadrupeds 0.70, 0.75 and 0.77 % are more than 1 mm deep with 50, 60 and 100.
-_STIFFNESS = 60.0
+STIFFNESS = 60.0
 
 # Corners of the lowest face of a box, and those of a mesh that count.
 CORNERS = 4
@@ -236,7 +236,7 @@ def make_footing(creature: Creature, tree: Tree, ground: Ground) -> Footing:
         pairs(ground.restitution_rule, "restitution"),
         pairs(ground.friction_rule, "static_friction"),
         pairs(ground.friction_rule, "dynamic_friction"),
-        _STIFFNESS * xp.sqrt(tree.mass.sum() * tree.mass[np.array(bodies)]),
+        STIFFNESS * xp.sqrt(tree.mass.sum() * tree.mass[np.array(bodies)]),
     )
 
 
@@ -260,7 +260,7 @@ def _make_solids(creature: Creature, tree: Tree, obstacles: tuple[Obstacle, ...]
             semi_axes, axes = shape.inner_ellipsoid
             ellipsoids.append((i, none, axes, semi_axes, 0.0))
             outlines.append(shape.corners @ axes)
-        elif isinstance(shape, Ellipsoid):
+        elif isinstance(shape, Ellipsoid) and not isinstance(shape, Sphere):
             ellipsoids.append((i, none, None, shape.half_extents, 0.0))
             outlines.append(np.zeros((1, 3)))
         else:
