@@ -74,21 +74,25 @@ def _lowest(footing: Footing, kin: Kinematics, h: float) -> list[ContactPoints]:
     linear, spin = take(kin.linear, bodies), take(kin.angular, bodies)
     floor = (footing.ground.floor,)
     above, up = _surface(floor, origin + centre)
+    sloping = h > 0 and not isinstance(floor[0], Plane)
+    size = expand_dims_like(_sizes(footing), above)
+    if sloping and angular + ellipsoids:
+        # A cliff ahead is met by the front of a body.
+        least, velocity = fast_from(footing.ground.margin, size), linear + cross(spin, centre)
+        time = time_of_crossing(floor, origin + centre, velocity, 0.0, least, h, size)
+        _, up = _surface(floor, origin + centre + time * velocity)
     # As a body sees it h later; d(e . up)/dt = e . (up x w).
     later = up + h * cross(up, spin)
     found = []
 
-    def on_floor(own: slice, arm: Array, size: Numbers, radius: Numbers | None = None) -> tuple:
+    def on_floor(own: slice, arm: Array, radius: Array | float = 0.0) -> tuple:
         """Gap and normal of points of some bodies, and the time within the step, s."""
         each = arm.shape[1] // origin[:, own].shape[1]
         start, v, w = (jnp.repeat(x[:, own], each, 1) for x in (origin, linear, spin))
         point = start + arm
-        if h == 0 or isinstance(floor[0], Plane):
+        if not sloping:
             return *_surface(floor, point), None
-        size = expand_dims_like(xp.repeat(size, each), point[0])
-        least = fast_from(footing.ground.margin, size)
-        none = jnp.zeros_like(point[0])
-        radius = none if radius is None else none + expand_dims_like(radius, none)
+        least = fast_from(footing.ground.margin, jnp.repeat(size[own], each, 0))
         velocity = v + cross(w, arm)
         time = time_of_crossing(floor, point, velocity, radius, least, h)
         return *_surface(floor, point + time * velocity), time
@@ -96,19 +100,17 @@ def _lowest(footing: Footing, kin: Kinematics, h: float) -> list[ContactPoints]:
     if boxes:
         own = slice(boxes)
         arm = _lowest_corners(later[:, own], footing.boxes, rotation[:, :, own], centre[:, own])
-        size = xp.sqrt((footing.boxes * footing.boxes).sum(0))
-        found.append(_material(arm, *on_floor(own, arm, size)))
+        found.append(_material(arm, *on_floor(own, arm)))
     if meshes:
         own = slice(boxes, angular)
         arm = _arms_of_meshes(footing, rotation[:, :, own], centre[:, own], later[:, own])
-        size = xp.sqrt((footing.meshes * footing.meshes).sum(0)).max(0)
-        found.append(_material(arm, *on_floor(own, arm, size)))
+        found.append(_material(arm, *on_floor(own, arm)))
     if balls:
         own = slice(angular, angular + balls)
         radii = expand_dims_like(footing.radii, above)
         over, normal, time = above[own], up[:, own], None
-        if not isinstance(floor[0], Plane):
-            over, normal, time = on_floor(own, centre[:, own], footing.radii, footing.radii)
+        if sloping:
+            over, normal, time = on_floor(own, centre[:, own], radii)
         arm = centre[:, own] - radii[None] * normal
         found.append(_material(arm, over - radii, normal, time, centre[:, own]))
     if ellipsoids:
@@ -116,7 +118,7 @@ def _lowest(footing: Footing, kin: Kinematics, h: float) -> list[ContactPoints]:
         turned, radii = rotation[:, :, own], expand_dims_like(footing.semi_axes, centre)
         spoke, bend = tangent_point(turned, radii, up[:, own], spin[:, own])
         arm = centre[:, own] + spoke
-        gap, normal, time = on_floor(own, arm, footing.semi_axes.max(0))
+        gap, normal, time = on_floor(own, arm)
         found.append(ContactPoints(arm, arm, gap, normal, bend, time))
     return found
 
@@ -149,6 +151,13 @@ def _counts(footing: Footing) -> tuple[int, ...]:
     """How many boxes, meshes, balls and ellipsoids there are."""
     kinds = footing.boxes, footing.meshes, footing.radii, footing.semi_axes
     return tuple(kind.shape[-1] for kind in kinds)
+
+
+def _sizes(footing: Footing) -> Numbers:
+    """From the middle of boxes, meshes, balls and ellipsoids to their ends, m."""
+    boxes, meshes = (xp.sqrt((x * x).sum(0)) for x in (footing.boxes, footing.meshes))
+    ends = meshes.max(0, initial=0.0), footing.radii, footing.semi_axes.max(0, initial=0.0)
+    return xp.concatenate([boxes, *ends])
 
 
 def _arms_of_meshes(footing: Footing, turned: Array, centre: Array, later: Array) -> Array:

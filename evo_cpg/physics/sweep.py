@@ -162,6 +162,7 @@ def time_of_crossing(
     radius: Float[Array, "p *#n"] | float,
     least: Float[Array, "p *#n"],
     h: float,
+    beyond: Float[Array, "p *#n"] | float = 0.0,
 ) -> Float[Array, "p *n"]:
     """When within a step points that move straight on first get deeper into a floor, s; else 0.
 
@@ -172,13 +173,15 @@ def time_of_crossing(
         radius: of balls around the points, m.
         least: the way in a step from which a point is fast, m.
         h: s.
+        beyond: so much farther than in a step they are looked at, m.
     """
     floor, points, velocity, radius, least = _held((floor, points, velocity, radius, least))
 
     def height(time: Array) -> Array:
         return nearest(floor, points + time * velocity)[0] - radius
 
-    fast = h * _length(velocity) > least
+    speed = _length(velocity)
+    fast, end = h * speed > least, h + beyond / speed
     none = jnp.zeros_like(points[0])
 
     def unsettled(given: tuple) -> Array:
@@ -188,11 +191,11 @@ def time_of_crossing(
     def closer(given: tuple) -> tuple:
         low, high, deepest, count = given
         found = high > 0
-        time = jnp.where(found, 0.5 * (low + high), low + h / _SAMPLES)
+        time = jnp.where(found, 0.5 * (low + high), low + end / _SAMPLES)
         here = height(time)
         # At the start it is noted how deep a point is.
         deepest = jnp.where(count == 0, jnp.minimum(height(none), 0.0) - _CLOSE * least, deepest)
-        meets = (here < deepest) & (time < (1 + 0.5 / _SAMPLES) * h)
+        meets = (here < deepest) & (time < (1 + 0.5 / _SAMPLES) * end)
         high = jnp.where(meets & fast, time, high)
         return jnp.where(meets, low, time), high, deepest, count + 1
 
