@@ -61,10 +61,6 @@ BAUMGARTE_SHARE, BAUMGARTE_SPEED = 0.2, 0.5
 # everything does.
 _RESTITUTION_THRESHOLD = 0.1
 
-# Share of the margin that is the way of a fast point in a step, inverted: from there on, and from
-# twice that on in full, v* makes up for what the law gives way.
-_FAST = 2.0
-
 # v* of a point that is not to be held, m/s; infinity would spoil gradients.
 _OUT_OF_REACH = -1e4
 
@@ -137,8 +133,9 @@ def find_contacts(footing: Footing, kin: Kinematics, h: float) -> Contacts:
     bounce = expand_dims_like(footing.restitution, approach) * share * approach
     # Times a reciprocal: to divide takes a processor many times as long.
     rest = jnp.where(gap > 0, (-1.0 / h) * gap, push)
-    # The law gives way by a share of the speed, and a fast point would sink in.
-    hit = jnp.clip((_FAST * h) * approach * (1.0 / ground.margin) - 1.0, 0.0, 1.0)
+    # The law gives way by a share of the speed, and a point that moves farther in a step than the
+    # margin would sink in by millimetres.
+    hit = jnp.clip((h / ground.margin) * approach - 1.0, 0.0, 1.0)
     rest = rest + hit * (1.0 / STIFFNESS) * jnp.maximum(rest + approach, 0.0)
     # What comes from far within the step is near, too.
     near = place < jnp.maximum(ground.margin, left * approach)

@@ -1,7 +1,7 @@
 """When a part that moves fast meets the ground within a step.
 
-The law of contact knows the ground near a point by a plane. A part that moves farther in a step
-than its own size may be on the other side of an obstacle at the end of the step. So the plane of
+The law of contact knows the ground near a point by a plane, and points farther away than the margin
+not at all. A part that moves farther in a step may be on the other side of an obstacle at its end. So the plane of
 such a part is that of the place where it first meets the ground, and the part is looked at there.
 
 - Blocks and boulders are convex, and so are parts. A direction along which both are apart by a gap
@@ -27,8 +27,9 @@ from evo_cpg.physics.terrain import Part, nearest
 from evo_cpg.spatial.linear import cross, dot, matvec, matvec_t
 from evo_cpg.spatial.numerics import is_traced
 
-# A part is fast if it moves farther in a step than this share of the margin, or of its own size.
-_FAST = 0.5
+# A part is fast if it moves farther in a step than this share of the margin, or of so many times its
+# own size. The rest of the margin is for what speeds up within the step.
+_FAST, _SIZES = 0.8, 4.0
 
 # Of the way that makes a part fast: what is nearer counts as met.
 _CLOSE = 0.02
@@ -80,7 +81,7 @@ def fast_from(
         margin: of the ground, m.
         size: from the middle of the part to its end, m.
     """
-    return _FAST * jnp.minimum(margin, size)
+    return _FAST * jnp.minimum(margin, _SIZES * size)
 
 
 def moved(parts: Moving, time: Float[Array, "p *n"]) -> Moving:
