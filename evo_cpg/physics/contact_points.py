@@ -80,7 +80,7 @@ def _lowest(footing: Footing, kin: Kinematics, h: float) -> list[ContactPoints]:
         # A cliff ahead is met by the front of a body.
         least, velocity = fast_from(footing.ground.margin, size), linear + cross(spin, centre)
         time = time_of_crossing(floor, origin + centre, velocity, 0.0, least, h, size)
-        _, up = _surface(floor, origin + centre + time * velocity)
+        _, up = _surface(floor, origin + centre + time[None] * velocity)
     # As a body sees it h later; d(e . up)/dt = e . (up x w).
     later = up + h * cross(up, spin)
     found = []
@@ -95,7 +95,7 @@ def _lowest(footing: Footing, kin: Kinematics, h: float) -> list[ContactPoints]:
         least = fast_from(footing.ground.margin, jnp.repeat(size[own], each, 0))
         velocity = v + cross(w, arm)
         time = time_of_crossing(floor, point, velocity, radius, least, h)
-        return *_surface(floor, point + time * velocity), time
+        return *_surface(floor, point + time[None] * velocity), time
 
     if boxes:
         own = slice(boxes)

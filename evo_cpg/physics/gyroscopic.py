@@ -37,7 +37,7 @@ def gyroscopic_change(
     torque = cross(angular, momentum)
     slope = matmul(skew(angular), inertia) - skew(momentum)
     change = _solve(inertia + 0.5 * h * slope, -h * torque)
-    return expand_dims_like(0.5 / scale, angular[0]) * matvec(slope, change)
+    return expand_dims_like(0.5 / scale, angular[0])[None] * matvec(slope, change)
 
 
 def central_inertia(tree: Tree) -> Float[Numbers, "3 3 b"]:

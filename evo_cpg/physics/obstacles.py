@@ -158,17 +158,13 @@ def _nearest(
     if not obstacles:
         return []
     boxes = [_as_box(obstacle, parts.at.centre) for obstacle in obstacles]
-    none = jnp.zeros_like(parts.at.radius)
-    times = [none for _ in boxes]
+    ways = [_apart(parts.at, box) for box in boxes]
+    times = [jnp.zeros_like(way) for way in ways]
     if h > 0:
         stacked = jax.tree.map(lambda *each: jnp.stack(each), *boxes)
-        times = list(times_of_contact(parts, outline, stacked, margin, h))
-    speed = jnp.sqrt(dot(parts.linear, parts.linear) + _FLOOR)
-
-    def way(box: RoundedBoxes, time: Array) -> Array:
-        return _apart(moved(parts, time).at, box) + time * speed
-
-    found = [(way(*each), *each) for each in zip(boxes, times, strict=True)]
+        times, swept = times_of_contact(parts, outline, stacked, margin, h)
+        ways = [jnp.where(t > 0, new, way) for t, new, way in zip(times, swept, ways, strict=True)]
+    found = list(zip(ways, boxes, times, strict=True))
     best = found[: 0 if len(found) > NEAREST else NEAREST]
     for new in found if not best else ():
         for k, old in enumerate(best):

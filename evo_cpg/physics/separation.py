@@ -40,7 +40,7 @@ _OVERHANG = 0.1
 _NOWHERE = 1e4
 
 # The least distance (m) of a further point from the first, and as a share of the smaller body.
-_SAME, _SAME_SHARE = 5e-3, 0.25
+SAME, _SAME_SHARE = 5e-3, 0.25
 
 # Squared length (m^2) added where something is divided by it, and under a root.
 _FLOOR, _TINY = 1e-12, 1e-20
@@ -124,7 +124,7 @@ def _ends(
 
 def same(a: RoundedBoxes, b: RoundedBoxes) -> Array:
     """Distance from the first point below which a further one is the same, m."""
-    return jnp.minimum(_SAME, _SAME_SHARE * smaller(a, b))
+    return jnp.minimum(SAME, _SAME_SHARE * smaller(a, b))
 
 
 def smaller(a: RoundedBoxes, b: RoundedBoxes) -> Array:

@@ -89,15 +89,15 @@ def moved(parts: Moving, time: Float[Array, "p *n"]) -> Moving:
 
     The turn is Cayley's, which keeps axes at right angles: up to 0.5 rad it is 2 % too small.
     """
-    half = 0.5 * time * parts.angular
+    half = 0.5 * time[None] * parts.angular
     scale = 2.0 / (1.0 + dot(half, half))
 
     def turn(x: Array) -> Array:
         """What turning adds to a vector."""
         across = cross(half, x)
-        return scale * (across + cross(half, across))
+        return scale[None] * (across + cross(half, across))
 
-    at, way = parts.at, time * parts.linear
+    at, way = parts.at, time[None] * parts.linear
     axes = jnp.stack([at.axes[:, k] + turn(at.axes[:, k]) for k in range(3)], 1)
     centre = at.centre + (way + turn(at.centre - parts.origin))
     return parts._replace(at=at._replace(centre=centre, axes=axes), origin=parts.origin + way)
@@ -109,8 +109,10 @@ def times_of_contact(
     obstacles: RoundedBoxes,
     margin: Float[Array, ""] | float,
     h: float,
-) -> Float[Array, "k p *n"]:
-    """When within a step each part is to be looked at beside each obstacle, s; 0 of slow parts.
+) -> tuple[Float[Array, "k p *n"], Float[Array, "k p *n"]]:
+    """When within a step each part is to be looked at beside each obstacle, s, and how far that is.
+
+    Slow parts are looked at at once. How far it is (m) is the way until both touch, of fast parts.
 
     Args:
         parts: of the creature.
@@ -127,10 +129,10 @@ def times_of_contact(
     arm = parts.at.centre - parts.origin
     speed = _length(parts.linear + cross(parts.angular, arm)) + size * _length(parts.angular)
     none = jnp.zeros((len(obstacles.radius), *speed.shape), speed.dtype)
-    going = none + jnp.where(h * speed > least, 1.0, 0.0)
+    going = none + jnp.where(h * speed > least, 1.0, 0.0)[None]
 
     def beside(_: None, given: tuple) -> tuple[None, tuple]:
-        obstacle, time, going = given
+        obstacle, time, going, last = given
         now = moved(parts, time)
         normal, gap = _apart_along(now.at, outline, obstacle)
         velocity = now.linear + cross(now.angular, now.at.centre - now.origin)
@@ -140,20 +142,22 @@ def times_of_contact(
         meets = (gap <= _CLOSE * least) | (closing <= 0)
         later = jnp.minimum(time + ahead, h)
         goes_on = (going > 0) & ~meets
+        last = jnp.where(going > 0, gap, last)
         time = jnp.where(goes_on, later, time)
-        return None, (time, jnp.where(goes_on & (time < h), 1.0, 0.0))
+        return None, (time, jnp.where(goes_on & (time < h), 1.0, 0.0), last)
 
     def unmet(given: tuple) -> Array:
-        _, going, count = given
+        _, going, _, count = given
         return (going > 0).any((0, 1)) & (count < _ROUNDS)
 
     def closer(given: tuple) -> tuple:
-        times, going, count = given
-        _, (times, going) = jax.lax.scan(beside, None, (obstacles, times, going))
-        return times, going, count + 1
+        *found, count = given
+        _, found = jax.lax.scan(beside, None, (obstacles, *found))
+        return *found, count + 1
 
-    start = none, going, jnp.zeros(none.shape[2:], jnp.int32)
-    return while_each(unmet, closer, start)[0]
+    start = none, going, none, jnp.zeros(none.shape[2:], jnp.int32)
+    time, _, gap, _ = while_each(unmet, closer, start)
+    return time, gap + time * speed[None]
 
 
 def time_of_crossing(
@@ -179,7 +183,7 @@ def time_of_crossing(
     floor, points, velocity, radius, least = _held((floor, points, velocity, radius, least))
 
     def height(time: Array) -> Array:
-        return nearest(floor, points + time * velocity)[0] - radius
+        return nearest(floor, points + time[None] * velocity)[0] - radius
 
     speed = _length(velocity)
     fast, end = h * speed > least, h + beyond / speed
@@ -234,20 +238,20 @@ def _apart_along(
     way = own - _within(obstacle, own)
     away = parts.centre - obstacle.centre
     along = matvec_t(to, away)
-    directions = [way, *(jnp.where(along[k] < 0, -1.0, 1.0) * to[:, k] for k in range(3))]
+    directions = [way, *(jnp.where(along[k] < 0, -1.0, 1.0)[None] * to[:, k] for k in range(3))]
     if outline.ellipsoids:
         square = parts.half_extents * parts.half_extents
         bent = matvec(parts.axes, matvec_t(parts.axes, first - parts.centre) / square)
         directions.append(-bent)
     best, gap = directions[0], None
     for direction in directions:
-        normal = direction / _length(direction)
+        normal = direction / _length(direction)[None]
         theirs = dot(obstacle.half_extents, jnp.abs(matvec_t(to, normal))) + obstacle.radius
         here = dot(normal, away) - _extent(parts, outline, normal) - theirs
         if gap is None:
             best, gap = normal, here
         else:
-            best = jnp.where(here > gap, normal, best)
+            best = jnp.where((here > gap)[None], normal, best)
             gap = jnp.maximum(here, gap)
     assert gap is not None
     return best, gap
