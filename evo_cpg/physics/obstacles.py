@@ -161,7 +161,10 @@ def _nearest(
     ways = [_apart(parts.at, box) for box in boxes]
     times = [jnp.zeros_like(way) for way in ways]
     if h > 0:
-        stacked = jax.tree.map(lambda *each: jnp.stack(each), *boxes)
+        # One of each for all parts: what does not depend on individuals is no operation.
+        point = jnp.zeros((3, *(1 for _ in parts.origin.shape[1:])), parts.origin.dtype)
+        single = [_as_box(obstacle, point) for obstacle in obstacles]
+        stacked = jax.tree.map(lambda *each: jnp.stack(each), *single)
         times, swept = times_of_contact(parts, outline, stacked, margin, h)
         ways = [jnp.where(t > 0, new, way) for t, new, way in zip(times, swept, ways, strict=True)]
     found = list(zip(ways, boxes, times, strict=True))
