@@ -130,7 +130,7 @@ def times_of_contact(
     arm = parts.at.centre - parts.origin
     speed = _length(parts.linear + cross(parts.angular, arm)) + size * _length(parts.angular)
     none = jnp.zeros((len(obstacles.radius), *speed.shape), speed.dtype)
-    going = none + jnp.where(h * speed > least, 1.0, 0.0)[None]
+    going = none + (h * speed > least).astype(speed.dtype)[None]
 
     def beside(_: None, given: tuple) -> tuple[None, tuple]:
         obstacle, time, going, last = given
@@ -145,7 +145,7 @@ def times_of_contact(
         goes_on = (going > 0) & ~meets
         last = jnp.where(going > 0, gap, last)
         time = jnp.where(goes_on, later, time)
-        return None, (time, jnp.where(goes_on & (time < h), 1.0, 0.0), last)
+        return None, (time, (goes_on & (time < h)).astype(time.dtype), last)
 
     def unmet(given: tuple) -> Array:
         _, going, _, count = given

@@ -80,7 +80,7 @@ def test_a_sinking_box_comes_to_its_terminal_speed(size):
         body(Box((size, 0.7 * size, 0.5 * size)), density), form_drag=drag, skin_drag=0.0,
         added_mass=True,
     )  # fmt: skip
-    states = moved(world, 200, 0.05 * np.sqrt(size / GRAVITY))
+    states = moved(world, 400, 0.05 * np.sqrt(size / GRAVITY))
     speed = np.sqrt((density / 1000.0 - 1.0) * GRAVITY * 0.5 * size / drag)
     assert states.velocity[-1, 5] == pytest.approx(-speed, rel=1e-3)
 
