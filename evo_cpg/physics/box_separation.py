@@ -45,7 +45,10 @@ def separation_of_boxes(a: RoundedBoxes, b: RoundedBoxes, corners: int = 3) -> l
     ways = (0,), (1,), (0, 1)
     least = same(a, b)
     crossed = edge & (crossing.gap > gap + least)
-    return [first, *(unless(crossed, _along_edges(face, gap, least, k)) for k in ways[: corners - 1])]
+    return [
+        first,
+        *(unless(crossed, _along_edges(face, gap, least, k)) for k in ways[: corners - 1]),
+    ]
 
 
 def _best_face(a: RoundedBoxes, b: RoundedBoxes) -> tuple[Array, Array, Array]:

@@ -53,7 +53,7 @@ class Ground(eqx.Module):
         floor: its shape.
         obstacles: what stands on it.
         margin: points nearer than this are watched for an impact within the next step, m; it does
-            not hold bodies off the ground.
+            not hold bodies off the ground. Points that are fast are watched from farther away.
         stribeck_speed: sliding speed at which friction has gone half of the way from static to
             dynamic, m/s.
     """

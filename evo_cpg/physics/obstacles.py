@@ -79,9 +79,7 @@ def obstacle_points(
     return found
 
 
-def meeting_time(
-    solids: Solids, ground: Ground, kin: Kinematics, h: float
-) -> Float[Array, "p *n"]:
+def meeting_time(solids: Solids, ground: Ground, kin: Kinematics, h: float) -> Float[Array, "p *n"]:
     """When within a step each ellipsoid, or the mesh around it, meets the first obstacle, s.
 
     Args:

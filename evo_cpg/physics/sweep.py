@@ -1,17 +1,17 @@
 """When a part that moves fast meets the ground within a step.
 
-The law of contact knows the ground near a point by a plane, and points farther away than the margin
-not at all. A part that moves farther in a step may be on the other side of an obstacle at its end. So the plane of
-such a part is that of the place where it first meets the ground, and the part is looked at there.
+The law of contact knows the ground near a point by a plane, and nothing of points farther away than
+the margin. A part that moves farther in a step may end it on the other side of an obstacle. So the
+plane of such a part is that of the place where the part first meets the ground.
 
-- Blocks and boulders are convex, and so are parts. A direction along which both are apart by a gap
-  is a lower bound: they cannot meet before the part has moved as far. That takes the part from
-  place to place up to the contact (conservative advancement, Mirtich 1996), however thin the
-  obstacle is. Any place on the way has a plane that keeps both apart, so few rounds are enough.
-- The surface of a floor with slopes is sampled along the way of a point, and the first interval in
+- Blocks and boulders are convex, and so are parts. A gap between both along any direction is a
+  lower bound: they cannot meet before the part has moved as far. That takes the part from place to
+  place up to the contact (conservative advancement, Mirtich 1996), however thin the obstacle is.
+  At any place on the way a plane keeps both apart, so few rounds are enough.
+- The surface of a floor with slopes is sampled along the way of a point. The first interval in
   which the point gets deeper into the floor is halved.
 
-Parts move at the velocities of the start of the step. Slow parts take no round, and stay where they
+Parts move at the velocities of the start of the step. Slow parts take no round and stay where they
 are.
 """
 
@@ -27,8 +27,8 @@ from evo_cpg.physics.terrain import Part, nearest
 from evo_cpg.spatial.linear import cross, dot, matvec, matvec_t
 from evo_cpg.spatial.numerics import is_traced
 
-# A part is fast if it moves farther in a step than this share of the margin, or of so many times its
-# own size. The rest of the margin is for what speeds up within the step.
+# A part is fast if it moves farther in a step than this share of the margin, or of so many times
+# its own size. The rest of the margin is for parts that speed up within the step.
 _FAST, _SIZES = 0.8, 4.0
 
 # Of the way that makes a part fast: what is nearer counts as met.
@@ -113,7 +113,8 @@ def times_of_contact(
 ) -> tuple[Float[Array, "k p *n"], Float[Array, "k p *n"]]:
     """When within a step each part is to be looked at beside each obstacle, s, and how far that is.
 
-    Slow parts are looked at at once. How far it is (m) is the way until both touch, of fast parts.
+    The time of slow parts is 0. The second result is the way (m) until a fast part and an obstacle
+    touch.
 
     Args:
         parts: of the creature.

@@ -214,8 +214,9 @@ def _gyration(world: World, velocity: Float[Array, "6 b *n"]) -> Float[Array, "6
     inertia = expand_dims_like(world.tree.inertia, velocity, velocity.ndim + 1)
     momentum, w, v = matvec(inertia, velocity), velocity[:3], velocity[3:]
     across = momentum[3:]
-    small = np.False_ if world.submerged else _turn_easily(world.tree)
-    if is_traced(small) or small.any():
+    small = _turn_easily(world.tree)
+    # In deep water drag holds bodies back that fall.
+    if not world.submerged and (is_traced(small) or small.any()):
         # The part m v of the momentum adds nothing but rounding to the moment v x m v.
         without = xp.where(small[None, None], 0.0, world.tree.inertia[3:, 3:])
         rows = xp.concatenate([world.tree.inertia[3:, :3], without], 1)

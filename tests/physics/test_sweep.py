@@ -26,9 +26,7 @@ SPEEDS = np.array([5.0, 20.0, 44.0, 100.0, 300.0])
 def brick():
     signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
     hull = ConvexHull(signs)
-    faces = [
-        face if np.linalg.det(signs[face]) > 0 else face[::-1] for face in hull.simplices
-    ]
+    faces = [face if np.linalg.det(signs[face]) > 0 else face[::-1] for face in hull.simplices]
     return convex_mesh(signs * [0.05, 0.04, 0.03], np.array(faces))[0]
 
 
@@ -81,9 +79,7 @@ def test_nothing_falls_through_a_pebble(name):
     for k in np.flatnonzero(met):
         assert place[: after[k], 2, k].min() > 0.5 * half
         assert velocity[min(after[k], 11), 5, k] > -0.05 * speeds[k]
-    np.testing.assert_allclose(
-        velocity[-1, 5, ~met], -speeds[~met] - 12 * H * 9.81, rtol=1e-6
-    )
+    np.testing.assert_allclose(velocity[-1, 5, ~met], -speeds[~met] - 12 * H * 9.81, rtol=1e-6)
 
 
 def test_a_ball_stops_at_the_first_of_several_walls():

@@ -22,12 +22,13 @@ _BODIES = (0.001, 30.0)
 # there for a median to mean anything.
 _UNLIKE, _SEVERAL = 50.0, 3
 
-# In float32 a body carries a limb of so many times its mass: with 8000 times the motion was right, with
-# 37000 times it became infinite. With a body lighter than the second share of the creature it does, too.
+# In float32 a body carries a limb of up to so many times its mass: with 8000 times the motion was
+# right, with 37,000 times it became infinite. A creature may have up to so many times the mass of
+# its lightest body: with 1e12 times the motion was right, with 1e15 times it became infinite.
 _CARRIES, _LIGHTER = 5000.0, 1e12
 
-# In a physics step a body at rest falls so far, as a share of half its thickness, at most. At 0.6 it
-# sinks into the ground by a twentieth of that half; at 2 a floating body does not come to rest.
+# Of half the thickness of a body, the most that gravity may move it in a physics step. At 0.6 the
+# body sinks into the ground by a twentieth of that half. At 2 a floating body never comes to rest.
 _FALL = 0.5
 
 # An obstacle may be so many times the creature's length.
