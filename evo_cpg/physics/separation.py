@@ -172,7 +172,9 @@ def separation_of_line_and_box(a: RoundedBoxes, b: RoundedBoxes) -> list[Separat
             low, falls = jnp.where(lower, s, low), jnp.where(lower, here, falls)
             high, rises = jnp.where(upper, s, high), jnp.where(upper, here, rises)
     # In between it is flat where the line passes through the box.
-    s = low + (high - low) * (_TINY - falls) / (rises - falls + 2.0 * _TINY)
+    bends = rises - falls > _TINY
+    share = jnp.where(bends, -falls / jnp.where(bends, rises - falls, 1.0), 0.5)
+    s = low + (high - low) * share
 
     def at(s: Array) -> Separation:
         point, inside = nearest(s)

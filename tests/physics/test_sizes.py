@@ -16,6 +16,7 @@ from evo_cpg.creature.shapes import Box, Capsule, Sphere
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.fusion.engine import Engine, using
 from evo_cpg.fusion.jax_internals import quick_jit
+from evo_cpg.physics.contact_points import clearance
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import resting_state
 from evo_cpg.physics.step import first_warmstart, step
@@ -26,6 +27,7 @@ from evo_cpg.spatial.rotation import quaternion_to_matrix
 from on_ground import alone
 
 GRAVITY = 9.81
+ABYSS = Plane(height=-1000.0)
 SIZES = 1e-4, 1e-3, 100.0
 
 
@@ -174,6 +176,21 @@ def test_a_claw_of_a_thousandth_keeps_spinning(axes, engine):
     momentum = angular_momentum(world.tree, states)
     own = 0.4 * 1000.0 * world.tree.volume[1] * small**2 * 5.0
     np.testing.assert_allclose(momentum[:, 1], own, rtol=2e-2)
+
+
+@pytest.mark.parametrize("shape", [Sphere(0.05), Capsule(0.05, 0.2)])
+def test_the_height_over_a_block_has_a_slope_in_float32(shape):
+    """Where an animal starts is found by it."""
+    world = alone(shape, obstacles=(Block((0.0, 0.0, 0.0), (1.0, 1.0, 0.01)),), floor=ABYSS)
+
+    @quick_jit
+    def gap(height):
+        state = resting_state(world.tree, (), jnp.float32, (0.0, 0.0, height))
+        return clearance(world.footing, kinematics(world.tree, state)).min()
+
+    for height in (0.0, 0.5):
+        _, rise = jax.jvp(gap, (jnp.float32(height),), (jnp.float32(1.0),))
+        assert abs(float(rise)) == 1.0
 
 
 def test_inverses_of_any_size():
