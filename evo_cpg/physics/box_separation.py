@@ -15,11 +15,12 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from evo_cpg.physics.separation import PARALLEL, SAME, RoundedBoxes, Separation, unless
+from evo_cpg.physics.separation import PARALLEL, RoundedBoxes, Separation, same, smaller, unless
 from evo_cpg.spatial.linear import cross, dot, matvec, matvec_t, t_matmul, where_each
 
-# By so much (m) edges must be farther apart than faces, so that rounding does not decide.
-_CLEARLY = 1e-5
+# By so much (m), and by so much of the smaller box, edges must be farther apart than faces, so that
+# rounding does not decide.
+_CLEARLY, _CLEAR_SHARE = 1e-5, 1e-3
 
 # Projections onto either face in turn that bring an overhanging corner to where both are.
 _PROJECTIONS = 2
@@ -37,12 +38,17 @@ def separation_of_boxes(a: RoundedBoxes, b: RoundedBoxes, corners: int = 3) -> l
         corners: of a face that lies on another's, 3 or 4.
     """
     gap, normal, of_b = _best_face(a, b)
-    edge, crossing = _best_edges(a, b, gap + _CLEARLY)
+    clearly = jnp.minimum(_CLEARLY, _CLEAR_SHARE * smaller(a, b))
+    edge, crossing = _best_edges(a, b, gap + clearly)
     face = _on_face(a, b, normal, of_b)
     first = where_each(edge, crossing, _at_corner(face, gap))
     ways = (0,), (1,), (0, 1)
-    crossed = edge & (crossing.gap > gap + SAME)
-    return [first, *(unless(crossed, _along_edges(face, gap, k)) for k in ways[: corners - 1])]
+    least = same(a, b)
+    crossed = edge & (crossing.gap > gap + least)
+    return [
+        first,
+        *(unless(crossed, _along_edges(face, gap, least, k)) for k in ways[: corners - 1]),
+    ]
 
 
 def _best_face(a: RoundedBoxes, b: RoundedBoxes) -> tuple[Array, Array, Array]:
@@ -139,12 +145,13 @@ def _at_corner(face: _Face, gap: Array) -> Separation:
     return _on_plane(face, face.corner, gap)
 
 
-def _along_edges(face: _Face, gap: Array, which: tuple[int, ...]) -> Separation:
+def _along_edges(face: _Face, gap: Array, least: Array, which: tuple[int, ...]) -> Separation:
     """At the far end of edges from the corner, or the place near it that lies over the face.
 
     Args:
         face: and what is over it.
         gap: of the corner, m.
+        least: distance from the corner of a point that counts, m.
         which: of the edges, of which the steepest does not count; both lead across the face.
     """
     axes = face.over.axes
@@ -161,7 +168,7 @@ def _along_edges(face: _Face, gap: Array, which: tuple[int, ...]) -> Separation:
         point = point + matvec(inward, jnp.stack(after))
     point = _over_both(face.normal, face.under, face.over, point)
     way, climb = point - face.corner, dot(face.normal, point - face.lowest)
-    return unless(dot(way, way) < SAME**2, _on_plane(face, point, gap + climb))
+    return unless(dot(way, way) < least * least, _on_plane(face, point, gap + climb))
 
 
 def _on_plane(face: _Face, point: Array, gap: Array) -> Separation:

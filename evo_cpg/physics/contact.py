@@ -36,7 +36,7 @@ from jaxtyping import Array, Float
 
 from evo_cpg.fusion.fuse import symmetric
 from evo_cpg.physics.contact_points import contact_points
-from evo_cpg.physics.footing import Footing
+from evo_cpg.physics.footing import STIFFNESS, Footing
 from evo_cpg.physics.kinematics import Kinematics
 from evo_cpg.physics.per_body import PerBody, take
 from evo_cpg.physics.spatial_algebra import Inertia, Motion, Wrench
@@ -116,7 +116,7 @@ def find_contacts(footing: Footing, kin: Kinematics, h: float) -> Contacts:
     """
     bodies = np.array(footing.bodies)
     ground = footing.ground
-    arm, spoke, gap, normal, bend = contact_points(footing, kin, h)
+    arm, spoke, gap, normal, bend, ahead = contact_points(footing, kin, h)
     frame = _frame(normal)
     angular, linear = take(kin.angular, bodies), take(kin.linear, bodies)
     velocity = linear + cross(angular, arm)
@@ -124,12 +124,21 @@ def find_contacts(footing: Footing, kin: Kinematics, h: float) -> Contacts:
     drift = take(kin.bias_linear, bodies) + cross(take(kin.bias_angular, bodies), arm) + turning
 
     approach, coasting = -dot(normal, velocity), matvec(frame, velocity + 0.5 * h * drift)
+    place, left = gap, h
+    if ahead is not None:
+        # The gap is that of later on; until then the point comes nearer.
+        gap, left = gap + ahead * approach, h - ahead
     push = jnp.clip(-BAUMGARTE_SHARE / h * gap, 0.0, BAUMGARTE_SPEED)
     share = jnp.clip((1.0 / _RESTITUTION_THRESHOLD) * approach - 1.0, 0.0, 1.0)
     bounce = expand_dims_like(footing.restitution, approach) * share * approach
     # Times a reciprocal: to divide takes a processor many times as long.
     rest = jnp.where(gap > 0, (-1.0 / h) * gap, push)
-    near = gap < ground.margin
+    # The law gives way by a share of the speed, and a point that moves farther in a step than the
+    # margin would sink in by millimetres.
+    hit = jnp.clip((h / ground.margin) * approach - 1.0, 0.0, 1.0)
+    rest = rest + hit * (1.0 / STIFFNESS) * jnp.maximum(rest + approach, 0.0)
+    # What comes from far within the step is near, too.
+    near = place < jnp.maximum(ground.margin, left * approach)
     bounce = jnp.where(near & (gap <= h * approach), bounce, 0.0)
     rest = jnp.where(near, rest, _OUT_OF_REACH)
     return Contacts(arm, coasting, rest, rest, bounce, frame)

@@ -12,10 +12,13 @@ from jaxtyping import Array, Float
 
 from evo_cpg.physics.footing import CORNERS, ContactPoints, Footing
 from evo_cpg.physics.kinematics import Kinematics
-from evo_cpg.physics.obstacles import obstacle_points, tangent_point
+from evo_cpg.physics.obstacles import meeting_time, obstacle_points, tangent_point
 from evo_cpg.physics.per_body import take
-from evo_cpg.physics.terrain import Part, nearest
+from evo_cpg.physics.separation import RoundedBoxes
+from evo_cpg.physics.sweep import Moving, fast_from, moved, time_of_crossing
+from evo_cpg.physics.terrain import Part, Plane, nearest
 from evo_cpg.spatial.linear import cross, dot, expand_dims_like, matvec, matvec_t
+from evo_cpg.spatial.numerics import Numbers, xp
 from evo_cpg.spatial.partly import PartlyTraced
 
 # Slope up which corners of a mesh count as lying beside the lowest one: of a body that falls flat
@@ -32,85 +35,143 @@ def contact_points(footing: Footing, kin: Kinematics, h: float = 0.0) -> Contact
     Args:
         footing: what may touch.
         kin: kinematics of the creature.
-        h: corners are those that will be lowest after so many seconds.
+        h: corners are those that will be lowest after so many seconds; what moves fast is looked at
+            where it meets the ground within them.
     """
     ground = footing.ground
-    found = _lowest(footing, kin, (ground.floor,), h)
+    found = _lowest(footing, kin, h)
     if footing.solids is not None:
         # A mesh meets them with its corners and with an ellipsoid within it.
-        found += _lowest(footing, kin, ground.obstacles, h, meshes_only=True)
-        found += obstacle_points(footing.solids, ground.obstacles, kin)
-    arm, spoke, gap, normal, bend = zip(*found, strict=True)
+        found += _corners_on_obstacles(footing, kin, h)
+        found += obstacle_points(footing.solids, ground, kin, h)
+    arm, spoke, gap, normal, bend, times = zip(*found, strict=True)
+    ahead = None
+    if any(time is not None for time in times):
+        each = zip(times, gap, strict=True)
+        ahead = jnp.concatenate([jnp.zeros_like(g) if t is None else t for t, g in each])
     return ContactPoints(
         jnp.concatenate(arm, 1),
         jnp.concatenate(spoke, 1),
         jnp.concatenate(gap),
         jnp.concatenate(normal, 1),
         jnp.concatenate(bend),
+        ahead,
     )
 
 
-def _lowest(
-    footing: Footing,
-    kin: Kinematics,
-    parts: tuple[Part, ...],
-    h: float,
-    meshes_only: bool = False,
-) -> list[ContactPoints]:
-    """The points that are lowest as the nearest of some parts lies below their body's centre."""
-    boxes, meshes, balls, ellipsoids = (
-        part.shape[-1] for part in (footing.boxes, footing.meshes, footing.radii, footing.semi_axes)
-    )
+def _lowest(footing: Footing, kin: Kinematics, h: float) -> list[ContactPoints]:
+    """The points that are lowest as the floor lies below their body's centre."""
+    boxes, meshes, balls, ellipsoids = _counts(footing)
     # A box and a mesh have several contact points, all others one.
     angular = boxes + meshes
     once = CORNERS * angular + balls + ellipsoids
     bodies = np.array(footing.bodies[:once])
     bodies = np.concatenate([bodies[: CORNERS * angular : CORNERS], bodies[CORNERS * angular :]])
-    counted = slice(boxes, angular) if meshes_only else slice(0, None)
-    if not len(bodies[counted]):
+    if not len(bodies):
         return []
     rotation, origin = take(kin.rotation, bodies, 2), take(kin.origin, bodies)
     centre = matvec(rotation, expand_dims_like(footing.centre, rotation[0]))
-    spin = take(kin.angular, bodies)
-    above, up = _surface(parts, origin + centre)
+    linear, spin = take(kin.linear, bodies), take(kin.angular, bodies)
+    floor = (footing.ground.floor,)
+    above, up = _surface(floor, origin + centre)
+    sloping = h > 0 and not isinstance(floor[0], Plane)
+    size = expand_dims_like(_sizes(footing), above)
+    if sloping and angular + ellipsoids:
+        # A cliff ahead is met by the front of a body.
+        least, velocity = fast_from(footing.ground.margin, size), linear + cross(spin, centre)
+        time = time_of_crossing(floor, origin + centre, velocity, 0.0, least, h, size)
+        _, up = _surface(floor, origin + centre + time[None] * velocity)
     # As a body sees it h later; d(e . up)/dt = e . (up x w).
     later = up + h * cross(up, spin)
     found = []
-    if boxes and not meshes_only:
+
+    def on_floor(own: slice, arm: Array, radius: Array | float = 0.0) -> tuple:
+        """Gap and normal of points of some bodies, and the time within the step, s."""
+        each = arm.shape[1] // origin[:, own].shape[1]
+        start, v, w = (jnp.repeat(x[:, own], each, 1) for x in (origin, linear, spin))
+        point = start + arm
+        if not sloping:
+            return *_surface(floor, point), None
+        least = fast_from(footing.ground.margin, jnp.repeat(size[own], each, 0))
+        velocity = v + cross(w, arm)
+        time = time_of_crossing(floor, point, velocity, radius, least, h)
+        return *_surface(floor, point + time[None] * velocity), time
+
+    if boxes:
         own = slice(boxes)
         arm = _lowest_corners(later[:, own], footing.boxes, rotation[:, :, own], centre[:, own])
-        corner = jnp.repeat(origin[:, own], CORNERS, 1) + arm
-        found.append(_material(arm, *_surface(parts, corner)))
+        found.append(_material(arm, *on_floor(own, arm)))
     if meshes:
         own = slice(boxes, angular)
-        turned = rotation[:, :, own]
-        inward = matvec_t(turned, later[:, own])
-        lowest = _lowest_of_meshes(footing.meshes, inward)
-        arm = jnp.repeat(centre[:, own], CORNERS, 1) + matvec(
-            jnp.repeat(turned, CORNERS, 2), lowest
-        )
-        corner = jnp.repeat(origin[:, own], CORNERS, 1) + arm
-        found.append(_material(arm, *_surface(parts, corner)))
-    if meshes_only:
-        return found
+        arm = _arms_of_meshes(footing, rotation[:, :, own], centre[:, own], later[:, own])
+        found.append(_material(arm, *on_floor(own, arm)))
     if balls:
         own = slice(angular, angular + balls)
         radii = expand_dims_like(footing.radii, above)
-        arm = centre[:, own] - radii[None] * up[:, own]
-        found.append(_material(arm, above[own] - radii, up[:, own], centre[:, own]))
+        over, normal, time = above[own], up[:, own], None
+        if sloping:
+            over, normal, time = on_floor(own, centre[:, own], radii)
+        arm = centre[:, own] - radii[None] * normal
+        found.append(_material(arm, over - radii, normal, time, centre[:, own]))
     if ellipsoids:
         own = slice(angular + balls, None)
         turned, radii = rotation[:, :, own], expand_dims_like(footing.semi_axes, centre)
         spoke, bend = tangent_point(turned, radii, up[:, own], spin[:, own])
         arm = centre[:, own] + spoke
-        gap, normal = _surface(parts, origin[:, own] + arm)
-        found.append(ContactPoints(arm, arm, gap, normal, bend))
+        gap, normal, time = on_floor(own, arm)
+        found.append(ContactPoints(arm, arm, gap, normal, bend, time))
     return found
 
 
-def _material(arm: Array, gap: Array, normal: Array, spoke: Array | None = None) -> ContactPoints:
+def _corners_on_obstacles(footing: Footing, kin: Kinematics, h: float) -> list[ContactPoints]:
+    """The corners of meshes that are lowest as the nearest obstacle lies below their centre."""
+    boxes, meshes, *_ = _counts(footing)
+    ground, solids = footing.ground, footing.solids
+    if not meshes or solids is None:
+        return []
+    bodies = np.array(footing.bodies[CORNERS * boxes : CORNERS * (boxes + meshes) : CORNERS])
+    rotation, origin = take(kin.rotation, bodies, 2), take(kin.origin, bodies)
+    centre = matvec(rotation, expand_dims_like(footing.centre[:, boxes:], rotation[0])[:, :meshes])
+    spin, time = take(kin.angular, bodies), None
+    if h > 0:
+        place = np.array([solids.ellipsoids.bodies.index(body) for body in bodies])
+        time = take(meeting_time(solids, ground, kin, h), place, 0)
+        none = jnp.zeros_like(origin)
+        at = RoundedBoxes(origin + centre, rotation, none, none[0])
+        now = moved(Moving(at, origin, take(kin.linear, bodies), spin), time)
+        rotation, origin, centre = now.at.axes, now.origin, now.at.centre - now.origin
+        time = jnp.repeat(time, CORNERS, 0)
+    _, up = _surface(ground.obstacles, origin + centre)
+    arm = _arms_of_meshes(footing, rotation, centre, up + h * cross(up, spin))
+    corner = jnp.repeat(origin, CORNERS, 1) + arm
+    return [_material(arm, *_surface(ground.obstacles, corner), time)]
+
+
+def _counts(footing: Footing) -> tuple[int, ...]:
+    """How many boxes, meshes, balls and ellipsoids there are."""
+    kinds = footing.boxes, footing.meshes, footing.radii, footing.semi_axes
+    return tuple(kind.shape[-1] for kind in kinds)
+
+
+def _sizes(footing: Footing) -> Numbers:
+    """From the middle of boxes, meshes, balls and ellipsoids to their ends, m."""
+    boxes, meshes = (xp.sqrt((x * x).sum(0)) for x in (footing.boxes, footing.meshes))
+    ends = meshes.max(0, initial=0.0), footing.radii, footing.semi_axes.max(0, initial=0.0)
+    return xp.concatenate([boxes, *ends])
+
+
+def _arms_of_meshes(footing: Footing, turned: Array, centre: Array, later: Array) -> Array:
+    """From the origins of their bodies to the corners of meshes that are lowest."""
+    lowest = _lowest_of_meshes(footing.meshes, matvec_t(turned, later))
+    return jnp.repeat(centre, CORNERS, 1) + matvec(jnp.repeat(turned, CORNERS, 2), lowest)
+
+
+def _material(
+    arm: Array, gap: Array, normal: Array, time: Array | None, spoke: Array | None = None
+) -> ContactPoints:
     """Corners and balls: what is lowest there moves with the body, or with its centre."""
-    return ContactPoints(arm, arm if spoke is None else spoke, gap, normal, jnp.zeros_like(gap))
+    none = jnp.zeros_like(gap)
+    return ContactPoints(arm, arm if spoke is None else spoke, gap, normal, none, time)
 
 
 def clearance(footing: Footing, kin: Kinematics) -> Float[Array, "p *n"]:

@@ -44,7 +44,8 @@ def nearest_to_ball(
         centre: of the ellipsoids, m.
         axes: theirs, as columns.
         semi_axes: m.
-        ball: centres of the balls, outside of the ellipsoids, m.
+        ball: centres of the balls, m. Those inside an ellipsoid leave it along the gradient of its
+            equation, to first order.
         radius: m.
     """
     own = matvec_t(axes, ball - centre)
@@ -59,7 +60,12 @@ def nearest_to_ball(
         t = jnp.maximum(t + (jnp.sqrt(length) - 1.0) * length / slope, 0.0)
     way = square * own / (t[None] + square) - own
     apart = jnp.sqrt(dot(way, way) + _FLOOR)
-    return apart - radius, matvec(axes, way / apart[None])
+    steep = own / square
+    steepness, level = jnp.sqrt(dot(steep, steep) + _FLOOR), jnp.sqrt(dot(own, steep) + _FLOOR)
+    inside = level < 1.0
+    normal = jnp.where(inside[None], -steep / steepness[None], way / apart[None])
+    depth = (1.0 - level) * level / steepness
+    return jnp.where(inside, -depth, apart) - radius, matvec(axes, normal)
 
 
 def nearest_to_box(

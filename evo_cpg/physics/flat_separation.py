@@ -10,7 +10,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from evo_cpg.physics.separation import SAME, RoundedBoxes, Separation, unless
+from evo_cpg.physics.separation import RoundedBoxes, Separation, same, unless
 from evo_cpg.spatial.linear import dot, matvec, matvec_t, of_each, t_matmul, transpose, where_each
 
 
@@ -89,7 +89,7 @@ def separation_of_flat(a: RoundedBoxes, b: RoundedBoxes) -> list[Separation]:
         )
 
     near, far = share(jnp.zeros_like(gap)), share(jnp.ones_like(gap))
-    missing = jnp.abs((far - near) * edge) < SAME
+    missing = jnp.abs((far - near) * edge) < same(a, b)
     return [at(near, gap), unless(missing, at(far, gap + (far - near) * climb))]
 
 

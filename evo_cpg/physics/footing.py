@@ -26,7 +26,7 @@ Combination = Literal["multiply", "average", "geometric", "min", "max"]
 # c h of a point: so many times the geometric mean of its body's mass and the creature's. A rigid
 # body loses (1 + e) / 61 of the speed of its rebound. Depth hardly depends on it: of the points of
 # tumbling quadrupeds 0.70, 0.75 and 0.77 % are more than 1 mm deep with 50, 60 and 100.
-_STIFFNESS = 60.0
+STIFFNESS = 60.0
 
 # Corners of the lowest face of a box, and those of a mesh that count.
 CORNERS = 4
@@ -53,7 +53,7 @@ class Ground(eqx.Module):
         floor: its shape.
         obstacles: what stands on it.
         margin: points nearer than this are watched for an impact within the next step, m; it does
-            not hold bodies off the ground.
+            not hold bodies off the ground. Points that are fast are watched from farther away.
         stribeck_speed: sliding speed at which friction has gone half of the way from static to
             dynamic, m/s.
     """
@@ -86,6 +86,8 @@ class Parts(NamedTuple):
         axes: there, as columns; None where all are the frame's.
         half_extents: of a box, of a line along x, or semi-axes of an ellipsoid, m.
         radius: of the ball that sweeps them, m.
+        corners: of meshes around ellipsoids, along the axes, m; zeros where there is no mesh, and
+            None where there are no meshes at all.
     """
 
     bodies: tuple[int, ...]
@@ -93,6 +95,7 @@ class Parts(NamedTuple):
     axes: Float[np.ndarray, "3 3 p"] | None
     half_extents: Float[Numbers, "3 p"]
     radius: Float[Numbers, " p"]
+    corners: Float[np.ndarray, "3 c p"] | None = None
 
 
 class Solids(NamedTuple):
@@ -171,6 +174,8 @@ class ContactPoints(NamedTuple):
         gap: the point's distance from the ground, m.
         normal: of the ground, or of the body where its face meets an edge; away from the ground.
         bend: normal acceleration of the point because it moves along the surface, m/s^2.
+        ahead: time (s) within the step at which all of this is so: 0 but for what moves fast
+            (`evo_cpg.physics.sweep`); None where it is 0 of all points.
     """
 
     arm: Float[Array, "3 p *n"]
@@ -178,6 +183,7 @@ class ContactPoints(NamedTuple):
     gap: Float[Array, "p *n"]
     normal: Float[Array, "3 p *n"]
     bend: Float[Array, "p *n"]
+    ahead: Float[Array, "p *n"] | None = None
 
 
 def make_footing(creature: Creature, tree: Tree, ground: Ground) -> Footing:
@@ -230,7 +236,7 @@ def make_footing(creature: Creature, tree: Tree, ground: Ground) -> Footing:
         pairs(ground.restitution_rule, "restitution"),
         pairs(ground.friction_rule, "static_friction"),
         pairs(ground.friction_rule, "dynamic_friction"),
-        _STIFFNESS * xp.sqrt(tree.mass.sum() * tree.mass[np.array(bodies)]),
+        STIFFNESS * xp.sqrt(tree.mass.sum() * tree.mass[np.array(bodies)]),
     )
 
 
@@ -246,15 +252,17 @@ def combine(rule: Combination, first: Number, second: Number) -> Number:
 
 
 def _make_solids(creature: Creature, tree: Tree, obstacles: tuple[Obstacle, ...]) -> Solids:
-    boxes, lines, balls, ellipsoids = [], [], [], []
+    boxes, lines, balls, ellipsoids, outlines = [], [], [], [], []
     for i, name in enumerate(tree.names):
         shape = creature.bodies[creature.body_index(name)].shape
         box, none = shape.rounded_box, np.zeros(3)
         if isinstance(shape, ConvexMesh):
             semi_axes, axes = shape.inner_ellipsoid
             ellipsoids.append((i, none, axes, semi_axes, 0.0))
-        elif isinstance(shape, Ellipsoid):
+            outlines.append(shape.corners @ axes)
+        elif isinstance(shape, Ellipsoid) and not isinstance(shape, Sphere):
             ellipsoids.append((i, none, None, shape.half_extents, 0.0))
+            outlines.append(np.zeros((1, 3)))
         else:
             kind = {Box: boxes, Capsule: lines}.get(type(shape), balls)
             kind.append((i, box.centre, None, box.half_extents, box.radius))
@@ -276,7 +284,10 @@ def _make_solids(creature: Creature, tree: Tree, obstacles: tuple[Obstacle, ...]
         min(most, blocks * each + boulders) for most, each in zip(_POINTS, _ON_BLOCK, strict=True)
     )
     points = of_box, of_line, of_ball, of_ellipsoid
-    return Solids(parts(boxes), parts(lines), parts(balls), parts(ellipsoids), points)
+    round_ones = parts(ellipsoids)
+    if any(outline.any() for outline in outlines):
+        round_ones = round_ones._replace(corners=_equally_many(outlines))
+    return Solids(parts(boxes), parts(lines), parts(balls), round_ones, points)
 
 
 def _turned(axes: np.ndarray | None) -> np.ndarray:

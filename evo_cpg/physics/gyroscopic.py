@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.tree import Tree
-from evo_cpg.spatial.linear import cross, dot, expand_dims_like, matmul, matvec, skew
+from evo_cpg.spatial.linear import cross, dot, expand_dims_like, matmul, matvec, skew, toward_one
 from evo_cpg.spatial.numerics import Numbers, xp
 
 
@@ -29,15 +29,18 @@ def gyroscopic_change(
         angular: w in body axes, rad/s.
         h: s.
     """
-    inertia = expand_dims_like(_central_inertia(tree), angular, angular.ndim + 1)
+    own = central_inertia(tree)
+    # Cramer's rule multiplies three moments of inertia.
+    scale = toward_one(xp.trace(own)) ** 2
+    inertia = expand_dims_like(scale * own, angular, angular.ndim + 1)
     momentum = matvec(inertia, angular)
     torque = cross(angular, momentum)
     slope = matmul(skew(angular), inertia) - skew(momentum)
     change = _solve(inertia + 0.5 * h * slope, -h * torque)
-    return 0.5 * matvec(slope, change)
+    return expand_dims_like(0.5 / scale, angular[0])[None] * matvec(slope, change)
 
 
-def _central_inertia(tree: Tree) -> Float[Numbers, "3 3 b"]:
+def central_inertia(tree: Tree) -> Float[Numbers, "3 3 b"]:
     """About the centres of mass, in the working frames, kg m^2."""
     x, y, z = tree.com
     none = xp.zeros_like(x)

@@ -7,13 +7,14 @@ to a part count, and of the points that it has with them the deepest few.
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.physics.box_separation import separation_of_boxes
 from evo_cpg.physics.ellipsoids import nearest_to_ball, nearest_to_box
-from evo_cpg.physics.footing import NEAREST, ContactPoints, Parts, Solids
+from evo_cpg.physics.footing import NEAREST, ContactPoints, Ground, Parts, Solids
 from evo_cpg.physics.kinematics import Kinematics
 from evo_cpg.physics.per_body import take
 from evo_cpg.physics.separation import (
@@ -22,6 +23,7 @@ from evo_cpg.physics.separation import (
     separation_of_line_and_box,
     separation_of_lines,
 )
+from evo_cpg.physics.sweep import Moving, Outline, moved, times_of_contact
 from evo_cpg.physics.terrain import Block, Boulder, Obstacle
 from evo_cpg.spatial.linear import (
     array_of,
@@ -34,6 +36,7 @@ from evo_cpg.spatial.linear import (
     matvec_t,
     where_each,
 )
+from evo_cpg.spatial.numerics import Number
 
 # By so much (m) each further point with one obstacle counts as less deep, so that a part that lies
 # on two has points with both.
@@ -43,54 +46,69 @@ _BEHIND = 1e-3
 _FLOOR = 1e-20
 
 
-class _Placed(NamedTuple):
-    """Parts of a creature as they are now.
-
-    Attributes:
-        at: the same as rounded boxes.
-        origin: of their bodies, m.
-        linear: velocity of that, m/s.
-        angular: rad/s.
-    """
-
-    at: RoundedBoxes
-    origin: Float[Array, "3 p *n"]
-    linear: Float[Array, "3 p *n"]
-    angular: Float[Array, "3 p *n"]
-
-
 def obstacle_points(
-    solids: Solids, obstacles: tuple[Obstacle, ...], kin: Kinematics
+    solids: Solids, ground: Ground, kin: Kinematics, h: float
 ) -> list[ContactPoints]:
     """The points at which parts of a creature may touch obstacles, in the order of `Solids.bodies`.
 
     Args:
         solids: the parts.
-        obstacles: at least one.
+        ground: with one obstacle at least.
         kin: kinematics of the creature.
+        h: in so many seconds nothing passes through an obstacle.
     """
-    blocks = tuple(x for x in obstacles if isinstance(x, Block))
-    boulders = tuple(x for x in obstacles if isinstance(x, Boulder))
     found = []
-    for parts, most, on_block, on_boulder in (
-        (solids.boxes, solids.points[0], _box_on_block, _box_on_boulder),
-        (solids.lines, solids.points[1], _line_on_block, _line_on_boulder),
-        (solids.balls, solids.points[2], _ball_on_block, _line_on_boulder),
-        (solids.ellipsoids, solids.points[3], _ellipsoid_on_block, _ellipsoid_on_boulder),
+    for parts, most, ellipsoids, *touches in (
+        (solids.boxes, solids.points[0], False, _box_on_block, _box_on_boulder),
+        (solids.lines, solids.points[1], False, _line_on_block, _line_on_boulder),
+        (solids.balls, solids.points[2], False, _ball_on_block, _line_on_boulder),
+        (solids.ellipsoids, solids.points[3], True, _ellipsoid_on_block, _ellipsoid_on_boulder),
     ):
         if parts.bodies:
             placed = _place(parts, kin)
-            candidates = [
-                (point.gap + rank * _BEHIND, point)
-                for kind, touch in ((blocks, on_block), (boulders, on_boulder))
-                for obstacle in _nearest(kind, placed.at)
-                for rank, point in enumerate(touch(placed, obstacle))
-            ]
+            candidates = []
+            for obstacles, touch in zip(_by_kind(ground.obstacles), touches, strict=True):
+                outline = Outline(ellipsoids, _corners(parts, placed.origin))
+                for near in _nearest(obstacles, placed, outline, ground.margin, h):
+                    points = touch(near.parts, near.obstacle)
+                    candidates += [
+                        (point.gap + rank * _BEHIND, point._replace(ahead=near.time))
+                        for rank, point in enumerate(points)
+                    ]
             found += _first(candidates, most)
     return found
 
 
-def _place(parts: Parts, kin: Kinematics) -> _Placed:
+def meeting_time(solids: Solids, ground: Ground, kin: Kinematics, h: float) -> Float[Array, "p *n"]:
+    """When within a step each ellipsoid, or the mesh around it, meets the first obstacle, s.
+
+    Args:
+        solids: with one ellipsoid at least.
+        ground: with one obstacle at least.
+        kin: kinematics of the creature.
+        h: s.
+    """
+    placed = _place(solids.ellipsoids, kin)
+    outline = Outline(True, _corners(solids.ellipsoids, placed.origin))
+    best = None
+    for obstacles in _by_kind(ground.obstacles):
+        for near in _nearest(obstacles, placed, outline, ground.margin, h):
+            new = near.way, near.time
+            best = new if best is None else where_each(near.way < best[0], new, best)
+    assert best is not None
+    return best[1]
+
+
+def _by_kind(obstacles: tuple[Obstacle, ...]) -> tuple[tuple[Obstacle, ...], ...]:
+    """Blocks and boulders."""
+    return tuple(tuple(x for x in obstacles if isinstance(x, kind)) for kind in (Block, Boulder))
+
+
+def _corners(parts: Parts, like: Array) -> Array | None:
+    return None if parts.corners is None else expand_dims_like(parts.corners, like, like.ndim + 1)
+
+
+def _place(parts: Parts, kin: Kinematics) -> Moving:
     bodies = np.array(parts.bodies)
     rotation, origin = take(kin.rotation, bodies, 2), take(kin.origin, bodies)
     centre = origin + matvec(rotation, expand_dims_like(parts.centre, origin))
@@ -100,23 +118,62 @@ def _place(parts: Parts, kin: Kinematics) -> _Placed:
     half = expand_dims_like(parts.half_extents, origin) + 0 * centre
     radius = expand_dims_like(parts.radius, origin[0]) + 0 * centre[0]
     speeds = take(kin.linear, bodies), take(kin.angular, bodies)
-    return _Placed(RoundedBoxes(centre, axes, half, radius), origin, *speeds)
+    return Moving(RoundedBoxes(centre, axes, half, radius), origin, *speeds)
 
 
-def _nearest(obstacles: tuple[Obstacle, ...], parts: RoundedBoxes) -> list[RoundedBoxes]:
-    """Of each part the obstacles, all of one kind, that are nearest to it or overlap with it."""
-    boxes = [_as_box(obstacle, parts.centre) for obstacle in obstacles]
-    if len(boxes) <= NEAREST:
-        return boxes
-    best: list[tuple[Array, RoundedBoxes]] = []
-    for box in boxes:
-        new = _apart(parts, box), box
+class _Near(NamedTuple):
+    """Obstacles, one for each part, and the parts where they meet them.
+
+    Attributes:
+        way: about how far the parts have to move until they touch, m.
+        obstacle: as rounded boxes.
+        time: within the step at which the parts are looked at, s.
+        parts: as they are then.
+    """
+
+    way: Float[Array, "p *n"]
+    obstacle: RoundedBoxes
+    time: Float[Array, "p *n"]
+    parts: Moving
+
+
+def _nearest(
+    obstacles: tuple[Obstacle, ...],
+    parts: Moving,
+    outline: Outline,
+    margin: Number,
+    h: float,
+) -> list[_Near]:
+    """Of each part the obstacles, all of one kind, that are nearest to it or overlap with it.
+
+    Args:
+        obstacles: all of one kind.
+        parts: of the creature.
+        outline: what they are.
+        margin: of the ground, m.
+        h: s.
+    """
+    if not obstacles:
+        return []
+    boxes = [_as_box(obstacle, parts.at.centre) for obstacle in obstacles]
+    ways = [_apart(parts.at, box) for box in boxes]
+    times = [jnp.zeros_like(way) for way in ways]
+    if h > 0:
+        # One of each for all parts: what does not depend on individuals is no operation.
+        point = jnp.zeros((3, *(1 for _ in parts.origin.shape[1:])), parts.origin.dtype)
+        single = [_as_box(obstacle, point) for obstacle in obstacles]
+        stacked = jax.tree.map(lambda *each: jnp.stack(each), *single)
+        times, swept = times_of_contact(parts, outline, stacked, margin, h)
+        ways = [jnp.where(t > 0, new, way) for t, new, way in zip(times, swept, ways, strict=True)]
+    found = list(zip(ways, boxes, times, strict=True))
+    best = found[: 0 if len(found) > NEAREST else NEAREST]
+    for new in found if not best else ():
         for k, old in enumerate(best):
             closer = new[0] < old[0]
             best[k], new = where_each(closer, new, old), where_each(closer, old, new)
         if len(best) < NEAREST:
             best.append(new)
-    return [box for _, box in best]
+    return [_Near(*each, moved(parts, each[-1])) for each in best]
 
 
 def _apart(parts: RoundedBoxes, box: RoundedBoxes) -> Float[Array, "p *n"]:
@@ -166,33 +223,33 @@ def _first(candidates: list[tuple[Array, ContactPoints]], count: int) -> list[Co
     return [point for _, point in best]
 
 
-def _box_on_block(parts: _Placed, block: RoundedBoxes) -> list[ContactPoints]:
+def _box_on_block(parts: Moving, block: RoundedBoxes) -> list[ContactPoints]:
     corner, *beside, across = separation_of_boxes(block, parts.at, corners=4)
     return [_point(parts, x) for x in (corner, across, *beside)]
 
 
-def _box_on_boulder(parts: _Placed, boulder: RoundedBoxes) -> list[ContactPoints]:
+def _box_on_boulder(parts: Moving, boulder: RoundedBoxes) -> list[ContactPoints]:
     return [_point(parts, separation_of_line_and_box(boulder, parts.at)[0], 1.0)]
 
 
-def _line_on_block(parts: _Placed, block: RoundedBoxes) -> list[ContactPoints]:
+def _line_on_block(parts: Moving, block: RoundedBoxes) -> list[ContactPoints]:
     found = separation_of_line_and_box(parts.at, block)
     return [_point(parts, _turned_round(x)) for x in found]
 
 
-def _ball_on_block(parts: _Placed, block: RoundedBoxes) -> list[ContactPoints]:
+def _ball_on_block(parts: Moving, block: RoundedBoxes) -> list[ContactPoints]:
     return _line_on_block(parts, block)[:1]
 
 
-def _line_on_boulder(parts: _Placed, boulder: RoundedBoxes) -> list[ContactPoints]:
+def _line_on_boulder(parts: Moving, boulder: RoundedBoxes) -> list[ContactPoints]:
     return [_point(parts, separation_of_lines(boulder, parts.at)[0])]
 
 
-def _ellipsoid_on_block(parts: _Placed, block: RoundedBoxes) -> list[ContactPoints]:
+def _ellipsoid_on_block(parts: Moving, block: RoundedBoxes) -> list[ContactPoints]:
     return [_on_ellipsoid(parts, *nearest_to_box(*parts.at[:3], block))]
 
 
-def _ellipsoid_on_boulder(parts: _Placed, boulder: RoundedBoxes) -> list[ContactPoints]:
+def _ellipsoid_on_boulder(parts: Moving, boulder: RoundedBoxes) -> list[ContactPoints]:
     found = nearest_to_ball(*parts.at[:3], boulder.centre, boulder.radius)
     return [_on_ellipsoid(parts, *found)]
 
@@ -203,7 +260,7 @@ def _turned_round(found: Separation) -> Separation:
     return Separation(gap, -normal, second, first, carried[::-1])
 
 
-def _point(parts: _Placed, found: Separation, carried: float | None = None) -> ContactPoints:
+def _point(parts: Moving, found: Separation, carried: float | None = None) -> ContactPoints:
     """A point of separations from obstacles to parts.
 
     Args:
@@ -217,12 +274,11 @@ def _point(parts: _Placed, found: Separation, carried: float | None = None) -> C
     turning = share[None] * parts.angular
     # A normal that turns meets another part of what slides past it.
     bend = -2.0 * dot(cross(found.normal, turning), velocity)
-    return ContactPoints(
-        arm, arm + parts.at.radius[None] * found.normal, found.gap, found.normal, bend
-    )
+    spoke = arm + parts.at.radius[None] * found.normal
+    return ContactPoints(arm, spoke, found.gap, found.normal, bend)
 
 
-def _on_ellipsoid(parts: _Placed, gap: Array, normal: Array) -> ContactPoints:
+def _on_ellipsoid(parts: Moving, gap: Array, normal: Array) -> ContactPoints:
     at = parts.at
     spoke, bend = tangent_point(at.axes, at.half_extents, normal, parts.angular)
     arm = at.centre + spoke - parts.origin

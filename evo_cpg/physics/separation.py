@@ -36,8 +36,11 @@ _NEARLY_PARALLEL = 7.6e-3
 # makes the gap larger by 1/200 of the radius at most.
 _OVERHANG = 0.1
 
-# Gap (m) of a further point that there is none of, and the least distance of it from the first.
-_NOWHERE, SAME = 1.0, 5e-3
+# Gap (m) of a further point that there is none of: out of reach of the fastest.
+_NOWHERE = 1e4
+
+# The least distance (m) of a further point from the first, and as a share of the smaller body.
+SAME, _SAME_SHARE = 5e-3, 0.25
 
 # Squared length (m^2) added where something is divided by it, and under a root.
 _FLOOR, _TINY = 1e-12, 1e-20
@@ -95,7 +98,7 @@ def separation_of_lines(a: RoundedBoxes, b: RoundedBoxes) -> list[Separation]:
         t = jnp.clip(both * s + other, -farthest, farthest)
         return _rounded(a, b, a.centre + s[None] * d, b.centre + t[None] * e)
 
-    return [at(s), unless(jnp.abs(end - s) < SAME, at(end))]
+    return [at(s), unless(jnp.abs(end - s) < same(a, b), at(end))]
 
 
 def _ends(
@@ -117,6 +120,20 @@ def _ends(
     lower = near - low < high - near
     near = jnp.where(sine < _NEARLY_PARALLEL, jnp.where(lower, low, high), near)
     return jnp.where(lower, high, low), near
+
+
+def same(a: RoundedBoxes, b: RoundedBoxes) -> Array:
+    """Distance from the first point below which a further one is the same, m."""
+    return jnp.minimum(SAME, _SAME_SHARE * smaller(a, b))
+
+
+def smaller(a: RoundedBoxes, b: RoundedBoxes) -> Array:
+    """From the middle of the smaller of two bodies to its farthest face, m.
+
+    A boulder has no extent but its radius, and a block the other way round.
+    """
+    one, other = (box.half_extents.max(0) + box.radius for box in (a, b))
+    return jnp.minimum(one, other)
 
 
 def unless(missing: Array, point: Separation) -> Separation:
@@ -155,7 +172,9 @@ def separation_of_line_and_box(a: RoundedBoxes, b: RoundedBoxes) -> list[Separat
             low, falls = jnp.where(lower, s, low), jnp.where(lower, here, falls)
             high, rises = jnp.where(upper, s, high), jnp.where(upper, here, rises)
     # In between it is flat where the line passes through the box.
-    s = low + (high - low) * (_TINY - falls) / (rises - falls + 2.0 * _TINY)
+    bends = rises - falls > _TINY
+    share = jnp.where(bends, -falls / jnp.where(bends, rises - falls, 1.0), 0.5)
+    s = low + (high - low) * share
 
     def at(s: Array) -> Separation:
         point, inside = nearest(s)
@@ -174,7 +193,7 @@ def separation_of_line_and_box(a: RoundedBoxes, b: RoundedBoxes) -> list[Separat
         return Separation(gap, normal, first, second, jnp.zeros((2, *gap.shape), gap.dtype))
 
     near, end = _ends_beside_box(s, middle, way, extent, most, a.radius + b.radius)
-    return [at(near), unless(jnp.abs(end - near) < SAME, at(end))]
+    return [at(near), unless(jnp.abs(end - near) < same(a, b), at(end))]
 
 
 def _ends_beside_box(
@@ -241,7 +260,7 @@ def separation_of_rounded(a: RoundedBoxes, b: RoundedBoxes) -> list[Separation]:
         there = jnp.clip(there, -b.half_extents, b.half_extents)
         return _rounded(a, b, a.centre + matvec(a.axes, here), b.centre + matvec(b.axes, there))
 
-    return [at(near), unless(jnp.abs(end - near) < SAME, at(end))]
+    return [at(near), unless(jnp.abs(end - near) < same(a, b), at(end))]
 
 
 def _rounded(a: RoundedBoxes, b: RoundedBoxes, first: Array, second: Array) -> Separation:

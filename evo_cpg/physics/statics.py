@@ -201,7 +201,7 @@ def _ground(
     """Force on every contact point, N, and what the ground does."""
     bodies = np.array(footing.bodies)
     stiffness = expand_dims_like(resting_stiffness(footing, h), grip.held)
-    arm, _, gap, normal, _ = contact_points(footing, kin)
+    arm, _, gap, normal, *_ = contact_points(footing, kin)
     point, place = _on_body(footing, kin, arm)
     normal_force = stiffness * jnp.maximum(-gap, 0.0)
     way = take(kin.origin, bodies) + matvec(take(kin.rotation, bodies, 2), grip.point) - grip.place

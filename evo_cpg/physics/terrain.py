@@ -21,7 +21,7 @@ from evo_cpg.spatial.linear import array_of, cosine_sine, dot, expand_dims_like
 from evo_cpg.spatial.numerics import Number, Triple, xp
 
 # Squared length (m^2) added under roots so that they have gradients on the spot.
-_FLOOR = 1e-12
+_FLOOR = 1e-18
 
 Axis = Literal["x", "y"]
 

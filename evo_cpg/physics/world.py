@@ -5,7 +5,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from evo_cpg.creature.self_collision import SelfCollision
 from evo_cpg.creature.tree import Tree
@@ -14,7 +14,7 @@ from evo_cpg.physics.buoyancy import Cells, Displacement, buoyancy, displacement
 from evo_cpg.physics.current import stream
 from evo_cpg.physics.fluid import Patch, Water, drag
 from evo_cpg.physics.footing import Footing, Ground
-from evo_cpg.physics.gyroscopic import gyroscopic_change
+from evo_cpg.physics.gyroscopic import central_inertia, gyroscopic_change
 from evo_cpg.physics.kinematics import Kinematics, Motion
 from evo_cpg.physics.pairs import Pairs
 from evo_cpg.physics.spatial_algebra import Inertia, Wrench, make_inertia
@@ -27,7 +27,10 @@ from evo_cpg.spatial.linear import (
     matvec,
     matvec_t,
 )
-from evo_cpg.spatial.numerics import Number, Numbers, xp
+from evo_cpg.spatial.numerics import Number, Numbers, is_traced, xp
+
+# Radius of gyration below which rounding would turn a body that falls, m.
+_TURNS_EASILY = 0.01
 
 
 class World(eqx.Module):
@@ -168,7 +171,7 @@ def body_equations(world: World, kin: Kinematics, h: float) -> tuple[Inertia, Wr
             wrench = wrench + carried_water(own, velocity, wet.stream)
             wrench = wrench - matvec(own, accelerations) - matvec(entering, wet.velocity) / h
             blocks = blocks + _blocks(own) + _blocks(entering)
-    needed = _gyration(constant, velocity) - wrench
+    needed = _gyration(world, velocity) - wrench
     moment, force = needed[:3], needed[3:]
     if not world.submerged:
         # In water drag holds spins back.
@@ -194,7 +197,7 @@ def bias_of_mean(world: World, kin: Kinematics, moving: Motion, h: float) -> Wre
         rotation, moving.bias_angular - kin.bias_angular, moving.bias_linear - kin.bias_linear
     )
     constant = expand_dims_like(tree.inertia, velocity, velocity.ndim + 1)
-    needed = _gyration(constant, other) - _gyration(constant, velocity)
+    needed = _gyration(world, other) - _gyration(world, velocity)
     needed = needed + matvec(constant, accelerations)
     wet = immersion(world, kin)
     if wet is not None and world.added_inertia is not None:
@@ -213,13 +216,29 @@ def _in_body_axes(
     return jnp.concatenate([matvec_t(rotation, angular), matvec_t(rotation, linear)])
 
 
-def _gyration(
-    inertia: Float[Array, "6 6 b *#n"], velocity: Float[Array, "6 b *n"]
-) -> Float[Array, "6 b *n"]:
+def _gyration(world: World, velocity: Float[Array, "6 b *n"]) -> Float[Array, "6 b *n"]:
     """``V x* I V``."""
+    inertia = expand_dims_like(world.tree.inertia, velocity, velocity.ndim + 1)
     momentum, w, v = matvec(inertia, velocity), velocity[:3], velocity[3:]
-    moment = cross(w, momentum[:3]) + cross(v, momentum[3:])
+    across = momentum[3:]
+    small = _turn_easily(world.tree)
+    # In deep water drag holds bodies back that fall.
+    if not world.submerged and (is_traced(small) or small.any()):
+        # The part m v of the momentum adds nothing but rounding to the moment v x m v.
+        without = xp.where(small[None, None], 0.0, world.tree.inertia[3:, 3:])
+        rows = xp.concatenate([world.tree.inertia[3:, :3], without], 1)
+        across = matvec(expand_dims_like(rows, velocity, velocity.ndim + 1), velocity)
+    moment = cross(w, momentum[:3]) + cross(v, across)
     return jnp.concatenate([moment, cross(w, momentum[3:])])
+
+
+def _turn_easily(tree: Tree) -> Bool[Numbers, " b"]:
+    """Bodies that rounding of ``v x m v`` would turn, by about ``1e-7 v^2 / r^2`` rad/s^2.
+
+    Larger bodies keep the rounding of earlier versions.
+    """
+    least = xp.diagonal(central_inertia(tree)).min(1)
+    return least < _TURNS_EASILY**2 * tree.mass
 
 
 def _carried_inertia(

@@ -14,8 +14,11 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.spatial.inlined import inlined
-from evo_cpg.spatial.numerics import is_traced
+from evo_cpg.spatial.numerics import is_traced, xp
 from evo_cpg.spatial.partly import PartlyTraced
+
+# Between these powers of two products of three numbers stay within float32.
+_SMALL, _LARGE = 2.0**-32, 2.0**32
 
 # Indices that turn a 3-vector into its cyclic successors, for cross products and cofactors.
 _NEXT = np.array([1, 2, 0])
@@ -134,6 +137,18 @@ def skew(v: Float[Array, "3 *#rest"]) -> Float[Array, "3 3 *#rest"]:
     return jnp.stack([zero, -z, y, z, zero, -x, -y, x, zero]).reshape(3, *v.shape)
 
 
+def toward_one(size: Any) -> Any:
+    """Power of two whose square brings positive numbers nearer to 1, and 1 for most numbers.
+
+    A product of three numbers that are multiplied by its square stays within float32. Rounding does
+    not change: a product with a power of two is exact.
+
+    Args:
+        size: from 1e-28 to 1e28; an array of NumPy's or JAX's.
+    """
+    return xp.where(size < _SMALL, _LARGE, xp.where(size > _LARGE, _SMALL, 1.0))
+
+
 @inlined
 def inverse_symmetric(m: Float[Array, "k k *#rest"]) -> Float[Array, "k k *#rest"]:
     """Inverse of a symmetric positive definite matrix of size 1, 2 or 3, in closed form.
@@ -144,6 +159,15 @@ def inverse_symmetric(m: Float[Array, "k k *#rest"]) -> Float[Array, "k k *#rest
     size = m.shape[0]
     if size == 1:
         return 1.0 / m
+    # Moments of inertia of a millimetre are 1e-15 kg m^2, the cube of which float32 cannot hold.
+    scale = toward_one(jnp.stack([m[i, i] for i in range(size)]))
+    scale = scale[:, None] * scale[None]
+    return scale * _inverse(scale * m)
+
+
+def _inverse(m: Float[Array, "k k *#rest"]) -> Float[Array, "k k *#rest"]:
+    """See `inverse_symmetric`; the products of three diagonal elements stay within the numbers."""
+    size = m.shape[0]
     if size == 2:
         determinant = m[0, 0] * m[1, 1] - m[0, 1] * m[0, 1]
         adjugate = jnp.stack([jnp.stack([m[1, 1], -m[0, 1]]), jnp.stack([-m[0, 1], m[0, 0]])])

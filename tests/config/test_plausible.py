@@ -55,6 +55,24 @@ MISTAKES = {
         "creature.bodies.0.shape.size",
         "a body of 0.0002 m; plausible are 0.001 to 30 m",
     ),
+    "speck that carries a trunk": (
+        CONFIG,
+        ["creature.bodies.0.shape.size=[0.002, 0.001, 0.001]"],
+        "creature.bodies.1.joint.parent",
+        "float32 resolves up to 5000 times its mass; make the heavier body the parent",
+    ),
+    "speck on a whale": (
+        CONFIG,
+        ["creature.bodies.1.shape.size=[1e-5, 1e-5, 1e-5]", "creature.bodies.1.repeat=1"],
+        "creature.bodies.1.material",
+        "float32 resolves down to 1e-12 of its mass",
+    ),
+    "thin claw in long steps": (
+        LEGS,
+        ["creature.bodies.0.shape.size=[0.4, 0.4, 0.0002]"],
+        "simulation.substeps",
+        "it would sink into the ground or bob for ever; plausible are",
+    ),
     "hills within a body": (
         LEGS,
         ["world.ground.floor={type: hills, length: 0.4}"],

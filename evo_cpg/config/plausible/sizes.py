@@ -1,4 +1,4 @@
-"""Densities and lengths that look like those of another unit: g/cm^3, cm or mm."""
+"""Densities and lengths that look like those of another unit, and what float32 does not resolve."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -21,6 +21,15 @@ _BODIES = (0.001, 30.0)
 # How much larger or smaller than the median of all bodies a body may be, and how many have to be
 # there for a median to mean anything.
 _UNLIKE, _SEVERAL = 50.0, 3
+
+# In float32 a body carries a limb of up to so many times its mass: with 8000 times the motion was
+# right, with 37,000 times it became infinite. A creature may have up to so many times the mass of
+# its lightest body: with 1e12 times the motion was right, with 1e15 times it became infinite.
+_CARRIES, _LIGHTER = 5000.0, 1e12
+
+# Of half the thickness of a body, the most that gravity may move it in a physics step. At 0.6 the
+# body sinks into the ground by a twentieth of that half. At 2 a floating body never comes to rest.
+_FALL = 0.5
 
 # An obstacle may be so many times the creature's length.
 _OBSTACLE = 100.0
@@ -74,6 +83,55 @@ def body_size(case: Case) -> Iterator[Doubt]:
         else:
             continue
         yield Doubt((*key, "shape", *place), value, problem)
+
+
+def masses(case: Case) -> Iterator[Doubt]:
+    """No body carries a limb that is far heavier, or is a speck on the creature."""
+    bodies = case.creature.bodies
+    mass = {body.name: float(body.material.density * body.shape.volume) for body in bodies}
+    parents = {body.name: body.joint.parent for body in bodies if body.joint is not None}
+    carried = dict(mass)
+    for name in mass:
+        above = parents.get(name)
+        while above is not None:
+            carried[above] += mass[name]
+            above = parents.get(above)
+    total = sum(mass.values())
+    for key, entry, body in case.bodies():
+        own, above = mass[body.name], parents.get(body.name)
+        if above is not None and carried[body.name] > _CARRIES * mass[above]:
+            yield Doubt(
+                (*key, "joint", "parent"),
+                above,
+                f"a body of {mass[above]:.2g} kg that carries a limb of {carried[body.name]:.2g} "
+                f"kg; float32 resolves up to {_CARRIES:g} times its mass; make the heavier body "
+                "the parent",
+            )
+        if total > _LIGHTER * own:
+            yield Doubt(
+                (*key, "material"),
+                entry.material,
+                f"a body of {own:.2g} kg on a creature of {total:.2g} kg; float32 resolves down to "
+                f"{1 / _LIGHTER:g} of its mass; is it in another unit than m?",
+            )
+
+
+def step_length(case: Case) -> Iterator[Doubt]:
+    """A step is short enough for what rests on the ground, or floats, to come to rest."""
+    world, simulation = case.config.world, case.config.simulation
+    if world.ground is None and (world.water is None or world.water.surface is None):
+        return
+    half, name = min((float(b.shape.half_extents.min()), b.name) for b in case.creature.bodies)
+    h = 1.0 / (simulation.control_rate_hz * simulation.substeps)
+    if world.gravity * h * h > _FALL * half:
+        enough = np.sqrt(world.gravity / (_FALL * half)) / simulation.control_rate_hz
+        yield Doubt(
+            ("simulation", "substeps"),
+            simulation.substeps,
+            f"body {name!r} is {2 * half:.2g} m thick and falls {world.gravity * h * h:.2g} m in a "
+            f"physics step of {h:.2g} s; it would sink into the ground or bob for ever; plausible "
+            f"are {int(np.ceil(enough))} and more",
+        )
 
 
 def _size(shape: SolidConfig) -> tuple[tuple[str, ...], object]:
@@ -166,4 +224,4 @@ def friction(case: Case) -> Iterator[Doubt]:
             )
 
 
-RULES = (density, body_size, obstacle_size, floor_bumps, gravity, friction)
+RULES = (density, body_size, masses, step_length, obstacle_size, floor_bumps, gravity, friction)

@@ -1,0 +1,280 @@
+"""When a part that moves fast meets the ground within a step.
+
+The law of contact knows the ground near a point by a plane, and nothing of points farther away than
+the margin. A part that moves farther in a step may end it on the other side of an obstacle. So the
+plane of such a part is that of the place where the part first meets the ground.
+
+- Blocks and boulders are convex, and so are parts. A gap between both along any direction is a
+  lower bound: they cannot meet before the part has moved as far. That takes the part from place to
+  place up to the contact (conservative advancement, Mirtich 1996), however thin the obstacle is.
+  At any place on the way a plane keeps both apart, so few rounds are enough.
+- The surface of a floor with slopes is sampled along the way of a point. The first interval in
+  which the point gets deeper into the floor is halved.
+
+Parts move at the velocities of the start of the step. Slow parts take no round and stay where they
+are.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from evo_cpg.fusion.converge import while_each
+from evo_cpg.physics.separation import RoundedBoxes
+from evo_cpg.physics.terrain import Part, nearest
+from evo_cpg.spatial.linear import cross, dot, matvec, matvec_t
+from evo_cpg.spatial.numerics import is_traced
+
+# A part is fast if it moves farther in a step than this share of the margin, or of so many times
+# its own size. The rest of the margin is for parts that speed up within the step.
+_FAST, _SIZES = 0.8, 4.0
+
+# Of the way that makes a part fast: what is nearer counts as met.
+_CLOSE = 0.02
+
+# Rounds of conservative advancement at most.
+_ROUNDS = 12
+
+# Places on the way of a point, and how often the interval of the first crossing is halved.
+_SAMPLES, _HALVINGS = 16, 6
+
+# Squared length (m^2) and speed (m^2/s^2) added under roots, and what is divided by at least.
+_FLOOR = 1e-30
+
+
+class Moving(NamedTuple):
+    """Parts of a creature as they are now, and how they move.
+
+    Attributes:
+        at: the parts as rounded boxes; of an ellipsoid the semi-axes are the half extents.
+        origin: of their bodies, m.
+        linear: velocity of the origin, m/s.
+        angular: rad/s.
+    """
+
+    at: RoundedBoxes
+    origin: Float[Array, "3 p *n"]
+    linear: Float[Array, "3 p *n"]
+    angular: Float[Array, "3 p *n"]
+
+
+class Outline(NamedTuple):
+    """What parts are beside rounded boxes.
+
+    Attributes:
+        ellipsoids: whether they are ellipsoids.
+        corners: of meshes around the ellipsoids, along their axes, m; zeros where there is no mesh.
+    """
+
+    ellipsoids: bool
+    corners: Float[Array, "3 c p *#n"] | None
+
+
+def fast_from(
+    margin: Float[Array, ""] | float, size: Float[Array, "p *#n"]
+) -> Float[Array, "p *#n"]:
+    """The way in a step from which a part is fast, m.
+
+    Args:
+        margin: of the ground, m.
+        size: from the middle of the part to its end, m.
+    """
+    return _FAST * jnp.minimum(margin, _SIZES * size)
+
+
+def moved(parts: Moving, time: Float[Array, "p *n"]) -> Moving:
+    """The parts after some time (s) at the same velocities.
+
+    The turn is Cayley's, which keeps axes at right angles: up to 0.5 rad it is 2 % too small.
+    """
+    w, half = parts.angular, 0.5 * time
+    once = 2.0 * half / (1.0 + half * half * dot(w, w))
+    twice = half * once
+
+    def turn(x: Array) -> Array:
+        """What turning adds to a vector: the products of vectors do not depend on the time."""
+        across = cross(w, x)
+        return once[None] * across + twice[None] * cross(w, across)
+
+    at, way = parts.at, time[None] * parts.linear
+    axes = jnp.stack([at.axes[:, k] + turn(at.axes[:, k]) for k in range(3)], 1)
+    centre = at.centre + (way + turn(at.centre - parts.origin))
+    return parts._replace(at=at._replace(centre=centre, axes=axes), origin=parts.origin + way)
+
+
+def times_of_contact(
+    parts: Moving,
+    outline: Outline,
+    obstacles: RoundedBoxes,
+    margin: Float[Array, ""] | float,
+    h: float,
+) -> tuple[Float[Array, "k p *n"], Float[Array, "k p *n"]]:
+    """When within a step each part is to be looked at beside each obstacle, s, and how far that is.
+
+    The time of slow parts is 0. The second result is the way (m) until a fast part and an obstacle
+    touch.
+
+    Args:
+        parts: of the creature.
+        outline: what they are.
+        obstacles: blocks without radius and boulders without extent, the k of them on the first
+            axes of the arrays.
+        margin: of the ground, m.
+        h: s.
+    """
+    parts, outline, obstacles = _held((parts, outline, obstacles))
+    size = _reach(parts, outline)
+    least = fast_from(margin, size + parts.at.radius)
+    # A ball that turns about its centre stays where it is.
+    arm = parts.at.centre - parts.origin
+    speed = _length(parts.linear + cross(parts.angular, arm)) + size * _length(parts.angular)
+    none = jnp.zeros((len(obstacles.radius), *speed.shape), speed.dtype)
+    going = none + (h * speed > least).astype(speed.dtype)[None]
+
+    def beside(_: None, given: tuple) -> tuple[None, tuple]:
+        obstacle, time, going, last = given
+        now = moved(parts, time)
+        normal, gap = _apart_along(now.at, outline, obstacle)
+        velocity = now.linear + cross(now.angular, now.at.centre - now.origin)
+        spin = size * _length(cross(now.angular, normal))
+        closing = spin - dot(normal, velocity)
+        ahead = jnp.where(closing > 0, gap / jnp.maximum(closing, _FLOOR), 0.0)
+        meets = (gap <= _CLOSE * least) | (closing <= 0)
+        later = jnp.minimum(time + ahead, h)
+        goes_on = (going > 0) & ~meets
+        last = jnp.where(going > 0, gap, last)
+        time = jnp.where(goes_on, later, time)
+        return None, (time, (goes_on & (time < h)).astype(time.dtype), last)
+
+    def unmet(given: tuple) -> Array:
+        _, going, _, count = given
+        return (going > 0).any((0, 1)) & (count < _ROUNDS)
+
+    def closer(given: tuple) -> tuple:
+        *found, count = given
+        _, found = jax.lax.scan(beside, None, (obstacles, *found))
+        return *found, count + 1
+
+    start = none, going, none, jnp.zeros(none.shape[2:], jnp.int32)
+    time, _, gap, _ = while_each(unmet, closer, start)
+    return time, gap + time * speed[None]
+
+
+def time_of_crossing(
+    floor: tuple[Part, ...],
+    points: Float[Array, "3 p *n"],
+    velocity: Float[Array, "3 p *n"],
+    radius: Float[Array, "p *#n"] | float,
+    least: Float[Array, "p *#n"],
+    h: float,
+    beyond: Float[Array, "p *#n"] | float = 0.0,
+) -> Float[Array, "p *n"]:
+    """When within a step points that move straight on first get deeper into a floor, s; else 0.
+
+    Args:
+        floor: the floor.
+        points: m.
+        velocity: m/s.
+        radius: of balls around the points, m.
+        least: the way in a step from which a point is fast, m.
+        h: s.
+        beyond: so much farther than in a step they are looked at, m.
+    """
+    floor, points, velocity, radius, least = _held((floor, points, velocity, radius, least))
+
+    def height(time: Array) -> Array:
+        return nearest(floor, points + time[None] * velocity)[0] - radius
+
+    speed = _length(velocity)
+    fast, end = h * speed > least, h + beyond / speed
+    none = jnp.zeros_like(points[0])
+
+    def unsettled(given: tuple) -> Array:
+        count = given[-1]
+        return fast.any(0) & (count < _SAMPLES + _HALVINGS)
+
+    def closer(given: tuple) -> tuple:
+        low, high, deepest, count = given
+        found = high > 0
+        time = jnp.where(found, 0.5 * (low + high), low + end / _SAMPLES)
+        here = height(time)
+        # At the start it is noted how deep a point is.
+        deepest = jnp.where(count == 0, jnp.minimum(height(none), 0.0) - _CLOSE * least, deepest)
+        meets = (here < deepest) & (time < (1 + 0.5 / _SAMPLES) * end)
+        high = jnp.where(meets & fast, time, high)
+        return jnp.where(meets, low, time), high, deepest, count + 1
+
+    start = none, none, none, jnp.zeros(none.shape[1:], jnp.int32)
+    return while_each(unsettled, closer, start)[1]
+
+
+def _held(values: Any) -> Any:
+    """The same without derivatives, which no loop has that ends when all is found."""
+    return jax.tree.map(lambda x: jax.lax.stop_gradient(x) if is_traced(x) else x, values)
+
+
+def _reach(parts: Moving, outline: Outline) -> Float[Array, "p *n"]:
+    """From the centre to what turns with a part and is farthest off, m."""
+    half = parts.at.half_extents
+    if not outline.ellipsoids:
+        return _length(half)
+    reach = half.max(0)
+    if outline.corners is None:
+        return reach
+    return jnp.maximum(reach, jnp.sqrt(dot(outline.corners, outline.corners)).max(0))
+
+
+def _apart_along(
+    parts: RoundedBoxes, outline: Outline, obstacle: RoundedBoxes
+) -> tuple[Float[Array, "3 p *n"], Float[Array, "p *n"]]:
+    """A direction from an obstacle to parts, and the gap between both along it, m.
+
+    Of some directions the one with the largest gap: that between near points, the obstacle's axes,
+    and that of the near point of an ellipsoid.
+    """
+    to = obstacle.axes
+    first = _within(obstacle, parts.centre)
+    own = _within(parts, first)
+    way = own - _within(obstacle, own)
+    away = parts.centre - obstacle.centre
+    along = matvec_t(to, away)
+    directions = [way, *(jnp.where(along[k] < 0, -1.0, 1.0)[None] * to[:, k] for k in range(3))]
+    if outline.ellipsoids:
+        square = parts.half_extents * parts.half_extents
+        bent = matvec(parts.axes, matvec_t(parts.axes, first - parts.centre) / square)
+        directions.append(-bent)
+    best, gap = directions[0], None
+    for direction in directions:
+        normal = direction / _length(direction)[None]
+        theirs = dot(obstacle.half_extents, jnp.abs(matvec_t(to, normal))) + obstacle.radius
+        here = dot(normal, away) - _extent(parts, outline, normal) - theirs
+        if gap is None:
+            best, gap = normal, here
+        else:
+            best = jnp.where((here > gap)[None], normal, best)
+            gap = jnp.maximum(here, gap)
+    assert gap is not None
+    return best, gap
+
+
+def _extent(parts: RoundedBoxes, outline: Outline, normal: Array) -> Array:
+    """How far parts reach against a direction from their centres, m."""
+    own = matvec_t(parts.axes, normal)
+    if not outline.ellipsoids:
+        return dot(parts.half_extents, jnp.abs(own)) + parts.radius
+    reach = _length(parts.half_extents * own)
+    if outline.corners is None:
+        return reach
+    return jnp.maximum(reach, -(outline.corners * own[:, None]).sum(0).min(0))
+
+
+def _within(box: RoundedBoxes, point: Array) -> Array:
+    """The point of a box without its radius that is nearest to another."""
+    own = jnp.clip(matvec_t(box.axes, point - box.centre), -box.half_extents, box.half_extents)
+    return box.centre + matvec(box.axes, own)
+
+
+def _length(vector: Float[Array, "3 *rest"]) -> Float[Array, "*rest"]:
+    return jnp.sqrt(dot(vector, vector) + _FLOOR)

@@ -1,0 +1,215 @@
+"""Bodies from 0.1 mm to 100 m move as closed forms say, in float32.
+
+Lengths are measured in the body's own, and times in those in which it falls as far.
+"""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from creatures import in_water
+from evo_cpg.creature.creature import Body, Creature, Joint, Material
+from evo_cpg.creature.shapes import Box, Capsule, Sphere
+from evo_cpg.creature.tree import build_tree
+from evo_cpg.fusion.engine import Engine, using
+from evo_cpg.fusion.jax_internals import quick_jit
+from evo_cpg.physics.contact_points import clearance
+from evo_cpg.physics.kinematics import kinematics
+from evo_cpg.physics.state import resting_state
+from evo_cpg.physics.step import first_warmstart, step
+from evo_cpg.physics.terrain import Block, Plane
+from evo_cpg.physics.world import World
+from evo_cpg.spatial.linear import inverse_symmetric, toward_one
+from evo_cpg.spatial.rotation import quaternion_to_matrix
+from on_ground import alone
+
+GRAVITY = 9.81
+ABYSS = Plane(height=-1000.0)
+SIZES = 1e-4, 1e-3, 100.0
+
+
+def body(shape, density=1000.0):
+    return Creature("one", (Body("body", shape, Material(density)),))
+
+
+def moved(world, steps, h, height=0.0, velocity=None, qd=None, engine="native"):
+    """States at the end of every step, of one individual in float32."""
+    h = float(h)
+    start = resting_state(world.tree, (1,), jnp.float32, position=(0.0, 0.0, height))
+    if velocity is not None:
+        start = dataclasses.replace(start, velocity=jnp.asarray(velocity, jnp.float32)[:, None])
+    if qd is not None:
+        start = dataclasses.replace(start, qd=jnp.asarray(qd, jnp.float32)[:, None])
+
+    def advance(carry, _):
+        state, warmstart = carry
+        state, effort = step(world, state, jnp.zeros_like(state.q), h, None, warmstart)
+        return (state, effort.warmstart), state
+
+    @quick_jit
+    def run(state):
+        begin = state, first_warmstart(world, (1,), jnp.float32)
+        return jax.lax.scan(advance, begin, None, steps)[1]
+
+    with using(Engine(engine)):
+        return jax.tree.map(lambda x: np.asarray(x, float)[..., 0], run(start))
+
+
+@pytest.mark.parametrize(("size", "engine"), [(1e-4, "jax"), *((s, "native") for s in SIZES)])
+def test_a_symmetric_top_precesses(size, engine):
+    """At (I_2 - I_1) / I_2 times its spin; it falls at up to 10 m/s meanwhile."""
+    world = World(build_tree(body(Capsule(size / 6, 2 * size / 3))), GRAVITY)
+    states = moved(world, 240, 1 / 240, velocity=[20.0, 3.0, 1.0, 0.0, 0.0, 0.0], engine=engine)
+    turn = np.asarray(quaternion_to_matrix(jnp.asarray(states.orientation.T)))
+    own = np.einsum("ijt,ti->jt", turn, states.velocity[:, :3])
+    across, along = world.tree.inertia[1, 1, 0], world.tree.inertia[0, 0, 0]
+    angle = np.unwrap(np.arctan2(own[2], own[1]))
+    rate = np.polyfit(np.arange(240) / 240, angle, 1)[0]
+    assert rate == pytest.approx(-20.0 * (across - along) / across, rel=1e-3)
+    np.testing.assert_allclose(own[0], 20.0, rtol=1e-3)
+    np.testing.assert_allclose(np.hypot(own[1], own[2]), np.sqrt(10.0), rtol=1e-3)
+    assert states.velocity[-1, 5] == pytest.approx(-GRAVITY, rel=1e-3)
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_a_sinking_box_comes_to_its_terminal_speed(size):
+    """``v^2 = (rho_b / rho - 1) g c / C_d``, as its top and its bottom resist."""
+    density, drag = 3000.0, 0.5
+    world = in_water(
+        body(Box((size, 0.7 * size, 0.5 * size)), density), form_drag=drag, skin_drag=0.0,
+        added_mass=True,
+    )  # fmt: skip
+    states = moved(world, 400, 0.05 * np.sqrt(size / GRAVITY))
+    speed = np.sqrt((density / 1000.0 - 1.0) * GRAVITY * 0.5 * size / drag)
+    assert states.velocity[-1, 5] == pytest.approx(-speed, rel=1e-3)
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_a_floating_box_bobs(size):
+    """As a spring of ``rho g a b`` moves it, about the place where it is half under water."""
+    world = in_water(
+        body(Box((size, 0.7 * size, 0.5 * size)), 500.0), form_drag=0.0, skin_drag=0.0, surface=0.0
+    )
+    h = 0.01 * np.sqrt(size / GRAVITY)
+    states = moved(world, 400, h, height=0.02 * size)
+    rate = np.sqrt(2.0 * GRAVITY / (0.5 * size))
+    # Positions are those half a step after the velocities.
+    time = h * (np.arange(400) + 1.5)
+    wave = 0.02 * np.cos(rate * time) / np.cos(0.5 * rate * h)
+    np.testing.assert_allclose(states.position[:, 2] / size, wave, atol=0.03 * 0.02)
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("on", ["floor", "block"])
+def test_a_box_comes_to_rest_on_the_ground(size, on):
+    """Dropped, it neither sinks in nor tilts."""
+    ground = {"floor": Plane()}
+    if on == "block":
+        slab = Block((0.0, 0.0, -size), (20.0 * size, 20.0 * size, size))
+        ground = {"floor": Plane(height=-1000.0 * size), "obstacles": (slab,)}
+    world = alone(Box((size, 0.7 * size, 0.5 * size)), **ground)
+    states = moved(world, 150, 0.03 * np.sqrt(size / GRAVITY), height=0.4 * size)
+    assert states.position[-1, 2] == pytest.approx(0.25 * size, rel=1e-3)
+    turn = np.asarray(quaternion_to_matrix(jnp.asarray(states.orientation[-1])))
+    assert turn[2, 2] > 1 - 1e-6
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_a_ball_that_slides_comes_to_roll(size):
+    """At 5/7 of the speed that it had."""
+    world = alone(Sphere(size / 2))
+    speed = 0.5 * np.sqrt(GRAVITY * size)
+    states = moved(
+        world, 100, 0.03 * np.sqrt(size / GRAVITY), height=size / 2,
+        velocity=[0.0, 0.0, 0.0, speed, 0.0, 0.0],
+    )  # fmt: skip
+    assert states.velocity[-1, 3] == pytest.approx(5 / 7 * speed, rel=1e-3)
+
+
+def angular_momentum(tree, states):
+    """About the world's origin at each time, ``(times, 3)``."""
+    state = jax.tree.map(lambda x: jnp.moveaxis(jnp.asarray(x), 0, -1), states)
+    kin = jax.tree.map(np.asarray, kinematics(tree, state))
+    total = 0.0
+    for i in range(tree.body_count):
+        turn, inertia = kin.rotation[:, :, i], tree.inertia[:, :, i]
+        twist = np.concatenate(
+            [np.einsum("jit,jt->it", turn, x[:, i]) for x in (kin.angular, kin.linear)]
+        )
+        own = np.einsum("ij,jt->it", inertia, twist)
+        moment, force = (np.einsum("ijt,jt->it", turn, part) for part in (own[:3], own[3:]))
+        total = total + moment + np.cross(kin.origin[:, i].T, force.T).T
+    return total.T
+
+
+@pytest.mark.parametrize("engine", ["native", "jax"])
+@pytest.mark.parametrize("axes", [1, 2, 3])
+def test_a_claw_of_a_thousandth_keeps_spinning(axes, engine):
+    """On a joint without resistance: the pair keeps its momentum, and the claw hardly its own."""
+    large, small = 0.5, 0.0005
+    ways = ((0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0))[:axes]
+    joint = Joint(
+        parent="trunk",
+        parent_anchor=(large / 2, 0.0, 0.0),
+        child_anchor=(0.0, 0.0, 0.0),
+        axes=ways,
+        lower=(-99.0,) * axes,
+        upper=(99.0,) * axes,
+    )
+    creature = Creature(
+        "pair",
+        (
+            Body("trunk", Box((large, 0.7 * large, 0.5 * large)), Material(1000.0)),
+            Body("claw", Sphere(small), Material(1000.0), joint),
+        ),
+    )
+    world = World(build_tree(creature), 0.0)
+    rates = np.array([5.0, 0.0, 0.0])[:axes]
+    states = moved(
+        world, 60, 1 / 240, velocity=[0.0, 0.0, 0.0, 0.0, 0.0, 0.0], qd=rates, engine=engine
+    )
+    # A ball about whose centre the joint is turns at its own rate, and pushes nothing.
+    np.testing.assert_allclose(states.qd[:, 0], 5.0, rtol=1e-3)
+    momentum = angular_momentum(world.tree, states)
+    own = 0.4 * 1000.0 * world.tree.volume[1] * small**2 * 5.0
+    np.testing.assert_allclose(momentum[:, 1], own, rtol=2e-2)
+
+
+@pytest.mark.parametrize("shape", [Sphere(0.05), Capsule(0.05, 0.2)])
+def test_the_height_over_a_block_has_a_slope_in_float32(shape):
+    """Where an animal starts is found by it."""
+    world = alone(shape, obstacles=(Block((0.0, 0.0, 0.0), (1.0, 1.0, 0.01)),), floor=ABYSS)
+
+    @quick_jit
+    def gap(height):
+        state = resting_state(world.tree, (), jnp.float32, (0.0, 0.0, height))
+        return clearance(world.footing, kinematics(world.tree, state)).min()
+
+    for height in (0.0, 0.5):
+        _, rise = jax.jvp(gap, (jnp.float32(height),), (jnp.float32(1.0),))
+        assert abs(float(rise)) == 1.0
+
+
+def test_inverses_of_any_size():
+    """Of the moments of inertia of a speck, and of those of a hill; others keep their bits."""
+    rng = np.random.default_rng(0)
+    for size in (1, 2, 3):
+        root = rng.normal(size=(size, size, 40))
+        scale = 10.0 ** rng.uniform(-12, 12, (size, 40))
+        m = np.einsum("ijn,kjn->ikn", root, root) + np.eye(size)[:, :, None]
+        m = m * scale[:, None] * scale[None]
+        single = jnp.asarray(m, jnp.float32)
+        found = np.asarray(quick_jit(inverse_symmetric)(single), float)
+        exact = np.moveaxis(np.linalg.inv(np.moveaxis(m, -1, 0)), 0, -1)
+        np.testing.assert_allclose(
+            found * scale[:, None] * scale[None], exact * scale[:, None] * scale[None],
+            rtol=1e-3, atol=1e-4,
+        )  # fmt: skip
+
+
+def test_usual_numbers_are_not_scaled():
+    assert (np.asarray(toward_one(np.array([1e-9, 1e-3, 1.0, 1e9]))) == 1.0).all()
+    assert (np.log2(toward_one(np.array([1e-20, 1e20]))) == [32.0, -32.0]).all()
