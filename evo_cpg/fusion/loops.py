@@ -8,6 +8,7 @@ A loop that carries an array and only adds to it has the array in memory (`Sums`
 
 import functools
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr
@@ -18,10 +19,10 @@ from evo_cpg.fusion.graph import Block, Graph, Loop, Node, Sums
 from evo_cpg.fusion.moves import SCATTER_ADD
 from evo_cpg.fusion.unsupported import Unsupported
 
-Trace = Callable[..., list[np.ndarray]]
+Trace = Callable[..., list[Any]]
 
 
-def _scan(graph: Graph, operands: list[np.ndarray], params: dict, trace: Trace) -> list[np.ndarray]:
+def _scan(graph: Graph, operands: list[Any], params: dict, trace: Trace) -> list[Any]:
     """A counted loop; what it reads one by one lies in tables, what it stacks in lists."""
     constant_count, carry_count = internals.scan_counts(params)
     length, closed = params["length"], params["jaxpr"]
@@ -34,7 +35,7 @@ def _scan(graph: Graph, operands: list[np.ndarray], params: dict, trace: Trace) 
     if length * sum(aval.size for aval in stacked) > machine_constants.LONGEST_LISTS:
         raise Unsupported(f"a loop of {length} rounds stacks more than native code keeps")
 
-    def one_round(place: Node, carried: list[np.ndarray | Sums]) -> list[np.ndarray | Sums]:
+    def one_round(place: Node, carried: list[Any]) -> list[Any]:
         row = [_row(graph, x, place) for x in read]
         return trace(graph, closed, [*consts, *carried, *row])
 
@@ -78,7 +79,7 @@ def _only_adds(jaxpr: Jaxpr, into: int, out: int) -> bool:
         into: number of the argument.
         out: number of the result that it is to become.
     """
-    array = jaxpr.invars[into]
+    array: Any = jaxpr.invars[into]
     for equation in jaxpr.eqns:
         places = [k for k, atom in enumerate(equation.invars) if atom is array]
         if not places:
@@ -89,7 +90,7 @@ def _only_adds(jaxpr: Jaxpr, into: int, out: int) -> bool:
         if name in SCATTER_ADD:
             numbers = params["dimension_numbers"]
             simple = numbers.inserted_window_dims == (0,) and not numbers.update_window_dims
-            if place or array.aval.ndim != 1 or not simple or not _in_bounds(params):
+            if place or len(array.aval.shape) != 1 or not simple or not _in_bounds(params):
                 return False
             array = equation.outvars[0]
         elif name == "cond" and place:
@@ -241,7 +242,8 @@ def _length(jaxpr: Jaxpr) -> int:
         ]
         total += sum(map(_length, inner))
         if not inner:
-            total += sum(atom.aval.size for atom in equation.outvars)
+            avals: list[Any] = [atom.aval for atom in equation.outvars]
+            total += sum(aval.size for aval in avals)
     return total
 
 

@@ -263,42 +263,44 @@ def separations(pairs: Pairs, kin: Kinematics) -> Separation:
         if pairs.looped:
             found += _one_by_one(run, chosen, (centre, kin.rotation, half, radius))
         else:
-            found += find(
-                *(
-                    run.boxes(
-                        take(centre, own),
-                        take(kin.rotation, own, 2),
-                        take(half, own),
-                        take(radius, own, 0),
-                        side,
-                    )
-                    for side, own in enumerate(chosen)
+            sides = [
+                run.boxes(
+                    take(centre, own),
+                    take(kin.rotation, own, 2),
+                    take(half, own),
+                    take(radius, own, 0),
+                    side,
                 )
-            )
+                for side, own in enumerate(chosen)
+            ]
+            found += find(*sides)
         start += run.count
     axis = 1 - kin.origin.ndim
     return jax.tree.map(lambda *parts: jnp.concatenate(parts, axis), *found)
 
 
-def _one_by_one(run: Alike, chosen: list[np.ndarray], placed: tuple) -> list[Separation]:
-    """The points of the pairs of a run, in a loop over the pairs."""
-    axes = (1, 2, 1, 0)
+def _one_by_one(
+    run: Alike, chosen: list[np.ndarray], placed: tuple[Array, Array, Array, Array]
+) -> list[Separation]:
+    """The points of the pairs of a run, in a loop over the pairs.
 
-    def look(carry: None, bodies: tuple[Array, Array]) -> tuple[None, list[Separation]]:
-        sides = [
-            run.boxes(
-                *(
-                    jax.lax.dynamic_index_in_dim(x, body, axis)
-                    for x, axis in zip(placed, axes, strict=True)
-                ),
-                side,
-            )
-            for side, body in enumerate(bodies)
-        ]
-        return carry, KINDS[run.kind][0](*sides)
+    Args:
+        run: how they are treated.
+        chosen: the first and the second body of each pair.
+        placed: centres, axes, half extents and radii of the boxes of all bodies.
+    """
 
-    given = tuple(jnp.asarray(bodies, jnp.int32) for bodies in chosen)
-    _, found = jax.lax.scan(look, None, given)
+    def of(body: Array, side: int) -> RoundedBoxes:
+        centre, axes, half, radius = (
+            jax.lax.dynamic_index_in_dim(x, body, axis)
+            for x, axis in zip(placed, (1, 2, 1, 0), strict=True)
+        )
+        return run.boxes(centre, axes, half, radius, side)
+
+    def look(carry: None, bodies: Array) -> tuple[None, list[Separation]]:
+        return carry, KINDS[run.kind][0](of(bodies[0], 0), of(bodies[1], 1))
+
+    _, found = jax.lax.scan(look, None, jnp.asarray(np.stack(chosen, 1), jnp.int32))
 
     def together(x: Array) -> Array:
         """Put all pairs where the one pair was, behind the components."""

@@ -102,6 +102,7 @@ def test_loops_find_the_same_step(x64, loops, shape, axes):
     np.testing.assert_allclose(got.velocity, expected.velocity, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_loops_on_plain_jax(x64, loops):
     """Individuals with and without pushes side by side, in programs that are not native."""
     creature = clapper(LIMBS["capsules"], "z")
@@ -150,15 +151,15 @@ def test_points_left_out_do_not_push(x64, loops):
         )
 
     loops(True)
-    gap, watched = (np.asarray(x) for x in jax.jit(watch)(state))
+    watched = np.asarray(jax.jit(watch)(state)[1])
     later = dataclasses.replace(state, q=state.q + H * state.qd)
     gap_later = np.asarray(jax.jit(watch)(later)[0])
     # A further point may appear where there was none; one of the pair is watched.
     owners = list(zip(*pairs.owners, strict=True))
     points = [[k for k, own in enumerate(owners) if own == pair] for pair in sorted(set(owners))]
-    comes = np.array([(gap[own].min(0) > 0) & (gap_later[own].min(0) < 0) for own in points])
+    comes = np.array([gap_later[own].min(0) < 0 for own in points])
     seen = np.array([watched[own].max(0) == 1 for own in points])
-    assert comes.sum() >= 3 and (~seen).sum() >= 3, "the test is about pairs that come near"
+    assert comes.sum() >= 10 and (~seen).sum() >= 10, "the test is about pairs that come near"
     assert seen[comes].all()
 
 
