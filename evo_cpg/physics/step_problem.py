@@ -176,9 +176,9 @@ class StepProblem(NamedTuple):
     def motion(self, linear: Linearization) -> Float[Array, "v *n"]:
         """The accelerations under linearized laws.
 
-        Elimination in generalized coordinates loses digits with the fourth power of the number of
-        joints in a row: of 40 on the ground float32 has none left. Long animals are solved body by
-        body, and by elimination only where pairs push, which join branches of the tree.
+        Elimination in generalized coordinates loses digits with the number of joints in a row: of
+        40 on the ground float32 has none left. Long animals are solved body by body. Elimination
+        remains for steps in which pairs push, because these join branches of the tree.
         """
         if not _is_long(self.world.tree):
             return self._by_elimination(linear)
