@@ -203,13 +203,16 @@ def times(ratio: float) -> str:
 
 
 def _rate(value: float, unit: str) -> str:
+    # A creature whose process ended has no rate.
+    if not value:
+        return "none"
     if unit == SECONDS:
         return f"{value:.2f} s"
     return amount(value).strip()
 
 
 def _with_unit(value: float, unit: str) -> str:
-    return _rate(value, unit) if unit == SECONDS else f"{_rate(value, unit)} {unit}"
+    return _rate(value, unit) if unit == SECONDS or not value else f"{_rate(value, unit)} {unit}"
 
 
 def _error(value: float | None) -> str:
