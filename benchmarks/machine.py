@@ -80,19 +80,19 @@ def children_watched() -> Iterator[Callable[[], int | None]]:
         A function that returns the peak resident memory of the largest of them, bytes; None where
         the system does not tell, or there was none.
     """
-    peaks: list[int] = []
+    peaks: dict[str, int] = {}
     done = threading.Event()
 
     def watch() -> None:
-        # A process that ends between two looks has grown since the first.
         while not done.wait(_LOOK_AGAIN):
-            peaks.extend(filter(None, map(_peak_of, _children())))
-            peaks[:] = [max(peaks)] if peaks else []
+            for child in _children():
+                # The last look counts: until a child has its own program, the memory is ours.
+                peaks[child] = _peak_of(child) or peaks.get(child, 0)
 
     thread = threading.Thread(target=watch, daemon=True)
     thread.start()
     try:
-        yield lambda: max(peaks, default=None)
+        yield lambda: max([*peaks.values()], default=0) or None
     finally:
         done.set()
         thread.join()

@@ -137,6 +137,9 @@ def load(path: Path) -> tuple[dict[str, Any], list[Row]]:
 def _row(
     ratio_spread: Sequence[float] | None, build: dict[str, Any] | None = None, **fields: Any
 ) -> Row:
-    """Return the row that JSON has in lists and mappings."""
-    spread = tuple(ratio_spread) if ratio_spread else None
+    """Return a row from its fields in JSON, which has no tuples and no classes."""
+    spread = None
+    if ratio_spread:
+        low, high = ratio_spread
+        spread = low, high
     return Row(**fields, ratio_spread=spread, build=Build(**build) if build else None)
