@@ -1,11 +1,15 @@
 """The machine: its processor, its float32 peak, and the memory of a process."""
 
+import contextlib
 import datetime
 import os
 import platform
 import resource
 import sys
+import threading
+from collections.abc import Callable, Iterator
 from importlib import metadata
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -17,6 +21,8 @@ _PACKAGES = ("jax", "jaxlib", "numpy", "mujoco", "mujoco-mjx", "brax", "evosax")
 # Rows of the square matrices whose product is timed, and how often: large enough for the peak,
 # small enough for a tenth of a second.
 _MATRIX, _ATTEMPTS = 1024, 8
+# How often the memory of other processes is looked at, s.
+_LOOK_AGAIN = 0.02
 
 
 def describe(cores: int, peak: float) -> dict[str, Any]:
@@ -59,13 +65,55 @@ def peak_memory() -> int:
     Linux's `ru_maxrss` starts with what the parent held when it started this process; the peak in
     /proc starts anew.
     """
-    if os.path.exists("/proc/self/status"):
-        with open("/proc/self/status", encoding="utf-8") as file:
-            for line in file:
-                if line.startswith("VmHWM:"):
-                    return int(line.split()[1]) * 1024
+    peak = _peak_of("self")
+    if peak is not None:
+        return peak
     most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return most if sys.platform == "darwin" else most * 1024
+
+
+@contextlib.contextmanager
+def children_watched() -> Iterator[Callable[[], int | None]]:
+    """Watch the processes that this one starts within the block.
+
+    Yields:
+        A function that returns the peak resident memory of the largest of them, bytes; None where
+        the system does not tell, or there was none.
+    """
+    peaks: dict[str, int] = {}
+    done = threading.Event()
+
+    def watch() -> None:
+        while not done.wait(_LOOK_AGAIN):
+            for child in _children():
+                # The last look counts: until a child has its own program, the memory is ours.
+                peaks[child] = _peak_of(child) or peaks.get(child, 0)
+
+    thread = threading.Thread(target=watch, daemon=True)
+    thread.start()
+    try:
+        yield lambda: max([*peaks.values()], default=0) or None
+    finally:
+        done.set()
+        thread.join()
+
+
+def _children() -> list[str]:
+    """Return the numbers of the processes that this one has started, where the system tells."""
+    found = []
+    for file in Path("/proc/self/task").glob("*/children"):
+        with contextlib.suppress(OSError):
+            found += file.read_text().split()
+    return found
+
+
+def _peak_of(process: str) -> int | None:
+    """Return the peak resident memory of a process, bytes; None where the system does not tell."""
+    with contextlib.suppress(OSError):
+        for line in Path(f"/proc/{process}/status").read_text().splitlines():
+            if line.startswith("VmHWM:"):
+                return int(line.split()[1]) * 1024
+    return None
 
 
 def _processor() -> str:

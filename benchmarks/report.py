@@ -6,6 +6,7 @@ from typing import Any
 from rich import box
 from rich.table import Table
 
+from benchmarks import growth
 from benchmarks.compare import Verdict
 from benchmarks.rows import SECONDS, Row
 from evo_cpg.studies.study import Table as PageTable
@@ -22,8 +23,8 @@ _PACKAGES = {
 }
 
 
-def tables(rows: list[Row], machine: dict[str, Any]) -> tuple[Table, Table]:
-    """Everything measured: what is known of ours, and who stands beside it.
+def tables(rows: list[Row], machine: dict[str, Any]) -> tuple[Table, ...]:
+    """Everything measured: ours, the peers beside it, and what grows with the number of bodies.
 
     Args:
         rows: what was measured.
@@ -50,7 +51,16 @@ def tables(rows: list[Row], machine: dict[str, Any]) -> tuple[Table, Table]:
             known.add(row.key[:3])
         if row.peer:
             beside.add_row(_name(row), str(row.size), *_theirs(row))
-    return ours, beside
+    return ours, beside, *map(_on_screen, growth.tables(rows))
+
+
+def _on_screen(table: PageTable) -> Table:
+    shown = Table(title=table.title, box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True)
+    for name in table.head:
+        shown.add_column(name, justify="left" if name == table.head[0] else "right")
+    for cells in table.rows:
+        shown.add_row(*cells)
+    return shown
 
 
 def line(row: Row) -> str:
@@ -64,12 +74,15 @@ def line(row: Row) -> str:
 def page_tables(rows: list[Row], machine: dict[str, Any]) -> list[PageTable]:
     """Everything measured: what is known of ours, and, where there is anybody, who stands beside.
 
-    Columns of which nothing is known are left out.
+    Columns of which nothing is known are left out. Creatures of many bodies have tables of their
+    own.
 
     Args:
         rows: what was measured.
         machine: from `benchmarks.machine.describe`.
     """
+    if grown := growth.tables(rows):
+        return grown
     units = sorted({row.unit for row in rows})
     # One unit stands in the head.
     head, cell = (f", {units[0]}", _rate) if len(units) == 1 else ("", _with_unit)
@@ -104,8 +117,10 @@ def _known_columns(title: str, head: list[str], rows: list[list[str]]) -> PageTa
 
 
 def notes(rows: list[Row]) -> list[str]:
-    """Why peers gave no rate, and what else is to be known of them, a line each."""
-    lines = [f"{row.case}, {row.size}, {row.peer}: {row.note}" for row in rows if row.note]
+    """Why peers or rows gave no rate, and what else is to be known of them, a line each."""
+    lines = [
+        f"{row.case}, {row.size}, {row.peer or row.part}: {row.note}" for row in rows if row.note
+    ]
     return list(dict.fromkeys(lines))
 
 
@@ -188,13 +203,16 @@ def times(ratio: float) -> str:
 
 
 def _rate(value: float, unit: str) -> str:
+    # A creature whose process ended has no rate.
+    if not value:
+        return "none"
     if unit == SECONDS:
         return f"{value:.2f} s"
     return amount(value).strip()
 
 
 def _with_unit(value: float, unit: str) -> str:
-    return _rate(value, unit) if unit == SECONDS else f"{_rate(value, unit)} {unit}"
+    return _rate(value, unit) if unit == SECONDS or not value else f"{_rate(value, unit)} {unit}"
 
 
 def _error(value: float | None) -> str:

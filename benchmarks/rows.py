@@ -4,6 +4,7 @@ import dataclasses
 import json
 import math
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,35 @@ SECONDS = "s"
 
 class RowsError(Exception):
     """A file that holds no rows; the message is for the user as it stands."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Build:
+    """What it took to make the program of one creature.
+
+    Attributes:
+        kind: creatures that differ in their number of bodies alone.
+        bodies: number of them.
+        operations: in the native code, for one individual; None where there is none.
+        building: time from the configuration to the creature and its world, s.
+        writing: time from the JAX program to LLVM IR, s.
+        llvm: time from LLVM IR to machine code, s.
+        code: bytes of machine code.
+        scratch: bytes of memory that the machine code works in.
+        compiler: peak resident memory of the compiler's process, bytes.
+        native: whether all of it is native code.
+    """
+
+    kind: str
+    bodies: int
+    operations: int | None = None
+    building: float | None = None
+    writing: float | None = None
+    llvm: float | None = None
+    code: int | None = None
+    scratch: int | None = None
+    compiler: int | None = None
+    native: bool = False
 
 
 @dataclasses.dataclass(frozen=True)
@@ -38,7 +68,8 @@ class Row:
         peer_error: the error of the peer by the same definition.
         ratio: median over the rounds of our rate over the peer's.
         ratio_spread: lower and upper quartile of it.
-        note: why the peer gave no rate.
+        note: why the peer gave no rate, or why the row has none or runs on plain JAX.
+        build: of a creature whose size matters.
     """
 
     case: str
@@ -59,6 +90,7 @@ class Row:
     ratio: float | None = None
     ratio_spread: tuple[float, float] | None = None
     note: str | None = None
+    build: Build | None = None
 
     @property
     def key(self) -> tuple[str, str, int, str]:
@@ -97,12 +129,17 @@ def load(path: Path) -> tuple[dict[str, Any], list[Row]]:
             f"{path} is no benchmark of this program: its format is {found}, not {FORMAT}"
         )
     try:
-        rows = [Row(**row) for row in record["rows"]]
-        return dict(record["machine"]), [
-            dataclasses.replace(row, ratio_spread=tuple(row.ratio_spread))
-            if row.ratio_spread
-            else row
-            for row in rows
-        ]
+        return dict(record["machine"]), [_row(**row) for row in record["rows"]]
     except (KeyError, TypeError, ValueError):
         raise RowsError(f"{path}: its rows are not those that `bench --json` writes") from None
+
+
+def _row(
+    ratio_spread: Sequence[float] | None, build: dict[str, Any] | None = None, **fields: Any
+) -> Row:
+    """Return a row from its fields in JSON, which has no tuples and no classes."""
+    spread = None
+    if ratio_spread:
+        low, high = ratio_spread
+        spread = low, high
+    return Row(**fields, ratio_spread=spread, build=Build(**build) if build else None)

@@ -676,7 +676,8 @@ def bench(
         typer.Argument(
             metavar="[CASE]...",
             help="swimmer, salamander-water, salamander-land, quadruped, cpg, brain, ga, "
-            "generation, gradient, bodies, engines, scaling or startup; all by default.",
+            "generation, gradient, bodies, large-creatures, engines, scaling or startup; all by "
+            "default.",
         ),
     ] = None,
     sizes: Annotated[

@@ -70,10 +70,12 @@ class Code(NamedTuple):
     Attributes:
         text: LLVM IR.
         scratch: bytes of memory that it needs.
+        operations: number of nodes of the graph that it computes.
     """
 
     text: str
     scratch: int
+    operations: int
 
 
 def emit(
@@ -148,7 +150,7 @@ class _Emitter:
         self._block(top, [node for _, nodes in self.results for node in nodes])
         self._write_results()
         self._end()
-        return Code(*self._text())
+        return Code(*self._text(), self.plan.operations)
 
     @property
     def _takes_turns(self) -> bool:

@@ -25,6 +25,7 @@ class Plan:
         counters: numbers of rounds that are read, likewise.
         crossing: values that are used in other stretches of code than their own.
         packs: whether there are loops that end when all individuals are done.
+        operations: number of nodes that become code.
 
     Raises:
         Unsupported: there are more operations than code is made of.
@@ -41,6 +42,7 @@ class Plan:
         for node in needed:
             if node.op not in _NO_CODE:
                 blocks.setdefault(node.block, []).append(node)
+        self.operations = sum(map(len, blocks.values()))
         self._runs = {block: _runs(nodes) for block, nodes in blocks.items()}
         self.inputs = [node for node in needed if node.op == "input"]
         self.carried = [

@@ -1,5 +1,6 @@
 """Fused programs as native code: from a program to a call of machine code, or to plain JAX."""
 
+import time
 import weakref
 from typing import NamedTuple
 
@@ -8,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from evo_cpg.fusion import engine
-from evo_cpg.fusion.emit import Buffer, Variant, emit
+from evo_cpg.fusion.emit import Buffer, Code, Variant, emit
 from evo_cpg.fusion.graph import Graph
 from evo_cpg.fusion.handler import handler
 from evo_cpg.fusion.machine import Target, load
@@ -28,13 +29,34 @@ class Native(NamedTuple):
     scratch: int
 
 
+class Made(NamedTuple):
+    """Record of a program that became machine code.
+
+    Attributes:
+        name: of the program.
+        operations: number of nodes of its graph that became code.
+        writing: time from the JAX program to LLVM IR, s.
+        compiling: time from LLVM IR to machine code in memory, s.
+        scratch: bytes of memory that it works in.
+    """
+
+    name: str
+    operations: int
+    writing: float
+    compiling: float
+    scratch: int
+
+
 # Bytes of a float32.
 _SINGLE = 4
 
 # Whether JAX computes what code cannot be made for; not in the self-test.
 FALLS_BACK = True
 
-_made: "weakref.WeakKeyDictionary[Program, dict]" = weakref.WeakKeyDictionary()
+# All programs that became machine code in this process, in order.
+made: list[Made] = []
+
+_codes: "weakref.WeakKeyDictionary[Program, dict]" = weakref.WeakKeyDictionary()
 
 
 def evaluate(*arrays: jax.Array, program: Program, batch: tuple[int, ...]) -> list[jax.Array]:
@@ -79,18 +101,38 @@ def evaluate(*arrays: jax.Array, program: Program, batch: tuple[int, ...]) -> li
 def _native(program: Program, count: int) -> Native:
     """Machine code for so many individuals, made at the first call."""
     target = engine.target()
-    made = _made.setdefault(program, {})
+    codes = _codes.setdefault(program, {})
     kinds = [np.dtype(x.dtype) for x in (*program.inputs, *program.outputs)]
     widest = max([kind.itemsize for kind in kinds if kind.kind == "f"], default=_SINGLE)
     width = 1 if count == 1 else target.bytes // widest
     key = target, width, count < width
-    if key not in made:
+    if key not in codes:
         variant = Variant(width, count < width, target.fma, target.registers, target.compresses)
-        made[key] = _make(program, target, variant)
-    return made[key]
+        codes[key] = _make(program, target, variant)
+    return codes[key]
 
 
 def _make(program: Program, target: Target, variant: Variant) -> Native:
+    start = time.perf_counter()
+    code = written(program, target, variant)
+    middle = time.perf_counter()
+    name, address = load(code.text, target)
+    taken = middle - start, time.perf_counter() - middle
+    made.append(Made(program.name, code.operations, *taken, code.scratch))
+    return Native(engine.register(name, address), code.scratch)
+
+
+def written(program: Program, target: Target, variant: Variant) -> Code:
+    """LLVM IR of a program's code and of the entry into it.
+
+    Args:
+        program: for one individual.
+        target: the machine.
+        variant: the kind of code.
+
+    Raises:
+        Unsupported: there is no rule for a part of it, or it is too large.
+    """
     graph, inputs, arguments = Graph(), [], []
     for i, x in enumerate(program.inputs):
         shared, dtype = i < program.shared, np.dtype(x.dtype)
@@ -111,8 +153,7 @@ def _make(program: Program, target: Target, variant: Variant) -> Native:
         f'"prefer-vector-width"="{8 * target.bytes}" "min-legal-vector-width"="{8 * target.bytes}"'
     )
     text = f"{code.text}\n{entry}\nattributes #0 = {{ nounwind {vector} }}\n"
-    name, address = load(text, target)
-    return Native(engine.register(name, address), code.scratch)
+    return code._replace(text=text)
 
 
 RULES["evaluate"] = evaluate

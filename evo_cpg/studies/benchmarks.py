@@ -62,6 +62,7 @@ _TITLES = {
     "generation": "a whole generation of the swimmer",
     "gradient": "fitness and its gradient, beside fitness alone",
     "bodies": "a body of its own for everybody, beside one for all",
+    "large-creatures": "walkers and chains of up to 60 bodies: compile time, memory, run time",
     "engines": "every shipped configuration on native code, beside plain JAX",
     "scaling": "all cores, beside one and beside processes",
     "startup": "from the prompt to the end of generation 0",

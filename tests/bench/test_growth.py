@@ -1,0 +1,96 @@
+"""Costs of creatures of many bodies: their table, their exponents, their watched compilers."""
+
+import dataclasses
+import subprocess
+import sys
+
+import pytest
+
+from benchmarks import growth, large_creatures
+from benchmarks.machine import children_watched
+from benchmarks.plan import Plan
+from benchmarks.report import line, notes, page_tables, tables
+from benchmarks.rows import Build, Row, load, save
+from benchmarks.worker import WorkerError
+
+MACHINE = {"processor": "abacus", "cores": 2, "float32_peak": 1e11, "versions": {}}
+REASON = "a trial runs on plain JAX, not as native code: it has more than 600000 operations"
+
+
+def row(bodies, compile_seconds, native=True, **fields):
+    build = Build("chains", bodies, bodies * 1000, 0.1, 2.0, 3.0, 2**20, 2**22, 2**28, native)
+    part = f"chain, {bodies} bodies"
+    made = Row("large-creatures", part, 64, 5e5, "steps/s", "a test", compile_seconds, build=build)
+    return dataclasses.replace(made, memory=2**29, **fields)
+
+
+# A power of 1.5 up to 40 bodies; those that fall back would make it steeper.
+ROWS = [row(10, 1.0), row(20, 2**1.5), row(40, 8.0), row(60, 1000.0, False, note=REASON)]
+
+
+def test_exponent_is_that_of_a_power():
+    assert growth.exponent([1, 10, 100], [3.0, 3 * 10**0.7, 3 * 10**1.4]) == pytest.approx(0.7)
+
+
+def test_tables_have_costs_and_exponents():
+    costs, exponents = page_tables(ROWS, MACHINE)
+    cells = [dict(zip(costs.head, each, strict=True)) for each in costs.rows]
+    assert cells[0] == {
+        "creature": "chain, 10 bodies",
+        "bodies": "10",
+        "n": "64",
+        "operations": "10,000",
+        "building, s": "0.1",
+        "compile, s": "1.0",
+        "of it IR, s": "2.0",
+        "of it LLVM, s": "3.0",
+        "memory, MiB": "512",
+        "compiler, MiB": "256",
+        "scratch, MiB": "4.0",
+        "us/step": "2",
+        "engine": "native",
+    }
+    assert [each["engine"] for each in cells] == ["native"] * 3 + ["plain JAX"]
+    assert exponents.rows == [["chains", "64", "10 to 40", "1.00", "1.50", "0.00"]]
+
+
+def test_other_rows_have_no_such_tables():
+    other = Row("brain", "network", 64, 5e5, "steps/s", "a test")
+    assert growth.tables([other]) == []
+    assert len(tables([other], MACHINE)) == 2
+    assert len(tables([other, *ROWS], MACHINE)) == 4
+    assert growth.tables(ROWS[:1])[1].rows == []
+
+
+def test_fallback_is_told_with_its_reason():
+    assert notes(ROWS) == [f"large-creatures, 64, chain, 60 bodies: {REASON}"]
+
+
+def test_rows_are_kept(tmp_path):
+    save(tmp_path / "bench.json", MACHINE, ROWS)
+    assert load(tmp_path / "bench.json") == (MACHINE, ROWS)
+
+
+def test_process_that_dies_leaves_a_row(monkeypatch):
+    def dies(worker, limit):
+        raise WorkerError("ended with code -11: no word")
+
+    monkeypatch.setattr("benchmarks.worker.Worker.answer", dies)
+    monkeypatch.setattr("benchmarks.worker.Worker.__init__", lambda *_: None)
+    monkeypatch.setattr("benchmarks.worker.Worker.stop", lambda _: None)
+    rows = list(large_creatures.measure(Plan(2, quick=True)))
+    assert [each.build.bodies for each in rows] == [5, 9]
+    assert all(each.rate == 0 and each.note == "ended with code -11: no word" for each in rows)
+    assert line(rows[0]) == "large-creatures, capsules, 2 legs, 64: none"
+    costs, exponents = growth.tables(rows)
+    assert costs.rows[0][-2:] == ["", "none"] and exponents.rows == []
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems do not tell")
+def test_memory_of_children_is_seen():
+    program = "held = bytearray(b'1') * 2**27; import time; time.sleep(0.3)"
+    with children_watched() as peak:
+        assert peak() is None
+        subprocess.run([sys.executable, "-c", program], check=True)
+        found = peak()
+    assert 2**27 < found < 2**28
