@@ -14,7 +14,7 @@ from typer.core import TyperGroup
 from evo_cpg.cli.completion import complete_config
 from evo_cpg.cli.configs import app as configs_app
 from evo_cpg.cli.exit_codes import ExitCode
-from evo_cpg.cli.interrupts import interrupts_delivered, leave_at_once
+from evo_cpg.cli.interrupts import interrupts_delivered, leave_at_once, waits_for_threads
 from evo_cpg.cli.options import (
     Cell,
     Config,
@@ -705,10 +705,12 @@ def main() -> None:
 
 
 def program() -> None:
-    """`main` as a process: when it was interrupted nobody waits for what still compiles."""
+    """`main` as a process: after an interrupt nobody waits for what still compiles."""
     try:
         main()
     except SystemExit as stop:
         if stop.code == ExitCode.INTERRUPTED:
             leave_at_once(ExitCode.INTERRUPTED)
+        if not waits_for_threads() and isinstance(stop.code, int | None):
+            leave_at_once(stop.code or 0)
         raise

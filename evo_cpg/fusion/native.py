@@ -13,6 +13,7 @@ from evo_cpg.fusion.graph import Graph
 from evo_cpg.fusion.handler import handler
 from evo_cpg.fusion.machine import Target, load
 from evo_cpg.fusion.primitives import RULES, Program, plain
+from evo_cpg.fusion.stopwatch import counted
 from evo_cpg.fusion.trace import trace_program
 
 
@@ -86,7 +87,8 @@ def _native(program: Program, count: int) -> Native:
     key = target, width, count < width
     if key not in made:
         variant = Variant(width, count < width, target.fma, target.registers, target.compresses)
-        made[key] = _make(program, target, variant)
+        with counted():
+            made[key] = _make(program, target, variant)
     return made[key]
 
 
