@@ -23,9 +23,12 @@ from evo_cpg.config.fingerprint import fingerprint
 from evo_cpg.config.load import dump_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.config.shipped import shipped_name
+from evo_cpg.fusion.stopwatch import Spent, measuring
+from evo_cpg.simulation.operations import estimate_operations
 from evo_cpg.system import name_of, resolved
 from evo_cpg.training import experiment as parts
 from evo_cpg.training.checkpoint import Champion, genes_digest
+from evo_cpg.training.compile_times import note_seconds
 from evo_cpg.training.memory import require_memory
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
 
@@ -237,60 +240,150 @@ def _genes(experiment: Experiment, start: ArrayLike) -> np.ndarray:
 class Recorder:
     """Records the champion's motion, and takes a first look at it, with programs of its own.
 
-    It compiles them in a thread while the population evolves: one core is busy for some seconds,
-    and nobody waits for it at the end.
+    It compiles them in a thread while the population evolves: one core is busy meanwhile, and
+    nobody waits for it at the end of a long run.
 
     Args:
         experiment: what is evolved.
         folder: of the run.
         least: share of its way that the champion must keep at half the physics step; None to take
             no look.
+        animal: a digest of all that the program of a trial depends on, under which it is remembered
+            how long that took to compile; None to forget it.
 
     Attributes:
         seen: what the first look came to; None without one.
+        looks: whether it takes a first look.
+        skipped: whether that was skipped.
     """
 
-    def __init__(self, experiment: parts.Experiment, folder: RunFolder, least: float | None = None):
+    def __init__(
+        self,
+        experiment: parts.Experiment,
+        folder: RunFolder,
+        least: float | None = None,
+        animal: str | None = None,
+    ):
         self.seen: Check | None = None
+        self.looks, self.skipped = least is not None, False
         self._experiment, self._folder, self._least = experiment, folder, least
+        self._animal = animal
         self._thread = ThreadPoolExecutor(1, "recording")
-        self._program: Future | None = None
-        self._look: Future | None = None
+        self._program = _Job()
+        self._look = _Job()
 
     def __enter__(self) -> "Recorder":
         return self
 
     def __exit__(self, error: type[BaseException] | None, *rest: object) -> None:
         # Who interrupts is told so at once, and not when the compiler is done.
-        self._thread.shutdown(wait=error is None, cancel_futures=True)
+        self._thread.shutdown(wait=error is None and not self.skipped, cancel_futures=True)
 
-    def compile(self) -> None:
-        """Begin to compile."""
+    def compile(self, spent: Spent | None = None) -> None:
+        """Begin to compile.
+
+        Args:
+            spent: on the code of the trials, which takes about as long as each of these programs;
+                None where it is not known.
+        """
         from evo_cpg.training.loop import compile_replay
 
+        took = spent.seconds if spent is not None and spent.seconds > 0 else None
+        if spent is not None and self._animal is not None:
+            operations = estimate_operations(self._experiment.simulation).total
+            note_seconds(operations, self._animal, spent)
         devices = self._folder.read_meta()["devices"]
-        self._program = self._thread.submit(compile_replay, self._experiment, devices)
+        self._program = _Job(took)
+        self._program.begin(self._thread, compile_replay, self._experiment, devices)
         if self._least is not None:
             from evo_cpg.api.audit import compile_first_look
 
-            self._look = self._thread.submit(compile_first_look, self._experiment, self._least)
+            # It has two programs: one at the own step, one at half of it.
+            self._look = _Job(None if took is None else 2 * took)
+            self._look.begin(self._thread, compile_first_look, self._experiment, self._least)
+
+    def expected_to_record(self) -> float | None:
+        """Estimate how long `record` still compiles, s; None where nothing was measured."""
+        return self._program.left
+
+    def expected_to_look(self) -> float | None:
+        """Estimate how long `look` still compiles, s; None where nothing was measured."""
+        return self._look.left
 
     def keep(self, champion: Champion) -> None:
+        """Record the champion, take the first look at it, and finish the run."""
+        self.record(champion)
+        self.look(champion)
+        self.finish()
+
+    def record(self, champion: Champion) -> None:
         """Write the champion and its motion into the run folder."""
-        if self._program is None:
+        if not self._program.begun:
             self.compile()
-        assert self._program is not None
         _, _, motion = self._program.result()(champion)
         self._folder.save_champion(champion, motion)
-        if self._look is not None:
-            seen = self._look.result()(champion)
-            self.seen = seen
-            told: dict[str, Any] | None = None
-            if seen.passed is not None:
-                told = {"measured": seen.measured, "least": seen.limit, "passed": seen.passed}
-                told["genes_sha256"] = genes_digest(champion.genes)
-            self._folder.update_meta(half_step=told)
+
+    def look(self, champion: Champion) -> None:
+        """Take the first look at a champion that was recorded, if one is asked for."""
+        if not self.looks:
+            return
+        seen = self._look.result()(champion)
+        self.seen = seen
+        told: dict[str, Any] | None = None
+        if seen.passed is not None:
+            told = {"measured": seen.measured, "least": seen.limit, "passed": seen.passed}
+            told["genes_sha256"] = genes_digest(champion.genes)
+        self._folder.update_meta(half_step=told)
+
+    def skip(self) -> None:
+        """Take no first look after all, and do not wait for what still compiles."""
+        self.skipped = True
+        self._folder.update_meta(half_step=None)
+
+    def finish(self) -> None:
+        """Note that nothing is left to do."""
         self._folder.update_meta(finished=now())
+
+
+class _Job:
+    """Something that compiles in a thread.
+
+    Args:
+        expected: duration, s; None where nothing was measured.
+    """
+
+    def __init__(self, expected: float | None = None):
+        self._expected = expected
+        self._future: Future | None = None
+        self._start: float | None = None
+
+    def begin(self, thread: ThreadPoolExecutor, compile_it: Callable, *args: Any) -> None:
+        """Compile when the thread has done what came before."""
+
+        def work() -> Any:
+            self._start = time.monotonic()
+            return compile_it(*args)
+
+        self._future = thread.submit(work)
+
+    @property
+    def begun(self) -> bool:
+        """Whether it was begun."""
+        return self._future is not None
+
+    @property
+    def left(self) -> float | None:
+        """Estimate of the time that it still takes, s; None where nothing was measured."""
+        if self._future is not None and self._future.done():
+            return 0.0
+        if self._expected is None or self._start is None:
+            return self._expected
+        return max(0.0, self._expected - (time.monotonic() - self._start))
+
+    def result(self) -> Any:
+        """Return what was compiled."""
+        assert self._future is not None
+        return self._future.result()
 
 
 def first_look_asked(config: ExperimentConfig) -> float | None:
@@ -323,9 +416,14 @@ def evolve(
     from evo_cpg.training.processes import ALONE
 
     team = team or ALONE
-    done = train_generations(
-        experiment, folder, on_generation, on_compiled=recorder.compile, team=team
-    )
+    with measuring() as spent:
+        done = train_generations(
+            experiment,
+            folder,
+            on_generation,
+            on_compiled=lambda: recorder.compile(spent),
+            team=team,
+        )
     team.leave()
     if done.champion is None:
         everybody = experiment.strategy.population

@@ -38,7 +38,7 @@ def analyse_run(
     if changed:
         print(f"evo-cpg: warning: {run}: {changed}", file=sys.stderr)
     path = output or page_path(folder, trial, number)
-    with working("replaying the champion: compiling takes some seconds, a trial less") as work:
+    with working("replaying the champion") as work:
         text = page(experiment, champion, folder, trial, number, work.doing)
     write_text(path, text)
     print(path)

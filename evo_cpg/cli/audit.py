@@ -75,7 +75,7 @@ def audit_run(
     champions = [champion]
     if every:
         champions = _champions(folder)
-    with working("auditing: compiling each time, it takes one to some minutes") as work:
+    with working("auditing: compiling for each of several simulations") as work:
         from evo_cpg.api.audit import audits
 
         def tell(what: str, done: int, total: int) -> None:

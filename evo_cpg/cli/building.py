@@ -50,6 +50,6 @@ def build(config: ExperimentConfig, source: Path, folders: Iterable[Path] = ()) 
     """
     what = f"building {config.name}"
     if config.simulation.start_pose == "settled":
-        what = f"{what}: letting the creature settle, which takes up to a minute"
+        what = f"{what}: letting the creature settle"
     with working(what):
         return build_experiment(config, source, folders)

@@ -89,7 +89,7 @@ def champion_record(
     require_trial(experiment, folder, trial)
     from evo_cpg.api.record import as_record, lives_again
 
-    with working("replaying the champion: compiling takes some seconds, a trial less"):
+    with working("replaying the champion"):
         ((_, frames, motion),) = lives_again(experiment, [champion], folder, trial, full=True)
     return as_record(experiment.simulation, frames, motion)
 
@@ -135,7 +135,7 @@ def live_again(experiment: Experiment, champion: Champion, devices: int, trial: 
     # Importing the loop starts nothing, but it takes JAX a second.
     from evo_cpg.training.loop import replay_champion
 
-    with working("replaying the champion: compiling takes some seconds, a trial less"):
+    with working("replaying the champion"):
         return replay_champion(experiment, champion, devices, trial)
 
 

@@ -105,7 +105,7 @@ def fit_data(
             f"there are {simulation.control_rate:g} a second, and take effect at the next",
             file=sys.stderr,
         )
-    with working("searching: compiling takes one to several minutes") as work:
+    with working("compiling the search") as work:
         result, shown = _search(
             parameters, recording, ordered, np.array(values), positive, begun, genes, noise, work
         )

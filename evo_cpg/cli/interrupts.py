@@ -52,6 +52,20 @@ def interrupts_delivered() -> Iterator[None]:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+_waits = True
+
+
+def wait_for_no_thread() -> None:
+    """Have the process leave its threads alone when it ends, of which one may compile for long."""
+    global _waits
+    _waits = False
+
+
+def waits_for_threads() -> bool:
+    """Return whether the process is to wait for its threads when it ends."""
+    return _waits
+
+
 def leave_at_once(code: int) -> NoReturn:
     """End the process without waiting for its threads, of which one may compile for long."""
     sys.stdout.flush()

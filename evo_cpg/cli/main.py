@@ -16,7 +16,7 @@ from evo_cpg.cli.completion import complete_config
 from evo_cpg.cli.configs import app as configs_app
 from evo_cpg.cli.errors import told
 from evo_cpg.cli.exit_codes import ExitCode
-from evo_cpg.cli.interrupts import interrupts_delivered, leave_at_once
+from evo_cpg.cli.interrupts import interrupts_delivered, leave_at_once, waits_for_threads
 from evo_cpg.cli.options import (
     Cell,
     Config,
@@ -734,7 +734,7 @@ def main() -> None:
 
 
 def program() -> None:
-    """`main` as a process: when it was interrupted nobody waits for what still compiles."""
+    """`main` as a process: after an interrupt nobody waits for what still compiles."""
     streams.protect()
     try:
         main()
@@ -747,4 +747,6 @@ def program() -> None:
             print(f"evo-cpg: {words}", file=sys.stderr)
             if not stop.code and _command() not in _EVOLVING:
                 raise SystemExit(ExitCode.WRONG_INPUT) from None
+        if not waits_for_threads() and isinstance(stop.code, int | None):
+            leave_at_once(stop.code or 0)
         raise

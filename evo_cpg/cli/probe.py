@@ -1,6 +1,7 @@
 """The command that puts a champion into situations that it never saw: probe."""
 
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -57,10 +58,12 @@ def probe_run(
         _require_reachable(experiment, situations)
     place = make_folder(out or folder.path)
     simulation, genes = experiment.simulation, champion.genes
-    with working(f"probing {len(situations)} lights: compiling takes 10 s to a minute") as work:
+    with working(f"compiling, and probing {len(situations)} lights") as work:
+        start = time.monotonic()
         found = seeing = probe(simulation, genes, situations)
         if blind:
-            work.doing(f"probing {len(situations)} lights blind: compiling takes as long again")
+            took = time.monotonic() - start
+            work.doing(f"compiling, and probing {len(situations)} lights blind", expected=took)
             found = probe(blinded(simulation), genes, situations)
     from evo_cpg.view.probe_plot import plot_probe
 

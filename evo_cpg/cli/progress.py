@@ -47,10 +47,13 @@ class Heartbeat:
         what: is being done.
         start: when it began, s.
         said: when the last line before that was said, s; minus infinity where there was none.
+        expected: duration by what was measured before, s; None where nothing was.
     """
 
-    def __init__(self, what: str, start: float, said: float = -math.inf):
-        self._what, self._start = what, start
+    def __init__(
+        self, what: str, start: float, said: float = -math.inf, expected: float | None = None
+    ):
+        self._what, self._start, self._expected = what, start, expected
         # Work that follows other work adds to its silence.
         self._next = start + FIRST
         if math.isfinite(said):
@@ -58,10 +61,11 @@ class Heartbeat:
         self._done: tuple[int, int] | None = None
         self._lock = threading.Lock()
 
-    def doing(self, what: str, now: float) -> None:
+    def doing(self, what: str, now: float, expected: float | None = None) -> None:
         """From now on something else is being done."""
         with self._lock:
             self._what, self._start, self._done = what, now, None
+            self._expected = expected
 
     def reached(self, done: int, total: int) -> None:
         """So much of it is done."""
@@ -79,14 +83,15 @@ class Heartbeat:
             if now < self._next:
                 return None
             self._next = now + BETWEEN
-            return f"{self._what}: {_standing(now - self._start, self._done)}"
+            return f"{self._what}: {_standing(now - self._start, self._done, self._expected)}"
 
 
-def _standing(elapsed: float, done: tuple[int, int] | None) -> str:
+def _standing(elapsed: float, done: tuple[int, int] | None, expected: float | None) -> str:
     """For how long, how far, and how much longer."""
     words = f"{elapsed:.0f} s"
     if done is None:
-        return f"{words} so far"
+        left = 0.0 if expected is None else expected - elapsed
+        return f"{words}, about {left:.0f} s to go" if left >= 1 else f"{words} so far"
     count, total = done
     words = f"{count}/{total}, {words}"
     if _LEAST_SHARE * total < count < total:
@@ -124,14 +129,19 @@ def beating(
         thread.join()
 
 
+def _announced(what: str, expected: float | None) -> str:
+    """Name some work and its expected duration, for a line that does not change."""
+    return what if expected is None or expected < 1 else f"{what}, about {expected:.0f} s"
+
+
 class Work:
     """Work that goes on: what it calls to say how far it is."""
 
     def say(self, line: str) -> None:
         """A line that stays."""
 
-    def doing(self, what: str) -> None:
-        """From now on something else is being done."""
+    def doing(self, what: str, expected: float | None = None) -> None:
+        """From now on something else is being done; expected by measurement to take so long, s."""
 
     def reached(self, done: int, total: int) -> None:
         """So much of it is done."""
@@ -146,8 +156,8 @@ class _Line(Work):
     def say(self, line: str) -> None:
         self._bars.console.print(line, markup=False, highlight=False)
 
-    def doing(self, what: str) -> None:
-        self._bars.update(self._bar, description=what)
+    def doing(self, what: str, expected: float | None = None) -> None:
+        self._bars.update(self._bar, description=_announced(what, expected))
 
     def reached(self, done: int, total: int) -> None:
         self._bars.update(self._bar, completed=done, total=total)
@@ -163,27 +173,28 @@ class _Lines(Work):
         _say(line)
         self._heartbeat.heard(time.monotonic())
 
-    def doing(self, what: str) -> None:
-        self._heartbeat.doing(what, time.monotonic())
+    def doing(self, what: str, expected: float | None = None) -> None:
+        self._heartbeat.doing(what, time.monotonic(), expected)
 
     def reached(self, done: int, total: int) -> None:
         self._heartbeat.reached(done, total)
 
 
 @contextlib.contextmanager
-def working(what: str, counted: bool = False) -> Iterator[Work]:
+def working(what: str, counted: bool = False, expected: float | None = None) -> Iterator[Work]:
     """Say what is being done for as long as the block lasts, and for how long it has been.
 
     Args:
-        what: is being done, and how long it may take.
+        what: is being done.
         counted: whether the work says how far it is.
+        expected: duration by what was measured before, s; None where nothing was.
 
     Yields:
         What the work may call.
     """
     console = Console(stderr=True)
     if not console.is_terminal:
-        heartbeat = Heartbeat(what, time.monotonic(), _said_at)
+        heartbeat = Heartbeat(what, time.monotonic(), _said_at, expected)
         with beating(heartbeat, _say):
             yield _Lines(heartbeat)
         return
@@ -193,7 +204,7 @@ def working(what: str, counted: bool = False) -> Iterator[Work]:
     ]
     columns += [BarColumn(bar_width=24), TimeRemainingColumn()] if counted else []
     with Progress(*columns, TimeElapsedColumn(), **_settings(console), transient=True) as bars:
-        yield _Line(bars, bars.add_task(what, total=None))
+        yield _Line(bars, bars.add_task(_announced(what, expected), total=None))
 
 
 @contextlib.contextmanager
@@ -204,6 +215,7 @@ def progress(
     completed: int = 0,
     first: str = "compiling",
     last: str = "",
+    expected: float | None = None,
 ) -> Iterator[Callable[[int, str, float], None]]:
     """Show every step of some work.
 
@@ -215,6 +227,8 @@ def progress(
         completed: steps done before.
         first: what is done before the first of them.
         last: what is done after the last one.
+        expected: duration of what comes first by what was measured before, s; None where nothing
+            was.
 
     Yields:
         A function to call after every step, with its number (from 0), how things stand, and the
@@ -222,7 +236,8 @@ def progress(
     """
     console = Console(stderr=True)
     if not console.is_terminal:
-        heartbeat = Heartbeat(f"{completed:4d}/{total} {step}  {first}", time.monotonic(), _said_at)
+        begun = f"{completed:4d}/{total} {step}  {first}"
+        heartbeat = Heartbeat(begun, time.monotonic(), _said_at, expected)
 
         def tell(number: int, state: str, seconds: float) -> None:
             _say(f"{number + 1:4d}/{total} {step}  {state}  {seconds:6.2f} s")
@@ -244,7 +259,8 @@ def progress(
         TextColumn("{task.fields[state]}"),
     )
     with Progress(*columns, **_settings(console)) as bars:
-        bar = bars.add_task(title, total=total, completed=completed, state=first)
+        begun = _announced(first, expected)
+        bar = bars.add_task(title, total=total, completed=completed, state=begun)
 
         def advance(number: int, state: str, seconds: float) -> None:
             del seconds

@@ -27,7 +27,7 @@ from evo_cpg.config.load import dump_config
 from evo_cpg.config.parameters import Parameters, parametrise
 from evo_cpg.training.run_folder import RunFolder, RunFolderError, refinements
 
-_COMPILING = "compiling, which takes a minute or two for a new body"
+_COMPILING = "compiling"
 
 if TYPE_CHECKING:
     from evo_cpg.training.ascent import Free

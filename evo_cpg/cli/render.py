@@ -220,7 +220,7 @@ def _chosen(folder: RunFolder, champion: Champion, wanted: list[int] | None) -> 
 def _replayed(
     experiment: Experiment, champions: Sequence[Champion], folder: RunFolder, trial: int
 ) -> list[Life]:
-    with working("replaying: compiling takes some seconds, a trial less"):
+    with working("replaying the champion"):
         return lives_again(experiment, champions, folder, trial)
 
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 # Rows for the terminal and bars of the picture; the table file has all.
 _SHOWN = 25
 
-_COMPILING = "differentiating the trial: compiling takes one to several minutes"
+_COMPILING = "compiling and differentiating the trial"
 
 # Not a key of the configuration: what all genes are multiplied by.
 GENES = "genes"
@@ -138,7 +138,7 @@ def _measure(parameters: Parameters, champion: Champion, scaled: bool, work: Wor
 
         places = changed(values, allowed)
         steps = np.diagonal(places[1] - places[0])
-        work.doing("living the trial with every number changed: compiling takes a minute or two")
+        work.doing("compiling and living the trial with every number changed")
         run_all = jax.jit(jax.vmap(outcome, out_axes=1))
         after = jax.device_get(run_all(jnp.asarray(places.reshape(-1, len(values)))))
     return sensitivities(keys, values, measures, slopes, after.reshape(len(measures), 2, -1), steps)

@@ -22,8 +22,10 @@ from evo_cpg.api.training import (
 from evo_cpg.api.warm_start import What, warm_start
 from evo_cpg.cli.building import build, read_config
 from evo_cpg.cli.champions import open_run, use_cores_of
+from evo_cpg.cli.costs import animal_digest, expected_to_compile, warn_of_cost
 from evo_cpg.cli.distributed import BY_ITSELF, Distribution, require_same, together
 from evo_cpg.cli.errors import UsageError
+from evo_cpg.cli.interrupts import wait_for_no_thread
 from evo_cpg.cli.oscillators import warn_of_oscillators
 from evo_cpg.cli.progress import progress, working
 from evo_cpg.config.fingerprint import changes, fingerprint
@@ -31,7 +33,7 @@ from evo_cpg.config.load import load_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.simulation.task import term_names
 from evo_cpg.system import named
-from evo_cpg.training.checkpoint import Checkpoint, genes_digest
+from evo_cpg.training.checkpoint import Champion, Checkpoint, genes_digest
 from evo_cpg.training.devices import use_cores
 from evo_cpg.training.experiment import TABLE_COLUMNS, Experiment
 from evo_cpg.training.reevaluation import is_finished
@@ -71,7 +73,9 @@ def start_run(
                     start = warm_start(experiment, earlier, what)
             begin_run(folder, config, experiment, devices, path, start, team.count)
             warn_of_oscillators(path, experiment.simulation)
-        _evolve(experiment, folder, first_look_asked(config), team, tensorboard)
+            warn_of_cost(path, experiment.simulation)
+        animal = animal_digest(config)
+        _evolve(experiment, folder, first_look_asked(config), team, tensorboard, animal)
 
 
 def resume_run(
@@ -119,7 +123,8 @@ def _resume(
                 return
             for words in reopen_run(folder, config, experiment, devices, team.count):
                 print(f"evo-cpg: warning: {words}", file=sys.stderr)
-        _evolve(experiment, folder, first_look_asked(config), team, tensorboard)
+        animal = animal_digest(config)
+        _evolve(experiment, folder, first_look_asked(config), team, tensorboard, animal)
 
 
 def require_scalars() -> None:
@@ -231,6 +236,7 @@ def _evolve(
     least: float | None,
     team: "Team | None" = None,
     tensorboard: bool = False,
+    animal: str | None = None,
 ) -> None:
     if team is not None and not team.leads:
         follow(experiment, folder, team)
@@ -242,14 +248,15 @@ def _evolve(
     start = done.generation if done else 0
     scalars = Scalars(folder.path, done.history if done else ()) if tensorboard else None
     try:
-        with Recorder(experiment, folder, least) as recorder:
+        with Recorder(experiment, folder, least, animal) as recorder:
             with progress(
                 experiment.name,
                 "generations",
                 experiment.generations,
                 start,
-                "compiling, which takes 10 s to a minute for a new body",
+                "compiling",
                 "" if experiment.simulation.noise.silent else "choosing the champion",
+                expected_to_compile(experiment.simulation, animal),
             ) as show:
 
                 def tell(rows: list[dict[str, float]]) -> None:
@@ -259,8 +266,7 @@ def _evolve(
 
                 with contextlib.closing(scalars) if scalars else contextlib.nullcontext():
                     champion = evolve(experiment, folder, tell, recorder, team)
-            with working("recording the champion's motion, and trying it at half the step"):
-                recorder.keep(champion)
+            _record(recorder, champion, folder)
     except KeyboardInterrupt:
         print(f"interrupted; go on with `evo-cpg resume {folder.path}`", file=sys.stderr)
         raise
@@ -275,6 +281,27 @@ def _evolve(
     if recorder.seen is not None:
         _say_first_look(recorder.seen, folder)
     print(folder.path)
+
+
+def _record(recorder: Recorder, champion: Champion, folder: RunFolder) -> None:
+    """Record the champion and take the first look at it, which an interrupt skips."""
+    expected = recorder.expected_to_record()
+    with working("recording the champion's motion", expected=expected):
+        recorder.record(champion)
+    if recorder.looks:
+        what = "trying the champion at half the step; control-C skips this"
+        try:
+            with working(what, expected=recorder.expected_to_look()):
+                recorder.look(champion)
+        except KeyboardInterrupt:
+            recorder.skip()
+            wait_for_no_thread()
+            print(
+                "skipped: the champion was not tried at half the step; "
+                f"`evo-cpg audit {folder.path}` does that",
+                file=sys.stderr,
+            )
+    recorder.finish()
 
 
 def _say_first_look(seen: Check, folder: RunFolder) -> None:

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from evo_cpg.cli.building import build, read_config
+from evo_cpg.cli.costs import warn_of_cost
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.exit_codes import ExitCode
 from evo_cpg.cli.oscillators import warn_of_oscillators
@@ -46,6 +47,7 @@ def validate_configs(words: Sequence[str], strict: bool = False) -> None:
                 f"{experiment.simulation.controller.gene_count} genes"
             )
             warn_of_oscillators(given, experiment.simulation)
+            warn_of_cost(given, experiment.simulation)
     if wrong:
         raise SystemExit(ExitCode.WRONG_INPUT)
 

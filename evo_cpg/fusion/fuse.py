@@ -22,6 +22,7 @@ import numpy as np
 from evo_cpg.fusion import engine
 from evo_cpg.fusion import jax_internals as internals
 from evo_cpg.fusion.primitives import Program, fused_p
+from evo_cpg.fusion.stopwatch import counted
 from evo_cpg.fusion.trace import is_supported
 from evo_cpg.fusion.unsupported import Unsupported
 
@@ -44,7 +45,8 @@ def fuse(function: Callable, *args: Any, batch_ndim: int, name: str = "") -> Any
     if _tracing.get():
         return _bind(function, args, batch_ndim, name)
     try:
-        return _bind(function, args, batch_ndim, name)
+        with counted():
+            return _bind(function, args, batch_ndim, name)
     except Exception as error:
         # Whatever it is: if JAX cannot compute the whole either, it says so.
         with engine.smallest_fallback(name, error):

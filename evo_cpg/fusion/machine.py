@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from evo_cpg.fusion import compiler, machine_constants
+from evo_cpg.fusion.stopwatch import counted
 from evo_cpg.fusion.unsupported import Unsupported
 
 if TYPE_CHECKING:
@@ -53,6 +54,11 @@ def keep_code_in(folder: Path | None) -> None:
     """Where machine code is kept for the next start; None keeps nothing."""
     global _folder
     _folder = folder
+
+
+def code_folder() -> Path | None:
+    """Return the folder in which machine code is kept; None where it is not."""
+    return _folder
 
 
 def llvm_version() -> str:
@@ -138,7 +144,8 @@ def _load(name: str, text: str, target: Target) -> int:
         code = _read(name)
         if code is None:
             effort = machine_constants.LLVM_EFFORT
-            code = compiler.object_code(text, target.processor, target.features, effort)
+            with counted(compiler=True):
+                code = compiler.object_code(text, target.processor, target.features, effort)
             _write(name, code)
         builder = _llvm().JITLibraryBuilder()
         builder.add_object_img(code).add_current_process().export_symbol("handler")

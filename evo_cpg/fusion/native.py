@@ -14,6 +14,7 @@ from evo_cpg.fusion.graph import Graph
 from evo_cpg.fusion.handler import handler
 from evo_cpg.fusion.machine import Target, load
 from evo_cpg.fusion.primitives import RULES, Program, plain
+from evo_cpg.fusion.stopwatch import counted
 from evo_cpg.fusion.trace import trace_program
 
 
@@ -108,7 +109,8 @@ def _native(program: Program, count: int) -> Native:
     key = target, width, count < width
     if key not in codes:
         variant = Variant(width, count < width, target.fma, target.registers, target.compresses)
-        codes[key] = _make(program, target, variant)
+        with counted():
+            codes[key] = _make(program, target, variant)
     return codes[key]
 
 

@@ -1,0 +1,102 @@
+"""What an animal costs: how long its code takes to compile, and what to change."""
+
+import hashlib
+import json
+import sys
+from pathlib import Path
+
+from evo_cpg.config.fingerprint import fingerprint
+from evo_cpg.config.schema.experiment import ExperimentConfig
+from evo_cpg.fusion.machine_constants import MOST_OPERATIONS
+from evo_cpg.simulation.operations import Operations, estimate_operations
+from evo_cpg.simulation.simulation import Simulation
+from evo_cpg.training.compile_times import expected_seconds
+
+# Operations below which nothing is said. No shipped configuration has more.
+_MANY = 200_000
+
+# The estimate may be off by this fraction.
+_ERROR = 0.15
+
+# Sections of a configuration that make no difference to the program of a trial.
+_NO_CODE = ("name", "seed", "evolution", "audit")
+
+_CAUSES = {
+    "bodies": ("bodies and joints", "have fewer creature.bodies or joint axes"),
+    "ground": (
+        "contact with the ground",
+        "have fewer creature.bodies, or capsules and spheres in place of boxes",
+    ),
+    "obstacles": (
+        "contact with obstacles",
+        "have fewer world.ground.obstacles, or fewer creature.bodies",
+    ),
+    "pairs": (
+        "bodies that may touch each other",
+        "leave pairs out with creature.self_collision.exclude, or all with "
+        "creature.self_collision=false",
+    ),
+    "water": (
+        "drag and buoyancy",
+        "lower world.water.form_resolution, skin_resolution or random_points, or have fewer "
+        "creature.bodies",
+    ),
+    "controller": ("the controller", "have fewer neurons in controller.brain.hidden"),
+    "noise": ("noise", "leave noise out"),
+}
+
+
+def warn_of_cost(path: Path, simulation: Simulation) -> None:
+    """Warn of an animal that takes long to compile, or is too large for native code.
+
+    Args:
+        path: the configuration.
+        simulation: that it describes.
+    """
+    if simulation.engine.name == "jax":
+        return
+    line = _line(estimate_operations(simulation))
+    if line:
+        print(f"evo-cpg: warning: {path}: {line}", file=sys.stderr)
+
+
+def expected_to_compile(simulation: Simulation, animal: str | None = None) -> float | None:
+    """Estimate the time to compile a trial, s; None where nothing was measured on this machine.
+
+    Args:
+        simulation: the trial.
+        animal: from `animal_digest`; None as if its code were not kept.
+    """
+    return expected_seconds(estimate_operations(simulation).total, animal)
+
+
+def animal_digest(config: ExperimentConfig) -> str:
+    """Return a digest of all that the program of a trial depends on."""
+    found = fingerprint(config)
+    parts = {
+        key: value for key, value in found["config"].items() if key.split(".")[0] not in _NO_CODE
+    }
+    text = json.dumps([parts, found["code"]], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def _line(operations: Operations) -> str:
+    """Name the cost, its main cause and the cure; nothing for an animal that costs little."""
+    total = operations.total
+    if total < _MANY:
+        return ""
+    limit = f"native code ends at {MOST_OPERATIONS:,}"
+    seconds = expected_seconds(total)
+    # Two digits: more would promise too much.
+    words = f"a trial has about {float(f'{total:.2g}'):,.0f} operations"
+    if total > (1 + _ERROR) * MOST_OPERATIONS:
+        words += f", and {limit}: plain JAX computes it, many times more slowly"
+    elif total > (1 - _ERROR) * MOST_OPERATIONS:
+        words += f", and {limit}: plain JAX may have to compute it, many times more slowly"
+    elif seconds is not None:
+        words += f", which take about {seconds:.0f} s to compile on this machine; {limit}"
+    else:
+        words += f", which take long to compile; {limit}"
+    part, most = max(operations._asdict().items(), key=lambda item: item[1])
+    cause, cure = _CAUSES[part]
+    return f"{words}; {most / total:.0%} are for {cause}: to have fewer, {cure}"

@@ -1,0 +1,53 @@
+"""Measure the time that a thread spends on making native code."""
+
+import contextlib
+import contextvars
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+
+@dataclass
+class Spent:
+    """Time spent on native code.
+
+    Attributes:
+        seconds: all of it, s: tracing programs, writing their code, and compiling it.
+        compiler: the part of it that LLVM took, s; 0 where all code was kept from before.
+    """
+
+    seconds: float = 0.0
+    compiler: float = 0.0
+
+
+_spent: contextvars.ContextVar[Spent | None] = contextvars.ContextVar("spent", default=None)
+
+
+@contextlib.contextmanager
+def measuring() -> Iterator[Spent]:
+    """Measure what this thread spends within the block."""
+    spent = Spent()
+    token = _spent.set(spent)
+    try:
+        yield spent
+    finally:
+        _spent.reset(token)
+
+
+@contextlib.contextmanager
+def counted(compiler: bool = False) -> Iterator[None]:
+    """Add the time of the block to what is measured.
+
+    Args:
+        compiler: whether the block is LLVM's part, which lies within a block that counts already.
+    """
+    spent, start = _spent.get(), time.perf_counter()
+    try:
+        yield
+    finally:
+        if spent is not None:
+            took = time.perf_counter() - start
+            if compiler:
+                spent.compiler += took
+            else:
+                spent.seconds += took

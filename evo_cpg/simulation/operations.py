@@ -1,0 +1,192 @@
+"""Estimate how many operations the native code of a trial has, without making it.
+
+Every scalar of a trial becomes one operation, and equal limbs are all written out
+(`evo_cpg.fusion`). So the number grows with the creature, and the time to compile with the number.
+A loop has one round in the code, so neither steps nor individuals count.
+
+The weights are fitted to the true numbers of the shipped creatures and of random ones with 2 to
+100 bodies, on land and in water.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from evo_cpg.creature.reach import chain_to_root
+from evo_cpg.creature.tree import Tree
+from evo_cpg.physics.fluid import Patch
+from evo_cpg.physics.footing import CORNERS, Footing
+from evo_cpg.physics.pairs import KINDS, Pairs
+from evo_cpg.physics.step import searches
+from evo_cpg.physics.terrain import Plane
+from evo_cpg.simulation.simulation import Simulation
+
+# Operations for one of each thing that `_counts` counts.
+_WEIGHTS = {
+    "bodies": {"body": 340.0, "axis": 300.0},
+    "limits": {"axis": 340.0, "axis below axis": 30.0},
+    "ground": {
+        "body": 400.0,
+        "box": 2000.0,
+        "mesh": 2400.0,
+        "corner of a mesh": 45.0,
+        "ball": 440.0,
+        "ellipsoid": 500.0,
+        "point on uneven floor": 420.0,
+    },
+    "obstacles": {
+        "box": 1500.0,
+        "capsule": 820.0,
+        "ball": 500.0,
+        "ellipsoid": 880.0,
+        "mesh": 2400.0,
+        "corner of a mesh": 45.0,
+    },
+    "pairs": {
+        "lines": 470.0,
+        "flat": 420.0,
+        "boxes": 1750.0,
+        "line and box": 1000.0,
+        "rounded": 620.0,
+        "axis of a point": 23.0,
+        "two axes of a point": 2.5,
+    },
+    "looped pairs": {"any": 12_700.0, "kind": 2900.0, "two axes": 22.0},
+    "water": {"form point": 27.0, "skin point": 36.0, "point at a surface": 38.0},
+    "brain": {"gene": 1.9},
+    "noise": {"any": 6300.0},
+}
+
+
+class Operations(NamedTuple):
+    """The operations of a trial by what causes them, about.
+
+    Attributes:
+        bodies: the bodies and their joints.
+        ground: contact with the floor.
+        obstacles: contact with what stands on it.
+        pairs: bodies that may touch each other.
+        water: drag and buoyancy.
+        controller: the nervous system.
+        noise: chance.
+    """
+
+    bodies: float
+    ground: float
+    obstacles: float
+    pairs: float
+    water: float
+    controller: float
+    noise: float
+
+    @property
+    def total(self) -> float:
+        """Of the whole trial."""
+        return sum(self)
+
+
+def estimate_operations(simulation: Simulation) -> Operations:
+    """Estimate the operations of a trial."""
+    parts = {
+        part: sum(_WEIGHTS[part][name] * count for name, count in counts.items())
+        for part, counts in _counts(simulation).items()
+    }
+    return Operations(
+        parts["bodies"] + parts["limits"],
+        parts["ground"],
+        parts["obstacles"],
+        parts["pairs"] + parts["looped pairs"],
+        parts["water"],
+        parts["brain"],
+        parts["noise"],
+    )
+
+
+def _counts(simulation: Simulation) -> dict[str, dict[str, float]]:
+    """Count the things that operations come from."""
+    world, tree = simulation.world, simulation.world.tree
+    axes = tree.dof_count
+    chains = [set(chain_to_root(tree, body)) for body in range(tree.body_count)]
+    below = sum(other in chains[one] for one in tree.dof_bodies for other in tree.dof_bodies)
+    return {
+        "bodies": {"body": tree.body_count, "axis": axes},
+        "limits": {"axis": axes, "axis below axis": below} if searches(world) else {},
+        "ground": {} if world.footing is None else _on_ground(tree, world.footing),
+        "obstacles": {} if world.footing is None else _at_obstacles(world.footing),
+        "pairs": {} if world.pairs is None else _of_pairs(tree, chains, world.pairs),
+        "looped pairs": {} if world.pairs is None else _of_loops(tree, chains, world.pairs),
+        "water": _in_water(world.patches),
+        "brain": {"gene": simulation.controller.gene_count},
+        "noise": {"any": not simulation.noise.silent},
+    }
+
+
+def _on_ground(tree: Tree, footing: Footing) -> dict[str, float]:
+    meshes = footing.meshes.shape[-1]
+    boxes, balls, ellipsoids = (
+        part.shape[-1] for part in (footing.boxes, footing.radii, footing.semi_axes)
+    )
+    points = CORNERS * (boxes + meshes) + balls + ellipsoids
+    return {
+        "body": tree.body_count,
+        "box": boxes,
+        **_of_meshes(footing),
+        "ball": balls,
+        "ellipsoid": ellipsoids,
+        "point on uneven floor": 0 if isinstance(footing.ground.floor, Plane) else points,
+    }
+
+
+def _at_obstacles(footing: Footing) -> dict[str, float]:
+    if footing.solids is None:
+        return {}
+    boxes, lines, balls, ellipsoids, _ = footing.solids
+    kinds = {"box": boxes, "capsule": lines, "ball": balls, "ellipsoid": ellipsoids}
+    count = len(footing.ground.obstacles)
+    found = {name: count * len(parts.bodies) for name, parts in kinds.items()}
+    return found | _of_meshes(footing)
+
+
+def _of_meshes(footing: Footing) -> dict[str, float]:
+    _, corners, meshes = footing.meshes.shape
+    return {"mesh": meshes, "corner of a mesh": corners * meshes}
+
+
+def _of_pairs(tree: Tree, chains: list[set[int]], pairs: Pairs) -> dict[str, float]:
+    """Count what is written out for pairs."""
+    if pairs.looped:
+        return {}
+    axes = np.array([_between(tree, chains, *pair) for pair in zip(*pairs.owners, strict=True)])
+    counts: dict[str, float] = {name: 0 for name in KINDS}
+    for run in pairs.runs:
+        counts[run.kind] += run.count
+    return counts | {"axis of a point": axes.sum(), "two axes of a point": (axes**2).sum()}
+
+
+def _of_loops(tree: Tree, chains: list[set[int]], pairs: Pairs) -> dict[str, float]:
+    """Count what loops over pairs are made of: a round for each kind."""
+    if not pairs.looped:
+        return {}
+    longest = max(
+        _between(tree, chains, *pair) for pair in zip(pairs.first, pairs.second, strict=True)
+    )
+    kinds = len(pairs.runs)
+    return {"any": 1, "kind": kinds, "two axes": kinds * longest**2}
+
+
+def _between(tree: Tree, chains: list[set[int]], first: int, second: int) -> int:
+    """Count the joint axes between two bodies."""
+    between = chains[first] ^ chains[second]
+    return sum(body in between for body in tree.dof_bodies)
+
+
+def _in_water(patches: tuple[Patch, ...]) -> dict[str, float]:
+    counts = {"form point": 0, "skin point": 0, "point at a surface": 0}
+    for patch in patches:
+        form, skin = (len(area) for area in (patch.normal_area, patch.tangential_area))
+        if patch.normal_places is None:
+            counts["form point"] += len(patch.bodies) * form
+            counts["skin point"] += len(patch.bodies) * skin
+        else:
+            counts["point at a surface"] += len(patch.bodies) * (form + skin)
+    return counts
