@@ -36,12 +36,10 @@ def keep_compiled_programs() -> Path | None:
     jax.config.update("jax_persistent_cache_min_compile_time_secs", _LEAST_SECONDS)
     if not jax.config.values["jax_enable_compilation_cache"]:
         return None
-    own = jax.config.values["jax_compilation_cache_dir"]
-    if own:
-        keep_code_in(Path(own))
+    folder = compiled_folder()
+    if jax.config.values["jax_compilation_cache_dir"]:
+        keep_code_in(folder)
         return None
-    home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    folder = Path(home) / "evo_cpg" / "compiled" / _processor()
     try:
         folder.mkdir(parents=True, exist_ok=True)
         _prune(folder, _MOST)
@@ -50,6 +48,15 @@ def keep_compiled_programs() -> Path | None:
     jax.config.update("jax_compilation_cache_dir", str(folder))
     keep_code_in(folder)
     return folder
+
+
+def compiled_folder() -> Path:
+    """Return the folder in which compiled programs are kept, whether it is there or not."""
+    own = jax.config.values["jax_compilation_cache_dir"]
+    if own:
+        return Path(own)
+    home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(home) / "evo_cpg" / "compiled" / _processor()
 
 
 def _processor() -> str:
