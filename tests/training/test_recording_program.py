@@ -103,9 +103,12 @@ def test_an_interrupt_skips_the_first_look_alone(tmp_path, monkeypatch, capsys):
     assert not interrupts.waits_for_threads()
 
 
-def test_what_is_left_of_compiling_is_estimated_by_the_first_program(tmp_path, monkeypatch):
-    """The recording takes as long as the trials, the first look twice as long."""
-    experiment, folder = folder_of(tmp_path / "run", (*TINY, "seed=76"))
+@pytest.mark.parametrize(("noise", "programs"), [((), 1), (("noise.joint_angle_deg=2",), 2)])
+def test_what_is_left_of_compiling_is_estimated_by_the_first_program(
+    tmp_path, monkeypatch, noise, programs
+):
+    """The recording takes as long as the trials, and so does each program of the first look."""
+    experiment, folder = folder_of(tmp_path / "run", (*TINY, "seed=76", *noise))
     go_on = threading.Event()
 
     def compiled(*_: object) -> str:
@@ -119,7 +122,7 @@ def test_what_is_left_of_compiling_is_estimated_by_the_first_program(tmp_path, m
         recorder.compile(Spent(1000.0, 600.0))
         look, record = recorder.expected_to_look(), recorder.expected_to_record()
         go_on.set()
-        assert record is not None and 900 < record <= 1000 and look == 2000
+        assert record is not None and 900 < record <= 1000 and look == programs * 1000
     assert (recorder.expected_to_record(), recorder.expected_to_look()) == (0, 0)
     with Recorder(experiment, folder) as recorder:
         recorder.compile()
