@@ -177,24 +177,33 @@ def _brain(experiment: Experiment, champion: Champion) -> Brain:
     return Brain(experiment.simulation, champion.genes, own, first)
 
 
-def compile_first_look(experiment: Experiment, least: float) -> Callable[[Champion], Check]:
+def compile_first_look(
+    experiment: Experiment, least: float
+) -> Callable[[Champion, float | None], Check]:
     """Compile the one check that `train` makes, before there is a champion.
 
     Args:
         experiment: that is being evolved.
         least: share of its way that a champion must keep at half the physics step.
+
+    Returns:
+        A function of a champion and its way, m. The way is None where chance has a say, and is
+        found in fresh draws.
     """
     own = experiment.simulation
-    both = own, variations.finer(own, 2)
-    places = [Variation("", (simulation,), draws_of(own)) for simulation in both]
+    simulations = [variations.finer(own, 2)]
+    if not own.noise.silent:
+        simulations.insert(0, own)
+    places = [Variation("", (simulation,), draws_of(own)) for simulation in simulations]
     lives = [variations.compile_lives(experiment, place) for place in places]
     shortest = _SOME_WAY * length_of(experiment.creature)
 
-    def look(champion: Champion) -> Check:
-        way, half = (
+    def look(champion: Champion, own_way: float | None) -> Check:
+        ways = [
             float(live(champion).mean_ways(place)[0])
             for live, place in zip(lives, places, strict=True)
-        )
+        ]
+        way, half = ways if own_way is None else (own_way, *ways)
         question, detail = "way kept: half the step", f"{half:.3g} of {way:.3g} m"
         if not way > shortest:
             return Check("half_step", question, 1.0, detail=detail)

@@ -103,6 +103,10 @@ class Experiment:
         kept = ("parts", "config", "source", "replaced", "scales")
         return {name: value for name, value in vars(self).items() if name in kept}
 
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self._compiled = set()
+
     @property
     def name(self) -> str:
         """What the configuration calls it."""

@@ -1,7 +1,7 @@
 """A line on standard error for work that takes long: on a terminal and in a notebook, or if asked.
 
 A library says nothing that its user did not ask for, so logs and pipes stay as they are. But the
-first call of a program compiles it, which takes some seconds to half a minute, and a user who
+first call of a program compiles it, which takes seconds or, for a large animal, minutes. A user who
 watches should know what is going on.
 """
 

@@ -25,6 +25,7 @@ from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.config.shipped import shipped_name
 from evo_cpg.fusion.stopwatch import Spent, measuring
 from evo_cpg.simulation.operations import estimate_operations
+from evo_cpg.simulation.way import WAY
 from evo_cpg.system import name_of, resolved
 from evo_cpg.training import experiment as parts
 from evo_cpg.training.checkpoint import Champion, genes_digest
@@ -268,6 +269,9 @@ class Recorder:
         self.looks, self.skipped = least is not None, False
         self._experiment, self._folder, self._least = experiment, folder, least
         self._animal = animal
+        # Without noise the recording is the life whose way is compared.
+        self._measures_way = self.looks and experiment.simulation.noise.silent
+        self._way: float | None = None
         self._thread = ThreadPoolExecutor(1, "recording")
         self._program = _Job()
         self._look = _Job()
@@ -293,13 +297,19 @@ class Recorder:
             operations = estimate_operations(self._experiment.simulation).total
             note_seconds(operations, self._animal, spent)
         devices = self._folder.read_meta()["devices"]
+        recorded = self._experiment
+        if self._measures_way:
+            from evo_cpg.training.variations import with_way
+
+            recorded = recorded._replace(simulation=with_way(recorded.simulation))
         self._program = _Job(took)
-        self._program.begin(self._thread, compile_replay, self._experiment, devices)
+        self._program.begin(self._thread, compile_replay, recorded, devices)
         if self._least is not None:
             from evo_cpg.api.audit import compile_first_look
 
-            # It has two programs: one at the own step, one at half of it.
-            self._look = _Job(None if took is None else 2 * took)
+            # With noise the way at the own step takes another program.
+            programs = 1 if self._measures_way else 2
+            self._look = _Job(None if took is None else programs * took)
             self._look.begin(self._thread, compile_first_look, self._experiment, self._least)
 
     def expected_to_record(self) -> float | None:
@@ -320,14 +330,16 @@ class Recorder:
         """Write the champion and its motion into the run folder."""
         if not self._program.begun:
             self.compile()
-        _, _, motion = self._program.result()(champion)
+        _, terms, motion = self._program.result()(champion)
+        if self._measures_way:
+            self._way = float(np.nan_to_num(terms[WAY]))
         self._folder.save_champion(champion, motion)
 
     def look(self, champion: Champion) -> None:
         """Take the first look at a champion that was recorded, if one is asked for."""
         if not self.looks:
             return
-        seen = self._look.result()(champion)
+        seen = self._look.result()(champion, self._way)
         self.seen = seen
         told: dict[str, Any] | None = None
         if seen.passed is not None:

@@ -32,7 +32,7 @@ def gyroscopic_change(
     own = central_inertia(tree)
     # Cramer's rule multiplies three moments of inertia.
     scale = toward_one(xp.trace(own)) ** 2
-    inertia = expand_dims_like(scale * own, angular, angular.ndim + 1)
+    inertia = expand_dims_like(scale[None, None] * own, angular, angular.ndim + 1)
     momentum = matvec(inertia, angular)
     torque = cross(angular, momentum)
     slope = matmul(skew(angular), inertia) - skew(momentum)

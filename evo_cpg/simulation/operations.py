@@ -181,7 +181,7 @@ def _between(tree: Tree, chains: list[set[int]], first: int, second: int) -> int
 
 
 def _in_water(patches: tuple[Patch, ...]) -> dict[str, float]:
-    counts = {"form point": 0.0, "skin point": 0.0, "point at a surface": 0.0}
+    counts: dict[str, float] = {"form point": 0, "skin point": 0, "point at a surface": 0}
     for patch in patches:
         form, skin = (len(area) for area in (patch.normal_area, patch.tangential_area))
         if patch.normal_places is None:

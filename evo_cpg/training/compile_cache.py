@@ -37,15 +37,12 @@ def keep_compiled_programs() -> Path | None:
     jax.config.update("jax_persistent_cache_min_compile_time_secs", _LEAST_SECONDS)
     if not jax.config.values["jax_enable_compilation_cache"]:
         return None
-    own = jax.config.values["jax_compilation_cache_dir"]
-    if own:
-        keep_code_in(Path(own))
+    folder = compiled_folder()
+    if folder is None:
         return None
-    home = home_folder()
-    own = os.environ.get("XDG_CACHE_HOME") or (home and home / ".cache")
-    if not own:
+    if jax.config.values["jax_compilation_cache_dir"]:
+        keep_code_in(folder)
         return None
-    folder = Path(own) / "evo_cpg" / "compiled" / _processor()
     try:
         folder.mkdir(parents=True, exist_ok=True)
         _prune(folder, _MOST)
@@ -57,6 +54,16 @@ def keep_compiled_programs() -> Path | None:
     jax.config.update("jax_compilation_cache_dir", str(folder))
     keep_code_in(folder)
     return folder
+
+
+def compiled_folder() -> Path | None:
+    """Return the folder for compiled programs, there or not; None without a home folder."""
+    own = jax.config.values["jax_compilation_cache_dir"]
+    if own:
+        return Path(own)
+    home = home_folder()
+    cache = os.environ.get("XDG_CACHE_HOME") or (home and home / ".cache")
+    return Path(cache) / "evo_cpg" / "compiled" / _processor() if cache else None
 
 
 def _processor() -> str:

@@ -10,11 +10,11 @@ import json
 import math
 import os
 import tempfile
-from pathlib import Path
 from typing import Any
 
 from evo_cpg.fusion import machine
 from evo_cpg.fusion.stopwatch import Spent
+from evo_cpg.training.compile_cache import compiled_folder
 
 _FILE = "compile-times.json"
 
@@ -63,12 +63,14 @@ def note_seconds(operations: float, animal: str, spent: Spent) -> None:
         handle, path = tempfile.mkstemp(dir=folder, prefix=".times-")
         with os.fdopen(handle, "w", encoding="utf-8") as file:
             json.dump(times, file)
-        os.replace(path, Path(folder) / _FILE)
+        os.replace(path, folder / _FILE)
 
 
 def _read() -> dict[str, Any]:
     """Return what was measured: ``rate`` as operations and seconds, ``animals`` in seconds."""
-    folder, nothing = machine.code_folder(), {"rate": [0.0, 0.0], "animals": {}}
+    nothing = {"rate": [0.0, 0.0], "animals": {}}
+    # Reading is for commands that compile nothing, too.
+    folder = machine.code_folder() or compiled_folder()
     if folder is None:
         return nothing
     try:

@@ -76,7 +76,7 @@ def live(experiment: Experiment, champion: Champion, variation: Variation) -> Ke
 
 def compile_lives(experiment: Experiment, variation: Variation) -> Callable[[Champion], Kept]:
     """Compile `live` before there is a champion."""
-    trials, sims = experiment.trials, tuple(map(_with_way, variation.simulations))
+    trials, sims = experiment.trials, tuple(map(with_way, variation.simulations))
     lives = len(sims) * variation.draws
     numbers = situation_numbers(experiment)
     numbers = None if numbers is None else np.tile(numbers, lives)
@@ -163,7 +163,8 @@ def on_engine(simulation: Simulation, engine: Engine) -> Simulation:
     return dataclasses.replace(simulation, engine=engine)
 
 
-def _with_way(simulation: Simulation) -> Simulation:
+def with_way(simulation: Simulation) -> Simulation:
+    """The same with a task that also tells the way, in the term `WAY`."""
     task = simulation.task
     return dataclasses.replace(simulation, task=WithWay(task.light, task))
 

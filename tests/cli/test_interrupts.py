@@ -7,6 +7,7 @@ import time
 
 import pytest
 
+from evo_cpg.cli import interrupts, main
 from evo_cpg.cli.interrupts import interrupts_delivered
 
 LONG = 20.0  # s; an interrupt comes in a hundredth of one
@@ -119,3 +120,21 @@ def test_in_a_thread_nothing_is_installed():
     thread.start()
     thread.join()
     assert found == [signal.default_int_handler]
+
+
+@pytest.mark.parametrize(("waits", "code"), [(True, None), (False, 0)])
+def test_a_process_leaves_threads_alone_once_told(monkeypatch, waits, code):
+    """Who skips what still compiles does not wait for it at the end."""
+
+    def end():
+        raise SystemExit(0)
+
+    left = []
+    monkeypatch.setattr(interrupts, "_waits", True)
+    monkeypatch.setattr(main, "main", end)
+    monkeypatch.setattr(main, "leave_at_once", left.append)
+    if not waits:
+        interrupts.wait_for_no_thread()
+    with pytest.raises(SystemExit):
+        main.program()
+    assert left == ([] if code is None else [code])

@@ -62,6 +62,17 @@ def test_a_line_says_how_far_it_is_and_how_long_it_will_take():
     assert heartbeat.due(80.0) == "writing: 15 s so far"
 
 
+def test_a_line_says_how_long_is_left_where_it_was_measured():
+    """Beyond what was expected nothing is promised any more."""
+    heartbeat = Heartbeat("compiling", 0.0, expected=30.0)
+    assert heartbeat.due(10.0) == "compiling: 10 s, about 20 s to go"
+    assert heartbeat.due(29.5) == "compiling: 30 s so far"
+    heartbeat.doing("recording", 40.0, 20.0)
+    assert heartbeat.due(50.0) == "recording: 10 s, about 10 s to go"
+    heartbeat.doing("drawing", 60.0)
+    assert heartbeat.due(70.0) == "drawing: 10 s so far"
+
+
 def test_what_somebody_else_says_counts():
     """A generation that was reported is no silence, and the next one begins with it."""
     heartbeat = Heartbeat("generation 1", 0.0)
@@ -135,3 +146,10 @@ def test_on_a_terminal_it_is_one_line_that_moves(monkeypatch):
         show(0, "best 2", 0.5)
         time.sleep(0.8)
     assert "best 2" in screen.getvalue() and "1/3" in screen.getvalue()
+    assert "about" not in screen.getvalue()
+    with module.progress("mine", "generations", 3, expected=40.0):
+        time.sleep(0.3)
+    with module.working("recording", expected=20.0):
+        time.sleep(0.3)
+    assert "compiling, about 40 s" in screen.getvalue()
+    assert "recording, about 20 s" in screen.getvalue()

@@ -35,7 +35,7 @@ def swimmer():
 def test_without_mujoco_there_is_none(swimmer, monkeypatch):
     experiment, _, steps = swimmer
     monkeypatch.setitem(sys.modules, "mujoco", None)
-    with pytest.raises(ExchangeError, match="MuJoCo is not installed; pip"):
+    with pytest.raises(ExchangeError, match="MuJoCo is not installed here; "):
         second_opinion(experiment.simulation, experiment.creature, steps)
 
 

@@ -1,0 +1,57 @@
+"""What is spent on native code is measured for whoever wants to know."""
+
+import threading
+import time
+
+import jax
+import jax.numpy as jnp
+import pytest
+
+from evo_cpg.fusion import engine
+from evo_cpg.fusion.fuse import fuse
+from evo_cpg.fusion.stopwatch import counted, measuring
+
+
+def test_time_counts_within_the_block_alone():
+    with counted():
+        time.sleep(0.02)
+    with measuring() as spent, counted():
+        time.sleep(0.02)
+        with counted(compiler=True):
+            time.sleep(0.02)
+    assert 0.04 <= spent.seconds < 10
+    assert 0.02 <= spent.compiler <= spent.seconds - 0.02
+    before = spent.seconds
+    with counted():
+        time.sleep(0.01)
+    assert spent.seconds == before
+
+
+def test_other_threads_do_not_count():
+    def work():
+        with counted():
+            time.sleep(0.02)
+
+    with measuring() as spent:
+        thread = threading.Thread(target=work)
+        thread.start()
+        thread.join()
+    assert spent.seconds == 0
+
+
+@pytest.mark.skipif(not engine.is_native(), reason="no native code here")
+def test_the_compiler_counts_for_new_code_alone():
+    """A second function of the same code needs LLVM no more."""
+
+    def made():
+        # No other test has this number, so no code of it is there.
+        return jax.jit(lambda x: fuse(lambda x: x * 1.2345678 + 8.7654321, x, batch_ndim=1))
+
+    spents = []
+    for _ in range(2):
+        with measuring() as spent:
+            made()(jnp.arange(4.0))
+        spents.append(spent)
+    first, second = spents
+    assert 0 < first.compiler < first.seconds
+    assert second.compiler == 0 < second.seconds

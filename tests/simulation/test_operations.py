@@ -1,0 +1,91 @@
+"""The estimate of a trial's operations against the code that is written for it."""
+
+import jax
+import pytest
+
+from evo_cpg.config.build import build_experiment
+from evo_cpg.config.load import load_config
+from evo_cpg.fusion import emit, native
+from evo_cpg.simulation.operations import estimate_operations
+from evo_cpg.simulation.rollout import rollout
+from evo_cpg.simulation.simulation import Simulation
+from tiny_run import CONFIG, PAIR, REPOSITORY
+
+# The estimate may be off by this fraction.
+_ERROR = 0.4
+
+_LAND = (*PAIR, "world.water=null", "world.ground={}")
+_APART = "creature.self_collision=false"
+
+
+class Counted(Exception):
+    """The plan of a trial is made, and no code is needed."""
+
+
+def simulation_of(*overrides: str, config: str = CONFIG.stem) -> Simulation:
+    path = REPOSITORY / "configs" / f"{config}.yaml"
+    return build_experiment(load_config(path, overrides), path).simulation
+
+
+def true_operations(simulation: Simulation, monkeypatch: pytest.MonkeyPatch) -> int:
+    """Count the operations of the plan that code is written by."""
+
+    def stop(arguments, results, top, variant):
+        plan = emit.Plan([node for _, nodes in results for node in nodes], top)
+        raise Counted(sum(len(run) for runs in plan._runs.values() for run, _ in runs))
+
+    monkeypatch.setattr(native, "emit", stop)
+    monkeypatch.setattr(native, "FALLS_BACK", False)
+    genes = jax.ShapeDtypeStruct((simulation.controller.gene_count, 16), "float32")
+    keys = jax.eval_shape(lambda: jax.random.key_data(jax.random.split(jax.random.key(0), 16)).T)
+    trial = jax.ShapeDtypeStruct((16,), "int32")
+    with pytest.raises(Counted) as counted:
+        jax.jit(lambda *given: rollout(simulation, *given)).lower(genes, keys, trial)
+    return counted.value.args[0]
+
+
+def assert_about(simulation: Simulation, monkeypatch: pytest.MonkeyPatch) -> None:
+    true = true_operations(simulation, monkeypatch)
+    assert estimate_operations(simulation).total == pytest.approx(true, rel=_ERROR)
+
+
+@pytest.mark.parametrize("overrides", [PAIR, _LAND], ids=["in water", "on land"])
+def test_estimate_is_near_the_true_number(overrides, monkeypatch):
+    assert_about(simulation_of(*overrides), monkeypatch)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "config",
+    ["hexapod", "turtle", "iwadate2010_swimmer", "iwadate2010_salamander_water",
+     "salamander_amphibious", "salamander_boulders", "starfish_land", "fukui2003_model1"],
+)  # fmt: skip
+def test_estimate_is_near_the_true_number_of_shipped_animals(config, monkeypatch):
+    assert_about(simulation_of(config=config), monkeypatch)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("segments", [14, 30])
+def test_estimate_is_near_the_true_number_of_long_animals(segments, monkeypatch):
+    """One has its pairs written out, the other goes through them in loops."""
+    many = f"creature.bodies.1.repeat={segments}"
+    assert_about(simulation_of(*_LAND, many), monkeypatch)
+
+
+def test_every_part_costs_only_where_it_is():
+    swimmer, walker = (estimate_operations(simulation_of(*x)) for x in (PAIR, _LAND))
+    assert swimmer.water > 0 and swimmer.ground == swimmer.obstacles == swimmer.noise == 0
+    assert walker.water == 0 and walker.ground > 0
+    blocks = "world.ground.obstacles=[{type: boulder, centre: [3, 0, 0], radius: 0.3}]"
+    among = estimate_operations(simulation_of(*_LAND, blocks))
+    assert among.obstacles > 0 and among.ground == walker.ground
+    noisy = estimate_operations(simulation_of(*_LAND, "noise.joint_angle_deg=1"))
+    assert noisy.noise > 0 and noisy.total - noisy.noise == walker.total
+    assert estimate_operations(simulation_of(*_LAND, "simulation.substeps=8")) == walker
+
+
+def test_pairs_cost_nothing_where_they_are_left_out():
+    many = (*_LAND, "creature.bodies.1.repeat=6")
+    touching, apart = (estimate_operations(simulation_of(*x)) for x in (many, (*many, _APART)))
+    assert touching.pairs > 0 and apart.pairs == 0
+    assert touching.total - touching.pairs == apart.total
