@@ -81,13 +81,15 @@ def children_watched() -> Iterator[Callable[[], int | None]]:
         the system does not tell, or there was none.
     """
     peaks: dict[str, int] = {}
+    own = _command_of("self")
     done = threading.Event()
 
     def watch() -> None:
         while not done.wait(_LOOK_AGAIN):
             for child in _children():
-                # The last look counts: until a child has its own program, the memory is ours.
-                peaks[child] = _peak_of(child) or peaks.get(child, 0)
+                # Until a child has its own program, its command and its memory are ours.
+                if _command_of(child) != own:
+                    peaks[child] = _peak_of(child) or peaks.get(child, 0)
 
     thread = threading.Thread(target=watch, daemon=True)
     thread.start()
@@ -105,6 +107,13 @@ def _children() -> list[str]:
         with contextlib.suppress(OSError):
             found += file.read_text().split()
     return found
+
+
+def _command_of(process: str) -> bytes:
+    """Return the command line of a process; empty where the system does not tell."""
+    with contextlib.suppress(OSError):
+        return Path(f"/proc/{process}/cmdline").read_bytes()
+    return b""
 
 
 def _peak_of(process: str) -> int | None:
