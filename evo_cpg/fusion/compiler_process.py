@@ -21,9 +21,9 @@ from typing import TYPE_CHECKING, BinaryIO
 if TYPE_CHECKING:
     import llvmlite.binding as llvm
 
-# Stack of the thread that compiles, bytes. LLVM goes through a function recursively: the trial of a
-# walker with 41 bodies needs 1 MiB now that functions are cut, and one that is not cut about 20 KiB
-# for each 1,000 instructions. Only what is touched takes up memory.
+# Stack of the thread that compiles, bytes. LLVM goes through a function recursively: one of 250,000
+# lines, as version 1.0.0 made of a spider, needs more than 8 MiB. Functions that are cut need
+# 256 KiB, also those of a walker with 41 bodies. Only what is touched takes up memory.
 _STACK = 256 * 2**20
 
 
