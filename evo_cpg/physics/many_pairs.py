@@ -273,9 +273,7 @@ class ManyPairContacts:
             def round_(carry: None, q: Array, run: _Run = run) -> tuple[None, Array]:
                 watched = _at(run.points.watched, q)
                 none = jnp.zeros_like(watched)
-                value = jax.lax.cond(
-                    jnp.any(watched > 0), lambda: look(run, q), lambda: jnp.zeros_like(watched)
-                )
+                value = jax.lax.cond(jnp.any(watched > 0), lambda: look(run, q), lambda: none)
                 return carry, jnp.where(watched > 0, value, none)
 
             found.append(jax.lax.scan(round_, None, jnp.arange(run.count))[1])
@@ -375,6 +373,7 @@ class ManyPairForces:
 
     def _where_pushing(self, add: Callable, start: Any) -> Any:
         """Carry sums from point to point, past those that do not push."""
+        # Made before the loop, so that its rounds only read them.
         _ = self._tables
 
         def look(run: _Run, sums: Any, q: Array) -> Any:
