@@ -14,7 +14,6 @@ from evo_cpg.physics.joints import (
     servo_torque,
 )
 from evo_cpg.physics.kinematics import Kinematics, kinematics, motion_of_bodies
-from evo_cpg.physics.many_pairs import ManyPairContacts
 from evo_cpg.physics.pair_contacts import PairContacts, find_pair_contacts
 from evo_cpg.physics.spatial_algebra import Inertia, Wrench, plus
 from evo_cpg.physics.state import State
@@ -42,7 +41,7 @@ class Equations(NamedTuple):
     derivative: Array
     wanted: Array
     contacts: Contacts | None
-    pairs: PairContacts | ManyPairContacts | None
+    pairs: PairContacts | None
 
 
 class ContactForces(NamedTuple):
@@ -83,8 +82,8 @@ class Warmstart(NamedTuple):
     radius: Float[Array, "p *n"]
 
 
-class Imposed(NamedTuple):
-    """What a step came to.
+class StepSolution(NamedTuple):
+    """Accelerations of a step, and the forces in it.
 
     Attributes:
         root: acceleration of the root, as in `Accelerations`.
@@ -92,8 +91,8 @@ class Imposed(NamedTuple):
         torque: that the motors applied, N m.
         contact: what the ground did; None without ground.
         pairs: with which pairs of bodies push each other, N; None where none can touch.
-        residual: see `evo_cpg.physics.newton`; None where no search is needed.
-        warmstart: for the next step; likewise.
+        residual: see `evo_cpg.physics.step_solver`; None where the equations are linear.
+        warmstart: for the next step; None where the equations are linear.
     """
 
     root: Float[Array, "6 *n"]

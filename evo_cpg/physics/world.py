@@ -150,7 +150,7 @@ def body_velocity(kin: Kinematics) -> Float[Array, "6 b *n"]:
 def body_equations(world: World, kin: Kinematics, h: float) -> tuple[Inertia, Wrench]:
     """Inertia ``I + h D`` and bias wrench of every body, in world axes.
 
-    With drag, weight and buoyancy; contacts join later (`evo_cpg.physics.newton`). Drag depends on
+    With drag, weight and buoyancy; `evo_cpg.physics.step_problem` adds contacts. Drag depends on
     velocities as the pose at the start of the step has them, so D is not in the bias wrench, which
     is for velocity-product accelerations: these are of the pose as it changes.
     """

@@ -30,11 +30,11 @@ from evo_cpg.physics.contact_points import clearance
 from evo_cpg.physics.equations import prepare, solve_at_once
 from evo_cpg.physics.footing import Ground, make_footing
 from evo_cpg.physics.kinematics import kinematics
-from evo_cpg.physics.newton import free_motion
 from evo_cpg.physics.pairs import make_pairs, separations
 from evo_cpg.physics.state import State, resting_state
 from evo_cpg.physics.step import searches, step
 from evo_cpg.physics.step_problem import StepProblem
+from evo_cpg.physics.step_solver import free_motion
 from evo_cpg.physics.world import World
 
 H = 1 / 120
