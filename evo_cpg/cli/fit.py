@@ -117,9 +117,11 @@ def fit_data(
         write_text(out, text)
         print(out)
     if plot is not None:
-        from evo_cpg.view.fit_plot import plot_fit
+        from evo_cpg.view.figure import save_figure
+        from evo_cpg.view.parameter_plots import fit_figure
 
-        print(plot_fit(recording.time, recording.columns, recording.data, shown, plot))
+        figure = fit_figure(recording.time, recording.columns, recording.data, shown)
+        print(save_figure(figure, plot))
 
 
 def _trial_of(recording: MeasuredMotion, config: ExperimentConfig) -> ExperimentConfig:

@@ -29,21 +29,22 @@ RUNS = {
 def swim(workshop: Workshop) -> list[Table]:
     """Five champions, random search with as many evaluations, and an animal that is still."""
     from evo_cpg.training.run_folder import history_columns
-    from evo_cpg.view.plots import plot_fitness, plot_path
+    from evo_cpg.view.plots import fitness_figure, path_figure
 
     history = history_columns(workshop.checkpoint("shared").history)
-    plot_fitness(history | {"best_so_far": history["champion"]}, workshop.picture("fitness"))
+    history["best_so_far"] = history["champion"]
+    workshop.draw(fitness_figure(history), "fitness")
     best = workshop.checkpoint("shared").champion
     for champion, recording in workshop.recordings("shared"):
         if best is not None and champion.run == best.run:
-            plot_path(recording, workshop.picture("path"))
+            workshop.draw(path_figure(recording), "path")
     table = light_table(workshop, "shared", "random")
     return [table._replace(rows=[*table.rows, still(workshop, "shared")])]
 
 
 def lags(workshop: Workshop) -> list[Table]:
     """Figure 3: the phase lag of the joint angles, and how many untrained animals have one."""
-    from evo_cpg.view.plots import plot_joint_signals
+    from evo_cpg.view.plots import joint_signals_figure
 
     best, rows = workshop.checkpoint("shared").champion, []
     simulation = workshop.experiment("shared").simulation
@@ -64,7 +65,7 @@ def lags(workshop: Workshop) -> list[Table]:
             ]
         )
         if best is not None and champion.run == best.run:
-            plot_joint_signals(recording, workshop.picture())
+            workshop.draw(joint_signals_figure(recording))
     head = ["seed", "axis", "frequency (Hz)", "spread", "lags from head to tail (degrees)",
             "amplitude (degrees)", "orderly wave"]  # fmt: skip
     waves = workshop.kept("untrained", ["shared"], lambda: _untrained(workshop))

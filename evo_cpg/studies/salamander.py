@@ -108,7 +108,7 @@ def boulders(workshop: Workshop) -> list[Table]:
 
 def eyes(workshop: Workshop) -> list[Table]:
     """The two-eyed swimmer of seed 0 is shown lights that it never saw, seeing and blind."""
-    from evo_cpg.view.probe_plot import plot_probe
+    from evo_cpg.view.probe_plot import probe_figure
 
     simulation = workshop.experiment("eyes").simulation
     champion = workshop.champions("eyes")[0]
@@ -120,7 +120,7 @@ def eyes(workshop: Workshop) -> list[Table]:
     ):
         found = probe(animal, champion.genes, lights)
         rows.append([title, *_probed(found)])
-        plot_probe(found, _REACHED, f"two-eyed swimmer, {title}", workshop.picture(name))
+        workshop.draw(probe_figure(found, _REACHED, f"two-eyed swimmer, {title}"), name)
     head = ["", "lights reached (20 % left or less)", "distance left, median", "worst"]
     return [Table("", head, rows)]
 

@@ -18,7 +18,7 @@ from evo_cpg.studies.lights import _still, lived
 from evo_cpg.studies.study import Table
 from evo_cpg.studies.workshop import Workshop, markdown
 from evo_cpg.training.checkpoint import Champion
-from evo_cpg.view import sweep_plot
+from evo_cpg.view import search_plots
 from tiny_run import CONFIG, PAIR
 
 
@@ -100,9 +100,8 @@ def test_a_figure_of_searches_shows_what_their_champions_are_worth(monkeypatch):
     workshop.experiment.return_value.strategy.population = 4
     workshop.column.return_value = np.array([[0.5, 0.6], [0.9, 0.9]])
     workshop.champions.return_value = [champion, champion._replace(expected=0.8)]
-    workshop.picture.return_value = "searches.png"
     drawn = []
-    monkeypatch.setattr(sweep_plot, "plot_sweep", lambda curves, *_: drawn.extend(curves))
+    monkeypatch.setattr(search_plots, "sweep_figure", lambda curves, _: drawn.extend(curves))
     (made,) = search.searches(workshop, "two_eyes")
     assert drawn and all(curve.final.tolist() == [0.7, 0.8] for curve in drawn)
     assert made.rows[0][2] == "0.750 (0.700 to 0.800)"
