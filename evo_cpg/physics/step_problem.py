@@ -16,7 +16,7 @@ Jacobian J of the points, whose velocities are ``v = v_0 + h J y``, laws lineari
 
     (M + h J^T K J) y = M y_free + J^T (F + K (v_k - v_0)),
 
-solved by elimination from the tips to the root (`evo_cpg.fusion.symmetric_solve`).
+solved by elimination from the tips to the root (`evo_cpg.fusion.frontend.symmetric_solve`).
 """
 
 from typing import NamedTuple
@@ -27,7 +27,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from evo_cpg.creature.tree import Tree
-from evo_cpg.fusion.symmetric_solve import solve_symmetric
+from evo_cpg.fusion.frontend.symmetric_solve import solve_symmetric
 from evo_cpg.physics.articulated import solve
 from evo_cpg.physics.contact import (
     ContactLinearization,
