@@ -1,6 +1,7 @@
 """The audit of a champion: is its gait one, or a trick of the simulation?"""
 
 import dataclasses
+import functools
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -22,8 +23,9 @@ from evo_cpg.exchange.second_opinion import Brain, Opinion, own_opinion, second_
 from evo_cpg.fusion.engine import Engine, described
 from evo_cpg.physics.current import stream
 from evo_cpg.physics.pairs import make_pairs
-from evo_cpg.simulation.physics_steps import PhysicsSteps, physics_steps
+from evo_cpg.simulation.physics_steps import EachPhysicsStep, PhysicsSteps
 from evo_cpg.simulation.reach_light import ReachLight
+from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.training import variations
 from evo_cpg.training.checkpoint import Champion
@@ -221,7 +223,7 @@ def lived_trials(experiment: Experiment, champion: Champion) -> tuple[Trial, ...
 def compile_lived_trials(experiment: Experiment) -> Callable[[Champion], tuple[Trial, ...]]:
     """`lived_trials` of any champion; it is compiled at the first call."""
     simulation, numbers = experiment.simulation, situation_numbers(experiment)
-    live = jax.jit(lambda genes, keys, number: physics_steps(simulation, genes, keys, number))
+    live = jax.jit(functools.partial(rollout, simulation, observer=EachPhysicsStep()))
 
     def of(champion: Champion) -> tuple[Trial, ...]:
         keys = champion_keys(experiment, champion)

@@ -39,7 +39,7 @@ from evo_cpg.physics.fluid import Patch, Water, make_patches
 from evo_cpg.physics.footing import make_footing
 from evo_cpg.physics.pairs import make_pairs
 from evo_cpg.physics.world import World
-from evo_cpg.simulation.measures import GROUND_MEASURES, MEASURES, Measures
+from evo_cpg.simulation.measures import GROUND_MEASURES, MEASURES, Measures, measures
 from evo_cpg.simulation.noise import Noise
 from evo_cpg.simulation.reach_light import ReachLight
 from evo_cpg.simulation.rules import Rules
@@ -208,14 +208,14 @@ def build_simulation(
 
 def _build_measures(
     config: ExperimentConfig, task: Task, world: World, source: Path | str
-) -> Measures | None:
+) -> Measures:
     """What is measured of the gait: what is asked for, and the axes of a map.
 
     Raises:
         ConfigError: there is no such measure, or not in this world.
     """
     if not config.measures and not config.evolution.axes:
-        return None
+        return Measures()
     try:
         own = term_names(task)
     except Exception:
@@ -240,8 +240,7 @@ def _build_measures(
             raise ConfigError(source, key, f"{name!r} means nothing: there is no ground")
         if name == "cost_of_transport" and not chosen(lambda: world.gravity > 0):
             raise ConfigError(source, key, f"{name!r} means nothing: there is no gravity")
-    names = tuple(dict.fromkeys(name for _, name in asked))
-    return Measures(names) if names else None
+    return measures(*dict.fromkeys(name for _, name in asked))
 
 
 def _build_rules(

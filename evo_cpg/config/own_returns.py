@@ -101,7 +101,7 @@ def check_own_strategy(
             map_metrics = METRICS
         strategy = strategy.strategy
     shape = simulation.controller.gene_count, strategy.population
-    names = (*term_names(simulation.task), *_measures(simulation))
+    names = (*term_names(simulation.task), *simulation.measures.names)
     taken = {*TABLE_COLUMNS, *map_metrics, *(f"best_{name}" for name in names)}
     checked = _Checked([key], source)
     asked = config.evolution.population // shares
@@ -157,7 +157,7 @@ def _check_task(checked: "_Checked", simulation: Simulation, seen: Any) -> None:
     _expect_like(checked.where("update"), "the tally", after, tally)
     terms = checked(key, task, "terms", lambda terms: terms(after, steps))
     _expect_dict(checked.where("terms"), terms, "term", batch)
-    terms = terms | dict.fromkeys(_measures(simulation), seen.energy)
+    terms = terms | dict.fromkeys(simulation.measures.names, seen.energy)
     scales = checked(key, task, "scales", lambda scales: scales(terms))
     _expect_dict(checked.where("scales"), scales, "scale")
     about = checked(key, task, "descriptors", lambda descriptors: descriptors(terms))
@@ -166,10 +166,6 @@ def _check_task(checked: "_Checked", simulation: Simulation, seen: Any) -> None:
         alone = "" if crowd is terms else "one individual alone"
         fitness = checked(key, task, "fitness", lambda fitness, x=crowd: fitness(x, scales))
         _expect_array(checked.where("fitness"), fitness, () if alone else batch, alone)
-
-
-def _measures(simulation: Simulation) -> tuple[str, ...]:
-    return simulation.measures.names if simulation.measures else ()
 
 
 class _Where:

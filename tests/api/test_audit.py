@@ -27,7 +27,8 @@ from evo_cpg.physics.pairs import make_pairs
 from evo_cpg.physics.terrain import Plane
 from evo_cpg.physics.world import World
 from evo_cpg.simulation.noise import Noise
-from evo_cpg.simulation.physics_steps import physics_steps
+from evo_cpg.simulation.physics_steps import EachPhysicsStep
+from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.sensors import place_sensors
 from evo_cpg.simulation.situation import Situation
 from evo_cpg.simulation.snapshot import Snapshot
@@ -130,7 +131,11 @@ def test_what_is_left_over_vanishes_with_the_step(swimming):
         with jax.enable_x64(True):
             genes = jnp.asarray(champion().genes, jnp.float64)[:, None]
             steps = jax.device_get(
-                quick_jit(lambda g, simulation=simulation: physics_steps(simulation, g))(genes)
+                quick_jit(
+                    lambda g, simulation=simulation: rollout(
+                        simulation, g, observer=EachPhysicsStep()
+                    )
+                )(genes)
             )
         found = ledger(simulation.world, steps, simulation.step_length)
         assert found.effort > 0.01
