@@ -28,6 +28,7 @@ _WORKERS = {
     "friction": ("ground, friction", "#E69F00"),
     "limbs": ("limbs that meet", "#5b2a86"),
     "water": ("water", "#009E73"),
+    "own": ("force laws of your own", "#7A5C00"),
     "pushes": ("pushes of chance", _GREY),
 }
 
