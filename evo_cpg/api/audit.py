@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import math
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -21,7 +22,6 @@ from evo_cpg.creature.self_collision import pairs_that_touch_at_rest
 from evo_cpg.exchange.errors import ExchangeError
 from evo_cpg.exchange.second_opinion import Brain, Opinion, own_opinion, second_opinion
 from evo_cpg.fusion.engine import Engine, described
-from evo_cpg.physics.current import stream
 from evo_cpg.physics.pairs import make_pairs
 from evo_cpg.simulation.physics_steps import EachPhysicsStep, PhysicsSteps
 from evo_cpg.simulation.reach_light import ReachLight
@@ -299,7 +299,7 @@ def books(
             ),
         ]
         # In water everywhere nothing flies.
-        if world.water is None or world.water.surface is not None:
+        if world.water_level < math.inf:
             checks.append(check("airborne_way", "way made while airborne", worst("airborne_way")))
     if any(np.any(trial.steps.coulomb_residual) for trial in trials):
         checks.append(check("unsolved", "steps not solved", worst("unsolved")))
@@ -420,9 +420,9 @@ def _carried(experiment: Experiment, trials: Sequence[Trial]) -> float:
         return 0.0
     for i, trial in enumerate(trials):
         start = np.asarray(trial.steps.before.position[:, :1], float)
-        flow = stream(water.current, water.gradient, water.vortices, jnp.asarray(start))
+        flow = water.velocity(jnp.asarray(start))
         flow = np.broadcast_to(np.asarray(flow, float), start.shape)
-        if water.surface is not None and start[2] > water.surface:
+        if start[2] > simulation.world.water_level:
             flow = 0.0 * flow
         light = simulation.lights[0 if numbers is None else i]
         ways.append(way(np.hstack([start, start + simulation.duration * flow]), light))

@@ -15,6 +15,9 @@ from evo_cpg.evolution.islands import Islands
 from evo_cpg.evolution.map_elites import METRICS, Mapped
 from evo_cpg.evolution.strategy import Evaluation, Strategy
 from evo_cpg.fusion.engine import Engine, using
+from evo_cpg.physics.kinematics import kinematics
+from evo_cpg.physics.state import resting_state
+from evo_cpg.physics.world import World
 from evo_cpg.simulation.control_step import (
     Effects,
     begin_life,
@@ -76,6 +79,31 @@ def check_own_returns(config: ExperimentConfig, simulation: Simulation, source: 
     shape = simulation.controller.gene_count, _INDIVIDUALS
     with using(Engine("jax")):
         jax.eval_shape(go, jax.ShapeDtypeStruct(shape, jnp.float32))
+
+
+def check_own_forces(config: ExperimentConfig, world: World, source: Path | str) -> None:
+    """Let the user's own force laws act on the creature, of which only shapes are computed.
+
+    Raises:
+        ConfigError: one of them fails, or gives something of another kind or shape than it must.
+    """
+    count = len(config.world.forces)
+    if not count:
+        return
+    keys = [("world", "forces", i) for i in range(count)]
+    checked, shape = _Checked(keys, source), (6, world.tree.body_count, _INDIVIDUALS)
+
+    def go() -> None:
+        state = resting_state(world.tree, (_INDIVIDUALS,), jnp.float32)
+        bodies = world.bodies(kinematics(world.tree, state), 1e-3)
+        for key, law in zip(keys, world.forces[-count:], strict=True):
+            wrench = checked(key, law, "wrench", lambda method: method(bodies))
+            _expect_array(checked.where("wrench"), wrench, shape)
+            slope = checked(key, law, "derivative", lambda method: method(bodies))
+            _expect_array(checked.where("derivative"), slope, (6, *shape))
+
+    with using(Engine("jax")):
+        jax.eval_shape(go)
 
 
 def check_own_strategy(

@@ -6,6 +6,7 @@ import jax
 from jaxtyping import Array, Float
 
 from evo_cpg.physics.articulated import Accelerations, solve
+from evo_cpg.physics.body_equations import bias_of_mean, body_equations
 from evo_cpg.physics.contact import Contacts, find_contacts
 from evo_cpg.physics.joints import (
     expected_limit_torque,
@@ -17,7 +18,7 @@ from evo_cpg.physics.kinematics import Kinematics, kinematics, motion_of_bodies
 from evo_cpg.physics.pair_contacts import PairContacts, find_pair_contacts
 from evo_cpg.physics.spatial_algebra import Inertia, Wrench, plus
 from evo_cpg.physics.state import State
-from evo_cpg.physics.world import World, bias_of_mean, body_equations
+from evo_cpg.physics.world import World
 from evo_cpg.spatial.linear import expand_dims_like
 
 

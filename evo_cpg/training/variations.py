@@ -125,13 +125,7 @@ def with_drag(simulation: Simulation, factor: float) -> Simulation:
     Raises:
         ValueError: there is no water.
     """
-    water = simulation.world.water
-    if water is None:
-        raise ValueError("there is no water to drag")
-    thicker = dataclasses.replace(
-        water, form_drag=water.form_drag * factor, skin_drag=water.skin_drag * factor
-    )
-    return eqx.tree_at(lambda s: s.world.water, simulation, thicker)
+    return dataclasses.replace(simulation, world=simulation.world.with_drag(factor))
 
 
 def shaken(simulation: Simulation, angle: float) -> Simulation:
