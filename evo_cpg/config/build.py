@@ -32,7 +32,7 @@ from evo_cpg.creature.surface import outer_surfaces, random_surfaces
 from evo_cpg.creature.tree import Tree, build_tree
 from evo_cpg.fusion.engine import Engine, target, using
 from evo_cpg.fusion.unsupported import Unsupported
-from evo_cpg.physics.added_mass import AddedMass, Slamming, added_inertia
+from evo_cpg.physics.added_mass import AddedMass, added_inertia
 from evo_cpg.physics.buoyancy import make_cells
 from evo_cpg.physics.fluid import Drag, Patch, make_patches
 from evo_cpg.physics.footing import make_footing
@@ -342,10 +342,7 @@ def _water_laws(
     patches = _surface_points(water, creature, tree, apart)
     yield Drag(water.form_drag, water.skin_drag, patches, water.law)
     if water.added_mass:
-        carried = added_inertia(creature, tree, water.density)
-        yield AddedMass(carried)
-        if water.surface is not None:
-            yield Slamming(carried)
+        yield AddedMass(added_inertia(creature, tree, water.density))
 
 
 def _own_laws(

@@ -14,9 +14,9 @@
 | a start in another pose than the neutral one | a ``key`` named ``start`` |
 
 Masses, inertias, springs, dampers, rotors, motors, gravity and buoyancy are the same on both sides.
-What MJCF has no words for stays behind: drag and added mass, the surface of the water, restitution,
-static friction other than dynamic, sensors. How soft joint limits and contacts are is MuJoCo's own
-affair, with its defaults.
+What MJCF has no words for stays behind: drag, added mass and other force laws, the surface of the
+water, restitution, static friction other than dynamic, sensors. How soft joint limits and contacts
+are is MuJoCo's own affair, with its defaults.
 """
 
 import itertools
