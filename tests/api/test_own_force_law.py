@@ -23,7 +23,7 @@ from evo_cpg.physics.fluid import Drag
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import resting_state
 from evo_cpg.physics.statics import Grip, static_forces
-from evo_cpg.simulation.physics_steps import physics_steps
+from evo_cpg.simulation.physics_steps import EachPhysicsStep
 from evo_cpg.simulation.rollout import rollout
 
 __all__ = ["here"]
@@ -194,7 +194,9 @@ def test_a_force_law_trains_and_goes_again(glider):
     again = evo.load(trained.folder).evaluate(0, genes).fitness
     np.testing.assert_array_equal(again, fitness)
     simulation = with_lift.parts.simulation
-    steps = physics_steps(simulation, jnp.asarray(genes.T), None)
+    steps = quick_jit(lambda g: rollout(simulation, g, observer=EachPhysicsStep()))(
+        jnp.asarray(genes.T)
+    )
     book = ledger(simulation.world, jax.tree.map(np.asarray, steps), simulation.step_length)
     scale = sum(np.abs(work).sum() for work in book.work.values())
     # Lift does no work at the centre of mass, up to what the step turns.
