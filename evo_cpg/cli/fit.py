@@ -85,11 +85,8 @@ def fit_data(
     parameters = parametrise(_trial_of(recording, config), path, inner)
     simulation = parameters.experiment.simulation
     _check_names(recording, simulation, [*begun, *set(names) - set(inner)], data)
-    if genes is not None and len(genes) != simulation.controller.gene_count:
-        raise UsageError(
-            f"--run: the champion of {run} has {len(genes)} genes, {path} asks for "
-            f"{simulation.controller.gene_count}"
-        )
+    if genes is not None and (wrong := simulation.genome.misfit(genes)):
+        raise UsageError(f"--run: the champion of {run} does not fit {path}: {wrong}")
     ordered = (*inner, *(name for name in names if name not in inner))
     values = [number_at(config, name) for name in inner]
     values += [start.get(name, begun.get(name, 0.0)) for name in ordered[len(inner) :]]

@@ -5,7 +5,7 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from evo_cpg.analysis.chains import axis_signs, joint_rows, rhythm_of
+from evo_cpg.analysis.chains import axis_signs, joint_rows
 from evo_cpg.cli.building import read_config
 from evo_cpg.cli.champions import champion_motion
 from evo_cpg.cli.errors import UsageError
@@ -35,15 +35,14 @@ def plot_run(
     print(save_figure(fitness_figure(history), place / "fitness.png"))
     if recording.dof_names:
         simulation = experiment.simulation
-        settings, signal = rhythm_of(simulation.controller)
         tree = simulation.world.tree
-        rows = joint_rows(tree, settings)
+        rows = joint_rows(simulation)
         figure = joint_signals_figure(
             recording,
             chains=rows,
             signs=axis_signs(tree, rows),
             title=experiment.name,
-            signal=signal,
+            signal=simulation.controller.signal_label,
         )
         print(save_figure(figure, place / f"joint_signals{which}.png"))
     print(save_figure(path_figure(recording), place / f"path{which}.png"))

@@ -167,7 +167,7 @@ def _require_alike(
         )
     if done is not None:
         runs, population = experiment.runs, experiment.strategy.population
-        asked = experiment.simulation.controller.gene_count, runs * population, runs
+        asked = experiment.simulation.genome.count, runs * population, runs
         found = *done.genes.shape, len(done.champions)
         if asked != found:
             raise RunFolderError(
