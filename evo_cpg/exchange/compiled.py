@@ -145,7 +145,7 @@ class Compiled(NamedTuple):
             self.refuse(owner, number, f"its {word} holds {values[place]:g}", allowed)
 
     def owners(self, kind: str, wrong: Any) -> Iterator[tuple[str, int, tuple[int, ...]]]:
-        """Yield the elements of the creature with wrong values: kind, number and place of the value.
+        """Yield kind and number of the elements with wrong values, and the place of each value.
 
         Args:
             kind: of the elements; ``dof`` for degrees of freedom of joints.

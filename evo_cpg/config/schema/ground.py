@@ -118,6 +118,20 @@ class ReliefConfig(Section):
         return heights
 
 
+class ReliefFileConfig(Section):
+    """Keys that name a file in the place of the heights of a relief.
+
+    Attributes:
+        file: array (.npy), table (.csv, .txt) or image that the heights are read from.
+        lowest: height of an image's black, m.
+        highest: height of an image's white, m.
+    """
+
+    file: str
+    lowest: Finite = 0.0
+    highest: Finite = 1.0
+
+
 FloorConfig = Annotated[
     Annotated[PlaneConfig, Tag("plane")]
     | Annotated[ShoreConfig, Tag("shore")]

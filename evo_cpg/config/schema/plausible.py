@@ -41,7 +41,9 @@ class Plausible(NamedTuple):
         likely = self.about
         for unit, factor in self.units.items():
             if self.low <= value * factor <= self.high:
-                likely = f"in {unit} it would be {round(value * factor, 3):g} {self.unit}: write that"
+                likely = (
+                    f"in {unit} it would be {round(value * factor, 3):g} {self.unit}: write that"
+                )
                 break
         return f"plausible are {self.low:.3g} to {self.high:g} {self.unit}; {likely}"
 
