@@ -56,7 +56,7 @@ def _refine(
     from evo_cpg.config.fingerprint import fingerprint
     from evo_cpg.config.load import dump_config
     from evo_cpg.config.parameters import parametrise
-    from evo_cpg.training.refine import Refinement, compile_refinement
+    from evo_cpg.training.refine import Refinement, Round, compile_refinement
     from evo_cpg.training.run_folder import RunFolderError, refinements
 
     folder, config, experiment = open_run(run)
