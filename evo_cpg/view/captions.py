@@ -6,7 +6,7 @@ import numpy as np
 import pyvista as pv
 from PIL import Image, ImageDraw, ImageFont
 
-from evo_cpg.view.legible import BOLD, legible, write_legibly
+from evo_cpg.view.legible import BOLD, add_text, legible
 from evo_cpg.view.look import Look
 
 # In pixels of a picture 720 high; smaller pictures do not shrink below `_SMALLEST` of it.
@@ -54,19 +54,8 @@ def add_captions(
     def write(
         text: str, x: float, y: float, size: float, *, dim: bool = False, side: str = "left"
     ) -> pv.Text:
-        style = pv.TextProperty(
-            color=look.text,
-            font_size=round(size * unit),
-            bold=not dim,
-            justification_horizontal=side,
-            justification_vertical="bottom",
-        )
-        style.SetOpacity(0.75 if dim else 1.0)
-        label = pv.Text(text, position=(round(x), round(y)))
-        label.prop = style
-        write_legibly(label, text)
-        plotter.renderer.AddViewProp(label)
-        return label
+        style = {"bold": not dim, "opacity": 0.75 if dim else 1.0, "side": side}
+        return add_text(plotter, text, (x, y), size * unit, look.text, **style)
 
     small = height < _SMALL
     free = plotter.window_size[0] / unit - 2 * _MARGIN - _VALUE

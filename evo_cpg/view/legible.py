@@ -31,6 +31,49 @@ def legible(text: str) -> str:
     )
 
 
+def add_text(
+    plotter: pv.Plotter,
+    text: str,
+    place: tuple[float, float],
+    size: float,
+    color: str,
+    *,
+    bold: bool = True,
+    opacity: float = 1.0,
+    side: str = "left",
+    anchor: str = "bottom",
+    plate: str | None = None,
+) -> pv.Text:
+    """Write a text into a picture.
+
+    Args:
+        plotter: of the picture.
+        text: in any script.
+        place: to the right and up, pixels.
+        size: of the letters.
+        color: of the letters.
+        bold: use the bold face.
+        opacity: of the letters, 0 to 1.
+        side: of the text that is at the place: ``left``, ``center`` or ``right``.
+        anchor: likewise: ``bottom``, ``center`` or ``top``.
+        plate: colour of a translucent plate behind the letters; None for no plate.
+    """
+    label = pv.Text(text, position=(round(place[0]), round(place[1])))
+    label.prop = pv.TextProperty(
+        color=color,
+        font_size=round(size),
+        bold=bold,
+        justification_horizontal=side,
+        justification_vertical=anchor,
+        background_color=plate,
+        background_opacity=0.72 if plate else None,
+    )
+    label.prop.SetOpacity(opacity)
+    write_legibly(label, text)
+    plotter.renderer.AddViewProp(label)
+    return label
+
+
 def write_legibly(label: pv.Text, text: str) -> None:
     """Let a text of a picture say this.
 

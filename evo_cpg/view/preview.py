@@ -3,7 +3,7 @@
 import dataclasses
 import os
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyvista as pv
@@ -11,7 +11,7 @@ import pyvista as pv
 from evo_cpg.creature.creature import Creature, neutral_pose
 from evo_cpg.physics.footing import Ground
 from evo_cpg.view.ground import grid_spacing
-from evo_cpg.view.legible import legible, write_legibly
+from evo_cpg.view.legible import add_text, legible
 from evo_cpg.view.meshes import add_bodies, shape_mesh
 from evo_cpg.view.offscreen import canvas, pixels, placed
 from evo_cpg.view.output import check_size, frame_writer, output_path, oversampling
@@ -93,7 +93,7 @@ def preview(
     centres, rotations = neutral_pose(creature) if pose is None else pose
     half_extents = np.array([body.shape.half_extents for body in creature.bodies])
     meshes = [
-        _placed(shape_mesh(body.shape), centre, turn)
+        shape_mesh(body.shape).transform(placed(turn, centre), inplace=False)
         for body, centre, turn in zip(creature.bodies, centres, rotations, strict=True)
     ]
     hull = np.concatenate([np.asarray(mesh.points) for mesh in meshes])
@@ -144,13 +144,6 @@ def preview(
     return path
 
 
-def _placed(mesh: pv.PolyData, centre: np.ndarray, turn: np.ndarray) -> pv.PolyData:
-    """Return a body's mesh where the body is in the world."""
-    mesh = mesh.copy()
-    mesh.points = np.asarray(mesh.points) @ turn.T + centre
-    return mesh
-
-
 def _below(surface: float, ground: Ground) -> bool:
     """Return whether water lies under the ground everywhere, as far as that is known."""
     level = dataclasses.replace(ground, obstacles=()).level
@@ -184,12 +177,9 @@ def _add_joints(
             continue
         anchor = centre + turn @ np.array(body.joint.child_anchor)
         for axis in body.joint.axes:
-            name = next(
-                (n for n, unit in zip("xyz", np.eye(3), strict=True) if np.allclose(axis, unit)),
-                None,
-            )
-            color = _AXES[name] if name else _OTHER_AXIS
-            meaning[f"{name or 'other'} axis"] = color
+            names = [n for n, unit in zip("xyz", np.eye(3), strict=True) if np.allclose(axis, unit)]
+            name = names[0] if names else "other"
+            meaning[f"{name} axis"] = color = _AXES.get(name, _OTHER_AXIS)
             # Long enough to come out of the bodies on either side.
             _add_arrow(plotter, anchor, turn @ np.array(axis), 2.1 * scale, color)
     return dict(sorted(meaning.items()))
@@ -287,29 +277,8 @@ def _add_texts(
     """
     width, height = plotter.window_size
 
-    def write(
-        text: str,
-        x: float,
-        y: float,
-        size: float,
-        color: str,
-        bold: bool,
-        side: str,
-        anchor: str,
-        plate: bool = False,
-    ) -> None:
-        label = pv.Text(text, position=(round(x), round(y)))
-        label.prop = pv.TextProperty(
-            color=color,
-            font_size=round(size * unit),
-            bold=bold,
-            justification_horizontal=side,
-            justification_vertical=anchor,
-            background_color=_BACKGROUND if plate else None,
-            background_opacity=0.72 if plate else None,
-        )
-        write_legibly(label, text)
-        plotter.renderer.AddViewProp(label)
+    def write(text: str, x: float, y: float, size: float, color: str = _TEXT, **given: Any) -> None:
+        add_text(plotter, text, (x, y), size * unit, color, **given)
 
     if len(creature.bodies) <= _MOST_NAMES:
         names = [body.name for body in creature.bodies]
@@ -322,16 +291,16 @@ def _add_texts(
             for name in names
         ]
         for name, (x, y) in zip(names, _apart(places, np.array(sizes)), strict=True):
-            write(name, x, y, _NAME, _TEXT, True, "center", "center", plate=True)
+            write(name, x, y, _NAME, side="center", anchor="center", plate=_BACKGROUND)
     margin = 34 * unit
-    write(creature.name, margin, height - margin, 25, _TEXT, True, "left", "top")
+    write(creature.name, margin, height - margin, 25, anchor="top")
     axes = sum(len(body.joint.axes) for body in creature.bodies if body.joint)
     words = [f"{len(creature.bodies)} bodies", f"{axes} degrees of freedom"]
     facts = ", ".join([*words, f"{creature.mass:.3g} kg", *notes])
-    write(facts, margin, height - margin - 36 * unit, 17, _TEXT, False, "left", "top")
+    write(facts, margin, height - margin - 36 * unit, 17, bold=False, anchor="top")
     for i, (meaning, color) in enumerate(legend.items()):
         y = height - margin - 24 * unit * i
-        write(meaning, width - margin, y, 17, color, True, "right", "top")
+        write(meaning, width - margin, y, 17, color, side="right", anchor="top")
 
     length = grid_spacing(width / view.pixels_per_metre / 3)
     bar = length * view.pixels_per_metre
@@ -345,16 +314,8 @@ def _add_texts(
         line_width=2.5 * unit,
         lighting=False,
     )
-    write(
-        f"{length:g} m",
-        width - margin - bar / 2,
-        margin + 9 * unit,
-        17,
-        _TEXT,
-        False,
-        "center",
-        "bottom",
-    )
+    middle_of_bar = width - margin - bar / 2
+    write(f"{length:g} m", middle_of_bar, margin + 9 * unit, 17, bold=False, side="center")
 
 
 def _apart(places: np.ndarray, sizes: np.ndarray) -> np.ndarray:

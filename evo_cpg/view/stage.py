@@ -18,19 +18,17 @@ from evo_cpg.simulation.recording import Recording
 from evo_cpg.view.camera import CameraPath, aspect_of, course, follow, hidden
 from evo_cpg.view.captions import add_captions
 from evo_cpg.view.clip import Clip
-from evo_cpg.view.goal_light import add_goal_light
 from evo_cpg.view.ground import Marks, add_floor, add_numbers, grid_spacing, mark_spacing
 from evo_cpg.view.look import Look
 from evo_cpg.view.meshes import add_bodies, head_index, shape_mesh
 from evo_cpg.view.obstacles import add_obstacles, obstacle_mesh, obstacle_top
 from evo_cpg.view.offscreen import placed
-from evo_cpg.view.particles import add_particles
 from evo_cpg.view.relief import add_relief
+from evo_cpg.view.scenery import add_goal_light, add_particles, add_trail
 from evo_cpg.view.shadows import LIFT, add_contacts, add_shadows, add_sun_shadows
 from evo_cpg.view.sky import add_sky, sun_direction
 from evo_cpg.view.terrain import Level, Terrain, heights, make_terrain
 from evo_cpg.view.textures import CELLS
-from evo_cpg.view.trail import add_trail
 from evo_cpg.view.water import add_water, add_waterlines
 
 # The floor lies this many radii of the animal below the lowest point of its way through water.

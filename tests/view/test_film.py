@@ -484,7 +484,7 @@ def test_a_folder_with_a_colon_is_no_protocol(creature, recording, tmp_path, mon
 
 
 def test_what_ffmpeg_complains_of_is_told(creature, recording, tmp_path, monkeypatch):
-    monkeypatch.setitem(output._ENCODERS, ".mp4", ["-c:v", "nonsense"])
+    monkeypatch.setitem(output._ENCODERS, ".mp4", "-c:v nonsense")
     with pytest.raises(OutputError, match=r"swim\.mp4: ffmpeg says: .*'nonsense'"):
         film(creature, recording, tmp_path / "swim.mp4", size=SMALL, fps=10, seconds=0.2)
     assert not list(tmp_path.iterdir())
