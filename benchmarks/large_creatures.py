@@ -104,7 +104,8 @@ def _prepare(
     from benchmarks.machine import children_watched, peak_memory
     from evo_cpg.config.build import build_experiment
     from evo_cpg.config.load import complete_config
-    from evo_cpg.fusion import engine, machine, native
+    from evo_cpg.fusion import engine
+    from evo_cpg.fusion.backend import machine, native
     from evo_cpg.training.devices import population_mesh, use_cores
     from evo_cpg.training.experiment import compile_trials
 

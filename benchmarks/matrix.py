@@ -201,7 +201,7 @@ def _beside_numba(uv: str, environment: Environment) -> list[str]:
         return ["numba: installing"]
     if _run(uv, "pip", "check", *at):
         return ["numba: its dependencies and ours"]
-    find = "from evo_cpg.fusion.machine import host; print(host().name)"
+    find = "from evo_cpg.fusion.backend.machine import host; print(host().name)"
     found = subprocess.run([environment.python, "-c", find], capture_output=True, text=True)
     program = _NUMBA.format(instructions=found.stdout.strip())
     return ["numba: both in one process"] if _run(environment.python, "-c", program) else []

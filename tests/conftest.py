@@ -34,7 +34,7 @@ if os.environ.get("EVO_CPG_TESTS_SHAPES"):
 
 from costs import Costs
 from evo_cpg.fusion import engine
-from evo_cpg.fusion.machine import keep_code_in
+from evo_cpg.fusion.backend.machine import keep_code_in
 
 # Two functions that come to the same program are compiled once: an experiment that several tests
 # build, a run that is started and resumed. Each process has a folder of its own, for the duration.

@@ -1,6 +1,8 @@
 """The audit of a champion: is its gait one, or a trick of the simulation?"""
 
 import dataclasses
+import functools
+import math
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -20,10 +22,10 @@ from evo_cpg.creature.self_collision import pairs_that_touch_at_rest
 from evo_cpg.exchange.errors import ExchangeError
 from evo_cpg.exchange.second_opinion import Brain, Opinion, own_opinion, second_opinion
 from evo_cpg.fusion.engine import Engine, described
-from evo_cpg.physics.current import stream
 from evo_cpg.physics.pairs import make_pairs
-from evo_cpg.simulation.physics_steps import PhysicsSteps, physics_steps
+from evo_cpg.simulation.physics_steps import EachPhysicsStep, PhysicsSteps
 from evo_cpg.simulation.reach_light import ReachLight
+from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.training import variations
 from evo_cpg.training.checkpoint import Champion
@@ -221,7 +223,7 @@ def lived_trials(experiment: Experiment, champion: Champion) -> tuple[Trial, ...
 def compile_lived_trials(experiment: Experiment) -> Callable[[Champion], tuple[Trial, ...]]:
     """`lived_trials` of any champion; it is compiled at the first call."""
     simulation, numbers = experiment.simulation, situation_numbers(experiment)
-    live = jax.jit(lambda genes, keys, number: physics_steps(simulation, genes, keys, number))
+    live = jax.jit(functools.partial(rollout, simulation, observer=EachPhysicsStep()))
 
     def of(champion: Champion) -> tuple[Trial, ...]:
         keys = champion_keys(experiment, champion)
@@ -297,7 +299,7 @@ def books(
             ),
         ]
         # In water everywhere nothing flies.
-        if world.water is None or world.water.surface is not None:
+        if world.water_level < math.inf:
             checks.append(check("airborne_way", "way made while airborne", worst("airborne_way")))
     if any(np.any(trial.steps.coulomb_residual) for trial in trials):
         checks.append(check("unsolved", "steps not solved", worst("unsolved")))
@@ -418,9 +420,9 @@ def _carried(experiment: Experiment, trials: Sequence[Trial]) -> float:
         return 0.0
     for i, trial in enumerate(trials):
         start = np.asarray(trial.steps.before.position[:, :1], float)
-        flow = stream(water.current, water.gradient, water.vortices, jnp.asarray(start))
+        flow = water.velocity(jnp.asarray(start))
         flow = np.broadcast_to(np.asarray(flow, float), start.shape)
-        if water.surface is not None and start[2] > water.surface:
+        if start[2] > simulation.world.water_level:
             flow = 0.0 * flow
         light = simulation.lights[0 if numbers is None else i]
         ways.append(way(np.hstack([start, start + simulation.duration * flow]), light))

@@ -29,8 +29,8 @@ from evo_cpg.simulation.control_step import (
     starting_animal,
     transition,
 )
+from evo_cpg.simulation.judge import begin_tally, finish_tally, is_sane, update_tally
 from evo_cpg.simulation.noise import grip_of
-from evo_cpg.simulation.rollout import begin_tally, finish_tally, is_sane, update_tally
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.situation import light_places
 

@@ -30,7 +30,9 @@ from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.creature.creature import Creature
 from evo_cpg.evolution.strategy import Evaluation
 from evo_cpg.physics.world import World
-from evo_cpg.simulation.rollout import Outcome, as_recording, no_terms, record
+from evo_cpg.simulation.judge import Outcome, no_terms
+from evo_cpg.simulation.recording import Recorder, as_recording
+from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.task import Task
 from evo_cpg.training import experiment as training
 from evo_cpg.training.devices import population_mesh
@@ -366,9 +368,8 @@ class Experiment:
 
     @functools.cached_property
     def _record(self) -> Callable:
-        return jax.jit(
-            lambda *given: record(self.parts.simulation, given[0], 1, *given[1:], full=True)
-        )
+        recorder = Recorder(full=True)
+        return jax.jit(functools.partial(rollout, self.parts.simulation, observer=recorder))
 
     def _genes(self, genomes: ArrayLike) -> np.ndarray:
         """Genomes as the library has them, checked."""

@@ -58,7 +58,7 @@ def fitness_function(
             trial = parameters.simulation(jnp.asarray(values, genome.dtype))
             trial = dataclasses.replace(trial, task=task) if task else trial
         crowd = jnp.broadcast_to(genome[:, None], (count, parts.trials))
-        outcome = rollout(trial, crowd, keys, situations, backward)
+        outcome = rollout(trial, crowd, keys, situations, backward=backward)
         return judge(trial.task, outcome, scales)[0]
 
     return fitness

@@ -218,8 +218,7 @@ def groups(members: Sequence[Member]) -> list[list[Member]]:
         config = member.config.model_dump(mode="json", exclude=set(_SEARCH))
         audit = member.config.audit.model_dump(mode="json")
         rules = {name: audit[name] for name in audit["disqualify"]}
-        measures = member.experiment.simulation.measures
-        names = () if measures is None else measures.names
+        names = member.experiment.simulation.measures.names
         key = json.dumps([config, rules, names, member.experiment.trials], sort_keys=True)
         found.setdefault(key, []).append(member)
     return list(found.values())

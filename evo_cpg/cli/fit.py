@@ -31,7 +31,7 @@ from evo_cpg.view.output import PLOT_SUFFIXES, output_path
 
 if TYPE_CHECKING:
     from evo_cpg.analysis.fit import Fit
-    from evo_cpg.simulation.rollout import Simulation
+    from evo_cpg.simulation.simulation import Simulation
 
 _INITIAL = "initial."
 KINDS = ("position", "attitude", "angle")

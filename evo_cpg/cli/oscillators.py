@@ -6,7 +6,7 @@ from pathlib import Path
 from evo_cpg.control.brain_cpg import BrainCpg
 from evo_cpg.control.couplings import uncoupled
 from evo_cpg.control.rest import resting
-from evo_cpg.simulation.rollout import Simulation
+from evo_cpg.simulation.simulation import Simulation
 
 
 def warn_of_oscillators(path: Path, simulation: Simulation) -> None:

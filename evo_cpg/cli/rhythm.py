@@ -23,7 +23,7 @@ from evo_cpg.cli.oscillators import warn_of_oscillators
 from evo_cpg.config.load import load_config
 from evo_cpg.control.brain_cpg import BrainCpg
 from evo_cpg.control.couplings import ring_members
-from evo_cpg.simulation.rollout import Simulation
+from evo_cpg.simulation.simulation import Simulation
 
 _COLUMNS = ("joints", "Hz", "lag, deg", "amplitude", "multiplier", "recovery")
 

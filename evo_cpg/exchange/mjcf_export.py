@@ -32,8 +32,8 @@ from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Sphere
 from evo_cpg.exchange.errors import ExchangeError
 from evo_cpg.exchange.mjcf_ground import add_ground
 from evo_cpg.exchange.mjcf_numbers import number_text, place_text
-from evo_cpg.physics.fluid import Water
 from evo_cpg.physics.footing import Ground, combine
+from evo_cpg.physics.water import Water
 
 # MuJoCo has a body of this name in every model: the one that does not move.
 _WORLD = "world"

@@ -18,7 +18,8 @@ from typing import Any, Literal, NamedTuple
 
 import jax
 
-from evo_cpg.fusion import machine, machine_constants
+from evo_cpg.fusion import machine_constants
+from evo_cpg.fusion.backend import machine
 from evo_cpg.fusion.unsupported import Unsupported
 
 EngineName = Literal["auto", "native", "jax"]

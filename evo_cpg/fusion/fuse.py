@@ -2,8 +2,8 @@
 
 XLA:CPU gives every small matrix product of an articulated body a kernel of its own: reading and
 writing memory and starting hundreds of kernels then costs several times the arithmetic. Here the
-program is traced for one individual down to scalars (`evo_cpg.fusion.trace`), and every scalar
-becomes one instruction on a vector of individuals (`evo_cpg.fusion.emit`).
+program is traced for one individual down to scalars (`frontend.lower`), and every scalar
+becomes one instruction on a vector of individuals (`backend.emit`).
 
 Functions that are fused may call others that are: a trial is one program, of which a control step
 is a part that is a program as well. What cannot become native code is then the smallest part that
@@ -21,9 +21,9 @@ import numpy as np
 
 from evo_cpg.fusion import engine
 from evo_cpg.fusion import jax_internals as internals
-from evo_cpg.fusion.primitives import Program, fused_p
+from evo_cpg.fusion.frontend.lower import is_supported
+from evo_cpg.fusion.frontend.primitives import Program, fused_p
 from evo_cpg.fusion.stopwatch import counted
-from evo_cpg.fusion.trace import is_supported
 from evo_cpg.fusion.unsupported import Unsupported
 
 _tracing = contextvars.ContextVar("tracing", default=False)

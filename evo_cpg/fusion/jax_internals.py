@@ -11,7 +11,7 @@ import jax.core
 from jax.extend.core import ClosedJaxpr, Jaxpr, Primitive, jaxpr_as_fun
 from jax.interpreters import ad, batching, mlir
 
-from evo_cpg.fusion.threefry import threefry2x32
+from evo_cpg.fusion.frontend.threefry import threefry2x32
 from evo_cpg.fusion.unsupported import Unsupported
 
 Zero = ad.Zero

@@ -59,7 +59,7 @@ against more is that progress shows, and memory stays flat, only from chunk to c
 
 GANG = 16
 """Fitted: vectors that come to a loop together, if it ends at different rounds for each individual;
-those that go on are packed (`evo_cpg.fusion.packing`)."""
+those that go on are packed (`evo_cpg.fusion.backend.packing`)."""
 
 KEPT_FOR_THE_WAY_BACK = 256 * 2**20
 """Fitted, bytes: what may be kept of all control steps of a trial on a device, for its gradient;

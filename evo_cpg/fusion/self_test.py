@@ -7,7 +7,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from evo_cpg.fusion import engine, native
+from evo_cpg.fusion import engine
+from evo_cpg.fusion.backend import native
 from evo_cpg.fusion.fuse import fuse
 
 

@@ -13,9 +13,11 @@ its principal axes in the proportions of its second moments; bodies do not shelt
 A body that crosses the surface carries M in proportion to its share under water. On the way in
 the body sets more water in motion, which takes the momentum ``dM V_r`` in a step (von Karman 1929);
 what it leaves behind on the way out moves on by itself. So the surface only ever takes energy.
+That impact is a law of its own, `Slamming`.
 """
 
 import functools
+from typing import ClassVar
 
 import jax.numpy as jnp
 import numpy as np
@@ -24,8 +26,10 @@ from jaxtyping import Array, Float
 from evo_cpg.creature.creature import Creature
 from evo_cpg.creature.shapes import Shape
 from evo_cpg.creature.tree import Tree
+from evo_cpg.physics.buoyancy import displacement
+from evo_cpg.physics.force_law import Bodies, ForceLaw, Linearized, blocks
 from evo_cpg.spatial.choices import chosen
-from evo_cpg.spatial.linear import cross, matvec
+from evo_cpg.spatial.linear import cross, expand_dims_like, matvec
 from evo_cpg.spatial.numerics import Number, Numbers, xp
 
 # Points of the quadrature of Lamb's integrals: 1e-9 for axes of 1 to 100.
@@ -34,6 +38,90 @@ _NODES = 200
 # Relative difference of squared axes below which a body counts as round and carries no water when
 # it turns; the closed form is 0 / 0 there.
 _ROUND = 1e-6
+
+
+class AddedMass(ForceLaw):
+    """The water that the bodies carry along, in proportion to their share under water.
+
+    Attributes:
+        carried: M of each body in deep water, in its working frame.
+    """
+
+    of_water: ClassVar[bool] = True
+    needs_acceleration: ClassVar[bool] = True
+
+    carried: Float[Numbers, "6 6 b"]
+
+    def wrench(self, bodies: Bodies) -> Float[Array, "6 b *n"]:
+        """See `ForceLaw.wrench`: that on bodies that do not accelerate."""
+        return carried_water(self.inertia(bodies), bodies.velocity, bodies.stream)
+
+    def linearized(self, bodies: Bodies) -> Linearized:
+        """See `ForceLaw.linearized`; nothing is lost, a step takes the mean."""
+        return Linearized(self.wrench(bodies), None)
+
+    def averaged(self, start: Bodies, moving: Bodies) -> Float[Array, "6 b *n"]:
+        """See `ForceLaw.averaged`."""
+        del start
+        return self.wrench(moving)
+
+    def inertia(self, bodies: Bodies) -> Float[Array, "6 6 b *#n"]:
+        """See `ForceLaw.inertia`."""
+        added = expand_dims_like(self.carried, bodies.velocity, bodies.velocity.ndim + 1)
+        if bodies.displaced is None:
+            return added
+        return added * bodies.under_water[None, None]
+
+    def over_step(self, first: Bodies, middle: Bodies, last: Bodies) -> Float[Array, "6 b *n"]:
+        """See `ForceLaw.over_step`."""
+        added, velocity = self.inertia(middle), middle.velocity
+        change = (last.relative - first.relative) / middle.h
+        # The stream turns in body axes, which `carried_water` has as the acceleration of bodies
+        # that do not accelerate: it is in the change of the velocity relative to it.
+        turning = cross(velocity[:3], jnp.broadcast_to(middle.stream, velocity[3:].shape))
+        return self.wrench(middle) + matvec(added[:, 3:], turning) - matvec(added, change)
+
+
+class Slamming(ForceLaw):
+    """The impact, without bounce, of bodies on the water that they set in motion on their way in.
+
+    Attributes:
+        carried: M of each body in deep water, in its working frame.
+    """
+
+    of_water: ClassVar[bool] = True
+    needs_acceleration: ClassVar[bool] = True
+
+    carried: Float[Numbers, "6 6 b"]
+
+    def wrench(self, bodies: Bodies) -> Float[Array, "6 b *n"]:
+        """See `ForceLaw.wrench`."""
+        return self.linearized(bodies).wrench
+
+    def linearized(self, bodies: Bodies) -> Linearized:
+        """See `ForceLaw.linearized`: the momentum that the water gets is that after the impact."""
+        assert bodies.pose is not None and bodies.displaced is not None
+        spin = bodies.velocity[:3]
+        sinking = bodies.h * jnp.concatenate([cross(bodies.pose[:3], spin), bodies.kin.linear[2:]])
+        ahead = displacement(bodies.cells, bodies.pose + sinking).volume
+        entering = self._entering(bodies, ahead - bodies.displaced.volume)
+        return Linearized(-matvec(entering, bodies.relative) / bodies.h, blocks(entering))
+
+    def averaged(self, start: Bodies, moving: Bodies) -> None:
+        """See `ForceLaw.averaged`: none."""
+        del start, moving
+
+    def over_step(self, first: Bodies, middle: Bodies, last: Bodies) -> Float[Array, "6 b *n"]:
+        """See `ForceLaw.over_step`."""
+        assert first.displaced is not None and last.displaced is not None
+        entering = self._entering(middle, last.displaced.volume - first.displaced.volume)
+        return -matvec(entering, middle.relative) / middle.h
+
+    def _entering(self, bodies: Bodies, gained: Float[Array, "b *n"]) -> Float[Array, "6 6 b *n"]:
+        """Return the inertia of the water that volumes set in motion as they get under water."""
+        added = expand_dims_like(self.carried, bodies.velocity, bodies.velocity.ndim + 1)
+        volume = expand_dims_like(bodies.tree.volume, gained)
+        return added * (jnp.maximum(gained, 0.0) / volume)[None, None]
 
 
 def added_inertia(creature: Creature, tree: Tree, density: Number) -> Float[Numbers, "6 6 b"]:

@@ -1,7 +1,7 @@
 """A trial as reverse-mode differentiation goes back through it.
 
 Two things are done that change nothing forwards. Memory: of each control step the way back needs
-what its programs started from (see `evo_cpg.fusion.derivatives`), which is kept; where that is too
+what its programs started from (see `fusion.frontend.derivatives`), which is kept; where that is too
 much for the whole trial, only what goes from one segment to the next is, and the rest computed
 again (Griewank's checkpoints in two levels). Horizon: a small change
 early in a trial changes what comes later the more, the later it is, and where the motion is chaotic

@@ -31,7 +31,7 @@ class Simulation(eqx.Module):
         engine: what computes it.
         rules: what an animal is out for breaking; None where it may do anything.
         extra_sensors: those of the creature's `sensors`, which give `Observation.custom`.
-        measures: of gait, beside the task's terms; None for none.
+        measures: of gait, beside the task's terms.
     """
 
     world: World
@@ -46,7 +46,7 @@ class Simulation(eqx.Module):
     engine: Engine = eqx.field(static=True, default=Engine())
     extra_sensors: tuple[Sensor, ...] = ()
     rules: Rules | None = None
-    measures: Measures | None = None
+    measures: Measures = Measures()
 
     @property
     def duration(self) -> float:

@@ -5,8 +5,8 @@ import numpy as np
 
 from evo_cpg.analysis.chains import axis_signs, joint_rows, rhythm_of
 from evo_cpg.analysis.gait import Gait, gait
-from evo_cpg.simulation.recording import Recording
-from evo_cpg.simulation.rollout import as_recording, record
+from evo_cpg.simulation.recording import Recorder, Recording, as_recording
+from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.studies.audits import audit_table, audited
 from evo_cpg.studies.lights import light_table, still
@@ -121,7 +121,8 @@ def _untrained(workshop: Workshop) -> dict[str, int]:
     simulation = experiment.simulation
     genes = first_population(experiment)[:, :_UNTRAINED]
     count = genes.shape[1]
-    frames = jax.jit(lambda genes: record(simulation, genes, count))(genes)
+    recorder = Recorder(count)
+    frames = jax.jit(lambda genes: rollout(simulation, genes, observer=recorder))(genes)
     names = [body.name for body in experiment.creature.bodies]
     recordings = (as_recording(simulation, frames, names, i) for i in range(count))
     waves = sum(_gait(simulation, recording).has_wave() for recording in recordings)

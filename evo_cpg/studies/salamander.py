@@ -6,7 +6,7 @@ import numpy as np
 
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import load_config
-from evo_cpg.simulation.measures import Measures
+from evo_cpg.simulation.measures import measures
 from evo_cpg.studies.audits import audit_part
 from evo_cpg.studies.lights import light_table, lived, still
 from evo_cpg.studies.stills import pictures_part
@@ -152,7 +152,7 @@ def _lived_in(workshop: Workshop, world: str, name: str) -> dict[str, list[list[
             config = load_config(source, ["creature.depth_sensors=[]", steps])
             simulation = build_experiment(config, source).simulation
         genes = np.stack([each.genes for each in workshop.champions(name)], axis=1)
-        measured = dataclasses.replace(simulation, measures=Measures(("tilt",)))
+        measured = dataclasses.replace(simulation, measures=measures("tilt"))
         terms = {key: x.astype(float) for key, x in lived(measured, genes).items()}
         # Who diverged is far away, and on its back.
         return {

@@ -21,7 +21,8 @@ from jaxtyping import Array, Float, Int, UInt32
 
 from evo_cpg.fusion.machine_constants import LANES
 from evo_cpg.simulation.backward import Backward, retention
-from evo_cpg.simulation.rollout import Simulation, rollout
+from evo_cpg.simulation.rollout import rollout
+from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.training.devices import Layout, run_in_blocks, sharded
 from evo_cpg.training.experiment import Experiment, judge, situation_numbers
 
@@ -254,7 +255,8 @@ def compile_ascent(
         trial = simulation
         if free:
             trial = free.simulation(free.at(shifts).astype(genes.dtype))
-        outcome = rollout(trial, crowd, keys, numbers, Backward(kept, width, rough))
+        backward = Backward(kept, width, rough)
+        outcome = rollout(trial, crowd, keys, numbers, backward=backward)
         return judge(simulation.task, outcome, scales)[0]
 
     def climb(

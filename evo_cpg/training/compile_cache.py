@@ -3,7 +3,7 @@
 What is compiled for one experiment is loaded again by every later command that needs the same
 program: another seed, `resume`, `render` or `verify`. JAX keeps what XLA makes, and knows by a key
 over program, options and version what fits; native code is kept beside it
-(`evo_cpg.fusion.machine`). Machine code made for one processor may not run on
+(`evo_cpg.fusion.backend.machine`). Machine code made for one processor may not run on
 another, so each kind of processor has a folder of its own: a cluster may share the home folder.
 
 `JAX_COMPILATION_CACHE_DIR` names another folder, `JAX_ENABLE_COMPILATION_CACHE=false` keeps
@@ -18,7 +18,7 @@ from pathlib import Path
 
 import jax
 
-from evo_cpg.fusion.machine import keep_code_in
+from evo_cpg.fusion.backend.machine import keep_code_in
 from evo_cpg.system import home_folder, is_writable, told_by
 
 # The oldest programs go when all take up more than this, bytes. One is 1 to 4 MB.

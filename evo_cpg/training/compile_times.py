@@ -12,7 +12,7 @@ import os
 import tempfile
 from typing import Any
 
-from evo_cpg.fusion import machine
+from evo_cpg.fusion.backend import machine
 from evo_cpg.fusion.stopwatch import Spent
 from evo_cpg.training.compile_cache import compiled_folder
 

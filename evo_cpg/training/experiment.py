@@ -21,7 +21,11 @@ from evo_cpg.control.controller import Controller
 from evo_cpg.creature.creature import Creature
 from evo_cpg.evolution.strategy import Evaluation, Strategy
 from evo_cpg.simulation.batched import Inputs, rollout_batched
-from evo_cpg.simulation.rollout import Outcome, Simulation, rollout, rollout_and_record, score
+from evo_cpg.simulation.judge import JUDGE, Outcome, score
+from evo_cpg.simulation.observer import Together
+from evo_cpg.simulation.recording import Recorder
+from evo_cpg.simulation.rollout import rollout
+from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.task import Task
 from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.devices import Layout, chunk_width, layout, run_in_blocks, sharded
@@ -314,8 +318,8 @@ def descriptors(
     simulation: Simulation, terms: dict[str, Float[Array, " n"]]
 ) -> dict[str, Float[Array, " n"]]:
     """Of the terms, those that say how an animal behaves: the task's and the measures of gait."""
-    names = () if simulation.measures is None else simulation.measures.names
-    return {**simulation.task.descriptors(terms), **{name: terms[name] for name in names}}
+    measured = {name: terms[name] for name in simulation.measures.names}
+    return {**simulation.task.descriptors(terms), **measured}
 
 
 def judge(
@@ -374,7 +378,7 @@ def replay(
         keys: of its trials; None without noise.
         numbers: of its trials, see `situation_numbers`.
         recorded: which of its trials is recorded.
-        full: see `evo_cpg.simulation.rollout.record`.
+        full: see `evo_cpg.simulation.recording.Recorder`.
 
     Returns:
         What each of its trials amounted to, and one of them step by step.
@@ -393,9 +397,8 @@ def replay(
     parts, frames = [], {}
     for start in range(0, trials, lanes):
         if start <= recorded < start + lanes:
-            outcome, frames = rollout_and_record(
-                simulation, crowd, recorded - start, *beginning_with(start), full
-            )
+            observer = Together((JUDGE, Recorder(first=recorded - start, full=full)))
+            outcome, frames = rollout(simulation, crowd, *beginning_with(start), observer)
         else:
             outcome = rollout(simulation, crowd, *beginning_with(start))
         parts.append(outcome)

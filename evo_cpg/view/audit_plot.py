@@ -33,6 +33,7 @@ _WORKERS = {
     "friction": ("ground, friction", ORANGE),
     "limbs": ("limbs that meet", "#5b2a86"),
     "water": ("water", GREEN),
+    "own": ("force laws of your own", "#7A5C00"),
     "pushes": ("pushes of chance", GREY),
 }
 

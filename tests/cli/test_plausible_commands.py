@@ -5,8 +5,8 @@ import platform
 import pytest
 
 from evo_cpg.fusion import engine as engines
+from evo_cpg.fusion.backend.machine import llvm_version
 from evo_cpg.fusion.engine import is_native
-from evo_cpg.fusion.machine import llvm_version
 from evo_cpg.fusion.unsupported import Unsupported
 from tiny_run import CONFIG, PAIR, REPOSITORY
 

@@ -11,11 +11,11 @@ from benchmarks.growth import exponent
 from benchmarks.large_bodies import walker
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import complete_config
-from evo_cpg.fusion import native
-from evo_cpg.fusion.emit import Variant
+from evo_cpg.fusion.backend import native
+from evo_cpg.fusion.backend.emit import Variant
 from evo_cpg.fusion.engine import target
+from evo_cpg.fusion.frontend.primitives import fused_p
 from evo_cpg.fusion.fuse import fuse
-from evo_cpg.fusion.primitives import fused_p
 from evo_cpg.simulation.rollout import rollout
 
 SOURCE = Path("walker.yaml")

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from against_jax import sample
 
-from evo_cpg.fusion import compiler, compiler_process, engine, machine, machine_constants, native
+from evo_cpg.fusion import engine, machine_constants
+from evo_cpg.fusion.backend import compiler, compiler_process, machine, native
 from evo_cpg.fusion.engine import EngineWarning
 from evo_cpg.fusion.fuse import fuse
 

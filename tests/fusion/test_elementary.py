@@ -8,7 +8,7 @@ import pytest
 from jax import lax
 from scipy import special
 
-from evo_cpg.fusion.elementary import FLOAT32
+from evo_cpg.fusion.frontend.elementary import FLOAT32
 
 SMALLEST = 2.0**-126
 

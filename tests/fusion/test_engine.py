@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 from against_jax import sample
 
-from evo_cpg.fusion import compiler, engine, machine, machine_constants, native
+from evo_cpg.fusion import engine, machine_constants
+from evo_cpg.fusion.backend import compiler, machine, native
 from evo_cpg.fusion.engine import Engine, EngineWarning, described, using
 from evo_cpg.fusion.fuse import fuse
 from evo_cpg.fusion.unsupported import Unsupported

@@ -9,7 +9,7 @@ import pytest
 from against_jax import assert_agrees, fused, plain, sample
 
 from evo_cpg.fusion.fuse import fuse, symmetric
-from evo_cpg.fusion.graph import Graph
+from evo_cpg.fusion.ir.graph import Graph
 from evo_cpg.spatial.linear import cross, expand_dims_like, inverse_symmetric, matmul, matvec
 
 LEGS = 4

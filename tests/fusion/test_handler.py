@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 from against_jax import sample
 
-from evo_cpg.fusion import engine, machine
+from evo_cpg.fusion import engine
+from evo_cpg.fusion.backend import machine
 from evo_cpg.fusion.fuse import fuse
 
 ROWS, PEOPLE = 3, 40

@@ -10,10 +10,10 @@ from against_jax import assert_agrees, fused, sample
 from jax import lax
 
 from evo_cpg.fusion.converge import implicit, while_each
+from evo_cpg.fusion.frontend.lower import trace_closed
 from evo_cpg.fusion.fuse import fuse
-from evo_cpg.fusion.graph import Graph
-from evo_cpg.fusion.liveness import Plan
-from evo_cpg.fusion.trace import trace_closed
+from evo_cpg.fusion.ir.graph import Graph
+from evo_cpg.fusion.passes.liveness import Plan
 
 COUNTS = [1, 2, 5, 16, 19]
 

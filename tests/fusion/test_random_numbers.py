@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from against_jax import assert_agrees, fused, plain
 
+from evo_cpg.fusion.frontend.threefry import threefry2x32
 from evo_cpg.fusion.fuse import fuse
-from evo_cpg.fusion.threefry import threefry2x32
 
 SEEDS = jnp.array([0, 1, 42, -7, 2**31 - 1, -(2**31), 12345], jnp.int32)[None]
 

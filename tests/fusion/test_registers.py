@@ -10,12 +10,12 @@ import pytest
 from hypothesis import given, settings
 from jax import lax
 
+from evo_cpg.fusion.backend.machine import host
+from evo_cpg.fusion.backend.registers import Registers
 from evo_cpg.fusion.engine import Engine, using
 from evo_cpg.fusion.fuse import fuse
-from evo_cpg.fusion.graph import Graph
-from evo_cpg.fusion.machine import host
-from evo_cpg.fusion.order import ordered
-from evo_cpg.fusion.registers import Registers
+from evo_cpg.fusion.ir.graph import Graph
+from evo_cpg.fusion.passes.schedule import ordered
 from evo_cpg.fusion.unsupported import Unsupported
 
 INPUTS, REGISTERS = 5, 8

@@ -9,7 +9,7 @@ import pytest
 from against_jax import plain, sample
 from jax.sharding import PartitionSpec
 
-from evo_cpg.fusion import machine
+from evo_cpg.fusion.backend import machine
 from evo_cpg.fusion.engine import Engine, using
 from evo_cpg.fusion.fuse import fuse
 from evo_cpg.fusion.unsupported import Unsupported

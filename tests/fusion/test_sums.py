@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from evo_cpg.fusion.graph import Graph, Node
-from evo_cpg.fusion.sums import chain_sums
+from evo_cpg.fusion.ir.graph import Graph, Node
+from evo_cpg.fusion.passes.contract import chain_sums
 
 FLOAT = np.dtype(np.float64)
 

@@ -5,7 +5,7 @@ import pytest
 
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import load_config
-from evo_cpg.fusion import emit, native
+from evo_cpg.fusion.backend import emit, native
 from evo_cpg.simulation.operations import estimate_operations
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.simulation import Simulation

@@ -7,10 +7,10 @@ import pytest
 
 from creatures import quick_jit
 from evo_cpg.fusion import machine_constants
+from evo_cpg.fusion.frontend.lower import trace_closed
+from evo_cpg.fusion.frontend.symmetric_solve import solve_symmetric
 from evo_cpg.fusion.fuse import fuse
-from evo_cpg.fusion.graph import Graph
-from evo_cpg.fusion.symmetric_solve import solve_symmetric
-from evo_cpg.fusion.trace import trace_closed
+from evo_cpg.fusion.ir.graph import Graph
 from evo_cpg.spatial.ldl import factorize, solve_factorized
 
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from evo_cpg.fusion import machine
+from evo_cpg.fusion.backend import machine
 from evo_cpg.fusion.stopwatch import Spent
 from evo_cpg.training.compile_times import expected_seconds, note_seconds
 

@@ -17,7 +17,7 @@ with vectors of any width.
 
 import collections
 
-from evo_cpg.fusion.graph import Graph, Node, loops_around
+from evo_cpg.fusion.ir.graph import Graph, Node, loops_around
 
 _SUMS = {"add", "sub"}
 

@@ -14,7 +14,8 @@ import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from evo_cpg.fusion import compiler, machine_constants
+from evo_cpg.fusion import machine_constants
+from evo_cpg.fusion.backend import compiler
 from evo_cpg.fusion.stopwatch import counted
 from evo_cpg.fusion.unsupported import Unsupported
 

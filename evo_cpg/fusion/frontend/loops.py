@@ -15,8 +15,8 @@ from jax.extend.core import ClosedJaxpr, Jaxpr
 
 from evo_cpg.fusion import jax_internals as internals
 from evo_cpg.fusion import machine_constants
-from evo_cpg.fusion.graph import Block, Graph, Loop, Node, Sums
-from evo_cpg.fusion.moves import SCATTER_ADD
+from evo_cpg.fusion.frontend.moves import SCATTER_ADD
+from evo_cpg.fusion.ir.graph import Block, Graph, Loop, Node, Sums
 from evo_cpg.fusion.unsupported import Unsupported
 
 Trace = Callable[..., list[Any]]

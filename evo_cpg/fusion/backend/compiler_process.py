@@ -1,4 +1,4 @@
-"""A process that turns LLVM IR into object code, started as a file by `evo_cpg.fusion.compiler`.
+"""A process that turns LLVM IR into object code, started as a file by `compiler`.
 
 It imports nothing of the package, so that it starts in a fifth of a second.
 
@@ -47,7 +47,7 @@ def _object_code(text: str, processor: str, features: str, effort: int) -> bytes
 
     machine = _machine(processor, features, effort)
     module = llvm.parse_assembly(text)
-    # The order of instructions and what is in registers is settled (`evo_cpg.fusion.registers`);
+    # The order of instructions and what is in registers is settled (`registers`);
     # looking for a better one takes longer than all the rest. The setting is the whole process's.
     llvm.set_option("", "-enable-misched=false")
     try:

@@ -6,8 +6,8 @@ to whole numbers stop at the ends of their range.
 
 import numpy as np
 
-from evo_cpg.fusion.graph import Node
-from evo_cpg.fusion.ir import TYPES, Writer
+from evo_cpg.fusion.backend.writer import TYPES, Writer
+from evo_cpg.fusion.ir.graph import Node
 
 # Of floats, signed and unsigned whole numbers: what LLVM calls an operation.
 _ARITHMETIC = {

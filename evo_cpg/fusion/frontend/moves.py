@@ -7,7 +7,7 @@ from collections.abc import Callable
 import jax
 import numpy as np
 
-from evo_cpg.fusion.graph import Graph
+from evo_cpg.fusion.ir.graph import Graph
 from evo_cpg.fusion.unsupported import Unsupported
 
 

@@ -1,13 +1,13 @@
 """Loads and stores: scratch memory, the rows of arguments and results, tables.
 
-What is in registers is decided elsewhere (`evo_cpg.fusion.registers`), so every load and store is
+What is in registers is decided elsewhere (`registers`), so every load and store is
 *volatile*: LLVM neither drops nor moves one, nor spends time on trying to.
 """
 
 import numpy as np
 
 from evo_cpg.fusion import machine_constants
-from evo_cpg.fusion.ir import TYPES, Writer
+from evo_cpg.fusion.backend.writer import TYPES, Writer
 
 FRAME = "%frame"
 """Name of the pointer into the memory that is lent."""

@@ -12,8 +12,8 @@ import jax
 import jax.numpy as jnp
 
 from evo_cpg.fusion import jax_internals as internals
+from evo_cpg.fusion.frontend.primitives import RULES, Program, fused_p, linear_map, plain
 from evo_cpg.fusion.fuse import fuse
-from evo_cpg.fusion.primitives import RULES, Program, fused_p, linear_map, plain
 
 
 def _differentiate(

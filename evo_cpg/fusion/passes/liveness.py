@@ -5,8 +5,8 @@ between two ends of loops; a value that is used in another stretch than its own 
 """
 
 from evo_cpg.fusion import machine_constants
-from evo_cpg.fusion.graph import Block, Node, loops_around
-from evo_cpg.fusion.order import ordered, resolve
+from evo_cpg.fusion.ir.graph import Block, Node, loops_around
+from evo_cpg.fusion.passes.schedule import ordered, resolve
 from evo_cpg.fusion.unsupported import Unsupported
 
 _NO_CODE = {"input", "carried", "counter", "constant", "opaque", "inside"}

@@ -9,13 +9,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from evo_cpg.fusion import engine
-from evo_cpg.fusion.emit import Buffer, Code, Variant, emit
-from evo_cpg.fusion.graph import Graph
-from evo_cpg.fusion.handler import handler
-from evo_cpg.fusion.machine import Target, load
-from evo_cpg.fusion.primitives import RULES, Program, plain
+from evo_cpg.fusion.backend.emit import Buffer, Code, Variant, emit
+from evo_cpg.fusion.backend.handler import handler
+from evo_cpg.fusion.backend.machine import Target, load
+from evo_cpg.fusion.frontend.lower import trace_program
+from evo_cpg.fusion.frontend.primitives import RULES, Program, plain
+from evo_cpg.fusion.ir.graph import Graph
 from evo_cpg.fusion.stopwatch import counted
-from evo_cpg.fusion.trace import trace_program
 
 
 class Native(NamedTuple):

@@ -15,7 +15,7 @@ import threading
 from pathlib import Path
 from typing import BinaryIO, cast
 
-from evo_cpg.fusion import compiler_process
+from evo_cpg.fusion.backend import compiler_process
 from evo_cpg.fusion.unsupported import Unsupported
 
 # A process that has compiled more text than this (bytes) ends, for LLVM keeps its memory.

@@ -6,7 +6,7 @@ in which a program was written.
 
 from collections.abc import Iterator
 
-from evo_cpg.fusion.graph import Node
+from evo_cpg.fusion.ir.graph import Node
 
 
 def resolve(node: Node) -> Node:

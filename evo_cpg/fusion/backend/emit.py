@@ -6,11 +6,11 @@ that lies between two ends of loops is one *stretch* without branches, a functio
 one to another has a *slot* in scratch memory, a number for each individual of the vector. What
 leaves the registers for a while is in memory that all vectors share. A *driver* loops and calls
 them, for one vector, or for several in turn where loops end at different rounds for each individual
-(`evo_cpg.fusion.packing`). The last vector overlaps the one before it where the individuals do not
+(`packing`). The last vector overlaps the one before it where the individuals do not
 come out even; where there are fewer than one vector holds, rows are read and written with a mask.
 
 No instruction carries a fast-math flag, and which products are fused with sums is decided before
-(`evo_cpg.fusion.sums`): the bits of an individual's results do not depend on the vector's width.
+(`passes.contract`): the bits of an individual's results do not depend on the vector's width.
 """
 
 import functools
@@ -20,15 +20,15 @@ from typing import NamedTuple
 import numpy as np
 
 from evo_cpg.fusion import machine_constants
-from evo_cpg.fusion.graph import Block, Loop, Node, row_count
-from evo_cpg.fusion.ir import TYPES, Writer, number
-from evo_cpg.fusion.liveness import Plan, home
-from evo_cpg.fusion.memory import FRAME, FRAME_ORIGIN, Memory
-from evo_cpg.fusion.operations import write
-from evo_cpg.fusion.order import resolve
-from evo_cpg.fusion.packing import Gang, Place, declared, each_vector, packed_loop
-from evo_cpg.fusion.registers import Registers
-from evo_cpg.fusion.symmetric_solve import routine
+from evo_cpg.fusion.backend.memory import FRAME, FRAME_ORIGIN, Memory
+from evo_cpg.fusion.backend.operations import write
+from evo_cpg.fusion.backend.packing import Gang, Place, declared, each_vector, packed_loop
+from evo_cpg.fusion.backend.registers import Registers
+from evo_cpg.fusion.backend.solve_routine import routine
+from evo_cpg.fusion.backend.writer import TYPES, Writer, number
+from evo_cpg.fusion.ir.graph import Block, Loop, Node, row_count
+from evo_cpg.fusion.passes.liveness import Plan, home
+from evo_cpg.fusion.passes.schedule import resolve
 from evo_cpg.fusion.unsupported import Unsupported
 
 

@@ -13,13 +13,13 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
 
 from evo_cpg.fusion import jax_internals as internals
-from evo_cpg.fusion.elementary import FLOAT32
-from evo_cpg.fusion.graph import Graph, Node, Sums
-from evo_cpg.fusion.loops import LOOPS
-from evo_cpg.fusion.moves import MOVES, SCATTER_ADD, add_to_sums
-from evo_cpg.fusion.primitives import Program, fused_p, linear_map_p, trace_of
-from evo_cpg.fusion.sums import chain_sums
-from evo_cpg.fusion.symmetric_solve import eliminate, eliminate_p, elimination_of
+from evo_cpg.fusion.frontend.elementary import FLOAT32
+from evo_cpg.fusion.frontend.loops import LOOPS
+from evo_cpg.fusion.frontend.moves import MOVES, SCATTER_ADD, add_to_sums
+from evo_cpg.fusion.frontend.primitives import Program, fused_p, linear_map_p, trace_of
+from evo_cpg.fusion.frontend.symmetric_solve import eliminate, eliminate_p, elimination_of
+from evo_cpg.fusion.ir.graph import Graph, Node, Sums
+from evo_cpg.fusion.passes.contract import chain_sums
 from evo_cpg.fusion.unsupported import Unsupported
 
 # Programs within the program, by primitive, and the parameter that holds them.

@@ -23,7 +23,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from evo_cpg.fusion.emit import Buffer, Variant
+from evo_cpg.fusion.backend.emit import Buffer, Variant
 
 # Of the interface that this is written for. Before 1.0 of it a later minor version only adds.
 _MAJOR, _MINOR = 0, 1

@@ -1,0 +1,1 @@
+"""The graph of scalars: its types, its verifier and its printer."""

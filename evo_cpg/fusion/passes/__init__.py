@@ -1,0 +1,1 @@
+"""Passes: functions from a graph of scalars to a new one."""
