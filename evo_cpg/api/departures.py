@@ -10,7 +10,7 @@ from typing import Any
 from evo_cpg.config.load import load_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.config.shipped import shipped, shipped_names
-from evo_cpg.view.page.departures import Departures, Difference, Note
+from evo_cpg.view.page.subject import Departures, Difference, Note
 
 # `  steps: 2000   # paper`; what stands before the comment, and the comment.
 _LINE = re.compile(r"^( *)([A-Za-z_]\w*):\s*(.*?)\s*(?:# ?(.*))?$")

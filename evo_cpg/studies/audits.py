@@ -1,10 +1,11 @@
 """The audits of a study's champions, as a table."""
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from evo_cpg.studies.study import Table, middle, percent
+from evo_cpg.studies.study import Part, Table, middle, percent
 
 if TYPE_CHECKING:
     from evo_cpg.studies.workshop import Workshop
@@ -17,6 +18,24 @@ _KEPT = {
     "friction": "friction 10 % off",
     "drag": "drag 10 % off",
 }
+
+
+def audit_part(title: str, shown: Mapping[str, str], *, medians: bool = False) -> Part:
+    """Return a part that audits the champions of runs.
+
+    Args:
+        title: of the part.
+        shown: names of the runs, by their names in tables.
+        medians: make a table of medians and ranges, too.
+    """
+
+    def report(workshop: "Workshop") -> list[Table]:
+        rows = {called: audited(workshop, name) for called, name in shown.items()}
+        if not medians:
+            return [audit_table("", rows)]
+        return [kept_table("Medians and ranges:", rows), audit_table("Every champion:", rows)]
+
+    return Part(title, tuple(shown.values()), report)
 
 
 def audited(workshop: "Workshop", name: str) -> list[dict[str, Any]]:
@@ -56,28 +75,23 @@ def audit_table(title: str, rows: dict[str, list[dict[str, Any]]]) -> Table:
         title: above the table.
         rows: from `audited`, by what their runs are called.
     """
-    keys = [
-        key for key in _KEPT if any(key in r["measured"] for each in rows.values() for r in each)
-    ]
-    programs = list(
-        dict.fromkeys(o["program"] for each in rows.values() for r in each for o in _others(r))
-    )
+    every = [row for found in rows.values() for row in found]
+    keys = [key for key in _KEPT if any(key in row["measured"] for row in every)]
+    programs = list(dict.fromkeys(one["program"] for row in every for one in _others(row)))
     head = ["", "seed", "way, m", *(_KEPT[key] for key in keys)]
     head += [*(f"{program}: over ground, m" for program in programs), "passes"]
-    lines = []
-    for name, found in rows.items():
-        for row in found:
-            own = row["measured"]
-            lines.append(
-                [
-                    name,
-                    str(row["seed"]),
-                    _number(own.get("way")),
-                    *(_share(own.get(key)) for key in keys),
-                    *(_number(_ways(row).get(program)) for program in programs),
-                    "yes" if row["passed"] else "no: " + "; ".join(row["reasons"]),
-                ]
-            )
+    lines = [
+        [
+            name,
+            str(row["seed"]),
+            _number(row["measured"].get("way")),
+            *(_share(row["measured"].get(key)) for key in keys),
+            *(_number(_ways(row).get(program)) for program in programs),
+            "yes" if row["passed"] else "no: " + "; ".join(row["reasons"]),
+        ]
+        for name, found in rows.items()
+        for row in found
+    ]
     return Table(title, head, lines)
 
 

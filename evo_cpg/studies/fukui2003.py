@@ -12,9 +12,9 @@ import numpy as np
 from scipy import stats
 
 from evo_cpg.control.postures import one_posture
-from evo_cpg.studies.audits import audit_table, audited, kept_table
+from evo_cpg.studies.audits import audit_part
 from evo_cpg.studies.halving import kept, ways
-from evo_cpg.studies.stills import stills
+from evo_cpg.studies.stills import pictures_part
 from evo_cpg.studies.study import Part, Runs, Study, Table, beside, in_order, middle
 from evo_cpg.studies.workshop import Workshop
 from evo_cpg.training.devices import population_mesh
@@ -162,12 +162,6 @@ def halving(workshop: Workshop) -> list[Table]:
     return [Table("", head, rows)]
 
 
-def robust(workshop: Workshop) -> list[Table]:
-    """Walkers that evolve with noise, audited."""
-    rows = {f"Model {n}": audited(workshop, f"robust{n}") for n in (1, 2, 3)}
-    return [kept_table("Medians and ranges:", rows), audit_table("Every champion:", rows)]
-
-
 def random(workshop: Workshop) -> list[Table]:
     """The models beside random search and beside an animal that holds one posture."""
 
@@ -234,19 +228,6 @@ def choices(workshop: Workshop, names: dict[str, str]) -> list[Table]:
     rows = [[name, middle(ways), in_order(ways), against[name]] for name, ways in best.items()]
     head = ["", "median (range), m", "best of each run, m (sorted)", f"beats {first}"]
     return [Table("", head, rows)]
-
-
-_SHOWN = {
-    "Model 1": "model1",
-    "Model 2": "model2",
-    "Model 3": "model3",
-    "Model 2, to walk": "walk2",
-}
-
-
-def pictures(workshop: Workshop) -> list[Table]:
-    """The best champions of the three models, and of Model 2 as it evolved to walk."""
-    return [stills(workshop, _SHOWN)]
 
 
 _LABEL = "best distance in 20 s (m)"
@@ -341,11 +322,18 @@ STUDY = Study(
         "long": Part("Model 1 for 2000 generations (Fig. 4-2)", ("long", "long_noise"), long),
         "single": Part("two single runs of Model 1 (Fig. 4-5, 4-6)", ("single",), single),
         "halving": Part("the champions at smaller steps", MODELS, halving),
-        "robust": Part("evolved with noise, audited", ("robust1", "robust2", "robust3"), robust),
+        "robust": audit_part(
+            "evolved with noise, audited", {f"Model {n}": f"robust{n}" for n in (1, 2, 3)},
+            medians=True,
+        ),
         "random": Part("beside random search", (*MODELS, "random1", "random2", "random3"), random),
         "walk": Part("scored for posture too", (*MODELS, "walk1", "walk2", "walk3"), walk),
         "noise": Part("noise and the loss of lineages", tuple(_NOISES), noise),
-        "pictures": Part("moments of the best champions", tuple(_SHOWN.values()), pictures),
+        "pictures": pictures_part(
+            "moments of the best champions",
+            {"Model 1": "model1", "Model 2": "model2", "Model 3": "model3",
+             "Model 2, to walk": "walk2"},
+        ),
         "springs": _choice(
             "strength of the dashpots",
             {"model1": "150 N m/rad, 3 N m s/rad, 40 N m", "springs_half": "half of all three",

@@ -10,7 +10,7 @@ from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.studies.audits import audit_table, audited
 from evo_cpg.studies.lights import light_table, still
-from evo_cpg.studies.stills import stills
+from evo_cpg.studies.stills import pictures_part
 from evo_cpg.studies.study import Part, Runs, Study, Table, percent
 from evo_cpg.studies.workshop import Workshop
 from evo_cpg.training.experiment import first_population
@@ -115,11 +115,6 @@ def audit(workshop: Workshop) -> list[Table]:
     ]
 
 
-def pictures(workshop: Workshop) -> list[Table]:
-    """The best champion."""
-    return [stills(workshop, {"swimmer": "shared"})]
-
-
 def _untrained(workshop: Workshop) -> dict[str, int]:
     """How many animals with random brains have a wave along the body."""
     experiment = workshop.experiment("shared")
@@ -148,6 +143,6 @@ STUDY = Study(
         "lags": Part("the phase lag along the body (Fig. 3)", ("shared",), lags),
         "drives": Part("other readings of what the brain sets", ("per_joint", "per_dof"), drives),
         "audit": Part("the champions audited", ("shared",), audit),
-        "pictures": Part("moments of the best champion", ("shared",), pictures),
+        "pictures": pictures_part("moments of the best champion", {"swimmer": "shared"}),
     },
 )

@@ -1,16 +1,15 @@
 """The salamander in water, on land, across a shore, among boulders; a swimmer with two eyes."""
 
 import dataclasses
-from functools import partial
 
 import numpy as np
 
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import load_config
 from evo_cpg.simulation.measures import measures
-from evo_cpg.studies.audits import audit_table, audited
+from evo_cpg.studies.audits import audit_part
 from evo_cpg.studies.lights import light_table, lived, still
-from evo_cpg.studies.stills import stills
+from evo_cpg.studies.stills import pictures_part
 from evo_cpg.studies.study import Part, Runs, Study, Table, beside, middle, percent
 from evo_cpg.studies.workshop import Workshop
 from evo_cpg.training.probe import Probe, around, blinded, probe
@@ -49,17 +48,11 @@ def land(workshop: Workshop) -> list[Table]:
 
 
 _AUDITED = {
-    "land": "on land",
-    "water": "in water",
-    "shore": "across the shore",
-    "boulders": "among boulders",
-    "eyes": "swimmer with two eyes",
+    "in water": "water",
+    "across the shore": "shore",
+    "among boulders": "boulders",
+    "swimmer with two eyes": "eyes",
 }
-
-
-def audit(workshop: Workshop, name: str) -> list[Table]:
-    """Champions of some runs, audited."""
-    return [audit_table("", {_AUDITED[name]: audited(workshop, name)})]
 
 
 def shore(workshop: Workshop) -> list[Table]:
@@ -125,13 +118,6 @@ def eyes(workshop: Workshop) -> list[Table]:
     return [Table("", head, rows)]
 
 
-def pictures(workshop: Workshop) -> list[Table]:
-    """The best champions in water, on land and across the shore, and another among boulders."""
-    shown = {"in water": "water", "on land": "land", "across the shore": "shore"}
-    worlds = stills(workshop, shown)
-    return [worlds, stills(workshop, {"among boulders": "boulders"}, "boulders")]
-
-
 def _probed(found: Probe) -> list[str]:
     reached = found.reached(_REACHED)
     left = found.distance
@@ -184,18 +170,19 @@ STUDY = Study(
     {
         "water": Part("in water", ("water", "water_random", "land"), water),
         "land": Part("on land", ("land", "land_random"), land),
-        "audit": Part("champions on land, audited", ("land",), partial(audit, name="land")),
+        "audit": audit_part("champions on land, audited", {"on land": "land"}),
         "shore": Part("across the shore", ("shore", "land"), shore),
         "shore_random": Part("random search at the shore", ("shore", "shore_random"), shore_random),
         "boulders": Part("among boulders", ("boulders",), boulders),
         "eyes": Part("a swimmer with two eyes", ("eyes",), eyes),
         **{
-            f"audit_{name}": Part(f"{title}, audited", (name,), partial(audit, name=name))
-            for name, title in _AUDITED.items()
-            if name != "land"
+            f"audit_{name}": audit_part(f"{title}, audited", {title: name})
+            for title, name in _AUDITED.items()
         },
-        "pictures": Part(
-            "moments of the best champions", ("water", "land", "shore", "boulders"), pictures
+        "pictures": pictures_part(
+            "moments of the best champions",
+            {"in water": "water", "on land": "land", "across the shore": "shore"},
+            {"among boulders": "boulders"},
         ),
     },
 )

@@ -7,8 +7,8 @@ import numpy as np
 from evo_cpg.analysis.gait import ring_lags
 from evo_cpg.control.couplings import ring_members
 from evo_cpg.simulation.recording import Recording
-from evo_cpg.studies.audits import audit_table, audited
-from evo_cpg.studies.stills import stills
+from evo_cpg.studies.audits import audit_part
+from evo_cpg.studies.stills import pictures_part
 from evo_cpg.studies.study import Part, Runs, Study, Table
 from evo_cpg.studies.workshop import Workshop
 
@@ -42,16 +42,6 @@ def lags(workshop: Workshop) -> list[Table]:
     return [Table("", head, rows)]
 
 
-def audit(workshop: Workshop) -> list[Table]:
-    """The champions audited."""
-    return [audit_table("", {f"`{name}`": audited(workshop, name) for name in RUNS})]
-
-
-def pictures(workshop: Workshop) -> list[Table]:
-    """One that swims up to a light, and one that walks."""
-    return [stills(workshop, {"in water": "starfish", "on land": "starfish_land"})]
-
-
 def _parts(recording: Recording) -> list[Recording]:
     """The second half of a recording, in equal parts."""
     edges = (np.linspace(0.5, 1, _WINDOWS + 1) * len(recording.time)).astype(int)
@@ -69,7 +59,9 @@ STUDY = Study(
     RUNS,
     {
         "lags": Part("lags around the ring of arms", tuple(RUNS), lags),
-        "audit": Part("the champions audited", tuple(RUNS), audit),
-        "pictures": Part("moments of the champions", tuple(RUNS), pictures),
+        "audit": audit_part("the champions audited", {f"`{name}`": name for name in RUNS}),
+        "pictures": pictures_part(
+            "moments of the champions", {"in water": "starfish", "on land": "starfish_land"}
+        ),
     },
 )

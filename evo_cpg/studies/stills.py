@@ -6,26 +6,39 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from evo_cpg.simulation.recording import Recording
-from evo_cpg.studies.study import Table
+from evo_cpg.studies.study import Part, Table
 
 if TYPE_CHECKING:
     from evo_cpg.studies.workshop import Workshop
 
 HEAD = ["", "seed", "generation", "fitness", "way", "moments, s"]
-# Of each moment, pixels.
-_SIZE = (480, 270)
+# Size of each moment, pixels, and how many there are, from the start of a trial to its end.
+_SIZE, _MOMENTS = (480, 270), 3
 
 
-def stills(
-    workshop: "Workshop", shown: Mapping[str, str], picture: str = "", moments: int = 3
-) -> Table:
+def pictures_part(title: str, *shown: Mapping[str, str]) -> Part:
+    """Return a part that draws the best champions of runs.
+
+    Args:
+        title: of the part.
+        shown: for each picture: names of the runs, by what is written in it. The name of a second
+            picture is that of its first run.
+    """
+
+    def report(workshop: "Workshop") -> list[Table]:
+        names = ["", *(next(iter(runs.values())) for runs in shown[1:])]
+        return [stills(workshop, *each) for each in zip(shown, names, strict=True)]
+
+    return Part(title, tuple(name for runs in shown for name in runs.values()), report)
+
+
+def stills(workshop: "Workshop", shown: Mapping[str, str], picture: str = "") -> Table:
     """Draw the best champion of some runs, each in a row, and tell which they are.
 
     Args:
         workshop: where the runs are.
         shown: names of the runs, by what is written in the picture.
         picture: name of the picture; that of the part where it is the only one.
-        moments: from the start of a trial to its end.
     """
     from evo_cpg.training.loop import compile_replay
     from evo_cpg.view.film import side_by_side
@@ -39,7 +52,7 @@ def stills(
             continue
         _, _, recording = compile_replay(experiment, workshop.devices)(champion)
         panels.append(panel_of(experiment, recording, title))
-        instants = np.linspace(recording.time[0], recording.time[-1], moments)
+        instants = np.linspace(recording.time[0], recording.time[-1], _MOMENTS)
         rows.append(
             [
                 title,
@@ -52,7 +65,7 @@ def stills(
         )
     if panels:
         path = workshop.picture(picture)
-        side_by_side(panels, path, size=_SIZE, sheet=(moments, 1), columns=1)
+        side_by_side(panels, path, size=_SIZE, sheet=(_MOMENTS, 1), columns=1)
     return Table("", HEAD, rows)
 
 

@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 
-from evo_cpg.studies.audits import audit_table, audited
+from evo_cpg.studies.audits import audit_part
 from evo_cpg.studies.lights import lived
 from evo_cpg.studies.study import Part, Runs, Study, Table, beside, middle
 from evo_cpg.studies.workshop import Workshop
@@ -50,17 +50,12 @@ def changes(workshop: Workshop) -> list[Table]:
     return [Table("", head, [[*row, against[name]] for row, name in zip(rows, RUNS, strict=True)])]
 
 
-def audit(workshop: Workshop) -> list[Table]:
-    """The champions audited."""
-    return [audit_table("", {"`turtle`": audited(workshop, "turtle")})]
-
-
 STUDY = Study(
     "turtle",
     "The turtle",
     RUNS,
     {
         "changes": Part("what made the difference", tuple(RUNS), changes),
-        "audit": Part("the champions audited", ("turtle",), audit),
+        "audit": audit_part("the champions audited", {"`turtle`": "turtle"}),
     },
 )

@@ -217,9 +217,7 @@ def smooth(path: Float[np.ndarray, "frames 3"], width: float) -> Float[np.ndarra
         return path.copy()
     window = np.exp(-0.5 * (np.arange(-reach, reach + 1) / width) ** 2)
     window /= window.sum()
-    before = 2 * path[0] - path[reach:0:-1]
-    after = 2 * path[-1] - path[-2 : -reach - 2 : -1]
-    extended = np.concatenate([before, path, after])
+    extended = np.pad(path, ((reach, reach), (0, 0)), "reflect", reflect_type="odd")
     return np.column_stack([np.convolve(column, window, "valid") for column in extended.T])
 
 

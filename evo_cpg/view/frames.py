@@ -13,7 +13,7 @@ import numpy as np
 from evo_cpg.view.captions import heading
 from evo_cpg.view.clip import Clip, sample
 from evo_cpg.view.look import LOOKS, SHORE
-from evo_cpg.view.offscreen import canvas, pixels
+from evo_cpg.view.offscreen import canvas
 from evo_cpg.view.output import GUTTER, SettingError, oversampling
 from evo_cpg.view.panel import Panel
 from evo_cpg.view.signals import LOWEST, SHARE, Strip
@@ -172,8 +172,7 @@ class Frames:
             show = set_scene(plotter, creature, panel.recording, clip, stage)
 
             def draw(instant: int) -> np.ndarray:
-                show(instant)
-                seen = pixels(plotter)
+                seen = show(instant)
                 if strip is None:
                     return seen
                 return np.concatenate([strip.at(clip.time[instant]), seen])

@@ -1,23 +1,28 @@
 """Names in any script, in pictures: in a font that is always there, or spelt out.
 
 Matplotlib brings DejaVu Sans, which has the Latin, Greek, Cyrillic, Arabic and Hebrew scripts and
-many symbols; VTK's own fonts have little but Latin. Chinese, Japanese and Korean characters and
-most emoji are in neither, nor on every computer, and would all look like the same box. They are
-spelt out by their names in Unicode: a syllable by its sound, an emoji by what it shows, and an
-ideograph, which has no name, by its number.
+many symbols. Pillow writes with it into pictures that VTK has drawn. It lacks Chinese, Japanese and
+Korean characters and most emoji, which are not on every computer either, and which would all look
+like the same box. They are spelt out by their names in Unicode: a syllable by its sound, an emoji
+by what it shows, and an ideograph, which has no name, by its number.
 """
 
+import contextlib
 import functools
 import unicodedata
+from collections.abc import Iterator
 from pathlib import Path
-from typing import cast
 
 import matplotlib
-import pyvista as pv
+import numpy as np
 from matplotlib.ft2font import FT2Font
+from PIL import Image, ImageColor, ImageDraw, ImageFont
 
 _FOLDER = Path(matplotlib.get_data_path()) / "fonts" / "ttf"
-_REGULAR, BOLD = _FOLDER / "DejaVuSans.ttf", _FOLDER / "DejaVuSans-Bold.ttf"
+_REGULAR, _BOLD = _FOLDER / "DejaVuSans.ttf", _FOLDER / "DejaVuSans-Bold.ttf"
+
+# Opacity of a plate behind letters, 0 to 255.
+_PLATE = 184
 
 
 def legible(text: str) -> str:
@@ -31,26 +36,71 @@ def legible(text: str) -> str:
     )
 
 
-def write_legibly(label: pv.Text, text: str) -> None:
-    """Let a text of a picture say this.
+@contextlib.contextmanager
+def lettering(picture: np.ndarray) -> Iterator[ImageDraw.ImageDraw]:
+    """Write words into a picture.
 
     Args:
-        label: with its properties.
-        text: in any script.
+        picture: bytes ``(height, width, 3)``, bottom row first; it is changed in place.
+
+    Yields:
+        What `write` takes.
     """
-    # Between two dollars VTK would read a formula.
-    label.input = legible(text).replace("$", r"\$")
-    if not text.isascii():
-        style = cast(pv.TextProperty, label.prop)
-        style.set_font_file(str(BOLD if style.bold else _REGULAR))
+    image = Image.fromarray(picture[::-1])
+    yield ImageDraw.Draw(image, "RGBA")
+    picture[:] = np.asarray(image)[::-1]
+
+
+def write(
+    draw: ImageDraw.ImageDraw,
+    text: str,
+    place: tuple[float, float],
+    size: float,
+    color: str,
+    *,
+    bold: bool = True,
+    opacity: float = 1.0,
+    anchor: str = "ld",
+    plate: str = "",
+) -> None:
+    """Write a text into a picture.
+
+    Args:
+        draw: of the picture, see `lettering`.
+        text: in any script.
+        place: to the right and down, pixels.
+        size: of the letters, pixels.
+        color: of the letters.
+        bold: use the bold face.
+        opacity: of the letters, 0 to 1.
+        anchor: point of the text that is at the place, see Pillow's "Text anchors".
+        plate: colour of a translucent plate behind the letters; empty for no plate.
+    """
+    text, face = legible(text), font(size, bold)
+    if plate:
+        left, top, right, bottom = draw.textbbox(place, text, face, anchor)
+        pad, back = 0.15 * size, (*ImageColor.getrgb(plate), _PLATE)
+        draw.rectangle((left - pad, top - pad, right + pad, bottom + pad), fill=back)
+    fill = (*ImageColor.getrgb(color), round(255 * opacity))
+    draw.text(place, text, fill, face, anchor)
+
+
+@functools.cache
+def font(size: float, bold: bool = True) -> ImageFont.FreeTypeFont:
+    """Return a face of the font that is always there.
+
+    Args:
+        size: of the letters, pixels.
+        bold: rather than the regular face.
+    """
+    return ImageFont.truetype(str(_BOLD if bold else _REGULAR), size)
 
 
 @functools.cache
 def _letters() -> frozenset[int]:
     """What both faces of the font have."""
-    regular, bold = (set(FT2Font(str(file)).get_charmap()) for file in (_REGULAR, BOLD))
-    # VTK drops what takes two words of UTF-16.
-    return frozenset(letter for letter in regular & bold if letter < 0x10000)
+    regular, bold = (set(FT2Font(str(file)).get_charmap()) for file in (_REGULAR, _BOLD))
+    return frozenset(regular & bold)
 
 
 def _spelt(letter: str) -> str:

@@ -11,7 +11,7 @@ import pyvista as pv
 from evo_cpg.creature.creature import Creature, neutral_pose
 from evo_cpg.physics.footing import Ground
 from evo_cpg.view.ground import grid_spacing
-from evo_cpg.view.legible import legible, write_legibly
+from evo_cpg.view.legible import font, legible, lettering, write
 from evo_cpg.view.meshes import add_bodies, shape_mesh
 from evo_cpg.view.offscreen import canvas, pixels, placed
 from evo_cpg.view.output import check_size, frame_writer, output_path, oversampling
@@ -40,8 +40,8 @@ _AMBIENT = 0.35
 _OPACITY = 0.72
 # Names of more bodies than this would cover the picture.
 _MOST_NAMES = 24
-# Size of a name, and width of a letter, of one in the wider font, and height relative to that.
-_NAME, _LETTER, _WIDE, _LINE = 14, 0.56, 0.7, 1.35
+# Sizes of a name and of other words, and height of a name's line relative to its size.
+_NAME, _SMALL, _LINE = 13.5, 16, 1.35
 _OVERSAMPLING = 2
 # The smallest picture with room for words, and the one for which their sizes are meant.
 _ROOM, _SCREEN = (320, 180), (1280, 720)
@@ -93,7 +93,7 @@ def preview(
     centres, rotations = neutral_pose(creature) if pose is None else pose
     half_extents = np.array([body.shape.half_extents for body in creature.bodies])
     meshes = [
-        _placed(shape_mesh(body.shape), centre, turn)
+        shape_mesh(body.shape).transform(placed(turn, centre), inplace=False)
         for body, centre, turn in zip(creature.bodies, centres, rotations, strict=True)
     ]
     hull = np.concatenate([np.asarray(mesh.points) for mesh in meshes])
@@ -136,19 +136,13 @@ def preview(
         notes = [f"{far} obstacle{'s' if far > 1 else ''} farther away"] if far else []
         if surface is not None:
             notes.append(water_note(surface, hull))
-        if size[0] >= _ROOM[0] and size[1] >= _ROOM[1]:
-            _add_texts(plotter, creature, centres, view, legend, notes, unit)
         plotter.show(auto_close=False, interactive=False)
-        with frame_writer(path, size, rendered, 1) as write:
-            write(pixels(plotter))
+        picture = pixels(plotter)
+        if size[0] >= _ROOM[0] and size[1] >= _ROOM[1]:
+            _write(picture, creature, centres, view, legend, notes, unit)
+        with frame_writer(path, size, rendered, 1) as send:
+            send(picture)
     return path
-
-
-def _placed(mesh: pv.PolyData, centre: np.ndarray, turn: np.ndarray) -> pv.PolyData:
-    """Return a body's mesh where the body is in the world."""
-    mesh = mesh.copy()
-    mesh.points = np.asarray(mesh.points) @ turn.T + centre
-    return mesh
 
 
 def _below(surface: float, ground: Ground) -> bool:
@@ -158,16 +152,12 @@ def _below(surface: float, ground: Ground) -> bool:
 
 
 class _View(NamedTuple):
-    """The picture's centre in the world, its right and up, and pixels rendered per metre.
-
-    What is to be in front of everything is moved by ``nearer``, m.
-    """
+    """The picture's centre in the world, its right and up, and pixels rendered per metre."""
 
     focus: np.ndarray
     right: np.ndarray
     up: np.ndarray
     pixels_per_metre: float
-    nearer: np.ndarray
 
 
 def _add_joints(
@@ -184,12 +174,9 @@ def _add_joints(
             continue
         anchor = centre + turn @ np.array(body.joint.child_anchor)
         for axis in body.joint.axes:
-            name = next(
-                (n for n, unit in zip("xyz", np.eye(3), strict=True) if np.allclose(axis, unit)),
-                None,
-            )
-            color = _AXES[name] if name else _OTHER_AXIS
-            meaning[f"{name or 'other'} axis"] = color
+            names = [n for n, unit in zip("xyz", np.eye(3), strict=True) if np.allclose(axis, unit)]
+            name = names[0] if names else "other"
+            meaning[f"{name} axis"] = color = _AXES.get(name, _OTHER_AXIS)
             # Long enough to come out of the bodies on either side.
             _add_arrow(plotter, anchor, turn @ np.array(axis), 2.1 * scale, color)
     return dict(sorted(meaning.items()))
@@ -262,11 +249,11 @@ def _frame(plotter: pv.Plotter, hull: np.ndarray, size: tuple[int, int]) -> _Vie
     plotter.camera.up = up
     plotter.camera.parallel_scale = half_height
     plotter.camera.clipping_range = (0.5 * span, 10 * span)
-    return _View(focus, right, up, plotter.window_size[1] / 2 / half_height, -4 * span * ahead)
+    return _View(focus, right, up, plotter.window_size[1] / 2 / half_height)
 
 
-def _add_texts(
-    plotter: pv.Plotter,
+def _write(
+    picture: np.ndarray,
     creature: Creature,
     centres: np.ndarray,
     view: _View,
@@ -274,10 +261,10 @@ def _add_texts(
     notes: list[str],
     unit: float,
 ) -> None:
-    """Names, title, legend, scale bar and what else is to be said.
+    """Write names, title, legend and notes, and draw a scale bar.
 
     Args:
-        plotter: of the picture.
+        picture: bytes ``(height, width, 3)``, bottom row first.
         creature: that is drawn.
         centres: of its bodies, m.
         view: where the camera is.
@@ -285,76 +272,35 @@ def _add_texts(
         notes: about what is not in the picture.
         unit: pixels drawn for each of a letter's size.
     """
-    width, height = plotter.window_size
-
-    def write(
-        text: str,
-        x: float,
-        y: float,
-        size: float,
-        color: str,
-        bold: bool,
-        side: str,
-        anchor: str,
-        plate: bool = False,
-    ) -> None:
-        label = pv.Text(text, position=(round(x), round(y)))
-        label.prop = pv.TextProperty(
-            color=color,
-            font_size=round(size * unit),
-            bold=bold,
-            justification_horizontal=side,
-            justification_vertical=anchor,
-            background_color=_BACKGROUND if plate else None,
-            background_opacity=0.72 if plate else None,
-        )
-        write_legibly(label, text)
-        plotter.renderer.AddViewProp(label)
-
-    if len(creature.bodies) <= _MOST_NAMES:
-        names = [body.name for body in creature.bodies]
-        middle = (centres - view.focus) @ np.column_stack([view.right, view.up])
-        places = [width / 2, height / 2] + view.pixels_per_metre * middle
-        line = _LINE * _NAME * unit
-        # What is not ASCII is written in a wider font.
-        sizes = [
-            (len(legible(name)) * (_LETTER if name.isascii() else _WIDE) * _NAME * unit, line)
-            for name in names
-        ]
-        for name, (x, y) in zip(names, _apart(places, np.array(sizes)), strict=True):
-            write(name, x, y, _NAME, _TEXT, True, "center", "center", plate=True)
-    margin = 34 * unit
-    write(creature.name, margin, height - margin, 25, _TEXT, True, "left", "top")
-    axes = sum(len(body.joint.axes) for body in creature.bodies if body.joint)
-    words = [f"{len(creature.bodies)} bodies", f"{axes} degrees of freedom"]
-    facts = ", ".join([*words, f"{creature.mass:.3g} kg", *notes])
-    write(facts, margin, height - margin - 36 * unit, 17, _TEXT, False, "left", "top")
-    for i, (meaning, color) in enumerate(legend.items()):
-        y = height - margin - 24 * unit * i
-        write(meaning, width - margin, y, 17, color, True, "right", "top")
-
-    length = grid_spacing(width / view.pixels_per_metre / 3)
-    bar = length * view.pixels_per_metre
-    left = np.array([width - margin - bar, margin])
-    ticks = [(0, 0), (bar, 0), (0, -5 * unit), (0, 5 * unit), (bar, -5 * unit), (bar, 5 * unit)]
-    front = view.focus + view.nearer
-    points = [front + _world(left + tick - [width / 2, height / 2], view) for tick in ticks]
-    plotter.add_mesh(
-        pv.line_segments_from_points(np.array(points)),
-        color=_TEXT,
-        line_width=2.5 * unit,
-        lighting=False,
-    )
-    write(
-        f"{length:g} m",
-        width - margin - bar / 2,
-        margin + 9 * unit,
-        17,
-        _TEXT,
-        False,
-        "center",
-        "bottom",
-    )
+    height, width = picture.shape[:2]
+    margin, small = 34 * unit, _SMALL * unit
+    right = width - margin
+    with lettering(picture) as draw:
+        if len(creature.bodies) <= _MOST_NAMES:
+            names, size = [body.name for body in creature.bodies], _NAME * unit
+            middle = (centres - view.focus) @ np.column_stack([view.right, -view.up])
+            places = [width / 2, height / 2] + view.pixels_per_metre * middle
+            boxes = [(font(size).getlength(legible(name)), _LINE * size) for name in names]
+            for name, place in zip(names, _apart(places, np.array(boxes)), strict=True):
+                write(draw, name, tuple(place), size, _TEXT, anchor="mm", plate=_BACKGROUND)
+        write(draw, creature.name, (margin, margin), 23 * unit, _TEXT, anchor="la")
+        axes = sum(len(body.joint.axes) for body in creature.bodies if body.joint)
+        words = [f"{len(creature.bodies)} bodies", f"{axes} degrees of freedom"]
+        facts = ", ".join([*words, f"{creature.mass:.3g} kg", *notes])
+        below = margin, margin + 36 * unit
+        write(draw, facts, below, small, _TEXT, bold=False, anchor="la")
+        for i, (meaning, color) in enumerate(legend.items()):
+            write(draw, meaning, (right, margin + 24 * unit * i), small, color, anchor="ra")
+        length = grid_spacing(width / view.pixels_per_metre / 3)
+        left, foot, tick = right - length * view.pixels_per_metre, height - margin, 5 * unit
+        for line in (
+            (left, foot, right, foot),
+            (left, foot - tick, left, foot + tick),
+            (right, foot - tick, right, foot + tick),
+        ):
+            draw.line(line, _TEXT, round(2.5 * unit))
+        middle_of_bar = (left + right) / 2, foot - 9 * unit
+        write(draw, f"{length:g} m", middle_of_bar, small, _TEXT, bold=False, anchor="md")
 
 
 def _apart(places: np.ndarray, sizes: np.ndarray) -> np.ndarray:
@@ -374,8 +320,3 @@ def _apart(places: np.ndarray, sizes: np.ndarray) -> np.ndarray:
             if (gap > 0).any(1).all():
                 break
     return placed
-
-
-def _world(offset: np.ndarray, view: _View) -> np.ndarray:
-    """Vector in the world (m) of an offset in the picture (pixels)."""
-    return (offset[0] * view.right + offset[1] * view.up) / view.pixels_per_metre

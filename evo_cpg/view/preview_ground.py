@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+from collections.abc import Sequence
 
 import numpy as np
 import pyvista as pv
@@ -127,7 +128,7 @@ def add_preview_water(plotter: pv.Plotter, surface: float, shown: np.ndarray) ->
     plotter.add_mesh(sheet, color=_WATER, opacity=_SHEET, lighting=False)
 
 
-def tint_under_water(plotter: pv.Plotter, surface: float, meshes: list[pv.PolyData]) -> None:
+def tint_under_water(plotter: pv.Plotter, surface: float, meshes: Sequence[pv.DataSet]) -> None:
     """What of the creature is under water.
 
     Args:

@@ -4,18 +4,19 @@ It shows a page of some seconds, over which a cursor moves; then it turns to the
 drawn once.
 """
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 from evo_cpg.analysis import footfalls
 from evo_cpg.analysis.gait import bending_axis
 from evo_cpg.simulation.recording import Recording
+from evo_cpg.view.figure import draw_stances, framed
 from evo_cpg.view.legible import legible
 from evo_cpg.view.look import Look
 
@@ -125,6 +126,7 @@ class Strip:
         # A last page of next to nothing would be turned to for a moment only.
         self._pages = max(round((last - first) / self._length), 1)
         self._length = (last - first) / self._pages or self._length
+        self._ink = np.uint8(255 * np.array(to_rgb(look.text)))
         self._drawn, self._picture, self._box = -1, np.zeros(0), (0, 0, 0, 0)
 
     @property
@@ -144,10 +146,10 @@ class Strip:
         share = (time - first - page * self._length) / self._length
         place = left + round(min(max(share, 0.0), 1.0) * (right - left))
         half = max(round(0.75 * self._scale), 1)
-        ink = np.array(_rgb(self._look.text), np.uint8)
-        picture[bottom:top, max(place - half, 0) : place + half] = ink
+        picture[bottom:top, max(place - half, 0) : place + half] = self._ink
         return picture
 
+    @framed
     def _page(self, start: float) -> tuple[np.ndarray, tuple[int, int, int, int]]:
         """A page from an instant on, and the edges of its axes: left, right, bottom, top."""
         signals, look, (width, height) = self._signals, self._look, self._size
@@ -159,26 +161,15 @@ class Strip:
         longest = max((len(name) for name in names), default=0)
         left = round(min(0.62 * letter * longest + 1.4 * letter, 0.3 * width))
         right, bottom, top = round(width - 1.2 * letter), round(1.45 * letter), round(1.35 * letter)
-        axes = figure.add_axes(
-            (
-                left / width,
-                bottom / height,
-                (right - left) / width,
-                (height - bottom - top) / height,
-            )
-        )
+        box = left / width, bottom / height, (right - left) / width, 1 - (bottom + top) / height
+        axes = figure.add_axes(box)
         axes.set_facecolor("none")
-        for side in axes.spines.values():
-            side.set_visible(False)
+        axes.spines[:].set_visible(False)
         end = start + self._length
         axes.set_xlim(start, end)
         self._curves(axes, start, end)
         points = letter * 72 / 100
-        axes.tick_params(
-            axis="both", length=0, pad=0.25 * points, labelsize=points, labelcolor=look.text
-        )
-        for label in axes.get_yticklabels():
-            label.set_parse_math(False)
+        axes.tick_params(length=0, pad=0.25 * points, labelsize=points, labelcolor=look.text)
         axes.grid(axis="x", color=look.text, alpha=0.16, lw=0.5 * self._scale)
         axes.xaxis.set_major_formatter(lambda value, place: f"{value:g} s")
         self._legend(figure, left / width, (height - 0.2 * letter) / height, points)
@@ -203,26 +194,16 @@ class Strip:
                 (signals.angle[inside, i] / tallest, colours[0], 1.5, "solid"),
             )
             for values, colour, wide, style in shown:
-                axes.plot(
-                    time,
-                    middle - 0.46 * np.clip(values, -1.0, 1.0),
-                    color=colour,
-                    lw=0.72 * wide * self._scale,
-                    ls=style,
-                )
+                curve = middle - 0.46 * np.clip(values, -1.0, 1.0)
+                axes.plot(time, curve, color=colour, lw=0.72 * wide * self._scale, ls=style)
         high = _FOOT / _ROW
         step = float(np.median(np.diff(signals.time))) if len(signals.time) > 1 else 1.0
         for row, i in enumerate(feet):
             assert signals.touched is not None
             middle = len(joints) + (row + 0.5) * high
             places.append(middle)
-            bars = signals.time[0] + footfalls.stances(signals.touched[:, i], step)
-            bars = bars[(bars[:, 1] > start) & (bars[:, 0] < end)].clip(start, end)
-            axes.broken_barh(
-                [(a, b - a) for a, b in bars],
-                (middle - 0.32 * high, 0.64 * high),
-                facecolors=colours[2],
-            )
+            stances = signals.time[0] + footfalls.stances(signals.touched[:, i], step)
+            draw_stances(axes, stances, (start, end), middle, 0.64 * high, colours[2])
         names = [signals.names[i] for i in joints] + [signals.feet[i] for i in feet]
         axes.set_yticks(places, [legible(name) for name in names])
         axes.set_ylim(len(joints) + len(feet) * high, 0.0)
@@ -243,9 +224,8 @@ class Strip:
         per_letter = self._letter / self._size[0]
         wanted = sum(_WIDTH * len(word) + 2 for word, _ in words) * per_letter
         share = min(1.0, (1.0 - left) / max(wanted, 1e-9))
-        style = {"fontsize": points * share, "va": "top", "parse_math": False}
         for word, colour in words:
-            figure.text(left, top, legible(word), color=colour, **style)
+            figure.text(left, top, legible(word), color=colour, va="top", fontsize=points * share)
             left += (_WIDTH * len(word) + 2) * per_letter * share
 
 
@@ -285,7 +265,3 @@ def _largest(signals: Signals) -> tuple[float, float]:
     if signals.same_unit:
         return max(angle, signal), max(angle, signal)
     return angle, signal
-
-
-def _rgb(colour: str) -> Sequence[int]:
-    return [int(colour[i : i + 2], 16) for i in (1, 3, 5)]

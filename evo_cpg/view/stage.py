@@ -16,21 +16,19 @@ from evo_cpg.physics.footing import Ground
 from evo_cpg.physics.terrain import Part, Plane
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.view.camera import CameraPath, aspect_of, course, follow, hidden
-from evo_cpg.view.captions import add_captions
+from evo_cpg.view.captions import captions
 from evo_cpg.view.clip import Clip
-from evo_cpg.view.goal_light import add_goal_light
 from evo_cpg.view.ground import Marks, add_floor, add_numbers, grid_spacing, mark_spacing
 from evo_cpg.view.look import Look
 from evo_cpg.view.meshes import add_bodies, head_index, shape_mesh
 from evo_cpg.view.obstacles import add_obstacles, obstacle_mesh, obstacle_top
-from evo_cpg.view.offscreen import placed
-from evo_cpg.view.particles import add_particles
+from evo_cpg.view.offscreen import pixels, placed
 from evo_cpg.view.relief import add_relief
+from evo_cpg.view.scenery import add_goal_light, add_particles, add_trail
 from evo_cpg.view.shadows import LIFT, add_contacts, add_shadows, add_sun_shadows
 from evo_cpg.view.sky import add_sky, sun_direction
 from evo_cpg.view.terrain import Level, Terrain, heights, make_terrain
 from evo_cpg.view.textures import CELLS
-from evo_cpg.view.trail import add_trail
 from evo_cpg.view.water import add_water, add_waterlines
 
 # The floor lies this many radii of the animal below the lowest point of its way through water.
@@ -123,8 +121,13 @@ def camera_path(creature: Creature, recording: Recording, clip: Clip, stage: Sta
 
 def set_scene(
     plotter: pv.Plotter, creature: Creature, recording: Recording, clip: Clip, stage: Stage
-) -> Callable[[int], None]:
-    """Build everything that the film shows; returns what brings a frame onto the screen."""
+) -> Callable[[int], np.ndarray]:
+    """Build everything that the film shows.
+
+    Returns:
+        A function that draws a frame by its number: bytes ``(height, width, 3)``, bottom row
+        first.
+    """
     look = stage.look
     camera = camera_path(creature, recording, clip, stage)
     half_extents = np.array([body.shape.half_extents for body in creature.bodies])
@@ -202,15 +205,9 @@ def set_scene(
         shadows.append(add_waterlines(plotter, stage.surface, half_extents, radius))
     bodies = add_bodies(plotter, creature, look.ambient)
     grid = f"grid {spacing:g} m" + (f", {stage.speed:g} x speed" if stage.speed != 1 else "")
-    caption = add_captions(
-        plotter,
-        look,
-        stage.title,
-        distance="to the light" if lit else "way made",
-        note=f"{stage.note}; {grid}" if stage.note else grid,
-        height=stage.size[1],
-        scale=stage.oversampling,
-    )
+    measured, note = "to the light" if lit else "way made", f"{stage.note}; {grid}"
+    note = note if stage.note else grid
+    caption = captions(look, stage.title, measured, note, stage.size, stage.oversampling)
     plotter.camera.view_angle = camera.view_angle
     plotter.camera.up = (0.0, 0.0, 1.0)
     # Makes the window, in which nothing need be drawn yet; without it VTK resets the camera later.
@@ -218,7 +215,7 @@ def set_scene(
     plotter.show(auto_close=False, interactive=False)
     plotter.renderer.SetDraw(True)
 
-    def show(frame: int) -> None:
+    def show(frame: int) -> np.ndarray:
         plotter.camera.position = camera.position[frame]
         plotter.camera.focal_point = camera.focus[frame]
         plotter.camera.clipping_range = (0.05 * away, 20 * away)
@@ -237,9 +234,10 @@ def set_scene(
         ):
             for actor in actors:
                 actor.user_matrix = placed(turn, place)
-        elapsed = clip.time[frame] - clip.time[0]
-        caption(elapsed, float(clip.distance[frame]), clip.speed[frame])
         plotter.render()
+        picture, elapsed = pixels(plotter), clip.time[frame] - clip.time[0]
+        caption(picture, elapsed, float(clip.distance[frame]), clip.speed[frame])
+        return picture
 
     return show
 

@@ -15,7 +15,7 @@ from evo_cpg.cli.reproduce import default_folder, make
 from evo_cpg.files import OutputError
 from evo_cpg.studies import provenance, workshop
 from evo_cpg.studies.catalogue import NAMES, study
-from evo_cpg.studies.stills import stills
+from evo_cpg.studies.stills import pictures_part, stills
 from evo_cpg.studies.study import Part, Runs, Study, Table, beside, in_order, middle, percent
 from evo_cpg.studies.workshop import Workshop
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
@@ -174,14 +174,12 @@ def test_moments_of_the_best_champions_are_drawn(made, tmp_path, monkeypatch):
     folder = tmp_path / "drawn"
     shutil.copytree(made, folder)
 
-    def pictures(shop):
-        return [stills(shop, {"a few": "few", "many": "many"}), stills(shop, {"one": "few"}, "one")]
-
-    drawn = TWIN._replace(parts={"pictures": Part("moments", ("few", "many"), pictures)})
+    pictures = pictures_part("moments", {"a few": "few", "many": "many"}, {"one": "few"})
+    drawn = TWIN._replace(parts={"pictures": pictures})
     monkeypatch.setattr("evo_cpg.studies.stills._SIZE", (64, 36))
     make(drawn, ["pictures"], folder, False, False, 2)
     told = provenance.read(folder)["pictures"]
-    assert set(told["files"]) == {"pictures.md", "pictures.png", "pictures_one.png"}
+    assert set(told["files"]) == {"pictures.md", "pictures.png", "pictures_few.png"}
     with Image.open(folder / "pictures.png") as picture:
         # With a heading above each moment.
         assert picture.size == (3 * 64 + 2 * 24, 2 * 36 + 4 + 40)

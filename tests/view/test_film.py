@@ -19,11 +19,12 @@ from evo_cpg.physics.terrain import Boulder, Plane
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.view import frame_processes, output
 from evo_cpg.view.camera import follow, project, smooth
-from evo_cpg.view.captions import _fitting, heading
+from evo_cpg.view.captions import fitted, heading
 from evo_cpg.view.clip import sample
 from evo_cpg.view.film import side_by_side
 from evo_cpg.view.frame_processes import DrawingError, drawn_frames
 from evo_cpg.view.frames import Frames, Plan
+from evo_cpg.view.legible import font
 from evo_cpg.view.look import LOOKS
 from evo_cpg.view.meshes import body_colors
 from evo_cpg.view.panel import Panel
@@ -484,7 +485,7 @@ def test_a_folder_with_a_colon_is_no_protocol(creature, recording, tmp_path, mon
 
 
 def test_what_ffmpeg_complains_of_is_told(creature, recording, tmp_path, monkeypatch):
-    monkeypatch.setitem(output._ENCODERS, ".mp4", ["-c:v", "nonsense"])
+    monkeypatch.setitem(output._ENCODERS, ".mp4", "-c:v nonsense")
     with pytest.raises(OutputError, match=r"swim\.mp4: ffmpeg says: .*'nonsense'"):
         film(creature, recording, tmp_path / "swim.mp4", size=SMALL, fps=10, seconds=0.2)
     assert not list(tmp_path.iterdir())
@@ -547,10 +548,11 @@ def test_importing_the_package_loads_neither_vtk_nor_matplotlib():
     assert subprocess.check_output([sys.executable, "-c", code], text=True).strip() == "[]"
 
 
-@pytest.mark.parametrize("letters", [12.0, 30.0, 60.0])
-def test_a_title_fits_beside_the_time(letters):
+@pytest.mark.parametrize("room", [100.0, 250.0, 500.0])
+def test_a_title_fits_into_its_room(room):
     for title in ("hexapod", "champion: fitness -0.629 in fresh draws", 90 * "x", ""):
-        shown, size = _fitting(title, letters)
-        assert len(shown) * size <= letters + 1e-9
-        assert 0.5 < size <= 1
-        assert shown == title or shown == title[: len(shown) - 3] + "..."
+        shown, size = fitted(title, 20.0, room)
+        assert font(size).getlength(shown) <= room + 1e-9
+        assert 10 < size <= 20
+        assert shown == title or (shown == title[: len(shown) - 3] + "..." and size == 11)
+    assert fitted("hexapod", 20.0, 500.0) == ("hexapod", 20.0)

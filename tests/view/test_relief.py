@@ -12,7 +12,7 @@ from evo_cpg.view.camera import hidden, project
 from evo_cpg.view.clip import sample
 from evo_cpg.view.look import SHORE
 from evo_cpg.view.obstacles import add_obstacles, obstacle_mesh, obstacle_top
-from evo_cpg.view.particles import add_particles
+from evo_cpg.view.scenery import add_particles
 from evo_cpg.view.stage import Stage, camera_path, surface_is_seen
 from evo_cpg.view.terrain import heights, make_terrain
 from evo_cpg.view.water import Ripples

@@ -95,19 +95,13 @@ def signals(subject: Subject, motion: Motion) -> Html | None:
             timed=True,
         )
     ]
-    rows = []
-    for row in subject.chains:
-        for before, after in itertools.pairwise(row):
-            lag = numbers.lags.lag[before, after]
-            if math.isfinite(lag):
-                rows.append(
-                    [
-                        recording.dof_names[before],
-                        recording.dof_names[after],
-                        number(round(float(lag))),
-                        number(numbers.lags.coherence[before, after]),
-                    ]
-                )
+    names, lags = recording.dof_names, numbers.lags
+    rows = [
+        [names[i], names[j], number(round(float(lags.lag[i, j]))), number(lags.coherence[i, j])]
+        for row in subject.chains
+        for i, j in itertools.pairwise(row)
+        if math.isfinite(lags.lag[i, j])
+    ]
     if rows:
         words = (
             f"By how much a joint is behind the one before it at {numbers.frequency:.3g} Hz, from "
@@ -130,15 +124,10 @@ def effort(motion: Motion) -> Html:
     """Power, speed and torques."""
     recording, numbers, clip = motion.recording, motion.numbers, motion.clip
     figure = charts.effort_figure(recording.time, numbers.power, clip.time, clip.speed)
-    order = np.argsort(-numbers.peak_torque)
+    ranges = np.degrees(np.ptp(recording.joint_angle, axis=0) / 2)
+    columns = np.transpose([numbers.peak_torque, numbers.rms_torque, ranges])
     rows = [
-        [
-            recording.dof_names[i],
-            number(float(numbers.peak_torque[i])),
-            number(float(numbers.rms_torque[i])),
-            number(np.degrees(np.ptp(recording.joint_angle[:, i]) / 2)),
-        ]
-        for i in order
+        [recording.dof_names[i], *map(number, columns[i])] for i in np.argsort(-numbers.peak_torque)
     ]
     parts: list[Any] = [
         charts.chart(
@@ -171,19 +160,13 @@ def all_numbers(quantities: Sequence[Quantity]) -> Html:
 def _feet_table(numbers: GaitNumbers) -> Html:
     feet = numbers.feet
     assert feet is not None
-    rows = []
-    reference = feet.phases.reference
-    for i, name in enumerate(feet.names):
-        phase = number(feet.phases.phase[i])
-        rows.append(
-            [
-                name,
-                number(feet.duty_factor[i]),
-                f"{phase} (reference)" if i == reference else phase,
-                number(feet.phases.regularity[i]),
-                number(feet.slip[i]),
-            ]
-        )
+    phases = feet.phases
+    columns = (feet.duty_factor, phases.phase, phases.regularity, feet.slip)
+    rows = [
+        [name, *map(number, values)] for name, *values in zip(feet.names, *columns, strict=True)
+    ]
+    if phases.reference is not None:
+        rows[phases.reference][2] += " (reference)"
     words = (
         "Phase: where in the stride of the reference it touches down, from 0 to 1 (Hildebrand "
         "1965); regularity: 1 where always at the same, 0 where at any time."
@@ -203,8 +186,7 @@ def _window(recording: Recording, frequency: float) -> tuple[float, float]:
 
 
 def _every(recording: Recording, step: int) -> Recording:
-    arrays = {
-        name: value[::step] if name not in ("goal", "dof_names") else value
-        for name, value in recording._asdict().items()
-    }
-    return Recording(**arrays)
+    kept = ("goal", "dof_names")
+    return Recording(
+        *(value if name in kept else value[::step] for name, value in recording._asdict().items())
+    )
