@@ -23,7 +23,7 @@ def analyse(
     trial: Trial = 0,
     overwrite: Overwrite = False,
 ) -> None:
-    """Make a page of a run: the champion in 3D, its gait in numbers and charts."""
+    """Write a page about a run: champion in 3D, gait, charts."""
     from evo_cpg.api.analyse import page, page_path
     from evo_cpg.api.load import changed_config
     from evo_cpg.api.training import require_configured

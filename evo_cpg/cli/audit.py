@@ -18,11 +18,11 @@ def audit(
     ] = None,
     number: Number = None,
     every: Annotated[
-        bool, typer.Option("--all", help="Of several runs side by side, all champions.")
+        bool, typer.Option("--all", help="Audit the champions of all runs side by side.")
     ] = False,
     cell: Cell = None,
 ) -> None:
-    """Ask whether the champion's gait is one, or a trick of the simulation."""
+    """Check whether the champion exploits the simulation."""
     from evo_cpg.api.audit import audits
     from evo_cpg.api.load import class_folders
     from evo_cpg.api.training import require_configured

@@ -34,19 +34,21 @@ def bench(
     ] = None,
     compare: Annotated[
         Path | None,
-        typer.Option("--compare", help="An earlier --json file; exit code 3 if anything lost."),
+        typer.Option(
+            "--compare", help="An earlier --json file; exit code 3 if anything is slower."
+        ),
     ] = None,
     tolerance: Annotated[
-        float, typer.Option(min=0, max=1, help="Share that may be lost before that.")
+        float, typer.Option(min=0, max=1, help="Fraction of speed that may be lost.")
     ] = 0.1,
     limit: Annotated[
-        float, typer.Option(min=1, help="Seconds that a peer written in JAX may compile.")
+        float, typer.Option(min=1, help="Longest time to compile a peer written in JAX, s.")
     ] = 120.0,
     quick: Annotated[
-        bool, typer.Option("--quick", help="One size, short calls, few repeats: a first look.")
+        bool, typer.Option("--quick", help="Measure one size with short calls and few repeats.")
     ] = False,
 ) -> None:
-    """Measure this program beside its peers on this machine."""
+    """Measure the speed of this program and its peers."""
     from evo_cpg.config.errors import nearest
     from evo_cpg.studies.benchmarks import bench_suite
     from evo_cpg.view.output import output_path

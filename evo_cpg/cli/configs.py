@@ -8,7 +8,7 @@ import typer
 from evo_cpg.cli.completion import complete_shipped
 
 configs = typer.Typer(
-    help="List the configurations that come with the program, copy one, or print their schema.",
+    help="List and copy shipped configurations.",
     add_completion=False,
     rich_markup_mode=None,
 )
@@ -16,7 +16,7 @@ configs = typer.Typer(
 
 @configs.callback(invoke_without_command=True)
 def without_command(context: typer.Context) -> None:
-    """List the configurations that come with the program, copy one, or print their schema."""
+    """List and copy shipped configurations."""
     if context.invoked_subcommand is None:
         _list()
 
@@ -25,13 +25,18 @@ def without_command(context: typer.Context) -> None:
 def copy(
     name: Annotated[
         str,
-        typer.Argument(metavar="NAME", help="Of a configuration.", autocompletion=complete_shipped),
+        typer.Argument(
+            metavar="NAME", help="Name of a configuration.", autocompletion=complete_shipped
+        ),
     ],
     folder: Annotated[
-        Path, typer.Argument(metavar="[FOLDER]", help="Where to; the working folder by default.")
+        Path,
+        typer.Argument(
+            metavar="[FOLDER]", help="Folder to copy to; the working folder by default."
+        ),
     ] = Path("."),
 ) -> None:
-    """Copy a configuration, with the files that it names, to change it; replaces nothing."""
+    """Copy a configuration and the files that it names."""
     from evo_cpg.cli.errors import UsageError
     from evo_cpg.config.copying import copy_shipped
 
@@ -45,7 +50,7 @@ def copy(
 
 @configs.command()
 def schema() -> None:
-    """Print the JSON Schema of configuration files, by which editors complete and check keys."""
+    """Print the JSON Schema of configuration files, for editors."""
     import json
 
     from evo_cpg.config.file_schema import file_schema

@@ -18,23 +18,21 @@ def cpg(
         float | None, typer.Option(min=0, help="Tonic input u; the largest by default.")
     ] = None,
     frequency: Annotated[
-        float | None, typer.Option(help="Look for settings that give this frequency, in Hz.")
+        float | None, typer.Option(help="Find settings with this frequency, Hz.")
     ] = None,
     lag: Annotated[
         float | None,
         typer.Option(
-            help="Look for settings that give this mean lag along a chain, in degrees; "
-            "negative from tail to head."
+            help="Find settings with this mean lag along a chain, degrees; negative "
+            "from tail to head."
         ),
     ] = None,
     chain: Annotated[
         str | None,
-        typer.Option(
-            metavar="JOINT", help="Mean the longest chain through this oscillator, not of all."
-        ),
+        typer.Option(metavar="JOINT", help="Use the longest chain through this oscillator."),
     ] = None,
 ) -> None:
-    """Show the rhythm of a config's oscillators, or settings that give a wanted one."""
+    """Show the rhythm of the oscillators, or find settings for one."""
     if frequency is not None or lag is not None or chain is not None:
         from evo_cpg.cli.wanted import find_rhythm
 

@@ -90,9 +90,6 @@ class Distribution(NamedTuple):
         return not self.wanted or _place(self).index == 0
 
 
-BY_ITSELF = Distribution()
-
-
 @contextlib.contextmanager
 def together(asked: Distribution, run: Path) -> Iterator["Team"]:
     """Become one of the processes that were asked for.

@@ -26,8 +26,8 @@ def export(
         Path,
         typer.Argument(
             metavar="OUT",
-            help="A .xml file for a MuJoCo model; of a run also a .glb, .csv or .npz file for the "
-            "motion.",
+            help="A .xml file for a MuJoCo model. A run also gives a .glb, .csv or .npz file with "
+            "the motion.",
         ),
     ],
     number: Number = None,
@@ -35,7 +35,7 @@ def export(
     cell: Cell = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Write a creature as a MuJoCo model, or a run's motion as a 3D scene or a table."""
+    """Export a creature to MuJoCo, or a motion as a scene or table."""
     from evo_cpg.view.output import output_path
 
     require_free(output, overwrite)

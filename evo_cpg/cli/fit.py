@@ -21,7 +21,7 @@ def fit(
         ),
     ],
     settings: Annotated[
-        list[str] | None, typer.Option("--set", help="KEY=VALUE to change but not to estimate.")
+        list[str] | None, typer.Option("--set", help="KEY=VALUE to set, but not to estimate.")
     ] = None,
     run: Annotated[
         Path | None, typer.Option("--run", help="A run folder, whose champion moves the joints.")
@@ -29,7 +29,7 @@ def fit(
     noise: Annotated[
         list[str] | None,
         typer.Option(
-            help="position=, attitude= or angle=: its standard deviation; else estimated."
+            help="Standard deviation as position=, attitude= or angle=; estimated by default."
         ),
     ] = None,
     out: Annotated[
@@ -40,7 +40,7 @@ def fit(
     ] = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Estimate numbers of a config from a recorded motion, with their uncertainty."""
+    """Estimate numbers of a config from a recorded motion."""
     import numpy as np
 
     from evo_cpg.cli.champions import open_champion

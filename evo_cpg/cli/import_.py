@@ -17,11 +17,11 @@ def import_(
     output: Annotated[Path, typer.Argument(metavar="OUT.yaml", help="The creature to write.")],
     motor_gain: Annotated[
         float | None,
-        typer.Option(help="Make velocity servos of torque motors, with this gain in N m s/rad."),
+        typer.Option(help="Turn torque motors into velocity servos with this gain, N m s/rad."),
     ] = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Write a MuJoCo model as a creature, if creatures can be like that."""
+    """Import a creature from a MuJoCo model."""
     from evo_cpg.config.load import dump_creature
     from evo_cpg.config.schema.section import LARGEST
     from evo_cpg.exchange.mjcf_import import read_mjcf

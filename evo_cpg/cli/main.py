@@ -119,7 +119,7 @@ def options(
         typer.Option(
             "--trust",
             callback=_trust,
-            help="The configuration is yours: it may run code beside it and name files anywhere.",
+            help="Trust the configuration: it may run code beside it and name files anywhere.",
         ),
     ] = False,
     version: Annotated[

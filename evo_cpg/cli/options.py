@@ -62,22 +62,24 @@ Overrides = Annotated[
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the file if it exists.")]
 Number = Annotated[
     int | None,
-    typer.Option("--run", min=0, help="Of several runs side by side, which; the best by default."),
+    typer.Option(
+        "--run", min=0, help="Number of one of several runs side by side; the best by default."
+    ),
 ]
 Trial = Annotated[
     int,
-    typer.Option("--trial", min=0, help="Of the champion's trials, which; counted from 0."),
+    typer.Option("--trial", min=0, help="Trial of the champion, counted from 0."),
 ]
 Cell = Annotated[
     str | None,
     typer.Option(
         "--cell",
-        help="Instead of the champion the elite of this cell of the run's map, such as 3,0,7: a "
-        "number for each axis, from 0.",
+        help="Use the elite of this cell of the run's map, not the champion: a number for "
+        "each axis from 0, such as 3,0,7.",
     ),
 ]
 Strict = Annotated[
-    bool, typer.Option("--strict", help="Refuse values that are allowed but hardly meant.")
+    bool, typer.Option("--strict", help="Refuse values that are allowed but not plausible.")
 ]
 Cores = Annotated[int | None, typer.Option(min=1, help="Cores to use; all by default.")]
 Distributed = Annotated[

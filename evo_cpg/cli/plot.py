@@ -24,7 +24,7 @@ def plot(
     trial: Trial = 0,
     cell: Cell = None,
 ) -> None:
-    """Plot the fitness over the generations, the champion's joint signals and path, and the map."""
+    """Plot fitness, joint signals, path and map."""
     from evo_cpg.analysis.chains import axis_signs, joint_rows
     from evo_cpg.cli.champions import champion_motion
     from evo_cpg.view.figure import save_figure

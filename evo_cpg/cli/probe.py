@@ -19,26 +19,31 @@ def probe(
     bearings: Annotated[
         str | None,
         typer.Option(
-            help="Of the light to the left, in degrees: START:STOP:COUNT, -75:75:11 by default, "
-            "or a list such as -60,0,60."
+            help="Bearings of the light, degrees to the left: START:STOP:COUNT, -75:75:11 by "
+            "default, or a list such as -60,0,60."
         ),
     ] = None,
     distances: Annotated[
         str | None,
-        typer.Option(help="Of the light, in m, likewise; that of the config by default."),
+        typer.Option(
+            help="Distances of the light, m, in the same form; that of the config by default."
+        ),
     ] = None,
     trials: Annotated[
-        bool, typer.Option("--trials", help="Take the situations of the config instead.")
+        bool, typer.Option("--trials", help="Use the situations of the config instead.")
     ] = False,
-    blind: Annotated[bool, typer.Option("--blind", help="Let all light sensors give 0.")] = False,
+    blind: Annotated[bool, typer.Option("--blind", help="Set all light sensors to 0.")] = False,
     reach: Annotated[
         float,
-        typer.Option(min=0, help="Share of the distance that may be left of a light reached."),
+        typer.Option(
+            min=0,
+            help="Fraction of the distance that may be left to a light that counts as reached.",
+        ),
     ] = 0.2,
     number: Number = None,
     out: Folder = None,
 ) -> None:
-    """Put the champion into situations that it never saw."""
+    """Test the champion in new situations."""
     import numpy as np
 
     from evo_cpg.cli.champions import open_champion

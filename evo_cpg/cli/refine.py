@@ -30,13 +30,13 @@ def refine(
             "controller.cpg.time_scale.",
         ),
     ] = None,
-    rounds: Annotated[int, typer.Option(min=1, help="Rounds of climbing and choosing.")] = 5,
-    steps: Annotated[int, typer.Option(min=1, help="Moves of each lane in a round.")] = 20,
+    rounds: Annotated[int, typer.Option(min=1, help="Rounds of ascent and selection.")] = 5,
+    steps: Annotated[int, typer.Option(min=1, help="Steps of each lane in a round.")] = 20,
     number: Number = None,
-    seed: Annotated[int, typer.Option(min=0, help="Of what the lanes draw.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the lanes.")] = 0,
     cores: Cores = None,
 ) -> None:
-    """Polish the champion of a run along the slope of its fitness."""
+    """Improve the champion along the gradient of its fitness."""
     from evo_cpg.cli.champions import use_cores_of
     from evo_cpg.training.run_folder import RunFolder
 

@@ -37,35 +37,37 @@ def render(
         str | None,
         typer.Option(
             metavar="COLUMNSxROWS",
-            help="One picture of so many moments of the film, such as 4x3; of several animals "
-            "each moment is a column of them.",
+            help="One picture with so many moments of the film, such as 4x3; several animals "
+            "stand in columns.",
         ),
     ] = None,
     title: Annotated[
         list[str] | None,
-        typer.Option(metavar="TEXT", help="Caption of the champion, then of every one beside it."),
+        typer.Option(
+            metavar="TEXT", help="Caption of the champion, then of each animal beside it."
+        ),
     ] = None,
-    camera: Annotated[View, typer.Option(help="From where the animal is seen.")] = View.FOLLOW,
+    camera: Annotated[View, typer.Option(help="Position of the camera.")] = View.FOLLOW,
     signals: Annotated[
         bool,
-        typer.Option("--signals", help="Show joint angles, what drives them, and footfalls, too."),
+        typer.Option("--signals", help="Also show joint angles, their commands and footfalls."),
     ] = False,
     lineage: Annotated[
         str | None,
         typer.Option(
             metavar="GENERATIONS",
-            help="Side by side those who were champion in these generations, such as 0,5,20,49; "
+            help="Show the champions of these generations side by side, such as 0,5,20,49; "
             "auto for four.",
         ),
     ] = None,
     beside: Annotated[
         list[Path] | None,
-        typer.Option(
-            metavar="RUN", help="Another run, whose champion is shown beside; repeatable."
-        ),
+        typer.Option(metavar="RUN", help="Show the champion of another run beside; repeatable."),
     ] = None,
     fps: Annotated[float, typer.Option(min=1, max=240, help="Frames per second.")] = 30.0,
-    speed: Annotated[float, typer.Option(min=0.01, help="Speed of the film; 1 is real.")] = 1.0,
+    speed: Annotated[
+        float, typer.Option(min=0.01, help="Speed of the film; 1 is real time.")
+    ] = 1.0,
     seconds: Annotated[
         float | None, typer.Option(min=0.1, help="Show only the first seconds of the trial.")
     ] = None,
@@ -74,7 +76,7 @@ def render(
     cell: Cell = None,
     cores: Cores = None,
 ) -> None:
-    """Film the champion of a run, or anybody on its map of behaviour."""
+    """Film the champion of a run, or an elite of its map."""
     others = beside or []
     moments = None if sheet is None else _moments(sheet)
     several = lineage is not None or bool(others)

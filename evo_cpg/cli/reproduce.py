@@ -27,7 +27,7 @@ def reproduce(
     ] = None,
     parts: Annotated[
         list[str] | None,
-        typer.Argument(metavar="[PART]...", help="Parts of it; all by default."),
+        typer.Argument(metavar="[PART]...", help="Parts of the study; all by default."),
     ] = None,
     out: Annotated[
         Path | None,
@@ -38,17 +38,17 @@ def reproduce(
         ),
     ] = None,
     quick: Annotated[
-        bool, typer.Option("--quick", help="Scaled down: does everything run? No results.")
+        bool, typer.Option("--quick", help="Run everything scaled down, as a test; no results.")
     ] = False,
     listed: Annotated[
         bool, typer.Option("--list", help="Show the studies, their parts, and how each was made.")
     ] = False,
     fresh: Annotated[
-        bool, typer.Option("--fresh", help="Throw finished runs of these parts away first.")
+        bool, typer.Option("--fresh", help="Delete finished runs of these parts first.")
     ] = False,
     cores: Cores = None,
 ) -> None:
-    """Make the tables and pictures of a study anew."""
+    """Recompute the tables and pictures of a study."""
     from evo_cpg.config.errors import nearest
     from evo_cpg.studies.catalogue import NAMES
     from evo_cpg.studies.catalogue import study as study_called

@@ -32,7 +32,7 @@ def resume(
     patience: Patience = None,
     tensorboard: Tensorboard = False,
 ) -> None:
-    """Go on with a run from its newest checkpoint."""
+    """Continue a run from its newest checkpoint."""
     from evo_cpg.cli.distributed import Distribution
 
     def check() -> None:

@@ -32,20 +32,21 @@ def sensitivity(
         list[str] | None,
         typer.Argument(
             metavar="[KEY]...",
-            help="Numbers of its configuration, such as world.water.form_drag, or genes; "
-            "all by default but shapes in water.",
+            help="Numbers of the configuration, such as world.water.form_drag, or genes; by "
+            "default all but shapes in water.",
         ),
     ] = None,
     seconds: Annotated[
-        float | None, typer.Option(min=0, help="Of the trial, from its start; all by default.")
+        float | None,
+        typer.Option(min=0, help="Length of the trial, from its start; all by default."),
     ] = None,
     shapes: Annotated[
-        bool, typer.Option("--shapes", help="Also those that change surfaces in water: slow.")
+        bool, typer.Option("--shapes", help="Include numbers that change surfaces in water; slow.")
     ] = False,
     number: Number = None,
     out: Folder = None,
 ) -> None:
-    """Tell what the champion's speed and fitness depend on, parameter by parameter."""
+    """Rank the parameters that speed and fitness depend on."""
     from evo_cpg.api.load import class_folders
     from evo_cpg.cli.champions import open_champion
     from evo_cpg.cli.progress import working

@@ -31,8 +31,7 @@ def sweep(
         Path,
         typer.Argument(
             metavar="CONFIG",
-            help="A YAML configuration file or the name of a shipped one; or a sweep, to go on "
-            "with it.",
+            help="A YAML configuration file or the name of a shipped one; or a sweep to continue.",
             callback=find_config_or_folder,
             autocompletion=complete_config,
         ),
@@ -43,7 +42,7 @@ def sweep(
         typer.Option(
             "--grid",
             metavar="KEY=A,B,...",
-            help="Values of a key; of several, every combination.",
+            help="Values of a key. Several keys give every combination.",
         ),
     ] = None,
     settings: Annotated[
@@ -63,7 +62,7 @@ def sweep(
         str | None,
         typer.Option(
             metavar="N|slurm",
-            help="What shares no program as jobs: N processes here at a time, or jobs of SLURM.",
+            help="Run settings with programs of their own as N processes, or as SLURM jobs.",
         ),
     ] = None,
     job_option: Annotated[
@@ -76,7 +75,7 @@ def sweep(
         ),
     ] = None,
 ) -> None:
-    """Evolve under many settings and compare what comes of them."""
+    """Evolve with many settings and compare the results."""
     from evo_cpg.api.sweep import claim, members_of, new_plan, read_plan
     from evo_cpg.cli.jobs import claimed, read_jobs
     from evo_cpg.cli.progress import working

@@ -33,11 +33,14 @@ def train(
     earlier: Annotated[
         Path | None,
         typer.Option(
-            "--from", metavar="RUN", help="Begin with what evolved in an earlier run (same plan)."
+            "--from",
+            metavar="RUN",
+            help="Start from an earlier run of the same creature and controller.",
         ),
     ] = None,
     what: Annotated[
-        What, typer.Option("--start", help="Of it, the champion or the population.")
+        What,
+        typer.Option("--start", help="Start from the champion or the whole population of RUN."),
     ] = What.CHAMPION,
     distributed: Distributed = False,
     hosts: Hosts = None,

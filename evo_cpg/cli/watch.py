@@ -58,12 +58,12 @@ class Standing(NamedTuple):
 
 def watch(
     run: Run,
-    once: Annotated[bool, typer.Option("--once", help="Look once, and end.")] = False,
+    once: Annotated[bool, typer.Option("--once", help="Look once, then exit.")] = False,
     picture: Annotated[
         bool, typer.Option(help="Draw the newest champion into RUN/watch.png.")
     ] = True,
 ) -> None:
-    """Look on while a run evolves: curves, and a picture of the newest champion."""
+    """Follow a run while it evolves."""
     from rich.console import Console
     from rich.live import Live
 
