@@ -2,13 +2,13 @@
 
 import contextlib
 import signal
+import socket
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 
 from evo_cpg.training.devices import available_cores
-from evo_cpg.training.roll_call import free_port
 
 # How often it looks whether they live, s.
 _LOOK = 0.05
@@ -39,7 +39,9 @@ def run_local(
     """
     check()
     own = max(1, (cores or available_cores()) // count)
-    hosts = ",".join([f"localhost:{free_port()}", *["localhost"] * (count - 1)])
+    with socket.create_server(("", 0)) as server:
+        port = server.getsockname()[1]
+    hosts = ",".join([f"localhost:{port}", *["localhost"] * (count - 1)])
     common = [*_without_local(arguments), "--cores", str(own), "--hosts", hosts]
     command = [sys.executable, "-m", "evo_cpg", *common, "--process"]
     processes: list[subprocess.Popen] = []
