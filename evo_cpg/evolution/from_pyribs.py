@@ -64,28 +64,14 @@ from evo_cpg.evolution.strategy import Evaluation, descriptor_rows
 Arrays = dict[str, Array]
 
 
-class Told(NamedTuple):
-    """What is known before a population is drawn.
+class State(NamedTuple):
+    """State of the search.
 
     Attributes:
         archive: everybody's map.
         cells: the emitters' map.
         emitters: their distributions.
-    """
-
-    archive: Archive
-    cells: Arrays
-    emitters: Arrays
-
-
-class Asked(NamedTuple):
-    """What is known while a population is tried.
-
-    Attributes:
-        archive: everybody's map.
-        cells: the emitters' map.
-        emitters: their distributions.
-        drawn: by them: the numbers of each individual, and what they were made of.
+        drawn: the last sample: the numbers of each individual, and what they were made of.
     """
 
     archive: Archive
@@ -145,7 +131,7 @@ class Ribs(MapStrategy):
         optimiser(self._plan)
         layout(self._plan)
 
-    def archive(self, state: Asked) -> Archive:
+    def archive(self, state: State) -> Archive:
         """Everybody's map."""
         return state.archive
 
@@ -154,21 +140,21 @@ class Ribs(MapStrategy):
         del key
         return Beginning(self.empty(genes), genes)
 
-    def ask(self, key: Array, state: Told | Beginning) -> tuple[Float[Array, "g n"], Asked]:
+    def ask(self, key: Array, state: State | Beginning) -> tuple[Float[Array, "g n"], State]:
         """What comes first; then what the emitters draw, with random numbers of their own."""
         del key
         if isinstance(state, Beginning):
             nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes(self._plan))
-            return state.genes, Asked(state.archive, *nothing)
+            return state.genes, State(state.archive, *nothing)
         _, *wanted = shapes(self._plan)
         draw = functools.partial(_asked, self._plan)
         emitters, drawn = _on_host(draw, tuple(wanted), state.emitters)
         genes = self._latent.genes(self._rows(drawn).T)
-        return genes, Asked(state.archive, state.cells, emitters, drawn)
+        return genes, state._replace(emitters=emitters, drawn=drawn)
 
     def tell(
-        self, key: Array, state: Asked, genes: Float[Array, "g n"], evaluation: Evaluation
-    ) -> Told:
+        self, key: Array, state: State, genes: Float[Array, "g n"], evaluation: Evaluation
+    ) -> State:
         """What is told; after the first population the emitters begin.
 
         They do so about the mean of its better half, in numbers.
@@ -186,8 +172,8 @@ class Ribs(MapStrategy):
         worth = fitness, measures, counts
         adapt = functools.partial(_told, self._plan)
         first = state.archive.told == 0
-        made = _on_host(adapt, (cells, emitters), first, start, seeds, *known, *worth)
-        return Told(self.entered(state.archive, genes, evaluation), *made)
+        cells, emitters = _on_host(adapt, (cells, emitters), first, start, seeds, *known, *worth)
+        return State(self.entered(state.archive, genes, evaluation), cells, emitters, state.drawn)
 
     def around(self, key: Array, genes: Float[Array, "g n"]) -> Float[Array, "g n"]:
         """See `Latent.around`."""
@@ -198,7 +184,7 @@ class Ribs(MapStrategy):
         """See `metrics`."""
         return (*super().metric_names, "restarts")
 
-    def metrics(self, state: Asked) -> dict[str, Float[Array, ""]]:
+    def metrics(self, state: State) -> dict[str, Float[Array, ""]]:
         """Also ``restarts``: how often emitters began anew, all together."""
         restarts = state.emitters["counters"][:, -1].sum().astype(jnp.float32)
         return {**super().metrics(state), "restarts": restarts}
