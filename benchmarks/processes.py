@@ -7,22 +7,19 @@ and whether an individual lives, 13 bytes, as of the swimmer. Nothing is simulat
 the median is shown, and the time that a tenth of them stays below, which other work on the machine
 disturbs least. To the latter is fitted
 
-    t(P, B) = a + b (P - 1) + c B
+    t(P, B) = a + b (P - 1) + c (P - 1) B
 
-with P processes and B bytes that each receives. The efficiency of many hosts, each with N
-individuals whose trials take T seconds, is then
+with P processes and B bytes of all together, which the lead sends to every other process. The
+efficiency of many hosts, each with N individuals whose trials take T seconds, is then
 
     T / (T + t(P, B) + d N P)
 
 where d is what the digest of the population and breeding cost for each individual, measured here
 in one process: every process does that for all of them.
 
-Assumptions: gloo hands the rows around a ring, hence P - 1 steps. A step between hosts takes as
-long as one between processes of this machine; the network adds its latency (`--latency` adds some
-to b), but where the processes outnumber the cores, as here, they wait for those. All hosts are
-equally fast, and none is disturbed, although the slowest sets the pace. Connections between all
-pairs can be made, which gloo has been reported not to manage beyond some 1000 (pytorch/gloo issue
-327). There is memory for all genomes in every process.
+Assumptions: the lead sends as fast to other hosts as to processes of this machine. `--latency` and
+`--bandwidth` of a network add to that. All hosts are equally fast, and none is disturbed, although
+the slowest sets the pace. There is memory for all genomes in every process.
 """
 
 import argparse
@@ -42,11 +39,11 @@ import numpy as np
 from benchmarks.plan import experiment_of, random_genes
 from evo_cpg.training.devices import use_cores
 from evo_cpg.training.processes import ALONE, join
-from evo_cpg.training.roll_call import Place, call_roll
+from evo_cpg.training.roll_call import Place
 
 _PROCESSES = (1, 2, 3, 4)
 _POPULATIONS = (200, 4096)
-_HOSTS = (16, 256, 4096)
+_HOSTS = (16, 64, 256)
 _BYTES = 13
 
 # The digest is measured by itself, so what is gathered comes with hardly any genes.
@@ -56,11 +53,11 @@ _SIZES, _REPEATS = (4096, 32768), 12
 
 
 class Exchange(NamedTuple):
-    """Of a population among some processes: bytes and seconds."""
+    """Of a population among some processes: bytes of all together, and seconds."""
 
     processes: int
     population: int
-    sent: int
+    size: int
     median: float
     tenth: float
 
@@ -74,25 +71,25 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=1.0, help="T: trials of a host, s")
     parser.add_argument("--individuals", type=int, default=200, help="N: on each host")
     parser.add_argument("--latency", type=float, default=0.0, help="of the network, s")
+    parser.add_argument("--bandwidth", type=float, default=1e9, help="of the network, bit/s")
     parser.add_argument("--worker", nargs=3, help=argparse.SUPPRESS)
     asked = parser.parse_args()
     if asked.worker:
         index, count, port = map(int, asked.worker)
         _work(index, count, port, asked.rounds)
         return
-    heads = ("processes", "population", "bytes sent", "bytes got", "median ms", "tenth ms")
+    heads = ("processes", "population", "bytes", "median ms", "tenth ms")
     print(_columns(*heads))
     exchanges = []
     for count in _PROCESSES:
         for one in _measure(count, asked.rounds):
             exchanges.append(one)
-            got = one.sent * count
             times = f"{one.median * 1e3:.3f}", f"{one.tenth * 1e3:.3f}"
-            print(_columns(count, one.population, one.sent, got, *times))
+            print(_columns(count, one.population, one.size, *times))
     a, b, c = _fit([one for one in exchanges if one.processes > 1])
-    b += asked.latency
+    b, c = b + asked.latency, c + 8 / asked.bandwidth
     genes, digest, breeding = _of_each()
-    print(f"t = {a * 1e3:.3f} ms + {b * 1e3:.3f} ms (P - 1) + {c * 1e9:.2f} ns B")
+    print(f"t = {a * 1e3:.3f} ms + {b * 1e3:.3f} ms (P - 1) + {c * 1e9:.2f} ns (P - 1) B")
     print(f"of each individual ({genes} genes): ", end="")
     print(f"digest {digest * 1e6:.2f} us, breeding {breeding * 1e6:.2f} us")
     heads = ("hosts", "population", "gather ms", "digest ms", "breed ms", "efficiency", "genomes")
@@ -100,7 +97,7 @@ def main() -> None:
     for hosts in _HOSTS:
         population = hosts * asked.individuals
         parts = (
-            a + b * (hosts - 1) + c * population * _BYTES,
+            a + (hosts - 1) * (b + c * population * _BYTES),
             digest * population,
             breeding * population,
         )
@@ -118,7 +115,7 @@ def _fit(exchanges: list[Exchange]) -> tuple[float, float, float]:
     """The model's numbers; none is less than nothing."""
     from scipy.optimize import nnls
 
-    rows = [(1.0, one.processes - 1, one.processes * one.sent) for one in exchanges]
+    rows = [(1.0, one.processes - 1, (one.processes - 1) * one.size) for one in exchanges]
     times = np.array([one.tenth for one in exchanges])
     # Of relative errors, or the largest times alone would count.
     found, _ = nnls(np.array(rows) / times[:, None], np.ones(len(times)))
@@ -143,7 +140,7 @@ def _measure(count: int, rounds: int) -> list[Exchange]:
 def _work(index: int, count: int, port: int, rounds: int) -> None:
     use_cores(1)
     place = Place(index, count, "localhost", port)
-    team = join(place, call_roll(place, {}, 60.0)) if count > 1 else ALONE
+    team = join(place, {}, 60.0) if count > 1 else ALONE
     rows = []
     for population in _POPULATIONS:
         genes = np.ones((_FEW_GENES, population), np.float32)
@@ -157,7 +154,7 @@ def _work(index: int, count: int, port: int, rounds: int) -> None:
             times.append(time.perf_counter() - start)
         times = np.array(times[rounds // 10 :])
         median, tenth = np.quantile(times, (0.5, 0.1)).tolist()
-        rows.append(Exchange(count, population, team.sent, median, tenth))
+        rows.append(Exchange(count, population, population * _BYTES + 8 * count, median, tenth))
     team.leave()
     print(json.dumps(rows), flush=True)
 

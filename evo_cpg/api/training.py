@@ -415,7 +415,7 @@ def evolve(
         folder: of the run.
         on_generation: called with the new rows of metrics.csv after every generation.
         recorder: which compiles meanwhile.
-        team: the processes that evolve together, which part when it is done; None for this alone.
+        team: the processes that evolve together; None for this alone.
 
     Raises:
         RunFolderError: no individual of any generation has a fitness.
@@ -434,7 +434,6 @@ def evolve(
             on_compiled=lambda: recorder.compile(spent),
             team=team,
         )
-    team.leave()
     if done.champion is None:
         everybody = experiment.strategy.population
         if any(row["diverged"] < everybody for row in done.history):
@@ -456,7 +455,7 @@ def follow(experiment: parts.Experiment, folder: RunFolder, team: "Team") -> Non
     Args:
         experiment: what to evolve.
         folder: of the run, at the lead's.
-        team: the processes that evolve together, which part when it is done.
+        team: the processes that evolve together.
 
     Raises:
         TeamError: another process was lost.
@@ -466,7 +465,6 @@ def follow(experiment: parts.Experiment, folder: RunFolder, team: "Team") -> Non
 
     require_memory(experiment)
     train_generations(experiment, folder, team=team)
-    team.leave()
 
 
 def require_configured(folder: RunFolder) -> None:

@@ -1,19 +1,17 @@
 """`--distributed`: `train` and `resume` by several processes.
 
-A process that is lost ends all of them, each with one line, and the run goes on from its newest
-checkpoint with `resume`. Where processes wait for each other in C++ nothing can be tidied up any
-more, so they end by `os._exit`.
+A lost process ends all others, each with one line. `resume` continues the run from its newest
+checkpoint.
 """
 
 import contextlib
 import json
 import sys
-import traceback
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from evo_cpg.cli.errors import UsageError, told
+from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.exit_codes import ExitCode
 from evo_cpg.cli.interrupts import leave_at_once
 from evo_cpg.installation import version_of
@@ -92,45 +90,37 @@ class Distribution(NamedTuple):
 
 @contextlib.contextmanager
 def together(asked: Distribution, run: Path) -> Iterator["Team"]:
-    """Become one of the processes that were asked for.
+    """Become one of the processes that were asked for, and part after the block.
+
+    If another process is lost, this one ends at once, also in the middle of a generation.
 
     Args:
-        asked: what the command line says.
-        run: folder of the run, with which it goes on.
-
-    Yields:
-        The team. The block must have it `leave`.
+        asked: the options of the command line.
+        run: folder of the run, for the line that says how to go on.
     """
     from evo_cpg.training import processes
 
-    if not asked.wanted:
+    def end(message: str) -> None:
+        advice = f"go on with `evo-cpg resume {run}`, on any number of processes"
+        print(f"evo-cpg: {message}; {advice}", file=sys.stderr, flush=True)
+        leave_at_once(ExitCode.LOST)
+
+    place = _place(asked) if asked.wanted else None
+    if place is None or place.count == 1:
         yield processes.ALONE
         return
-    advice = f"go on with `evo-cpg resume {run}`, on any number of processes"
-    team = processes.ALONE
+    patience = processes.PATIENCE if asked.patience is None else asked.patience
+    team = processes.join(place, _versions(), asked.join_timeout, patience, end)
     try:
-        team = _join(asked, advice)
         yield team
     except processes.TeamError as error:
-        _say(f"evo-cpg: {error}; {advice}")
-        leave_at_once(ExitCode.LOST)
-    except KeyboardInterrupt:
-        if team.count == 1:
-            raise
-        leave_at_once(ExitCode.INTERRUPTED)
-    except Exception as error:
-        if team.count == 1:
-            raise
-        if isinstance(error, processes.Disagreement):
-            # All know of it, and none should think that it has lost the others.
-            with contextlib.suppress(processes.TeamError):
-                team.leave()
-        words = told(error)
-        if words is not None:
-            _say(f"evo-cpg: {words}")
-            leave_at_once(ExitCode.WRONG_INPUT)
-        traceback.print_exc()
-        leave_at_once(ExitCode.FAULT)
+        end(str(error))
+    except processes.Disagreement:
+        # All processes raise it, and none may report that it lost another one.
+        team.leave()
+        raise
+    else:
+        team.leave()
 
 
 def require_same(team: "Team", own: Mapping[str, Mapping[str, str]]) -> None:
@@ -159,25 +149,6 @@ def require_same(team: "Team", own: Mapping[str, Mapping[str, str]]) -> None:
         ) from None
 
 
-def _join(asked: Distribution, advice: str) -> "Team":
-    from evo_cpg.cli.native_output import keep_apart
-    from evo_cpg.fusion.jax_internals import lost_process
-    from evo_cpg.training.processes import ALONE, PATIENCE, join
-    from evo_cpg.training.roll_call import call_roll
-
-    place = _place(asked)
-    if place.count == 1:
-        return ALONE
-
-    def explain(logged: str) -> str | None:
-        words = lost_process(logged)
-        return words and f"evo-cpg: process {place.index} of {place.count}: {words}; {advice}"
-
-    meeting = call_roll(place, _versions(), asked.join_timeout)
-    keep_apart(explain, ExitCode.LOST)
-    return join(place, meeting, PATIENCE if asked.patience is None else asked.patience)
-
-
 def _place(asked: Distribution) -> "Place":
     from evo_cpg.cli.hosts import place_in
     from evo_cpg.fusion.jax_internals import detected_cluster
@@ -200,7 +171,3 @@ def _place(asked: Distribution) -> "Place":
 def _versions() -> dict[str, str]:
     packages = ("evo-cpg", "jax", "jaxlib", "numpy")
     return {f"the version of {name}": version_of(name) for name in packages}
-
-
-def _say(line: str) -> None:
-    print(line, file=sys.stderr, flush=True)

@@ -2,13 +2,13 @@
 
 import contextlib
 import signal
+import socket
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 
 from evo_cpg.training.devices import available_cores
-from evo_cpg.training.roll_call import free_port
 
 # How often it looks whether they live, s.
 _LOOK = 0.05
@@ -39,7 +39,9 @@ def run_local(
     """
     check()
     own = max(1, (cores or available_cores()) // count)
-    hosts = ",".join([f"localhost:{free_port()}", *["localhost"] * (count - 1)])
+    with socket.create_server(("", 0)) as server:
+        port = server.getsockname()[1]
+    hosts = ",".join([f"localhost:{port}", *["localhost"] * (count - 1)])
     common = [*_without_local(arguments), "--cores", str(own), "--hosts", hosts]
     command = [sys.executable, "-m", "evo_cpg", *common, "--process"]
     processes: list[subprocess.Popen] = []
@@ -49,17 +51,15 @@ def run_local(
             processes.append(
                 subprocess.Popen([*command, str(index)], stdin=subprocess.DEVNULL, process_group=0)
             )
-        while None in (codes := _codes(processes)):
-            if any(codes):
-                _wait(processes, _GRACE)
-                break
+        while None in (codes := _codes(processes)) and not any(codes):
             time.sleep(_LOOK)
+        _wait(processes)
     return _code([process.returncode for process in processes])
 
 
 @contextlib.contextmanager
 def _ended(processes: list[subprocess.Popen]) -> Iterator[None]:
-    """No process outlives the block, and each is told of an interrupt."""
+    """End all processes after the block, and report which ones were ended by somebody else."""
 
     def stop(number: int, frame: object) -> None:
         del frame
@@ -72,39 +72,30 @@ def _ended(processes: list[subprocess.Popen]) -> Iterator[None]:
         for process in processes:
             if process.poll() is None:
                 process.send_signal(signal.SIGINT)
-        _wait(processes, _GRACE)
+        _wait(processes)
         raise
     finally:
         signal.signal(signal.SIGTERM, before)
+        for index, code in enumerate(_codes(processes)):
+            if code is not None and code < 0:
+                name = signal.Signals(-code).name
+                print(f"evo-cpg: process {index} was ended by {name}", file=sys.stderr, flush=True)
         for process in processes:
-            # Also of one that was stopped, which would not hear anything else.
+            # A stopped process hears nothing else.
             process.kill()
-        for index, process in enumerate(processes):
             process.wait()
-            if process.returncode < 0 and process.returncode != -signal.SIGKILL:
-                _say_ended(index, process.returncode)
 
 
-def _wait(processes: Sequence[subprocess.Popen], longest: float) -> None:
-    """Wait for all to end; who is killed afterwards is not."""
-    told = False
-    end = time.monotonic() + longest
-    while time.monotonic() < end and None in (codes := _codes(processes)):
-        for index, code in enumerate(codes):
-            if not told and code is not None and code == -signal.SIGKILL:
-                _say_ended(index, code)
-                told = True
+def _wait(processes: Sequence[subprocess.Popen]) -> None:
+    """Give all processes `_GRACE` to end by themselves."""
+    end = time.monotonic() + _GRACE
+    while time.monotonic() < end and None in _codes(processes):
         time.sleep(_LOOK)
 
 
 def _codes(processes: Sequence[subprocess.Popen]) -> list[int | None]:
-    """How each has ended; None of those that live."""
+    """Return how each has ended; None for those that run."""
     return [process.poll() for process in processes]
-
-
-def _say_ended(index: int, code: int) -> None:
-    name = signal.Signals(-code).name
-    print(f"evo-cpg: process {index} was ended by {name}", file=sys.stderr, flush=True)
 
 
 def _code(codes: Sequence[int]) -> int:

@@ -18,7 +18,7 @@ from evo_cpg.evolution import from_evosax
 from evo_cpg.evolution.from_pyribs import Ribs
 from evo_cpg.evolution.islands import Islands
 from evo_cpg.evolution.map_elites import MapElites, Mapped, MapStrategy
-from evo_cpg.evolution.pyribs_state import UnknownPyribsError
+from evo_cpg.evolution.pyribs_host import UnknownPyribsError
 from evo_cpg.evolution.random_search import RandomSearch
 from evo_cpg.evolution.strategy import Strategy
 from evo_cpg.installation import command_for

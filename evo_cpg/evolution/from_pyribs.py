@@ -16,18 +16,17 @@ moves on to where they are low.
 and Nikolaidis: the better half of a sample are parents, and an emitter begins anew at an elite of
 the map when its sample has converged.
 
-pyribs is installed with the extra ``pyribs``, and imported when a strategy is made. Its objects do
-not outlive a call: what they hold is a pytree of arrays, from which they are built again in every
-`Ribs.ask` and `Ribs.tell`, on the host, to the same bits as if they had lived on (see
-`evo_cpg.evolution.pyribs_state`).
+pyribs is installed with the extra ``pyribs``, and imported when a strategy is made. Emitters and
+their map run on the host, in a callback of `Ribs.ask` and `Ribs.tell`. Between calls they are a
+pytree of arrays (see `evo_cpg.evolution.pyribs_host`).
 
-Its map forgets the fittest of a cell where a threshold allows a worse one, so the map that a run
-shows is one of our own, `evo_cpg.evolution.map_elites.Archive`, which everybody enters.
+The emitters' map drops the fittest of a cell where a threshold allows a worse one, so the map that
+a run shows is another one, `evo_cpg.evolution.map_elites.Archive`, which everybody enters.
 
-Who diverged, has descriptors that are not finite, or is not whom the emitter asked for (a migrant)
-does not enter pyribs' map and ranks below all others of his emitter. As long as nobody is on that
-map, for none exceeded ``threshold_min``, there is nothing to begin anew from: then no emitter is
-told, and all go on drawing where they began.
+An individual that diverged, has descriptors that are not finite, or is not the one that the emitter
+drew (a migrant) does not enter the emitters' map, and ranks below all others of its emitter. While
+that map is empty, because none exceeded ``threshold_min``, there is nothing to begin anew from:
+then no emitter adapts, and all continue to draw where they began.
 
 Genes are clipped to their bounds after they were drawn (pyribs itself would draw again, at 3000
 genes forever); bits are as in `evo_cpg.evolution.latent`. A full covariance matrix (``cma_es``)
@@ -42,22 +41,21 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, PyTree
+from jaxtyping import Array, Float, PyTree
 
 from evo_cpg.evolution.latent import Latent
 from evo_cpg.evolution.map_elites import Archive, Axis, Beginning, MapStrategy
-from evo_cpg.evolution.pyribs_state import (
+from evo_cpg.evolution.pyribs_host import (
     ALGORITHMS,
+    SAMPLE,
     SEED_WORDS,
     Plan,
-    built,
-    cells_of,
-    distributions_of,
-    drawn_of,
-    restore_cells,
-    restore_distribution,
-    restore_drawn,
+    asked,
+    begun,
+    layout,
+    optimiser,
     shapes,
+    told,
 )
 from evo_cpg.evolution.selection import rank_order
 from evo_cpg.evolution.strategy import Evaluation, descriptor_rows
@@ -66,28 +64,14 @@ from evo_cpg.evolution.strategy import Evaluation, descriptor_rows
 Arrays = dict[str, Array]
 
 
-class Told(NamedTuple):
-    """What is known before a population is drawn.
+class State(NamedTuple):
+    """State of the search.
 
     Attributes:
         archive: everybody's map.
-        cells: pyribs' map.
+        cells: the emitters' map.
         emitters: their distributions.
-    """
-
-    archive: Archive
-    cells: Arrays
-    emitters: Arrays
-
-
-class Asked(NamedTuple):
-    """What is known while a population is tried.
-
-    Attributes:
-        archive: everybody's map.
-        cells: pyribs' map.
-        emitters: their distributions.
-        drawn: by them: the numbers of each individual, and what they were made of.
+        drawn: the last sample: the numbers of each individual, and what they were made of.
     """
 
     archive: Archive
@@ -114,7 +98,7 @@ class Ribs(MapStrategy):
 
     Raises:
         ImportError: pyribs is not installed.
-        UnknownPyribsError: it is of a version that we do not know.
+        UnknownPyribsError: pyribs is of an unknown version.
         TypeError: options that the constructor does not take.
         ValueError: settings that do not go together.
     """
@@ -144,9 +128,10 @@ class Ribs(MapStrategy):
                 f"each of {self.emitters} emitters needs two individuals or more, and the "
                 f"population is {self.population}"
             )
-        shapes(self._plan)
+        optimiser(self._plan)
+        layout(self._plan)
 
-    def archive(self, state: Asked) -> Archive:
+    def archive(self, state: State) -> Archive:
         """Everybody's map."""
         return state.archive
 
@@ -155,21 +140,21 @@ class Ribs(MapStrategy):
         del key
         return Beginning(self.empty(genes), genes)
 
-    def ask(self, key: Array, state: Told | Beginning) -> tuple[Float[Array, "g n"], Asked]:
+    def ask(self, key: Array, state: State | Beginning) -> tuple[Float[Array, "g n"], State]:
         """What comes first; then what the emitters draw, with random numbers of their own."""
         del key
         if isinstance(state, Beginning):
             nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes(self._plan))
-            return state.genes, Asked(state.archive, *nothing)
+            return state.genes, State(state.archive, *nothing)
         _, *wanted = shapes(self._plan)
-        asked = functools.partial(_asked, self._plan)
-        emitters, drawn = _on_host(asked, tuple(wanted), state.emitters)
+        draw = functools.partial(_asked, self._plan)
+        emitters, drawn = _on_host(draw, tuple(wanted), state.emitters)
         genes = self._latent.genes(self._rows(drawn).T)
-        return genes, Asked(state.archive, state.cells, emitters, drawn)
+        return genes, state._replace(emitters=emitters, drawn=drawn)
 
     def tell(
-        self, key: Array, state: Asked, genes: Float[Array, "g n"], evaluation: Evaluation
-    ) -> Told:
+        self, key: Array, state: State, genes: Float[Array, "g n"], evaluation: Evaluation
+    ) -> State:
         """What is told; after the first population the emitters begin.
 
         They do so about the mean of its better half, in numbers.
@@ -185,10 +170,10 @@ class Ribs(MapStrategy):
         cells, emitters, _ = shapes(self._plan)
         known = state.cells, state.emitters, state.drawn
         worth = fitness, measures, counts
-        told = functools.partial(_told, self._plan)
+        adapt = functools.partial(_told, self._plan)
         first = state.archive.told == 0
-        made = _on_host(told, (cells, emitters), first, start, seeds, *known, *worth)
-        return Told(self.entered(state.archive, genes, evaluation), *made)
+        cells, emitters = _on_host(adapt, (cells, emitters), first, start, seeds, *known, *worth)
+        return State(self.entered(state.archive, genes, evaluation), cells, emitters, state.drawn)
 
     def around(self, key: Array, genes: Float[Array, "g n"]) -> Float[Array, "g n"]:
         """See `Latent.around`."""
@@ -199,7 +184,7 @@ class Ribs(MapStrategy):
         """See `metrics`."""
         return (*super().metric_names, "restarts")
 
-    def metrics(self, state: Asked) -> dict[str, Float[Array, ""]]:
+    def metrics(self, state: State) -> dict[str, Float[Array, ""]]:
         """Also ``restarts``: how often emitters began anew, all together."""
         restarts = state.emitters["counters"][:, -1].sum().astype(jnp.float32)
         return {**super().metrics(state), "restarts": restarts}
@@ -224,7 +209,7 @@ class Ribs(MapStrategy):
 
     def _rows(self, drawn: Arrays) -> Float[Array, "n g"]:
         """The numbers of every individual."""
-        return drawn["_solutions"].reshape(self.population, self.gene_count)
+        return drawn[SAMPLE].reshape(self.population, self.gene_count)
 
 
 def _on_host(function: Any, like: PyTree, *given: PyTree) -> Any:
@@ -232,69 +217,17 @@ def _on_host(function: Any, like: PyTree, *given: PyTree) -> Any:
     return jax.pure_callback(function, like, *given, vmap_method="sequential")
 
 
-def _begun(plan: Plan, start: Array, seeds: Array) -> tuple[PyTree, PyTree]:
-    archive, emitters = built(plan, start=np.asarray(start), seeds=np.asarray(seeds).tolist())
-    return cells_of(archive), distributions_of(plan, emitters)
-
-
-def _asked(plan: Plan, distributions: Arrays) -> tuple[PyTree, PyTree]:
-    # Drawing takes nothing from the map, and the map is large.
-    _, emitters = built(plan)
-    for number, emitter in enumerate(emitters):
-        restore_distribution(plan, emitter, _row(distributions, number))
-        emitter.ask()
-    return distributions_of(plan, emitters), drawn_of(plan, emitters)
+def _asked(plan: Plan, emitters: Arrays) -> tuple[PyTree, PyTree]:
+    return asked(plan, _numpy(emitters))
 
 
 def _told(
-    plan: Plan,
-    first: Array,
-    start: Array,
-    seeds: Array,
-    cells: Arrays,
-    distributions: Arrays,
-    drawn: Arrays,
-    fitness: Float[Array, " n"],
-    measures: Float[Array, "n k"],
-    counts: Bool[Array, " n"],
+    plan: Plan, first: Array, start: Array, seeds: Array, *known: PyTree
 ) -> tuple[PyTree, PyTree]:
     if first:
-        return _begun(plan, start, seeds)
-    rows = np.asarray(drawn["_solutions"]).reshape(-1, plan.gene_count)
-    worth = {"solution": rows, "objective": np.asarray(fitness), "measures": np.asarray(measures)}
-    who = np.asarray(counts)
-    lowest = float(cells["threshold_min"])
-    if np.isnan(lowest) and who.any():
-        # Below, so that somebody exceeds it though all are alike.
-        lowest = float(np.nextafter(np.median(worth["objective"][who]), -np.inf))
-    archive, emitters = built(plan, lowest)
-    restore_cells(archive, {name: np.asarray(value) for name, value in cells.items()})
-    for number, emitter in enumerate(emitters):
-        restore_distribution(plan, emitter, _row(distributions, number))
-        restore_drawn(plan, emitter, _row(drawn, number))
-    status, value = _entered(archive, worth, who)
-    if not archive.empty:
-        for number, emitter in enumerate(emitters):
-            own = slice(number * plan.batch, (number + 1) * plan.batch)
-            info = {"status": status[own], "value": value[own]}
-            emitter.tell(**{name: array[own] for name, array in worth.items()}, add_info=info)
-    return cells_of(archive), distributions_of(plan, emitters)
+        return begun(plan, np.asarray(start), np.asarray(seeds))
+    return told(plan, *_numpy(known))
 
 
-def _entered(
-    archive: Any, worth: dict[str, np.ndarray], counts: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """What came of everybody on pyribs' map: whether he entered, and how far above a threshold."""
-    status = np.zeros(len(counts), np.int32)
-    value = np.zeros(len(counts), worth["objective"].dtype)
-    if counts.any():
-        info = archive.add(**{name: array[counts] for name, array in worth.items()})
-        status[counts], value[counts] = info["status"], info["value"]
-        # Below all others, and finite: pyribs computes with it.
-        value[~counts] = np.nextafter(value[counts].min(), -np.inf)
-    return status, value
-
-
-def _row(arrays: Arrays, number: int) -> dict[str, np.ndarray]:
-    """Those of one emitter, as pyribs would have them: contiguous, and free to be written."""
-    return {name: np.array(value[number], order="C") for name, value in arrays.items()}
+def _numpy(tree: PyTree) -> Any:
+    return jax.tree.map(np.asarray, tree)

@@ -1,9 +1,7 @@
 """All that touches JAX beyond its public interface, so that a new version breaks one file."""
 
-import contextlib
 import functools
-import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -175,27 +173,6 @@ def run(closed: ClosedJaxpr, arrays: Sequence[Any]) -> list[Any]:
     return list(jaxpr_as_fun(closed)(*arrays))
 
 
-@contextlib.contextmanager
-def gather_at(address: str) -> Iterator[None]:
-    """Have the processes of `jax.distributed` find this one at an address, if it starts meanwhile.
-
-    Left alone they look for what its host's name stands for, which on many systems is 127.0.1.1,
-    and there other machines find themselves. JAX has an argument for it, but hands none on.
-    """
-    try:
-        from jax._src.lib import _jax  # pyright: ignore[reportPrivateImportUsage]
-
-        make = _jax.make_gloo_tcp_collectives
-    except (AttributeError, ImportError):
-        yield
-        return
-    _jax.make_gloo_tcp_collectives = functools.partial(make, hostname=address)
-    try:
-        yield
-    finally:
-        _jax.make_gloo_tcp_collectives = make
-
-
 def detected_cluster(timeout: float) -> tuple[str, int, int] | None:
     """Where the scheduler that started this process wants JAX to join: SLURM, Open MPI and others.
 
@@ -215,28 +192,3 @@ def detected_cluster(timeout: float) -> tuple[str, int, int] | None:
     if address is None or count is None or index is None:
         return None
     return address, count, index
-
-
-def is_of_coordination(line: str) -> bool:
-    """Whether a line that C++ logs is about the processes of `jax.distributed`."""
-    return bool(re.match(r"[IWEF]\d{4} \S+ +\d+ (coordination_service|client\.h|add_port)", line))
-
-
-def lost_process(logged: str) -> str | None:
-    """What JAX says of a process that is gone, when it ends this one; None if it says nothing.
-
-    Args:
-        logged: lines that C++ logged. Python is not asked: the callback that JAX has for it fails
-            with std::bad_cast (0.10.2).
-    """
-    if "JAX distributed service" not in logged:
-        return None
-    silent = re.search(r"unhealthy \(stopped sending heartbeats\):\s*([\d\s,]+)", logged)
-    if silent:
-        return f"process {', '.join(silent[1].split())} is dead or stopped: no heartbeat"
-    if "CoordinationService/Heartbeat" in logged:
-        return "process 0, the lead, does not answer"
-    if "Socket closed" in logged or "Failed to send RPC" in logged:
-        return "process 0, the lead, is gone"
-    said = logged.partition("absl::Status: ")[2].strip().splitlines()
-    return f"JAX says {said[0][:200]}" if said else "JAX has ended the processes"

@@ -190,14 +190,16 @@ class Running:
             The new rows of metrics.csv; none after a round in which the champion is chosen.
         """
         experiment, before = self._experiment, self.checkpoint
-        if before.generation >= experiment.generations:
-            self._choose(part)
-            return []
-        outcome = self._team.gather(part, before.genes, before.generation, experiment.trials)
-        index, yardsticks = np.int32(before.generation), _float32(before.scales)
+        genes, number = self._genes(), self._number
+        outcome = self._team.gather(part, genes, number, experiment.trials)
+        index, yardsticks = np.int32(number), _float32(before.scales)
         result = jax.device_get(
-            self._programs.breed(before.genes, outcome, index, yardsticks, self._state)
+            self._programs.breed(genes, outcome, index, yardsticks, self._state)
         )
+        if before.generation >= experiment.generations:
+            # For the fitness alone: nothing is bred of it.
+            self._choose(genes, number, result)
+            return []
         done, self._state = before.generation + 1, result.state
         scales = {name: tuple(values.tolist()) for name, values in result.scales.items()}
         population = np.asarray(result.next_genes)
@@ -231,16 +233,9 @@ class Running:
             self._folder.save(self.checkpoint)
         return rows
 
-    def _choose(self, part: Outcome) -> None:
+    def _choose(self, genes: np.ndarray, number: int, result: Generation) -> None:
         """Take a round in which champions are chosen, and write them when all are."""
         experiment, checkpoint = self._experiment, self.checkpoint
-        genes, number = self._genes(), self._number
-        outcome = self._team.gather(part, genes, number, experiment.trials)
-        index, yardsticks = np.int32(number), _float32(checkpoint.scales)
-        # For the fitness alone: nothing is bred of it.
-        result = jax.device_get(
-            self._programs.breed(genes, outcome, index, yardsticks, self._state)
-        )
         if self._choice is None:
             by_run = np.split(genes, experiment.runs, axis=1)
             population = experiment.strategy.population
@@ -253,7 +248,7 @@ class Running:
                 ]
             )
         else:
-            self._choice.take(result.fitness)
+            self._choice.take(np.asarray(result.fitness))
         if self._choice.done:
             self.checkpoint = checkpoint._replace(chosen=self._choice.chosen())
             rows = self._choice.rows()

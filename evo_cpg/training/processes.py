@@ -1,68 +1,60 @@
 """A team of processes that evolve one population together.
 
 Every process holds the whole population and breeds it, from the same key: that takes milliseconds.
-What is shared out is the trials. Of each generation every process tries a part of the individuals,
-and then all give each other what these came to, as bytes: nothing is summed, so the bits do not
-depend on how many processes there are. A digest of the population goes along.
+The trials are shared. In each generation every process tries some of the individuals, and then all
+exchange the outcomes, as bytes. Nothing is summed, so the bits do not depend on the number of
+processes. A digest of the population goes along.
 
-The lead, process 0, writes the run folder and gives the others the checkpoint. A lone process is
-a team of one, whose methods give back what they are given.
+The lead, process 0, writes the run folder and gives the others the checkpoint. Every other process
+has a connection to the lead, which passes on what all need. A lone process is a team of one, whose
+methods return what they are given.
 
-JAX's devices never talk to each other within a process (see `evo_cpg.training.experiment`), and
-between processes one device of each does.
+The connections are ours, and not those of `jax.distributed`. That would do the exchange, but on a
+missing, lost or stopped process it ends the others from C++ (JAX 0.10.2): no message of ours, no
+exit code, and no clean-up. Each of these parts does what the operating system does not:
+
+- the roll call names the process that did not come, or that does not fit;
+- the heartbeat finds a process that is stopped, or whose machine or network is gone;
+- the limit of waiting (`PATIENCE`) finds a process that runs, but is stuck.
 """
 
-import contextlib
 import hashlib
 import io
 import itertools
 import math
+import queue
+import threading
 import time
 from collections.abc import Callable, Mapping
-from typing import Any, TypeVar
+from typing import Any, NoReturn, TypeVar
 
 import jax
 import numpy as np
-from jax.sharding import Mesh, NamedSharding, PartitionSpec
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 
 from evo_cpg.errors import UserError
-from evo_cpg.fusion.jax_internals import gather_at
 from evo_cpg.fusion.machine_constants import LANES
 from evo_cpg.training.checkpoint import Checkpoint, checkpoint_arrays, read_checkpoint
-from evo_cpg.training.roll_call import Meeting, Place
+from evo_cpg.training.link import BEAT, Link
+from evo_cpg.training.roll_call import Place, call_roll
 from evo_cpg.training.run_folder import RunFolder
-from evo_cpg.training.watchdog import finish_within
 
 Tree = TypeVar("Tree")
 
 PATIENCE = 20.0
-"""How much longer than twice its own trials a process waits for the others, s."""
+"""Time that a process waits for the others beyond twice its own trials, s."""
 
 COMPILING = 600.0
-"""How long it waits at least, s, in a generation in which it has compiled: another one may have to
-compile what this one found in its cache."""
-
-HEARTBEAT = 24
-"""A process that has sent no heartbeat for so long is dead or stopped, s: JAX then ends all. It is
-after `PATIENCE`, and with the second or two that JAX takes to notice it is within 30 s."""
-
-# How long the processes wait for each other in the end, s.
-_LEAVING = 60
-
-# To start JAX's service, and to know all devices, takes a second or two, s.
-_STARTING = 60
+"""Least time that a process waits, s, in a generation in which it has compiled: another process may
+have to compile what this one found in its cache."""
 
 _DIGEST = 8
-
-# Bytes of a checkpoint that are sent at a time.
-_PIECE = 1 << 20
 
 _COMPILED = "/jax/core/compile/backend_compile_duration"
 
 
 class TeamError(Exception):
-    """The team is no more; the message says what this process knows of it."""
+    """The team cannot go on; the message says what this process knows of the reason."""
 
 
 class Disagreement(UserError):
@@ -74,38 +66,43 @@ class Team:
 
     Args:
         index: number of this process; 0 leads.
-        count: of the processes. More than one have joined `jax.distributed` before.
+        count: number of processes.
         patience: see `PATIENCE`.
+        on_lost: called with a message when the team cannot go on, perhaps in another thread and
+            in the middle of a generation. If it returns, the next exchange raises a `TeamError`.
 
     Attributes:
         index: number of this process.
-        count: of the processes.
-        sent: bytes that this process gave the others in the last generation.
-        waited: how long it took to exchange them, s.
+        count: number of processes.
     """
 
-    def __init__(self, index: int = 0, count: int = 1, patience: float = PATIENCE):
+    def __init__(
+        self,
+        index: int = 0,
+        count: int = 1,
+        patience: float = PATIENCE,
+        on_lost: Callable[[str], object] = lambda message: None,
+    ):
         self.index, self.count = index, count
-        self.sent, self.waited = 0, 0.0
-        self._patience = patience
+        self._patience, self._on_lost = patience, on_lost
+        self._links: dict[int, Link] = {}
+        self._lost: str | None = None
         self._since = time.monotonic()
         self._compiled = True
-        if count > 1:
-            first = {device.process_index: device for device in reversed(jax.devices())}
-            mesh = Mesh(np.array([first[i] for i in range(count)]), ("processes",))
-            self._apart = NamedSharding(mesh, PartitionSpec("processes"))
-            everywhere = NamedSharding(mesh, PartitionSpec())
-            self._copy = jax.jit(lambda rows: rows, out_shardings=everywhere)
-            # Of whole numbers, of which all but the lead's are 0: nothing is rounded.
-            self._sum = jax.jit(
-                lambda rows: rows.sum(0, dtype=rows.dtype), out_shardings=everywhere
-            )
-            jax.monitoring.register_event_duration_secs_listener(self._note)
 
     @property
     def leads(self) -> bool:
         """Whether this process writes."""
         return self.index == 0
+
+    def connect(self, place: Place, connections: Mapping[int, Any]) -> None:
+        """Take the connections to the lead, or of the lead to all (see `call_roll`)."""
+        self._links = {
+            index: Link(connections[index], place.name(index), self._lose)
+            for index in sorted(connections)
+        }
+        jax.monitoring.register_event_duration_secs_listener(self._note)
+        threading.Thread(target=self._beat, name="heartbeat", daemon=True).start()
 
     def share(self, count: int, trials: int = 1) -> slice:
         """The individuals that this process tries.
@@ -146,12 +143,9 @@ class Team:
             (each.stop - each.start) * trials for each in self._parts(population.shape[1], trials)
         ]
         own = [np.asarray(leaf)[..., : sizes[self.index]] for leaf in leaves]
-        of_one = sum(leaf.itemsize * math.prod(leaf.shape[:-1]) for leaf in leaves)
-        row = np.zeros(_DIGEST + of_one * max(sizes), np.uint8)
-        told = _digest(population, generation) + b"".join(leaf.tobytes() for leaf in own)
-        row[: len(told)] = np.frombuffer(told, np.uint8)
+        row = _digest(population, generation) + b"".join(leaf.tobytes() for leaf in own)
         rows = self._exchange(row, f"the others' results of generation {generation}")
-        self._require_same(rows[:, :_DIGEST], generation)
+        self._require_same([row[:_DIGEST] for row in rows], generation)
         parts = [
             _unpacked(one[_DIGEST:], leaves, size) for one, size in zip(rows, sizes, strict=True)
         ]
@@ -170,7 +164,7 @@ class Team:
         """
         if self.count == 1:
             return
-        digest = np.frombuffer(hashlib.sha256(value).digest(), np.uint8)
+        digest = hashlib.sha256(value).digest()
         groups = _alike(self._exchange(digest, f"the others, to compare {what}"))
         if len(groups) > 1:
             raise Disagreement(f"{what} differs between the processes: {_listed(groups)}")
@@ -186,35 +180,16 @@ class Team:
         file = io.BytesIO()
         if self.leads:
             np.savez(file, allow_pickle=False, **(arrays or {}))
-        content = np.frombuffer(file.getvalue(), np.uint8)
-        what = "the lead's checkpoint"
-        length = np.frombuffer(np.int64(content.size).tobytes(), np.uint8)
-        size = int(self._exchange(length, what)[0].copy().view(np.int64)[0])
-        pieces = []
-        for start in range(0, size, _PIECE):
-            piece = np.zeros(_PIECE, np.uint8)
-            mine = content[start : start + _PIECE]
-            piece[: mine.size] = mine
-            pieces.append(self._together(self._sum, piece, what))
-        with np.load(io.BytesIO(np.concatenate(pieces)[:size].tobytes())) as sent:
+        # The lead may have to begin the run first. Heartbeats tell whether it is alive.
+        self._compiled = True
+        lead = self._exchange(file.getvalue(), "the lead's checkpoint")[0]
+        with np.load(io.BytesIO(lead)) as sent:
             return dict(sent)
 
     def leave(self) -> None:
-        """Part in good order: from here on each process is on its own.
-
-        Raises:
-            TeamError: somebody is not there any more.
-        """
-        if self.count == 1:
-            return
-        self._exchange(np.zeros(1, np.uint8), "the others, to part")
-        try:
-            finish_within(_LEAVING, jax.distributed.shutdown)
-        except (RuntimeError, TimeoutError) as error:
-            raise TeamError(
-                f"process {self.index} of {self.count} could not part from the others in good "
-                f"order: {_short(error)}"
-            ) from None
+        """Part in good order: from here on each process is on its own."""
+        for link in self._links.values():
+            link.leave()
 
     def _parts(self, count: int, trials: int) -> list[slice]:
         """Of every process, possibly empty. The lead, which writes, too, has none of the larger."""
@@ -223,56 +198,78 @@ class Team:
         ends = [min(count, step * (vectors * i // self.count)) for i in range(self.count + 1)]
         return [slice(*pair) for pair in itertools.pairwise(ends)]
 
-    def _exchange(self, row: UInt8[np.ndarray, " n"], what: str) -> UInt8[np.ndarray, "count n"]:
-        """The rows of all processes."""
-        return self._together(self._copy, row, what)
-
-    def _together(
-        self, program: Callable[..., jax.Array], row: UInt8[np.ndarray, " n"], what: str
-    ) -> np.ndarray:
-        """What a program of all processes gives, and how long that may take.
+    def _exchange(self, row: bytes, what: str) -> list[bytes]:
+        """Return the rows of all processes.
 
         Args:
-            program: of the rows.
             row: of this process.
-            what: is waited for, in words.
+            what: description of what this process waits for.
+
+        Raises:
+            TeamError: a process is lost, or does not come in time.
         """
-
-        def run() -> np.ndarray:
-            shape = (self.count, row.size)
-            rows = jax.make_array_from_process_local_data(self._apart, row[None], shape)
-            return np.asarray(program(rows))
-
         start = time.monotonic()
         own = start - self._since
         limit = self._patience + 2 * own
         if self._compiled:
             limit = max(limit, COMPILING)
-        try:
-            result = finish_within(limit, run)
-        except TimeoutError:
-            raise TeamError(
-                f"process {self.index} of {self.count} has waited {limit:.0f} s for {what}; its "
-                f"own took {own:.1f} s: another process hangs, or is much slower"
-            ) from None
-        except (RuntimeError, ValueError) as error:
-            raise TeamError(
-                f"process {self.index} of {self.count} lost another one while it waited for "
-                f"{what}: {_short(error)}"
-            ) from None
+
+        def receive(link: Link) -> bytes:
+            try:
+                content = link.receive(max(start + limit - time.monotonic(), 0.0))
+            except queue.Empty:
+                self._lose(
+                    f"process {self.index} has waited {limit:.0f} s for {what}; its own took "
+                    f"{own:.1f} s: another process hangs, or is much slower"
+                )
+                content = None
+            if content is None:
+                self._fail(self._lost or "another process has left")
+            return content
+
+        if self.leads:
+            rows = [row, *(receive(link) for link in self._links.values())]
+            for link in self._links.values():
+                for each in rows:
+                    link.send(each)
+        else:
+            self._links[0].send(row)
+            rows = [receive(self._links[0]) for _ in range(self.count)]
         self._since = time.monotonic()
         self._compiled = False
-        self.sent, self.waited = row.size, self._since - start
-        return result
+        return rows
 
-    def _require_same(self, digests: UInt8[np.ndarray, "count 8"], generation: int) -> None:
+    def _require_same(self, digests: list[bytes], generation: int) -> None:
         groups = _alike(digests)
         if len(groups) > 1:
-            raise TeamError(
+            # All processes know the reason, so none may report that it lost another one.
+            self.leave()
+            self._fail(
                 f"the population of generation {generation} differs between the processes: "
                 f"{_listed(groups)}; processors of different kinds may round differently, so take "
                 "machines of one kind"
             )
+
+    def _lose(self, why: str) -> None:
+        """Report to all why the team cannot go on. Only the first reason counts."""
+        if self._lost is not None:
+            return
+        self._lost = why
+        for link in self._links.values():
+            link.report(why)
+        self._on_lost(self._message(why))
+
+    def _fail(self, why: str) -> NoReturn:
+        raise TeamError(self._message(why))
+
+    def _message(self, why: str) -> str:
+        return f"process {self.index} of {self.count}: {why}"
+
+    def _beat(self) -> None:
+        while True:
+            for link in self._links.values():
+                link.beat()
+            time.sleep(BEAT)
 
     def _note(self, event: str, duration_secs: float, **kwargs: Any) -> None:
         del duration_secs, kwargs
@@ -284,34 +281,27 @@ ALONE = Team()
 """A lone process."""
 
 
-def join(place: Place, meeting: Meeting, patience: float = PATIENCE) -> Team:
-    """Become one of several processes. Call it before JAX runs anything.
+def join(
+    place: Place,
+    common: Mapping[str, str],
+    timeout: float,
+    patience: float = PATIENCE,
+    on_lost: Callable[[str], object] = lambda message: None,
+) -> Team:
+    """Become one of several processes.
 
     Args:
         place: of this process.
-        meeting: from `call_roll`: all are there.
+        common: values that must be equal in all processes, by name, such as versions.
+        timeout: time that the processes have to come, s.
         patience: see `PATIENCE`.
+        on_lost: see `Team`.
 
     Raises:
-        TeamError: somebody left at once.
+        JoinError: a process is missing or does not fit.
     """
-    # It would keep SIGTERM to itself, with which schedulers and users end a process.
-    with contextlib.suppress(AttributeError):
-        jax.config.update("jax_enable_preemption_service", False)
-    with gather_at(meeting.own):
-        jax.distributed.initialize(
-            meeting.service,
-            place.count,
-            place.index,
-            cluster_detection_method="deactivate",
-            initialization_timeout=_STARTING,
-            heartbeat_timeout_seconds=HEARTBEAT,
-            shutdown_timeout_seconds=_LEAVING,
-        )
-        team = Team(place.index, place.count, patience)
-    # The first exchange connects the processes, and XLA gives up if one takes 30 s longer than
-    # another to come to it. Here they come together; later ones may differ by half an hour.
-    team.agree("nothing", b"")
+    team = Team(place.index, place.count, patience, on_lost)
+    team.connect(place, call_roll(place, common, timeout))
     return team
 
 
@@ -339,9 +329,9 @@ def _digest(population: np.ndarray, generation: int) -> bytes:
     return digest.digest()[:_DIGEST]
 
 
-def _unpacked(row: np.ndarray, leaves: list[Any], size: int) -> list[np.ndarray]:
-    """What a process has packed into its row: arrays like these, but of so many trials."""
-    content, start, found = row.tobytes(), 0, []
+def _unpacked(content: bytes, leaves: list[Any], size: int) -> list[np.ndarray]:
+    """Return the arrays that a process has packed: like these, but of so many trials."""
+    start, found = 0, []
     for leaf in leaves:
         shape = (*leaf.shape[:-1], size)
         found.append(np.frombuffer(content, leaf.dtype, math.prod(shape), start).reshape(shape))
@@ -349,11 +339,11 @@ def _unpacked(row: np.ndarray, leaves: list[Any], size: int) -> list[np.ndarray]
     return found
 
 
-def _alike(rows: UInt8[np.ndarray, "count n"]) -> list[list[int]]:
+def _alike(rows: list[bytes]) -> list[list[int]]:
     """Numbers of the processes that have equal rows, the lead's first."""
     groups: dict[bytes, list[int]] = {}
     for index, row in enumerate(rows):
-        groups.setdefault(row.tobytes(), []).append(index)
+        groups.setdefault(row, []).append(index)
     return list(groups.values())
 
 
@@ -364,8 +354,3 @@ def _listed(groups: list[list[int]]) -> str:
         for group in groups[:4]
     ]
     return "process " + " unlike ".join(shown)
-
-
-def _short(error: Exception) -> str:
-    """The end of what gloo says is what happened."""
-    return str(error).strip().splitlines()[0].rpartition("] ")[2][-200:]

@@ -1,9 +1,9 @@
-"""Who is there: the processes of a team find each other before JAX starts.
+"""Roll call: the processes of a team connect to their lead.
 
-When the time to join is up, JAX ends the process from C++ and cannot say who is missing; a port in
-use and a number given twice end likewise (JAX 0.10.2). So the lead, process 0, listens at the
-team's address first, and every other process sends it one line: its number, and what all must have
-in common. When all are there the lead answers each with where JAX's own service will be.
+The lead, process 0, listens at the address of the team. Every other process connects and sends one
+line: its number, and what all processes must have in common, such as versions. When all are there,
+the lead answers each, and the connections stay open. If a process is missing or does not fit, all
+that came are told which one, and why.
 """
 
 import contextlib
@@ -16,16 +16,16 @@ from typing import Any, NamedTuple
 
 from evo_cpg.errors import UserError
 
-# Lines are a few hundred bytes; what is longer comes from somebody else.
+# Bytes. Our lines are a few hundred; a longer one comes from another program.
 _LONGEST_LINE = 1 << 14
 
 # Between two attempts to reach the lead, s.
 _PAUSE = 0.2
 
-# So long may somebody who has connected say nothing, s. Others wait meanwhile.
+# Time that a process has to send its line after it has connected, s. Others wait meanwhile.
 _SILENCE = 2.0
 
-# The lead may have begun to wait later than the others; so much longer they wait for it, s.
+# The lead may start later than the others. They wait so much longer for its answer, s.
 _LATER = 30.0
 
 
@@ -60,46 +60,31 @@ class Place(NamedTuple):
         return f"process {index}" + (f" ({self.names[index]})" if self.names else "")
 
 
-class Meeting(NamedTuple):
-    """What comes of the roll call.
-
-    Attributes:
-        service: host and port of the service that JAX starts in the lead.
-        own: address at which the other processes reach this one.
-    """
-
-    service: str
-    own: str
-
-
 class _Present(NamedTuple):
     connection: socket.socket
     told: dict[str, Any]
 
 
-def call_roll(place: Place, common: Mapping[str, str], timeout: float) -> Meeting:
-    """Meet the other processes.
+def call_roll(place: Place, common: Mapping[str, str], timeout: float) -> dict[int, socket.socket]:
+    """Connect the processes.
 
     Args:
         place: of this process.
-        common: what must be equal in all processes, by name, such as versions.
-        timeout: so long they may take to come, s.
+        common: values that must be equal in all processes, by name, such as versions.
+        timeout: time that the processes have to come, s.
+
+    Returns:
+        Connections by the number of the other process: of the lead to all, of the others to it.
 
     Raises:
-        JoinError: in all processes that came, where one did not, or they do not fit together.
+        JoinError: a process is missing or does not fit. All processes that came raise it.
     """
     if place.index == 0:
         return _lead(place, common, timeout)
-    return _follow(place, common, timeout)
+    return {0: _follow(place, common, timeout)}
 
 
-def free_port() -> int:
-    """A port of this machine that nobody listens at."""
-    with socket.create_server(("", 0)) as server:
-        return server.getsockname()[1]
-
-
-def _lead(place: Place, common: Mapping[str, str], timeout: float) -> Meeting:
+def _lead(place: Place, common: Mapping[str, str], timeout: float) -> dict[int, socket.socket]:
     end = time.monotonic() + timeout
     present: dict[int, _Present] = {}
     with contextlib.ExitStack() as open_connections, _listen(place) as server:
@@ -112,23 +97,20 @@ def _lead(place: Place, common: Mapping[str, str], timeout: float) -> Meeting:
             open_connections.enter_context(connection)
             told = _read(connection, _SILENCE)
             if not _is_hello(told):
+                connection.close()
                 continue
             new = _Present(connection, told)
             wrong = _misfit(place, common, present, told)
             if wrong:
                 _refuse({**present, -1: new}, wrong)
             present[told["index"]] = new
-        port = free_port()
-        outer = [_plain(one.connection.getsockname()[0]) for one in present.values()]
-        # Who came from this machine may have come to an address that other machines cannot reach.
-        own = next((address for address in outer if not _is_loopback(address)), outer[0])
         for one in present.values():
-            theirs = _plain(one.connection.getpeername()[0])
-            _send(one.connection, {"port": port, "own": own if _is_loopback(theirs) else theirs})
-    return Meeting(_joined(place.host, port), own)
+            _send(one.connection, {"error": None})
+        open_connections.pop_all()
+    return {index: one.connection for index, one in present.items()}
 
 
-def _follow(place: Place, common: Mapping[str, str], timeout: float) -> Meeting:
+def _follow(place: Place, common: Mapping[str, str], timeout: float) -> socket.socket:
     hello = {
         "index": place.index,
         "count": place.count,
@@ -136,17 +118,19 @@ def _follow(place: Place, common: Mapping[str, str], timeout: float) -> Meeting:
         "id": os.getpid(),
         "common": dict(common),
     }
-    with _reach(place, timeout) as connection:
+    with contextlib.ExitStack() as open_connection:
+        connection = open_connection.enter_context(_reach(place, timeout))
         _send(connection, hello)
         answer = _read(connection, timeout + _LATER)
-    if "error" in answer:
-        raise JoinError(str(answer["error"]))
-    if not {"port", "own"} <= answer.keys():
-        raise JoinError(
-            f"who listens at {place.address} is not process 0, or that ended while the processes "
-            "joined: see what it says"
-        )
-    return Meeting(_joined(place.host, answer["port"]), answer["own"])
+        if answer.get("error"):
+            raise JoinError(str(answer["error"]))
+        if "error" not in answer:
+            raise JoinError(
+                f"the program that listens at {place.address} is not process 0, or process 0 "
+                "ended while the processes joined: see its output"
+            )
+        open_connection.pop_all()
+    return connection
 
 
 def _listen(place: Place) -> socket.socket:
@@ -223,8 +207,7 @@ def _misfit(
 def _refuse(present: Mapping[int, _Present], why: str) -> None:
     """Tell everybody who came, and give up."""
     for one in present.values():
-        with contextlib.suppress(OSError):
-            _send(one.connection, {"error": why})
+        _send(one.connection, {"error": why})
     raise JoinError(why)
 
 
@@ -234,15 +217,25 @@ def _is_hello(told: Mapping[str, Any]) -> bool:
 
 
 def _send(connection: socket.socket, told: Mapping[str, Any]) -> None:
-    connection.sendall(json.dumps(told).encode() + b"\n")
+    """Send a line. A process that has ended meanwhile is reported later, by its link."""
+    with contextlib.suppress(OSError):
+        connection.sendall(json.dumps(told).encode() + b"\n")
 
 
 def _read(connection: socket.socket, timeout: float) -> dict[str, Any]:
-    """The line that comes; empty where it does not come, or is none of ours."""
+    """Return the line that comes; empty if none comes, or it is not one of ours.
+
+    It takes no byte after the line: frames may follow.
+    """
     connection.settimeout(timeout)
+    line = bytearray()
     try:
-        with connection.makefile("rb") as lines:
-            told = json.loads(lines.readline(_LONGEST_LINE))
+        while not line.endswith(b"\n") and len(line) < _LONGEST_LINE:
+            byte = connection.recv(1)
+            if not byte:
+                break
+            line += byte
+        told = json.loads(line)
     except (OSError, ValueError):
         return {}
     return told if isinstance(told, dict) else {}
@@ -251,16 +244,3 @@ def _read(connection: socket.socket, timeout: float) -> dict[str, Any]:
 def _reason(error: OSError) -> str:
     """In the system's words; Python adds the address to some."""
     return os.strerror(error.errno) if error.errno else str(error)
-
-
-def _plain(address: str) -> str:
-    """An address of IPv4 that came over IPv6, as it is."""
-    return address.removeprefix("::ffff:")
-
-
-def _is_loopback(address: str) -> bool:
-    return address.startswith("127.") or address == "::1"
-
-
-def _joined(host: str, port: int) -> str:
-    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"

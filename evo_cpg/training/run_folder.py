@@ -35,8 +35,6 @@ import math
 import os
 import re
 import shutil
-import struct
-import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any
@@ -48,6 +46,7 @@ from evo_cpg import locks
 from evo_cpg.errors import UserError
 from evo_cpg.files import cannot_write, write_table, write_text, write_whole
 from evo_cpg.simulation.recording import Recording, require_shapes
+from evo_cpg.training.array_files import DAMAGED, read_arrays
 from evo_cpg.training.checkpoint import (
     Champion,
     Checkpoint,
@@ -71,68 +70,36 @@ _META = {"devices": int, "config": str, "replaced": list, "fingerprint": dict}
 _MOST_DEVICES = 4096
 _DIGESTS = ("config_sha256", "genes_sha256", "outcome_sha256")
 
-# What reading a truncated or overwritten .npz file has been seen to raise.
-_DAMAGED = (
-    EOFError,
-    KeyError,
-    NotImplementedError,
-    OSError,
-    RuntimeError,
-    TypeError,
-    ValueError,
-    struct.error,
-    zipfile.BadZipFile,
-)
-
-
-# The end of an archive without a comment: mark, disks, entries (here and in all), size and place of
-# the list, length of the comment.
-_END = struct.Struct("<4s4H2LH")
-
 
 class RunFolderError(UserError):
     """A run folder that cannot be used as asked; the message says why and the way out."""
 
 
 class RunFolder:
-    """A run folder on disk."""
+    """A run folder on disk.
+
+    Attributes:
+        path: of the folder.
+        config: path of the resolved configuration.
+        metrics: path of the table of generations.
+        champion: path of the best individual.
+        lineage: path of the champions on the way to it.
+        start: path of the genomes to begin with.
+        meta: path of versions, host and times.
+    """
 
     def __init__(self, path: Path | str):
         self.path = Path(path)
+        self.config = self.path / "config.yaml"
+        self.metrics = self.path / "metrics.csv"
+        self.champion = self.path / "champion.npz"
+        self.lineage = self.path / "lineage.npz"
+        self.start = self.path / "start.npz"
+        self.meta = self.path / "meta.json"
         # The rows of metrics.csv written last, and their text.
         self._table: tuple[list[dict[str, float]], str] = [], ""
         # The rows of the checkpoint written last, and their columns.
         self._columns: tuple[list[dict[str, float]], dict[str, np.ndarray]] = [], {}
-
-    @property
-    def config(self) -> Path:
-        """The resolved configuration."""
-        return self.path / "config.yaml"
-
-    @property
-    def metrics(self) -> Path:
-        """The table of generations."""
-        return self.path / "metrics.csv"
-
-    @property
-    def champion(self) -> Path:
-        """The best individual."""
-        return self.path / "champion.npz"
-
-    @property
-    def lineage(self) -> Path:
-        """The champions on the way to the best individual."""
-        return self.path / "lineage.npz"
-
-    @property
-    def start(self) -> Path:
-        """Genomes to begin with."""
-        return self.path / "start.npz"
-
-    @property
-    def meta(self) -> Path:
-        """Versions, host and times."""
-        return self.path / "meta.json"
 
     @contextlib.contextmanager
     def locked(self, new: bool = False) -> Iterator[None]:
@@ -247,10 +214,10 @@ class RunFolder:
                 raise RunFolderError(f"{self.start} is missing; the run begins {given}")
             return None
         try:
-            genes = _read_arrays(self.start)["genes"]
+            genes = read_arrays(self.start)["genes"]
             if genes.ndim != 2 or not np.isfinite(genes).all():
                 raise ValueError("it holds no genomes")
-        except _DAMAGED as error:
+        except DAMAGED as error:
             raise RunFolderError(f"{self.start} is damaged ({error}); start a new run") from None
         return genes
 
@@ -299,11 +266,11 @@ class RunFolder:
         wrong: list[str] = []
         for path in reversed(self._checkpoints()):
             try:
-                return read_checkpoint(_read_arrays(path))
+                return read_checkpoint(read_arrays(path))
             except FileNotFoundError:
                 # The trainer took it away meanwhile.
                 continue
-            except _DAMAGED as error:
+            except DAMAGED as error:
                 reason = getattr(error, "strerror", None) or error
                 wrong.append(f"{path.name}: {reason}")
         if wrong:
@@ -375,8 +342,8 @@ class RunFolder:
                 "a version that kept none on the way"
             )
         try:
-            return read_lineage(_read_arrays(self.lineage))
-        except _DAMAGED as error:
+            return read_lineage(read_arrays(self.lineage))
+        except DAMAGED as error:
             raise RunFolderError(
                 f"{self.lineage} is damaged ({error}); the run can go on, but the champions on "
                 "its way so far are lost"
@@ -395,7 +362,7 @@ class RunFolder:
         if not self.champion.is_file():
             raise RunFolderError(f"{self.path} has no champion yet; train it first")
         try:
-            arrays = _read_arrays(self.champion)
+            arrays = read_arrays(self.champion)
             champion = read_champion(arrays)
             digests = {name: str(arrays[name]) for name in _DIGESTS}
             if _RECORDING_PREFIX + "time" not in arrays:
@@ -407,7 +374,7 @@ class RunFolder:
             recording = Recording(**fields)
             require_shapes(recording)
             return champion, recording, digests
-        except _DAMAGED as error:
+        except DAMAGED as error:
             raise RunFolderError(
                 f"{self.champion} is damaged ({error}); `evo-cpg resume {self.path}` writes it anew"
             ) from None
@@ -523,38 +490,3 @@ def _finite(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_finite(each) for each in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-def _read_arrays(path: Path) -> dict[str, np.ndarray]:
-    # Given a path, np.load would leave a damaged file open.
-    with path.open("rb") as file:
-        _require_honest(file)
-        with np.load(file, allow_pickle=False) as arrays:
-            return dict(arrays)
-
-
-def _require_honest(file: IO[bytes]) -> None:
-    """Check that an .npz file is no larger unpacked than it is, and holds what it promises.
-
-    Raises:
-        ValueError: it is, or does not; others of `_DAMAGED` where it is no .npz file at all.
-    """
-    with zipfile.ZipFile(file) as archive:
-        # A flipped byte may let one entry swallow those behind it, which zipfile does not notice.
-        file.seek(-_END.size, os.SEEK_END)
-        mark, *_, entries, _, _, _ = _END.unpack(file.read(_END.size))
-        if mark != b"PK\5\6" or entries != len(archive.infolist()):
-            raise ValueError("it lists fewer arrays than it was written with")
-        for member in archive.infolist():
-            # Ours are not compressed.
-            if member.compress_type != zipfile.ZIP_STORED:
-                raise ValueError(f"{member.filename} is compressed: more than the file holds")
-            with archive.open(member) as array:
-                version = np.lib.format.read_magic(array)
-                if version == (1, 0):
-                    shape, _, kind = np.lib.format.read_array_header_1_0(array)
-                else:
-                    shape, _, kind = np.lib.format.read_array_header_2_0(array)
-            if math.prod(shape) * kind.itemsize > member.file_size:
-                raise ValueError(f"{member.filename} promises more than the file holds")
-    file.seek(0)

@@ -149,7 +149,7 @@ def test_cma_mae_of_pyribs():
 
 
 def test_without_pyribs_it_says_how_to_get_it(monkeypatch):
-    for name in ("ribs", "ribs.archives", "ribs.emitters"):
+    for name in ("ribs", "ribs.emitters", "ribs.emitters.opt"):
         monkeypatch.setitem(sys.modules, name, None)
     given = f"{{type: pyribs, axes: {AXES}, sigma: 0.123}}"
     with pytest.raises(ConfigError, match=r"'pyribs' is not installed here.*\[pyribs\]"):
@@ -157,8 +157,9 @@ def test_without_pyribs_it_says_how_to_get_it(monkeypatch):
 
 
 @pytest.mark.skipif(importlib.util.find_spec("ribs") is None, reason="ribs is an extra")
-def test_a_pyribs_that_is_not_known_is_said(monkeypatch):
-    monkeypatch.setattr("evo_cpg.evolution.pyribs_state._FIELDS", ("solution", "objective"))
+def test_an_unknown_pyribs_is_reported(monkeypatch):
+    kind = importlib.import_module("ribs.emitters.opt").SeparableCMAEvolutionStrategy
+    monkeypatch.setattr(kind, "reset", lambda self, x0: setattr(self, "past", [x0]))
     given = f"{{type: pyribs, axes: {AXES}, sigma: 0.124}}"
     with pytest.raises(ConfigError, match="keeps its state in another way than 0"):
         build(WALKER, f"evolution={given}")

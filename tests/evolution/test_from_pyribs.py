@@ -9,10 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from evo_cpg.evolution import pyribs_state
 from evo_cpg.evolution.from_pyribs import Ribs
 from evo_cpg.evolution.map_elites import Axis
-from evo_cpg.evolution.pyribs_state import ALGORITHMS, UnknownPyribsError
+from evo_cpg.evolution.pyribs_host import ALGORITHMS, UnknownPyribsError
 from evo_cpg.evolution.strategy import Evaluation
 
 ribs_archives = pytest.importorskip("ribs.archives")
@@ -293,39 +292,21 @@ def test_what_pyribs_cannot_do_is_refused(settings, error, words):
         made(**settings)
 
 
-def test_another_pyribs_is_said(monkeypatch):
-    """One that remembers more, or keeps it elsewhere."""
+def test_an_unknown_pyribs_is_reported(monkeypatch):
+    """One whose strategy remembers something that cannot become an array."""
+    opt = pytest.importorskip("ribs.emitters.opt")
 
-    class Longer(ribs_emitters.EvolutionStrategyEmitter):
+    class Longer(opt.SeparableCMAEvolutionStrategy):
         def __init__(self, *given, **settings):
             super().__init__(*given, **settings)
-            self._momentum = 0.0
+            self.past = [0.0]
 
-    class Elsewhere(ribs_emitters.EvolutionStrategyEmitter):
-        def __init__(self, *given, **settings):
-            super().__init__(*given, **settings)
-            self._optimiser = self.__dict__.pop("_opt")
-
-    pyribs_state.shapes.cache_clear()
-    with monkeypatch.context() as patch:
-        patch.setattr(ribs_emitters, "EvolutionStrategyEmitter", Longer)
-        with pytest.raises(
-            UnknownPyribsError,
-            match=r"pyribs .* another way than 0\.12 \(EvolutionStrategyEmitter lacks nothing, and "
-            r"has _momentum besides\); `pip install",
-        ):
-            made()
-    monkeypatch.setattr(ribs_emitters, "EvolutionStrategyEmitter", Elsewhere)
-    with pytest.raises(UnknownPyribsError, match="has no attribute '_opt'"):
-        made()
-
-
-def test_other_random_numbers_are_said(monkeypatch):
-    other = np.random.Generator(np.random.MT19937(0))
-    pyribs_state.shapes.cache_clear()
-    monkeypatch.setattr(np.random, "default_rng", lambda seed=None: other)
-    with pytest.raises(UnknownPyribsError, match="are not those of PCG64"):
-        made()
+    monkeypatch.setattr(opt, "SeparableCMAEvolutionStrategy", Longer)
+    with pytest.raises(
+        UnknownPyribsError,
+        match=r"pyribs .* another way than 0\.12 \(past of Longer is a list\); `pip install",
+    ):
+        made(sigma=0.123)
 
 
 def test_importing_the_module_imports_no_pyribs():

@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-from evo_cpg.training.roll_call import JoinError, Meeting, Place, call_roll
+from evo_cpg.training.roll_call import JoinError, Place, call_roll
 from loopback import free_port
 
 COMMON = {"the version of jax": "1.2"}
@@ -37,14 +37,16 @@ def meet(*members: tuple[int, int, dict], port: int, timeout: float = 5.0, names
     return results
 
 
-def test_all_are_told_the_same_service_and_their_own_address():
-    port = free_port()
-    meetings = meet((2, 3, COMMON), (0, 3, COMMON), (1, 3, COMMON), port=port)
-    assert all(isinstance(meeting, Meeting) for meeting in meetings), meetings
-    services = {meeting.service for meeting in meetings}
-    assert len(services) == 1
-    assert services.pop().startswith("localhost:")
-    assert {meeting.own for meeting in meetings} <= {"127.0.0.1", "::1"}
+def test_the_lead_is_connected_to_all():
+    second, lead, first = meet((2, 3, COMMON), (0, 3, COMMON), (1, 3, COMMON), port=free_port())
+    assert sorted(lead) == [1, 2] and list(first) == list(second) == [0]
+    for index, other in ((1, first), (2, second)):
+        # A frame that follows the lead's answer at once is not swallowed.
+        lead[index].sendall(bytes([index]))
+        other[0].sendall(bytes([10 + index]))
+        assert (other[0].recv(9), lead[index].recv(9)) == (bytes([index]), bytes([10 + index]))
+    for connection in (*lead.values(), first[0], second[0]):
+        connection.close()
 
 
 def test_who_did_not_come_is_said_by_name():
@@ -89,7 +91,9 @@ def test_who_listens_is_not_the_lead():
 
         threading.Thread(target=hang_up, daemon=True).start()
         place = Place(1, 2, "127.0.0.1", server.getsockname()[1])
-        with pytest.raises(JoinError, match="is not process 0, or that ended while the processes"):
+        with pytest.raises(
+            JoinError, match="is not process 0, or process 0 ended while the processes"
+        ):
             call_roll(place, COMMON, 1.0)
 
 
@@ -137,6 +141,8 @@ def test_strangers_are_not_counted():
 
     stranger = threading.Thread(target=disturb)
     stranger.start()
-    meetings = meet((0, 2, COMMON), (1, 2, COMMON), port=port)
+    lead, other = meet((0, 2, COMMON), (1, 2, COMMON), port=port)
     stranger.join()
-    assert all(isinstance(meeting, Meeting) for meeting in meetings), meetings
+    assert list(lead) == [1] and list(other) == [0]
+    lead[1].close()
+    other[0].close()

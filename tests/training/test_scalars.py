@@ -3,6 +3,7 @@
 import math
 import struct
 import sys
+import time
 
 import pytest
 
@@ -72,20 +73,30 @@ def test_runs_side_by_side_have_a_file_each(tmp_path):
         assert told(path) == {0: {"best": 0.0, "mean": -1.0}}
 
 
-@pytest.mark.parametrize("cut", [0, 1, 30])
-def test_it_goes_on_in_the_same_file_after_a_kill(tmp_path, cut):
-    """Whatever a kill left of the last record, no generation is told twice or left out."""
+@pytest.mark.parametrize("left", [b"", b"x" * 5, b"rubbish" * 40])
+def test_a_resumed_run_writes_its_file_anew(tmp_path, left):
+    """No generation is there twice or left out, whatever a kill left of the file."""
     scalars = Scalars(tmp_path)
     scalars.add([row(i) for i in range(3)])
     scalars.close()
     path = tmp_path / FILE
     before = path.read_bytes()
-    path.write_bytes(before[: len(before) - cut])
-    scalars = Scalars(tmp_path, [row(i) for i in range(4)])
+    path.write_bytes(left)
+    scalars = Scalars(tmp_path, [row(i, seconds=10.0) for i in range(4)])
     scalars.add([row(4)])
     scalars.close()
     assert sorted(told(path)) == [0, 1, 2, 3, 4]
-    assert path.read_bytes().startswith(before[:-60])
+    # Without the column of seconds the old rows take as many bytes as before.
+    Scalars(tmp_path, [row(i) for i in range(3)]).close()
+    assert len(path.read_bytes()) == len(before)
+
+
+def test_earlier_generations_keep_their_distance_in_time(tmp_path):
+    took = [row(0, seconds=50.0), row(1, seconds=20.0), row(2, seconds=30.0)]
+    began = time.time()
+    Scalars(tmp_path, took).close()
+    times = [event.wall_time - began for event in events(tmp_path / FILE)[1:]]
+    assert times == pytest.approx([-50.0, -30.0, 0.0], abs=5.0)
 
 
 def test_what_was_taken_back_is_taken_back(tmp_path):
@@ -98,14 +109,6 @@ def test_what_was_taken_back_is_taken_back(tmp_path):
     scalars.close()
     found = told(tmp_path / FILE)
     assert sorted(found) == [0, 1, 2, 3] and found[3]["best"] == 77.0
-
-
-@pytest.mark.parametrize("rubbish", [b"x" * 5, b"rubbish" * 40])
-def test_rubbish_is_written_over(tmp_path, rubbish):
-    (tmp_path / "tensorboard").mkdir()
-    (tmp_path / FILE).write_bytes(rubbish)
-    Scalars(tmp_path, [row(0)]).close()
-    assert sorted(told(tmp_path / FILE)) == [0]
 
 
 def test_a_folder_that_cannot_be_written_is_named(tmp_path):

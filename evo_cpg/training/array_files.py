@@ -1,0 +1,67 @@
+"""Reading of .npz files that may be damaged, or made to do harm.
+
+A file from somebody else must neither run code nor take all memory. So pickles are refused, and so
+is an array that is larger than its part of the file.
+"""
+
+import math
+import os
+import struct
+import zipfile
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+
+DAMAGED = (
+    EOFError,
+    KeyError,
+    NotImplementedError,
+    OSError,
+    RuntimeError,
+    TypeError,
+    ValueError,
+    struct.error,
+    zipfile.BadZipFile,
+)
+"""Errors that reading a truncated or overwritten .npz file has been seen to raise."""
+
+# The end of an archive without a comment: mark, disks, entries (here and in all), size and place of
+# the list, length of the comment.
+_END = struct.Struct("<4s4H2LH")
+
+
+def read_arrays(path: Path) -> dict[str, np.ndarray]:
+    """Return the arrays of a file by name. Any error of `DAMAGED` means that it is damaged."""
+    # Given a path, np.load would leave a damaged file open.
+    with path.open("rb") as file:
+        _require_honest(file)
+        with np.load(file, allow_pickle=False) as arrays:
+            return dict(arrays)
+
+
+def _require_honest(file: IO[bytes]) -> None:
+    """Check that an .npz file is no larger unpacked than it is, and holds what it promises.
+
+    Raises:
+        ValueError: it is, or does not; others of `DAMAGED` where it is no .npz file at all.
+    """
+    with zipfile.ZipFile(file) as archive:
+        # A flipped byte may let one entry swallow those behind it, which zipfile does not notice.
+        file.seek(-_END.size, os.SEEK_END)
+        mark, *_, entries, _, _, _ = _END.unpack(file.read(_END.size))
+        if mark != b"PK\5\6" or entries != len(archive.infolist()):
+            raise ValueError("it lists fewer arrays than it was written with")
+        for member in archive.infolist():
+            # Ours are not compressed.
+            if member.compress_type != zipfile.ZIP_STORED:
+                raise ValueError(f"{member.filename} is compressed: more than the file holds")
+            with archive.open(member) as array:
+                version = np.lib.format.read_magic(array)
+                if version == (1, 0):
+                    shape, _, kind = np.lib.format.read_array_header_1_0(array)
+                else:
+                    shape, _, kind = np.lib.format.read_array_header_2_0(array)
+            if math.prod(shape) * kind.itemsize > member.file_size:
+                raise ValueError(f"{member.filename} promises more than the file holds")
+    file.seek(0)
