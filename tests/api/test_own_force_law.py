@@ -13,7 +13,7 @@ from test_documented_programs import configs, here, programs, run
 import evo_cpg as evo
 from creatures import box_chain, coast, in_water, quick_jit, random_state
 from evo_cpg.analysis.energy import ledger
-from evo_cpg.cli.exchange import export_model
+from evo_cpg.cli.export import export
 from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.load import load_config
 from evo_cpg.config.parameters import parametrise
@@ -196,7 +196,7 @@ def test_a_force_law_trains_and_goes_again(glider):
     again = evo.load(trained.folder).evaluate(0, genes).fitness
     np.testing.assert_array_equal(again, fitness)
     simulation = with_lift.parts.simulation
-    steps = quick_jit(lambda g: rollout(simulation, g, observer=EachPhysicsStep()))(
+    steps = quick_jit(lambda g: rollout(simulation, g, observers=EachPhysicsStep()))(
         jnp.asarray(genes.T)
     )
     book = ledger(simulation.world, jax.tree.map(np.asarray, steps), simulation.step_length)
@@ -223,7 +223,7 @@ def test_a_number_of_a_law_has_a_derivative(glider):
 
 
 def test_an_exported_model_says_that_a_law_is_left_out(glider, capsys):
-    export_model(glider / "glider.yaml", glider / "glider.xml")
+    export(glider / "glider.yaml", glider / "glider.xml")
     assert "left out: force laws of your own, PlateLift\n" in capsys.readouterr().err
 
 
