@@ -13,9 +13,11 @@ from test_documented_programs import configs, here, programs, run
 import evo_cpg as evo
 from creatures import box_chain, coast, in_water, quick_jit, random_state
 from evo_cpg.analysis.energy import ledger
+from evo_cpg.cli.export import export
 from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.load import load_config
 from evo_cpg.config.parameters import parametrise
+from evo_cpg.config.plausible import doubts
 from evo_cpg.creature.creature import Actuator, Body, Creature, Material
 from evo_cpg.creature.shapes import Box
 from evo_cpg.fusion.engine import EngineWarning
@@ -194,7 +196,7 @@ def test_a_force_law_trains_and_goes_again(glider):
     again = evo.load(trained.folder).evaluate(0, genes).fitness
     np.testing.assert_array_equal(again, fitness)
     simulation = with_lift.parts.simulation
-    steps = quick_jit(lambda g: rollout(simulation, g, observer=EachPhysicsStep()))(
+    steps = quick_jit(lambda g: rollout(simulation, g, observers=EachPhysicsStep()))(
         jnp.asarray(genes.T)
     )
     book = ledger(simulation.world, jax.tree.map(np.asarray, steps), simulation.step_length)
@@ -218,6 +220,20 @@ def test_a_number_of_a_law_has_a_derivative(glider):
     ends = [quick_jit(way)(jnp.array([area])) for area in (0.029, 0.031)]
     expected = float(ends[1] - ends[0]) / 0.002
     assert abs(expected) > 1e-4 and float(slope[0]) == pytest.approx(expected, rel=0.02)
+
+
+def test_an_exported_model_says_that_a_law_is_left_out(glider, capsys):
+    export(glider / "glider.yaml", glider / "glider.xml")
+    assert "left out: force laws of your own, PlateLift\n" in capsys.readouterr().err
+
+
+def test_a_law_may_hold_a_creature_that_nothing_else_holds(glider):
+    """Neither `validate` nor the search for rest complains of it: it may be a leash."""
+    held = ["world.water=null", "world.ground=null"]
+    falls = [d.key for d in doubts(load_config(glider / "glider.yaml", held), "glider.yaml")]
+    free = [*held, "world.forces=[]"]
+    there = [d.key for d in doubts(load_config(glider / "glider.yaml", free), "glider.yaml")]
+    assert ("world", "gravity") in there and ("world", "gravity") not in falls
 
 
 @pytest.mark.parametrize(
