@@ -14,6 +14,8 @@ neighbours are.
 from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
+from evo_cpg.fusion.backend.code import Place
+
 _DECLARED = {
     "llvm.ctlz.i32": "declare i32 @llvm.ctlz.i32(i32, i1)",
     "llvm.ctpop.i32": "declare i32 @llvm.ctpop.i32(i32)",
@@ -33,20 +35,6 @@ _FEWEST_ROUNDS = 16
 
 # IR types by bytes of a number.
 _WORDS = {1: "i8", 2: "i16", 4: "i32", 8: "i64"}
-
-
-class Place(NamedTuple):
-    """A place in scratch memory.
-
-    Attributes:
-        start: bytes.
-        size: bytes of one individual's number.
-        shared: one number for all individuals.
-    """
-
-    start: int
-    size: int
-    shared: bool = False
 
 
 class Gang(NamedTuple):
