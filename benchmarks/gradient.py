@@ -83,7 +83,8 @@ def _prepare(size: int, seconds: float, settings: Sequence[str]) -> tuple[dict[s
     from benchmarks.machine import peak_memory
     from benchmarks.plan import experiment_of, random_genes
     from evo_cpg.simulation.backward import Backward
-    from evo_cpg.simulation.rollout import rollout, score
+    from evo_cpg.simulation.judge import score
+    from evo_cpg.simulation.rollout import rollout
     from evo_cpg.training.devices import use_cores
 
     use_cores()

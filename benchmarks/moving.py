@@ -22,7 +22,7 @@ from benchmarks.ours import Program, compile_motion, full_lanes
 from benchmarks.plan import Plan, random_genes
 from benchmarks.rows import Row, finite
 from benchmarks.timing import Contender, count_lasting, race, ratio_quartiles, seconds
-from evo_cpg.simulation.rollout import Outcome
+from evo_cpg.simulation.judge import Outcome
 from evo_cpg.training.devices import population_mesh
 from evo_cpg.training.experiment import compile_trials
 

@@ -73,8 +73,8 @@ MUTANTS = (
     ),
     Mutant(
         "physics/fluid.py",
-        "pressure = 0.5 * water.density",
-        "pressure = water.density",
+        "pressure = 0.5 * density",
+        "pressure = density",
         "physics/test_water.py",
     ),
     Mutant(
@@ -96,27 +96,39 @@ MUTANTS = (
         "physics/test_water_surface.py",
     ),
     Mutant(
-        "physics/world.py",
+        "physics/force_law.py",
+        "matvec(0.5 * (slope - transpose(slope)), moving.velocity)",
+        "matvec(0.0 * (slope - transpose(slope)), moving.velocity)",
+        "api/test_own_force_law.py",
+    ),
+    Mutant(
+        "physics/force_law.py",
+        "about_origin = cross(",
+        "about_origin = 0 * cross(",
+        "api/test_own_force_law.py",
+    ),
+    Mutant(
+        "physics/weight.py",
         "under - tree.mass",
         "tree.mass - under",
         "physics/test_water.py physics/test_implicit_step.py",
     ),
     Mutant(
-        "physics/world.py",
-        "velocity[3:] - current])\n    pose",
-        "velocity[3:] + current])\n    pose",
+        "physics/force_law.py",
+        "self.velocity[3:] - self.stream",
+        "self.velocity[3:] + self.stream",
         "physics/test_water.py physics/test_implicit_step.py",
     ),
     Mutant(
-        "physics/world.py",
+        "physics/body_equations.py",
         "jnp.concatenate([moment, cross(w, momentum[3:])])",
         "jnp.concatenate([moment, 0 * momentum[3:]])",
         "physics/test_accelerations.py physics/test_free_motion.py",
     ),
     Mutant(
-        "physics/world.py",
-        "blocks = blocks + h * derivative",
-        "blocks = blocks + 0.5 * h * derivative",
+        "physics/fluid.py",
+        "bodies.h * derivative",
+        "0.5 * bodies.h * derivative",
         "physics/test_implicit_step.py",
     ),
     Mutant(

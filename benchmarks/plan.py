@@ -9,7 +9,7 @@ import numpy as np
 
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import load_config
-from evo_cpg.simulation.rollout import Simulation
+from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.training.experiment import Experiment
 
 ROOT = Path(__file__).parents[1]

@@ -22,7 +22,7 @@ from benchmarks.plan import Plan, experiment_of, random_genes
 from benchmarks.rows import Row
 from benchmarks.timing import Contender, race, ratio_quartiles
 from benchmarks.worker import Worker, serve, started
-from evo_cpg.simulation.rollout import Simulation
+from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.training.devices import population_mesh
 from evo_cpg.training.experiment import compile_trials
 

@@ -121,9 +121,7 @@ def _on_slope(world: World, angle: Array) -> tuple[World, State]:
     """Dry and bare ground that falls towards x, and the animal with its lowest point on it."""
     assert world.footing is not None
     footing, none = _sloping(world.footing, angle), jnp.zeros_like(angle)
-    slope = dataclasses.replace(
-        world, footing=footing, water=None, patches=(), cells=(), added_inertia=None
-    )
+    slope = dataclasses.replace(world, footing=footing, water=None, forces=(), cells=())
     half = jnp.stack([jnp.cos(angle / 2), none, jnp.sin(angle / 2), none])
     state = resting_state(world.tree, (1,), angle.dtype)
     state = dataclasses.replace(state, orientation=half[:, None])

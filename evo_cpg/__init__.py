@@ -21,11 +21,13 @@ if TYPE_CHECKING:
     from evo_cpg.config.errors import ConfigError
     from evo_cpg.control.controller import Command, Controller, Observation
     from evo_cpg.evolution.strategy import Evaluation, Strategy
+    from evo_cpg.physics.force_law import Bodies, ForceLaw
     from evo_cpg.simulation.sensor import Sensor
     from evo_cpg.simulation.snapshot import Forces, Snapshot
     from evo_cpg.simulation.task import Task, Transition
 
 _HOMES = {
+    "Bodies": "physics.force_law",
     "Command": "control.controller",
     "ConfigError": "config.errors",
     "Controller": "control.controller",
@@ -33,6 +35,7 @@ _HOMES = {
     "EnvironmentState": "api.environment",
     "Evaluation": "evolution.strategy",
     "Experiment": "api.experiment",
+    "ForceLaw": "physics.force_law",
     "Forces": "simulation.snapshot",
     "Observation": "control.controller",
     "Record": "api.record",
@@ -66,6 +69,8 @@ __all__ = [  # noqa: RUF022 - as the reference has them
     "Snapshot",
     "Forces",
     "Sensor",
+    "ForceLaw",
+    "Bodies",
     "Controller",
     "Observation",
     "Command",

@@ -11,11 +11,12 @@ from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
 from evo_cpg.creature.surface import outer_surfaces
 from evo_cpg.creature.tree import Tree, build_tree
 from evo_cpg.fusion.jax_internals import quick_jit
-from evo_cpg.physics.added_mass import added_inertia
+from evo_cpg.physics.added_mass import AddedMass, added_inertia
 from evo_cpg.physics.buoyancy import make_cells
-from evo_cpg.physics.fluid import DragLaw, Water, make_patches
+from evo_cpg.physics.fluid import Drag, DragLaw, make_patches
 from evo_cpg.physics.state import State
 from evo_cpg.physics.step import step
+from evo_cpg.physics.water import Current, Gradient, Vortex, Water
 from evo_cpg.physics.world import World
 from evo_cpg.spatial.rotation import euler_to_matrix
 
@@ -144,12 +145,10 @@ def in_water(
     sheltered: bool = True,
     surface: float | None = None,
     added_mass: bool = False,
-    **stream,
+    gradient: Gradient | None = None,
+    vortices: tuple[Vortex, ...] = (),
 ) -> World:
-    """A creature under water, with the same quadrature for form and skin drag.
-
-    The further arguments are those of `Water` that make its current vary from place to place.
-    """
+    """A creature under water, with the same quadrature for form and skin drag."""
     tree = build_tree(creature)
     surfaces = {
         body.name: surface
@@ -157,14 +156,16 @@ def in_water(
             creature.bodies, outer_surfaces(creature, resolution, sheltered), strict=True
         )
     }
-    water = Water(density, form_drag, skin_drag, current, law, surface, **stream)
+    patches = make_patches(tree, surfaces, surfaces, law, surface is not None)
+    forces = (Drag(form_drag, skin_drag, patches, law),)
+    if added_mass:
+        forces += (AddedMass(added_inertia(creature, tree, density)),)
     return World(
         tree,
         gravity,
-        water,
-        make_patches(tree, surfaces, surfaces, law, surface is not None),
+        Water(density, surface, (Current(current, gradient), *vortices)),
+        forces,
         cells=() if surface is None else make_cells(creature, tree),
-        added_inertia=added_inertia(creature, tree, density) if added_mass else None,
     )
 
 

@@ -12,8 +12,8 @@ from evo_cpg.creature.shapes import Box
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.evolution.generation import RealGenetics
 from evo_cpg.simulation.reach_light import ReachLight
-from evo_cpg.simulation.rollout import Simulation
 from evo_cpg.simulation.sensors import place_sensors
+from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.task import Task
 from evo_cpg.training.experiment import Experiment
 

@@ -2,13 +2,14 @@
 
 Over every physics step
 
-    dE = motors + dampers + limits of joints + ground + limbs + water + pushes + left over,
+    dE = motors + dampers + limits of joints + ground + limbs + water + own + pushes + left over,
 
 where E is the kinetic energy of bodies and rotors, their weight's potential energy and the energy
 of passive springs. Velocities are half a step behind the poses, so E is that of the pose half a
 step before. Work is force times the mean of the velocities before and after the step. Forces of
-motors, ground and limbs are those that the solver found; those of the water are the laws themselves
-at the mean velocity, so that what the solver makes of them is checked, too.
+motors, ground and limbs are those that the solver found; those of the water and of force laws of
+the user's own are the laws themselves at the mean velocity, so that what the solver makes of them
+is checked, too.
 What is left over is the simulator's, and vanishes with the step. A gait that lives on it is none.
 
 Momentum likewise: what changes it, and no force explains, is the simulator's.
@@ -17,6 +18,8 @@ All is computed in float64 from the states.
 """
 
 import dataclasses
+import functools
+import operator
 from typing import NamedTuple
 
 import jax
@@ -25,26 +28,19 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.analysis.along_time import along_time
-from evo_cpg.physics.added_mass import carried_water
 from evo_cpg.physics.contact import find_contacts
-from evo_cpg.physics.fluid import drag
+from evo_cpg.physics.force_law import Bodies, body_velocity
 from evo_cpg.physics.joints import expected_limit_torque, limit_torque
 from evo_cpg.physics.kinematics import Kinematics, kinematics
 from evo_cpg.physics.pair_contacts import find_pair_contacts
 from evo_cpg.physics.per_body import take
 from evo_cpg.physics.state import State
 from evo_cpg.physics.step import searches
-from evo_cpg.physics.world import (
-    Immersion,
-    World,
-    body_velocity,
-    buoyancy_wrench,
-    immersion,
-)
+from evo_cpg.physics.weight import buoyancy_alone
+from evo_cpg.physics.world import World
 from evo_cpg.simulation.physics_steps import PhysicsSteps
 from evo_cpg.simulation.snapshot import Snapshot
 from evo_cpg.spatial.linear import cross, dot, expand_dims_like, matvec
-from evo_cpg.spatial.numerics import Numbers
 from evo_cpg.spatial.rotation import integrate_quaternion
 
 
@@ -60,12 +56,13 @@ class Ledger(NamedTuple):
         friction: of the ground.
         limbs: of limbs that push each other apart.
         water: drag, buoyancy and carried water.
+        own: force laws of the user's own.
         pushes: of chance, before the step.
         push_out: of `lift`, what lifts points out of the ground that have sunk into it, no faster
             than the law wants.
         impulse: that no force explains, world axes, N s.
-        given: sizes of the impulses of ground and water on points and bodies, without weight and
-            buoyancy, N s.
+        given: sizes of the impulses of ground, water and own force laws on points and bodies,
+            without weight and buoyancy, N s.
     """
 
     stored: Float[np.ndarray, " t"]
@@ -76,6 +73,7 @@ class Ledger(NamedTuple):
     friction: Float[np.ndarray, " t"]
     limbs: Float[np.ndarray, " t"]
     water: Float[np.ndarray, " t"]
+    own: Float[np.ndarray, " t"]
     pushes: Float[np.ndarray, " t"]
     push_out: Float[np.ndarray, " t"]
     impulse: Float[np.ndarray, "3 t"]
@@ -84,7 +82,7 @@ class Ledger(NamedTuple):
     @property
     def work(self) -> dict[str, Float[np.ndarray, " t"]]:
         """Of everything that does work, by name."""
-        return {name: getattr(self, name) for name in self._fields[1:9]}
+        return {name: getattr(self, name) for name in self._fields[1:10]}
 
     @property
     def left_over(self) -> Float[np.ndarray, " t"]:
@@ -126,7 +124,8 @@ def _entries(world: World, steps: PhysicsSteps, previous: State, h: float) -> tu
     damping = expand_dims_like(tree.damping, rate)
     contact = _ground_work(world, steps.contact_force, kinematics(tree, before), kin, h)
     lift, friction, push_out, ground = contact
-    water, driven, buoyed = _water_work(world, first.kinematics, kin, last.kinematics, h)
+    at = [world.bodies(each, h) for each in (first.kinematics, kin, last.kinematics)]
+    water, own, driven, buoyed = _law_work(world, *at)
     mass = tree.mass.sum()
     explained = h * (ground.sum(1) + driven.sum(1) + buoyed).at[2].add(-mass * world.gravity)
     given = h * jnp.sqrt(dot(ground, ground)).sum(0) + h * jnp.sqrt(dot(driven, driven)).sum(0)
@@ -139,6 +138,7 @@ def _entries(world: World, steps: PhysicsSteps, previous: State, h: float) -> tu
         friction,
         _limb_work(world, steps, kin, rate, h),
         water,
+        own,
         mechanical_energy(first) - mechanical_energy(earlier),
         push_out,
         mass * (last.centre_of_mass_velocity - first.centre_of_mass_velocity) - explained,
@@ -205,46 +205,24 @@ def _limb_work(
     return h * (steps.pair_force * contacts.parting(rate)).sum(0)
 
 
-def _water_work(
-    world: World, first: Kinematics, middle: Kinematics, last: Kinematics, h: float
-) -> tuple[Float[Array, " t"], Float[Array, "3 b t"], Float[Array, "3 t"]]:
-    """Work of the water, J, and its forces, N: of the flow on every body, and buoyancy."""
-    wet, none = immersion(world, middle), jnp.zeros_like(middle.origin)
-    if world.water is None or wet is None:
-        return none[0, 0], none, none[:, 0]
-    flow, _ = drag(world.water, world.patches, wet.velocity, wet.pose)
-    if world.added_inertia is not None:
-        flow = flow + _carried_water(world, world.added_inertia, first, wet, last, middle, h)
-    lift = buoyancy_wrench(world, middle, wet)
-    power = ((flow + lift) * body_velocity(middle)).sum((0, 1))
-    driven, buoyed = (matvec(middle.rotation, x[3:]) for x in (flow, lift))
-    return h * power, driven, buoyed.sum(1)
-
-
-def _carried_water(
-    world: World,
-    carried: Float[Numbers, "6 6 b"],
-    first: Kinematics,
-    wet: Immersion,
-    last: Kinematics,
-    middle: Kinematics,
-    h: float,
-) -> Float[Array, "6 b t"]:
-    """Wrench of the water that the bodies carry along, body axes (`evo_cpg.physics.added_mass`)."""
-    velocity, before, after = body_velocity(middle), immersion(world, first), immersion(world, last)
-    assert before is not None and after is not None
-    added = expand_dims_like(carried, velocity, velocity.ndim + 1)
-    change, impact = (after.velocity - before.velocity) / h, 0.0
-    if wet.displaced is not None and before.displaced is not None and after.displaced is not None:
-        volume = expand_dims_like(world.tree.volume, wet.displaced.volume)
-        entering = jnp.maximum(after.displaced.volume - before.displaced.volume, 0.0) / volume
-        impact = matvec(added * entering[None, None], wet.velocity) / h
-        added = added * (wet.displaced.volume / volume)[None, None]
-    # The stream turns in body axes, which `carried_water` has as the acceleration of bodies that do
-    # not accelerate: it is in the change of the velocity relative to it.
-    turning = cross(velocity[:3], jnp.broadcast_to(wet.stream, velocity[3:].shape))
-    steady = carried_water(added, velocity, wet.stream) + matvec(added[:, 3:], turning)
-    return steady - matvec(added, change) - impact
+def _law_work(
+    world: World, first: Bodies, middle: Bodies, last: Bodies
+) -> tuple[Float[Array, " t"], Float[Array, " t"], Float[Array, "3 b t"], Float[Array, "3 t"]]:
+    """Return the work of the water and of own laws, J, and forces, N: of all laws, and buoyancy."""
+    velocity = middle.velocity
+    none = jnp.zeros_like(velocity)
+    flow, own = (
+        functools.reduce(
+            operator.add,
+            [law.over_step(first, middle, last) for law in world.forces if law.of_water == of_water]
+            or [none],
+        )
+        for of_water in (True, False)
+    )
+    lift = none if world.water is None else buoyancy_alone(middle)
+    water, others = (middle.h * (wrench * velocity).sum((0, 1)) for wrench in (flow + lift, own))
+    driven, buoyed = (matvec(middle.kin.rotation, x[3:]) for x in (flow + own, lift))
+    return water, others, driven, buoyed.sum(1)
 
 
 def _delayed(after: np.ndarray, before: np.ndarray) -> np.ndarray:

@@ -155,13 +155,8 @@ def in_water(world: World, steps: PhysicsSteps) -> Bool[np.ndarray, " t"]:
 
 def _swims(world: World, steps: PhysicsSteps) -> Bool[Array, " t"]:
     """Return whether a body's centre is under water."""
-    count = steps.after.q.shape[-1:]
-    if world.water is None:
-        return jnp.zeros(count, bool)
-    if world.water.surface is None:
-        return jnp.ones(count, bool)
     centre, _ = _poses(world, steps)
-    return (centre[2] < world.water.surface).any(0)
+    return (centre[2] < world.water_level).any(0)
 
 
 def _deepest_overlap(

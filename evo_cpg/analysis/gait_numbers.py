@@ -15,12 +15,11 @@ from jaxtyping import Array, Bool, Float
 
 from evo_cpg.analysis import footfalls, stride
 from evo_cpg.analysis.body_wave import BodyWave, body_wave
-from evo_cpg.analysis.chains import axis_signs, joint_rows, rhythm_of
+from evo_cpg.analysis.chains import axis_signs, joint_rows
 from evo_cpg.analysis.footfalls import Phases
 from evo_cpg.analysis.phase_lags import PhaseLags, phase_lags
 from evo_cpg.creature.creature import Creature, length_of, neutral_pose
-from evo_cpg.physics.current import stream
-from evo_cpg.physics.fluid import Water
+from evo_cpg.physics.water import Water
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.simulation.simulation import Simulation
 
@@ -136,7 +135,7 @@ def gait_numbers(
     frequency = stride.stride_frequency(angle, step)
     power = np.asarray(frames["energy"], float)[:, 0] / step
     tree = simulation.world.tree
-    rows = joint_rows(tree, rhythm_of(simulation.controller)[0])
+    rows = joint_rows(simulation)
     signs = axis_signs(tree, rows)
     angle *= signs
     chain = _chain(rows, recording)
@@ -236,11 +235,11 @@ def _if_anywhere(speed: float, time: float, length: float) -> float:
 
 
 def _of_the_ground(simulation: Simulation, numbers: GaitNumbers, moving: float) -> list[Quantity]:
-    feet, water = numbers.feet, simulation.world.water
+    feet = numbers.feet
     if feet is None:
         return []
     airborne, swims = feet.airborne, ""
-    if water is not None and water.surface is None:
+    if simulation.world.water_level == math.inf:
         airborne, swims = math.nan, "there is water everywhere, which holds it"
     limbs = feet.duty_factor if len(feet.names) else np.array([math.nan])
     never = "" if len(feet.names) else "nothing but the root ever touches the ground"
@@ -393,7 +392,7 @@ def _drift(water: Water, middle: Float[np.ndarray, "t 3"], step: float) -> Float
         middle: of the animal, m.
         step: between samples, s.
     """
-    flow = stream(water.current, water.gradient, water.vortices, jnp.asarray(middle.T))
+    flow = water.velocity(jnp.asarray(middle.T))
     carried = np.broadcast_to(np.asarray(flow, float), middle.T.shape).T * step
     return np.concatenate([np.zeros((1, 3)), np.cumsum(carried, 0)[:-1]])
 
@@ -402,9 +401,9 @@ def _in_water(
     simulation: Simulation, creature: Creature, recording: Recording, numbers: GaitNumbers
 ) -> bool:
     """Whether the chain's bodies reach into the water for half of the second half or more."""
-    water, tree = simulation.world.water, simulation.world.tree
-    if water is None or water.surface is None:
-        return water is not None
+    level, tree = simulation.world.water_level, simulation.world.tree
+    if math.isinf(level):
+        return level > 0
     dofs = numbers.chain
     places = sorted({creature.body_index(tree.names[tree.dof_bodies[dof]]) for dof in dofs})
     # Rows of upward unit vectors, in the bodies' own axes.
@@ -412,7 +411,7 @@ def _in_water(
     centre = np.asarray(recording.position, float)[numbers.first :, places, 2]
     shapes = [creature.bodies[place].shape for place in places]
     deepest = [[u @ shape.support(-u) for u, shape in zip(row, shapes, strict=True)] for row in up]
-    return bool((centre + np.array(deepest) < float(water.surface)).mean() >= 0.5)
+    return bool((centre + np.array(deepest) < level).mean() >= 0.5)
 
 
 def _tail_tip(

@@ -10,6 +10,7 @@ a change of a per cent may be large. So each parameter is also changed by that m
 or to the one that is allowed, the simulation built anew and run, and the two answers compared.
 """
 
+import dataclasses
 import math
 from collections.abc import Callable
 from typing import NamedTuple
@@ -18,10 +19,15 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
 
-from evo_cpg.simulation.rollout import Simulation, rollout, score
-from evo_cpg.simulation.task import Task, Transition
+from evo_cpg.physics.world import World
+from evo_cpg.simulation.judge import score
+from evo_cpg.simulation.measures import Measure, Measures, Speed, Trial, Way
+from evo_cpg.simulation.rollout import rollout
+from evo_cpg.simulation.simulation import Simulation
+from evo_cpg.simulation.task import Transition
+from evo_cpg.spatial.numerics import Number
 
 # Relative change by which a derivative is checked; of a parameter that is 0, the change itself.
 CHANGE = 0.01
@@ -86,52 +92,35 @@ class Sensitivity(NamedTuple):
         return bool(self.step and np.isfinite(larger) and abs(predicted - self.change) <= bound)
 
 
-class _Journey(NamedTuple):
-    """Where the root was first and last, beside the tally of a task."""
-
-    own: PyTree
-    start: Float[Array, "3 *n"]
-    end: Float[Array, "3 *n"]
-
-
-class _Followed(Task):
-    """A task that also tells how fast the animal got on.
+class _Progress(Measure):
+    """Speed along a way, m/s: towards the light, ahead, or in any direction.
 
     Attributes:
-        task: the animal's own.
-        light: that of the task.
         duration: from the first control step to the last, s.
         axes: along which the way counts: the first alone is the way ahead.
     """
 
-    light: tuple[float, float, float] | None
-    task: Task
-    duration: float
+    duration: Number
     axes: int = eqx.field(static=True)
 
-    def begin(self, batch: tuple[int, ...], dtype: jnp.dtype, steps: int) -> _Journey:
-        """See `Task.begin`."""
-        nowhere = jnp.zeros((3, *batch), dtype)
-        return _Journey(self.task.begin(batch, dtype, steps), nowhere, nowhere)
+    def begin(self, world: World, batch: tuple[int, ...], dtype: jnp.dtype) -> Way:
+        """See `Measure.begin`."""
+        return Speed().begin(world, batch, dtype)
 
-    def update(self, tally: _Journey, transition: Transition, steps: int) -> _Journey:
-        """See `Task.update`."""
+    def update(self, tally: Way, transition: Transition) -> Way:
+        """See `Measure.update`."""
         place, light = transition.before.state.position, transition.before.light_position
         if light is not None:
             away = place - light
             place = jnp.stack([-jnp.sqrt((away * away).sum(0)), 0 * place[1], 0 * place[2]])
-        start = jnp.where(transition.step == 0, place, tally.start)
-        return _Journey(self.task.update(tally.own, transition, steps), start, place)
+        return Way(jnp.where(transition.step == 0, place, tally.start), place)
 
-    def terms(self, tally: _Journey, steps: int) -> dict[str, Float[Array, " *n"]]:
-        """Those of the task, and `_SPEED` (m/s)."""
+    def finish(self, tally: Way, trial: Trial) -> Float[Array, " *n"]:
+        """See `Measure.finish`."""
+        del trial
         way = (tally.end - tally.start)[: self.axes]
         along = way[0] if self.axes == 1 else jnp.sqrt((way * way).sum(0))
-        return self.task.terms(tally.own, steps) | {_SPEED: along / self.duration}
-
-    def fitness(self, terms, scales) -> Float[Array, " *n"]:
-        """That of the task."""
-        return self.task.fitness(terms, scales)
+        return along / self.duration
 
 
 def followed(simulation: Simulation) -> Simulation:
@@ -141,11 +130,11 @@ def followed(simulation: Simulation) -> Simulation:
     the task wants that, else the straight way in any direction, over ground without its height.
     """
     task = simulation.task
-    ahead = simulation.lights[0] is not None or getattr(task, "heading", "any") == "forward"
+    ahead = simulation.lights[0] is not None or task.heading == "forward"
     duration = (simulation.steps - 1) / simulation.control_rate
     axes = 1 if ahead else 3 if simulation.world.footing is None else 2
-    followed = _Followed(light=task.light, task=task, duration=duration, axes=axes)
-    return eqx.tree_at(lambda s: s.task, simulation, followed)
+    progress = Measures((_SPEED,), (_Progress(duration=duration, axes=axes),))
+    return dataclasses.replace(simulation, measures=simulation.measures | progress)
 
 
 def measured(

@@ -1,6 +1,8 @@
 """The audit of a champion: is its gait one, or a trick of the simulation?"""
 
 import dataclasses
+import functools
+import math
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -14,16 +16,14 @@ from evo_cpg.analysis.excursions import Excursions, excursions, way
 from evo_cpg.analysis.verdict import Check, Limits, Verdict
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.schema.experiment import ExperimentConfig
-from evo_cpg.control.postures import PostureController
 from evo_cpg.creature.creature import Creature, length_of
 from evo_cpg.creature.self_collision import pairs_that_touch_at_rest
 from evo_cpg.exchange.errors import ExchangeError
 from evo_cpg.exchange.second_opinion import Brain, Opinion, own_opinion, second_opinion
 from evo_cpg.fusion.engine import Engine, described
-from evo_cpg.physics.current import stream
 from evo_cpg.physics.pairs import make_pairs
-from evo_cpg.simulation.physics_steps import PhysicsSteps, physics_steps
-from evo_cpg.simulation.reach_light import ReachLight
+from evo_cpg.simulation.physics_steps import EachPhysicsStep, PhysicsSteps
+from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.training import variations
 from evo_cpg.training.checkpoint import Champion
@@ -161,7 +161,7 @@ def _opinions(
         theirs.append(second_opinion(simulation, creature, steps))
         if simulation.world.footing is not None:
             theirs.append(second_opinion(simulation, creature, steps, hard=True))
-            if not isinstance(simulation.controller, PostureController):
+            if simulation.controller.uses_senses:
                 brain = _brain(experiment, champion)
                 theirs.append(second_opinion(simulation, creature, steps, True, brain))
     except ExchangeError as error:
@@ -221,7 +221,7 @@ def lived_trials(experiment: Experiment, champion: Champion) -> tuple[Trial, ...
 def compile_lived_trials(experiment: Experiment) -> Callable[[Champion], tuple[Trial, ...]]:
     """`lived_trials` of any champion; it is compiled at the first call."""
     simulation, numbers = experiment.simulation, situation_numbers(experiment)
-    live = jax.jit(lambda genes, keys, number: physics_steps(simulation, genes, keys, number))
+    live = jax.jit(functools.partial(rollout, simulation, observers=EachPhysicsStep()))
 
     def of(champion: Champion) -> tuple[Trial, ...]:
         keys = champion_keys(experiment, champion)
@@ -297,7 +297,7 @@ def books(
             ),
         ]
         # In water everywhere nothing flies.
-        if world.water is None or world.water.surface is not None:
+        if world.water_level < math.inf:
             checks.append(check("airborne_way", "way made while airborne", worst("airborne_way")))
     if any(np.any(trial.steps.coulomb_residual) for trial in trials):
         checks.append(check("unsolved", "steps not solved", worst("unsolved")))
@@ -307,9 +307,8 @@ def books(
     if lit and simulation.sensors.eye_bodies and world.footing is not None:
         seen = worst("seen_through_ground")
         checks.append(check("seen_through_ground", "light seen through the ground", seen))
-    if isinstance(simulation.task, ReachLight):
-        spent = champion.terms["energy"] / champion.scales["energy"] - 1.0
-        checks.append(check("free_energy", "energy spent for free", max(0.0, spent)))
+    for name, excess in simulation.task.beyond_scales(champion.terms, champion.scales).items():
+        checks.append(check(f"free_{name}", f"{name} spent for free", excess))
     return checks
 
 
@@ -418,9 +417,9 @@ def _carried(experiment: Experiment, trials: Sequence[Trial]) -> float:
         return 0.0
     for i, trial in enumerate(trials):
         start = np.asarray(trial.steps.before.position[:, :1], float)
-        flow = stream(water.current, water.gradient, water.vortices, jnp.asarray(start))
+        flow = water.velocity(jnp.asarray(start))
         flow = np.broadcast_to(np.asarray(flow, float), start.shape)
-        if water.surface is not None and start[2] > water.surface:
+        if start[2] > simulation.world.water_level:
             flow = 0.0 * flow
         light = simulation.lights[0 if numbers is None else i]
         ways.append(way(np.hstack([start, start + simulation.duration * flow]), light))

@@ -11,7 +11,7 @@ from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.numbers import number_at
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.simulation.batched import BatchedSimulation
-from evo_cpg.simulation.rollout import Outcome
+from evo_cpg.simulation.judge import Outcome
 from evo_cpg.training.devices import population_mesh
 from evo_cpg.training.experiment import Experiment, compile_trials
 

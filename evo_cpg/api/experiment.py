@@ -30,7 +30,9 @@ from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.creature.creature import Creature
 from evo_cpg.evolution.strategy import Evaluation
 from evo_cpg.physics.world import World
-from evo_cpg.simulation.rollout import Outcome, as_recording, no_terms, record
+from evo_cpg.simulation.judge import Outcome, no_terms
+from evo_cpg.simulation.recording import Recorder, as_recording
+from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.task import Task
 from evo_cpg.training import experiment as training
 from evo_cpg.training.devices import population_mesh
@@ -130,7 +132,7 @@ class Experiment:
     @property
     def gene_count(self) -> int:
         """Numbers in a genome."""
-        return self.parts.simulation.controller.gene_count
+        return self.parts.simulation.genome.count
 
     @property
     def population(self) -> int:
@@ -149,9 +151,8 @@ class Experiment:
             key: of all chance: a number, or a key of JAX.
             count: how many; None for the configuration's population.
         """
-        controller = self.parts.simulation.controller
         shape = (self.population if count is None else count,)
-        return np.asarray(training.random_genes(controller, _key(key), shape)).T.copy()
+        return np.asarray(self.parts.simulation.genome.random(_key(key), shape)).T.copy()
 
     def rollout(self, key: ArrayLike, genomes: ArrayLike, bodies: Numbers | None = None) -> Trials:
         """Let every individual live through its trials.
@@ -366,9 +367,8 @@ class Experiment:
 
     @functools.cached_property
     def _record(self) -> Callable:
-        return jax.jit(
-            lambda *given: record(self.parts.simulation, given[0], 1, *given[1:], full=True)
-        )
+        recorder = Recorder(full=True)
+        return jax.jit(functools.partial(rollout, self.parts.simulation, observers=recorder))
 
     def _genes(self, genomes: ArrayLike) -> np.ndarray:
         """Genomes as the library has them, checked."""

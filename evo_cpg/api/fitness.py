@@ -38,7 +38,7 @@ def fitness_function(
         parameters: numbers of the configuration that the function takes as well.
         task: instead of the configuration's.
     """
-    simulation, count = parts.simulation, parts.simulation.controller.gene_count
+    simulation, count = parts.simulation, parts.simulation.genome.count
     situations: Any = situation_numbers(parts)
     kept, exact = None, horizon == math.inf
     if horizon is not None and not exact:
@@ -58,7 +58,7 @@ def fitness_function(
             trial = parameters.simulation(jnp.asarray(values, genome.dtype))
             trial = dataclasses.replace(trial, task=task) if task else trial
         crowd = jnp.broadcast_to(genome[:, None], (count, parts.trials))
-        outcome = rollout(trial, crowd, keys, situations, backward)
+        outcome = rollout(trial, crowd, keys, situations, backward=backward)
         return judge(trial.task, outcome, scales)[0]
 
     return fitness

@@ -10,8 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.files import write_text, write_whole
-from evo_cpg.simulation.recording import Recording
-from evo_cpg.simulation.rollout import NERVE, SENSE, as_recording
+from evo_cpg.simulation.recording import NERVE, SENSE, Recording, as_recording
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.experiment import Experiment
@@ -76,7 +75,7 @@ def as_record(simulation: Simulation, frames: Mapping[str, Array], recording: Re
 
     Args:
         simulation: the trial.
-        frames: of one individual, ``full`` ones of `evo_cpg.simulation.rollout.record`.
+        frames: of one individual, ``full`` ones of `evo_cpg.simulation.recording.Recorder`.
         recording: the same in the order of the creature.
     """
     columns: dict[str, np.ndarray] = {"time": recording.time}
@@ -130,7 +129,7 @@ class Life(NamedTuple):
 
     Attributes:
         fitness: as it counts in the run.
-        frames: see `evo_cpg.simulation.rollout.record`, of one individual.
+        frames: see `evo_cpg.simulation.recording.Recorder`, of one individual.
         recording: its motion.
     """
 
@@ -153,7 +152,7 @@ def lives_again(
         champions: the individuals.
         folder: of their run.
         trial: which of their trials is recorded, from 0.
-        full: see `evo_cpg.simulation.rollout.record`.
+        full: see `evo_cpg.simulation.recording.Recorder`.
     """
     # Importing the loop starts nothing, but it takes JAX a second.
     from evo_cpg.training.loop import compile_life

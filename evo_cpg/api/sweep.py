@@ -218,8 +218,7 @@ def groups(members: Sequence[Member]) -> list[list[Member]]:
         config = member.config.model_dump(mode="json", exclude=set(_SEARCH))
         audit = member.config.audit.model_dump(mode="json")
         rules = {name: audit[name] for name in audit["disqualify"]}
-        measures = member.experiment.simulation.measures
-        names = () if measures is None else measures.names
+        names = member.experiment.simulation.measures.names
         key = json.dumps([config, rules, names, member.experiment.trials], sort_keys=True)
         found.setdefault(key, []).append(member)
     return list(found.values())
@@ -279,7 +278,8 @@ def summarise(folder: Path, members: Sequence[Member]) -> Summary:
     Raises:
         RunFolderError: nothing has been evolved yet, or the folder cannot be written.
     """
-    from evo_cpg.view.sweep_plot import Curves, plot_sweep
+    from evo_cpg.view.figure import save_figure
+    from evo_cpg.view.search_plots import Curves, sweep_figure
 
     rows: list[dict[str, Any]] = []
     curves, fitness = [], {}
@@ -321,7 +321,8 @@ def summarise(folder: Path, members: Sequence[Member]) -> Summary:
     runs = sorted({one.runs for one in spreads})
     many = f"{runs[0]}" if len(runs) == 1 else f"{runs[0]} to {runs[-1]}"
     title = f"{folder.name}: {len(spreads)} settings, {many} runs of each"
-    return Summary(spreads, comparisons, plot_sweep(curves, title, folder / "sweep.png"))
+    picture = save_figure(sweep_figure(curves, title), folder / "sweep.png")
+    return Summary(spreads, comparisons, picture)
 
 
 def _told(value: Any) -> Any:

@@ -25,7 +25,7 @@ from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.config.shipped import shipped_name
 from evo_cpg.fusion.stopwatch import Spent, measuring
 from evo_cpg.simulation.operations import estimate_operations
-from evo_cpg.simulation.way import WAY
+from evo_cpg.simulation.way import WAY, with_way
 from evo_cpg.system import name_of, resolved
 from evo_cpg.training import experiment as parts
 from evo_cpg.training.checkpoint import Champion, genes_digest
@@ -299,8 +299,6 @@ class Recorder:
         devices = self._folder.read_meta()["devices"]
         recorded = self._experiment
         if self._measures_way:
-            from evo_cpg.training.variations import with_way
-
             recorded = recorded._replace(simulation=with_way(recorded.simulation))
         self._program = _Job(took)
         self._program.begin(self._thread, compile_replay, recorded, devices)

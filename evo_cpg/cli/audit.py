@@ -173,17 +173,17 @@ def _write(folder: RunFolder, name: str, champion: Champion, done: "Audit") -> N
 
 
 def _draw(folder: RunFolder, name: str, title: str, done: "Audit") -> None:
-    from evo_cpg.view.audit_plot import plot_audit
+    from evo_cpg.view.audit_plot import audit_figure
+    from evo_cpg.view.figure import save_figure
 
-    picture = plot_audit(
+    figure = audit_figure(
         done.trials[0].ledger,
         done.step_length,
         [check for check in done.verdict.checks if "way" in check.question and check.unit == "%"],
         {one.program: one.path for one in done.opinions},
         title,
-        folder.path / "plots" / f"{name}.png",
     )
-    print(picture)
+    print(save_figure(figure, folder.path / "plots" / f"{name}.png"))
 
 
 def _summary(champions: Sequence[Champion], made: Sequence["Audit"]) -> Table:

@@ -89,6 +89,9 @@ def export_model(source: Path, output: Path) -> None:
         carried = world.water.surface is None
         what = "all of it but buoyancy" if carried else "all of it, since it has a surface"
         print(f"left out: the water, {what}", file=sys.stderr)
+    own = [type(law).__name__ for law in world.forces if not law.of_water]
+    if own:
+        print(f"left out: force laws of your own, {', '.join(own)}", file=sys.stderr)
     print(output)
 
 

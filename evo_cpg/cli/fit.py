@@ -31,7 +31,7 @@ from evo_cpg.view.output import PLOT_SUFFIXES, output_path
 
 if TYPE_CHECKING:
     from evo_cpg.analysis.fit import Fit
-    from evo_cpg.simulation.rollout import Simulation
+    from evo_cpg.simulation.simulation import Simulation
 
 _INITIAL = "initial."
 KINDS = ("position", "attitude", "angle")
@@ -85,11 +85,8 @@ def fit_data(
     parameters = parametrise(_trial_of(recording, config), path, inner)
     simulation = parameters.experiment.simulation
     _check_names(recording, simulation, [*begun, *set(names) - set(inner)], data)
-    if genes is not None and len(genes) != simulation.controller.gene_count:
-        raise UsageError(
-            f"--run: the champion of {run} has {len(genes)} genes, {path} asks for "
-            f"{simulation.controller.gene_count}"
-        )
+    if genes is not None and (wrong := simulation.genome.misfit(genes)):
+        raise UsageError(f"--run: the champion of {run} does not fit {path}: {wrong}")
     ordered = (*inner, *(name for name in names if name not in inner))
     values = [number_at(config, name) for name in inner]
     values += [start.get(name, begun.get(name, 0.0)) for name in ordered[len(inner) :]]
@@ -117,9 +114,11 @@ def fit_data(
         write_text(out, text)
         print(out)
     if plot is not None:
-        from evo_cpg.view.fit_plot import plot_fit
+        from evo_cpg.view.figure import save_figure
+        from evo_cpg.view.parameter_plots import fit_figure
 
-        print(plot_fit(recording.time, recording.columns, recording.data, shown, plot))
+        figure = fit_figure(recording.time, recording.columns, recording.data, shown)
+        print(save_figure(figure, plot))
 
 
 def _trial_of(recording: MeasuredMotion, config: ExperimentConfig) -> ExperimentConfig:

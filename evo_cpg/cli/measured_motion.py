@@ -12,7 +12,7 @@ from evo_cpg.cli.errors import UsageError
 from evo_cpg.control.commanded import Commanded
 
 if TYPE_CHECKING:
-    from evo_cpg.simulation.rollout import Simulation
+    from evo_cpg.simulation.simulation import Simulation
 
 # Columns of commands begin with this.
 TARGET = "target."

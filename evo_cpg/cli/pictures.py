@@ -5,7 +5,7 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from evo_cpg.analysis.chains import axis_signs, joint_rows, rhythm_of
+from evo_cpg.analysis.chains import axis_signs, joint_rows
 from evo_cpg.cli.building import read_config
 from evo_cpg.cli.champions import champion_motion
 from evo_cpg.cli.errors import UsageError
@@ -24,29 +24,28 @@ def plot_run(
 ) -> None:
     """`evo-cpg plot`; see `champion_motion`."""
     experiment, champion, recording, folder = champion_motion(run, number, trial, cell)
-    from evo_cpg.view.plots import plot_fitness, plot_joint_signals, plot_path
+    from evo_cpg.view.figure import save_figure
+    from evo_cpg.view.plots import fitness_figure, joint_signals_figure, path_figure
 
     place = output or folder.path / "plots"
     of_run = "" if number is None else f"_run{number}"
     which = of_run + of_trial(trial) + ("" if cell is None else f"_cell_{cell.replace(',', '_')}")
     history = folder.history()
     history["best_so_far"] = history["champion"]
-    print(plot_fitness(history, place / "fitness.png"))
+    print(save_figure(fitness_figure(history), place / "fitness.png"))
     if recording.dof_names:
         simulation = experiment.simulation
-        settings, signal = rhythm_of(simulation.controller)
         tree = simulation.world.tree
-        rows = joint_rows(tree, settings)
-        made = plot_joint_signals(
+        rows = joint_rows(simulation)
+        figure = joint_signals_figure(
             recording,
-            place / f"joint_signals{which}.png",
             chains=rows,
             signs=axis_signs(tree, rows),
             title=experiment.name,
-            signal=signal,
+            signal=simulation.controller.signal_label,
         )
-        print(made)
-    print(plot_path(recording, place / f"path{which}.png"))
+        print(save_figure(figure, place / f"joint_signals{which}.png"))
+    print(save_figure(path_figure(recording), place / f"path{which}.png"))
     _plot_map(experiment, champion, folder, place / f"map{of_run}.png")
 
 
@@ -57,10 +56,11 @@ def _plot_map(experiment: Experiment, champion: Champion, folder: RunFolder, pat
     checkpoint = folder.load()
     found = checkpoint and gait_map(experiment, checkpoint, champion.run)
     if found:
-        from evo_cpg.view.map_plot import plot_map
+        from evo_cpg.view.figure import save_figure
+        from evo_cpg.view.map_plot import map_figure
 
         title = experiment.name + (f", run {champion.run}" if experiment.runs > 1 else "")
-        print(plot_map(found.axes, found.fitness, path, title))
+        print(save_figure(map_figure(found.axes, found.fitness, title), path))
 
 
 def preview_config(

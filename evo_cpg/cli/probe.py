@@ -65,7 +65,8 @@ def probe_run(
             took = time.monotonic() - start
             work.doing(f"compiling, and probing {len(situations)} lights blind", expected=took)
             found = probe(blinded(simulation), genes, situations)
-    from evo_cpg.view.probe_plot import plot_probe
+    from evo_cpg.view.figure import save_figure
+    from evo_cpg.view.probe_plot import probe_figure
 
     reached = found.reached(reach)
     rows = probe_rows(found, reach)
@@ -74,7 +75,8 @@ def probe_run(
     table = place / f"{name}{'_blind' if blind else ''}.csv"
     write_table(table, rows)
     who = f"{experiment.name}, blind" if blind else experiment.name
-    picture = plot_probe(found, reach, f"{who}: {result}", table.with_suffix(".png"))
+    figure = probe_figure(found, reach, f"{who}: {result}")
+    picture = save_figure(figure, table.with_suffix(".png"))
     Console().print(_table(rows))
     if blind and seeing.displacement > 0:
         kept = max(0.0, found.displacement) / seeing.displacement

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from evo_cpg.api.load import class_folders, misfit
+from evo_cpg.api.load import class_folders
 from evo_cpg.api.training import now, require_configured
 from evo_cpg.cli.building import build
 from evo_cpg.cli.champions import (
@@ -58,7 +58,7 @@ def _refine(
     champion, motion, _ = folder.load_champion()
     if number is not None and number != champion.run:
         champion, motion = champion_of(folder, number), None
-    wrong = misfit(experiment, champion)
+    wrong = experiment.simulation.genome.misfit(champion.genes)
     if wrong:
         raise RunFolderError(f"{folder.config} was changed after training: {wrong}")
     beside = class_folders(folder)

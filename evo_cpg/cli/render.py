@@ -7,8 +7,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from evo_cpg.analysis.chains import rhythm_of
-from evo_cpg.api.load import misfit
 from evo_cpg.api.record import Life, lives_again
 from evo_cpg.cli.champions import (
     REPLAY_TOLERANCE,
@@ -159,7 +157,7 @@ def _lineage(
     require_trial(experiment, folder, trial)
     chosen, panels = _chosen(folder, champion, wanted), []
     for one in chosen:
-        wrong = misfit(experiment, one)
+        wrong = experiment.simulation.genome.misfit(one.genes)
         if wrong:
             raise RunFolderError(f"{folder.lineage}: generation {one.generation}: {wrong}")
     for one, life in zip(chosen, _replayed(experiment, chosen, folder, trial), strict=True):
@@ -230,7 +228,7 @@ def _signals(experiment: Experiment, life: Life) -> "Signals":
     from evo_cpg.view.signals import signals_of
 
     simulation = experiment.simulation
-    word, _, unit = rhythm_of(simulation.controller)[1].partition(" (")
+    word, _, unit = simulation.controller.signal_label.partition(" (")
     feet = gait_numbers(simulation, experiment.creature, life.frames, life.recording).feet
     names, touched = ((), None) if feet is None else (feet.names, feet.steady)
     return signals_of(life.recording, word, unit == "rad)", names, touched)

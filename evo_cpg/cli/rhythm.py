@@ -21,26 +21,26 @@ from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.exit_codes import ExitCode
 from evo_cpg.cli.oscillators import warn_of_oscillators
 from evo_cpg.config.load import load_config
-from evo_cpg.control.brain_cpg import BrainCpg
 from evo_cpg.control.couplings import ring_members
-from evo_cpg.simulation.rollout import Simulation
+from evo_cpg.control.matsuoka import Oscillators
+from evo_cpg.simulation.simulation import Simulation
 
 _COLUMNS = ("joints", "Hz", "lag, deg", "amplitude", "multiplier", "recovery")
 
 
-def read_oscillators(path: Path, overrides: Sequence[str]) -> tuple[Simulation, BrainCpg]:
-    """A config's simulation and its controller.
+def read_oscillators(path: Path, overrides: Sequence[str]) -> tuple[Simulation, Oscillators]:
+    """Return a config's simulation and its oscillators.
 
     Raises:
         UsageError: the controller has no oscillators.
     """
     simulation = build(load_config(path, overrides), path).simulation
-    controller = simulation.controller
-    if not isinstance(controller, BrainCpg):
+    oscillators = simulation.controller.rhythm_generator
+    if oscillators is None:
         raise UsageError(
             f"{path}: its controller has no oscillators; `controller.type: brain_cpg` has"
         )
-    return simulation, controller
+    return simulation, oscillators
 
 
 def show_rhythm(
@@ -51,9 +51,8 @@ def show_rhythm(
     Raises:
         SystemExit: with `ExitCode.FAULT`, where the search failed for some oscillators.
     """
-    simulation, controller = read_oscillators(path, overrides)
+    simulation, (cpg, network, _) = read_oscillators(path, overrides)
     tree = simulation.world.tree
-    cpg, network = controller.settings.cpg, controller.network
     middle = (cpg.min_adaptation_gain + cpg.max_adaptation_gain) / 2
     gains = np.full(network.oscillator_count, middle if gain is None else gain)
     tonic = cpg.max_tonic_input if tonic_input is None else tonic_input

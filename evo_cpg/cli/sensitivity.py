@@ -80,11 +80,13 @@ def show_sensitivities(
     name = "sensitivity" if number is None else f"sensitivity_run{number}"
     table = place / f"{name}.csv"
     write_table(table, rows)
-    from evo_cpg.view.sensitivity_plot import plot_sensitivities
+    from evo_cpg.view.figure import save_figure
+    from evo_cpg.view.parameter_plots import sensitivity_figure
 
     time = steps / rate
     title = f"{experiment.name}: speed {speed[0].measure:.3g} m/s over {time:.3g} s"
-    picture = plot_sensitivities(speed, "speed", title, table.with_suffix(".png"), _SHOWN)
+    figure = sensitivity_figure(speed, "speed", title, _SHOWN)
+    picture = save_figure(figure, table.with_suffix(".png"))
     Console().print(_table(rows[:_SHOWN]))
     stuck = sum(not one.step for one in speed)
     doubtful = sum(not one.confirmed for one in speed) - stuck

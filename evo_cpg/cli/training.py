@@ -167,7 +167,7 @@ def _require_alike(
         )
     if done is not None:
         runs, population = experiment.runs, experiment.strategy.population
-        asked = experiment.simulation.controller.gene_count, runs * population, runs
+        asked = experiment.simulation.genome.count, runs * population, runs
         found = *done.genes.shape, len(done.champions)
         if asked != found:
             raise RunFolderError(
@@ -186,8 +186,8 @@ def _require_same_columns(folder: RunFolder, done: Checkpoint, experiment: Exper
         RunFolderError: task, measures or strategy tell other numbers than those before.
     """
     simulation = experiment.simulation
-    measured = () if simulation.measures is None else simulation.measures.names
-    terms = [f"best_{name}" for name in (*term_names(simulation.task), *measured)]
+    measured = term_names(simulation.task) + simulation.measures.names
+    terms = [f"best_{name}" for name in measured]
     asked, found = [*experiment.strategy.metric_names, *terms], done.history[-1]
     added = [name for name in asked if name not in found]
     lost = [name for name in found if name not in (*asked, *TABLE_COLUMNS)]

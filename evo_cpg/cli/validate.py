@@ -44,7 +44,7 @@ def validate_configs(words: Sequence[str], strict: bool = False) -> None:
             print(
                 f"{given}: {tree.body_count} bodies, {tree.dof_count} joint axes, "
                 f"{experiment.creature.mass:.3g} kg, "
-                f"{experiment.simulation.controller.gene_count} genes"
+                f"{experiment.simulation.genome.count} genes"
             )
             warn_of_oscillators(given, experiment.simulation)
             warn_of_cost(given, experiment.simulation)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from evo_cpg.api.load import changed_config, misfit
+from evo_cpg.api.load import changed_config
 from evo_cpg.api.surroundings import differences as changed_surroundings
 from evo_cpg.api.surroundings import surroundings
 from evo_cpg.api.training import require_configured
@@ -35,7 +35,7 @@ def verify_run(run: Path, cores: int | None) -> None:
             differences.append("champion.npz: the genome is not that of the newest checkpoint")
         if outcome_digest(kept) != outcome_digest(champion):
             differences.append("champion.npz: the newest checkpoint records other fitness or terms")
-    wrong = misfit(experiment, champion)
+    wrong = experiment.simulation.genome.misfit(champion.genes)
     if wrong:
         _report(run, [*differences, wrong])
     devices = folder.read_meta().get("devices", 1)

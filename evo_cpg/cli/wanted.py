@@ -43,8 +43,8 @@ def find_rhythm(
     """
     _check(frequency, lag, gain, tonic_input)
     keep_compiled_programs()
-    simulation, controller = read_oscillators(path, overrides)
-    tree, settings = simulation.world.tree, controller.settings.cpg
+    simulation, (settings, *_) = read_oscillators(path, overrides)
+    tree = simulation.world.tree
     if frequency is not None and 2 * frequency >= simulation.control_rate:
         raise UsageError(
             f"--frequency {frequency:g}: must be less than half of the {simulation.control_rate:g} "

@@ -2,7 +2,7 @@
 
 import dataclasses
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +11,10 @@ from evo_cpg.config.errors import ConfigError, nearest
 from evo_cpg.config.lines import with_line
 from evo_cpg.config.numbers import unchecked
 from evo_cpg.config.own_classes import build_own, require_code
-from evo_cpg.config.own_returns import check_own_returns, check_own_strategy
+from evo_cpg.config.own_returns import check_own_forces, check_own_returns, check_own_strategy
 from evo_cpg.config.schema.choice import CustomConfig
 from evo_cpg.config.schema.evolution import RealEvolutionConfig
 from evo_cpg.config.schema.experiment import ExperimentConfig
-from evo_cpg.config.schema.task import DistanceConfig, WalkConfig
 from evo_cpg.config.schema.world import WaterConfig
 from evo_cpg.config.situations import build_situations, require_light
 from evo_cpg.config.strategy import build_strategy
@@ -32,23 +31,21 @@ from evo_cpg.creature.surface import outer_surfaces, random_surfaces
 from evo_cpg.creature.tree import Tree, build_tree
 from evo_cpg.fusion.engine import Engine, target, using
 from evo_cpg.fusion.unsupported import Unsupported
-from evo_cpg.physics.added_mass import added_inertia
+from evo_cpg.physics.added_mass import AddedMass, added_inertia
 from evo_cpg.physics.buoyancy import make_cells
-from evo_cpg.physics.current import Vortex
-from evo_cpg.physics.fluid import Patch, Water, make_patches
+from evo_cpg.physics.fluid import Drag, Patch, make_patches
 from evo_cpg.physics.footing import make_footing
+from evo_cpg.physics.force_law import ForceLaw
 from evo_cpg.physics.pairs import make_pairs
+from evo_cpg.physics.water import Current, Vortex, Water
 from evo_cpg.physics.world import World
-from evo_cpg.simulation.measures import GROUND_MEASURES, MEASURES, Measures
+from evo_cpg.simulation.measures import GROUND_MEASURES, MEASURES, Measures, measures
 from evo_cpg.simulation.noise import Noise
-from evo_cpg.simulation.reach_light import ReachLight
 from evo_cpg.simulation.rules import Rules
 from evo_cpg.simulation.sensor import Sensor
 from evo_cpg.simulation.sensors import place_sensors
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.task import Task, term_names
-from evo_cpg.simulation.velocity_sensor import VelocitySensor
-from evo_cpg.simulation.walk import Distance, Walk
 from evo_cpg.spatial.choices import chosen
 from evo_cpg.spatial.numerics import Triple, xp
 from evo_cpg.system import resolved, with_working_folder
@@ -141,7 +138,7 @@ def require_genes(experiment: Experiment, source: Path | str) -> None:
         ConfigError: the controller has no genes.
     """
     controller = experiment.simulation.controller
-    if controller.gene_count == 0:
+    if experiment.simulation.genome.count == 0:
         raise ConfigError(
             source,
             ("controller",),
@@ -173,7 +170,8 @@ def build_simulation(
     engine = _choose_engine(config, source)
     creature = build_creature(config, source)
     tree = build_tree(creature)
-    world = _build_world(config, creature, tree, apart, pairs)
+    world = _build_world(config, creature, tree, apart, pairs, source)
+    check_own_forces(config, world, source)
     extra_sensors = _build_sensors(config, tree, source)
     custom = sum(sensor.count for sensor in extra_sensors)
     controller = _build_controller(config, creature, tree, custom, source)
@@ -208,14 +206,14 @@ def build_simulation(
 
 def _build_measures(
     config: ExperimentConfig, task: Task, world: World, source: Path | str
-) -> Measures | None:
+) -> Measures:
     """What is measured of the gait: what is asked for, and the axes of a map.
 
     Raises:
         ConfigError: there is no such measure, or not in this world.
     """
     if not config.measures and not config.evolution.axes:
-        return None
+        return Measures()
     try:
         own = term_names(task)
     except Exception:
@@ -240,8 +238,7 @@ def _build_measures(
             raise ConfigError(source, key, f"{name!r} means nothing: there is no ground")
         if name == "cost_of_transport" and not chosen(lambda: world.gravity > 0):
             raise ConfigError(source, key, f"{name!r} means nothing: there is no gravity")
-    names = tuple(dict.fromkeys(name for _, name in asked))
-    return Measures(names) if names else None
+    return measures(*dict.fromkeys(name for _, name in asked))
 
 
 def _build_rules(
@@ -307,6 +304,7 @@ def _build_world(
     tree: Tree,
     apart: bool,
     pairs: PairNames | None,
+    source: Path | str,
 ) -> World:
     water = config.world.water
     ground = config.world.ground and build_ground(config.world.ground)
@@ -317,27 +315,39 @@ def _build_world(
         tree=tree,
         gravity=config.world.gravity,
         water=_build_water(water) if water else None,
-        patches=_surface_points(water, creature, tree, apart) if water else (),
+        forces=(
+            *(_water_laws(water, creature, tree, apart) if water else ()),
+            *_own_laws(config, creature, tree, source),
+        ),
         footing=ground and make_footing(creature, tree, ground),
         cells=make_cells(creature, tree) if water and water.surface is not None else (),
-        added_inertia=added_inertia(creature, tree, water.density)
-        if water and water.added_mass
-        else None,
         pairs=wanted and make_pairs(creature, tree, wanted),
     )
 
 
 def _build_water(water: WaterConfig) -> Water:
-    return Water(
-        water.density,
-        water.form_drag,
-        water.skin_drag,
-        water.current,
-        water.law,
-        water.surface,
-        water.current_gradient,
-        tuple(Vortex(**dict(vortex)) for vortex in water.vortices),
-    )
+    vortices = (Vortex(**dict(vortex)) for vortex in water.vortices)
+    current = Current(water.current, water.current_gradient)
+    return Water(water.density, water.surface, (current, *vortices))
+
+
+def _water_laws(
+    water: WaterConfig, creature: Creature, tree: Tree, apart: bool
+) -> Iterator[ForceLaw]:
+    """Force laws of the water, in the order in which they are added up."""
+    patches = _surface_points(water, creature, tree, apart)
+    yield Drag(water.form_drag, water.skin_drag, patches, water.law)
+    if water.added_mass:
+        yield AddedMass(added_inertia(creature, tree, water.density))
+
+
+def _own_laws(
+    config: ExperimentConfig, creature: Creature, tree: Tree, source: Path | str
+) -> Iterator[ForceLaw]:
+    """Force laws of the user's own."""
+    for i, given in enumerate(config.world.forces):
+        key = "world", "forces", i
+        yield build_own(given, ForceLaw, key, source, creature=creature, tree=tree)
 
 
 def _surface_points(
@@ -362,7 +372,7 @@ def _build_sensors(config: ExperimentConfig, tree: Tree, source: Path | str) -> 
     return tuple(
         build_own(given, Sensor, ("creature", "sensors", i), source, tree=tree, control_step=step)
         if isinstance(given, CustomConfig)
-        else VelocitySensor(given.body, given.full_scale)
+        else given.build()
         for i, given in enumerate(config.creature.sensors)
     )
 
@@ -410,21 +420,4 @@ def _build_task(
     given = config.task
     if isinstance(given, CustomConfig):
         return build_own(given, Task, ("task",), source)
-    if isinstance(given, DistanceConfig):
-        return Distance(heading=given.heading)
-    if isinstance(given, WalkConfig):
-        torso = next(body for body in creature.bodies if body.joint is None)
-        weights = dict(given)
-        del weights["type"]
-        return Walk(torso_length=2 * torso.shape.half_extents[0], **weights)
-    assert light is not None
-    return ReachLight(
-        light=light,
-        distance_weight=given.distance_weight,
-        energy_weight=given.energy_weight,
-        energy_max=given.energy_max,
-        light_weight=given.light_weight,
-        final_steps=chosen(
-            lambda: max(1, round(given.final_seconds * config.simulation.control_rate_hz))
-        ),
-    )
+    return given.build(creature, light, config.simulation.control_rate_hz)

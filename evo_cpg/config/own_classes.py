@@ -20,9 +20,10 @@ from evo_cpg.system import with_working_folder
 
 def own_parts(config: ExperimentConfig) -> list[tuple[tuple[str | int, ...], CustomConfig]]:
     """The parts of a configuration that are classes of the user's own, and their keys."""
-    sensors = enumerate(config.creature.sensors)
+    sensors, forces = enumerate(config.creature.sensors), enumerate(config.world.forces)
     parts: list[tuple[tuple[str | int, ...], Any]] = [
         *((("creature", "sensors", i), sensor) for i, sensor in sensors),
+        *((("world", "forces", i), force) for i, force in forces),
         (("controller",), config.controller),
         (("task",), config.task),
         (("evolution",), config.evolution),

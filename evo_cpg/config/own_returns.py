@@ -15,6 +15,9 @@ from evo_cpg.evolution.islands import Islands
 from evo_cpg.evolution.map_elites import METRICS, Mapped
 from evo_cpg.evolution.strategy import Evaluation, Strategy
 from evo_cpg.fusion.engine import Engine, using
+from evo_cpg.physics.kinematics import kinematics
+from evo_cpg.physics.state import resting_state
+from evo_cpg.physics.world import World
 from evo_cpg.simulation.control_step import (
     Effects,
     begin_life,
@@ -59,7 +62,7 @@ def check_own_returns(config: ExperimentConfig, simulation: Simulation, source: 
             read = checked(key, sensor, "sense", lambda method, s=snapshot: method(s, forces))
             _expect_array(checked.where("sense"), read, (sensor.count, _INDIVIDUALS))
         observation = sense(simulation, life, animal)
-        given = life.decoded, animal.nerves, observation
+        given = life.phenotype.controller, animal.nerves, observation
         found = checked(("controller",), simulation.controller, "act", lambda act: act(*given))
         if not (isinstance(found, tuple) and len(found) == 2 and isinstance(found[1], Command)):
             checked.where("act").fail("must return a pair of the next state and a Command")
@@ -73,9 +76,34 @@ def check_own_returns(config: ExperimentConfig, simulation: Simulation, source: 
         effects = Effects(animal.state, animal.state, observation, command, forces, energy, energy)
         _check_task(checked, simulation, transition(simulation, life, effects, jnp.int32(0)))
 
-    shape = simulation.controller.gene_count, _INDIVIDUALS
+    shape = simulation.genome.count, _INDIVIDUALS
     with using(Engine("jax")):
         jax.eval_shape(go, jax.ShapeDtypeStruct(shape, jnp.float32))
+
+
+def check_own_forces(config: ExperimentConfig, world: World, source: Path | str) -> None:
+    """Let the user's own force laws act on the creature, of which only shapes are computed.
+
+    Raises:
+        ConfigError: one of them fails, or gives something of another kind or shape than it must.
+    """
+    count = len(config.world.forces)
+    if not count:
+        return
+    keys = [("world", "forces", i) for i in range(count)]
+    checked, shape = _Checked(keys, source), (6, world.tree.body_count, _INDIVIDUALS)
+
+    def go() -> None:
+        state = resting_state(world.tree, (_INDIVIDUALS,), jnp.float32)
+        bodies = world.bodies(kinematics(world.tree, state), 1e-3)
+        for key, law in zip(keys, world.forces[-count:], strict=True):
+            wrench = checked(key, law, "wrench", lambda method: method(bodies))
+            _expect_array(checked.where("wrench"), wrench, shape)
+            slope = checked(key, law, "derivative", lambda method: method(bodies))
+            _expect_array(checked.where("derivative"), slope, (6, *shape))
+
+    with using(Engine("jax")):
+        jax.eval_shape(go)
 
 
 def check_own_strategy(
@@ -100,8 +128,8 @@ def check_own_strategy(
         else:
             map_metrics = METRICS
         strategy = strategy.strategy
-    shape = simulation.controller.gene_count, strategy.population
-    names = (*term_names(simulation.task), *_measures(simulation))
+    shape = simulation.genome.count, strategy.population
+    names = (*term_names(simulation.task), *simulation.measures.names)
     taken = {*TABLE_COLUMNS, *map_metrics, *(f"best_{name}" for name in names)}
     checked = _Checked([key], source)
     asked = config.evolution.population // shares
@@ -157,7 +185,7 @@ def _check_task(checked: "_Checked", simulation: Simulation, seen: Any) -> None:
     _expect_like(checked.where("update"), "the tally", after, tally)
     terms = checked(key, task, "terms", lambda terms: terms(after, steps))
     _expect_dict(checked.where("terms"), terms, "term", batch)
-    terms = terms | dict.fromkeys(_measures(simulation), seen.energy)
+    terms = terms | dict.fromkeys(simulation.measures.names, seen.energy)
     scales = checked(key, task, "scales", lambda scales: scales(terms))
     _expect_dict(checked.where("scales"), scales, "scale")
     about = checked(key, task, "descriptors", lambda descriptors: descriptors(terms))
@@ -166,10 +194,6 @@ def _check_task(checked: "_Checked", simulation: Simulation, seen: Any) -> None:
         alone = "" if crowd is terms else "one individual alone"
         fitness = checked(key, task, "fitness", lambda fitness, x=crowd: fitness(x, scales))
         _expect_array(checked.where("fitness"), fitness, () if alone else batch, alone)
-
-
-def _measures(simulation: Simulation) -> tuple[str, ...]:
-    return simulation.measures.names if simulation.measures else ()
 
 
 class _Where:

@@ -45,8 +45,8 @@ _SEARCHED = 1e-7
 # Differences of so many units in the last place are rounding.
 _ROUNDING = 16 * np.finfo(float).eps
 
-# Where the surfaces are that meet the water.
-_PATCHES = tuple(jax.tree_util.GetAttrKey(name) for name in ("world", "patches"))
+# Where force laws have the surfaces that meet the water.
+_PATCHES = jax.tree_util.GetAttrKey("patches")
 
 # What does not change may differ by this share: rounding.
 _LAYOUT = 1e-9
@@ -190,7 +190,7 @@ def all_parameters(
     found = []
     experiment = build_experiment(config, source, folders)
     paths = jax.tree_util.tree_flatten_with_path(experiment.simulation)[0]
-    wet = {i for i, (path, _) in enumerate(paths) if path[:2] == _PATCHES}
+    wet = {i for i, (path, _) in enumerate(paths) if _PATCHES in path}
     for apart in (False, True) if surfaces else (False,):
         building = _Building(config, source, apart)
         changes = {}

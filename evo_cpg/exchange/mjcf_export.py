@@ -14,9 +14,9 @@
 | a start in another pose than the neutral one | a ``key`` named ``start`` |
 
 Masses, inertias, springs, dampers, rotors, motors, gravity and buoyancy are the same on both sides.
-What MJCF has no words for stays behind: drag and added mass, the surface of the water, restitution,
-static friction other than dynamic, sensors. How soft joint limits and contacts are is MuJoCo's own
-affair, with its defaults.
+What MJCF has no words for stays behind: drag, added mass and other force laws, the surface of the
+water, restitution, static friction other than dynamic, sensors. How soft joint limits and contacts
+are is MuJoCo's own affair, with its defaults.
 """
 
 import itertools
@@ -32,8 +32,8 @@ from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Sphere
 from evo_cpg.exchange.errors import ExchangeError
 from evo_cpg.exchange.mjcf_ground import add_ground
 from evo_cpg.exchange.mjcf_numbers import number_text, place_text
-from evo_cpg.physics.fluid import Water
 from evo_cpg.physics.footing import Ground, combine
+from evo_cpg.physics.water import Water
 
 # MuJoCo has a body of this name in every model: the one that does not move.
 _WORLD = "world"

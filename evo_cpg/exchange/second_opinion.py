@@ -6,13 +6,15 @@ feels. Or the controller itself drives it, and senses what MuJoCo's animal does:
 itself, as brains do, needs that where contacts differ. Both programs solve the same equations of
 motion. Contacts are MuJoCo's own, without restitution, and by default much softer than ours: they
 yield over 20 ms, and creep. So there is a second kind, in which they yield within one of our steps,
-in much finer ones of MuJoCo's, for at ours its stiff motors go other ways. Forces of the water are
-our laws (`evo_cpg.physics.fluid`, buoyancy), applied to MuJoCo's bodies at every step of its own;
+in much finer ones of MuJoCo's, for at ours its stiff motors go other ways. Buoyancy and force laws
+(`evo_cpg.physics.force_law`) are ours, applied to MuJoCo's bodies at every step of its own;
 carried water is left out, since applied forces know no accelerations. Where friction differs from
 trial to trial, MuJoCo's is that of the configuration.
 """
 
+import functools
 import importlib
+import operator
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -29,10 +31,10 @@ from evo_cpg.exchange.mjcf_export import mjcf_model, mjcf_text
 from evo_cpg.exchange.mujoco_state import dof_order, load_state, motor_order, root_rotation
 from evo_cpg.fusion.engine import using
 from evo_cpg.installation import command_for
-from evo_cpg.physics.fluid import drag
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import State, resting_state
-from evo_cpg.physics.world import World, buoyancy_wrench, immersion
+from evo_cpg.physics.weight import buoyancy_alone
+from evo_cpg.physics.world import World
 from evo_cpg.simulation.control_step import act, begin_life, sense
 from evo_cpg.simulation.physics_steps import PhysicsSteps
 from evo_cpg.simulation.sensors import feel
@@ -46,8 +48,8 @@ _UPRIGHT = 0.5
 # direction. Their time constant is one of our steps, in which an impact of ours is over.
 _HARD_STEP, _IMPEDANCE_RATIO = 1 / 3840, 100.0
 
-# Explicit forces of water on light limbs need steps of this length (s) or less.
-_WATER_STEP = 1 / 2000
+# Explicit forces, such as those of water, on light limbs need steps of this length (s) or less.
+_LAW_STEP = 1 / 2000
 
 
 class Opinion(NamedTuple):
@@ -175,8 +177,8 @@ def second_opinion(
         ) from None
     world, h = simulation.world, simulation.step_length
     longest = _HARD_STEP if hard else h
-    if world.water is not None:
-        longest = min(longest, _WATER_STEP)
+    if _applied(world):
+        longest = min(longest, _LAW_STEP)
     finer = int(np.ceil(h / longest - 1e-9))
     element = mjcf_model(
         creature, world.gravity, world.ground, time_step=h / finer, pairs=world.pair_names
@@ -190,7 +192,7 @@ def second_opinion(
         model.opt.impratio = _IMPEDANCE_RATIO
         model.pair_solref[:] = h, 1.0
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
-    player = _Player(mujoco, model, world)
+    player = _Player(mujoco, model, world, h)
     player.begin(jax.tree.map(lambda x: np.asarray(x[..., 0], float), steps.before))
     jumps = _jumps(steps)
     signals = player.signals(*map(np.asarray, (steps.target_rate, steps.target_angle)))
@@ -225,19 +227,18 @@ class _Player:
         mujoco: the module.
         model: of the animal and its world.
         world: ours.
+        h: length of our physics step, s.
     """
 
-    def __init__(self, mujoco: Any, model: Any, world: World):
+    def __init__(self, mujoco: Any, model: Any, world: World, h: float):
         self.mujoco, self.model, self.tree = mujoco, model, world.tree
         self.data = mujoco.MjData(model)
         self._dofs, self._motors = dof_order(model, world.tree), motor_order(model, world.tree)
         self._bodies = np.array([model.body(name).id for name in world.tree.names])
         self._animal = np.isin(model.geom_bodyid, self._bodies)
         self._structure = jax.tree.structure(resting_state(world.tree))
-        self._water, self._surface = None, -np.inf
-        if world.water is not None:
-            self._water = _water_forces(world)
-            self._surface = np.inf if world.water.surface is None else world.water.surface
+        self._laws = _law_forces(world, h) if _applied(world) else None
+        self._surface = world.water_level
 
     def begin(self, state: State) -> None:
         """Put the animal where ours began."""
@@ -265,8 +266,8 @@ class _Player:
         """Some steps of MuJoCo's with the same command."""
         self.data.ctrl[:] = signal
         for _ in range(count):
-            if self._water is not None:
-                self.data.xfrc_applied[self._bodies] = self._water(self.state()).T
+            if self._laws is not None:
+                self.data.xfrc_applied[self._bodies] = self._laws(self.state()).T
             self.mujoco.mj_step(self.model, self.data)
 
     def angles(self) -> Float[np.ndarray, " d"]:
@@ -309,17 +310,22 @@ class _Player:
         return jax.tree.unflatten(self._structure, parts)
 
 
-def _water_forces(world: World) -> Callable[[State], np.ndarray]:
-    """Force (N) and moment (N m) of drag and buoyancy on every body at its centre, world axes."""
-    water = world.water
-    assert water is not None
+def _applied(world: World) -> bool:
+    """Return whether there are forces that MuJoCo has no words for."""
+    return world.water is not None or bool(world.forces)
+
+
+def _law_forces(world: World, h: float) -> Callable[[State], np.ndarray]:
+    """Return force (N) and moment (N m) of laws and buoyancy on bodies at their centres."""
+    laws = [law for law in world.forces if not law.needs_acceleration]
 
     def forces(state: State) -> Float[Array, "6 b"]:
         kin = kinematics(world.tree, state)
-        wet = immersion(world, kin)
-        assert wet is not None
-        wrench, _ = drag(water, world.patches, wet.velocity, wet.pose)
-        wrench = wrench + buoyancy_wrench(world, kin, wet)
+        bodies = world.bodies(kin, h)
+        parts = [law.wrench(bodies) for law in laws]
+        if world.water is not None:
+            parts.append(buoyancy_alone(bodies))
+        wrench = functools.reduce(operator.add, parts, jnp.zeros_like(bodies.velocity))
         arm = expand_dims_like(world.tree.com, wrench[3:])
         moment = wrench[:3] - cross(arm, wrench[3:])
         return jnp.concatenate([matvec(kin.rotation, x) for x in (wrench[3:], moment)])
@@ -343,7 +349,7 @@ def _jumps(steps: PhysicsSteps) -> Float[np.ndarray, "3 t"]:
 
 def _airborne(world: World, held: Bool[np.ndarray, " t"]) -> float | None:
     """Return the share of the time in which nothing holds the animal; None without meaning."""
-    everywhere = world.water is not None and world.water.surface is None
+    everywhere = world.water_level == np.inf
     return None if world.footing is None or everywhere else float(1.0 - held.mean())
 
 

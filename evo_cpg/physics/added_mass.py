@@ -16,6 +16,7 @@ what it leaves behind on the way out moves on by itself. So the surface only eve
 """
 
 import functools
+from typing import ClassVar
 
 import jax.numpy as jnp
 import numpy as np
@@ -24,8 +25,10 @@ from jaxtyping import Array, Float
 from evo_cpg.creature.creature import Creature
 from evo_cpg.creature.shapes import Shape
 from evo_cpg.creature.tree import Tree
+from evo_cpg.physics.buoyancy import displacement
+from evo_cpg.physics.force_law import Bodies, ForceLaw, Part, blocks
 from evo_cpg.spatial.choices import chosen
-from evo_cpg.spatial.linear import cross, matvec
+from evo_cpg.spatial.linear import cross, expand_dims_like, matvec
 from evo_cpg.spatial.numerics import Number, Numbers, xp
 
 # Points of the quadrature of Lamb's integrals: 1e-9 for axes of 1 to 100.
@@ -34,6 +37,72 @@ _NODES = 200
 # Relative difference of squared axes below which a body counts as round and carries no water when
 # it turns; the closed form is 0 / 0 there.
 _ROUND = 1e-6
+
+
+class AddedMass(ForceLaw):
+    """The water that the bodies carry along, in proportion to their share under water.
+
+    Attributes:
+        carried: M of each body in deep water, in its working frame.
+    """
+
+    of_water: ClassVar[bool] = True
+    needs_acceleration: ClassVar[bool] = True
+
+    carried: Float[Numbers, "6 6 b"]
+
+    def wrench(self, bodies: Bodies) -> Float[Array, "6 b *n"]:
+        """See `ForceLaw.wrench`: that on bodies that neither accelerate nor get under water."""
+        return carried_water(self.inertia(bodies), bodies.velocity, bodies.stream)
+
+    def parts(self, bodies: Bodies) -> tuple[Part, ...]:
+        """See `ForceLaw.parts`: the carried water, and the impact of what a step sets in motion.
+
+        The impact has no bounce: the water gets the velocity after it.
+        """
+        own, pose, displaced = self.inertia(bodies), bodies.pose, bodies.displaced
+        steady = carried_water(own, bodies.velocity, bodies.stream)
+        if pose is None or displaced is None:
+            return (Part(steady, None, own),)
+        sinking = bodies.h * jnp.concatenate(
+            [cross(pose[:3], bodies.velocity[:3]), bodies.kin.linear[2:]]
+        )
+        ahead = displacement(bodies.cells, pose + sinking).volume
+        entering = self._entering(bodies, ahead - displaced.volume)
+        impact = -(matvec(entering, bodies.relative) / bodies.h)
+        return Part(steady, None, own), Part(impact, blocks(entering))
+
+    def averaged(self, start: Bodies, moving: Bodies) -> Float[Array, "6 b *n"]:
+        """See `ForceLaw.averaged`: velocity products, as those of the bodies."""
+        del start
+        return self.wrench(moving)
+
+    def inertia(self, bodies: Bodies) -> Float[Array, "6 6 b *#n"]:
+        """See `ForceLaw.inertia`."""
+        added = expand_dims_like(self.carried, bodies.velocity, bodies.velocity.ndim + 1)
+        if bodies.displaced is None:
+            return added
+        return added * bodies.under_water[None, None]
+
+    def over_step(self, first: Bodies, middle: Bodies, last: Bodies) -> Float[Array, "6 b *n"]:
+        """See `ForceLaw.over_step`."""
+        added, velocity = self.inertia(middle), middle.velocity
+        change = (last.relative - first.relative) / middle.h
+        # The stream turns in body axes, which `carried_water` has as the acceleration of bodies
+        # that do not accelerate: it is in the change of the velocity relative to it.
+        turning = cross(velocity[:3], jnp.broadcast_to(middle.stream, velocity[3:].shape))
+        steady = carried_water(added, velocity, middle.stream) + matvec(added[:, 3:], turning)
+        wrench = steady - matvec(added, change)
+        if first.displaced is None or last.displaced is None:
+            return wrench
+        entering = self._entering(middle, last.displaced.volume - first.displaced.volume)
+        return wrench - matvec(entering, middle.relative) / middle.h
+
+    def _entering(self, bodies: Bodies, gained: Float[Array, "b *n"]) -> Float[Array, "6 6 b *n"]:
+        """Return the inertia of the water that volumes set in motion as they get under water."""
+        added = expand_dims_like(self.carried, bodies.velocity, bodies.velocity.ndim + 1)
+        volume = expand_dims_like(bodies.tree.volume, gained)
+        return added * (jnp.maximum(gained, 0.0) / volume)[None, None]
 
 
 def added_inertia(creature: Creature, tree: Tree, density: Number) -> Float[Numbers, "6 6 b"]:

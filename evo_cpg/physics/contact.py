@@ -18,11 +18,11 @@ than 0.68 of the speed: here the step is told the velocity at its end.
 
 Restitution point by point (Newton's hypothesis) can add energy to a tree. Where the forces of a
 step with impacts would do work, ``v_bounce`` of all points of that animal is taken less, and at
-last not at all (`StepProblem.gains`, `bounded`).
+last not at all (`StepProblem.injects_energy`, `bounded`).
 
-The laws have kinks; `evo_cpg.physics.newton` finds the motion that obeys them, linearizing them as
-it goes (`ContactLinearization`). The contact of an edge or a face with the floor is that of its
-corners. Bodies of one creature that meet are in `evo_cpg.physics.pairs`.
+The laws have kinks. `evo_cpg.physics.step_solver` finds the motion that obeys them and linearises
+them on the way (`ContactLinearization`). An edge or a face touches the floor with its corners.
+`evo_cpg.physics.pairs` has the contacts between bodies of one creature.
 
 Vectors of the laws are in the contact frame: two tangents, then the normal.
 """

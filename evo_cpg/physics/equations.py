@@ -6,6 +6,7 @@ import jax
 from jaxtyping import Array, Float
 
 from evo_cpg.physics.articulated import Accelerations, solve
+from evo_cpg.physics.body_equations import bias_of_mean, body_equations
 from evo_cpg.physics.contact import Contacts, find_contacts
 from evo_cpg.physics.joints import (
     expected_limit_torque,
@@ -14,11 +15,10 @@ from evo_cpg.physics.joints import (
     servo_torque,
 )
 from evo_cpg.physics.kinematics import Kinematics, kinematics, motion_of_bodies
-from evo_cpg.physics.many_pairs import ManyPairContacts
 from evo_cpg.physics.pair_contacts import PairContacts, find_pair_contacts
 from evo_cpg.physics.spatial_algebra import Inertia, Wrench, plus
 from evo_cpg.physics.state import State
-from evo_cpg.physics.world import World, bias_of_mean, body_equations
+from evo_cpg.physics.world import World
 from evo_cpg.spatial.linear import expand_dims_like
 
 
@@ -42,7 +42,7 @@ class Equations(NamedTuple):
     derivative: Array
     wanted: Array
     contacts: Contacts | None
-    pairs: PairContacts | ManyPairContacts | None
+    pairs: PairContacts | None
 
 
 class ContactForces(NamedTuple):
@@ -83,8 +83,8 @@ class Warmstart(NamedTuple):
     radius: Float[Array, "p *n"]
 
 
-class Imposed(NamedTuple):
-    """What a step came to.
+class StepSolution(NamedTuple):
+    """Accelerations of a step, and the forces in it.
 
     Attributes:
         root: acceleration of the root, as in `Accelerations`.
@@ -92,8 +92,8 @@ class Imposed(NamedTuple):
         torque: that the motors applied, N m.
         contact: what the ground did; None without ground.
         pairs: with which pairs of bodies push each other, N; None where none can touch.
-        residual: see `evo_cpg.physics.newton`; None where no search is needed.
-        warmstart: for the next step; likewise.
+        residual: see `evo_cpg.physics.step_solver`; None where the equations are linear.
+        warmstart: for the next step; None where the equations are linear.
     """
 
     root: Float[Array, "6 *n"]

@@ -1,4 +1,4 @@
-"""Water: form drag and skin friction at points on the surface of the bodies.
+"""Drag: form drag and skin friction at points on the surface of the bodies.
 
 Iwadate 2010, eqs. 7 and 8. Each surface point has an outward normal n, two tangents and an area A.
 With its velocity relative to the water split into v_n n and v_t,
@@ -25,8 +25,9 @@ Where the water has a surface, each point's force and derivative are scaled by t
 patch that is under water.
 """
 
+import dataclasses
 import functools
-from typing import Literal, NamedTuple
+from typing import ClassVar, Literal, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -35,13 +36,16 @@ from jaxtyping import Array, Float
 
 from evo_cpg.creature.shapes import Surface
 from evo_cpg.creature.tree import Tree
-from evo_cpg.physics.current import Gradient, Vortex
+from evo_cpg.physics.force_law import Bodies, ForceLaw, Part
 from evo_cpg.spatial.choices import chosen
-from evo_cpg.spatial.numerics import Number, Numbers, Triple, xp
+from evo_cpg.spatial.numerics import Number, Numbers, xp
 from evo_cpg.spatial.partly import PartlyTraced
 
 # Squared speed (m^2/s^2) added under the root so that its gradient exists at rest.
 _SPEED_FLOOR = 1e-12
+
+# Operations of native code for a point of form drag, of skin friction, and of either at a surface.
+_FORM_POINT, _SKIN_POINT, _SURFACE_POINT = 27.0, 36.0, 38.0
 
 # Height over which a level patch gets wet, as a share of its size: water does not jump.
 _LEAST_SLOPE = 0.1
@@ -94,28 +98,55 @@ class Patch(NamedTuple):
     tangential_places: Places | None = None
 
 
-class Water(eqx.Module):
-    """Still or streaming water, around the whole creature or up to a surface.
+class Drag(ForceLaw):
+    """Form drag and skin friction.
 
     Attributes:
-        density: kg/m^3.
         form_drag: C_d.
         skin_drag: C_f.
-        current: velocity of the water at the origin of the world, but for the vortices, m/s.
+        patches: the surface points that meet the water.
         law: which velocity the drag opposes.
-        surface: height of its surface, m; None where water is everywhere.
-        gradient: how the current's components (rows) change along x, y and z, 1/s.
-        vortices: on top of that.
     """
 
-    density: Number
+    of_water: ClassVar[bool] = True
+
     form_drag: Number
     skin_drag: Number
-    current: Triple = (0.0, 0.0, 0.0)
+    patches: tuple[Patch, ...] = ()
     law: DragLaw = eqx.field(static=True, default="normal")
-    surface: Number | None = None
-    gradient: Gradient | None = None
-    vortices: tuple[Vortex, ...] = ()
+
+    def wrench(self, bodies: Bodies) -> Float[Array, "6 b *n"]:
+        """See `ForceLaw.wrench`."""
+        return self.parts(bodies)[0].wrench
+
+    def parts(self, bodies: Bodies) -> tuple[Part]:
+        """See `ForceLaw.parts`; D is that of the module's docstring."""
+        assert bodies.water is not None
+        density = bodies.water.density
+        wrench, derivative = drag(self, density, bodies.relative, bodies.pose)
+        return (Part(wrench, bodies.h * derivative),)
+
+    def averaged(self, start: Bodies, moving: Bodies) -> None:
+        """See `ForceLaw.averaged`: none, since D says it all."""
+        del start, moving
+
+    def scaled(self, factor: float) -> "Drag":
+        """Return more or less drag of both kinds."""
+        return dataclasses.replace(
+            self, form_drag=self.form_drag * factor, skin_drag=self.skin_drag * factor
+        )
+
+    def operations(self) -> float:
+        """See `ForceLaw.operations`; fitted as `evo_cpg.simulation.operations` says."""
+        total = 0.0
+        for patch in self.patches:
+            form, skin = len(patch.normal_area), len(patch.tangential_area)
+            if patch.normal_places is None:
+                one = _FORM_POINT * form + _SKIN_POINT * skin
+            else:
+                one = _SURFACE_POINT * (form + skin)
+            total += len(patch.bodies) * one
+        return total
 
 
 def make_patches(
@@ -132,7 +163,7 @@ def make_patches(
         tree: the creature.
         form: points for form drag on each body by name, in its geometric frame.
         skin: points for skin friction; the isotropic law takes the form points for both.
-        law: see `Water`.
+        law: see `Drag`.
         surfacing: the water has a surface.
         apart: leave bodies and points ungrouped, though they be alike.
     """
@@ -155,21 +186,18 @@ def make_patches(
 
 
 def drag(
-    water: Water,
-    patches: tuple[Patch, ...],
+    law: Drag,
+    density: Number,
     velocity: Float[Array, "6 b *n"],
     pose: Float[Array, "4 b *n"] | None = None,
 ) -> tuple[Float[Array, "6 b *n"], Float[Array, "3 3 3 b *n"]]:
-    """Drag wrench at the present velocity, and how much of it is lost per change of velocity.
-
-    On every body, in body axes.
+    """Return the drag wrench on every body and D, in body axes.
 
     Args:
-        water: density and coefficients.
-        patches: surface points.
-        velocity: of every body relative to the water in body axes: angular, then linear.
-        pose: upward unit vector in the axes of every body, and the height of its origin above the
-            surface; None where water is everywhere.
+        law: coefficients and surface points.
+        density: of the water, kg/m^3.
+        velocity: of every body relative to the water: angular, then linear.
+        pose: see `Bodies`; None where water is everywhere.
 
     Returns:
         The wrench (moment, force) and the blocks (angular-angular, angular-linear,
@@ -177,12 +205,12 @@ def drag(
     """
     batch = velocity.shape[2:]
     pieces = []
-    for patch in patches:
-        evaluate = functools.partial(_patch_drag, water, patch)
+    for patch in law.patches:
+        evaluate = functools.partial(_patch_drag, law, density, patch)
         for run in _runs(patch.bodies):
             part = [x[:, run] for x in (velocity, pose) if x is not None]
             pieces.append((run.start, *evaluate(*part)))
-    wet = {body for patch in patches for body in patch.bodies}
+    wet = {body for patch in law.patches for body in patch.bodies}
     none = (
         jnp.zeros((6, 1, *batch), velocity.dtype),
         jnp.zeros((3, 3, 3, 1, *batch), velocity.dtype),
@@ -193,7 +221,8 @@ def drag(
 
 
 def _patch_drag(
-    water: Water,
+    law: Drag,
+    density: Number,
     patch: Patch,
     velocity: Float[Array, "6 k *n"],
     pose: Float[Array, "4 k *n"] | None = None,
@@ -204,19 +233,19 @@ def _patch_drag(
     def product(constant: np.ndarray | Array | PartlyTraced, x: Array) -> Array:
         return jnp.asarray(constant, flat.dtype) @ x
 
-    pressure = 0.5 * water.density
+    pressure = 0.5 * density
     skin_points = len(patch.tangential_area)
     tangential_rows = patch.tangential.reshape(2 * skin_points, 6)
     normal = product(patch.normal, flat)
     first, second = product(tangential_rows, flat).reshape(2, skin_points, -1)
     along = jnp.sqrt(first * first + second * second + _SPEED_FLOOR)
-    normal_factor = pressure * water.form_drag * patch.normal_area
-    tangential_factor = pressure * water.skin_drag * patch.tangential_area
-    if water.law == "normal":
+    normal_factor = pressure * law.form_drag * patch.normal_area
+    tangential_factor = pressure * law.skin_drag * patch.tangential_area
+    if law.law == "normal":
         speed = jnp.abs(normal)
     else:
         speed = jnp.sqrt(normal * normal + along * along)
-        normal_factor = tangential_factor = normal_factor + pressure * water.skin_drag * (
+        normal_factor = tangential_factor = normal_factor + pressure * law.skin_drag * (
             patch.normal_area
         )
         along = speed

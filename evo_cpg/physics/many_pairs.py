@@ -29,7 +29,7 @@ from jaxtyping import Array, Bool, Float
 from evo_cpg.creature.reach import chain_to_root
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.kinematics import Kinematics, Motion, motion_of_bodies
-from evo_cpg.physics.pairs import KINDS, STRAY, Alike, Pairs, placed_boxes, rest_velocity
+from evo_cpg.physics.pairs import KINDS, LARGEST_DRIFT, Alike, Pairs, placed_boxes, rest_velocity
 from evo_cpg.spatial.linear import cross, dot, expand_dims_like, matvec, skew
 
 # Steps at present joint rates within which a point is watched.
@@ -99,7 +99,7 @@ class _Run(NamedTuple):
 
 
 class ManyPairContacts:
-    """Where pairs are nearest, and what holds throughout one step; see `PairContacts`.
+    """Nearest points of many pairs; see `evo_cpg.physics.pair_contacts.PairContacts`.
 
     Args:
         tree: the creature.
@@ -108,8 +108,8 @@ class ManyPairContacts:
         qd: joint rates there, rad/s.
         h: s.
         found: points of an earlier step of this; None to find them.
-        rates_change: joint accelerations at whose end-of-step rates the normals' drift is taken;
-            None for the rates at the start.
+        rates_change: joint accelerations that lead to the rates of the velocity-product bias; None
+            for the rates at the start.
     """
 
     def __init__(
@@ -125,16 +125,16 @@ class ManyPairContacts:
         self.tree, self.pairs, self.qd, self.h = tree, pairs, qd, h
         self.kin = kin
         self.places = kin.origin - kin.origin[:, :1]
-        self.sweep = jnp.zeros_like(qd) if rates_change is None else rates_change
+        self.bias = jnp.zeros_like(qd) if rates_change is None else rates_change
         self.runs = _find(self) if found is None else found
 
-    def with_sweep(self, sweep: Float[Array, "d *n"]) -> "ManyPairContacts":
-        """Return the contacts with the drift of normals at other joint rates."""
+    def with_bias(self, bias: Float[Array, "d *n"]) -> "ManyPairContacts":
+        """Return the contacts with the velocity-product bias at other joint rates."""
         given = self.tree, self.pairs, self.kin, self.qd, self.h
-        return ManyPairContacts(*given, self.runs, sweep)
+        return ManyPairContacts(*given, self.runs, bias)
 
-    def sweep_at(self, qdd: Float[Array, "d *n"]) -> Float[Array, "d *n"]:
-        """Return what `with_sweep` takes, for accelerations that a step came to."""
+    def bias_at(self, qdd: Float[Array, "d *n"]) -> Float[Array, "d *n"]:
+        """Return the velocity-product bias at the joint rates after the step, as accelerations."""
         return qdd
 
     def change(self, turn: Float[Array, "d *n"]) -> Float[Array, "d *n"]:
@@ -147,27 +147,32 @@ class ManyPairContacts:
 
     def touches(self, qdd: Float[Array, "d *n"]) -> Bool[Array, "*n"]:
         """Return where any pair pushes at joint accelerations."""
-        twists, drifts = self.twists(qdd), self.drifts(self.sweep)
+        twists, accelerations = self.twists(qdd), self.accelerations(self.bias)
 
         def look(run: _Run, found: Array, q: Array) -> Array:
             point = _point(run, q)
-            velocity = self.velocity(run, point, q, twists, drifts)
+            velocity = self.velocity(run, point, q, twists, accelerations)
             return found | (point.watched & (rest_velocity(point.gap, self.h) > velocity))
 
         return self.over_points(look, jnp.zeros(qdd.shape[1:], bool))
 
-    def strays(self, qdd: Float[Array, "d *n"], sweep: Float[Array, "d *n"]) -> Bool[Array, "*n"]:
-        """Return where pairs that push end elsewhere, for the drift of their normals is another."""
-        twists, before, after = self.twists(qdd), self.drifts(self.sweep), self.drifts(sweep)
+    def drifts(self, qdd: Float[Array, "d *n"], bias: Float[Array, "d *n"]) -> Bool[Array, "*n"]:
+        """Return where another bias would move a touching pair by more than `LARGEST_DRIFT`."""
+        twists, before, after = (
+            self.twists(qdd),
+            self.accelerations(self.bias),
+            self.accelerations(bias),
+        )
 
         def look(run: _Run, found: Array, q: Array) -> Array:
             point = _point(run, q)
             velocity, other = (
-                self.velocity(run, point, q, twists, drifts) for drifts in (before, after)
+                self.velocity(run, point, q, twists, accelerations)
+                for accelerations in (before, after)
             )
             rest = rest_velocity(point.gap, self.h)
             pushes = point.watched & ((rest > velocity) | (rest > other))
-            return found | (pushes & (self.h * jnp.abs(other - velocity) > STRAY))
+            return found | (pushes & (self.h * jnp.abs(other - velocity) > LARGEST_DRIFT))
 
         return self.over_points(look, jnp.zeros(qdd.shape[1:], bool))
 
@@ -191,7 +196,7 @@ class ManyPairContacts:
         motion = self.motion(rates)
         return motion.angular, motion.linear - cross(motion.angular, self.places)
 
-    def drifts(self, qdd: Float[Array, "d *n"]) -> tuple[Array, ...]:
+    def accelerations(self, qdd: Float[Array, "d *n"]) -> tuple[Array, ...]:
         """Return twists, and accelerations at constant joint rates: ``d_0 + A p`` at a place p."""
         motion = self.motion(self.qd + self.h * qdd)
         spin = motion.angular
@@ -224,9 +229,11 @@ class ManyPairContacts:
         second_part = dot(n, _row(linear, j)) + dot(_row(spin, j), cross(second, n))
         return second_part - dot(n, _row(linear, i)) - dot(_row(spin, i), cross(first, n))
 
-    def velocity(self, run: _Run, point: "_Point", q: Array, twists: Any, drifts: Any) -> Array:
+    def velocity(
+        self, run: _Run, point: "_Point", q: Array, twists: Any, accelerations: Any
+    ) -> Array:
         """Return the velocity at which a point parts, mean over the step, m/s."""
-        spin, linear, base, A = drifts
+        spin, linear, base, A = accelerations
         bodies, n = _bodies(run, q), point.normal
         moving, drift, turning = [], [], jnp.zeros_like(n)
         for body, p, share in zip(bodies, (point.first, point.second), point.carried, strict=True):
@@ -235,9 +242,9 @@ class ManyPairContacts:
             drift.append(_row(base, body) + matvec(_row(A, body, 2), p))
             turning = turning + share[None] * own
         # A normal that turns meets another part of what slides past it.
-        sweep = dot(n, drift[1] - drift[0])
-        sweep = sweep - 2.0 * dot(cross(n, turning), moving[1] - moving[0])
-        return self.turning_apart(run, point, q, twists) + 0.5 * self.h * sweep
+        bias = dot(n, drift[1] - drift[0])
+        bias = bias - 2.0 * dot(cross(n, turning), moving[1] - moving[0])
+        return self.turning_apart(run, point, q, twists) + 0.5 * self.h * bias
 
     def jacobian(self, run: _Run, point: "_Point", q: Array, axes: Any) -> tuple[Array, Array]:
         """Return the entries of J that are not zero, ``(k, *n)``, and their axes, ``(k,)``."""
@@ -357,7 +364,7 @@ class ManyPairForces:
 
     @functools.cached_property
     def _tables(self) -> tuple[Any, Any]:
-        return self._contacts.twists(self._qdd), self._contacts.drifts(self._contacts.sweep)
+        return self._contacts.twists(self._qdd), self._contacts.accelerations(self._contacts.bias)
 
     def _push(self, run: _Run, q: Array) -> tuple["_Point", Array]:
         """Return a point and its force, N."""

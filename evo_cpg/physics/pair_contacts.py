@@ -1,214 +1,102 @@
-"""Contacts of pairs of bodies that are written out one by one.
+"""Contacts between bodies of one creature in a step: the common interface, and the choice of one.
 
-A pair couples branches of the tree. In generalized coordinates it is a few elements of the matrix
-(`evo_cpg.physics.step_problem`). `evo_cpg.physics.pairs` has the law.
+Few pairs are written out (`evo_cpg.physics.few_pairs`), many are looped over
+(`evo_cpg.physics.many_pairs`). `evo_cpg.physics.pairs` has the contact model.
 """
 
-from typing import NamedTuple
+from typing import Any, Protocol
 
-import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from evo_cpg.creature.reach import chain_to_root
 from evo_cpg.creature.tree import Tree
-from evo_cpg.physics.kinematics import Kinematics, Motion, motion_of_bodies
+from evo_cpg.physics.few_pairs import FewPairContacts
+from evo_cpg.physics.kinematics import Kinematics
 from evo_cpg.physics.many_pairs import ManyPairContacts
-from evo_cpg.physics.pairs import STRAY, Pairs, rest_velocity, separations
-from evo_cpg.physics.per_body import take
-from evo_cpg.physics.separation import Separation
-from evo_cpg.spatial.linear import cross, dot, expand_dims_like, matvec, skew, t_matmul
+from evo_cpg.physics.pairs import Pairs
 
 
-class PairContacts(NamedTuple):
-    """Where pairs are nearest, and what holds throughout one step.
+class PairForces(Protocol):
+    """Forces of all pairs at joint accelerations, and their derivative."""
 
-    Two bodies of one tree part only as the joints between them turn: along the normal of a point at
-    ``J qd``, and a force f of the pair is felt by these joints as the torques ``J^T f``.
-
-    Attributes:
-        tree: the creature.
-        pairs: those of it.
-        kin: kinematics at the start of the step.
-        qd: joint rates there, rad/s.
-        h: s.
-        gap: m.
-        jacobian: J; zeros of joints that are not between the bodies, m.
-        coasting: velocity if all joint accelerations were zero, mean over the step, m/s.
-        wanted: v*.
-        sweep: acceleration along the normal at constant joint rates, which is in `coasting`, m/s^2.
-        where: the nearest points.
-    """
-
-    tree: Tree
-    pairs: Pairs
-    kin: Kinematics
-    qd: Float[Array, "d *n"]
-    h: float
-    gap: Float[Array, "p *n"]
-    jacobian: Float[Array, "p d *n"]
-    coasting: Float[Array, "p *n"]
-    wanted: Float[Array, "p *n"]
-    sweep: Float[Array, "p *n"]
-    where: Separation
-
-    def with_sweep(self, sweep: Float[Array, "p *n"]) -> "PairContacts":
-        """Return the contacts with another sweep (m/s^2) throughout the step."""
-        coasting = self.coasting + 0.5 * self.h * (sweep - self.sweep)
-        return self._replace(coasting=coasting, sweep=sweep)
-
-    def sweep_at(self, qdd: Float[Array, "d *n"]) -> Float[Array, "p *n"]:
-        """Return the sweep at the joint rates that accelerations lead to, m/s^2."""
-        rates = self.qd + self.h * qdd
-        # As if the root lay still.
-        still = jnp.zeros((6, *rates.shape[1:]), rates.dtype)
-        motion = motion_of_bodies(self.tree, self.kin, still, rates)
-        return _sweep(self.pairs, self.kin.origin, motion, self.where)
-
-    def change(self, turn: Float[Array, "d *n"]) -> Float[Array, "p *n"]:
-        """Return how accelerations change the velocities at which points part in a step, m/s."""
-        return self.h * (self.jacobian * turn[None]).sum(1)
-
-    def velocity(self, qdd: Float[Array, "d *n"]) -> Float[Array, "p *n"]:
-        """Return the velocities at which points part at the end of the step, m/s."""
-        return self.coasting + self.change(qdd)
-
-    def parting(self, rates: Float[Array, "d *n"]) -> Float[Array, "p *n"]:
-        """Return ``J rates``, m/s."""
-        return (self.jacobian * rates[None]).sum(1)
-
-    def at(self, qdd: Float[Array, "d *n"]) -> "PairForces":
-        """Return the forces at joint accelerations, and how they change."""
-        velocity = self.velocity(qdd)
-        stiffness = expand_dims_like(self.pairs.stiffness / self.h, velocity)
-        short = self.wanted - velocity
-        touches = short > 0
-        force = stiffness * jnp.maximum(short, 0.0)
-        return PairForces(self, velocity, force, jnp.where(touches, stiffness, 0.0))
-
-    def touches(self, qdd: Float[Array, "d *n"]) -> Bool[Array, "*n"]:
-        """Return where any pair pushes at joint accelerations."""
-        return (self.wanted > self.velocity(qdd)).any(0)
-
-    def strays(self, qdd: Float[Array, "d *n"], sweep: Float[Array, "p *n"]) -> Bool[Array, "*n"]:
-        """Return where pairs that push end elsewhere, for their sweep is another."""
-        velocity, other = self.velocity(qdd), self.with_sweep(sweep).velocity(qdd)
-        touches = (self.wanted > velocity) | (self.wanted > other)
-        return (touches & (self.h * jnp.abs(other - velocity) > STRAY)).any(0)
-
-
-class PairForces(NamedTuple):
-    """The laws linearized at a velocity: ``f = force - slope (v - velocity)``.
-
-    Attributes:
-        contacts: of the step.
-        velocity: m/s.
-        force: there, N.
-        slope: N s/m.
-    """
-
-    contacts: PairContacts
-    velocity: Float[Array, "p *n"]
-    force: Float[Array, "p *n"]
-    slope: Float[Array, "p *n"]
+    @property
+    def force(self) -> Float[Array, "p *n"]:
+        """Force of every point, N."""
+        ...
 
     @property
     def load(self) -> Float[Array, "*n"]:
         """Sum of all forces, N."""
-        return self.force.sum(0)
+        ...
 
     @property
     def torque(self) -> Float[Array, "d *n"]:
-        """What the forces are to the joints, N m."""
-        return self._pushing(self.force)
+        """Joint torques of the forces, ``J^T f``, N m."""
+        ...
 
-    def power(self, change: Float[Array, "p *n"]) -> Float[Array, "*n"]:
-        """Of the forces when points part faster as `PairContacts.change` says, W."""
-        return dot(change, self.force)
+    def power(self, change: Float[Array, "k *n"]) -> Float[Array, "*n"]:
+        """Return the power of the forces for a result of `PairContacts.change`, W."""
+        ...
 
     def newton(self) -> tuple[Float[Array, "d *n"], Float[Array, "d d *n"]]:
-        """Torques of the linearized forces without joint accelerations, and ``h J^T K J``."""
-        J, slope = self.contacts.jacobian, self.slope
-        coasting = self.force + slope * (self.velocity - self.contacts.coasting)
-        return self._pushing(coasting), t_matmul(self.contacts.h * slope[:, None] * J, J)
+        """Return the linearised torques at zero joint acceleration, and ``h J^T K J``."""
+        ...
 
-    def _pushing(self, force: Float[Array, "p *n"]) -> Float[Array, "d *n"]:
-        return (self.contacts.jacobian * force[:, None]).sum(0)
+
+class PairContacts(Protocol):
+    """Nearest points of all pairs, with what stays the same throughout a step.
+
+    Attributes:
+        bias: velocity-product bias: what determines the acceleration of the points along their
+            normals at constant joint rates. It belongs to joint rates between the start and the
+            end of the step. Few pairs store that acceleration, ``(p, *n)``, m/s^2; many pairs store
+            the joint accelerations that lead to those rates, ``(d, *n)``, rad/s^2.
+    """
+
+    @property
+    def bias(self) -> Float[Array, "k *n"]:
+        """See the class."""
+        ...
+
+    def with_bias(self, bias: Float[Array, "k *n"]) -> Any:
+        """Return the contacts with another velocity-product bias."""
+        ...
+
+    def bias_at(self, qdd: Float[Array, "d *n"]) -> Float[Array, "k *n"]:
+        """Return the velocity-product bias at the joint rates after the step."""
+        ...
+
+    def change(self, turn: Float[Array, "d *n"]) -> Float[Array, "k *n"]:
+        """Return the change of velocities that `PairForces.power` takes, for accelerations."""
+        ...
+
+    def at(self, qdd: Float[Array, "d *n"]) -> Any:
+        """Return the `PairForces` at joint accelerations."""
+        ...
+
+    def touches(self, qdd: Float[Array, "d *n"]) -> Bool[Array, "*n"]:
+        """Return where any pair pushes at joint accelerations."""
+        ...
+
+    def drifts(self, qdd: Float[Array, "d *n"], bias: Float[Array, "k *n"]) -> Bool[Array, "*n"]:
+        """Return where another bias would move a touching pair by more than `LARGEST_DRIFT`."""
+        ...
+
+    def parting(self, rates: Float[Array, "d *n"]) -> Float[Array, "p *n"]:
+        """Return the speeds at which points part at joint rates, ``J rates``, m/s."""
+        ...
 
 
 def find_pair_contacts(
     tree: Tree, pairs: Pairs, kin: Kinematics, qd: Float[Array, "d *n"], h: float
-) -> PairContacts | ManyPairContacts:
-    """Where pairs are nearest, and the velocity at which each is to part.
+) -> PairContacts:
+    """Find the nearest points of all pairs, and the velocity at which each is to part.
 
     Args:
         tree: the creature.
-        pairs: those of it.
+        pairs: of the creature.
         kin: kinematics at the start of the step.
         qd: joint rates there, rad/s.
         h: s.
     """
-    if pairs.looped:
-        return ManyPairContacts(tree, pairs, kin, qd, h)
-    where = separations(pairs, kin)
-    wanted = rest_velocity(where.gap, h)
-    sweep = _sweep(pairs, kin.origin, kin, where)
-    jacobian = _jacobian(tree, pairs, kin, where)
-    coasting = (jacobian * qd[None]).sum(1) + 0.5 * h * sweep
-    found = where.gap, jacobian, coasting, wanted, sweep, where
-    return PairContacts(tree, pairs, kin, qd, h, *found)
-
-
-def _sweep(pairs: Pairs, origin: Array, motion: Kinematics | Motion, where: Separation) -> Array:
-    """Acceleration along the normals at constant joint rates.
-
-    Args:
-        pairs: of a creature.
-        origin: of its bodies, m.
-        motion: of them.
-        where: the nearest points.
-    """
-    _, normal, *points, carried = where
-    # Of a body's point at the arm r: velocity v + w x r, drift a + A r.
-    spin, square = motion.angular, dot(motion.angular, motion.angular)
-    a = motion.bias_linear + cross(spin, motion.linear)
-    A = skew(motion.bias_angular) + spin[:, None] * spin[None]
-    A = A - square[None, None] * expand_dims_like(np.eye(3), A)
-    velocity, drift, turning = [], [], jnp.zeros_like(normal)
-    for bodies, point, share in zip(pairs.owners, points, carried, strict=True):
-        own = np.array(bodies)
-        arm, angular = point - take(origin, own), take(spin, own)
-        velocity.append(take(motion.linear, own) + cross(angular, arm))
-        drift.append(take(a, own) + matvec(take(A, own, 2), arm))
-        turning = turning + share[None] * angular
-    parting = velocity[1] - velocity[0]
-    # A normal that turns meets another part of what slides past it.
-    return dot(normal, drift[1] - drift[0]) - 2.0 * dot(cross(normal, turning), parting)
-
-
-def _jacobian(
-    tree: Tree, pairs: Pairs, kin: Kinematics, where: Separation
-) -> Float[Array, "p d *n"]:
-    """J of `PairContacts`."""
-    _, normal, *points, _ = where
-    joints = take(kin.origin, np.array(tree.dof_bodies, int))
-    ways = []
-    for point in points:
-        arm = point[:, :, None] - joints[:, None]
-        ways.append(
-            dot(kin.axes[:, None], cross(arm, jnp.broadcast_to(normal[:, :, None], arm.shape)))
-        )
-    between = [_between(tree, *pair) for pair in zip(*pairs.owners, strict=True)]
-    of_first, of_second = (
-        expand_dims_like(np.array([sides[k] for sides in between], float), ways[0])
-        for k in range(2)
-    )
-    return of_second * ways[1] - of_first * ways[0]
-
-
-def _between(tree: Tree, first: int, second: int) -> tuple[list[bool], list[bool]]:
-    """Of every degree of freedom, whether it moves only the first of two bodies, or the second."""
-    one, two = (set(chain_to_root(tree, body)) for body in (first, second))
-    return [body in one - two for body in tree.dof_bodies], [
-        body in two - one for body in tree.dof_bodies
-    ]
+    find = ManyPairContacts if pairs.looped else FewPairContacts.find
+    return find(tree, pairs, kin, qd, h)

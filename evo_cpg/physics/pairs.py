@@ -5,7 +5,7 @@ restitution: with the velocity v_n at which the nearest points part after the fo
 
     f_n = max(0, c (v* - v_n)),      v* = -gap / h, or a slow way out of an overlap.
 
-Few pairs are written out one by one (`evo_cpg.physics.pair_contacts`). For many there is a loop
+Few pairs are written out one by one (`evo_cpg.physics.few_pairs`). For many there is a loop
 (`evo_cpg.physics.many_pairs`).
 """
 
@@ -51,8 +51,8 @@ KINDS = {
     "rounded": (separation_of_rounded, 2),
 }
 
-# By so much (m) a pair may come elsewhere within a step.
-STRAY = 2e-4
+# Largest drift of a touching pair (m) in a step that needs no update of its velocity-product bias.
+LARGEST_DRIFT = 2e-4
 
 # Pairs beyond which they are gone through in loops (`evo_cpg.physics.many_pairs`), and not written
 # out one by one. The animals of the studies have 45 at most, and keep their bits.

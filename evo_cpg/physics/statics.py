@@ -7,9 +7,9 @@ angles (rad). The generalised forces belong to them by virtual work,
     Q = (F, M, axis . M_outward + torque),
 
 the sums of forces F and of moments M about the root's centre, and for every joint axis that of the
-moments on all bodies beyond it: of weight, buoyancy, springs, motors that hold
-their joints at the neutral angle, and the ground. They vanish at an equilibrium, and -dQ/dx is
-its stiffness.
+moments on all bodies beyond it: of weight, buoyancy, force laws but those of the water, springs,
+motors that hold their joints at the neutral angle, and the ground. They vanish at an equilibrium,
+and -dQ/dx is its stiffness.
 
 The ground pushes as it does on what rests in a step of the simulation (`resting_stiffness`), so a
 pose found here is one in which that step finds no motion. Friction is that of Coulomb: a point
@@ -20,6 +20,7 @@ Differs from the simulation, whose friction is a velocity law: a point that carr
 force f creeps there at ``f / c`` (see `evo_cpg.physics.contact`), here it stays.
 """
 
+import dataclasses
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -27,7 +28,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.tree import Tree
-from evo_cpg.physics.buoyancy import displacement
 from evo_cpg.physics.contact import resting_stiffness
 from evo_cpg.physics.contact_points import contact_points
 from evo_cpg.physics.footing import Footing
@@ -35,7 +35,8 @@ from evo_cpg.physics.joints import clamp_torque, limit_torque, passive_torque, s
 from evo_cpg.physics.kinematics import Kinematics, kinematics
 from evo_cpg.physics.per_body import take
 from evo_cpg.physics.state import State
-from evo_cpg.physics.world import World, weight
+from evo_cpg.physics.weight import weight
+from evo_cpg.physics.world import World
 from evo_cpg.spatial.linear import cross, dot, expand_dims_like, matvec, matvec_t
 from evo_cpg.spatial.rotation import integrate_quaternion
 
@@ -107,7 +108,12 @@ def static_forces(
     """
     tree, state = world.tree, moved(base, x)
     kin = kinematics(tree, state)
-    wrench = _weight(world, kin)
+    bodies = world.bodies(kin, h)
+    wrench = weight(bodies)
+    still = dataclasses.replace(bodies, stream=jnp.zeros_like(bodies.stream))
+    for law in world.forces:
+        if not law.of_water:
+            wrench = wrench + law.wrench(still)
     moment, force = matvec(kin.rotation, wrench[:3]), matvec(kin.rotation, wrench[3:])
     touch = Touch(*grip[:2], grip.held, grip.slip, grip.slip)
     if world.footing is not None:
@@ -184,15 +190,6 @@ def radius_of_gyration(tree: Tree) -> float:
         own = np.trace(tree.inertia[:3, :3, i]) / 2 - tree.mass[i] * tree.com[:, i] @ tree.com[:, i]
         squares.append(own + tree.mass[i] * centre @ centre)
     return float(np.sqrt(np.sum(squares) / tree.mass.sum()))
-
-
-def _weight(world: World, kin: Kinematics) -> Float[Array, "6 b"]:
-    """With buoyancy, in body axes."""
-    water = world.water
-    if water is None or water.surface is None:
-        return weight(world, kin)
-    pose = jnp.concatenate([kin.rotation[2], (kin.origin[2] - water.surface)[None]])
-    return weight(world, kin, displacement(world.cells, pose))
 
 
 def _ground(

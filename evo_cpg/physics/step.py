@@ -3,7 +3,7 @@
 Semi-implicit Euler: the velocities at the end of the step move the positions. Velocity products and
 drag are taken of the velocities before and after the step, so that without stiff forces the motion
 is of second order: positions and velocities then leapfrog. Without motor limits and contact two
-solves with one matrix give them; with either, `evo_cpg.physics.newton` does.
+solves with one matrix give them; with either, `evo_cpg.physics.step_solver` does.
 """
 
 import functools
@@ -18,16 +18,16 @@ from jaxtyping import Array, Float
 from evo_cpg.creature.tree import Tree
 from evo_cpg.fusion.fuse import fuse
 from evo_cpg.physics.equations import (
-    Imposed,
     Residual,
+    StepSolution,
     Warmstart,
     prepare,
     solve_at_once,
     with_mean_products,
 )
 from evo_cpg.physics.joints import servo_slope
-from evo_cpg.physics.newton import coldstart, search
 from evo_cpg.physics.state import State
+from evo_cpg.physics.step_solver import coldstart, solve_step
 from evo_cpg.physics.world import World
 from evo_cpg.spatial.rotation import integrate_quaternion
 
@@ -105,7 +105,7 @@ def _whole_step(
     if grip is not None:
         world = world.with_friction(grip)
     if searches(world):
-        found = search(world, h, state, target_rate, target_angle, warmstart)
+        found = solve_step(world, h, state, target_rate, target_angle, warmstart)
         return _finish(h, state, found)
     equations = prepare(world, h, state, target_rate, target_angle)
     with jax.named_scope("solve"):
@@ -114,17 +114,17 @@ def _whole_step(
         # The same matrices: only the forces are another's.
         found = solve_at_once(world, h, equations)
     motor = equations.wanted - h * servo_slope(world.tree, equations.wanted, h) * found.qdd
-    return _finish(h, state, Imposed(found.root, found.qdd, motor))
+    return _finish(h, state, StepSolution(found.root, found.qdd, motor))
 
 
-def _finish(h: float, state: State, imposed: Imposed) -> tuple[State, Effort]:
+def _finish(h: float, state: State, solution: StepSolution) -> tuple[State, Effort]:
     """Move, and note what the motors did."""
     with jax.named_scope("integrate"):
-        new_state = integrate(state, imposed.root, imposed.qdd, h)
-    energy = h * jnp.abs(imposed.torque * 0.5 * (state.qd + new_state.qd)).sum(0)
-    forces = (None, None) if imposed.contact is None else imposed.contact
+        new_state = integrate(state, solution.root, solution.qdd, h)
+    energy = h * jnp.abs(solution.torque * 0.5 * (state.qd + new_state.qd)).sum(0)
+    forces = (None, None) if solution.contact is None else solution.contact
     return new_state, Effort(
-        imposed.torque, energy, *forces, imposed.pairs, imposed.residual, imposed.warmstart
+        solution.torque, energy, *forces, solution.pairs, solution.residual, solution.warmstart
     )
 
 

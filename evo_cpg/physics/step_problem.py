@@ -49,7 +49,6 @@ from evo_cpg.physics.generalized import (
     mass_matrix,
 )
 from evo_cpg.physics.joints import clamp_torque, limit_torque, overloaded, servo_slope
-from evo_cpg.physics.many_pairs import ManyPairForces
 from evo_cpg.physics.pair_contacts import PairForces
 from evo_cpg.physics.spatial_algebra import Wrench
 from evo_cpg.physics.world import World
@@ -88,7 +87,7 @@ class Linearization(NamedTuple):
     torque: Float[Array, "d *n"]
     slope: Float[Array, "d *n"]
     contact: ContactLinearization | None
-    pairs: PairForces | ManyPairForces | None
+    pairs: PairForces | None
 
 
 class StepProblem(NamedTuple):
@@ -117,20 +116,20 @@ class StepProblem(NamedTuple):
         force = _plus_torque(force, equations.passive)
         return cls(world, h, equations, mass, force)
 
-    def bounded(self, restitution: Float[Array, "*n"]) -> "StepProblem":
-        """The problem with what is left of restitution."""
+    def with_restitution(self, restitution: Float[Array, "*n"]) -> "StepProblem":
+        """Return the problem with a fraction (0 to 1) of the restitution."""
         equations = self.equations
         if equations.contacts is None:
             return self
         contacts = bounded(equations.contacts, restitution)
         return self._replace(equations=equations._replace(contacts=contacts))
 
-    def swept(self, sweep: Float[Array, "k *n"]) -> "StepProblem":
-        """The problem with another sweep of pairs of bodies (`evo_cpg.physics.pairs`), m/s^2."""
+    def with_pair_bias(self, bias: Float[Array, "k *n"]) -> "StepProblem":
+        """Return the problem with another velocity-product bias of its pairs."""
         equations = self.equations
         if equations.pairs is None:
             return self
-        pairs = equations.pairs.with_sweep(sweep)  # pyright: ignore
+        pairs = equations.pairs.with_bias(bias)
         return self._replace(equations=equations._replace(pairs=pairs))
 
     def velocity(self, y: Float[Array, "v *n"]) -> Float[Array, "3 p *n"] | None:
@@ -159,9 +158,9 @@ class StepProblem(NamedTuple):
             velocity: of the contact points, m/s; None without ground.
         """
         tree, state, wanted = self.world.tree, self.equations.state, self.equations.wanted
-        asked = self.asked(qdd)
-        over = overloaded(tree, asked)
-        torque = jnp.where(over, clamp_torque(tree, asked), wanted)
+        commanded = self.commanded_torque(qdd)
+        over = overloaded(tree, commanded)
+        torque = jnp.where(over, clamp_torque(tree, commanded), wanted)
         slope = jnp.where(over, 0.0, servo_slope(tree, wanted, self.h))
         change = self.h * qdd
         stop, stop_slope = limit_torque(tree, state.q, state.qd + change, self.h)
@@ -258,25 +257,25 @@ class StepProblem(NamedTuple):
         """Of motors and limits of joints under linearized laws, N m."""
         return linear.torque - self.h * linear.slope * y[ROOT_DOFS:]
 
-    def beyond_coulomb(
+    def coulomb_error(
         self,
         radius: Float[Array, "p *n"],
-        found: Float[Array, "p *n"],
+        allowed: Float[Array, "p *n"],
         velocity: Float[Array, "3 p *n"] | None,
         linear: Linearization,
     ) -> Float[Array, "*n"]:
-        """Norm of what friction misses its law by with a cone, as a share of the load.
+        """Return the Coulomb error of the friction forces, relative to the total normal load.
 
         Args:
-            radius: of the cone that the motion was found with.
-            found: the one that its own normal forces give.
+            radius: of the cones with which the motion was found, N.
+            allowed: radii that its own normal forces give, N.
             velocity: of the contact points in it.
             linear: the laws linearized there.
         """
         footing = self.world.footing
         if footing is None or velocity is None:
             return jnp.zeros(linear.torque.shape[1:], linear.torque.dtype)
-        change = friction_change(footing, radius, found, velocity, self.h)
+        change = friction_change(footing, radius, allowed, velocity, self.h)
         return jnp.sqrt((change * change).sum(0)) / self.load(linear)
 
     def load(self, linear: Linearization) -> Float[Array, "*n"]:
@@ -296,12 +295,12 @@ class StepProblem(NamedTuple):
             return self.force[:0]
         return cone_radius(footing, contacts, velocity, self.h)
 
-    def gains(self, y: Float[Array, "v *n"], linear: Linearization) -> Bool[Array, "*n"]:
-        """Where bouncing contacts give the creature energy, the laws being linearized there.
+    def injects_energy(self, y: Float[Array, "v *n"], linear: Linearization) -> Bool[Array, "*n"]:
+        """Return where bouncing contacts do positive work on the creature.
 
-        By the mean of velocities at the start and the end of the step; lifting points out of the
-        ground does not count. Those that whirl a limb count as if they did: the mass matrix does
-        not tell.
+        The work is that of the mean of the velocities before and after the step. Lifting points
+        out of the ground does not count. A limb that whirls counts as if it gained energy, because
+        the mass matrix at the start of the step says little of its end.
         """
         contacts, state = self.equations.contacts, self.equations.state
         if contacts is None or linear.contact is None:
@@ -313,7 +312,7 @@ class StepProblem(NamedTuple):
         return ((power > 0) | whirls) & (contacts.bounce > 0).any(0)
 
     def touches(self, y: Float[Array, "v *n"]) -> Bool[Array, "*n"]:
-        """Where a motion would need contact forces."""
+        """Return where a motion would need contact forces."""
         contacts, pairs, velocity = self.equations.contacts, self.equations.pairs, self.velocity(y)
         found = jnp.zeros(y.shape[1:], bool)
         if contacts is not None and velocity is not None:
@@ -322,38 +321,41 @@ class StepProblem(NamedTuple):
             found = found | pairs.touches(y[ROOT_DOFS:])
         return found
 
-    def overloads_otherwise(self, y: Float[Array, "v *n"]) -> Bool[Array, "*n"]:
-        """Where motors are not at the same limits in a motion as without accelerations.
+    def changes_overload(self, y: Float[Array, "v *n"]) -> Bool[Array, "*n"]:
+        """Return where a motion moves motors to other torque limits than zero acceleration does.
 
-        They give another torque then than where those that are at a limit are taken to stay there.
+        `step_solver.free_motion` holds motors at their limits, so it gives them wrong torques.
         """
-        tree, without, asked = self.world.tree, self.equations.wanted, self.asked(y[ROOT_DOFS:])
-        given = clamp_torque(tree, asked)
-        stays = jnp.where(overloaded(tree, without), clamp_torque(tree, without), asked)
+        tree, without, commanded = (
+            self.world.tree,
+            self.equations.wanted,
+            self.commanded_torque(y[ROOT_DOFS:]),
+        )
+        given = clamp_torque(tree, commanded)
+        stays = jnp.where(overloaded(tree, without), clamp_torque(tree, without), commanded)
         least = _OTHERWISE * expand_dims_like(tree.torque_limit, given) + _NONE
         return (jnp.abs(given - stays) > least).any(0)
 
-    def asked(self, qdd: Float[Array, "d *n"]) -> Float[Array, "d *n"]:
-        """Of the motors at the end of the step, N m."""
+    def commanded_torque(self, qdd: Float[Array, "d *n"]) -> Float[Array, "d *n"]:
+        """Return the torques that the servos command at the end of the step, N m."""
         wanted = self.equations.wanted
         return wanted - self.h * servo_slope(self.world.tree, wanted, self.h) * qdd
 
-    def own_sweep(self) -> Float[Array, "k *n"]:
-        """The sweep that this problem has; none where no bodies can touch."""
+    @property
+    def pair_bias(self) -> Float[Array, "k *n"]:
+        """Velocity-product bias of the pairs (`evo_cpg.physics.pair_contacts.PairContacts`)."""
         pairs = self.equations.pairs
-        return self.force[:0] if pairs is None else pairs.sweep
+        return self.force[:0] if pairs is None else pairs.bias
 
-    def sweep(self, qdd: Float[Array, "d *n"]) -> Float[Array, "k *n"]:
-        """Of pairs of bodies at the joint rates that some accelerations lead to, m/s^2."""
+    def pair_bias_at(self, qdd: Float[Array, "d *n"]) -> Float[Array, "k *n"]:
+        """Return the velocity-product bias of the pairs at the joint rates after the step."""
         pairs = self.equations.pairs
-        return self.force[:0] if pairs is None else pairs.sweep_at(qdd)
+        return self.force[:0] if pairs is None else pairs.bias_at(qdd)
 
-    def strays(self, qdd: Float[Array, "d *n"], sweep: Float[Array, "k *n"]) -> Bool[Array, "*n"]:
-        """Where pairs that push come elsewhere than they are to, for their sweep is another."""
+    def drifts(self, qdd: Float[Array, "d *n"], bias: Float[Array, "k *n"]) -> Bool[Array, "*n"]:
+        """Return where touching pairs would end elsewhere with another velocity-product bias."""
         pairs = self.equations.pairs
-        if pairs is None:
-            return jnp.zeros(qdd.shape[1:], bool)
-        return pairs.strays(qdd, sweep)  # pyright: ignore
+        return jnp.zeros(qdd.shape[1:], bool) if pairs is None else pairs.drifts(qdd, bias)
 
     def _total_mass(self) -> Number:
         """Of the creature, kg."""

@@ -16,7 +16,9 @@ import numpy as np
 from jaxtyping import Array, Float, Int, UInt32
 
 from evo_cpg.simulation.backward import Backward
-from evo_cpg.simulation.rollout import Outcome, Simulation, rollout
+from evo_cpg.simulation.judge import Outcome
+from evo_cpg.simulation.rollout import rollout
+from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.spatial.numerics import is_number
 from evo_cpg.spatial.partly import PartlyTraced
 
@@ -156,7 +158,7 @@ def rollout_batched(
     """
 
     def one(values: list[Array], genes: Array, keys: Array | None, trial: Array | None) -> Outcome:
-        return rollout(inputs.put(common, values), genes, keys, trial, backward)
+        return rollout(inputs.put(common, values), genes, keys, trial, backward=backward)
 
     own = [jnp.asarray(value, genes.dtype) for value in values]
     return jax.vmap(one, in_axes=-1, out_axes=-1)(own, genes, keys, trial)

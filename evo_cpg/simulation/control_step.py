@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
 
 from evo_cpg.control.controller import Command, Observation
 from evo_cpg.fusion.fuse import fuse
@@ -16,6 +16,7 @@ from evo_cpg.physics.equations import Residual, Warmstart
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import State
 from evo_cpg.physics.step import Effort, first_warmstart, step
+from evo_cpg.simulation.genome import Phenotype
 from evo_cpg.simulation.noise import disturb_motion, disturb_start, grip_of
 from evo_cpg.simulation.sensors import fathom, feel, see
 from evo_cpg.simulation.simulation import Simulation
@@ -47,18 +48,32 @@ class Life(NamedTuple):
     """What stays the same throughout a trial.
 
     Attributes:
-        decoded: the genes, as the controller made them its own.
+        phenotype: what the genes became.
         keys: of the trial's noise.
         light: where it is for each individual; None where it is the same for all.
         common_light: where it is for all; None where each has its own, or there is none.
         grip: by which the ground's friction is multiplied; None for 1.
     """
 
-    decoded: PyTree[Array]
+    phenotype: Phenotype
     keys: Array | None
     light: Array | None
     common_light: np.ndarray | Array | None
     grip: Array | None = None
+
+
+class PhysicsStep(NamedTuple):
+    """What happened in a physics step.
+
+    Attributes:
+        before: the body at its beginning.
+        after: the body at its end.
+        effort: of motors and ground.
+    """
+
+    before: State
+    after: State
+    effort: Effort
 
 
 class Effects(NamedTuple):
@@ -73,6 +88,7 @@ class Effects(NamedTuple):
         energy: spent by all motors, J.
         airborne: share of the time off the ground.
         residual: of the physics, the largest of its steps; None where one solve is exact.
+        physics: every physics step, stacked; None unless an observer needs them.
     """
 
     before: State
@@ -83,6 +99,7 @@ class Effects(NamedTuple):
     energy: Float[Array, " *n"]
     airborne: Float[Array, " *n"]
     residual: Residual | None = None
+    physics: PhysicsStep | None = None
 
 
 def begin_life(
@@ -95,12 +112,12 @@ def begin_life(
         light = light_places(simulation.lights, trial, genes.dtype) if own else None
         animal = starting_animal(simulation, keys, trial, genes.shape[1:], genes.dtype)
         grip = grip_of(simulation.noise, keys)
-        return simulation.controller.decode(genes), light, grip, animal
+        return simulation.genome.decode(genes), light, grip, animal
 
     name = f"{type(simulation.controller).__name__}.decode"
-    decoded, light, grip, animal = fuse(begin, genes, keys, trial, batch_ndim=ndim, name=name)
+    phenotype, light, grip, animal = fuse(begin, genes, keys, trial, batch_ndim=ndim, name=name)
     common = None if own else light_places(simulation.lights, None, genes.dtype)
-    return Life(decoded, keys, light, common, grip), animal
+    return Life(phenotype, keys, light, common, grip), animal
 
 
 def starting_animal(
@@ -122,17 +139,28 @@ def starting_animal(
 
 
 def control_step(
-    simulation: Simulation, life: Life, animal: Animal, index: Array
+    simulation: Simulation, life: Life, animal: Animal, index: Array, physics: bool = False
 ) -> tuple[Animal, Effects]:
-    """Push, sense, command, and move for one control step."""
+    """Push, sense, command, and move for one control step.
+
+    Args:
+        simulation: the trial.
+        life: what stays the same throughout it.
+        animal: at the beginning of the step.
+        index: number of the step, from 0.
+        physics: with `Effects.physics`; the physics steps are then programs of their own.
+    """
 
     def whole(own: Life, animal: Animal):
         own = own._replace(common_light=life.common_light)
         animal = push(simulation, own, animal, index)
         observation = sense(simulation, own, animal)
         nerves, command = act(simulation, own, animal, observation)
-        return move(simulation, own, animal._replace(nerves=nerves), observation, command)
+        animal = animal._replace(nerves=nerves)
+        return move(simulation, own, animal, observation, command, physics)
 
+    if physics:
+        return whole(life, animal)
     ndim = animal.state.position.ndim - 1
     given = life._replace(common_light=None), animal
     return fuse(whole, *given, batch_ndim=ndim, name="a control step")
@@ -179,7 +207,7 @@ def act(
     """The controller's next state, and what it asks of the motors."""
     controller, ndim = simulation.controller, animal.state.position.ndim - 1
     name = f"{type(controller).__name__}.act"
-    given = life.decoded, animal.nerves, observation
+    given = life.phenotype.controller, animal.nerves, observation
     return fuse(controller.act, *given, batch_ndim=ndim, name=name)
 
 
@@ -189,27 +217,29 @@ def move(
     animal: Animal,
     observation: Observation,
     command: Command,
+    physics: bool = False,
 ) -> tuple[Animal, Effects]:
-    """The physics steps of a control step."""
+    """The physics steps of a control step; see `control_step`."""
     world, h, state = simulation.world, simulation.step_length, animal.state
     batch = state.position.shape[1:]
 
     def advance(carry, _):
-        state, warmstart, energy, airborne, forces, ground_force, residual = carry
+        before, warmstart, energy, airborne, forces, ground_force, residual = carry
         told = command.target_rate, h, command.target_angle
-        state, effort = step(world, state, *told, warmstart, life.grip)
+        state, effort = step(world, before, *told, warmstart, life.grip)
         if effort.contact_frame_force is not None:
             ground_force = effort.contact_frame_force
         airborne = airborne + _is_airborne(effort) / simulation.substeps
         forces = _add_share(forces, effort, 1.0 / simulation.substeps)
         energy = energy + effort.energy
         residual = jax.tree.map(jnp.maximum, residual, effort.residual)
-        return (state, effort.warmstart, energy, airborne, forces, ground_force, residual), None
+        carry = state, effort.warmstart, energy, airborne, forces, ground_force, residual
+        return carry, PhysicsStep(before, state, effort) if physics else None
 
     none, still = jnp.zeros(batch, state.q.dtype), no_forces(simulation, state)
     exact = None if animal.warmstart is None else Residual(none, none)
     start = state, animal.warmstart, none, none, still, still.contact_force, exact
-    (moved, warmstart, energy, airborne, forces, ground_force, residual), _ = jax.lax.scan(
+    (moved, warmstart, energy, airborne, forces, ground_force, residual), each = jax.lax.scan(
         advance, start, None, length=simulation.substeps
     )
 
@@ -222,7 +252,7 @@ def move(
     kept = forces if animal.forces else None
     after = Animal(moved, animal.nerves, pressure, kept, warmstart)
     told = observation, command, forces, energy, airborne
-    return after, Effects(state, moved, *told, residual)
+    return after, Effects(state, moved, *told, residual, each)
 
 
 def transition(simulation: Simulation, life: Life, effects: Effects, index: Array) -> Transition:
@@ -230,7 +260,7 @@ def transition(simulation: Simulation, life: Life, effects: Effects, index: Arra
     before, after = (
         snapshot_of(simulation, life, state) for state in (effects.before, effects.after)
     )
-    return Transition(index, before, after, *effects[2:-1])
+    return Transition(index, before, after, *effects[2:7])
 
 
 def snapshot_of(simulation: Simulation, life: Life, state: State) -> Snapshot:

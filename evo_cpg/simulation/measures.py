@@ -266,22 +266,35 @@ class Measures(eqx.Module):
     """Several of them, by name.
 
     Attributes:
-        names: keys of `MEASURES`.
+        names: of each.
+        each: the measures.
     """
 
-    names: tuple[str, ...] = eqx.field(static=True)
+    names: tuple[str, ...] = eqx.field(static=True, default=())
+    each: tuple[Measure, ...] = ()
+
+    def __or__(self, other: "Measures") -> "Measures":
+        return Measures(self.names + other.names, self.each + other.each)
 
     def begin(self, world: World, batch: tuple[int, ...], dtype: jnp.dtype) -> dict[str, PyTree]:
         """The tallies before a trial."""
-        return {name: MEASURES[name]().begin(world, batch, dtype) for name in self.names}
+        return {name: one.begin(world, batch, dtype) for name, one in self._named()}
 
     def update(self, tallies: dict[str, PyTree], transition: Transition) -> dict[str, PyTree]:
         """The tallies after one more control step."""
-        return {name: MEASURES[name]().update(tallies[name], transition) for name in self.names}
+        return {name: one.update(tallies[name], transition) for name, one in self._named()}
 
     def finish(self, tallies: dict[str, PyTree], trial: Trial) -> dict[str, Float[Array, " *n"]]:
         """The numbers."""
-        return {name: MEASURES[name]().finish(tallies[name], trial) for name in self.names}
+        return {name: one.finish(tallies[name], trial) for name, one in self._named()}
+
+    def _named(self) -> zip:
+        return zip(self.names, self.each, strict=True)
+
+
+def measures(*names: str) -> Measures:
+    """Return measures by their keys in `MEASURES`."""
+    return Measures(names, tuple(MEASURES[name]() for name in names))
 
 
 def distance(way: Way, world: World) -> Float[Array, " *n"]:

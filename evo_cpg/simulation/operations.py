@@ -14,7 +14,6 @@ import numpy as np
 
 from evo_cpg.creature.reach import chain_to_root
 from evo_cpg.creature.tree import Tree
-from evo_cpg.physics.fluid import Patch
 from evo_cpg.physics.footing import CORNERS, Footing
 from evo_cpg.physics.pairs import KINDS, Pairs
 from evo_cpg.physics.step import searches
@@ -52,7 +51,6 @@ _WEIGHTS = {
         "two axes of a point": 2.5,
     },
     "looped pairs": {"any": 12_700.0, "kind": 2900.0, "two axes": 22.0},
-    "water": {"form point": 27.0, "skin point": 36.0, "point at a surface": 38.0},
     "brain": {"gene": 1.9},
     "noise": {"any": 6300.0},
 }
@@ -66,7 +64,7 @@ class Operations(NamedTuple):
         ground: contact with the floor.
         obstacles: contact with what stands on it.
         pairs: bodies that may touch each other.
-        water: drag and buoyancy.
+        water: force laws, of the water and others.
         controller: the nervous system.
         noise: chance.
     """
@@ -96,7 +94,7 @@ def estimate_operations(simulation: Simulation) -> Operations:
         parts["ground"],
         parts["obstacles"],
         parts["pairs"] + parts["looped pairs"],
-        parts["water"],
+        sum(law.operations() for law in simulation.world.forces),
         parts["brain"],
         parts["noise"],
     )
@@ -115,7 +113,6 @@ def _counts(simulation: Simulation) -> dict[str, dict[str, float]]:
         "obstacles": {} if world.footing is None else _at_obstacles(world.footing),
         "pairs": {} if world.pairs is None else _of_pairs(tree, chains, world.pairs),
         "looped pairs": {} if world.pairs is None else _of_loops(tree, chains, world.pairs),
-        "water": _in_water(world.patches),
         "brain": {"gene": simulation.controller.gene_count},
         "noise": {"any": not simulation.noise.silent},
     }
@@ -178,15 +175,3 @@ def _between(tree: Tree, chains: list[set[int]], first: int, second: int) -> int
     """Count the joint axes between two bodies."""
     between = chains[first] ^ chains[second]
     return sum(body in between for body in tree.dof_bodies)
-
-
-def _in_water(patches: tuple[Patch, ...]) -> dict[str, float]:
-    counts: dict[str, float] = {"form point": 0, "skin point": 0, "point at a surface": 0}
-    for patch in patches:
-        form, skin = (len(area) for area in (patch.normal_area, patch.tangential_area))
-        if patch.normal_places is None:
-            counts["form point"] += len(patch.bodies) * form
-            counts["skin point"] += len(patch.bodies) * skin
-        else:
-            counts["point at a surface"] += len(patch.bodies) * (form + skin)
-    return counts

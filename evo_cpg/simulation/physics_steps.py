@@ -4,17 +4,15 @@ A recording has the motion once per control step, as films and plots need it. He
 before and after every physics step, with what motors, ground and limbs did in it.
 """
 
+import dataclasses
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from evo_cpg.control.controller import Command
-from evo_cpg.fusion.engine import using
 from evo_cpg.physics.state import State
-from evo_cpg.physics.step import step
-from evo_cpg.simulation.control_step import Animal, Life, act, begin_life, move, push, sense
+from evo_cpg.simulation.observer import Observer, Seen
 from evo_cpg.simulation.simulation import Simulation
 
 
@@ -47,69 +45,43 @@ class PhysicsSteps(NamedTuple):
     light: Float[Array, "e t"]
 
 
-def physics_steps(
-    simulation: Simulation,
-    genes: Float[Array, "g n"],
-    keys: Array | None = None,
-    trial: Array | None = None,
-) -> PhysicsSteps:
-    """The first individual of a population, in every physics step.
+@dataclasses.dataclass(frozen=True)
+class EachPhysicsStep(Observer):
+    """Keeps the first individual of a population in every physics step.
 
-    Args:
-        simulation: the trial.
-        genes: a population; neighbours make the numbers come out as in training.
-        keys: see `evo_cpg.simulation.rollout.rollout`.
-        trial: likewise.
+    Neighbours make the numbers come out as in training.
     """
-    keys = None if simulation.noise.silent else keys
-    trial = None if len(simulation.situations) == 1 else trial
-    with using(simulation.engine):
-        life, first = begin_life(simulation, genes, keys, trial)
 
-        def advance(animal: Animal, index: Array) -> tuple[Animal, PhysicsSteps]:
-            animal = push(simulation, life, animal, index)
-            seen = sense(simulation, life, animal)
-            nerves, command = act(simulation, life, animal, seen)
-            animal = animal._replace(nerves=nerves)
-            moved, _ = move(simulation, life, animal, seen, command)
-            return moved, _each_step(simulation, life, animal, command, seen.light)
+    every_step = True
+    physics = True
 
-        _, steps = jax.lax.scan(advance, first, jnp.arange(simulation.steps))
-    return jax.tree.map(_time_last, steps)
-
-
-def _each_step(
-    simulation: Simulation, life: Life, animal: Animal, command: Command, light: Array
-) -> PhysicsSteps:
-    """The physics steps of a control step, as `move` takes them."""
-    world, h = simulation.world, simulation.step_length
-    none = jnp.zeros((0, *animal.state.position.shape[1:]), animal.state.q.dtype)
-    angle = command.target_angle
-    asked = command.target_rate, jnp.zeros_like(animal.state.q) if angle is None else angle
-
-    def advance(carry, _):
-        state, warmstart = carry
-        after, effort = step(world, state, command.target_rate, h, angle, warmstart, life.grip)
-        residual = effort.residual
-        exact = jnp.zeros_like(effort.energy)
-        seen = PhysicsSteps(
-            state,
+    def of_step(self, seen: Seen) -> PhysicsSteps:
+        """Return the physics steps of a control step, along the first axis."""
+        command, observation = seen.effects.command, seen.effects.observation
+        assert seen.effects.physics is not None
+        before, after, effort = seen.effects.physics
+        rate, angle = command.target_rate, command.target_angle
+        held = rate, jnp.zeros_like(rate) if angle is None else angle, observation.light
+        rates, angles, light = (x[None].repeat(len(before.q), 0) for x in held)
+        none = jnp.zeros((len(before.q), 0, *rate.shape[1:]), rate.dtype)
+        exact, residual = jnp.zeros_like(effort.energy), effort.residual
+        steps = PhysicsSteps(
+            before,
             after,
-            *asked,
+            rates,
+            angles,
             effort.torque,
-            none[None].repeat(3, 0) if effort.contact_force is None else effort.contact_force,
+            none[:, None].repeat(3, 1) if effort.contact_force is None else effort.contact_force,
             none if effort.pair_force is None else effort.pair_force,
             exact if residual is None else residual.solved,
             exact if residual is None else residual.coulomb,
             light,
         )
-        return (after, effort.warmstart), jax.tree.map(lambda x: x[..., 0], seen)
+        return jax.tree.map(lambda x: x[..., 0], steps)
 
-    start = animal.state, animal.warmstart
-    return jax.lax.scan(advance, start, None, length=simulation.substeps)[1]
-
-
-def _time_last(values: Array) -> Array:
-    """From ``(control steps, substeps, ...)``."""
-    steps, substeps, *rest = values.shape
-    return jnp.moveaxis(values.reshape(steps * substeps, *rest), 0, -1)
+    def finish(self, simulation: Simulation, tally: tuple, steps: PhysicsSteps) -> PhysicsSteps:
+        """Join ``(control steps, physics steps, ...)`` to one axis of time, the last."""
+        del simulation, tally
+        return jax.tree.map(
+            lambda x: jnp.moveaxis(x.reshape(x.shape[0] * x.shape[1], *x.shape[2:]), 0, -1), steps
+        )

@@ -1,12 +1,26 @@
 """The motion of one individual, as films, plots and exports need it."""
 
+import dataclasses
+import functools
+from collections.abc import Mapping
 from typing import NamedTuple
 
+import jax
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float, PyTree
 
 from evo_cpg.creature.creature import Creature
+from evo_cpg.creature.tree import Tree
 from evo_cpg.errors import UserError
+from evo_cpg.fusion.fuse import fuse
+from evo_cpg.physics.kinematics import kinematics
+from evo_cpg.simulation.control_step import Effects
+from evo_cpg.simulation.observer import Observer, Seen
+from evo_cpg.simulation.simulation import Simulation
+from evo_cpg.spatial.linear import cross, expand_dims_like
+
+# Names of frames that hold readings of senses, and the state of the controller, begin so.
+SENSE, NERVE = "sense.", "nerve."
 
 
 class RecordingError(UserError, ValueError):
@@ -99,3 +113,108 @@ def require_whole(recording: Recording, creature: Creature) -> None:
             f"the recording diverges at {recording.time[finite.argmin()]:g} s: "
             "positions or rotations are not finite from there on"
         )
+
+
+@dataclasses.dataclass(frozen=True)
+class Recorder(Observer):
+    """Keeps arrays of every control step by name, from which `as_recording` makes a motion.
+
+    Attributes:
+        count: individuals that are recorded.
+        first: of them.
+        full: with velocities, senses and the state of the controller.
+    """
+
+    every_step = True
+    count: int = 1
+    first: int = 0
+    full: bool = False
+
+    def of_step(self, seen: Seen) -> dict[str, Array]:
+        """Return the frames of a control step."""
+        frame = functools.partial(_frame, seen.simulation.world.tree, self.full)
+        frames = fuse(frame, seen.effects, batch_ndim=seen.effects.energy.ndim)
+        if self.full:
+            frames |= _nerve_frames(seen.animal.nerves)
+        recorded = slice(self.first, self.first + self.count)
+        return {name: values[..., recorded] for name, values in frames.items()}
+
+    def finish(
+        self, simulation: Simulation, tally: tuple, steps: dict[str, Array]
+    ) -> dict[str, Array]:
+        """Return the frames, stacked along the first axis."""
+        del simulation, tally
+        return steps
+
+
+def as_recording(
+    simulation: Simulation,
+    frames: Mapping[str, Array | np.ndarray],
+    names: list[str],
+    individual: int = 0,
+    trial: int = 0,
+) -> Recording:
+    """Order the bodies as the creature does and add what belongs to a film.
+
+    Args:
+        simulation: the trial.
+        frames: from `Recorder`.
+        names: of the bodies in the order of ``creature.bodies``.
+        individual: which of those recorded.
+        trial: number of the situation that it lived in.
+    """
+    tree = simulation.world.tree
+    order = [tree.names.index(name) for name in names]
+    light = simulation.lights[trial if len(simulation.situations) > 1 else 0]
+    arrays = {name: np.asarray(values[..., individual]) for name, values in frames.items()}
+    position = np.moveaxis(arrays["position"], -1, 1)
+    root = position[:, 0]
+    way = root - light if light else (root - root[0])[:, :2]
+    return Recording(
+        time=np.arange(simulation.steps) / simulation.control_rate,
+        position=position[:, order],
+        rotation=np.moveaxis(arrays["rotation"], -1, 1)[:, order],
+        joint_angle=arrays["joint_angle"],
+        target_rate=arrays["target_rate"],
+        cpg_output=arrays["cpg_output"],
+        torque=arrays["torque"],
+        distance=np.linalg.norm(way, axis=-1),
+        goal=np.array(light, float) if light else np.full(3, np.nan),
+        dof_names=tree.dof_names,
+    )
+
+
+def _frame(tree: Tree, full: bool, effects: Effects) -> dict[str, Array]:
+    """What is recorded of one control step, but for the state of the controller."""
+    kin = kinematics(tree, effects.before)
+    com = expand_dims_like(tree.com, kin.origin)
+    residual = {} if effects.residual is None else effects.residual._asdict()
+    lever = (kin.rotation * com[None]).sum(1)
+    frame = {
+        "position": kin.origin + lever,
+        "rotation": kin.rotation,
+        "joint_angle": effects.before.q,
+        "target_rate": effects.command.target_rate,
+        "cpg_output": effects.command.signal,
+        "torque": effects.forces.torque,
+        "contact_force": effects.forces.contact_force,
+        "pair_force": effects.forces.pair_force,
+        "energy": effects.energy,
+        **{f"{name}_residual": values for name, values in residual.items()},
+    }
+    if full:
+        # Joint angles and rates are those of the state.
+        senses = effects.observation._replace(joint_angle=None, joint_rate=None)._asdict()
+        frame |= {
+            "velocity": kin.linear + cross(kin.angular, lever),
+            "angular_velocity": kin.angular,
+            "joint_rate": effects.before.qd,
+            **{SENSE + name: values for name, values in senses.items() if values is not None},
+        }
+    return frame
+
+
+def _nerve_frames(nerves: PyTree[Array]) -> dict[str, Array]:
+    """What a controller remembers, by the names of its fields."""
+    leaves, _ = jax.tree_util.tree_flatten_with_path(nerves)
+    return {NERVE + jax.tree_util.keystr(path).strip("."): values for path, values in leaves}

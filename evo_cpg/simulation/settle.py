@@ -390,7 +390,8 @@ def _require_support(world: World) -> None:
         NoRestError: nothing can.
     """
     tree, water = world.tree, world.water
-    if not world.gravity:
+    if not world.gravity or not all(law.of_water for law in world.forces):
+        # A force law of the user's own may carry it.
         return
     if water is None:
         if world.footing is None:

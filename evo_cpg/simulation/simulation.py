@@ -5,6 +5,7 @@ import equinox as eqx
 from evo_cpg.control.controller import Controller
 from evo_cpg.fusion.engine import Engine
 from evo_cpg.physics.world import World
+from evo_cpg.simulation.genome import Genome
 from evo_cpg.simulation.measures import Measures
 from evo_cpg.simulation.noise import Noise
 from evo_cpg.simulation.rules import Rules
@@ -31,7 +32,7 @@ class Simulation(eqx.Module):
         engine: what computes it.
         rules: what an animal is out for breaking; None where it may do anything.
         extra_sensors: those of the creature's `sensors`, which give `Observation.custom`.
-        measures: of gait, beside the task's terms; None for none.
+        measures: of gait, beside the task's terms.
     """
 
     world: World
@@ -46,7 +47,12 @@ class Simulation(eqx.Module):
     engine: Engine = eqx.field(static=True, default=Engine())
     extra_sensors: tuple[Sensor, ...] = ()
     rules: Rules | None = None
-    measures: Measures | None = None
+    measures: Measures = Measures()
+
+    @property
+    def genome(self) -> Genome:
+        """Meaning of the genes."""
+        return Genome(self.controller)
 
     @property
     def duration(self) -> float:

@@ -7,7 +7,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.physics.state import State
-from evo_cpg.simulation.rollout import Simulation, motion
+from evo_cpg.simulation.observer import States
+from evo_cpg.simulation.rollout import rollout
+from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.spatial.rotation import quaternion_to_matrix
 
 # Columns: place of the root's centre (m), and its attitude (rad) as yaw, then pitch, then roll
@@ -69,7 +71,7 @@ def track(
                 velocity = velocity.at[i].add(value)
         return State(state.position, state.orientation, velocity, q, qd)
 
-    states = motion(simulation, genes, begin)
+    states = rollout(simulation, genes, observers=States(), begin=begin)
     length = 1.0 / float(simulation.control_rate)
     place = np.clip(times / length, 0.0, simulation.steps)
     first = np.minimum(place.astype(int), simulation.steps - 1)

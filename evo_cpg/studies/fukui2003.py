@@ -11,8 +11,7 @@ import jax
 import numpy as np
 from scipy import stats
 
-from evo_cpg.control.controller import Controller
-from evo_cpg.control.postures import PostureController
+from evo_cpg.control.postures import one_posture
 from evo_cpg.studies.audits import audit_table, audited, kept_table
 from evo_cpg.studies.halving import kept, ways
 from evo_cpg.studies.stills import stills
@@ -97,7 +96,7 @@ _NOISES = {
 
 def models(workshop: Workshop) -> list[Table]:
     """Which of the three models goes farthest."""
-    from evo_cpg.view.study_plot import plot_generations
+    from evo_cpg.view.search_plots import generations_figure
 
     best = {_title(model): _ends(workshop, model) for model in MODELS}
     against = beside(best, _title("model2"))
@@ -110,27 +109,27 @@ def models(workshop: Workshop) -> list[Table]:
     p = float(stats.kruskal(*best.values()).pvalue) if _differ(list(best.values())) else 1.0
     rows.append(["all three alike (Kruskal-Wallis)", "", "", "", f"p = {p:.2g}"])
     curves = {_title(model): _best(workshop, model) for model in MODELS}
-    plot_generations(curves, _LABEL, workshop.picture(), single_runs=True)
+    workshop.draw(generations_figure(curves, _LABEL, single_runs=True))
     return [Table("", head, rows)]
 
 
 def long(workshop: Workshop) -> list[Table]:
     """Model 1 for 2000 generations, as in Fig. 4-2, with noise and without."""
-    from evo_cpg.view.study_plot import plot_generations
+    from evo_cpg.view.search_plots import generations_figure
 
     names = {"long": "without noise", "long_noise": "noise, 7 kept"}
     curves = {title: _best(workshop, name) for name, title in names.items()}
-    plot_generations(curves, _LABEL, workshop.picture(), single_runs=True)
+    workshop.draw(generations_figure(curves, _LABEL, single_runs=True))
     return [_collapse(workshop, names)]
 
 
 def single(workshop: Workshop) -> list[Table]:
     """Two single runs of Model 1 with noise, as in Fig. 4-5 and 4-6."""
-    from evo_cpg.view.study_plot import plot_generations
+    from evo_cpg.view.search_plots import generations_figure
 
     best, first = _best(workshop, "single"), workshop.experiment("single").seed
     curves = {f"seed {first + run}": best[:, run : run + 1] for run in range(best.shape[1])}
-    plot_generations(curves, _LABEL, workshop.picture())
+    workshop.draw(generations_figure(curves, _LABEL))
     rows = []
     for name, own in curves.items():
         falls, share = _falls(own)
@@ -192,7 +191,7 @@ def random(workshop: Workshop) -> list[Table]:
 
 def walk(workshop: Workshop) -> list[Table]:
     """The three models scored for their posture, too, as section 4.3 proposes."""
-    from evo_cpg.view.study_plot import plot_champions
+    from evo_cpg.view.search_plots import champions_figure
 
     rows, dots = [], {}
     for n in (1, 2, 3):
@@ -206,7 +205,7 @@ def walk(workshop: Workshop) -> list[Table]:
             rows.append([name, *cells])
             dots[name] = terms["tilt"], terms["distance"]
     labels = "mean tilt of the torso: 0 upright, 1 on its side, 2 on its back", "distance (m)"
-    plot_champions(dots, labels, workshop.picture())
+    workshop.draw(champions_figure(dots, labels))
     head = [
         "",
         "distance, m (sorted)",
@@ -218,12 +217,12 @@ def walk(workshop: Workshop) -> list[Table]:
 
 def noise(workshop: Workshop) -> list[Table]:
     """How lineages are lost where there is chance, and the thesis's remedies."""
-    from evo_cpg.view.study_plot import plot_generations
+    from evo_cpg.view.search_plots import generations_figure
 
     curves = {title: _best(workshop, name) for name, title in _NOISES.items()}
     shortest = min(map(len, curves.values()))
     cut = {title: best[:shortest] for title, best in curves.items()}
-    plot_generations(cut, _LABEL, workshop.picture())
+    workshop.draw(generations_figure(cut, _LABEL))
     return [_collapse(workshop, _NOISES, "noise_7")]
 
 
@@ -306,15 +305,6 @@ def _collapse(workshop: Workshop, names: dict[str, str], first: str | None = Non
     head = ["", "best ever, m", "best of a generation, last tenth, m", "falls per run, median",
             "generations fallen", *against]  # fmt: skip
     return Table("", head, rows)
-
-
-def one_posture(controller: Controller, angle: float) -> np.ndarray:
-    """The genome in whose every posture all joints have one angle (degrees)."""
-    assert isinstance(controller, PostureController)
-    settings = controller.settings
-    number = round((angle - settings.lowest_angle) / settings.angle_step)
-    bits = [number >> place & 1 for place in reversed(range(settings.bits_per_joint))]
-    return np.tile(np.array(bits, np.float32), controller.gene_count // settings.bits_per_joint)
 
 
 def _held(workshop: Workshop, model: str) -> float:

@@ -14,7 +14,8 @@ import numpy as np
 from jaxtyping import Float
 
 from evo_cpg.physics.state import State
-from evo_cpg.simulation.rollout import motion
+from evo_cpg.simulation.observer import States
+from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.training.variations import finer
 
@@ -46,7 +47,8 @@ def ways(simulation: Simulation, genes: Float[np.ndarray, "n g"]) -> Ways:
         def begin(state: State) -> State:
             return dataclasses.replace(state, q=state.q + turned)
 
-        states = jax.jit(lambda genes: motion(finer(simulation, times), genes, begin))(genes.T)
+        trial = finer(simulation, times)
+        states = jax.jit(lambda g: rollout(trial, g, observers=States(), begin=begin))(genes.T)
         place = np.asarray(states.position)
         return np.linalg.norm(place[-1, :2] - place[0, :2], axis=0)
 

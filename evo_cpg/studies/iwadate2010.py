@@ -3,10 +3,10 @@
 import jax
 import numpy as np
 
-from evo_cpg.analysis.chains import axis_signs, joint_rows, rhythm_of
+from evo_cpg.analysis.chains import axis_signs, joint_rows
 from evo_cpg.analysis.gait import Gait, gait
-from evo_cpg.simulation.recording import Recording
-from evo_cpg.simulation.rollout import as_recording, record
+from evo_cpg.simulation.recording import Recorder, Recording, as_recording
+from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.studies.audits import audit_table, audited
 from evo_cpg.studies.lights import light_table, still
@@ -29,21 +29,22 @@ RUNS = {
 def swim(workshop: Workshop) -> list[Table]:
     """Five champions, random search with as many evaluations, and an animal that is still."""
     from evo_cpg.training.run_folder import history_columns
-    from evo_cpg.view.plots import plot_fitness, plot_path
+    from evo_cpg.view.plots import fitness_figure, path_figure
 
     history = history_columns(workshop.checkpoint("shared").history)
-    plot_fitness(history | {"best_so_far": history["champion"]}, workshop.picture("fitness"))
+    history["best_so_far"] = history["champion"]
+    workshop.draw(fitness_figure(history), "fitness")
     best = workshop.checkpoint("shared").champion
     for champion, recording in workshop.recordings("shared"):
         if best is not None and champion.run == best.run:
-            plot_path(recording, workshop.picture("path"))
+            workshop.draw(path_figure(recording), "path")
     table = light_table(workshop, "shared", "random")
     return [table._replace(rows=[*table.rows, still(workshop, "shared")])]
 
 
 def lags(workshop: Workshop) -> list[Table]:
     """Figure 3: the phase lag of the joint angles, and how many untrained animals have one."""
-    from evo_cpg.view.plots import plot_joint_signals
+    from evo_cpg.view.plots import joint_signals_figure
 
     best, rows = workshop.checkpoint("shared").champion, []
     simulation = workshop.experiment("shared").simulation
@@ -64,7 +65,7 @@ def lags(workshop: Workshop) -> list[Table]:
             ]
         )
         if best is not None and champion.run == best.run:
-            plot_joint_signals(recording, workshop.picture())
+            workshop.draw(joint_signals_figure(recording))
     head = ["seed", "axis", "frequency (Hz)", "spread", "lags from head to tail (degrees)",
             "amplitude (degrees)", "orderly wave"]  # fmt: skip
     waves = workshop.kept("untrained", ["shared"], lambda: _untrained(workshop))
@@ -84,7 +85,7 @@ def drives(workshop: Workshop) -> list[Table]:
             rows.append(
                 [
                     f"`{name}`",
-                    str(experiment.simulation.controller.gene_count),
+                    str(experiment.simulation.genome.count),
                     str(experiment.seed + champion.run),
                     f"{champion.worth:.3f}",
                     percent(champion.terms["distance"]),
@@ -125,7 +126,8 @@ def _untrained(workshop: Workshop) -> dict[str, int]:
     simulation = experiment.simulation
     genes = first_population(experiment)[:, :_UNTRAINED]
     count = genes.shape[1]
-    frames = jax.jit(lambda genes: record(simulation, genes, count))(genes)
+    recorder = Recorder(count)
+    frames = jax.jit(lambda genes: rollout(simulation, genes, observers=recorder))(genes)
     names = [body.name for body in experiment.creature.bodies]
     recordings = (as_recording(simulation, frames, names, i) for i in range(count))
     waves = sum(_gait(simulation, recording).has_wave() for recording in recordings)
@@ -133,9 +135,8 @@ def _untrained(workshop: Workshop) -> dict[str, int]:
 
 
 def _gait(simulation: Simulation, recording: Recording) -> Gait:
-    tree = simulation.world.tree
-    rows = joint_rows(tree, rhythm_of(simulation.controller)[0])
-    return gait(recording, signs=axis_signs(tree, rows))
+    signs = axis_signs(simulation.world.tree, joint_rows(simulation))
+    return gait(recording, signs=signs)
 
 
 STUDY = Study(

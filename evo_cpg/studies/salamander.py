@@ -7,7 +7,7 @@ import numpy as np
 
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import load_config
-from evo_cpg.simulation.measures import Measures
+from evo_cpg.simulation.measures import measures
 from evo_cpg.studies.audits import audit_table, audited
 from evo_cpg.studies.lights import light_table, lived, still
 from evo_cpg.studies.stills import stills
@@ -108,7 +108,7 @@ def boulders(workshop: Workshop) -> list[Table]:
 
 def eyes(workshop: Workshop) -> list[Table]:
     """The two-eyed swimmer of seed 0 is shown lights that it never saw, seeing and blind."""
-    from evo_cpg.view.probe_plot import plot_probe
+    from evo_cpg.view.probe_plot import probe_figure
 
     simulation = workshop.experiment("eyes").simulation
     champion = workshop.champions("eyes")[0]
@@ -120,7 +120,7 @@ def eyes(workshop: Workshop) -> list[Table]:
     ):
         found = probe(animal, champion.genes, lights)
         rows.append([title, *_probed(found)])
-        plot_probe(found, _REACHED, f"two-eyed swimmer, {title}", workshop.picture(name))
+        workshop.draw(probe_figure(found, _REACHED, f"two-eyed swimmer, {title}"), name)
     head = ["", "lights reached (20 % left or less)", "distance left, median", "worst"]
     return [Table("", head, rows)]
 
@@ -166,7 +166,7 @@ def _lived_in(workshop: Workshop, world: str, name: str) -> dict[str, list[list[
             config = load_config(source, ["creature.depth_sensors=[]", steps])
             simulation = build_experiment(config, source).simulation
         genes = np.stack([each.genes for each in workshop.champions(name)], axis=1)
-        measured = dataclasses.replace(simulation, measures=Measures(("tilt",)))
+        measured = dataclasses.replace(simulation, measures=measures("tilt"))
         terms = {key: x.astype(float) for key, x in lived(measured, genes).items()}
         # Who diverged is far away, and on its back.
         return {

@@ -39,7 +39,7 @@ RUNS = {name: runs for part in _FILES for name, runs in _declared(part).items()}
 
 def searches(workshop: Workshop, part: str) -> list[Table]:
     """Every search beside the genetic algorithm and random search."""
-    from evo_cpg.view.sweep_plot import Curves, plot_sweep
+    from evo_cpg.view.search_plots import Curves, sweep_figure
 
     names = [name for name in RUNS if name.startswith(f"{part} ")]
     fitness = {_own(name): _fitness(workshop, name) for name in names}
@@ -54,7 +54,7 @@ def searches(workshop: Workshop, part: str) -> list[Table]:
         left = [champion.terms["distance"] for champion in workshop.champions(name)]
         words = [against[first][own] for first in (_GENETIC, _RANDOM)]
         rows.append([own, f"{tried[-1]:,}", middle(fitness[own], 3), middle(left, 3), *words])
-    plot_sweep(curves, f"{part}: {len(names)} searches", workshop.picture())
+    workshop.draw(sweep_figure(curves, f"{part}: {len(names)} searches"))
     head = ["search", "evaluations", "fitness, median (range)", "distance (of 1 left, or m)",
             f"beats {_GENETIC}", f"beats {_RANDOM}"]  # fmt: skip
     return [Table("", head, rows)]
@@ -63,7 +63,7 @@ def searches(workshop: Workshop, part: str) -> list[Table]:
 def maps(workshop: Workshop, part: str) -> list[Table]:
     """How much of a map each search fills."""
     from evo_cpg.training.elites import gait_map
-    from evo_cpg.view.map_plot import plot_map
+    from evo_cpg.view.map_plot import map_figure
 
     rows = []
     for name in (name for name in RUNS if name.startswith(f"{part} ")):
@@ -74,8 +74,8 @@ def maps(workshop: Workshop, part: str) -> list[Table]:
         rows.append([own, f"{tried:,}", f"{last['coverage']:.1%}", f"{last['mean_elite']:.3f}"])
         cells = gait_map(experiment, found, 0)
         if cells is not None:
-            picture = workshop.picture(own.replace(" ", "_").lower())
-            plot_map(cells.axes, cells.fitness, picture, f"{part}, {own}")
+            figure = map_figure(cells.axes, cells.fitness, f"{part}, {own}")
+            workshop.draw(figure, own.replace(" ", "_").lower())
     head = ["search", "evaluations", "cells filled", "mean fitness of elites"]
     return [Table("", head, rows)]
 

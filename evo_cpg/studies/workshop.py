@@ -17,7 +17,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -41,6 +41,9 @@ from evo_cpg.studies.study import Part, Study, Table
 from evo_cpg.training.checkpoint import Champion, Checkpoint, genes_digest
 from evo_cpg.training.experiment import Experiment
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 # What a run is cut down to with --quick. A second of a trial, for the terms of its last second.
 _QUICK_RUNS, _QUICK_GENERATIONS, _QUICK_STEPS = 2, 2, 60
@@ -200,6 +203,12 @@ class Workshop:
         path = self.folder / f"{self._part}{f'_{name}' if name else ''}.png"
         self._pictures.append(path)
         return path
+
+    def draw(self, figure: "Figure", name: str = "") -> None:
+        """Save a figure of the part that is being made."""
+        from evo_cpg.view.figure import save_figure
+
+        save_figure(figure, self.picture(name))
 
     def kept(self, key: str, names: Sequence[str], measure: Callable[[], Any]) -> Any:
         """What was measured of the champions of runs; measured once, and kept as JSON.

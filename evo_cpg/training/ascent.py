@@ -21,7 +21,8 @@ from jaxtyping import Array, Float, Int, UInt32
 
 from evo_cpg.fusion.machine_constants import LANES
 from evo_cpg.simulation.backward import Backward, retention
-from evo_cpg.simulation.rollout import Simulation, rollout
+from evo_cpg.simulation.rollout import rollout
+from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.training.devices import Layout, run_in_blocks, sharded
 from evo_cpg.training.experiment import Experiment, judge, situation_numbers
 
@@ -238,7 +239,7 @@ def compile_ascent(
         yardsticks and, where there is noise, the keys of every individual's trials; individuals on
         the last axis.
     """
-    simulation, gene_count = experiment.simulation, experiment.simulation.controller.gene_count
+    simulation, gene_count = experiment.simulation, experiment.simulation.genome.count
     numbers: Any = situation_numbers(experiment)
     width = max(1, LANES // experiment.trials)
     rough = _is_rough(simulation)
@@ -254,7 +255,8 @@ def compile_ascent(
         trial = simulation
         if free:
             trial = free.simulation(free.at(shifts).astype(genes.dtype))
-        outcome = rollout(trial, crowd, keys, numbers, Backward(kept, width, rough))
+        backward = Backward(kept, width, rough)
+        outcome = rollout(trial, crowd, keys, numbers, backward=backward)
         return judge(simulation.task, outcome, scales)[0]
 
     def climb(

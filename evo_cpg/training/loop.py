@@ -12,8 +12,8 @@ from jax.sharding import Mesh
 from jaxtyping import Array, Float, Int, PyTree, UInt32
 
 from evo_cpg.evolution.generation import Genetics
-from evo_cpg.simulation.recording import Recording
-from evo_cpg.simulation.rollout import Outcome, as_recording, no_terms
+from evo_cpg.simulation.judge import Outcome, no_terms
+from evo_cpg.simulation.recording import Recording, as_recording
 from evo_cpg.training.checkpoint import Champion, Checkpoint
 from evo_cpg.training.devices import population_mesh
 from evo_cpg.training.experiment import (
@@ -38,7 +38,7 @@ from evo_cpg.training.strategy_state import StrategyError, state_arrays, state_f
 # Fitness, terms and motion of an individual that lives again.
 Replayed = tuple[float, dict[str, float], Recording]
 
-# Likewise with what is recorded of every control step (`evo_cpg.simulation.rollout.record`).
+# Likewise with what is recorded of every control step (`evo_cpg.simulation.recording.Recorder`).
 Lived = tuple[float, dict[str, float], dict[str, Array]]
 
 # Columns of metrics.csv that differ from run to run.
@@ -325,9 +325,9 @@ def compile_life(
 ) -> Callable[[Champion], Lived]:
     """As `compile_replay`, with what was recorded of each control step in place of a motion.
 
-    With ``full`` that is all of it, see `evo_cpg.simulation.rollout.record`.
+    With ``full`` that is all of it, see `evo_cpg.simulation.recording.Recorder`.
     """
-    simulation, genes = experiment.simulation, experiment.simulation.controller.gene_count
+    simulation, genes = experiment.simulation, experiment.simulation.genome.count
     numbers = situation_numbers(experiment)
     somebody = Champion(np.zeros(genes, np.float32), 0.0, 0, {}, {}, 0, 0)
     keys = jax.eval_shape(lambda: champion_keys(experiment, somebody))

@@ -9,7 +9,9 @@ from jaxtyping import Array, Bool, Float, Int
 
 from evo_cpg.simulation.noise import Noise
 from evo_cpg.simulation.reach_light import ReachLight
-from evo_cpg.simulation.rollout import Simulation, record
+from evo_cpg.simulation.recording import Recorder
+from evo_cpg.simulation.rollout import rollout
+from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.situation import Situation
 from evo_cpg.training.devices import layout, population_mesh, run_in_blocks, sharded
 from evo_cpg.training.experiment import compile_trials
@@ -61,10 +63,8 @@ def probe(
         genes: of the animal.
         situations: to put it into; each with a light.
     """
-    task = simulation.task
-    if not isinstance(task, ReachLight):
-        last_second = max(1, round(simulation.control_rate))
-        task = ReachLight(_light(situations[0]), final_steps=last_second)
+    final_steps = simulation.task.final_control_steps(simulation.control_rate)
+    task = ReachLight(_light(situations[0]), final_steps=final_steps)
     simulation = dataclasses.replace(simulation, task=task, situations=situations, noise=Noise())
     count, mesh = len(situations), population_mesh()
     alone, trial = genes[:, None], np.arange(count)
@@ -72,7 +72,9 @@ def probe(
 
     def follow(genes: Float[Array, "g n"], trial: Int[Array, " n"]) -> Float[Array, "t 3 n"]:
         # The root is the first body of the tree.
-        return record(simulation, genes, len(trial), trial=trial)["position"][:, :, 0]
+        recorder = Recorder(len(trial))
+        frames = rollout(simulation, genes, None, trial, recorder)
+        return frames["position"][:, :, 0]
 
     spread = layout(count, mesh)
     paths = run_in_blocks(

@@ -12,7 +12,7 @@ import jax
 import numpy as np
 from jax.sharding import Mesh
 
-from evo_cpg.simulation.rollout import Outcome
+from evo_cpg.simulation.judge import Outcome
 from evo_cpg.training.checkpoint import Checkpoint
 from evo_cpg.training.devices import population_mesh
 from evo_cpg.training.experiment import Experiment, compile_trials

@@ -16,9 +16,10 @@ from jaxtyping import Array, Bool, Float
 
 from evo_cpg.fusion.engine import Engine
 from evo_cpg.simulation.batched import batch, rollout_batched
-from evo_cpg.simulation.rollout import Outcome, rollout
+from evo_cpg.simulation.judge import Outcome
+from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.simulation import Simulation
-from evo_cpg.simulation.way import WAY, WithWay
+from evo_cpg.simulation.way import WAY, with_way
 from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.experiment import Experiment, champion_keys, judge, situation_numbers
 
@@ -83,7 +84,7 @@ def compile_lives(experiment: Experiment, variation: Variation) -> Callable[[Cha
     # Lives are neighbours, trial by trial; so are their simulations.
     owners = np.repeat(np.arange(len(sims)), variation.draws * trials)
     dtype = np.float64 if variation.double else np.float32
-    gene_count = experiment.simulation.controller.gene_count
+    gene_count = experiment.simulation.genome.count
     nobody = Champion(np.zeros(gene_count), 0.0, 0, {}, {}, 0, 0)
     with jax.enable_x64(variation.double):
         keys = jax.eval_shape(lambda: _keys(experiment, nobody, variation))
@@ -124,13 +125,7 @@ def with_drag(simulation: Simulation, factor: float) -> Simulation:
     Raises:
         ValueError: there is no water.
     """
-    water = simulation.world.water
-    if water is None:
-        raise ValueError("there is no water to drag")
-    thicker = dataclasses.replace(
-        water, form_drag=water.form_drag * factor, skin_drag=water.skin_drag * factor
-    )
-    return eqx.tree_at(lambda s: s.world.water, simulation, thicker)
+    return dataclasses.replace(simulation, world=simulation.world.with_drag(factor))
 
 
 def shaken(simulation: Simulation, angle: float) -> Simulation:
@@ -161,12 +156,6 @@ def limp(simulation: Simulation) -> Simulation:
 def on_engine(simulation: Simulation, engine: Engine) -> Simulation:
     """The same, computed by something else."""
     return dataclasses.replace(simulation, engine=engine)
-
-
-def with_way(simulation: Simulation) -> Simulation:
-    """The same with a task that also tells the way, in the term `WAY`."""
-    task = simulation.task
-    return dataclasses.replace(simulation, task=WithWay(task.light, task))
 
 
 def _program(sims: Sequence[Simulation], owners: np.ndarray) -> Callable[..., Outcome]:

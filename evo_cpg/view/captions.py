@@ -1,10 +1,12 @@
-"""Captions over a film: title, time, distance left and speed."""
+"""Words of a film: title, time, distance left and speed over it, and headings of moments."""
 
 from collections.abc import Callable
 
+import numpy as np
 import pyvista as pv
+from PIL import Image, ImageDraw, ImageFont
 
-from evo_cpg.view.legible import write_legibly
+from evo_cpg.view.legible import BOLD, legible, write_legibly
 from evo_cpg.view.look import Look
 
 # In pixels of a picture 720 high; smaller pictures do not shrink below `_SMALLEST` of it.
@@ -14,6 +16,8 @@ _COLUMNS = (0, 140, 290)
 _SMALL = 200
 # About as wide are a value and letters of the title and of the note; what has no room is left out.
 _VALUE, _TITLE_LETTER, _NOTE_LETTER = 105, 13.5, 9.0
+# Height of a heading's letters, as a fraction of its line.
+_HEADING = 0.6
 # A title shrinks to this share of its size, and ends so where it is cut.
 _LEAST_SHARE, _CUT = 0.55, "..."
 
@@ -85,6 +89,21 @@ def add_captions(
             actor.input = text
 
     return update
+
+
+def heading(text: str, width: int, height: int) -> np.ndarray:
+    """Return a line of words, dark on white: ``(height, width, 3)`` bytes, bottom row first.
+
+    Args:
+        text: its words.
+        width: pixels.
+        height: pixels.
+    """
+    picture = Image.new("RGB", (width, height), "white")
+    font = ImageFont.truetype(str(BOLD), _HEADING * height)
+    place = width / 2, height / 2
+    ImageDraw.Draw(picture).text(place, legible(text), fill="black", font=font, anchor="mm")
+    return np.asarray(picture)[::-1]
 
 
 def _fitting(title: str, letters: float) -> tuple[str, float]:

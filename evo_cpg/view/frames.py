@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from evo_cpg.view.captions import heading
 from evo_cpg.view.clip import Clip, sample
-from evo_cpg.view.heading import heading
 from evo_cpg.view.look import LOOKS, SHORE
 from evo_cpg.view.offscreen import canvas, pixels
 from evo_cpg.view.output import GUTTER, SettingError, oversampling

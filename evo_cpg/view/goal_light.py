@@ -6,14 +6,19 @@ import numpy as np
 import pyvista as pv
 
 from evo_cpg.view.look import Look
+from evo_cpg.view.shadows import Spots
+from evo_cpg.view.terrain import Level, Terrain
 from evo_cpg.view.textures import spot_texture
+
+# Points along a side of the pool of light, and how high it lies, in radii of the animal.
+_POOL, _POOL_LIFT = 41, 0.02
 
 
 def add_goal_light(
     plotter: pv.Plotter,
     look: Look,
     goal: np.ndarray,
-    height: float | None,
+    ground: Level | Terrain,
     radius: float,
     sight: np.ndarray,
 ) -> Callable[[float], None]:
@@ -23,23 +28,16 @@ def add_goal_light(
         plotter: draws it.
         look: of the world.
         goal: place of the light ``(3,)``, m.
-        height: z of the level floor, m; None to leave the pool to `evo_cpg.view.relief`.
+        ground: on which its pool lies.
         radius: of the animal, m.
         sight: the camera's direction of view in the first frame ``(3,)``, which the halo faces.
 
     Returns:
         A function of how far the camera has turned since, rad.
     """
-    if height is not None:
-        pool = pv.Plane(
-            center=(goal[0], goal[1], height),
-            i_size=3.6 * radius,
-            j_size=3.6 * radius,
-            i_resolution=1,
-            j_resolution=1,
-        )
-        shine = spot_texture(look.halo, look.glow, sharpness=3.0)
-        plotter.add_mesh(pool, texture=shine, lighting=False)
+    shine = spot_texture(look.halo, look.glow, sharpness=3.0)
+    pool = Spots(plotter, shine, ground, _POOL_LIFT * radius, 1, _POOL)
+    pool.lay(goal[None, :2], 1.8 * radius * np.eye(2)[None])
     core = 0.075 * radius
     plotter.add_mesh(
         pv.Sphere(radius=core, center=goal, theta_resolution=32, phi_resolution=24),

@@ -11,6 +11,7 @@ import pyvista as pv
 
 from evo_cpg.view.camera import VIEW_ANGLE, turned_about_vertical
 from evo_cpg.view.look import Look
+from evo_cpg.view.offscreen import add_faded
 from evo_cpg.view.textures import CELLS, floor_texture
 
 # Numbers on the ground: height of a digit and distance from the way, in radii of the animal.
@@ -58,6 +59,22 @@ def mark_spacing(length: float) -> float:
     return grid_spacing(2.4 * length)
 
 
+def fading_disc(visible: float, first: float) -> tuple[pv.PolyData, np.ndarray, np.ndarray]:
+    """Return a level disc that fades towards the horizon, places of its points, and its opacity.
+
+    Args:
+        visible: distance at which it has faded to a third, m.
+        first: radius of its innermost ring, as a fraction of that.
+    """
+    reach = np.concatenate([[0.0], np.geomspace(first, 3.0, 28)]) * visible
+    bearing = np.linspace(0, 2 * np.pi, 49)
+    x, y = reach[:, None] * np.cos(bearing), reach[:, None] * np.sin(bearing)
+    grid = pv.StructuredGrid(x[..., None], y[..., None], np.zeros_like(x)[..., None])
+    disc = grid.extract_surface(algorithm=None)
+    place = np.asarray(disc.points)[:, :2].astype(float)
+    return disc, place, np.exp(-((place**2).sum(1) / visible**2))
+
+
 def add_floor(
     plotter: pv.Plotter,
     look: Look,
@@ -81,21 +98,11 @@ def add_floor(
     Returns:
         A function of the focus ``(3,)``, m; see `Update`.
     """
-    visible = look.visibility * radius
-    reach = np.concatenate([[0.0], np.geomspace(0.2, 3.0, 28)]) * visible
-    bearing = np.linspace(0, 2 * np.pi, 49)
-    x = reach[:, None] * np.cos(bearing)
-    y = reach[:, None] * np.sin(bearing)
-    grid = pv.StructuredGrid(x[..., None], y[..., None], np.zeros_like(x)[..., None])
-    disc = grid.extract_surface(algorithm=None)
-    place = np.asarray(disc.points)[:, :2].copy()
-    fade = np.exp(-((np.linalg.norm(place, axis=1) / visible) ** 2))
-    disc["rgba"] = np.column_stack([np.full((len(place), 3), 255), 255 * fade]).astype(np.uint8)
+    disc, place, fade = fading_disc(look.visibility * radius, 0.2)
+    rgba = np.column_stack([np.full((len(place), 3), 255), 255 * fade]).astype(np.uint8)
     disc.active_texture_coordinates = place / (CELLS * spacing)
     texture = floor_texture(look.floor, look.grid, look.checkered, marks is not None)
-    actor = plotter.add_mesh(
-        disc, scalars="rgba", rgba=True, texture=texture, lighting=False, show_scalar_bar=False
-    )
+    actor = add_faded(plotter, disc, rgba, texture=texture)
     origin, turn = (marks.origin, marks.turn()) if marks else (np.zeros(2), np.eye(2))
 
     def update(focus: np.ndarray, turned: float = 0.0) -> None:
@@ -112,7 +119,7 @@ def add_numbers(
     look: Look,
     marks: Marks,
     path: np.ndarray,
-    height: float | Callable[[np.ndarray], np.ndarray],
+    height: Callable[[np.ndarray], np.ndarray],
     radius: float,
     sight: np.ndarray,
     away: float,
@@ -124,8 +131,7 @@ def add_numbers(
         look: of the world.
         marks: where they lie.
         path: of the animal ``(frames, 3)``, m.
-        height: z of the ground, m; where it varies a function of x and y ``(n, 2)``, which is not
-            finite where no number shall stand.
+        height: of the ground, m, a function of x and y ``(n, 2)``; NaN where no number may stand.
         radius: of the animal, m.
         sight: the camera's direction of view in the first frame ``(3,)``, from which they are read.
         away: distance of the camera from its focus, m.
@@ -153,7 +159,7 @@ def add_numbers(
         # To the right of its line.
         flat[:, 0] += 0.7 * size - flat[:, 0].min()
         place = middle + flat @ np.stack([across, ahead])
-        high = height(place) if callable(height) else np.full(len(place), height)
+        high = height(place)
         digit.points = np.column_stack([place, high])
         if np.isfinite(high).all():
             digits.append(digit)
@@ -162,9 +168,7 @@ def add_numbers(
     mesh = pv.merge(digits).extract_surface(algorithm=None)
     place = np.asarray(mesh.points)[:, :2].copy()
     rgba = np.tile(pv.Color(look.text).int_rgba, (len(place), 1)).astype(np.uint8)
-    mesh["rgba"] = rgba
-    actor = plotter.add_mesh(mesh, scalars="rgba", rgba=True, lighting=False, show_scalar_bar=False)
-    actor.ForceTranslucentOn()
+    add_faded(plotter, mesh, rgba)
 
     def update(focus: np.ndarray, turned: float = 0.0) -> None:
         offset = place - focus[:2]

@@ -17,7 +17,7 @@ import pyvista as pv
 from matplotlib.ft2font import FT2Font
 
 _FOLDER = Path(matplotlib.get_data_path()) / "fonts" / "ttf"
-_REGULAR, _BOLD = _FOLDER / "DejaVuSans.ttf", _FOLDER / "DejaVuSans-Bold.ttf"
+_REGULAR, BOLD = _FOLDER / "DejaVuSans.ttf", _FOLDER / "DejaVuSans-Bold.ttf"
 
 
 def legible(text: str) -> str:
@@ -42,13 +42,13 @@ def write_legibly(label: pv.Text, text: str) -> None:
     label.input = legible(text).replace("$", r"\$")
     if not text.isascii():
         style = cast(pv.TextProperty, label.prop)
-        style.set_font_file(str(_BOLD if style.bold else _REGULAR))
+        style.set_font_file(str(BOLD if style.bold else _REGULAR))
 
 
 @functools.cache
 def _letters() -> frozenset[int]:
     """What both faces of the font have."""
-    regular, bold = (set(FT2Font(str(file)).get_charmap()) for file in (_REGULAR, _BOLD))
+    regular, bold = (set(FT2Font(str(file)).get_charmap()) for file in (_REGULAR, BOLD))
     # VTK drops what takes two words of UTF-16.
     return frozenset(letter for letter in regular & bold if letter < 0x10000)
 

@@ -1,25 +1,19 @@
 """A map of behaviour: the fitness of the best individual of every kind."""
 
-import os
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from evo_cpg.evolution.map_elites import Axis
-from evo_cpg.files import in_one_piece
-from evo_cpg.view.legible import legible
-from evo_cpg.view.output import PLOT_SUFFIXES, output_path
+from evo_cpg.view.figure import RED, framed, new_figure
 from evo_cpg.view.units import UNITS, in_words
 
-_INK, _EMPTY, _MARK = "#1f2937", "#eef0f3", "#D55E00"
-_COLOURS = "viridis"
+_EMPTY, _COLOURS = "#eef0f3", "viridis"
 
 # Inches of a panel, and of what is beside all.
 _PANEL, _BESIDE, _ABOVE = 2.6, 1.5, 1.0
@@ -28,32 +22,19 @@ _PANELS_IN_A_ROW = 5
 _MOST_PANELS = 25
 
 
-def plot_map(
-    axes: Sequence[Axis],
-    fitness: Float[np.ndarray, "..."],
-    path: str | os.PathLike[str],
-    title: str,
-) -> Path:
+@framed
+def map_figure(axes: Sequence[Axis], fitness: Float[np.ndarray, "..."], title: str) -> Figure:
     """Draw a map.
 
-    Two axes make a picture, a third a row of them. Of further axes, and of third ones with more
-    cells than anybody could look at, the best of all their cells is shown.
+    Two axes make a picture, a third a row of pictures. Of further axes, and of a third one with
+    too many cells to look at, the best of all their cells is shown.
 
     Args:
-        axes: of it.
-        fitness: of the elites, NaN where there is none; one axis for each of those.
-        path: ``.png``, ``.svg`` or ``.pdf``.
+        axes: of the map.
+        fitness: of the elites, an array axis for each of the map's; NaN in empty cells.
         title: above the picture.
-
-    Returns:
-        The path.
-
-    Raises:
-        OutputError: nothing can be written there, or not this kind of file.
     """
-    path = output_path(path, PLOT_SUFFIXES)
-    coverage = np.isfinite(fitness).mean()
-    head = f"{legible(title)}: {coverage:.0%} of {fitness.size} cells filled"
+    head = f"{title}: {np.isfinite(fitness).mean():.0%} of {fitness.size} cells filled"
     axes, shown = _at_most_three(axes, fitness)
     finite = shown[np.isfinite(shown)]
     low, high = (finite.min(), finite.max()) if finite.size else (0.0, 1.0)
@@ -61,11 +42,8 @@ def plot_map(
     least = 1e-3 * max(abs(low), abs(high), 1e-6)
     middle, half = (low + high) / 2, max((high - low) / 2, least)
     scale = Normalize(middle - half, middle + half)
-    figure = _bars(axes[0], shown, scale) if len(axes) == 1 else _panels(axes, shown, scale)
-    figure.suptitle(head, color=_INK, fontsize=11)
-    with in_one_piece(path) as partial:
-        figure.savefig(partial, dpi=160)
-    return path
+    draw = _bars if len(axes) == 1 else _panels
+    return draw(axes, shown, scale, head)
 
 
 def _at_most_three(
@@ -79,8 +57,9 @@ def _at_most_three(
     return axes[:most], np.where(np.isfinite(best), best, np.nan)
 
 
-def _bars(axis: Axis, fitness: np.ndarray, scale: Normalize) -> Figure:
-    figure = _figure(_ALONE + _BESIDE, _ALONE)
+def _bars(axes: Sequence[Axis], fitness: np.ndarray, scale: Normalize, title: str) -> Figure:
+    (axis,) = axes
+    figure = new_figure(_ALONE + _BESIDE, _ALONE, title)
     panel = figure.subplots()
     middles = (axis.edges[1:] + axis.edges[:-1]) / 2
     width = 0.9 * np.diff(axis.edges)
@@ -91,14 +70,15 @@ def _bars(axis: Axis, fitness: np.ndarray, scale: Normalize) -> Figure:
     return figure
 
 
-def _panels(axes: Sequence[Axis], fitness: np.ndarray, scale: Normalize) -> Figure:
+def _panels(axes: Sequence[Axis], fitness: np.ndarray, scale: Normalize, title: str) -> Figure:
     slices = [fitness] if len(axes) == 2 else [fitness[..., i] for i in range(axes[2].cells)]
     across = min(len(slices), _PANELS_IN_A_ROW)
     down = -(-len(slices) // across)
     size = _ALONE if len(slices) == 1 else _PANEL
-    figure = _figure(size * across + _BESIDE, size * down + _ABOVE)
+    figure = new_figure(size * across + _BESIDE, size * down + _ABOVE, title)
     grid = figure.subplots(down, across, squeeze=False, sharex=True, sharey=True)
-    best = np.unravel_index(np.nanargmax(fitness), fitness.shape) if _any(fitness) else None
+    found = np.isfinite(fitness).any()
+    best = np.unravel_index(np.nanargmax(fitness), fitness.shape) if found else None
     for i, panel in enumerate(grid.flat):
         if i >= len(slices):
             panel.set_axis_off()
@@ -108,10 +88,10 @@ def _panels(axes: Sequence[Axis], fitness: np.ndarray, scale: Normalize) -> Figu
             low, high = axes[2].edges[i : i + 2]
             unit = UNITS.get(axes[2].name, "")
             head = f"{in_words(axes[2].name)} {low:.3g} to {high:.3g} {unit}".strip()
-            panel.set_title(head, fontsize=8, color=_INK)
+            panel.set_title(head, fontsize=8)
         if best is not None and (len(slices) == 1 or best[2] == i):
             x, y = (axes[k].edges[best[k] : best[k] + 2].mean() for k in (0, 1))
-            panel.plot(x, y, marker="*", ms=11, mfc="white", mec=_MARK, mew=1.4)
+            panel.plot(x, y, marker="*", ms=11, mfc="white", mec=RED, mew=1.4)
     for panel in grid[-1]:
         panel.set_xlabel(_label(axes[0]))
     for panel in grid[:, 0]:
@@ -131,16 +111,6 @@ def _picture(panel: Axes, axes: Sequence[Axis], fitness: np.ndarray, scale: Norm
     panel.tick_params(labelsize=8)
 
 
-def _any(fitness: np.ndarray) -> bool:
-    return bool(np.isfinite(fitness).any())
-
-
 def _label(axis: Axis) -> str:
     unit = UNITS.get(axis.name)
     return f"{in_words(axis.name)} ({unit})" if unit else in_words(axis.name)
-
-
-def _figure(width: float, height: float) -> Figure:
-    figure = Figure((width, height), layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure

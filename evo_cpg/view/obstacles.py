@@ -7,6 +7,7 @@ import numpy as np
 import pyvista as pv
 
 from evo_cpg.physics.terrain import Block, Boulder, Part
+from evo_cpg.view.offscreen import placed
 
 _STONE = np.array([0.60, 0.57, 0.53])
 _SEED = 20102
@@ -110,8 +111,6 @@ def add_obstacles(
             continue
         mesh.clear_cell_data()
         mesh.regular_faces = mesh.regular_faces[above[mesh.regular_faces].any(1)]
-        pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = turn, place
         actor = plotter.add_mesh(
             mesh,
             scalars="rgb",
@@ -121,9 +120,8 @@ def add_obstacles(
             ambient=ambient,
             diffuse=0.75,
             specular=0.05,
-            show_scalar_bar=False,
         )
-        actor.user_matrix = pose
+        actor.user_matrix = placed(turn, place)
 
 
 def _heading(block: Block) -> np.ndarray:

@@ -1,8 +1,8 @@
-"""An off-screen picture: the plotter's settings and its pixels."""
+"""An off-screen picture: the plotter's settings, its pixels, and kinds of actors."""
 
 import contextlib
 from collections.abc import Iterator
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import pyvista as pv
@@ -40,6 +40,28 @@ def pixels(plotter: pv.Plotter) -> np.ndarray:
     window = cast(vtkRenderWindow, plotter.render_window)
     window.GetPixelData(0, 0, width - 1, height - 1, 0, buffer, 0)
     return vtk_to_numpy(buffer).reshape(height, width, 3)
+
+
+def add_faded(plotter: pv.Plotter, mesh: pv.PolyData, rgba: np.ndarray, **given: Any) -> pv.Actor:
+    """Draw a mesh unlit, in the colours and opacities of its points.
+
+    Args:
+        plotter: draws it.
+        mesh: gets the colours as its array ``rgba``.
+        rgba: bytes ``(points, 4)``.
+        given: more for `pyvista.Plotter.add_mesh`.
+    """
+    mesh.point_data["rgba"] = rgba
+    actor = plotter.add_mesh(mesh, scalars="rgba", rgba=True, lighting=False, **given)
+    actor.ForceTranslucentOn()
+    return actor
+
+
+def placed(rotation: np.ndarray, centre: np.ndarray) -> np.ndarray:
+    """Return the matrix ``(4, 4)`` of an actor that is turned and then moved."""
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = rotation, centre
+    return matrix
 
 
 def write_depth(actor: pv.Actor) -> None:

@@ -3,7 +3,7 @@
 import numpy as np
 import pyvista as pv
 
-from evo_cpg.view.terrain import Terrain
+from evo_cpg.view.terrain import Level, Terrain
 
 _PARTICLES = 1200
 _PARTICLE = "#d9fff6"
@@ -13,7 +13,7 @@ _PARTICLE_SEED = 20101
 def add_particles(
     plotter: pv.Plotter,
     path: np.ndarray,
-    floor: float | Terrain,
+    ground: Level | Terrain,
     radius: float,
     scale: float,
     surface: float | None = None,
@@ -23,7 +23,7 @@ def add_particles(
     Args:
         plotter: draws them.
         path: points around which they float ``(n, 3)``, m.
-        floor: z below which there are none, m, or ground of many heights.
+        ground: below which there are none.
         radius: of the animal, m.
         scale: pixels rendered per pixel of the film.
         surface: of the water, above which there are none, m.
@@ -33,10 +33,9 @@ def add_particles(
     high[2] = path[:, 2].max() + 1.2 * radius
     if surface is not None:
         high[2] = min(high[2], surface)
-    low[2] = min(floor.z.min(), high[2]) if isinstance(floor, Terrain) else floor
+    low[2] = min(np.min(ground.z), high[2])
     points = generator.uniform(low, high, (_PARTICLES, 3))
-    if isinstance(floor, Terrain):
-        points = points[points[:, 2] > floor.height(points[:, :2])]
+    points = points[points[:, 2] > ground.height(points[:, :2])]
     for chosen, size, opacity in ((points[::4], 2.1, 0.5), (points[1::2], 1.3, 0.35)):
         if not len(chosen):
             continue

@@ -1,160 +1,98 @@
-"""Figures of a run and of a recording, in SI units and colours that everyone can tell apart.
+"""Figures of a run and of a recording, in SI units."""
 
-Drawn with matplotlib's object interface on the Agg canvas: no display, no global state.
-"""
-
-import os
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import ConnectionPatch
 from matplotlib.ticker import MaxNLocator
 
 from evo_cpg.analysis.gait import bending_axis, level
-from evo_cpg.files import in_one_piece
 from evo_cpg.simulation.recording import Recording
+from evo_cpg.view.figure import (
+    BLUE,
+    GREEN,
+    GREY,
+    INK,
+    ORANGE,
+    RED,
+    count_in_whole_numbers,
+    draw_runs,
+    framed,
+    new_figure,
+    right_axis,
+)
 from evo_cpg.view.legible import legible
-from evo_cpg.view.output import PLOT_SUFFIXES, output_path
 
-# Okabe and Ito's palette.
-_BLUE, _ORANGE, _RED, _GREEN, _GREY = "#0072B2", "#E69F00", "#D55E00", "#009E73", "#6b7280"
-_PALE = "#9fd0ee"
-# Recorded time that `plot_joint_signals` shows by default: about five beats of 1 Hz.
+_PALE_ORANGE = "#f3cf8a"
+# Recorded time that `joint_signals_figure` shows by default: about five beats of 1 Hz.
 _WINDOW = 5.0
-# Of the joints of a row.
+# Title of a row of joint signals.
 _NAME: dict[str, Any] = {"fontsize": 9, "fontweight": "bold", "pad": 2}
 _SNAPSHOTS = 7
 
 
-def plot_fitness(history: Mapping[str, np.ndarray], path: str | os.PathLike[str]) -> Path:
-    """Fitness over the generations, and how many individuals diverged in all.
+@framed
+def fitness_figure(history: Mapping[str, np.ndarray]) -> Figure:
+    """Draw fitness over the generations, and how many individuals diverged in all.
 
-    With several runs, the best of each generation in each run is a thin line, as in Figs. 4-2 to
-    4-6 of Fukui 2003; the thick lines are medians over the runs, and half of the runs lie within
+    With several runs, thin lines are the best of each generation in each run, as in Figs. 4-2 to
+    4-6 of Fukui 2003. The thick lines are medians over the runs, and half of the runs lie within
     the band.
 
     Args:
         history: columns of equal length: ``generation``, ``best``, ``mean`` and ``diverged``
             (number of individuals); optionally ``best_so_far`` and ``run``. Values that are not
             finite are left out.
-        path: ``.png``, ``.svg`` or ``.pdf``.
-
-    Returns:
-        The path.
 
     Raises:
-        OutputError: nothing can be written there, or not this kind of file.
         ValueError: a column is missing or there are no rows.
     """
-    path = output_path(path, PLOT_SUFFIXES)
-    return _save(fitness_figure(history), path)
-
-
-def fitness_figure(history: Mapping[str, np.ndarray]) -> Figure:
-    """What `plot_fitness` draws."""
     missing = [key for key in ("generation", "best", "mean", "diverged") if key not in history]
     if missing:
         raise ValueError(f"the history has no column {missing[0]!r}; it has {', '.join(history)}")
     columns = {key: np.asarray(values, float) for key, values in history.items()}
-    generation = columns["generation"]
+    generation, column = np.unique(columns["generation"], return_inverse=True)
     if not len(generation):
         raise ValueError("the history has no rows yet: not one generation is finished")
-    run = columns.get("run", np.zeros(len(generation)))
-    runs = np.unique(run)
+    runs, row = np.unique(columns.get("run", np.zeros(len(column))), return_inverse=True)
 
-    figure = empty_figure(7.2, 4.8)
+    def by_run(key: str) -> Float[np.ndarray, "runs generations"]:
+        table = np.full((len(runs), len(generation)), np.nan)
+        table[row, column] = np.where(np.isfinite(columns[key]), columns[key], np.nan)
+        return table
+
+    figure = new_figure(7.2, 4.8)
     top, bottom = figure.subplots(2, 1, sharex=True, height_ratios=(4, 1))
-    several = len(runs) > 1
+    several, of_runs = len(runs) > 1, ", median" if len(runs) > 1 else ""
     if several:
-        for number in runs:
-            chosen = run == number
-            best = _finite(columns["best"][chosen])
-            (thin,) = top.plot(generation[chosen], best, color=_BLUE, lw=0.7, alpha=0.4)
+        (*_, thin) = top.plot(generation, by_run("best").T, color=BLUE, lw=0.7, alpha=0.4)
         thin.set_label("best of the generation, each run")
-        instant, low, high = _quantiles(generation, columns["best"], (0.25, 0.75))
-        top.fill_between(
-            instant, low, high, color=_BLUE, alpha=0.2, lw=0, label="half of the runs lie within"
-        )
-    alone = not several and "best_so_far" in columns
-    shown = [
-        ("best", "best of the generation", _ORANGE, 1.3),
-        ("mean", "mean of the generation", _GREY, 1.3),
-    ]
-    if "best_so_far" in columns:
-        shown.insert(int(several), ("best_so_far", "best so far", _ORANGE, 1.3))
-    for key, label, color, width in shown:
-        if alone and key == "best_so_far":
-            # Where an elite keeps the two bests equal, it is wide enough to be seen below.
-            color, width = _PALE, 5.0
-        elif not alone and key == "best":
-            color, width = _BLUE, 2.2
-        instant, value = _quantiles(generation, columns[key], (0.5,))
-        label = f"{label}, median" if several else label
-        top.plot(instant, value, color=color, lw=width, label=label, solid_capstyle="butt")
+    for key, label, color, width in (
+        # Wide: where an elite keeps the two bests equal, it is seen below.
+        ("best_so_far", "best so far", _PALE_ORANGE, 5.0),
+        ("best", "best of the generation", BLUE, 1.5),
+        ("mean", "mean of the generation", GREY, 1.3),
+    ):
+        if key in columns:
+            band = key == "best"
+            draw_runs(top, generation, by_run(key), color, label + of_runs, width=width, band=band)
     top.set_ylabel("fitness")
-    top.legend(frameon=False, title=f"{len(runs)} runs" if several else None)
-    instant = np.unique(generation)
-    diverged = np.array([columns["diverged"][generation == g].sum() for g in instant])
-    bottom.bar(instant, diverged, width=1.0, color=_RED)
-    bottom.set_ylim(0, max(1.0, np.nanmax(diverged, initial=0.0) * 1.15))
+    top.legend(title=f"{len(runs)} runs, half of them in the band" if several else None)
+    diverged = np.nansum(by_run("diverged"), 0)
+    bottom.bar(generation, diverged, width=1.0, color=RED)
+    bottom.set_ylim(0, max(1.0, diverged.max() * 1.15))
     bottom.set_ylabel("diverged")
     bottom.set_xlabel("generation")
-    for axes in (top, bottom):
-        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    count_in_whole_numbers(bottom)
     bottom.yaxis.set_major_locator(MaxNLocator(integer=True, nbins=3))
-    return _finished(figure)
+    return figure
 
 
-def plot_joint_signals(
-    recording: Recording,
-    path: str | os.PathLike[str],
-    axis: str | None = None,
-    window: tuple[float, float] | None = None,
-    *,
-    chains: Sequence[Sequence[int]] = (),
-    signs: Float[np.ndarray, " d"] | None = None,
-    title: str = "",
-    signal: str = "CPG output (no unit)",
-) -> Path:
-    """Angle and CPG output of every joint about one axis, one row each (Iwadate 2010, Fig. 3).
-
-    A thin line joins the crests of neighbouring joints of a chain, or a crest and a trough where
-    their axes point against each other: its slope is the phase lag along the body.
-
-    Args:
-        recording: the motion.
-        path: ``.png``, ``.svg`` or ``.pdf``.
-        axis: such as ``z``; by default the one about which the animal bends most.
-        window: first and last instant to show, s; by default 5 s in the middle of the second half,
-            where the animal is under way: it has started, and has not arrived.
-        chains: degrees of freedom that follow one another along the body, by their numbers in the
-            recording; the rows follow them, chain after chain. One chain of all in the recording's
-            order, from the root to the tips, where there are none.
-        signs: of each degree of freedom, -1 where its axis points against that of the first of its
-            chain, see `evo_cpg.analysis.chains.axis_signs`; none does if None.
-        title: of what is shown, such as the name of the run.
-        signal: what the dashed line is, and its unit.
-
-    Returns:
-        The path.
-
-    Raises:
-        OutputError: nothing can be written there, or not this kind of file.
-        ValueError: no joint has this axis, or the window holds fewer than two instants.
-    """
-    path = output_path(path, PLOT_SUFFIXES)
-    made = joint_signals_figure(
-        recording, axis, window, chains=chains, signs=signs, title=title, signal=signal
-    )
-    return _save(made, path)
-
-
+@framed
 def joint_signals_figure(
     recording: Recording,
     axis: str | None = None,
@@ -165,7 +103,27 @@ def joint_signals_figure(
     title: str = "",
     signal: str = "CPG output (no unit)",
 ) -> Figure:
-    """What `plot_joint_signals` draws."""
+    """Draw angle and CPG output of every joint about one axis, a row each (Iwadate 2010, Fig. 3).
+
+    A thin line joins the crests of neighbouring joints of a chain, or a crest and a trough where
+    their axes point against each other. Its slope is the phase lag along the body.
+
+    Args:
+        recording: the motion.
+        axis: such as ``z``; by default the one about which the animal bends most.
+        window: first and last instant to show, s. By default 5 s in the middle of the second half:
+            the animal has started by then, and has not arrived.
+        chains: degrees of freedom that follow one another along the body, by their numbers in the
+            recording. The rows follow them, chain after chain. Without chains, all rows are one
+            chain in the recording's order, from the root to the tips.
+        signs: for each degree of freedom, -1 where its axis points against the axis of the first
+            of its chain, see `evo_cpg.analysis.chains.axis_signs`; all are 1 if None.
+        title: such as the name of the run.
+        signal: what the dashed line is, and its unit.
+
+    Raises:
+        ValueError: no joint has this axis, or the window holds fewer than two instants.
+    """
     names = [name.rpartition(".") for name in recording.dof_names]
     available = list(dict.fromkeys(letter for _, _, letter in names))
     if not available:
@@ -188,28 +146,27 @@ def joint_signals_figure(
     output = recording.cpg_output[shown][:, rows]
     swing = angle if signs is None else angle * signs[rows]
 
-    figure = empty_figure(8.0, 1.3 + 0.86 * len(rows))
+    figure = new_figure(8.0, 1.3 + 0.86 * len(rows))
     panels = figure.subplots(len(rows), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
     tallest = max(float(np.abs(angle).max()), 1e-3) * 1.25
     loudest = max(float(np.abs(output).max()), 1e-3) * 1.25
     for i, (panel, dof) in enumerate(zip(panels, rows, strict=True)):
-        panel.axhline(0, color=_GREY, lw=0.5, alpha=0.6)
-        (angle_line,) = panel.plot(time, angle[:, i], color=_BLUE, lw=1.8)
-        right = panel.twinx()
-        (output_line,) = right.plot(time, output[:, i], color=_RED, lw=1.2, ls=(0, (4, 2)))
+        panel.axhline(0, color=GREY, lw=0.5, alpha=0.6)
+        (angle_line,) = panel.plot(time, angle[:, i], color=BLUE, lw=1.8)
+        right = right_axis(panel)
+        (output_line,) = right.plot(time, output[:, i], color=RED, lw=1.2, ls=(0, (4, 2)))
         panel.set_ylim(-tallest, tallest)
         right.set_ylim(-loudest, loudest)
         panel.set_xlim(time[0], time[-1])
         panel.yaxis.set_major_locator(MaxNLocator(3, symmetric=True))
         right.yaxis.set_major_locator(MaxNLocator(3, symmetric=True))
         if i == len(rows) // 2:
-            panel.set_ylabel("joint angle (deg)", color=_BLUE)
-            right.set_ylabel(signal, color=_RED)
+            panel.set_ylabel("joint angle (deg)", color=BLUE)
+            right.set_ylabel(signal, color=RED)
         right.tick_params(labelsize=8)
         panel.tick_params(labelsize=8)
         # Above the row, where no curve is.
-        name = panel.set_title(legible(names[dof][0]), loc="left", **_NAME)
-        name.set_parse_math(False)
+        panel.set_title(legible(names[dof][0]), loc="left", **_NAME)
     caption = f"{legible(title)}: joint signals about {axis}" if title else f"rotation about {axis}"
     first = 0
     for group in groups:
@@ -225,16 +182,10 @@ def joint_signals_figure(
             caption += f"\n{frequency:.2f} Hz, {degrees:.0f} deg of lag per joint{where}"
         first += len(group)
     panels[-1].set_xlabel("time (s)")
-    figure.suptitle(caption, fontsize=11, fontweight="bold", parse_math=False)
-    figure.legend(
-        [angle_line, output_line],
-        ["joint angle", signal.partition(" (")[0]],
-        loc="outside lower center",
-        ncols=2,
-        frameon=False,
-        fontsize=9,
-    )
-    return _finished(figure)
+    figure.suptitle(caption, fontsize=11)
+    drawn = {"joint angle": angle_line, signal.partition(" (")[0]: output_line}
+    figure.legend(drawn.values(), drawn.keys(), loc="outside lower center", ncols=2)
+    return figure
 
 
 def _in_chains(rows: list[int], chains: Sequence[Sequence[int]]) -> list[list[int]]:
@@ -248,28 +199,13 @@ def _in_chains(rows: list[int], chains: Sequence[Sequence[int]]) -> list[list[in
     return [group for group in [*groups, left] if group]
 
 
-def plot_path(recording: Recording, path: str | os.PathLike[str]) -> Path:
-    """The root's way seen from above, with outlines of the animal, and the distance over time.
-
-    The distance is that to the light, or, where there is none, the way made from the start.
-
-    Args:
-        recording: the motion.
-        path: ``.png``, ``.svg`` or ``.pdf``.
-
-    Returns:
-        The path.
-
-    Raises:
-        OutputError: nothing can be written there, or not this kind of file.
-    """
-    path = output_path(path, PLOT_SUFFIXES)
-    return _save(path_figure(recording), path)
-
-
+@framed
 def path_figure(recording: Recording) -> Figure:
-    """What `plot_path` draws."""
-    figure = empty_figure(10.5, 4.4)
+    """Draw the root's path from above, with outlines of the animal, and the distance over time.
+
+    The distance is that to the light. Without a light it is the displacement from the start.
+    """
+    figure = new_figure(10.5, 4.4)
     above, later = figure.subplots(1, 2, width_ratios=(1.45, 1))
     root = recording.position[:, 0, :2]
     steps = np.stack([root[:-1], root[1:]], 1)
@@ -282,62 +218,23 @@ def path_figure(recording: Recording) -> Figure:
     dots = above.scatter(bodies[..., 0], bodies[..., 1], s=14, c=instant, norm=way.norm, lw=0)
     every = (recording.time[-1] - recording.time[0]) / (_SNAPSHOTS - 1)
     dots.set(alpha=0.6, label=f"its bodies, every {every:.3g} s")
-    above.plot(*root[0], "o", color="black", ms=6, label="start of its root", zorder=3)
+    above.plot(*root[0], "o", color=INK, ms=6, label="start of its root", zorder=3)
     lit = bool(np.isfinite(recording.goal).all())
     if lit:
-        above.plot(
-            *recording.goal[:2], "*", color=_ORANGE, mec="black", ms=17, label="light", zorder=3
-        )
+        above.plot(*recording.goal[:2], "*", color=ORANGE, mec=INK, ms=17, label="light", zorder=3)
     above.set_aspect("equal", "datalim")
     above.margins(0.08)
     above.autoscale_view()
     above.set_xlabel("x (m)")
     above.set_ylabel("y (m)")
-    above.legend(frameon=False)
+    above.legend()
     figure.colorbar(way, ax=above, label="time (s)", shrink=0.85, pad=0.02)
-    later.plot(recording.time, recording.distance, color=_BLUE, lw=2)
+    later.plot(recording.time, recording.distance, color=BLUE, lw=2)
     later.set_xlabel("time (s)")
     later.set_ylabel("distance to the light (m)" if lit else "way made (m)")
     later.set_ylim(0, 1.08 * np.nanmax(recording.distance, initial=1e-3))
     later.set_xlim(recording.time[0], recording.time[-1])
-    return _finished(figure)
-
-
-def empty_figure(width: float, height: float) -> Figure:
-    """An empty figure, inches."""
-    figure = Figure(figsize=(width, height), layout="constrained")
-    FigureCanvasAgg(figure)
     return figure
-
-
-def _finished(figure: Figure) -> Figure:
-    """The figure without frames."""
-    for axes in figure.axes:
-        axes.spines[["top", "right"]].set_visible(axes.yaxis.get_ticks_position() == "right")
-        axes.spines["top"].set_visible(False)
-    return figure
-
-
-def _save(figure: Figure, path: Path) -> Path:
-    with in_one_piece(path) as partial:
-        figure.savefig(partial, dpi=160)
-    return path
-
-
-def _finite(values: np.ndarray) -> np.ndarray:
-    return np.where(np.isfinite(values), values, np.nan)
-
-
-def _quantiles(
-    generation: np.ndarray, values: np.ndarray, shares: tuple[float, ...]
-) -> tuple[np.ndarray, ...]:
-    """The generations, and quantiles over the runs of the values that are finite in each."""
-    known = np.isfinite(values)
-    instants = np.unique(generation)
-    groups = [values[(generation == g) & known] for g in instants]
-    none = np.full(len(shares), np.nan)
-    found = [np.quantile(group, shares) if len(group) else none for group in groups]
-    return instants, *np.array(found).T
 
 
 def _crests(
@@ -387,16 +284,8 @@ def _join_crests(
                 (instant, np.interp(instant, time, angle[:, row]))
                 for instant, row in ((upper, i), (lower, i + 1))
             ]
-            figure.add_artist(
-                ConnectionPatch(
-                    ends[0],
-                    ends[1],
-                    "data",
-                    "data",
-                    axesA=panels[i],
-                    axesB=panels[i + 1],
-                    color=_GREEN,
-                    lw=1.1,
-                    alpha=0.85,
-                )
+            line = ConnectionPatch(
+                ends[0], ends[1], "data", "data", axesA=panels[i], axesB=panels[i + 1]
             )
+            line.set(color=GREEN, lw=1.1, alpha=0.85)
+            figure.add_artist(line)

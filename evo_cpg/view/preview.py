@@ -13,7 +13,7 @@ from evo_cpg.physics.footing import Ground
 from evo_cpg.view.ground import grid_spacing
 from evo_cpg.view.legible import legible, write_legibly
 from evo_cpg.view.meshes import add_bodies, shape_mesh
-from evo_cpg.view.offscreen import canvas, pixels
+from evo_cpg.view.offscreen import canvas, pixels, placed
 from evo_cpg.view.output import check_size, frame_writer, output_path, oversampling
 from evo_cpg.view.preview_ground import (
     SEA,
@@ -115,10 +115,8 @@ def preview(
             add_preview_ground(plotter, creature, centres, rotations, shown, world, sunk)
         bodies = add_bodies(plotter, creature, _AMBIENT)
         for actors, centre, turn in zip(bodies, centres, rotations, strict=True):
-            placed = np.eye(4)
-            placed[:3, :3], placed[:3, 3] = turn, centre
             for actor in actors:
-                actor.user_matrix = placed
+                actor.user_matrix = placed(turn, centre)
             # The joints lie inside: let them show.
             actors[0].prop.SetOpacity(_OPACITY)
             actors[0].prop.SetBackfaceCulling(True)

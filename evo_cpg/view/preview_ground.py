@@ -12,7 +12,7 @@ from evo_cpg.view.ground import add_floor, grid_spacing
 from evo_cpg.view.look import LOOKS, Look
 from evo_cpg.view.obstacles import add_obstacles, obstacle_mesh
 from evo_cpg.view.shadows import add_contacts, add_shadows
-from evo_cpg.view.terrain import heights, make_terrain
+from evo_cpg.view.terrain import Level, heights, make_terrain
 
 # Names and axes stand out from it.
 _LOOK = dataclasses.replace(
@@ -93,8 +93,9 @@ def add_preview_ground(
         plotter.add_mesh(below, color=plotter.background_color, lighting=False)
     add_floor(plotter, look, height, radius, grid_spacing(radius))(middle)
     half_extents = np.array([body.shape.half_extents for body in creature.bodies])
-    add_shadows(plotter, look, height, half_extents)(centres, rotations)
-    add_contacts(plotter, look, creature, height)(centres, rotations)
+    level = Level(height)
+    add_shadows(plotter, look, level, half_extents, radius)(centres, rotations)
+    add_contacts(plotter, look, creature, level, radius)(centres, rotations)
 
 
 def water_note(surface: float, hull: np.ndarray) -> str:

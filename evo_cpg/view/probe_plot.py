@@ -1,11 +1,7 @@
 """A picture of how an animal does in many situations: its paths, seen from above."""
 
-import os
-from pathlib import Path
-
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -13,17 +9,11 @@ from matplotlib.markers import MarkerStyle
 from matplotlib.patches import Circle
 from matplotlib.transforms import Affine2D
 
-from evo_cpg.files import in_one_piece
 from evo_cpg.training.probe import Probe, seen_from_start
-from evo_cpg.view.legible import legible
-from evo_cpg.view.output import PLOT_SUFFIXES, output_path
+from evo_cpg.view.figure import BLUE, GREEN, GREY, INK, ORANGE, RED, framed, new_figure
 
-_INK, _GREY = "#1f2937", "#6b7280"
-# From lights on the right to those on the left: Okabe and Ito's palette and a violet, all of which
-# stand out on white.
-_COLOURS = LinearSegmentedColormap.from_list(
-    "bearing", ["#5b2a86", "#0072B2", "#009E73", "#E69F00", "#D55E00"]
-)
+# From lights on the right to those on the left; all of them stand out on white.
+_COLOURS = LinearSegmentedColormap.from_list("bearing", ["#5b2a86", BLUE, GREEN, ORANGE, RED])
 # Of the picture: its longer side, and the least of the shorter one, inches.
 _LONG, _SHORT = 7.4, 5.6
 
@@ -31,32 +21,24 @@ _LONG, _SHORT = 7.4, 5.6
 _LABEL = np.array([27.0, 19.0])
 
 
-def plot_probe(probe: Probe, share: float, title: str, path: str | os.PathLike[str]) -> Path:
+@framed
+def probe_figure(probe: Probe, share: float, title: str) -> Figure:
     """Draw where the animal went in each situation; each path has the colour of its light.
 
-    A light that was reached is filled. Around each lies the disc within which it counts as reached.
+    A light that was reached is filled. The disc around a light is where it counts as reached.
 
     Args:
         probe: what became of the animal.
-        share: of the distance at the start that may be left where a light counts as reached.
+        share: fraction of the initial distance within which a light counts as reached.
         title: above the picture.
-        path: ``.png``, ``.svg`` or ``.pdf``.
-
-    Returns:
-        The path.
-
-    Raises:
-        OutputError: nothing can be written there, or not this kind of file.
     """
-    path = output_path(path, PLOT_SUFFIXES)
     bearings = np.array([seen_from_start(situation)[1] for situation in probe.situations])
     widest = max(float(np.abs(bearings).max()), 1e-9)
     colours = _COLOURS(0.5 + 0.5 * bearings / widest)
     reached = probe.reached(share)
     starts = np.array([situation.start_position for situation in probe.situations])
     lights = np.array([situation.light for situation in probe.situations], float)
-    figure = Figure(figsize=_size(probe, lights), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(*_size(probe, lights), title)
     axes = figure.subplots()
     for i, colour in enumerate(colours):
         place, away = lights[i, :2], (lights - starts)[i, :2]
@@ -76,23 +58,15 @@ def plot_probe(probe: Probe, share: float, title: str, path: str | os.PathLike[s
             ha="center",
             va="center",
             fontsize=9,
-            color=_INK,
         )
     _draw_starts(axes, probe)
     axes.set_aspect("equal", "datalim")
     axes.margins(0.07)
     axes.set_xlabel("x (m)")
     axes.set_ylabel("y (m)")
-    axes.set_title(
-        legible(title), parse_math=False, fontsize=12, fontweight="bold", color=_INK, pad=12
-    )
-    axes.grid(color="#e5e7eb", lw=0.8)
-    axes.set_axisbelow(True)
-    axes.spines[["top", "right"]].set_visible(False)
-    figure.legend(handles=_legend(share), loc="outside lower center", ncols=2, frameon=False)
-    with in_one_piece(path) as partial:
-        figure.savefig(partial, dpi=160)
-    return path
+    axes.grid()
+    figure.legend(handles=_legend(share), loc="outside lower center", ncols=2)
+    return figure
 
 
 def _size(probe: Probe, lights: np.ndarray) -> tuple[float, float]:
@@ -114,16 +88,16 @@ def _draw_starts(axes: Axes, probe: Probe) -> None:
     """A wedge at every start, which points where the animal looks."""
     for (x, y, _), heading in {s[:2] for s in probe.situations}:
         marker = MarkerStyle(">", transform=Affine2D().rotate(heading))
-        axes.plot(x, y, marker=marker, color=_INK, mec="white", mew=0.8, ms=12, zorder=6)
+        axes.plot(x, y, marker=marker, color=INK, mec="white", mew=0.8, ms=12, zorder=6)
 
 
 def _legend(share: float) -> list[Line2D]:
     def star(face: str, label: str) -> Line2D:
-        return Line2D([], [], ls="", marker="*", mfc=face, mec=_GREY, ms=13, label=label)
+        return Line2D([], [], ls="", marker="*", mfc=face, mec=GREY, ms=13, label=label)
 
     return [
-        Line2D([], [], ls="", marker=">", color=_INK, ms=9, label="start"),
-        Line2D([], [], ls="-", color=_GREY, marker="o", ms=5, label="path and its end"),
-        star(_GREY, f"light, reached: {share:.0%} left or less"),
+        Line2D([], [], ls="", marker=">", color=INK, ms=9, label="start"),
+        Line2D([], [], ls="-", color=GREY, marker="o", ms=5, label="path and its end"),
+        star(GREY, f"light, reached: {share:.0%} left or less"),
         star("white", "light, not reached"),
     ]

@@ -1,6 +1,6 @@
-"""What darkens the floor under the animal: cast shadows, soft patches, spots where it touches."""
+"""Soft spots and shadows on the ground: cast shadows, patches under bodies, and contacts."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import pyvista as pv
@@ -10,119 +10,185 @@ from evo_cpg.creature.mesh import ConvexMesh
 from evo_cpg.creature.shapes import Box, Shape
 from evo_cpg.view.look import Look
 from evo_cpg.view.meshes import shape_mesh
-from evo_cpg.view.offscreen import write_depth
+from evo_cpg.view.offscreen import add_faded, write_depth
+from evo_cpg.view.terrain import Level, Terrain
 from evo_cpg.view.textures import spot_texture
 
 # Opacity of the spot under a foot that touches the ground.
-CONTACT = 0.85
+_CONTACT = 0.85
+# What lies on the ground is lifted by this fraction of the animal's radius.
+LIFT = 0.008
+# Points along a side of a spot on uneven ground.
+_POINTS = 9
+
+# A function of the bodies' centres ``(bodies, 3)``, m, and rotations ``(bodies, 3, 3)``.
+Pose = Callable[[np.ndarray, np.ndarray], None]
+
+
+class Spots:
+    """Soft spots that lie on the ground, in one mesh: an actor for each would cost more to draw.
+
+    Args:
+        plotter: draws them.
+        texture: of each.
+        ground: on which they lie.
+        lift: above it, m.
+        count: of the spots.
+        points: along a side of each, on uneven ground.
+    """
+
+    def __init__(
+        self,
+        plotter: pv.Plotter,
+        texture: pv.Texture,
+        ground: Level | Terrain,
+        lift: float,
+        count: int,
+        points: int = _POINTS,
+    ):
+        cells = 1 if isinstance(ground, Level) else points - 1
+        one = pv.Plane(i_size=2, j_size=2, i_resolution=cells, j_resolution=cells)
+        corners = np.asarray(one.points)
+        first = len(corners) * np.arange(count)[:, None, None]
+        quads = (one.regular_faces + first).reshape(-1, 4)
+        self._mesh = pv.PolyData.from_regular_faces(np.tile(corners, (count, 1)), quads)
+        self._mesh.active_texture_coordinates = np.tile(
+            np.asarray(one.active_texture_coordinates), (count, 1)
+        )
+        self._rgba = np.full((len(corners) * count, 4), 255, np.uint8)
+        self._own, self._ground, self._lift = corners[:, :2].astype(float), ground, lift
+        add_faded(plotter, self._mesh, self._rgba, texture=texture)
+
+    def lay(self, middle: np.ndarray, axes: np.ndarray, opacity: np.ndarray | None = None) -> None:
+        """Move the spots.
+
+        Args:
+            middle: of each ``(n, 2)``, m.
+            axes: half axes of each, the columns of ``(n, 2, 2)``, m.
+            opacity: of each ``(n,)``; all is drawn if None.
+        """
+        place = (middle[:, None] + self._own @ axes.mT).reshape(-1, 2)
+        self._mesh.points = np.column_stack([place, self._ground.height(place) + self._lift])
+        if opacity is not None:
+            self._rgba[:, 3] = np.repeat(255 * opacity, len(self._own))
+            self._mesh["rgba"] = self._rgba
 
 
 def add_sun_shadows(
-    plotter: pv.Plotter, look: Look, creature: Creature, height: float, sun: np.ndarray
-) -> Callable[[np.ndarray, np.ndarray], None]:
-    """The shadows that the bodies cast on the floor in the sun: the bodies, flattened along it.
+    plotter: pv.Plotter,
+    look: Look,
+    meshes: Sequence[pv.PolyData],
+    ground: Level | Terrain,
+    sun: np.ndarray,
+    radius: float,
+) -> Pose:
+    """Draw the shadows that bodies or obstacles cast on the ground in the sun.
 
     Args:
         plotter: draws them.
         look: of the world; nothing is drawn where it casts no shadows.
-        creature: the animal.
-        height: z of the floor, m.
+        meshes: of the bodies, in their own frames.
+        ground: on which the shadows lie.
         sun: unit vector towards the sun ``(3,)``.
+        radius: of the animal, m.
 
     Returns:
         A function of the bodies' centres ``(bodies, 3)`` in m and rotations ``(bodies, 3, 3)``.
     """
-    if not look.cast_strength:
+    if not look.cast_strength or not meshes:
         return lambda position, rotation: None
-    flatten = np.eye(4)
-    flatten[:2, 2] = -sun[:2] / sun[2]
-    flatten[2, 2] = 0.0
-    actors = []
-    for body in creature.bodies:
-        actor = plotter.add_mesh(
-            shape_mesh(body.shape),
-            color=look.shadow,
-            opacity=look.cast_strength,
-            lighting=False,
-            culling="back",
-        )
-        # Of a body only the sunny side is flattened. Shadows write their depth, each a little
-        # below the one before, so that where two overlap the floor is darkened once.
-        write_depth(actor)
-        actors.append(actor)
-    layer = 1e-3 * min(body.shape.half_extents.min() for body in creature.bodies)
+    own = [np.asarray(mesh.points).astype(float) for mesh in meshes]
+    first = np.cumsum([0, *map(len, own)])
+    faces = [mesh.triangulate().regular_faces + i for mesh, i in zip(meshes, first, strict=False)]
+    shadow = pv.PolyData.from_regular_faces(np.concatenate(own), np.concatenate(faces))
+    actor = plotter.add_mesh(
+        shadow, color=look.shadow, opacity=look.cast_strength, lighting=False, culling="back"
+    )
+    # Where shadows overlap the ground is darkened once: they write their depth, each a little below
+    # the one before.
+    write_depth(actor)
+    layer = np.repeat(LIFT * radius * np.linspace(1.0, 0.5, len(own)), [len(p) for p in own])
+    slant = sun[:2] / sun[2]
 
     def update(position: np.ndarray, rotation: np.ndarray) -> None:
-        for i, (actor, centre, turn) in enumerate(zip(actors, position, rotation, strict=True)):
-            pose = np.eye(4)
-            pose[:3, :3], pose[:3, 3] = turn, centre - [0.0, 0.0, height]
-            matrix = flatten @ pose
-            matrix[2, 3] = height - i * layer
-            actor.user_matrix = matrix
+        points = np.concatenate(
+            [c + p @ turn.T for p, c, turn in zip(own, position, rotation, strict=True)]
+        )
+        place, high = points[:, :2], points[:, 2]
+        # Where the ray through each point meets the ground.
+        low = ground.height(place)
+        for _ in range(4):
+            low = ground.height(place - (high - low)[:, None] * slant)
+        fallen = np.maximum(high - low, 0.0)[:, None]
+        place = place - fallen * slant
+        shadow.points = np.column_stack([place, ground.height(place) + layer])
 
     return update
 
 
 def add_shadows(
-    plotter: pv.Plotter, look: Look, height: float, half_extents: np.ndarray
-) -> Callable[[np.ndarray, np.ndarray], None]:
-    """Soft patches on the floor under the bodies.
+    plotter: pv.Plotter,
+    look: Look,
+    ground: Level | Terrain,
+    half_extents: np.ndarray,
+    radius: float,
+) -> Pose:
+    """Draw soft patches on the ground under the bodies.
 
     Args:
         plotter: draws them.
         look: of the world.
-        height: z of the floor, m.
+        ground: on which they lie.
         half_extents: of the bodies ``(bodies, 3)``, m.
+        radius: of the animal, m.
 
     Returns:
         A function of the bodies' centres ``(bodies, 3)`` in m and rotations ``(bodies, 3, 3)``.
     """
-    patch = pv.Plane(i_size=2, j_size=2, i_resolution=1, j_resolution=1)
     texture = spot_texture(look.shadow, look.shadow_strength, sharpness=2.2)
-    actors = [
-        plotter.add_mesh(patch, texture=texture, lighting=False) for _ in range(len(half_extents))
-    ]
+    spots = Spots(plotter, texture, ground, LIFT * radius, len(half_extents))
 
     def update(position: np.ndarray, rotation: np.ndarray) -> None:
-        for actor, centre, turn, half in zip(actors, position, rotation, half_extents, strict=True):
-            matrix = np.eye(4)
-            matrix[:2, :2] = patch_under(turn, half, centre[2] - height)
-            matrix[:3, 3] = centre[0], centre[1], height
-            actor.user_matrix = matrix
+        gap = position[:, 2] - ground.height(position[:, :2])
+        under = [patch_under(*each) for each in zip(rotation, half_extents, gap, strict=True)]
+        spots.lay(position[:, :2], np.array(under))
 
     return update
 
 
 def add_contacts(
-    plotter: pv.Plotter, look: Look, creature: Creature, height: float
-) -> Callable[[np.ndarray, np.ndarray], None]:
-    """Dark soft spots where bodies touch the ground; they pale as the gap opens.
+    plotter: pv.Plotter, look: Look, creature: Creature, ground: Level | Terrain, radius: float
+) -> Pose:
+    """Draw dark soft spots where bodies touch the ground; they pale as the gap opens.
 
     Args:
         plotter: draws them.
         look: of the world.
         creature: the animal.
-        height: z of the ground, m.
+        ground: on which they lie.
+        radius: of the animal, m.
 
     Returns:
         A function of the bodies' centres ``(bodies, 3)`` in m and rotations ``(bodies, 3, 3)``.
     """
-    patch = pv.Plane(i_size=2, j_size=2, i_resolution=1, j_resolution=1)
-    texture = spot_texture(look.shadow, CONTACT, sharpness=2.6)
-    spots = []
-    for body in creature.bodies:
-        actor = plotter.add_mesh(patch, texture=texture, lighting=False)
-        actor.ForceTranslucentOn()
-        spots.append((actor, soles(body.shape), float(body.shape.half_extents.min())))
+    texture = spot_texture(look.shadow, _CONTACT, sharpness=2.6)
+    spots = Spots(plotter, texture, ground, LIFT * radius, len(creature.bodies))
+    points = [soles(body.shape) for body in creature.bodies]
+    sizes = [float(body.shape.half_extents.min()) for body in creature.bodies]
 
     def update(position: np.ndarray, rotation: np.ndarray) -> None:
-        for (actor, points, size), centre, turn in zip(spots, position, rotation, strict=True):
-            place = centre + points @ turn.T
-            gap = place[:, 2] - height
-            matrix = np.eye(4)
-            middle, matrix[:2, :2], actor.prop.opacity = spot_under(place[:, :2], gap, size)
-            matrix[:3, 3] = *middle, height
-            actor.user_matrix = matrix
+        places = [
+            centre + own @ turn.T
+            for own, centre, turn in zip(points, position, rotation, strict=True)
+        ]
+        heights = ground.height(np.concatenate(places)[:, :2])
+        lows = np.split(heights, np.cumsum([*map(len, places)])[:-1])
+        under = [
+            spot_under(place[:, :2], place[:, 2] - low, size)
+            for place, low, size in zip(places, lows, sizes, strict=True)
+        ]
+        middles, axes, opacities = map(np.array, zip(*under, strict=True))
+        spots.lay(middles, axes, opacities)
 
     return update
 

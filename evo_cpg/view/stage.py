@@ -13,28 +13,22 @@ import pyvista as pv
 
 from evo_cpg.creature.creature import Creature
 from evo_cpg.physics.footing import Ground
-from evo_cpg.physics.terrain import Plane
+from evo_cpg.physics.terrain import Part, Plane
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.view.camera import CameraPath, aspect_of, course, follow, hidden
 from evo_cpg.view.captions import add_captions
 from evo_cpg.view.clip import Clip
 from evo_cpg.view.goal_light import add_goal_light
-from evo_cpg.view.ground import Marks, Update, add_floor, add_numbers, grid_spacing, mark_spacing
+from evo_cpg.view.ground import Marks, add_floor, add_numbers, grid_spacing, mark_spacing
 from evo_cpg.view.look import Look
 from evo_cpg.view.meshes import add_bodies, head_index, shape_mesh
 from evo_cpg.view.obstacles import add_obstacles, obstacle_mesh, obstacle_top
+from evo_cpg.view.offscreen import placed
 from evo_cpg.view.particles import add_particles
-from evo_cpg.view.relief import (
-    LIFT,
-    add_draped_contacts,
-    add_draped_light,
-    add_draped_patches,
-    add_draped_shadows,
-    add_relief,
-)
-from evo_cpg.view.shadows import add_contacts, add_shadows, add_sun_shadows
+from evo_cpg.view.relief import add_relief
+from evo_cpg.view.shadows import LIFT, add_contacts, add_shadows, add_sun_shadows
 from evo_cpg.view.sky import add_sky, sun_direction
-from evo_cpg.view.terrain import Terrain, heights, make_terrain
+from evo_cpg.view.terrain import Level, Terrain, heights, make_terrain
 from evo_cpg.view.textures import CELLS
 from evo_cpg.view.trail import add_trail
 from evo_cpg.view.water import add_water, add_waterlines
@@ -156,48 +150,55 @@ def set_scene(
         bearing = course(way, recording.goal, radius / 10)
         marks = Marks(way[0, :2], bearing, mark_spacing(2 * radius))
         spacing = marks.spacing / CELLS
-    terrain = None
+    ground: Level | Terrain = Level(floor)
     if stage.surface is not None or (stage.ground is not None and stage.level is None):
-        ground = Plane(height=floor) if stage.ground is None else stage.ground.floor
+        shape = Plane(height=floor) if stage.ground is None else stage.ground.floor
         filmed = np.concatenate([shown, clip.position.reshape(-1, 3)])[:, :2]
-        terrain = make_terrain(ground, filmed, radius, HORIZON * look.visibility * radius)
+        ground = make_terrain(shape, filmed, radius, HORIZON * look.visibility * radius)
+    lift = LIFT * radius
+
+    def dry(place: np.ndarray) -> np.ndarray:
+        high = ground.height(place) + lift
+        return high if stage.surface is None else np.where(high > stage.surface, high, np.nan)
+
     if stage.ground is not None:
-        # Where it swims its way stays in the water.
-        deep = np.inf if look.particles else None
-        water = deep if stage.surface is None else stage.surface
-        head = _laid_down(head, floor if terrain is None else terrain, water, radius)
+        # The trail lies on the ground, or in the water where the animal swims.
+        low = top = ground.height(head[:, :2]) + lift
+        if stage.surface is not None:
+            top = np.maximum(low, stage.surface + lift)
+        elif look.particles and isinstance(ground, Terrain):
+            top = np.full(len(low), np.inf)
+        head = np.column_stack([head[:, :2], np.clip(head[:, 2], low, top)])
 
     # Translucent actors are drawn in the order in which they are added: what lies in the plane of
     # the floor comes after it, the light and the trail over the shadows, the water over all.
     move_sky = add_sky(plotter, look, sight, away)
     sun = sun_direction(look, sight)
-    if terrain is None:
+    if isinstance(ground, Level):
         moving = [add_floor(plotter, look, floor, radius, spacing, marks)]
-        if marks is not None:
-            moving.append(add_numbers(plotter, look, marks, centre, floor, radius, sight, away))
-        shadows = [
-            add_sun_shadows(plotter, look, creature, floor, sun),
-            add_shadows(plotter, look, floor, half_extents),
-        ]
-        if marks is not None:
-            shadows.append(add_contacts(plotter, look, creature, floor))
     else:
-        moving, shadows = _add_terrain(
-            plotter, creature, clip, stage, terrain, marks, spacing, sight, sun, away
-        )
-        if lit:
-            add_draped_light(plotter, look, terrain, recording.goal, radius)
+        net, water = marks or Marks(np.zeros(2), 0.0, CELLS * spacing), stage.surface
+        moving = [add_relief(plotter, look, ground, radius, spacing, net, sight, sun, water)]
+    if marks is not None:
+        moving.append(add_numbers(plotter, look, marks, centre, dry, radius, sight, away))
+    if stage.ground is not None and stage.ground.obstacles:
+        _add_stones(plotter, look, stage.ground.obstacles, ground, sun, radius)
+    bodies = [shape_mesh(body.shape) for body in creature.bodies]
+    shadows = [
+        add_sun_shadows(plotter, look, bodies, ground, sun, radius),
+        add_shadows(plotter, look, ground, half_extents, radius),
+    ]
+    if marks is not None:
+        shadows.append(add_contacts(plotter, look, creature, ground, radius))
     face_viewer = None
     if lit:
-        height = floor if terrain is None else None
-        face_viewer = add_goal_light(plotter, look, recording.goal, height, radius, sight)
+        face_viewer = add_goal_light(plotter, look, recording.goal, ground, radius, sight)
     grow_trail = add_trail(plotter, look, head, 0.0065 * radius, _TRAIL_FADE * stage.rate)
     if look.particles:
-        depths = floor if terrain is None else terrain
-        add_particles(plotter, shown, depths, radius, stage.oversampling, stage.surface)
+        add_particles(plotter, shown, ground, radius, stage.oversampling, stage.surface)
     flow = None
-    if terrain is not None and stage.surface is not None:
-        flow = add_water(plotter, look, terrain, stage.surface, radius, sight)
+    if isinstance(ground, Terrain) and stage.surface is not None:
+        flow = add_water(plotter, look, ground, stage.surface, radius, sight)
         shadows.append(add_waterlines(plotter, stage.surface, half_extents, radius))
     bodies = add_bodies(plotter, creature, look.ambient)
     grid = f"grid {spacing:g} m" + (f", {stage.speed:g} x speed" if stage.speed != 1 else "")
@@ -234,10 +235,8 @@ def set_scene(
         for actors, place, turn in zip(
             bodies, clip.position[frame], clip.rotation[frame], strict=True
         ):
-            pose = np.eye(4)
-            pose[:3, :3], pose[:3, 3] = turn, place
             for actor in actors:
-                actor.user_matrix = pose
+                actor.user_matrix = placed(turn, place)
         elapsed = clip.time[frame] - clip.time[0]
         caption(elapsed, float(clip.distance[frame]), clip.speed[frame])
         plotter.render()
@@ -245,61 +244,24 @@ def set_scene(
     return show
 
 
-def _add_terrain(
+def _add_stones(
     plotter: pv.Plotter,
-    creature: Creature,
-    clip: Clip,
-    stage: Stage,
-    terrain: Terrain,
-    marks: Marks | None,
-    spacing: float,
-    sight: np.ndarray,
+    look: Look,
+    stones: tuple[Part, ...],
+    ground: Level | Terrain,
     sun: np.ndarray,
-    away: float,
-) -> tuple[list[Update], list[Callable[[np.ndarray, np.ndarray], None]]]:
-    """Ground that is not level, its obstacles, and what lies on it."""
-    look, surface, radius = stage.look, stage.surface, animal_radius(creature, clip)
-    net = marks or Marks(np.zeros(2), 0.0, CELLS * spacing)
-    moving = [add_relief(plotter, look, terrain, radius, spacing, net, sight, sun, surface)]
-
-    def dry(place: np.ndarray) -> np.ndarray:
-        high = terrain.height(place) + LIFT * radius
-        return high if surface is None else np.where(high > surface, high, np.nan)
-
-    if marks is not None:
-        centre = clip.position.mean(1)
-        moving.append(add_numbers(plotter, look, marks, centre, dry, radius, sight, away))
-    obstacles = () if stage.ground is None else stage.ground.obstacles
-    add_obstacles(plotter, obstacles, look.ambient, terrain.height)
-    if obstacles:
-        shades = [obstacle_mesh(obstacle, shade=True) for obstacle in obstacles]
-        meshes, places, turns = zip(*shades, strict=True)
-        half_extents = np.array([np.ptp(np.asarray(mesh.points), axis=0) / 2 for mesh in meshes])
-        for lay in (
-            add_draped_patches(plotter, look, terrain, half_extents, radius),
-            add_draped_shadows(plotter, look, list(meshes), terrain, sun, radius),
-        ):
-            lay(np.array(places), np.array(turns))
-    bodies = [shape_mesh(body.shape) for body in creature.bodies]
-    half_extents = np.array([body.shape.half_extents for body in creature.bodies])
-    shadows = [
-        add_draped_shadows(plotter, look, bodies, terrain, sun, radius),
-        add_draped_patches(plotter, look, terrain, half_extents, radius),
-        add_draped_contacts(plotter, look, creature, terrain, radius),
-    ]
-    return moving, shadows
-
-
-def _laid_down(
-    path: np.ndarray, ground: float | Terrain, surface: float | None, radius: float
-) -> np.ndarray:
-    """A way on the ground, or through the water where there is water."""
-    if not isinstance(ground, Terrain):
-        return path * [1.0, 1.0, 0.0] + [0.0, 0.0, ground]
-    lift = LIFT * radius
-    low = ground.height(path[:, :2]) + lift
-    top = low if surface is None else np.maximum(low, surface + lift)
-    return np.column_stack([path[:, :2], np.clip(path[:, 2], low, top)])
+    radius: float,
+) -> None:
+    """Draw obstacles with their shadows."""
+    add_obstacles(plotter, stones, look.ambient, ground.height)
+    shades = [obstacle_mesh(stone, shade=True) for stone in stones]
+    meshes, places, turns = zip(*shades, strict=True)
+    half_extents = np.array([np.ptp(np.asarray(mesh.points), axis=0) / 2 for mesh in meshes])
+    for lay in (
+        add_shadows(plotter, look, ground, half_extents, radius),
+        add_sun_shadows(plotter, look, meshes, ground, sun, radius),
+    ):
+        lay(np.array(places), np.array(turns))
 
 
 def surface_is_seen(creature: Creature, clip: Clip, ground: Ground | None, surface: float) -> bool:

@@ -1,4 +1,4 @@
-"""Ground that is not level, as a mesh of its heights.
+"""Ground as it is drawn: level, or a mesh of its heights.
 
 The mesh is a grid whose lines are close together along the animal's way and ever further apart
 towards the horizon; they run along the creases of the ground, where it has any.
@@ -21,6 +21,20 @@ _STEP, _NEAR, _LINES, _GROWTH = 0.08, 5.0, 100, 1.18
 # Places whose heights are asked for at once: a mesh has tens of thousands, the camera's way some
 # hundreds, and each number of them would be a program of its own to compile.
 _BLOCK = 4096
+
+
+class Level(NamedTuple):
+    """Level ground.
+
+    Attributes:
+        z: its height, m.
+    """
+
+    z: float
+
+    def height(self, place: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n"]:
+        """Return the height at places x and y, m."""
+        return np.full(place.shape[:-1], self.z)
 
 
 class Terrain(NamedTuple):

@@ -43,7 +43,12 @@ def floor_texture(
         strong = np.exp(-((np.minimum(edge, _TEXELS - edge) / 7.0) ** 4))
         on_grid = np.maximum(0.55 * on_grid, 0.9 * np.maximum(strong[:, None], strong)[..., None])
     colour += on_grid * (np.array(pv.Color(grid).int_rgb) - colour)
-    texture = pv.Texture(np.clip(colour, 0, 255).astype(np.uint8))
+    return tile_texture(np.clip(colour, 0, 255).astype(np.uint8))
+
+
+def tile_texture(image: np.ndarray) -> pv.Texture:
+    """Return a texture that repeats an image ``(n, n, channels)`` of bytes."""
+    texture = pv.Texture(image)
     texture.repeat = True
     texture.interpolate = True
     texture.mipmap = True

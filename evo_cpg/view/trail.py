@@ -7,6 +7,7 @@ import numpy as np
 import pyvista as pv
 
 from evo_cpg.view.look import Look
+from evo_cpg.view.offscreen import add_faded
 
 
 def add_trail(
@@ -35,10 +36,7 @@ def add_trail(
     tube = cast(pv.PolyData, line.tube(radius=thickness, n_sides=6, capping=False))
     born = np.asarray(tube.point_data["frame"])
     rgba = np.tile(pv.Color(look.trail, opacity=0).int_rgba, (len(born), 1)).astype(np.uint8)
-    tube.point_data["rgba"] = rgba
-    # Drawn as translucent from the first frame on, when nothing of it shows yet.
-    actor = plotter.add_mesh(tube, scalars="rgba", rgba=True, lighting=False, culling="back")
-    actor.ForceTranslucentOn()
+    add_faded(plotter, tube, rgba, culling="back")
 
     def update(frame: int) -> None:
         age = frame - born

@@ -12,9 +12,12 @@ import numpy as np
 import pyvista as pv
 
 from evo_cpg.view.camera import turned_about_vertical
+from evo_cpg.view.ground import fading_disc
 from evo_cpg.view.look import Look
-from evo_cpg.view.terrain import Terrain
-from evo_cpg.view.textures import spot_texture
+from evo_cpg.view.offscreen import add_faded
+from evo_cpg.view.shadows import Spots
+from evo_cpg.view.terrain import Level, Terrain
+from evo_cpg.view.textures import spot_texture, tile_texture
 
 _SHALLOW, _DEEP = "#bfeae4", "#4cadd2"
 # Opacity of the lower sheet where it is shallow and deep; depth of two thirds of the change and
@@ -110,29 +113,19 @@ def add_waterlines(
         A function of the bodies' centres ``(bodies, 3)`` in m and rotations ``(bodies, 3, 3)``.
     """
     texture = spot_texture("#ffffff", _RING, sharpness=2.0)
-    patch = pv.Plane(i_size=2, j_size=2, i_resolution=1, j_resolution=1)
-    actors = [plotter.add_mesh(patch, texture=texture, lighting=False) for _ in half_extents]
-    for actor in actors:
-        actor.ForceTranslucentOn()
-    lift = 0.004 * radius
+    rings = Spots(plotter, texture, Level(surface), 0.004 * radius, len(half_extents))
 
     def update(position: np.ndarray, rotation: np.ndarray) -> None:
-        for actor, centre, turn, half in zip(actors, position, rotation, half_extents, strict=True):
-            # An ellipsoid of these half axes, cut by the surface.
-            shape = (turn * half**2) @ turn.T
-            off = surface - centre[2]
-            share = 1 - off**2 / shape[2, 2]
-            actor.prop.opacity = float(np.clip(3 * share, 0.0, 1.0))
-            if share <= 0:
-                continue
-            lean = shape[:2, 2] / shape[2, 2]
-            cut = (shape[:2, :2] - np.outer(lean, lean) * shape[2, 2]) * share
-            spread, axes = np.linalg.eigh(cut)
-            size = _RING_WIDTH * np.sqrt(np.maximum(spread, 0.0)) + 0.6 * half.min()
-            matrix = np.eye(4)
-            matrix[:2, :2] = axes * size
-            matrix[:3, 3] = *(centre[:2] + lean * off), surface + lift
-            actor.user_matrix = matrix
+        # Ellipsoids of these half axes, cut by the surface.
+        shape = (rotation * half_extents[:, None] ** 2) @ rotation.mT
+        off = surface - position[:, 2]
+        share = 1 - off**2 / shape[:, 2, 2]
+        lean = shape[:, :2, 2] / shape[:, 2:, 2]
+        cut = shape[:, :2, :2] - lean[:, :, None] * shape[:, None, :2, 2]
+        spread, axes = np.linalg.eigh(cut * np.maximum(share, 0.0)[:, None, None])
+        size = _RING_WIDTH * np.sqrt(np.maximum(spread, 0.0)) + 0.6 * half_extents.min(1)[:, None]
+        middle = position[:, :2] + lean * off[:, None]
+        rings.lay(middle, axes * size[:, None], np.clip(3 * share, 0.0, 1.0))
 
     return update
 
@@ -158,9 +151,7 @@ def _add_tint(
     rgba = np.empty((len(used), 4), np.uint8)
     rgba[:, :3] = colors[0] + deep[:, None] * (colors[1] - colors[0])
     opacity = (_CLEAR + (_OPAQUE - _CLEAR) * deep) * np.clip(depth / _SHORE, 0.25, 1.0)
-    mesh["rgba"] = rgba
-    actor = plotter.add_mesh(mesh, scalars="rgba", rgba=True, lighting=False, show_scalar_bar=False)
-    actor.ForceTranslucentOn()
+    add_faded(plotter, mesh, rgba)
 
     def update(focus: np.ndarray) -> None:
         away = ((place - focus[:2]) ** 2).sum(1)
@@ -179,28 +170,13 @@ def _add_mirror(
     sight: np.ndarray,
 ) -> Callable[[np.ndarray, np.ndarray, float, float], None]:
     """The sheet that mirrors the sky: a disc below the focus."""
-    reach = np.concatenate([[0.0], np.geomspace(0.02, 2.5, 28)]) * visible
-    bearing = np.linspace(0, 2 * np.pi, 49)
-    x, y = reach[:, None] * np.cos(bearing), reach[:, None] * np.sin(bearing)
-    grid = pv.StructuredGrid(x[..., None], y[..., None], np.zeros_like(x)[..., None])
-    disc = grid.extract_surface(algorithm=None)
-    place = np.asarray(disc.points)[:, :2].astype(float)
+    disc, place, fade = fading_disc(visible, 0.02)
     rgba = np.full((len(place), 4), 255, np.uint8)
-    disc["rgba"] = rgba
     side = _TILE * radius
     disc.active_texture_coordinates = place / side
     ripples = Ripples(side)
-    image = np.zeros((_TEXELS, _TEXELS, 4), np.uint8)
-    texture = pv.Texture(image)
-    texture.repeat = True
-    texture.interpolate = True
-    texture.mipmap = True
-    texture.SetMaximumAnisotropicFiltering(1)
-    actor = plotter.add_mesh(
-        disc, scalars="rgba", rgba=True, texture=texture, lighting=False, show_scalar_bar=False
-    )
-    actor.ForceTranslucentOn()
-    fade = np.exp(-((np.linalg.norm(place, axis=1) / visible) ** 2))
+    texture = tile_texture(np.zeros((_TEXELS, _TEXELS, 4), np.uint8))
+    actor = add_faded(plotter, disc, rgba, texture=texture)
     pixels = pv.wrap(texture.GetInput())
     haze, zenith = (np.array(pv.Color(c).int_rgb) for c in (look.distance, look.zenith))
     level = np.hypot(*sight[:2])

@@ -10,7 +10,9 @@ import trials
 from evo_cpg.analysis import sensitivity
 from evo_cpg.analysis.sensitivity import changed, differentiate, measured, sensitivities
 from evo_cpg.physics.footing import Ground, make_footing
-from evo_cpg.simulation.rollout import Outcome
+from evo_cpg.simulation import measures as gait
+from evo_cpg.simulation.judge import Outcome, finish_tally
+from evo_cpg.simulation.measures import Way
 from trials import OneTerm
 
 KEYS = ("squared", "inverse", "step", "zero", "idle")
@@ -75,17 +77,17 @@ def test_a_step_beside_the_value_is_not_confirmed_and_ranks_by_the_change_found(
     assert [row.key for row in found] == ["step", "squared", "inverse", "idle", "zero"]
 
 
-@pytest.mark.parametrize("measures", [{}, {"speed": jnp.array([7.0])}])
-def test_speed_is_neither_taken_for_a_term_of_the_task_nor_for_a_measure(monkeypatch, measures):
-    """Of both called so, a measure comes last, see `rollout`: here it has the task's own value."""
-    simulation = dataclasses.replace(trials.experiment(steps=91).simulation, task=OneTerm("speed"))
+@pytest.mark.parametrize("names", [(), ("speed",)])
+def test_speed_is_no_term_of_the_task_and_no_measure(monkeypatch, names):
+    simulation = dataclasses.replace(trials.experiment(steps=91).simulation, task=OneTerm("own"))
+    simulation = dataclasses.replace(simulation, measures=gait.measures(*names))
     ground = make_footing(trials.swimmer(()), simulation.world.tree, Ground(0.0, 0.6, 0.6))
     world = dataclasses.replace(simulation.world, footing=ground)
     start, end = jnp.zeros((3, 1)), jnp.array([[3.0], [4.0], [1.0]])
 
     def lived(simulation, genes, keys):
-        tally = sensitivity._Journey(jnp.array([7.0]), start, end)
-        return Outcome(simulation.task.terms(tally, 91) | measures, jnp.array([True]))
+        tally = jnp.array([7.0]), {name: Way(start, end) for name in simulation.measures.names}
+        return Outcome(finish_tally(simulation, tally), jnp.array([True]))
 
     monkeypatch.setattr(sensitivity, "rollout", lived)
     # In 1.5 s 5 m over ground, where heights do not count, and more through water.

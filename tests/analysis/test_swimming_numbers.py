@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 
 from evo_cpg.analysis import gait_numbers
-from evo_cpg.physics.fluid import Water
+from evo_cpg.physics.water import Current, Water
 from evo_cpg.simulation.recording import Recording
 from trials import experiment
 
 STEP = 0.1
 # Density and coefficients, which do not matter.
-DRAG = 1000.0, 1.0, 0.01
 TIME = STEP * np.arange(50)
 
 
@@ -20,12 +19,13 @@ def test_the_way_through_the_water_is_without_what_the_water_carries():
     """At rest in it, and in a shear: x' = g y, closed form."""
     current = (0.3, -0.1, 0.0)
     carried = TIME[:, None] * current
-    drift = gait_numbers._drift(Water(*DRAG, current=current), carried, STEP)
+    drift = gait_numbers._drift(Water(1000.0, streams=(Current(current),)), carried, STEP)
     np.testing.assert_allclose(drift, carried, atol=1e-6)
-    shear = Water(*DRAG, gradient=((0.0, 0.5, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
+    gradient = ((0.0, 0.5, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    shear = Water(1000.0, streams=(Current(gradient=gradient),))
     beside = np.column_stack([0.5 * 2.0 * TIME, np.full(50, 2.0), np.zeros(50)])
     np.testing.assert_allclose(gait_numbers._drift(shear, beside, STEP)[:, 0], TIME, atol=1e-6)
-    assert not gait_numbers._drift(Water(*DRAG), beside, STEP).any()
+    assert not gait_numbers._drift(Water(1000.0), beside, STEP).any()
 
 
 @pytest.mark.parametrize("anchor", [0.03, 0.08, 0.2])

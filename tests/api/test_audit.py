@@ -21,13 +21,14 @@ from evo_cpg.creature.self_collision import SelfCollision
 from evo_cpg.creature.shapes import Box, Ellipsoid
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.exchange.mujoco_state import load_state
-from evo_cpg.physics.fluid import Water
 from evo_cpg.physics.footing import Ground, make_footing
 from evo_cpg.physics.pairs import make_pairs
 from evo_cpg.physics.terrain import Plane
+from evo_cpg.physics.water import Current, Water
 from evo_cpg.physics.world import World
 from evo_cpg.simulation.noise import Noise
-from evo_cpg.simulation.physics_steps import physics_steps
+from evo_cpg.simulation.physics_steps import EachPhysicsStep
+from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.sensors import place_sensors
 from evo_cpg.simulation.situation import Situation
 from evo_cpg.simulation.snapshot import Snapshot
@@ -130,7 +131,11 @@ def test_what_is_left_over_vanishes_with_the_step(swimming):
         with jax.enable_x64(True):
             genes = jnp.asarray(champion().genes, jnp.float64)[:, None]
             steps = jax.device_get(
-                quick_jit(lambda g, simulation=simulation: physics_steps(simulation, g))(genes)
+                quick_jit(
+                    lambda g, simulation=simulation: rollout(
+                        simulation, g, observers=EachPhysicsStep()
+                    )
+                )(genes)
             )
         found = ledger(simulation.world, steps, simulation.step_length)
         assert found.effort > 0.01
@@ -255,7 +260,7 @@ def test_what_a_current_carries_is_how_far_it_comes_in_a_trial(swimming, surface
     """Away from a light; nowhere, where the animal starts above the water."""
     made, (trial,) = swimming
     flow = carried / made.simulation.duration or -1.0
-    water = Water(1000.0, 0.0, 0.0, current=(flow, 0.0, 0.0), surface=surface)
+    water = Water(1000.0, surface, (Current((flow, 0.0, 0.0)),))
     world = dataclasses.replace(made.simulation.world, water=water)
     place = tuple(trial.steps.before.position[:, 0] + [9.0, 0.0, 0.0])
     situation = made.simulation.situations[0]._replace(light=place)
@@ -382,7 +387,7 @@ def test_who_swims_above_a_floor_does_not_fly():
     for surface, share in ((2.0, 0.0), (-2.0, 1.0)):
         made = walker(height=0.5)
         world = made.simulation.world
-        water = Water(1000.0, 1.0, 0.0, surface=surface)
+        water = Water(1000.0, surface)
         world = dataclasses.replace(world, water=water)
         trial = lived_trials(walker(height=0.5), champion())[0]
         steps = trial.steps._replace(contact_force=0 * trial.steps.contact_force)
@@ -485,7 +490,7 @@ def test_what_means_nothing_is_not_checked(honest, swimming):
     assert of_ground <= on_land and {"overlap", "overload"} <= on_land
     world = walking.simulation.world
     for surface, flies in ((None, False), (2.0, True)):
-        water = dataclasses.replace(world, water=Water(1000.0, 1.0, 0.0, surface=surface))
+        water = dataclasses.replace(world, water=Water(1000.0, surface))
         simulation = dataclasses.replace(walking.simulation, world=water)
         wet = keys(walking._replace(simulation=simulation), steps)
         assert ("airborne_way" in wet) == flies and "penetration" in wet

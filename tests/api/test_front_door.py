@@ -281,7 +281,7 @@ def test_slopes_on_the_ground_are_exact_where_that_is_asked(
 ):
     """That exact ones equal differences is shown in `simulation/test_fitness_gradients.py`."""
     experiment, asked = evo.load(REPOSITORY / "configs" / f"{config}.yaml"), []
-    monkeypatch.setattr(fitness, "rollout", lambda *given: asked.append(given[-1]))
+    monkeypatch.setattr(fitness, "rollout", lambda *_, backward: asked.append(backward))
     monkeypatch.setattr(fitness, "judge", lambda *_: [jnp.zeros(())])
     of_genome = fitness.fitness_function(experiment.parts, {}, None, horizon, None, None)
     of_genome(np.zeros(experiment.gene_count))

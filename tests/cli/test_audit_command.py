@@ -3,6 +3,7 @@
 import json
 import shutil
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from evo_cpg.config.load import load_config
 from evo_cpg.training.checkpoint import Champion, genes_digest
 from evo_cpg.training.run_folder import RunFolder
 from evo_cpg.training.variations import Variation, finer, live
+from pictures import ink
 from tiny_run import CONFIG, PAIR
 
 
@@ -25,6 +27,7 @@ from tiny_run import CONFIG, PAIR
     [
         ("half_stp=0.5", "there is no limit 'half_stp'; did you mean half_step?"),
         ("xyz=1", "there is no limit 'xyz'; allowed: half_step, "),
+        ("way=1", "there is no limit 'way'"),
         ("half_step=", "'' is no limit; allowed: a number of at least 0"),
         ("half_step=-1", "'-1' is no limit"),
         ("half_step=nan", "'nan' is no limit"),
@@ -116,33 +119,73 @@ def test_runs_without_a_champion_are_passed_over(cli, finished_run, tmp_path, mo
     assert complaint == f"evo-cpg: --all: the checkpoints of {run.path} hold no champion\n"
 
 
-@pytest.mark.slow
-def test_a_champion_is_audited(cli, finished_run, tmp_path, monkeypatch):
-    """A table, a verdict, a file and a picture; and a table of all champions, here of one."""
-    # Two bodies on a hinge get nowhere much.
-    monkeypatch.setattr(audit, "_SOME_WAY", -1e9)
-    run = tmp_path / "run"
+Called = tuple[int, str, str]
+
+
+class Audited(NamedTuple):
+    """A run folder after `evo-cpg audit RUN` and `evo-cpg audit RUN --all`."""
+
+    run: Path
+    one: Called
+    every: Called
+
+    def told(self, name: str = "audit") -> dict:
+        return json.loads((self.run / f"{name}.json").read_text())
+
+
+@pytest.fixture(scope="module")
+def audited(cli, finished_run, tmp_path_factory) -> Audited:
+    """Audit a run's champion, and then all champions, of which the run has one."""
+    run = tmp_path_factory.mktemp("audited") / "run"
     shutil.copytree(finished_run, run)
-    code, out, complaint = cli("audit", run, "half_step=0", "quarter_step=0")
-    told = json.loads((run / "audit.json").read_text())
-    assert code == (0 if told["passed"] else 3), complaint
-    keys = {check["key"] for check in told["checks"]}
+    with pytest.MonkeyPatch.context() as patch:
+        # Two bodies on a hinge get nowhere much.
+        patch.setattr(audit, "_SOME_WAY", -1e9)
+        one = cli("audit", run, "half_step=0", "quarter_step=0")
+        return Audited(run, one, cli("audit", run, "--all"))
+
+
+@pytest.mark.slow
+def test_exit_code_is_the_verdict(audited):
+    code, _, complaint = audited.one
+    assert code == (0 if audited.told()["passed"] else 3), complaint
+    assert audited.every[0] == (0 if audited.told("audit_run0")["passed"] else 3)
+
+
+@pytest.mark.slow
+def test_audit_file_has_every_check(audited):
+    keys = {check["key"] for check in audited.told()["checks"]}
     assert {"replay", "drag", "pose", "precision", "simulator_energy", "free_energy"} <= keys
-    assert told["second_opinion"][1]["program"] == "MuJoCo"
-    energy = told["energy"][0]
+    assert audited.told()["second_opinion"][1]["program"] == "MuJoCo"
+
+
+@pytest.mark.slow
+def test_audit_file_balances_energy(audited):
+    energy = audited.told()["energy"][0]
     work = sum(value for name, value in energy.items() if name not in ("stored", "left_over"))
     assert energy["stored"] == pytest.approx(work + energy["left_over"])
-    assert (run / "plots" / "audit.png").stat().st_size > 10_000
-    assert str(run / "audit.json") in out and "MuJoCo" in out
-    code, out, _ = cli("audit", run, "--all")
-    alone = json.loads((run / "audit_run0.json").read_text())
-    assert code == (0 if alone["passed"] else 3) and "of 1 champions pass" not in out
-    assert [x["measured"] for x in alone["checks"]] == [x["measured"] for x in told["checks"]]
+
+
+@pytest.mark.slow
+def test_audit_prints_tables_and_draws_a_picture(audited):
+    _, out, _ = audited.one
+    assert str(audited.run / "audit.json") in out and "MuJoCo" in out
+    assert 0.01 < ink(audited.run / "plots" / "audit.png") < 0.5
+
+
+@pytest.mark.slow
+def test_all_champions_are_audited_as_one_is(audited):
+    _, out, _ = audited.every
+    assert "of 1 champions pass" not in out
     assert "quarter %" in out and "MuJoCo: way" in out
-    code, _, complaint = cli("audit", run, "--all", "--run", 0)
-    assert code == 2 and "--all and --run" in complaint
-    code, _, complaint = cli("audit", run, "way=1")
-    assert code == 2 and "no limit 'way'" in complaint
+    alone, told = audited.told("audit_run0"), audited.told()
+    assert [x["measured"] for x in alone["checks"]] == [x["measured"] for x in told["checks"]]
+
+
+@pytest.mark.parametrize("other", [("--run", 0), ("--cell", "0,0")])
+def test_all_and_one_champion_are_refused(cli, tmp_path, other):
+    code, _, complaint = cli("audit", tmp_path, "--all", *other)
+    assert code == 2 and f"--all and {other[0]}: give one of them" in complaint
 
 
 def judged(*checks: Check) -> Audit:

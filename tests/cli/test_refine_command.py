@@ -10,6 +10,7 @@ import yaml
 from evo_cpg.cli.refine import _free
 from evo_cpg.config.load import load_config
 from evo_cpg.config.parameters import parametrise
+from evo_cpg.physics.fluid import Drag
 from evo_cpg.training.run_folder import RunFolder, refinements
 from tiny_run import CONFIG, REPOSITORY, TINY
 
@@ -96,7 +97,7 @@ def test_a_world_that_is_not_allowed_is_none():
     assert free.rebuild(np.array([-0.1])) is None
     rebuilt = free.rebuild(np.array([0.7]))
     assert rebuilt is not None
-    assert rebuilt.simulation.world.water.form_drag == 0.7
+    assert rebuilt.simulation.world.law(Drag).form_drag == 0.7
 
 
 def test_an_unknown_number_is_named(finished_run, cli):

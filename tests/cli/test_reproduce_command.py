@@ -26,10 +26,10 @@ CONFIG = "iwadate2010_swimmer"
 
 def report(shop: Workshop) -> list[Table]:
     """A table of what the runs came to, and a picture."""
-    from evo_cpg.view.study_plot import plot_generations
+    from evo_cpg.view.search_plots import generations_figure
 
     best = {name: shop.column(name, "best_distance") for name in ("few", "many")}
-    plot_generations(best, "distance", shop.picture("best"), single_runs=True)
+    shop.draw(generations_figure(best, "distance", single_runs=True), "best")
     ends = shop.kept("ends", ["few"], lambda: [each.fitness for each in shop.champions("few")])
     return [Table("Ends:", ["", "fitness"], [["few", in_order(ends, 4)]])]
 

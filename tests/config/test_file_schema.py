@@ -19,6 +19,8 @@ import config_keys
 SCHEMA = file_schema()
 CHECK = jsonschema.Draft202012Validator(SCHEMA)
 
+UNITS = {"m", "s", "kg", "N", "Nm", "Pa", "J", "W", "Hz", "rad", "deg"}
+
 
 def mistakes(data) -> list[str]:
     return [f"{mistake.json_path}: {mistake.message}" for mistake in CHECK.iter_errors(data)]
@@ -76,14 +78,21 @@ def definitions():
     yield from SCHEMA["$defs"].items()
 
 
-def test_every_part_and_every_key_is_described():
-    for name, definition in definitions():
-        if name:
-            assert len(definition["description"]) > 5, name
-        for key, value in definition["properties"].items():
-            # A unit alone tells nobody what it is a number of.
-            assert len(value.get("description", "")) > 5, f"{name}.{key}"
-            assert "\n" not in value["description"]
+def is_described(text: str) -> bool:
+    """Return whether a description is one sentence with more in it than units."""
+    words = set(re.findall(r"[A-Za-z]+", text)) - UNITS
+    return bool(words) and text.endswith(".") and "\n" not in text
+
+
+def test_every_part_and_key_is_described():
+    assert not any(map(is_described, ("", "m/s.", "N m s.", "the light", "The light\nahead.")))
+    texts = {
+        f"{name}.{key}": value.get("description", "")
+        for name, part in definitions()
+        for key, value in part["properties"].items()
+    }
+    texts |= {name: part["description"] for name, part in definitions() if name}
+    assert [name for name, text in texts.items() if not is_described(text)] == []
 
 
 def test_the_reference_has_every_key_of_every_section_that_a_file_may_have():
@@ -114,7 +123,8 @@ def test_the_reference_says_values_units_and_defaults():
         "| `type` | `real` |  | `real` |",
         "| `surface` | number | m | none | height of its surface; `null` for water everywhere |",
         "### `simulation.trials.N.light`, `task.light`",
-        "### `creature.sensors.N`, `controller`, `task`: `type: my_module:MyClass`",
+        "### `creature.sensors.N`, `world.forces.N`, `controller`, `task`: "
+        "`type: my_module:MyClass`",
     ):
         assert row in text, row
     assert "1000000000000" not in text and "Config" not in text.replace("(config-", "")

@@ -6,7 +6,7 @@ import pytest
 
 import evo_cpg as evo
 from evo_cpg.config.errors import ConfigError
-from evo_cpg.simulation.rollout import no_terms
+from evo_cpg.simulation.judge import no_terms
 from tiny_run import CONFIG, TINY
 
 TASK = """

@@ -81,7 +81,7 @@ def test_a_map_measures_what_its_axes_are():
     assert made.simulation.measures.names == ("speed", "duty_factor")
     swimmer = build(CONFIG, "evolution={type: map_elites, axes: [{name: energy, range: [0, 9]}]}")
     # A term of the task needs no measure.
-    assert swimmer.simulation.measures is None and swimmer.strategy.vary == AlongTheLine()
+    assert not swimmer.simulation.measures.names and swimmer.strategy.vary == AlongTheLine()
     assert swimmer.strategy.gene_bound == 8.0
     mapped = build(WALKER, f"evolution.axes={AXES}")
     assert isinstance(mapped.strategy, Mapped) and mapped.strategy.shape == (10, 4)

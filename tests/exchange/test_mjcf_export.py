@@ -17,11 +17,11 @@ from evo_cpg.exchange.errors import ExchangeError
 from evo_cpg.exchange.mjcf_export import mjcf_model, mjcf_text
 from evo_cpg.exchange.mujoco_state import dof_order, load_state, motor_order
 from evo_cpg.physics.articulated import solve
+from evo_cpg.physics.body_equations import body_equations
 from evo_cpg.physics.footing import Ground
 from evo_cpg.physics.joints import clamp_torque, passive_torque, servo_torque
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.terrain import Block, Boulder, Part, Plane, Relief, Shore
-from evo_cpg.physics.world import body_equations
 from evo_cpg.spatial.linear import expand_dims_like
 
 GRAVITY = 9.81

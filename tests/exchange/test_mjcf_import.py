@@ -20,11 +20,12 @@ from evo_cpg.exchange.errors import ExchangeError
 from evo_cpg.exchange.mjcf_export import mjcf_model, mjcf_text
 from evo_cpg.exchange.mjcf_import import read_mjcf
 from evo_cpg.physics.articulated import solve
-from evo_cpg.physics.fluid import Water
+from evo_cpg.physics.body_equations import body_equations
 from evo_cpg.physics.joints import passive_torque
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import resting_state
-from evo_cpg.physics.world import World, body_equations
+from evo_cpg.physics.water import Water
+from evo_cpg.physics.world import World
 from evo_cpg.spatial.linear import expand_dims_like
 from tiny_run import REPOSITORY
 
@@ -132,7 +133,7 @@ def test_a_creature_comes_back_as_it_went_out(read, number):
 @pytest.mark.parametrize("path", CONFIGS, ids=lambda path: path.stem)
 def test_shipped_animals_come_back_as_they_went_out(read, path):
     creature = build_creature(load_config(path), path)
-    water = Water(1000.0, 1.0, 0.02)
+    water = Water(1000.0)
     found, left_out = read(mjcf_text(mjcf_model(creature, GRAVITY, water=water)))
     assert_same(as_written(found), creature)
     assert left_out == (

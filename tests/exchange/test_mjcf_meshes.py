@@ -20,8 +20,9 @@ from evo_cpg.exchange.mjcf_export import mjcf_model, mjcf_text
 from evo_cpg.exchange.mjcf_import import read_mjcf
 from evo_cpg.exchange.mujoco_state import dof_order, load_state
 from evo_cpg.physics.articulated import solve
+from evo_cpg.physics.body_equations import body_equations
 from evo_cpg.physics.kinematics import kinematics
-from evo_cpg.physics.world import World, body_equations
+from evo_cpg.physics.world import World
 from evo_cpg.spatial.linear import expand_dims_like
 from evo_cpg.spatial.rotation import euler_to_matrix
 from polyhedra import tetrahedron, wedge

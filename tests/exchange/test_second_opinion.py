@@ -14,7 +14,8 @@ from evo_cpg.control.postures import PostureController
 from evo_cpg.exchange.errors import ExchangeError
 from evo_cpg.exchange.second_opinion import Brain, own_opinion, second_opinion
 from evo_cpg.physics.footing import Ground, make_footing
-from evo_cpg.simulation.physics_steps import physics_steps
+from evo_cpg.simulation.physics_steps import EachPhysicsStep
+from evo_cpg.simulation.rollout import rollout
 from tiny_run import CONFIG, PAIR
 
 
@@ -23,7 +24,9 @@ def lived(path, *overrides):
     experiment = build_experiment(load_config(path, overrides), path)
     simulation = experiment.simulation
     genes = simulation.controller.random_genes(jax.random.key(1), (1,), np.float32)
-    steps = jax.device_get(jax.jit(lambda g: physics_steps(simulation, g))(genes))
+    steps = jax.device_get(
+        jax.jit(lambda g: rollout(simulation, g, observers=EachPhysicsStep()))(genes)
+    )
     return experiment, np.asarray(genes[:, 0]), steps
 
 
@@ -103,7 +106,9 @@ def test_on_the_ground_hard_contacts_bear_the_weight_in_the_end():
     assert isinstance(simulation.controller, PostureController)
     genes = np.zeros((simulation.controller.gene_count, 1), np.float32)
     genes[1::2] = 1.0  # every joint at 170 degrees
-    steps = jax.device_get(jax.jit(lambda g: physics_steps(simulation, g))(genes))
+    steps = jax.device_get(
+        jax.jit(lambda g: rollout(simulation, g, observers=EachPhysicsStep()))(genes)
+    )
     own = own_opinion(simulation, steps)
     hard = second_opinion(simulation, experiment.creature, steps, hard=True)
     assert hard.program == "MuJoCo, hard contacts"

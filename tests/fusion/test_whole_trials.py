@@ -16,8 +16,10 @@ import yaml
 
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import load_config
+from evo_cpg.simulation.judge import JUDGE
 from evo_cpg.simulation.noise import Noise
-from evo_cpg.simulation.rollout import rollout_and_record
+from evo_cpg.simulation.recording import Recorder
+from evo_cpg.simulation.rollout import rollout
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 # Those that evolve with noise have the animals of others.
@@ -43,7 +45,8 @@ def trial(name, overrides, engine):
     simulation = dataclasses.replace(simulation, steps=STEPS, noise=Noise())
     keys = jax.random.key_data(jax.random.split(jax.random.key(1), INDIVIDUALS)).T
     genes = simulation.controller.random_genes(jax.random.key(0), (INDIVIDUALS,), jnp.float64)
-    live = jax.jit(lambda genes, keys: rollout_and_record(simulation, genes, 0, keys, full=True))
+    both = JUDGE, Recorder(full=True)
+    live = jax.jit(lambda genes, keys: rollout(simulation, genes, keys, observers=both))
     outcome, frames = jax.device_get(live(genes, keys))
     assert outcome.alive.all()
     return {**outcome.terms, **frames}

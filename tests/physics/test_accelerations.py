@@ -16,10 +16,11 @@ from creatures import STRUCTURES, quick_jit, random_creature, random_state
 from evo_cpg.creature.tree import Tree, build_tree
 from evo_cpg.exchange.mujoco_state import dof_order, load_state
 from evo_cpg.physics.articulated import solve
+from evo_cpg.physics.body_equations import body_equations
 from evo_cpg.physics.joints import passive_torque
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import State
-from evo_cpg.physics.world import World, body_equations
+from evo_cpg.physics.world import World
 from evo_cpg.spatial.linear import expand_dims_like
 
 GRAVITY = 9.81

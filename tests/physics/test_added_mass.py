@@ -13,7 +13,7 @@ from creatures import STRUCTURES, coast, in_water, quick_jit, random_creature, r
 from evo_cpg.creature.creature import Body, Creature, Material
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
 from evo_cpg.creature.tree import build_tree
-from evo_cpg.physics.added_mass import added_inertia, ellipsoid
+from evo_cpg.physics.added_mass import AddedMass, added_inertia, ellipsoid
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import resting_state
 from evo_cpg.physics.step import step
@@ -84,7 +84,7 @@ def test_tumbling_ellipsoid_follows_kirchhoff():
     """
     shape = Ellipsoid((0.3, 0.2, 0.1))
     world = ideal(single(shape, WATER))
-    whole = world.tree.inertia[..., 0] + world.added_inertia[..., 0]
+    whole = world.tree.inertia[..., 0] + world.law(AddedMass).carried[..., 0]
     start = np.array([1.0, 2.0, -1.5, 0.5, -0.3, 0.8])
 
     def kirchhoff(_, v):
@@ -123,7 +123,7 @@ def test_impulse_of_a_tree_is_conserved():
         for i in range(world.tree.body_count):
             rotation = np.kron(np.eye(2), kin.rotation[:, :, i])
             velocity = np.concatenate([kin.angular[:, i], kin.linear[:, i]])
-            whole = world.tree.inertia[..., i] + world.added_inertia[..., i]
+            whole = world.tree.inertia[..., i] + world.law(AddedMass).carried[..., i]
             momentum = rotation @ whole @ rotation.T @ velocity
             total += momentum
             total[:3] += np.cross(kin.origin[:, i], momentum[3:])

@@ -10,9 +10,9 @@ import pytest
 from creatures import in_water, quick_jit
 from evo_cpg.creature.creature import Body, Creature, Material
 from evo_cpg.creature.shapes import Sphere
-from evo_cpg.physics.current import Vortex, stream
 from evo_cpg.physics.state import resting_state
 from evo_cpg.physics.step import step
+from evo_cpg.physics.water import Current, Vortex, Water
 
 H = 1 / 120
 VORTEX = Vortex(centre=(0.5, -0.2), circulation=1.5, core=0.3)
@@ -30,7 +30,7 @@ def circle(radius: float) -> tuple[np.ndarray, np.ndarray]:
 def test_circulation_around_a_vortex(radius):
     """Gamma r^2 / (r^2 + c^2): all of it far away, half at the core, a solid's inside."""
     places, along = circle(radius)
-    velocity = stream((0.0, 0.0, 0.0), None, (VORTEX,), jnp.asarray(places))
+    velocity = VORTEX.velocity(jnp.asarray(places))
     circulation = (velocity * along).sum(0).mean() * 2 * np.pi * radius
     assert circulation == pytest.approx(1.5 * radius**2 / (radius**2 + 0.09), rel=1e-9)
     assert np.abs(velocity[2]).max() == 0
@@ -42,7 +42,8 @@ def test_a_gradient_is_the_jacobian_and_water_keeps_its_volume():
     place = jnp.array([0.3, 0.2, -0.4])
 
     def velocity(vortices):
-        return lambda x: stream((1.0, 2.0, 3.0), gradient, vortices, x[:, None])[:, 0]
+        water = Water(1000.0, streams=(Current((1.0, 2.0, 3.0), gradient), *vortices))
+        return lambda x: water.velocity(x[:, None])[:, 0]
 
     np.testing.assert_allclose(velocity(())(jnp.zeros(3)), [1, 2, 3])
     np.testing.assert_allclose(jax.jacfwd(velocity(()))(place), gradient, rtol=1e-12)

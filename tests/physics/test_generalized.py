@@ -12,6 +12,7 @@ import pytest
 from creatures import STRUCTURES, quick_jit, random_creature, random_state
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.physics.articulated import solve
+from evo_cpg.physics.body_equations import body_equations
 from evo_cpg.physics.generalized import (
     ROOT_DOFS,
     body_accelerations,
@@ -20,7 +21,7 @@ from evo_cpg.physics.generalized import (
 )
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.spatial_algebra import Wrench
-from evo_cpg.physics.world import World, body_equations
+from evo_cpg.physics.world import World
 
 GRAVITY = 9.81
 

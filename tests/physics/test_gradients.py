@@ -15,6 +15,7 @@ from evo_cpg.config.load import load_config
 from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, Material
 from evo_cpg.creature.shapes import Sphere
 from evo_cpg.creature.tree import build_tree
+from evo_cpg.physics.fluid import Drag
 from evo_cpg.physics.footing import Ground, make_footing
 from evo_cpg.physics.state import resting_state
 from evo_cpg.physics.step import step
@@ -48,7 +49,7 @@ def make_swim(torque_limit: float, bodies: int = 3, axes: str = "yz", steps: int
 
     def swim(parameters):
         amplitude, frequency, form_drag = parameters
-        changed = eqx.tree_at(lambda w: w.water.form_drag, world, form_drag)
+        changed = eqx.tree_at(lambda w: w.law(Drag).form_drag, world, form_drag)
 
         def advance(state, n):
             target = amplitude * jnp.sin(2 * jnp.pi * frequency * n * H - phase)

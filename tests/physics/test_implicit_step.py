@@ -25,16 +25,17 @@ from evo_cpg.creature.self_collision import SelfCollision
 from evo_cpg.creature.surface import outer_surfaces
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.exchange.mujoco_state import dof_order, load_state
+from evo_cpg.physics import fluid
 from evo_cpg.physics.contact import find_contacts
 from evo_cpg.physics.contact_points import clearance
 from evo_cpg.physics.equations import prepare, solve_at_once
 from evo_cpg.physics.footing import Ground, make_footing
 from evo_cpg.physics.kinematics import kinematics
-from evo_cpg.physics.newton import free_motion
 from evo_cpg.physics.pairs import make_pairs, separations
 from evo_cpg.physics.state import State, resting_state
 from evo_cpg.physics.step import searches, step
 from evo_cpg.physics.step_problem import StepProblem
+from evo_cpg.physics.step_solver import free_motion
 from evo_cpg.physics.world import World
 
 H = 1 / 120
@@ -58,7 +59,7 @@ def point_drag(world: World, surface, centre, velocity) -> Drag:
         centre: of the geometric frame.
         velocity: (angular, linear) at the origin, relative to the water.
     """
-    water, half = world.water, 0.5 * world.water.density
+    law, half = world.law(fluid.Drag), 0.5 * world.water.density
     wrench, derivative = np.zeros(6), np.zeros((6, 6))
     for point, normal, area in zip(*surface, strict=True):
         r = point + centre
@@ -67,12 +68,12 @@ def point_drag(world: World, surface, centre, velocity) -> Drag:
         v = jacobian @ velocity
         along = np.outer(normal, normal)
         across = np.eye(3) - along
-        if water.law == "normal":
-            c_n = half * water.form_drag * area * abs(normal @ v)
-            c_t = half * water.skin_drag * area * np.linalg.norm(across @ v)
+        if law.law == "normal":
+            c_n = half * law.form_drag * area * abs(normal @ v)
+            c_t = half * law.skin_drag * area * np.linalg.norm(across @ v)
             resistance = slope = c_n * along + c_t * across
         else:
-            total = water.form_drag + water.skin_drag
+            total = law.form_drag + law.skin_drag
             resistance = slope = half * total * area * np.linalg.norm(v) * np.eye(3)
         wrench -= jacobian.T @ resistance @ v
         derivative += jacobian.T @ slope @ jacobian
@@ -151,7 +152,7 @@ def dense_accelerations(
         mujoco.mj_jac(model, data, jacobian[3:], jacobian[:3], origin, body)
         to_body = np.kron(np.eye(2), rotation.T)
         velocity = jacobian @ data.qvel
-        relative = velocity - np.concatenate([np.zeros(3), world.water.current])
+        relative = velocity - np.concatenate([np.zeros(3), world.water.streams[0].origin])
         drag = point_drag(world, surfaces[name], tree.com[:, i], to_body @ relative)
         derivative = to_body.T @ drag.derivative @ to_body
         lift = np.array([0, 0, world.water.density * tree.volume[i] * world.gravity])

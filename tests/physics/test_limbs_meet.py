@@ -24,7 +24,8 @@ from evo_cpg.physics.pairs import make_pairs, separations
 from evo_cpg.physics.state import resting_state
 from evo_cpg.physics.step import first_warmstart, step
 from evo_cpg.physics.world import World
-from evo_cpg.simulation.rollout import as_recording, record
+from evo_cpg.simulation.recording import Recorder, as_recording
+from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.sensors import place_sensors
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.situation import Situation
@@ -188,7 +189,7 @@ def test_a_record_has_the_mean_push_of_every_pair(x64):
         situations=(place,),
     )
     genes = np.array([[4.0], [1.0]])
-    frames = quick_jit(lambda g: record(trial, g, 1, full=True))(genes)
+    frames = quick_jit(lambda g: rollout(trial, g, observers=Recorder(full=True)))(genes)
     found = as_record(trial, frames, as_recording(trial, frames, [*world.tree.names]))
 
     def advance(carry, k):

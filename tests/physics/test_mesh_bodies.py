@@ -17,7 +17,7 @@ from evo_cpg.fusion.fuse import fuse
 from evo_cpg.physics.added_mass import added_inertia
 from evo_cpg.physics.buoyancy import displacement, make_cells
 from evo_cpg.physics.contact_points import clearance
-from evo_cpg.physics.fluid import drag
+from evo_cpg.physics.fluid import Drag, drag
 from evo_cpg.physics.footing import make_footing
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import resting_state
@@ -69,7 +69,11 @@ def displaced(creature: Creature, pose):
 
 def resistance(world, velocity) -> list[np.ndarray]:
     """Wrench of the drag and its derivative."""
-    return list(map(np.asarray, quick_jit(lambda v: drag(world.water, world.patches, v))(velocity)))
+    return list(
+        map(
+            np.asarray, quick_jit(lambda v: drag(world.law(Drag), world.water.density, v))(velocity)
+        )
+    )
 
 
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])

@@ -10,7 +10,7 @@ import pytest
 
 from creatures import box_chain, in_water, quick_jit
 from evo_cpg.creature.creature import Actuator
-from evo_cpg.physics.fluid import drag
+from evo_cpg.physics.fluid import Drag, drag
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import resting_state
 from evo_cpg.physics.step import step
@@ -58,7 +58,7 @@ def simulate(h: float, sheltered: bool = True) -> Swim:
         velocity = jnp.concatenate(
             [matvec_t(kin.rotation, kin.angular), matvec_t(kin.rotation, kin.linear)]
         )
-        wrench, _ = drag(world.water, world.patches, velocity)
+        wrench, _ = drag(world.law(Drag), world.water.density, velocity)
         # The rates at the end of the step move the angles.
         angles, rates = wave((n + 1) * h, joints, jnp)
         state, _ = step(world, state, rates + TRACKING_RATE * (angles - rates * h - state.q), h)

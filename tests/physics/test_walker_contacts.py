@@ -19,9 +19,9 @@ from evo_cpg.physics.contact import find_contacts
 from evo_cpg.physics.contact_points import clearance
 from evo_cpg.physics.footing import Ground, make_footing
 from evo_cpg.physics.kinematics import kinematics
-from evo_cpg.physics.newton import search
 from evo_cpg.physics.state import State, resting_state
 from evo_cpg.physics.step import Effort, integrate, step
+from evo_cpg.physics.step_solver import solve_step
 from evo_cpg.physics.world import World
 
 H = 1 / 240
@@ -331,7 +331,7 @@ def touching():
         still = jnp.zeros(world.tree.dof_count)
 
         def alone(state):
-            found = search(world, H, state, still, None)
+            found = solve_step(world, H, state, still, None)
             return integrate(state, found.root, found.qdd, H)
 
         yield world, state, jax.vmap(alone, -1, -1)

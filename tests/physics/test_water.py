@@ -8,7 +8,7 @@ import pytest
 from creatures import STRUCTURES, in_water, quick_jit, random_creature
 from evo_cpg.creature.creature import Body, Creature, Material
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
-from evo_cpg.physics.fluid import drag
+from evo_cpg.physics.fluid import Drag, drag
 from evo_cpg.physics.state import resting_state
 from evo_cpg.physics.step import step
 
@@ -134,7 +134,9 @@ def test_drag_never_drives(law):
     world = in_water(random_creature(rng, STRUCTURES[4]), law=law)
     velocity = jnp.asarray(rng.normal(size=(6, world.tree.body_count, 500)))
     velocity = velocity * 10.0 ** rng.uniform(-3, 1, (1, 1, 500))
-    wrench, derivative = quick_jit(lambda v: drag(world.water, world.patches, v))(velocity)
+    wrench, derivative = quick_jit(lambda v: drag(world.law(Drag), world.water.density, v))(
+        velocity
+    )
     assert float((wrench * velocity).sum(0).max()) < 0
     # D is symmetric and positive semidefinite, so that the implicit step only damps.
     blocks = np.asarray(derivative)[..., :5]
@@ -155,8 +157,10 @@ def test_what_is_lost_at_the_end_of_a_step_is_half_the_derivative():
 
     @quick_jit
     def both(v):
-        derivative = drag(world.water, world.patches, v[:, None])[1]
-        slope = jax.jacfwd(lambda v: drag(world.water, world.patches, v[:, None])[0][:, 0])(v)
+        derivative = drag(world.law(Drag), world.water.density, v[:, None])[1]
+        slope = jax.jacfwd(
+            lambda v: drag(world.law(Drag), world.water.density, v[:, None])[0][:, 0]
+        )(v)
         return derivative[..., 0], slope
 
     (angular, mixed, linear), slope = map(np.asarray, both(velocity))
@@ -172,6 +176,6 @@ def test_drag_of_a_turning_sphere_is_friction_alone():
     radius, rate = 0.1, 3.0
     world = in_water(single(Sphere(radius), 1000.0), 12, skin_drag=SKIN_DRAG)
     spin = jnp.asarray([0.0, 0.0, rate, 0.0, 0.0, 0.0])[:, None]
-    wrench, _ = drag(world.water, world.patches, spin)
+    wrench, _ = drag(world.law(Drag), world.water.density, spin)
     expected = -0.5 * WATER * SKIN_DRAG * rate**2 * 3 * np.pi**2 / 4 * radius**5
     np.testing.assert_allclose(wrench[:, 0], [0, 0, expected, 0, 0, 0], rtol=1e-4, atol=1e-12)

@@ -14,7 +14,7 @@ from evo_cpg.creature.creature import Body, Creature, Material
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.physics.buoyancy import displacement, make_cells
-from evo_cpg.physics.fluid import drag
+from evo_cpg.physics.fluid import Drag, drag
 from evo_cpg.physics.footing import Ground, make_footing
 from evo_cpg.physics.state import State, resting_state
 from evo_cpg.physics.step import step
@@ -272,7 +272,7 @@ def test_drag_acts_on_what_is_under_water():
     world = floating(Box((0.4, 0.4, 0.2)), 500.0, drag=1.0)
     velocity, pose = np.zeros((6, 1, 4)), np.zeros((4, 1, 4))
     velocity[3], pose[2], pose[3, 0] = 2.0, 1.0, (-5.0, 0.0, 0.05, 5.0)
-    wrench, derivative = quick_jit(lambda v, p: drag(world.water, world.patches, v, p))(
+    wrench, derivative = quick_jit(lambda v, p: drag(world.law(Drag), world.water.density, v, p))(
         velocity, pose
     )
     force = np.asarray(wrench[3, 0])
@@ -320,7 +320,7 @@ def test_patches_without_depth_are_refused():
     world = in_water(single(Sphere(0.1), 500.0))
     pose = jnp.zeros((4, 1)).at[2].set(1.0)
     with pytest.raises(ValueError, match=r"make_patches\(\.\.\., surfacing=True\)"):
-        drag(world.water, world.patches, jnp.zeros((6, 1)), pose)
+        drag(world.law(Drag), world.water.density, jnp.zeros((6, 1)), pose)
 
 
 def test_a_surface_current_carries_what_floats():

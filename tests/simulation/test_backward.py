@@ -11,7 +11,8 @@ from creatures import quick_jit
 from evo_cpg.fusion import machine_constants
 from evo_cpg.physics.state import State
 from evo_cpg.simulation.backward import Backward, retention
-from evo_cpg.simulation.rollout import rollout, score
+from evo_cpg.simulation.judge import score
+from evo_cpg.simulation.rollout import rollout
 from trials import experiment
 
 STEPS = 23  # not a whole number of segments

@@ -18,8 +18,10 @@ from creatures import quick_jit
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import load_config
 from evo_cpg.control.postures import PostureController, PostureSettings, build_posture_controller
+from evo_cpg.simulation.judge import score
 from evo_cpg.simulation.reach_light import ReachLight
-from evo_cpg.simulation.rollout import Simulation, rollout, score
+from evo_cpg.simulation.rollout import rollout
+from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.task import Task, Transition
 from trials import experiment
 

@@ -7,7 +7,8 @@ import pytest
 import evo_cpg as evo
 from evo_cpg.config.load import load_config
 from evo_cpg.simulation.measures import GROUND_MEASURES, MEASURES
-from evo_cpg.simulation.rollout import record as record_frames
+from evo_cpg.simulation.recording import Recorder
+from evo_cpg.simulation.rollout import rollout
 from tiny_run import REPOSITORY
 
 STEPS = 120
@@ -78,7 +79,7 @@ def test_time_on_the_ground(lived):
         return
     simulation = experiment.parts.simulation
     genes = experiment.random_genomes(3, 4).T
-    frames = jax.jit(lambda genes: record_frames(simulation, genes, 4))(genes)
+    frames = jax.jit(lambda genes: rollout(simulation, genes, observers=Recorder(4)))(genes)
     force = np.linalg.norm(np.asarray(frames["contact_force"]), axis=1)
     owners = np.array(simulation.world.footing.bodies)
     for i in range(4):

@@ -17,8 +17,10 @@ from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import resting_state
 from evo_cpg.physics.terrain import Plane
 from evo_cpg.physics.world import World
+from evo_cpg.simulation.judge import JUDGE
 from evo_cpg.simulation.noise import Noise, disturb_motion, disturb_start, grip_of
-from evo_cpg.simulation.rollout import record, rollout
+from evo_cpg.simulation.recording import Recorder
+from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.situation import Situation
 from trials import EYES, experiment, swimmer
 
@@ -139,10 +141,12 @@ def test_a_trial_on_rougher_ground_is_one_with_more_friction(engine):
     )
     noisy = dataclasses.replace(crawling, noise=Noise(friction=0.9))
     genes, keys = jnp.full((2, 3), 2.0), jnp.asarray(KEYS[:, :3])
-    found = quick_jit(lambda g, k: record(noisy, g, 3, k))(genes, keys)["position"]
+    found = quick_jit(lambda g, k: rollout(noisy, g, k, None, Recorder(3)))(genes, keys)["position"]
     for i, factor in enumerate(np.asarray(grip_of(noisy.noise, keys))):
         rough = dataclasses.replace(crawling, world=crawling.world.with_friction(float(factor)))
-        alone = quick_jit(lambda g, rough=rough: record(rough, g))(genes)["position"]
+        alone = quick_jit(lambda g, rough=rough: rollout(rough, g, observers=Recorder()))(genes)[
+            "position"
+        ]
         np.testing.assert_allclose(found[..., i], alone[..., 0], atol=1e-6)
     assert np.ptp(np.asarray(found)[-1, 0], axis=-1).max() > 1e-3
 
@@ -150,9 +154,8 @@ def test_a_trial_on_rougher_ground_is_one_with_more_friction(engine):
 def test_a_noisy_trial_and_its_recording_are_the_same_trial(simulation):
     noisy = dataclasses.replace(simulation, noise=Noise(0.1, 0.1, 0.5))
     genes, keys = np.full((2, 4), 2.0, np.float32), KEYS[:, [0, 1, 2, 0]]
-    outcome, frames = quick_jit(lambda g, k: (rollout(noisy, g, k), record(noisy, g, 4, k)))(
-        genes, keys
-    )
+    both = JUDGE, Recorder(4)
+    outcome, frames = quick_jit(lambda g, k: rollout(noisy, g, k, observers=both))(genes, keys)
     distance = np.asarray(outcome.terms["distance"])
     assert len(np.unique(distance[:3])) == 3 and distance[3] == distance[0]
     place = np.asarray(frames["position"])[:, :, simulation.world.tree.names.index("head")]
@@ -169,7 +172,9 @@ def test_chance_is_the_same_with_native_code_and_without(simulation):
 
     def trial(simulation, engine):
         chosen = dataclasses.replace(simulation, engine=Engine(engine))
-        return quick_jit(lambda g, k: record(chosen, g, 2, k))(genes, keys)["position"]
+        return quick_jit(lambda g, k: rollout(chosen, g, k, None, Recorder(2)))(genes, keys)[
+            "position"
+        ]
 
     found, wanted = (trial(noisy, engine) for engine in ("native", "jax"))
     np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-6)

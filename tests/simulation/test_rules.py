@@ -14,7 +14,8 @@ from evo_cpg.config.load import load_config
 from evo_cpg.creature.creature import length_of
 from evo_cpg.physics.state import resting_state
 from evo_cpg.physics.world import World
-from evo_cpg.simulation.rollout import record, rollout
+from evo_cpg.simulation.recording import Recorder
+from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.rules import Rules, keeps
 from tiny_run import CONFIG, PAIR
 from trials import experiment
@@ -75,7 +76,7 @@ def test_who_is_too_fast_in_one_step_is_out_for_good(engine):
     config = load_config(path, [*PAIR, f"engine={engine}", "simulation.steps=40"])
     free = build_experiment(config, path).simulation
     genes = free.controller.random_genes(jax.random.key(3), (6,), jnp.float32)
-    frames = quick_jit(lambda g: record(free, g, 6))(genes)
+    frames = quick_jit(lambda g: rollout(free, g, observers=Recorder(6)))(genes)
     place = np.asarray(frames["position"])[:, :, 0]
     speed = np.linalg.norm(np.diff(place, axis=0), axis=1).max(0) / STEP
     assert np.asarray(quick_jit(lambda g: rollout(free, g).alive)(genes)).all()

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from creatures import quick_jit, random_creature, random_state
 from evo_cpg.creature.creature import DepthSensor
 from evo_cpg.creature.tree import build_tree
-from evo_cpg.physics.fluid import Water
 from evo_cpg.physics.footing import Ground, make_footing
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import State, resting_state
+from evo_cpg.physics.water import Water
 from evo_cpg.physics.world import World
 from evo_cpg.simulation.sensors import fathom, feel, light_strength, place_sensors, see
 from evo_cpg.simulation.snapshot import Forces, Snapshot
@@ -133,11 +133,9 @@ def test_the_skin_feels_the_ground_but_under_water_only_what_presses_harder():
         return np.asarray(quick_jit(lambda kin: feel(sensors, world, kin, support))(kin))
 
     np.testing.assert_array_equal(felt(None), [[0, 0, 0], [0, 1, 1]])
-    np.testing.assert_array_equal(felt(Water(1000.0, 1.0, 0.02)), [[0, 0, 0], [0, 1, 1]])
-    np.testing.assert_array_equal(
-        felt(Water(1000.0, 1.0, 0.02, surface=0.0)), [[0, 0, 0], [0, 0, 1]]
-    )
-    afloat = World(tree, 9.81, Water(1000.0, 1.0, 0.02))
+    np.testing.assert_array_equal(felt(Water(1000.0)), [[0, 0, 0], [0, 1, 1]])
+    np.testing.assert_array_equal(felt(Water(1000.0, 0.0)), [[0, 0, 0], [0, 0, 1]])
+    afloat = World(tree, 9.81, Water(1000.0))
     np.testing.assert_array_equal(feel(sensors, afloat, kin, None), np.zeros((2, 3)))
 
 
@@ -162,7 +160,7 @@ def test_depth_gauges_read_the_depth_of_their_own_place(x64):
         (-1.0, [0.0, 0.0, 0.0]),
         (None, [0.0, 0.0, 0.0]),
     ):
-        world = World(tree, 9.81, Water(1000.0, 1.0, 0.02, surface=surface), ())
+        world = World(tree, 9.81, Water(1000.0, surface))
         np.testing.assert_allclose(fathom(sensors, world, kin), expected, rtol=0, atol=1e-9)
 
 

@@ -10,7 +10,8 @@ import pytest
 from creatures import quick_jit
 from evo_cpg.simulation.noise import Noise
 from evo_cpg.simulation.reach_light import ReachLight
-from evo_cpg.simulation.rollout import as_recording, record, rollout
+from evo_cpg.simulation.recording import Recorder, as_recording
+from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.situation import Situation
 from evo_cpg.simulation.task import Task
 from trials import experiment
@@ -42,7 +43,7 @@ def live(simulation, trial=None, keys=None):
     """All outcomes and motions."""
 
     def run(genes, keys, trial):
-        frames = record(simulation, genes, len(TRIAL), keys, trial)
+        frames = rollout(simulation, genes, keys, trial, Recorder(len(TRIAL)))
         return rollout(simulation, genes, keys, trial), frames
 
     return jax.device_get(quick_jit(run)(GENES, keys, trial))

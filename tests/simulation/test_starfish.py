@@ -9,7 +9,8 @@ from evo_cpg.analysis.gait import dominant_frequency, ring_lags
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import load_config
 from evo_cpg.fusion.engine import using
-from evo_cpg.simulation.rollout import as_recording, record
+from evo_cpg.simulation.recording import Recorder, as_recording
+from evo_cpg.simulation.rollout import rollout
 from tiny_run import REPOSITORY
 
 ARMS = [f"arm{j}_1.y" for j in range(1, 6)]
@@ -22,7 +23,7 @@ def constant_drive(*changes):
     simulation = experiment.simulation
     genes = jnp.zeros((simulation.controller.gene_count, 1), jnp.float32)
     with using(simulation.engine):
-        frames = jax.jit(lambda genes: record(simulation, genes))(genes)
+        frames = jax.jit(lambda genes: rollout(simulation, genes, observers=Recorder()))(genes)
     return as_recording(simulation, frames, [body.name for body in experiment.creature.bodies])
 
 

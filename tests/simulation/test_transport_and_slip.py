@@ -16,7 +16,8 @@ from evo_cpg.creature.shapes import Box, Sphere
 from evo_cpg.creature.tree import build_tree
 from evo_cpg.physics.footing import Ground, make_footing
 from evo_cpg.physics.world import World
-from evo_cpg.simulation.rollout import as_recording, record, rollout
+from evo_cpg.simulation.recording import Recorder, as_recording
+from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.sensors import place_sensors
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.situation import Situation
@@ -124,7 +125,9 @@ def trial():
         )
 
     short, long = simulation(STEPS), simulation(STEPS + 1)
-    outcome, frames = quick_jit(lambda g: (rollout(short, g), record(long, g, len(g[0]))))(GENES)
+    outcome, frames = quick_jit(
+        lambda g: (rollout(short, g), rollout(long, g, observers=Recorder(len(g[0]))))
+    )(GENES)
     assert outcome.alive.all()
     names = [body.name for body in WALKER.bodies]
     return outcome.terms, [as_recording(long, frames, names, i) for i in range(len(GENES[0]))]

@@ -16,8 +16,10 @@ from evo_cpg.creature.tree import build_tree
 from evo_cpg.physics.footing import Ground, make_footing
 from evo_cpg.physics.state import State
 from evo_cpg.physics.world import World
-from evo_cpg.simulation.rollout import Simulation, as_recording, record, rollout
+from evo_cpg.simulation.recording import Recorder, as_recording
+from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.sensors import place_sensors
+from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.situation import Situation
 from evo_cpg.simulation.snapshot import Forces, Snapshot
 from evo_cpg.simulation.task import Transition
@@ -120,7 +122,10 @@ def test_a_trial_in_the_dark_has_no_goal_and_its_distance_is_from_the_start():
     lit = experiment(40).simulation
     dark = dataclasses.replace(lit, task=Distance(), situations=(Situation((0.0, 0.0, 0.75)),))
     by_light, in_dark, outcome = quick_jit(
-        lambda genes: (record(lit, genes, 1), record(dark, genes, 1), rollout(dark, genes))
+        lambda genes: (
+            *(rollout(each, genes, observers=Recorder()) for each in (lit, dark)),
+            rollout(dark, genes),
+        )
     )(GENES)
     recordings = [
         as_recording(simulation, frames, ["tail", "head"])

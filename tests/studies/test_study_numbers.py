@@ -10,15 +10,15 @@ from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import load_config
 from evo_cpg.config.shipped import shipped
 from evo_cpg.control.brain import think
-from evo_cpg.control.brain_cpg import BrainCpg
-from evo_cpg.control.postures import PostureController
+from evo_cpg.control.brain_cpg import BrainCpg, silent_genes
+from evo_cpg.control.postures import PostureController, one_posture
 from evo_cpg.studies import fukui2003, search
 from evo_cpg.studies.audits import audit_table, kept_table
-from evo_cpg.studies.lights import _still, lived
+from evo_cpg.studies.lights import lived
 from evo_cpg.studies.study import Table
 from evo_cpg.studies.workshop import Workshop, markdown
 from evo_cpg.training.checkpoint import Champion
-from evo_cpg.view import sweep_plot
+from evo_cpg.view import search_plots
 from tiny_run import CONFIG, PAIR
 
 
@@ -34,7 +34,7 @@ def test_an_animal_that_holds_one_posture_has_one_angle_everywhere():
     path = shipped("fukui2003_model1").path
     controller = build_experiment(load_config(path), path).simulation.controller
     assert isinstance(controller, PostureController)
-    genes = fukui2003.one_posture(controller, 170.0)
+    genes = one_posture(controller, 170.0)
     # Of 110, 130, 150, 170 the fourth, number 3: 011.
     np.testing.assert_array_equal(genes.reshape(-1, 3), np.tile([0, 1, 1], (64, 1)))
 
@@ -60,7 +60,8 @@ def test_springs_and_legs_change_in_all_eight_boxes():
 def test_an_animal_without_drive_stays_where_it_is():
     config = load_config(CONFIG, [*PAIR, "simulation.steps=120", "noise.push=0.02"])
     simulation = build_experiment(config, CONFIG).simulation
-    genes, controller = _still(simulation), simulation.controller
+    controller = simulation.controller
+    genes = silent_genes(controller)[:, None]
     assert isinstance(controller, BrainCpg)
     assert np.abs(lived(simulation, genes)["distance"] - 1).item() < 1e-3
     inputs = np.linspace(-1, 1, controller.brain.sizes[0], dtype=np.float32)[:, None]
@@ -100,9 +101,8 @@ def test_a_figure_of_searches_shows_what_their_champions_are_worth(monkeypatch):
     workshop.experiment.return_value.strategy.population = 4
     workshop.column.return_value = np.array([[0.5, 0.6], [0.9, 0.9]])
     workshop.champions.return_value = [champion, champion._replace(expected=0.8)]
-    workshop.picture.return_value = "searches.png"
     drawn = []
-    monkeypatch.setattr(sweep_plot, "plot_sweep", lambda curves, *_: drawn.extend(curves))
+    monkeypatch.setattr(search_plots, "sweep_figure", lambda curves, _: drawn.extend(curves))
     (made,) = search.searches(workshop, "two_eyes")
     assert drawn and all(curve.final.tolist() == [0.7, 0.8] for curve in drawn)
     assert made.rows[0][2] == "0.750 (0.700 to 0.800)"

@@ -8,7 +8,8 @@ import numpy as np
 import optimistix
 import pytest
 
-from evo_cpg.simulation.rollout import rollout, score
+from evo_cpg.simulation.judge import score
+from evo_cpg.simulation.rollout import rollout
 from evo_cpg.training.ascent import Climber, Ways, compile_ascent, cut_long_slopes, draw_ways
 from evo_cpg.training.devices import population_mesh
 from trials import experiment

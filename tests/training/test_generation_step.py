@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from evo_cpg.evolution.selection import rank_order
-from evo_cpg.simulation.rollout import Outcome, as_recording, rollout, score
+from evo_cpg.simulation.judge import Outcome, score
+from evo_cpg.simulation.recording import as_recording
+from evo_cpg.simulation.rollout import rollout
 from evo_cpg.training.devices import population_mesh
 from evo_cpg.training.experiment import (
     Generation,

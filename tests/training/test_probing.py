@@ -10,7 +10,8 @@ from creatures import quick_jit
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import resting_state
 from evo_cpg.simulation.noise import Noise
-from evo_cpg.simulation.rollout import record
+from evo_cpg.simulation.recording import Recorder
+from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.sensors import see
 from evo_cpg.simulation.situation import Situation
 from evo_cpg.simulation.walk import Distance
@@ -63,7 +64,9 @@ def test_each_situation_comes_out_as_it_does_alone(simulation, found):
         outcome = compile_trials(alone, population_mesh(1))(GENES[:, None])
         assert found.distance[i] == pytest.approx(float(outcome.terms["distance"][0]), rel=1e-5)
         assert found.light[i] == pytest.approx(float(outcome.terms["light"][0]), rel=1e-5)
-        frames = quick_jit(lambda genes, alone=alone: record(alone, genes))(GENES[:, None])
+        frames = quick_jit(lambda g, alone=alone: rollout(alone, g, observers=Recorder()))(
+            GENES[:, None]
+        )
         path = np.asarray(frames["position"])[:, :, 0, 0]
         np.testing.assert_allclose(found.paths[i], path, atol=1e-5)
         # What is left is that of the path's last second.

@@ -4,6 +4,7 @@ import equinox as eqx
 import numpy as np
 import pytest
 
+from evo_cpg.physics.fluid import Drag
 from evo_cpg.training.ascent import Free
 from evo_cpg.training.devices import population_mesh
 from evo_cpg.training.loop import replay_champion, train
@@ -77,7 +78,7 @@ def test_numbers_that_are_not_allowed_are_passed_over(evolved):
     champion, asked, rounds = evolved[1].champions[0], [], []
 
     def with_drag(value):
-        return eqx.tree_at(lambda s: s.world.water.form_drag, MADE.simulation, value)
+        return eqx.tree_at(lambda s: s.world.law(Drag).form_drag, MADE.simulation, value)
 
     def rebuild(values):
         asked.append(values[0])
@@ -85,7 +86,7 @@ def test_numbers_that_are_not_allowed_are_passed_over(evolved):
             return None
         return MADE._replace(simulation=with_drag(float(values[0])))
 
-    drag = np.array([float(MADE.simulation.world.water.form_drag)])
+    drag = np.array([float(MADE.simulation.world.law(Drag).form_drag)])
     free = Free(drag, lambda values: with_drag(values[0]), rebuild)
     found = compile_refinement(MADE, SETTINGS._replace(rounds=1), free=free)(
         champion, rounds.append

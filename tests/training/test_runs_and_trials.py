@@ -12,8 +12,8 @@ import pytest
 from creatures import quick_jit
 from evo_cpg.evolution.bits import BitGenetics
 from evo_cpg.evolution.generation import RealGenetics
+from evo_cpg.simulation.judge import Outcome, no_terms, score
 from evo_cpg.simulation.noise import Noise
-from evo_cpg.simulation.rollout import Outcome, no_terms, score
 from evo_cpg.training.devices import chunk_width, population_mesh
 from evo_cpg.training.experiment import (
     begin,

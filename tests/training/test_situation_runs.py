@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from evo_cpg.simulation.judge import score
 from evo_cpg.simulation.noise import Noise
-from evo_cpg.simulation.rollout import score
 from evo_cpg.simulation.situation import Situation
 from evo_cpg.training.devices import population_mesh
 from evo_cpg.training.experiment import (

@@ -6,7 +6,6 @@ import synthetic
 
 from evo_cpg.physics.footing import Ground
 from evo_cpg.physics.terrain import Plane
-from evo_cpg.view import plots
 from evo_cpg.view.camera import project
 from evo_cpg.view.clip import sample
 from evo_cpg.view.ground import mark_spacing
@@ -267,16 +266,3 @@ def test_names_that_cover_each_other_are_moved_apart():
         for j in range(i):
             assert (np.abs(apart[i] - apart[j]) >= (80, 20)).any()
     assert np.abs(apart - places).max() <= 31
-
-
-@pytest.mark.parametrize(
-    ("goal", "words"), [(np.nan, "way made (m)"), (3.0, "distance to the light (m)")]
-)
-def test_the_path_says_what_its_distance_is(recording, tmp_path, monkeypatch, goal, words):
-    figures = []
-    monkeypatch.setattr(plots, "_save", lambda figure, path: figures.append(figure) or path)
-    plots.plot_path(recording._replace(goal=np.full(3, goal)), tmp_path / "path.png")
-    labels = [axes.get_ylabel() for axes in figures[0].axes]
-    assert labels[1] == words
-    top = figures[0].axes[1].lines[0].get_ydata().max()
-    assert top == pytest.approx(recording.distance.max())

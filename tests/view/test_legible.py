@@ -7,9 +7,10 @@ import pytest
 import pyvista as pv
 import synthetic
 
+from evo_cpg.view.figure import save_figure
 from evo_cpg.view.legible import legible, write_legibly
 from evo_cpg.view.offscreen import canvas, pixels
-from evo_cpg.view.plots import plot_joint_signals
+from evo_cpg.view.plots import joint_signals_figure
 from evo_cpg.view.preview import preview
 
 NAMES = ("頭部", "хвост", "ουρά", "🐟😀", "あタマ", "머리", "b$7$", "é_ß", "सिर", "尾")
@@ -84,4 +85,6 @@ def test_pictures_of_an_animal_with_such_names(tmp_path):
     assert preview(other, tmp_path / "body.png", (320, 180)).is_file()
     parts = [name.rpartition(".") for name in motion.dof_names]
     named = motion._replace(dof_names=tuple(f"{new[body]}.{axis}" for body, _, axis in parts))
-    assert plot_joint_signals(named, tmp_path / "joints.png", title="魚 $x$").is_file()
+    figure = joint_signals_figure(named, title="魚 $x$")
+    assert save_figure(figure, tmp_path / "joints.png").is_file()
+    assert figure.get_suptitle().startswith("<9B5A> $x$: joint signals")

@@ -1,4 +1,4 @@
-"""Meshes, previews and plots."""
+"""Meshes and previews."""
 
 import dataclasses
 
@@ -11,31 +11,11 @@ from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
 from evo_cpg.files import OutputError
 from evo_cpg.physics.footing import Ground
 from evo_cpg.physics.terrain import Block, Boulder, Plane
-from evo_cpg.view import plots
 from evo_cpg.view.ground import grid_spacing
 from evo_cpg.view.meshes import eye_meshes, head_index, shape_mesh
 from evo_cpg.view.output import SettingError, oversampling
-from evo_cpg.view.plots import (
-    _crests,
-    fitness_figure,
-    path_figure,
-    plot_fitness,
-    plot_joint_signals,
-    plot_path,
-)
 from evo_cpg.view.preview import preview
 from evo_cpg.view.preview_ground import obstacles_near, water_note
-
-
-@pytest.fixture(scope="module")
-def recording():
-    return synthetic.swim(12)
-
-
-def ink(path):
-    """Share of the pixels that are not background."""
-    image = synthetic.read(path).mean(-1)
-    return float((np.abs(image - image[0, 0]) > 40).mean())
 
 
 @pytest.mark.parametrize(
@@ -236,147 +216,3 @@ def test_no_more_is_drawn_than_can_be(size):
         assert 1 <= factor <= wanted
         assert factor * max(size) <= 16384 and factor**2 * size[0] * size[1] <= 2**26 + 1
     assert oversampling((1280, 720), 3.0) == 3.0
-
-
-def test_the_crests_give_frequency_and_lag(recording):
-    angle = np.degrees(recording.joint_angle[:, 2::3])
-    frequency, lag, crests = _crests(recording.time, angle)
-    assert frequency == pytest.approx(synthetic.FREQUENCY, rel=0.01)
-    assert np.allclose(lag, synthetic.LAG, atol=0.02)
-    # sin(2 pi f t - LAG i) has its crests at (1/4 + LAG i / 2 pi + k) / f, with i from 1.
-    joints = np.arange(1, 10)
-    beats = np.array(crests) * synthetic.FREQUENCY - 0.25 - synthetic.LAG * joints / (2 * np.pi)
-    near = (np.array(crests) > 1) & (np.array(crests) < 11)
-    assert np.abs(beats - np.rint(beats))[near].max() < 0.03
-
-
-def test_a_still_animal_has_no_crests():
-    assert _crests(np.linspace(0, 5, 100), np.zeros((100, 3))) is None
-
-
-@pytest.mark.parametrize("drift", [np.square, np.sqrt, np.exp, lambda t: np.sin(1.5 * t)])
-def test_a_drift_has_no_crests(drift):
-    time = np.linspace(0, 3, 181)
-    assert _crests(time, drift(time)[:, None] * [1.0, 0.5]) is None
-
-
-@pytest.mark.parametrize(("count", "span"), [(2, 1.0), (4, 1.0), (30, 0.15)])
-def test_what_is_too_short_has_no_crests(count, span):
-    """Too few instants, or too little time, for two periods of what is looked for."""
-    time = np.linspace(0, span, count)
-    assert _crests(time, np.sin(2 * np.pi * 1.3 * time[:, None] / span + [0.0, 0.5])) is None
-
-
-def test_crests_are_found_on_a_drift():
-    time = np.linspace(0, 3, 181)
-    angle = 30 * time[:, None] + np.sin(2 * np.pi * 1.4 * time[:, None] - [0.0, 0.6])
-    frequency, lag, _ = _crests(time, angle)
-    assert frequency == pytest.approx(1.4, rel=0.02)
-    assert lag == pytest.approx(0.6, abs=0.05)
-
-
-@pytest.mark.parametrize("axis", [None, "x"])
-def test_joint_signals(recording, tmp_path, axis):
-    path = plot_joint_signals(recording, tmp_path / "joints.png", axis, window=(2.0, 6.0))
-    assert 0.02 < ink(path) < 0.5
-
-
-def test_joint_signals_follow_chains(recording, tmp_path, monkeypatch):
-    """Row by row, named; crests are joined within a chain, and the lag is that of the first."""
-    figures, joined = [], []
-    monkeypatch.setattr(plots, "_save", lambda figure, path: figures.append(figure) or path)
-    original = plots._join_crests
-
-    def join(figure, panels, crest_times, time, angle):
-        joined.append(len(panels))
-        original(figure, panels, crest_times, time, angle)
-
-    monkeypatch.setattr(plots, "_join_crests", join)
-    about_z = [i for i, name in enumerate(recording.dof_names) if name.endswith(".z")]
-    first, second = about_z[:3:-1], about_z[:3]
-    others = [i for i, name in enumerate(recording.dof_names) if name.endswith(".y")]
-    plot_joint_signals(
-        recording, tmp_path / "x.png", "z", chains=[others, first, second], title="mine"
-    )
-    (figure,) = figures
-    # Above the rows: no curve is hidden by a name.
-    shown = [title for axes in figure.axes if (title := axes.get_title(loc="left"))]
-    assert not any(axes.texts for axes in figure.axes)
-    rows = [*first, *second, about_z[3]]
-    assert shown == [recording.dof_names[row].rpartition(".")[0] for row in rows]
-    assert joined == [len(first), len(second), 1]
-    title = figure.get_suptitle()
-    assert title.startswith("mine: joint signals about z\n")
-    # Backwards along the body the lag has the other sign.
-    lag = -np.degrees(synthetic.LAG)
-    assert f" {lag:.0f} deg of lag per joint from {shown[0]} to {shown[len(first) - 1]}" in title
-    words = {axes.get_ylabel() for axes in figure.axes} - {""}
-    assert words == {"joint angle (deg)", "CPG output (no unit)"}
-
-
-def test_joint_signals_of_axes_that_point_either_way():
-    """The lag and the slope of the lines are those of the motion, whichever way it is told."""
-    motion = synthetic.swim(12)
-    signs = np.where(np.arange(len(motion.dof_names)) % 4 < 2, 1.0, -1.0)
-    mirrored = motion._replace(joint_angle=motion.joint_angle * signs)
-    plain = plots.joint_signals_figure(motion, "z").get_suptitle()
-    assert plots.joint_signals_figure(mirrored, "z", signs=signs).get_suptitle() == plain
-    assert plots.joint_signals_figure(mirrored, "z").get_suptitle() != plain
-
-
-def test_a_path_says_what_its_dots_are(recording):
-    figure = path_figure(recording)
-    (dots, start, *_) = [text.get_text() for text in figure.axes[0].get_legend().get_texts()]
-    every = (recording.time[-1] - recording.time[0]) / 6
-    assert (dots, start) == (f"its bodies, every {every:.3g} s", "start of its root")
-
-
-def test_the_best_so_far_is_seen_where_it_is_the_best_of_the_generation():
-    """The lower one of two equal lines is the wider one."""
-    equal = np.array([1.0, 2.0, 2.0])
-    columns = {"generation": np.arange(3), "best": equal, "best_so_far": equal, "mean": equal - 1}
-    figure = fitness_figure(columns | {"diverged": np.zeros(3)})
-    below, above, _ = figure.axes[0].get_lines()
-    assert (below.get_label(), above.get_label()) == ("best so far", "best of the generation")
-    assert below.get_linewidth() > 3 * above.get_linewidth()
-
-
-def test_joint_signals_of_a_still_animal(recording, tmp_path):
-    still = recording._replace(joint_angle=0 * recording.joint_angle)
-    assert ink(plot_joint_signals(still, tmp_path / "joints.png")) > 0.02
-
-
-def test_joint_signals_have_limits(recording, tmp_path):
-    path = tmp_path / "joints.png"
-    with pytest.raises(ValueError, match="no joint turns about axis 'w'; axes are x, y, z"):
-        plot_joint_signals(recording, path, axis="w")
-    with pytest.raises(ValueError, match="from 50 s to 60 s holds 0 instants"):
-        plot_joint_signals(recording, path, window=(50, 60))
-    with pytest.raises(ValueError, match="no joints"):
-        plot_joint_signals(synthetic.standing(synthetic.swimmer()), path)
-    with pytest.raises(OutputError, match=r"use \.png, \.svg or \.pdf"):
-        plot_joint_signals(recording, tmp_path / "joints.txt")
-
-
-def test_the_path(recording, tmp_path):
-    assert 0.01 < ink(plot_path(recording, tmp_path / "path.png")) < 0.5
-
-
-@pytest.mark.parametrize("runs", [1, 3])
-def test_fitness(tmp_path, runs):
-    generation = np.tile(np.arange(20), runs)
-    best = np.sqrt(generation + 1.0)
-    history = {"generation": generation, "best": best, "mean": best - 1, "diverged": 0 * best}
-    history["mean"][0] = -np.inf
-    if runs > 1:
-        history |= {"run": np.repeat(np.arange(runs), 20), "best_so_far": best}
-    assert 0.01 < ink(plot_fitness(history, tmp_path / "fitness.png")) < 0.5
-
-
-def test_fitness_needs_its_columns(tmp_path):
-    history = {"generation": np.arange(3), "best": np.arange(3), "diverged": np.zeros(3)}
-    with pytest.raises(ValueError, match="no column 'mean'; it has generation, best, diverged"):
-        plot_fitness(history, tmp_path / "fitness.png")
-    empty = {key: np.zeros(0) for key in ("generation", "best", "mean", "diverged")}
-    with pytest.raises(ValueError, match="no rows yet"):
-        plot_fitness(empty, tmp_path / "fitness.png")

@@ -10,7 +10,7 @@ from evo_cpg.config.schema.copies import SIDES, Copy, Entry, MirrorAxis, copies,
 from evo_cpg.config.schema.frames import moved, reflected, unit
 from evo_cpg.config.schema.joint import JointConfig
 from evo_cpg.config.schema.section import NotNegative, Positive, Section, Share, Vector, pattern
-from evo_cpg.config.schema.sensor import SensorConfig, VelocitySensorConfig
+from evo_cpg.config.schema.sensor import SensorConfig
 from evo_cpg.config.schema.shape import MeshConfig, ShapeConfig
 from evo_cpg.creature.creature import (
     Body,
@@ -295,8 +295,8 @@ class CreatureConfig(Section):
         for i, gauge in enumerate(self.depth_sensors):
             refer(("depth_sensors", i, "body"), gauge.body)
         for i, sensor in enumerate(self.sensors):
-            if isinstance(sensor, VelocitySensorConfig):
-                refer(("sensors", i, "body"), sensor.body)
+            for key in sensor.body_keys:
+                refer(("sensors", i, key), getattr(sensor, key))
         if self.pressure_sensors != "all":
             for i, name in enumerate(self.pressure_sensors):
                 refer(("pressure_sensors", i), name)

@@ -4,6 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, field_validator
 
+from evo_cpg.config.schema.choice import CustomConfig
 from evo_cpg.config.schema.ground import GroundConfig
 from evo_cpg.config.schema.section import Finite, NotNegative, Positive, Section, Vector
 from evo_cpg.physics.fluid import DragLaw
@@ -78,14 +79,16 @@ class WaterConfig(Section):
 
 
 class WorldConfig(Section):
-    """Gravity, water and ground.
+    """Gravity, water, ground, and further forces.
 
     Attributes:
         gravity: downwards, m/s^2.
         water: in which they are; ``null`` for none.
         ground: on which they are; none unless given.
+        forces: force laws of your own, which act beside those of the water.
     """
 
     gravity: NotNegative = 9.81
     water: WaterConfig | None = WaterConfig()
     ground: GroundConfig | None = None
+    forces: tuple[CustomConfig, ...] = ()

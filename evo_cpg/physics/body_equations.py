@@ -1,0 +1,108 @@
+"""Inertia and bias wrench of every body: its own, and what the force laws add.
+
+Contacts join later (`evo_cpg.physics.step_problem`).
+"""
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from evo_cpg.creature.tree import Tree
+from evo_cpg.physics.force_law import blocks, in_body_axes
+from evo_cpg.physics.gyroscopic import central_inertia, gyroscopic_change
+from evo_cpg.physics.kinematics import Kinematics, Motion
+from evo_cpg.physics.spatial_algebra import Inertia, Wrench, make_inertia
+from evo_cpg.physics.weight import weight
+from evo_cpg.physics.world import World
+from evo_cpg.spatial.linear import cross, expand_dims_like, matmul, matmul_t, matvec
+from evo_cpg.spatial.numerics import Numbers, is_traced, xp
+
+# Radius of gyration below which rounding would turn a body that falls, m.
+_TURNS_EASILY = 0.01
+
+
+def body_equations(world: World, kin: Kinematics, h: float) -> tuple[Inertia, Wrench]:
+    """Return the inertia ``I + h D`` and the bias wrench of every body, in world axes.
+
+    Force laws depend on velocities as the pose at the start of the step has them, so D is not in
+    the bias wrench, which is for velocity-product accelerations: these are of the pose as it
+    changes. The inertia of a force law is, as the body's own.
+    """
+    tree, bodies = world.tree, world.bodies(kin, h)
+    rotation, velocity = kin.rotation, bodies.velocity
+    constant = expand_dims_like(tree.inertia, velocity, velocity.ndim + 1)
+    accelerations = in_body_axes(rotation, kin.bias_angular, kin.bias_linear)
+    wrench = weight(bodies) - matvec(constant, accelerations)
+    matrix = blocks(constant)
+    for law in world.forces:
+        for part in law.parts(bodies):
+            wrench = wrench + part.wrench
+            if part.inertia is not None:
+                wrench = wrench - matvec(part.inertia, accelerations)
+                matrix = matrix + blocks(part.inertia)
+            if part.resistance is not None:
+                matrix = matrix + part.resistance
+    needed = _gyration(world, velocity) - wrench
+    moment, force = needed[:3], needed[3:]
+    if not world.submerged:
+        # In water drag holds spins back.
+        moment = moment + gyroscopic_change(tree, velocity[:3], h)
+    angular, mixed, linear = (matmul_t(matmul(rotation, block), rotation) for block in matrix)
+    bias = Wrench(matvec(rotation, moment), matvec(rotation, force))
+    return make_inertia(angular, mixed, linear), bias
+
+
+def bias_of_mean(world: World, kin: Kinematics, moving: Motion, h: float) -> Wrench:
+    """Return what the mean of two motions' velocity products adds to the bias wrench, world axes.
+
+    Args:
+        world: the creature and its surroundings.
+        kin: kinematics at the start of the step.
+        moving: how its bodies move at the end, in the same pose.
+        h: s.
+    """
+    rotation, tree, start = kin.rotation, world.tree, world.bodies(kin, h)
+    velocity, other = start.velocity, in_body_axes(rotation, moving.angular, moving.linear)
+    end = start.moving(other)
+    accelerations = in_body_axes(
+        rotation, moving.bias_angular - kin.bias_angular, moving.bias_linear - kin.bias_linear
+    )
+    constant = expand_dims_like(tree.inertia, velocity, velocity.ndim + 1)
+    needed = _gyration(world, other) - _gyration(world, velocity)
+    needed = needed + matvec(constant, accelerations)
+    for law in world.forces:
+        for sign, bodies in ((1.0, start), (-1.0, end)):
+            wrench = law.averaged(start, bodies)
+            if wrench is not None:
+                needed = needed + sign * wrench
+        inertia = law.inertia(start)
+        if inertia is not None:
+            needed = needed + matvec(inertia, accelerations)
+    moment, force = 0.5 * needed[:3], 0.5 * needed[3:]
+    if not world.submerged:
+        moment = moment - gyroscopic_change(tree, velocity[:3], h)
+    return Wrench(matvec(rotation, moment), matvec(rotation, force))
+
+
+def _gyration(world: World, velocity: Float[Array, "6 b *n"]) -> Float[Array, "6 b *n"]:
+    """``V x* I V``."""
+    inertia = expand_dims_like(world.tree.inertia, velocity, velocity.ndim + 1)
+    momentum, w, v = matvec(inertia, velocity), velocity[:3], velocity[3:]
+    across = momentum[3:]
+    small = _turn_easily(world.tree)
+    # In deep water drag holds bodies back that fall.
+    if not world.submerged and (is_traced(small) or small.any()):
+        # The part m v of the momentum adds nothing but rounding to the moment v x m v.
+        without = xp.where(small[None, None], 0.0, world.tree.inertia[3:, 3:])
+        rows = xp.concatenate([world.tree.inertia[3:, :3], without], 1)
+        across = matvec(expand_dims_like(rows, velocity, velocity.ndim + 1), velocity)
+    moment = cross(w, momentum[:3]) + cross(v, across)
+    return jnp.concatenate([moment, cross(w, momentum[3:])])
+
+
+def _turn_easily(tree: Tree) -> Bool[Numbers, " b"]:
+    """Bodies that rounding of ``v x m v`` would turn, by about ``1e-7 v^2 / r^2`` rad/s^2.
+
+    Larger bodies keep the rounding of earlier versions.
+    """
+    least = xp.diagonal(central_inertia(tree)).min(1)
+    return least < _TURNS_EASILY**2 * tree.mass

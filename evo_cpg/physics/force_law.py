@@ -1,0 +1,282 @@
+"""Force laws: what acts on the bodies of a creature besides weight, joints and contact.
+
+A law gives the wrench on every body. The implicit step (`evo_cpg.physics.body_equations`) also
+needs to know how the wrench changes with the velocity V of its body. With the slope
+``S = d wrench / d V`` and its symmetric and skew parts, the step takes the wrench as
+
+    wrench(V_0) + 1/2 S_sym (V_1 - V_0) + 1/2 S_skew (V_p - V_0),
+
+the mean of the wrenches at its start and its end up to the second order. The symmetric part is
+solved for together with the velocity V_1 at the end, so stiff drag stays stable. The matrices of
+the solver are symmetric, so the skew part, which does no work, takes a predicted velocity V_p.
+
+A law of your own writes `ForceLaw.wrench` and nothing else. Laws that know more replace the other
+methods: drag has a better D than its slope, and added mass brings an inertia.
+"""
+
+import abc
+import dataclasses
+from typing import ClassVar, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from evo_cpg.creature.tree import Tree
+from evo_cpg.fusion.fuse import fuse
+from evo_cpg.physics.buoyancy import Cells, Displacement, displacement
+from evo_cpg.physics.kinematics import Kinematics
+from evo_cpg.physics.water import Water
+from evo_cpg.spatial.linear import cross, expand_dims_like, matvec, matvec_t, transpose
+from evo_cpg.spatial.numerics import Number
+
+
+@dataclasses.dataclass(frozen=True)
+class Bodies:
+    """How the bodies lie and move in the water, as force laws see them.
+
+    Everything has the axes of the body itself unless it says otherwise. The origin of a body is its
+    joint, and the centre of mass for the root.
+
+    Attributes:
+        tree: the creature: ``tree.mass`` (kg), ``tree.com`` (from the origin to the centre of mass,
+            m), ``tree.volume`` (m^3).
+        gravity: m/s^2.
+        water: None on dry land.
+        cells: the bodies' volumes; see `evo_cpg.physics.world.World`.
+        h: length of the physics step, s.
+        kin: positions and rotations in world axes. Its velocities are those of the start.
+        velocity: of every origin: angular (rad/s), then linear (m/s).
+        stream: velocity of the water at the centres of mass, m/s; 0 on dry land.
+        pose: upward unit vector, and the height of the origin above the surface, m; None where
+            there is no surface.
+        displaced: the part of each body that is under water; None where there is no surface.
+    """
+
+    tree: Tree
+    gravity: Number
+    water: Water | None
+    cells: tuple[Cells, ...]
+    h: float
+    kin: Kinematics
+    velocity: Float[Array, "6 b *n"]
+    stream: Float[Array, "3 b *#n"]
+    pose: Float[Array, "4 b *n"] | None
+    displaced: Displacement | None
+
+    @property
+    def relative(self) -> Float[Array, "6 b *n"]:
+        """Velocity of every origin relative to the water."""
+        return jnp.concatenate([self.velocity[:3], self.velocity[3:] - self.stream])
+
+    @property
+    def through_water(self) -> Float[Array, "3 b *n"]:
+        """Velocity of the centres of mass relative to the water, m/s."""
+        relative = self.relative
+        return relative[3:] + cross(relative[:3], expand_dims_like(self.tree.com, relative))
+
+    @property
+    def up(self) -> Float[Array, "3 b *n"]:
+        """Upward unit vector."""
+        return self.kin.rotation[2]
+
+    @property
+    def under_water(self) -> Float[Array, "b *n"]:
+        """Fraction of each body's volume that is under water."""
+        volume = expand_dims_like(self.tree.volume, self.velocity[0])
+        if self.displaced is not None:
+            return self.displaced.volume / volume
+        return jnp.full_like(self.velocity[0], 0.0 if self.water is None else 1.0)
+
+    def index(self, name: str) -> int:
+        """Return the index of a body.
+
+        Raises:
+            ValueError: there is no body of that name.
+        """
+        if name not in self.tree.names:
+            raise ValueError(f"there is no body {name!r}; there are {', '.join(self.tree.names)}")
+        return self.tree.names.index(name)
+
+    def wrench_on(
+        self,
+        name: str,
+        force: Float[Array, "3 *n"],
+        moment: Float[Array, "3 *n"] | None = None,
+    ) -> Float[Array, "6 b *n"]:
+        """Return the wrench of a force on one body, and none on the others.
+
+        Args:
+            name: of the body.
+            force: at its centre of mass, in its own axes, N.
+            moment: about its centre of mass, N m; None for none.
+        """
+        i = self.index(name)
+        about_origin = cross(expand_dims_like(self.tree.com[:, i], force), force)
+        if moment is not None:
+            about_origin = about_origin + moment
+        own = jnp.concatenate([about_origin, force])
+        here = np.arange(self.tree.body_count) == i
+        return own[:, None] * expand_dims_like(here, own)[None]
+
+    def moving(self, velocity: Float[Array, "6 b *n"]) -> "Bodies":
+        """Return the bodies in the same pose with other velocities."""
+        return dataclasses.replace(self, velocity=velocity)
+
+
+def bodies_in(
+    tree: Tree,
+    gravity: Number,
+    water: Water | None,
+    cells: tuple[Cells, ...],
+    h: float,
+    kin: Kinematics,
+) -> Bodies:
+    """Return the bodies of a creature as force laws see them; see `Bodies` for the arguments."""
+    velocity, pose, displaced = body_velocity(kin), None, None
+    if water is None:
+        stream = jnp.zeros((3, 1) + (1,) * (velocity.ndim - 2), velocity.dtype)
+    else:
+        centres = kin.origin + matvec(kin.rotation, expand_dims_like(tree.com, kin.origin))
+        stream = matvec_t(kin.rotation, water.velocity(centres))
+        if water.surface is not None:
+            pose = jnp.concatenate([kin.rotation[2], (kin.origin[2] - water.surface)[None]])
+            displaced = displacement(cells, pose)
+    return Bodies(tree, gravity, water, cells, h, kin, velocity, stream, pose, displaced)
+
+
+def body_velocity(kin: Kinematics) -> Float[Array, "6 b *n"]:
+    """Return the velocities of the origins in body axes: angular (rad/s), then linear (m/s)."""
+    return in_body_axes(kin.rotation, kin.angular, kin.linear)
+
+
+def in_body_axes(
+    rotation: Float[Array, "3 3 b *n"], angular: Float[Array, "3 b *n"], linear: Array
+) -> Float[Array, "6 b *n"]:
+    """Return a motion of every body in the body's own axes."""
+    return jnp.concatenate([matvec_t(rotation, angular), matvec_t(rotation, linear)])
+
+
+def blocks(m: Float[Array, "6 6 *rest"]) -> Float[Array, "3 3 3 *rest"]:
+    """Return the angular, mixed and linear blocks of a symmetric matrix."""
+    return jnp.stack([m[:3, :3], m[:3, 3:], m[3:, 3:]])
+
+
+class Part(NamedTuple):
+    """A part of a law as the implicit step takes it: ``wrench - D (V_1 - V_0) - M A``.
+
+    Attributes:
+        wrench: at the start of the step, on bodies that do not accelerate.
+        resistance: ``h D``, as `blocks`; None for 0.
+        inertia: M, which joins the bodies' own about their origins; None for 0.
+    """
+
+    wrench: Float[Array, "6 b *n"]
+    resistance: Float[Array, "3 3 3 b *n"] | None = None
+    inertia: Float[Array, "6 6 b *n"] | None = None
+
+
+class ForceLaw(eqx.Module):
+    """A force on the bodies that depends on their poses and velocities.
+
+    Subclass it to write a law of your own. It is built with the keyword arguments in the config's
+    ``options`` and, where its constructor takes them, ``creature`` and ``tree``. Its methods must
+    be pure JAX functions of arrays whose trailing axes are individuals.
+
+    Attributes:
+        of_water: whether the water exerts it. Energy books then enter it under the water, and it
+            does not act on a creature that rests in still water.
+        needs_acceleration: whether the wrench depends on how the bodies accelerate.
+
+    Example:
+        A spring that pulls a body to the origin of the world::
+
+            class Leash(ForceLaw):
+                body: str = eqx.field(static=True)
+                stiffness: float = 10.0
+
+                def wrench(self, bodies):
+                    i = bodies.index(self.body)
+                    pull = -self.stiffness * bodies.kin.origin[:, i]
+                    turned = (bodies.kin.rotation[:, :, i] * pull[:, None]).sum(0)
+                    return bodies.wrench_on(self.body, turned)
+    """
+
+    of_water: ClassVar[bool] = False
+    needs_acceleration: ClassVar[bool] = False
+
+    @abc.abstractmethod
+    def wrench(self, bodies: Bodies) -> Float[Array, "6 b *n"]:
+        """Return the wrench on every body, in body axes.
+
+        Args:
+            bodies: as they lie and move.
+
+        Returns:
+            The moment about each body's origin (N m), then the force (N). `Bodies.wrench_on` makes
+            one of a force at a centre of mass.
+        """
+
+    def derivative(self, bodies: Bodies) -> Float[Array, "6 6 b *n"]:
+        """Return the derivative of each body's wrench (rows) by its velocity (columns).
+
+        The default lets JAX differentiate `wrench` in forward mode. A law that couples bodies gets
+        the sum over equal changes of all bodies.
+        """
+        velocity = bodies.velocity
+
+        def along(direction: Float[Array, "6"]) -> Float[Array, "6 b *n"]:
+            tangent = jnp.broadcast_to(expand_dims_like(direction, velocity), velocity.shape)
+            return jax.jvp(lambda v: self.wrench(bodies.moving(v)), (velocity,), (tangent,))[1]
+
+        return jax.vmap(along, out_axes=1)(jnp.asarray(np.eye(6), velocity.dtype))
+
+    def parts(self, bodies: Bodies) -> tuple[Part, ...]:
+        """Return the law as the step takes it: by default one part, with ``D = -1/2 S_sym``."""
+
+        def whole(kin: Kinematics) -> tuple[Array, Array]:
+            now = bodies_in(bodies.tree, bodies.gravity, bodies.water, bodies.cells, bodies.h, kin)
+            slope = self.derivative(now)
+            return self.wrench(now), (-0.25 * bodies.h) * blocks(slope + transpose(slope))
+
+        # A program of its own, so that a message names the law that native code cannot take.
+        name = f"{type(self).__name__}.wrench"
+        found = fuse(whole, bodies.kin, batch_ndim=bodies.velocity.ndim - 2, name=name)
+        return (Part(*found),)
+
+    def averaged(self, start: Bodies, moving: Bodies) -> Float[Array, "6 b *n"] | None:
+        """Return the part of the wrench of which a step takes the mean of its start and its end.
+
+        The default is that of the skew part of the slope.
+
+        Args:
+            start: the bodies at the start of the step.
+            moving: the bodies in the same pose, with the velocities of the start or of the end.
+        """
+        slope = self.derivative(start)
+        return matvec(0.5 * (slope - transpose(slope)), moving.velocity)
+
+    def inertia(self, bodies: Bodies) -> Float[Array, "6 6 b *n"] | None:
+        """Return the M of all parts together; None for 0."""
+        del bodies
+        return None
+
+    def over_step(self, first: Bodies, middle: Bodies, last: Bodies) -> Float[Array, "6 b *n"]:
+        """Return the wrench over a step from the motion alone, for books of energy and momentum.
+
+        Args:
+            first: half a step before the start.
+            middle: the pose of the start with the mean velocities of the step.
+            last: half a step before the end.
+        """
+        del first, last
+        return self.wrench(middle)
+
+    def operations(self) -> float:
+        """Return about how many operations of native code the law takes; 0 where it is not known.
+
+        `evo_cpg.simulation.operations` warns of programs that take long to compile.
+        """
+        return 0.0

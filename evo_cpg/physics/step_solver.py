@@ -1,0 +1,336 @@
+"""Solve one time step with contact: Newton's method with three outer updates.
+
+The step is a strictly convex minimisation over the accelerations y (`step_problem`). In it the
+friction-cone radii L, the restitution e and the velocity-product bias b of touching limbs are
+fixed. Whenever Newton's iteration has solved it, the first of these updates that is needed changes
+the problem, and the iteration goes on (`outer_updates`):
+
+            warm start: y, L of the step before; e = 1; b at the start of the step
+                 |
+      +--------> Newton iteration: linearise, solve, line search
+      |          |
+      +<-- no -- solved?
+      |          | yes
+      +<-- L ---- friction cone: L differs from mu f_n?      L <- mu f_n (Anderson)
+      |          | no, or the last round
+      +<-- e ---- restitution: contact injects energy?       e <- e / 2, then 0
+      |          | no
+      +<-- b ---- pair bias: touching limbs drift > 0.2 mm?  b <- b at the end of the step
+                 | no, or the last update
+                 y is the step's solution
+
+The error that remains in Coulomb's law is reported (`Residual.coulomb`).
+
+Derivatives use the implicit function theorem: at a solution, one more Newton step changes nothing,
+and its derivative is that of the solution. `_replay` takes that step under every L and b.
+"""
+
+import functools
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax.typing import DTypeLike
+from jaxtyping import Array, Bool, Float, Int
+
+from evo_cpg.fusion.converge import implicit, while_each
+from evo_cpg.physics.equations import (
+    ContactForces,
+    Residual,
+    StepSolution,
+    Warmstart,
+    prepare,
+    with_mean_products,
+)
+from evo_cpg.physics.generalized import ROOT_DOFS
+from evo_cpg.physics.joints import clamp_torque
+from evo_cpg.physics.newton import damped_step, full_step, tolerances
+from evo_cpg.physics.outer_updates import Cone, PairBias, reduced
+from evo_cpg.physics.state import State
+from evo_cpg.physics.step_problem import StepProblem
+from evo_cpg.physics.world import World
+from evo_cpg.spatial.linear import matvec_t, where_each
+
+# Most rounds of friction cones, values of the pair bias, and Newton iterations in a step.
+_CONE_ROUNDS, _PAIR_BIASES, _ITERATIONS = 8, 3, 60
+
+# Largest Coulomb error (`StepProblem.coulomb_error`) at which float32 stops updating the cones.
+_COULOMB = 1e-2
+
+
+class _Visited(NamedTuple):
+    """Solutions on the way, at which `_replay` takes its Newton steps.
+
+    Attributes:
+        cones: accelerations under each round of cones with the first pair bias.
+        biases: accelerations under each further pair bias.
+    """
+
+    cones: tuple[Float[Array, "v *n"], ...]
+    biases: tuple[Float[Array, "v *n"], ...]
+
+
+class _Search(NamedTuple):
+    """State of the iteration.
+
+    Attributes:
+        y: the iterate, accelerations of root and joints.
+        cone: friction cones of the problem that is being solved.
+        restitution: fraction of it that is left, 0 to 1.
+        bias: of pairs.
+        iterations: number of Newton iterations.
+        done: whether y is the solution.
+        visited: solutions on the way.
+        first_rounds: rounds of cones under the first pair bias.
+    """
+
+    y: Float[Array, "v *n"]
+    cone: Cone
+    restitution: Float[Array, "*n"]
+    bias: PairBias
+    iterations: Int[Array, "*n"]
+    done: Bool[Array, "*n"]
+    visited: _Visited
+    first_rounds: Int[Array, "*n"]
+
+
+class _Answer(NamedTuple):
+    """The solution y, with the problem that it solves; see `_Search`."""
+
+    y: Float[Array, "v *n"]
+    radius: Float[Array, "p *n"]
+    restitution: Float[Array, "*n"]
+    bias: Float[Array, "k *n"]
+
+
+class _Notes(NamedTuple):
+    """What `_replay` needs; see `_Search`."""
+
+    visited: _Visited
+    restitution: Float[Array, "*n"]
+    bias_updates: Int[Array, "*n"]
+
+
+def solve_step(
+    world: World,
+    h: float,
+    state: State,
+    target_rate: Float[Array, "d *n"],
+    target_angle: Float[Array, "d *n"] | None,
+    warmstart: Warmstart | None = None,
+) -> StepSolution:
+    """Solve a step with contact, joint limits or motors that have a largest torque.
+
+    Args:
+        world: the creature and its surroundings.
+        h: s.
+        state: at the start of the step.
+        target_rate: see `evo_cpg.physics.step.step`.
+        target_angle: see `evo_cpg.physics.step.step`.
+        warmstart: result of the step before; None for a first step.
+    """
+    problem = _with_velocity_products(world, h, state, target_rate, target_angle)
+    batch = state.q.shape[1:]
+    if warmstart is None:
+        warmstart = coldstart(world, batch, state.q.dtype)
+    one = jnp.ones(batch, state.q.dtype)
+    radius, start = warmstart.radius, problem.with_restitution(one)
+    first = start.motion(start.linearized(radius, warmstart.qdd, warmstart.velocity))
+    like = _Notes(_none_visited(problem, first), one, jnp.zeros(batch, jnp.int32))
+    answer = implicit(
+        functools.partial(_solve, problem, radius),
+        functools.partial(_replay, problem, radius),
+        first,
+        like,
+    )
+    end = problem.with_restitution(answer.restitution).with_pair_bias(answer.bias)
+    return _solution(end, answer.radius, answer.y)
+
+
+def free_motion(problem: StepProblem) -> Float[Array, "v *n"]:
+    """Return the accelerations without contact, with motors at their limits held there.
+
+    They say little where something is touched or a motor leaves its limit: a light limb turns at
+    1000 rad/s under a torque that its motor stops giving at 50.
+    """
+    still = jnp.zeros_like(problem.force[ROOT_DOFS:])
+    linear = problem.linearized(problem.force[:0], still, None)
+    return problem.motion(linear._replace(pairs=None))
+
+
+def coldstart(world: World, batch: tuple[int, ...], dtype: DTypeLike) -> Warmstart:
+    """Return the warm start of a first step: no contact, motors below their limits."""
+    points = 0 if world.footing is None else len(world.footing.bodies)
+    velocity = None if world.footing is None else jnp.zeros((3, points, *batch), dtype)
+    qdd = jnp.zeros((world.tree.dof_count, *batch), dtype)
+    return Warmstart(qdd, velocity, jnp.zeros((points, *batch), dtype))
+
+
+def _with_velocity_products(
+    world: World,
+    h: float,
+    state: State,
+    target_rate: Float[Array, "d *n"],
+    target_angle: Float[Array, "d *n"] | None,
+) -> StepProblem:
+    """Return the problem of a step.
+
+    Its velocity products are the mean of start and end of the free motion. Individuals whose free
+    motion says little keep those of the start.
+    """
+    equations = prepare(world, h, state, target_rate, target_angle)
+    problem = StepProblem.of(world, h, equations)
+    free = free_motion(problem)
+    later = with_mean_products(world, h, equations, free[:ROOT_DOFS], free[ROOT_DOFS:])
+    unlike = problem.touches(free) | problem.changes_overload(free)
+    bias = where_each(unlike, equations.bias, later.bias)
+    return StepProblem.of(world, h, equations._replace(bias=bias))
+
+
+def _cone_rounds(problem: StepProblem) -> int:
+    """Return the largest number of rounds of friction cones."""
+    return 1 if problem.world.footing is None else _CONE_ROUNDS
+
+
+def _pair_biases(problem: StepProblem) -> int:
+    """Return the largest number of values of the pair bias."""
+    return 1 if problem.world.pairs is None else _PAIR_BIASES
+
+
+def _none_visited(problem: StepProblem, y: Float[Array, "v *n"]) -> _Visited:
+    return _Visited((y,) * _cone_rounds(problem), (y,) * (_pair_biases(problem) - 1))
+
+
+def _solve(
+    problem: StepProblem, radius: Float[Array, "p *n"], first: Float[Array, "v *n"]
+) -> tuple[_Answer, _Notes]:
+    """Iterate to the solution from a first iterate, with the first cone radii."""
+    none = jnp.zeros(first.shape[1:], jnp.int32)
+    begin = _Search(
+        y=first,
+        cone=Cone.first(radius),
+        restitution=jnp.ones(first.shape[1:], first.dtype),
+        bias=PairBias.first(problem.pair_bias),
+        iterations=none,
+        done=jnp.zeros(first.shape[1:], bool),
+        visited=_none_visited(problem, first),
+        first_rounds=none,
+    )
+    start = problem.with_restitution(begin.restitution)
+    begin = _updated(start, begin, first, start.velocity(first))
+
+    def advance(search: _Search) -> _Search:
+        now = problem.with_restitution(search.restitution).with_pair_bias(search.bias.value)
+        y, velocity = damped_step(now, search.cone.radius, search.y)
+        return _updated(now, search._replace(iterations=search.iterations + 1), y, velocity)
+
+    end = while_each(lambda search: ~search.done, advance, begin)
+    cones = [end.visited.cones[0]]
+    for k, one in enumerate(end.visited.cones[1:], 1):
+        # The last round stands for those that were not needed.
+        cones.append(where_each(end.first_rounds < k, cones[-1], one))
+    visited = end.visited._replace(cones=tuple(cones))
+    answer = _Answer(end.y, end.cone.radius, end.restitution, end.bias.value)
+    return answer, _Notes(visited, end.restitution, end.bias.updates)
+
+
+def _updated(
+    now: StepProblem,
+    search: _Search,
+    y: Float[Array, "v *n"],
+    velocity: Float[Array, "3 p *n"] | None,
+) -> _Search:
+    """Return the search with a new iterate, after the first outer update that it needs.
+
+    Args:
+        now: the problem with the restitution and the pair bias of the search.
+        search: before.
+        y: the new iterate.
+        velocity: of the contact points in it, m/s.
+    """
+    rounds, biases, qdd = _cone_rounds(now), _pair_biases(now), y[ROOT_DOFS:]
+    cone, bias = search.cone, search.bias
+    linear = now.linearized(cone.radius, qdd, velocity)
+
+    # Solved?
+    tolerance, rough = tolerances(y)
+    residual = now.residual(y, linear)
+    last_round = cone.rounds + 1 >= rounds
+    solved = residual <= jnp.where(last_round, tolerance, rough)
+
+    # Friction cone: float32 stops early once Coulomb's law holds.
+    allowed = now.cone_radius(velocity)
+    coulomb = now.coulomb_error(cone.radius, allowed, velocity, linear) <= _COULOMB
+    early = (y.dtype != jnp.float64) & coulomb & (residual <= tolerance)
+    cone_holds = (solved & last_round) | early
+    change_cone = solved & ~cone_holds
+
+    # Restitution.
+    injects = now.injects_energy(y, linear) & (search.restitution > 0)
+    reduce_restitution = cone_holds & injects
+
+    # Pair bias.
+    finished, change_bias, new_bias = cone_holds & ~injects, jnp.zeros(injects.shape, bool), None
+    if biases > 1:
+        new_bias = now.pair_bias_at(qdd)
+        change_bias = finished & (bias.updates + 1 < biases) & now.drifts(qdd, new_bias)
+
+    return _Search(
+        y=y,
+        cone=cone.updated_where(change_cone, allowed),
+        restitution=jnp.where(reduce_restitution, reduced(search.restitution), search.restitution),
+        bias=bias if new_bias is None else bias.updated_where(change_bias, new_bias),
+        iterations=search.iterations,
+        done=(finished & ~change_bias) | (search.iterations >= _ITERATIONS),
+        visited=_visit(search, y),
+        first_rounds=jnp.where(bias.updates > 0, search.first_rounds, cone.rounds + change_cone),
+    )
+
+
+def _visit(search: _Search, y: Float[Array, "v *n"]) -> _Visited:
+    """Return the visited solutions with a new one under the cones and the bias of a search."""
+    rounds, updates = search.cone.rounds, search.bias.updates
+    return _Visited(
+        tuple(
+            where_each((updates == 0) & (rounds == k), y, old)
+            for k, old in enumerate(search.visited.cones)
+        ),
+        tuple(where_each(updates == k, y, old) for k, old in enumerate(search.visited.biases, 1)),
+    )
+
+
+def _replay(problem: StepProblem, radius: Float[Array, "p *n"], notes: _Notes) -> _Answer:
+    """Return the solution by one Newton step under every cone and pair bias, for derivatives."""
+    start = problem.with_restitution(jnp.ones_like(notes.restitution))
+    end = problem.with_restitution(notes.restitution)
+    first, *further = notes.visited.cones
+    cone = Cone.first(radius)
+    y = full_step(start if further else end, radius, first)
+    for k, point in enumerate(further, 1):
+        cone = cone.updated(start.cone_radius(start.velocity(y)))
+        y = full_step(end if k == len(further) else start, cone.radius, point)
+    bias = problem.pair_bias
+    for k, point in enumerate(notes.visited.biases, 1):
+        new = problem.pair_bias_at(y[ROOT_DOFS:])
+        there = full_step(end.with_pair_bias(new), cone.radius, point)
+        y, bias = where_each(notes.bias_updates >= k, (there, new), (y, bias))
+    return _Answer(y, cone.radius, notes.restitution, bias)
+
+
+def _solution(
+    problem: StepProblem, radius: Float[Array, "p *n"], y: Float[Array, "v *n"]
+) -> StepSolution:
+    """Return accelerations with the forces that the laws give at them."""
+    qdd, velocity = y[ROOT_DOFS:], problem.velocity(y)
+    linear, allowed = problem.linearized(radius, qdd, velocity), problem.cone_radius(velocity)
+    contacts, forces = problem.equations.contacts, None
+    if contacts is not None and linear.contact is not None:
+        local = linear.contact.force
+        forces = ContactForces(local, matvec_t(contacts.frame, local))
+    solved = jax.lax.stop_gradient(problem.residual(y, linear))
+    friction = jax.lax.stop_gradient(problem.coulomb_error(radius, allowed, velocity, linear))
+    motor = clamp_torque(problem.world.tree, problem.commanded_torque(qdd))
+    push = None if linear.pairs is None else linear.pairs.force
+    warmstart = Warmstart(qdd, velocity, allowed)
+    residual = Residual(solved, solved + friction)
+    return StepSolution(y[:ROOT_DOFS], qdd, motor, forces, push, residual, warmstart)

@@ -1,0 +1,96 @@
+"""What is kept of a trial: an observer follows it and says what remains.
+
+`evo_cpg.simulation.rollout.rollout` lives the trial, observers look on:
+
+| observer | in | what it keeps | of |
+|---|---|---|---|
+| `Judge` | `evo_cpg.simulation.judge` | terms of the task, who is alive | the whole trial |
+| `Recorder` | `evo_cpg.simulation.recording` | poses, commands, forces | every control step |
+| `States` | here | states of the body | every control step |
+| `EachPhysicsStep` | `evo_cpg.simulation.physics_steps` | states, forces | every physics step |
+"""
+
+import dataclasses
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, PyTree
+
+from evo_cpg.physics.state import State
+from evo_cpg.simulation.control_step import Animal, Effects, Life
+from evo_cpg.simulation.simulation import Simulation
+
+
+class Seen(NamedTuple):
+    """One control step as an observer sees it.
+
+    Attributes:
+        simulation: the trial.
+        life: what stays the same throughout it.
+        index: number of the control step, from 0.
+        animal: at the end of the step.
+        effects: what happened in the step.
+    """
+
+    simulation: Simulation
+    life: Life
+    index: Array
+    animal: Animal
+    effects: Effects
+
+
+@dataclasses.dataclass(frozen=True)
+class Observer:
+    """Follows a trial and returns what it kept; subclasses override what they need.
+
+    All methods are pure JAX functions of arrays whose trailing axes are individuals.
+
+    Attributes:
+        every_step: whether `of_step` keeps anything. If not, a whole trial is one native program.
+        physics: whether `Effects.physics` is needed. If so, physics steps are programs of their
+            own.
+    """
+
+    every_step = False
+    physics = False
+
+    def begin(self, simulation: Simulation, animal: Animal) -> PyTree[Array]:
+        """Return the tally before the first control step."""
+        del simulation, animal
+        return ()
+
+    def update(self, tally: PyTree[Array], seen: Seen) -> PyTree[Array]:
+        """Return the tally after a control step: same structure, shapes and types."""
+        del seen
+        return tally
+
+    def of_step(self, seen: Seen) -> PyTree[Array]:
+        """Return what is kept of a control step."""
+        del seen
+        return ()
+
+    def finish(self, simulation: Simulation, tally: PyTree[Array], steps: PyTree[Array]) -> Any:
+        """Return the result: of the tally, and of what `of_step` kept, stacked along time."""
+        raise NotImplementedError
+
+
+@dataclasses.dataclass(frozen=True)
+class States(Observer):
+    """Keeps the states of the body: at the start and after every control step, stacked."""
+
+    every_step = True
+
+    def begin(self, simulation: Simulation, animal: Animal) -> State:
+        """Return the state at the start."""
+        del simulation
+        return animal.state
+
+    def of_step(self, seen: Seen) -> State:
+        """Return the state after the step."""
+        return seen.animal.state
+
+    def finish(self, simulation: Simulation, tally: State, steps: State) -> State:
+        """Put the start before the steps."""
+        del simulation
+        return jax.tree.map(lambda first, rest: jnp.concatenate([first[None], rest]), tally, steps)

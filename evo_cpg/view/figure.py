@@ -1,0 +1,156 @@
+"""The frame of every figure: its style, colours, axes and legend, and how it is saved.
+
+Figures use matplotlib's object interface and need no display.
+"""
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from evo_cpg.files import in_one_piece
+from evo_cpg.view.legible import legible
+from evo_cpg.view.output import PLOT_SUFFIXES, output_path
+
+INK, GREY, LIGHT_GREY = "#1f2937", "#6b7280", "#9ca3af"
+# Okabe and Ito's palette, which every common kind of colour blindness can tell apart.
+BLUE, ORANGE, RED, GREEN = "#0072B2", "#E69F00", "#D55E00", "#009E73"
+PINK, SKY = "#CC79A7", "#56B4E9"
+PALETTE = (BLUE, RED, GREEN, PINK, ORANGE, SKY, INK)
+
+_DPI = 160
+
+# Decorator of a function that returns a figure. Names are text and never formulas, hence
+# `text.parse_math`.
+framed = matplotlib.rc_context(
+    {
+        "axes.axisbelow": True,
+        "axes.edgecolor": INK,
+        "axes.labelcolor": INK,
+        "axes.spines.right": False,
+        "axes.spines.top": False,
+        "axes.titlesize": 11,
+        "figure.titlesize": 12,
+        "figure.titleweight": "bold",
+        "grid.color": "#e5e7eb",
+        "legend.fontsize": 9,
+        "legend.frameon": False,
+        "text.color": INK,
+        "text.parse_math": False,
+        "xtick.color": INK,
+        "ytick.color": INK,
+    }
+)
+
+
+def new_figure(width: float, height: float, title: str = "") -> Figure:
+    """Return an empty figure.
+
+    Args:
+        width: inches.
+        height: inches.
+        title: above the figure.
+    """
+    figure = Figure(figsize=(width, height), layout="constrained")
+    if title:
+        figure.suptitle(legible(title))
+    return figure
+
+
+@framed
+def save_figure(figure: Figure, path: str | os.PathLike[str]) -> Path:
+    """Write a figure to a file.
+
+    Args:
+        figure: what to write.
+        path: ``.png``, ``.svg`` or ``.pdf``.
+
+    Returns:
+        The path.
+
+    Raises:
+        OutputError: the path cannot be written, or has another suffix.
+    """
+    path = output_path(path, PLOT_SUFFIXES)
+    with in_one_piece(path) as partial:
+        figure.savefig(partial, dpi=_DPI)
+    return path
+
+
+def count_in_whole_numbers(axes: Axes) -> None:
+    """Put the ticks of the x axis at whole numbers, such as generations."""
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+
+
+def right_axis(axes: Axes) -> Axes:
+    """Return axes with a second scale on the right."""
+    right = axes.twinx()
+    right.spines["right"].set_visible(True)
+    return right
+
+
+def name_rows(axes: Axes, names: Sequence[str]) -> None:
+    """Name horizontal rows 0, 1, 2, ..., from the top down."""
+    axes.set_yticks(range(len(names)), [legible(name) for name in names], fontsize=8.5)
+    axes.tick_params(axis="y", length=0)
+    axes.set_ylim(len(names) - 0.4, -0.6)
+
+
+def draw_runs(
+    axes: Axes,
+    x: Float[np.ndarray, " n"],
+    runs: Float[np.ndarray, "runs n"],
+    color: str,
+    label: str = "",
+    *,
+    width: float = 2.0,
+    band: bool = True,
+) -> None:
+    """Draw the median of runs and the band in which half of them lie.
+
+    Args:
+        axes: where to draw.
+        x: of each column.
+        runs: one row for each run; values that are not finite are left out.
+        color: of the line and the band.
+        label: of the line.
+        width: of the line, points.
+        band: draw the band.
+    """
+    known = np.isfinite(runs).any(0)
+    if not known.any():
+        return
+    finite = np.where(np.isfinite(runs), runs, np.nan)[:, known]
+    low, median, high = np.nanquantile(finite, (0.25, 0.5, 0.75), axis=0)
+    if band and len(runs) > 1:
+        axes.fill_between(x[known], low, high, color=color, alpha=0.16, lw=0)
+    axes.plot(x[known], median, color=color, lw=width, label=label, solid_capstyle="butt")
+
+
+def draw_stances(
+    axes: Axes,
+    stances: Float[np.ndarray, "n 2"],
+    window: tuple[float, float],
+    row: float,
+    height: float,
+    color: str,
+) -> None:
+    """Draw the stances of a foot as bars (Hildebrand 1965).
+
+    Args:
+        axes: with time, s, to the right.
+        stances: beginning and end of each, s.
+        window: first and last instant that the axes show, s.
+        row: middle of the bars.
+        height: of the bars.
+        color: of the bars.
+    """
+    shown = stances[(stances[:, 1] > window[0]) & (stances[:, 0] < window[1])].clip(*window)
+    bars = [(begin, end - begin) for begin, end in shown]
+    axes.broken_barh(bars, (row - height / 2, height), facecolors=color)

@@ -1,0 +1,149 @@
+"""Pictures of searches: fitness over generations or evaluations by setting, and champions."""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import matplotlib
+import numpy as np
+from jaxtyping import Float
+from matplotlib.axes import Axes
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from evo_cpg.view.figure import (
+    PALETTE,
+    count_in_whole_numbers,
+    draw_runs,
+    framed,
+    name_rows,
+    new_figure,
+)
+
+# A sweep, inches: width, least height, height of a setting, and height of all else.
+_WIDTH, _LEAST, _ROW, _REST = 11.0, 4.2, 0.34, 1.3
+
+# Longest name that is written beside the runs.
+_LONGEST = 34
+
+
+class Curves(NamedTuple):
+    """The runs of one setting.
+
+    Attributes:
+        name: of the setting.
+        evaluations: individuals that had been tried after every generation.
+        best: fitness of the best so far, of every run, as evaluated in training; NaN before there
+            is one.
+        final: fitness of each run's champion, under noise its mean when re-evaluated; NaN for a run
+            without a champion.
+    """
+
+    name: str
+    evaluations: Float[np.ndarray, " generations"]
+    best: Float[np.ndarray, "runs generations"]
+    final: Float[np.ndarray, " runs"]
+
+
+@framed
+def generations_figure(
+    bests: Mapping[str, Float[np.ndarray, "generations runs"]],
+    label: str,
+    single_runs: bool = False,
+) -> Figure:
+    """Draw the best of every generation: medians over the runs, and where half of these lie.
+
+    Args:
+        bests: of each setting, by its name.
+        label: what is drawn, with its unit.
+        single_runs: draw each of the runs, too, as a thin line.
+    """
+    figure = new_figure(8, 4.6)
+    axes = figure.subplots()
+    for (name, best), color in zip(bests.items(), _colors(len(bests)), strict=True):
+        if single_runs:
+            axes.plot(best, color=color, lw=0.5, alpha=0.3)
+        draw_runs(axes, np.arange(len(best)), best.T, color, name)
+    axes.set_xlabel("generation")
+    axes.set_ylabel(label)
+    axes.set_ylim(bottom=0)
+    count_in_whole_numbers(axes)
+    axes.grid()
+    runs = max(best.shape[1] for best in bests.values())
+    axes.legend(title=f"median of {runs} runs, half of them in the band" if runs > 1 else None)
+    return figure
+
+
+@framed
+def champions_figure(
+    groups: Mapping[str, tuple[Sequence[float], Sequence[float]]], labels: tuple[str, str]
+) -> Figure:
+    """Draw a dot for every champion.
+
+    Args:
+        groups: values to the right and upwards, by the name of each group; the second of every two
+            groups has the colour of the first, and is filled.
+        labels: of the axes, with units.
+    """
+    figure = new_figure(6.5, 4.6)
+    axes = figure.subplots()
+    for number, (name, (across, upwards)) in enumerate(groups.items()):
+        color = PALETTE[number // 2 % len(PALETTE)]
+        fill = color if number % 2 else "none"
+        axes.scatter(across, upwards, edgecolors=color, facecolors=fill, label=name)
+    axes.set_xlabel(labels[0])
+    axes.set_ylabel(labels[1])
+    axes.set_ylim(bottom=0)
+    axes.grid()
+    figure.legend(ncols=2, loc="outside upper center")
+    return figure
+
+
+@framed
+def sweep_figure(curves: Sequence[Curves], title: str) -> Figure:
+    """Draw a sweep.
+
+    The left panel shows the best so far over the evaluations: the median of the runs, and the band
+    in which half of them lie. The right panel shows every run's champion, with the median.
+
+    Args:
+        curves: of the settings, in the order in which they are shown.
+        title: above the figure.
+    """
+    figure = new_figure(_WIDTH, max(_LEAST, _REST + _ROW * len(curves)), title)
+    left, right = figure.subplots(1, 2, width_ratios=(1.25, 1))
+    for row, (curve, color) in enumerate(zip(curves, _colors(len(curves)), strict=True)):
+        draw_runs(left, curve.evaluations, curve.best, color)
+        _draw_finals(right, row, curve.final[np.isfinite(curve.final)], color)
+    left.set_xlabel("evaluations in a run")
+    left.set_ylabel("fitness of the best so far")
+    name_rows(right, [_label(curve) for curve in curves])
+    # Long numbers run into each other where there are many.
+    right.xaxis.set_major_locator(MaxNLocator(4))
+    right.set_xlabel("fitness of the champions (line: median)")
+    for axes in (left, right):
+        axes.grid()
+    return figure
+
+
+def _draw_finals(axes: Axes, row: int, final: Float[np.ndarray, " n"], color: str) -> None:
+    if not final.size:
+        return
+    beside = row + 0.22 * (np.random.default_rng(row).random(final.size) - 0.5)
+    axes.plot(final, beside, "o", ms=5, mfc=color, mec="white", mew=0.6, alpha=0.85)
+    axes.plot([np.median(final)] * 2, [row - 0.32, row + 0.32], color=color, lw=2.6)
+
+
+def _label(curve: Curves) -> str:
+    name = curve.name
+    name = name if len(name) <= _LONGEST else f"{name[: _LONGEST - 1]}..."
+    return f"{name}  (n = {int(np.isfinite(curve.final).sum())})"
+
+
+def _colors(count: int) -> Sequence[str]:
+    """Return a colour for each setting; more than the palette has are those of a rainbow."""
+    if count <= len(PALETTE):
+        return PALETTE[:count]
+    return [
+        to_hex(color) for color in matplotlib.colormaps["turbo"](np.linspace(0.05, 0.95, count))
+    ]

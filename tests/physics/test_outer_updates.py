@@ -1,0 +1,47 @@
+"""Outer updates of the step solver, each on its own."""
+
+import jax.numpy as jnp
+import numpy as np
+
+from evo_cpg.physics.outer_updates import Cone, PairBias, reduced
+
+
+def test_cone_iteration_solves_linear_fixed_point_in_three_rounds():
+    """``L = a L + b`` has the solution b / (1 - a); Anderson's acceleration of one is a secant."""
+    slope, offset = 0.6, 2.0
+    cone = Cone.first(jnp.array([[1.0]], jnp.float32))
+    plain = 1.0
+    for _ in range(3):
+        cone = cone.updated(slope * cone.radius + offset)
+        plain = slope * plain + offset
+    np.testing.assert_allclose(cone.radius, offset / (1 - slope), rtol=1e-6)
+    assert abs(plain - offset / (1 - slope)) > 0.5
+    assert int(cone.rounds[0]) == 3
+
+
+def test_first_cone_update_takes_allowed_radius():
+    cone = Cone.first(jnp.array([[1.0]])).updated(jnp.array([[5.0]]))
+    assert float(cone.radius[0, 0]) == 5.0
+
+
+def test_cone_radius_stays_positive():
+    cone = Cone.first(jnp.array([[1.0]])).updated(jnp.array([[0.5]])).updated(jnp.array([[0.0]]))
+    assert float(cone.radius[0, 0]) == 0.0
+
+
+def test_updates_leave_other_individuals_alone():
+    mask = jnp.array([True, False])
+    cone = Cone.first(jnp.ones((1, 2))).updated_where(mask, 3 * jnp.ones((1, 2)))
+    np.testing.assert_array_equal(cone.radius, [[3, 1]])
+    np.testing.assert_array_equal(cone.rounds, [1, 0])
+    bias = PairBias.first(jnp.zeros((1, 2))).updated_where(mask, jnp.ones((1, 2)))
+    np.testing.assert_array_equal(bias.value, [[1, 0]])
+    np.testing.assert_array_equal(bias.updates, [1, 0])
+
+
+def test_restitution_is_halved_twice_then_zero():
+    values, fraction = [], jnp.float32(1)
+    for _ in range(4):
+        fraction = reduced(fraction)
+        values.append(float(fraction))
+    assert values == [0.5, 0.25, 0.0, 0.0]
