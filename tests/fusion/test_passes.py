@@ -284,8 +284,8 @@ def test_program_is_printed_after_each_pass(monkeypatch, capsys):
     lowered, *_, scheduled = capsys.readouterr().err.split("--- ")[1:]
     assert lowered.startswith("lower\nargument 0: float32[3]\n") and "mul" in lowered
     assert scheduled.splitlines()[-2:] == [
-        "%8: float32 = fma %4, %5, %6",
-        "result 0: float32[1] = %10",
+        "%8: float32 = fma %1, %2, %3",
+        "result 0: float32[1] = %8",
     ]
 
 

@@ -2,20 +2,23 @@
 
 from collections.abc import Iterator
 
-from evo_cpg.fusion.ir.graph import Block, Graph, Node, Run
+from evo_cpg.fusion.ir.graph import Block, Graph, Node, Run, resolve
+
+# Constants, and other names of nodes.
+_HIDDEN = {"constant", "given", "inside", "opaque"}
 
 
 def show(graph: Graph) -> str:
     """Return a program as text.
 
     A line has the number of a node, its type (with ``u`` if it is uniform), its operation, and the
-    numbers of its operands. The blocks of a loop are indented.
+    numbers of its operands. The blocks of a loop are indented. Other names of a node are not shown.
     """
     runs = graph.runs
     if not runs:
         blocks: dict[Block, list[Run]] = {}
         for node in graph.nodes:
-            if node.op != "constant":
+            if node.op not in _HIDDEN:
                 loop = node if node.op == "loop" else None
                 blocks.setdefault(node.block, []).append(Run([] if loop else [node], loop))
         runs = blocks
@@ -24,6 +27,7 @@ def show(graph: Graph) -> str:
         for k, each in enumerate(graph.arguments)
     ]
     lines += _block(graph, runs, graph.top)
+    lines += [f"part {k}: {_names(part.results)}" for k, part in enumerate(graph.parts)]
     for k, (buffer, nodes) in enumerate(graph.results):
         lines.append(f"result {k}: {buffer.dtype}[{buffer.rows}] = {_names(nodes)}")
     return "\n".join(lines)
@@ -57,6 +61,7 @@ def _line(node: Node) -> str:
 
 
 def _name(node: Node) -> str:
+    node = resolve(node)
     return str(node.value) if node.value is not None else f"%{node.number:g}"
 
 
