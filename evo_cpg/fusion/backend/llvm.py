@@ -10,10 +10,10 @@ No instruction carries a fast-math flag, so the bits of an individual's results 
 vector's width.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from evo_cpg.fusion import machine_constants
-from evo_cpg.fusion.backend.code import Code, Copy, Item, LoopCode, Step, Stretch, Table
+from evo_cpg.fusion.backend.code import Code, Copy, Item, LoopCode, Place, Step, Stretch, Table
 from evo_cpg.fusion.backend.packing import Gang, each_vector, packed_loop
 from evo_cpg.fusion.backend.places import FRAME_ORIGIN
 from evo_cpg.fusion.backend.select import FRAME
@@ -157,7 +157,7 @@ class _Printer:
         return found
 
     def _call_for_gang(self, name: str, parameters: str, given: str) -> None:
-        self.gangs.append(each_vector(name, parameters, parameters, self.gang))
+        self.gangs.append(each_vector(name, parameters, self.gang))
         self.driver.append(f"call void @{name}.gang({given}{_GIVEN}, i64 %count)")
 
     def _copy(self, copy: Copy) -> None:
@@ -193,8 +193,8 @@ class _Printer:
 
     # Loops.
 
-    def _loop(self, item: LoopCode) -> None:
-        """Print the driver's lines of a loop or a branch."""
+    def _loop(self, item: LoopCode) -> str:
+        """Print the driver's lines of a loop or a branch, which has no result."""
         number, loop = item.number, item.loop
         counter, head, body, after = (
             f"{word}{number}" for word in ("round", "head", "body", "after")
@@ -222,6 +222,7 @@ class _Printer:
             self.driver += [f"%next{number} = add i32 %{counter}, 1", f"br label %{head}"]
             self.driver.append(f"{after}:")
         self.label = after
+        return ""
 
     def _count(self, slot: int, counter: str, number: int) -> None:
         """Put the number of the round where it is read."""
@@ -246,7 +247,7 @@ class _Printer:
         self._of_one_vector("void", name, parameters, [*lines, "ret void"])
         self._call_for_gang(name, parameters, parameters)
 
-    def _packed(self, item: LoopCode, reads, carries) -> None:
+    def _packed(self, item: LoopCode, reads: Sequence[Place], carries: Sequence[Place]) -> None:
         """A loop whose individuals are packed together; its functions are of one vector."""
         name = f"loop{len(self.functions)}"
         parameters = f"{self.buffers}ptr {FRAME}, "
@@ -254,10 +255,10 @@ class _Printer:
         self._of_one_vector("i32", f"{name}.test", parameters, [*lines, f"ret i32 {mask}"])
         lines, _ = self._apart(lambda: self._items(item.body))
         self._of_one_vector("void", f"{name}.round", parameters, [*lines, "ret void"])
-        self.gangs.append(packed_loop(name, parameters, parameters, self.gang, reads, carries))
+        self.gangs.append(packed_loop(name, parameters, self.gang, reads, carries))
         self.driver.append(f"call void @{name}.gang({parameters}ptr %scratch, i64 %n, i64 %count)")
 
-    def _apart(self, write) -> tuple[list[str], str]:
+    def _apart(self, write: Callable[[], str]) -> tuple[list[str], str]:
         """Return the driver's lines of what one vector does by itself, and the result of that."""
         outside = self.driver, self.label, self.turns
         self.driver, self.label, self.turns = [], "entry", False

@@ -1,6 +1,6 @@
 """Print a graph as text, one node a line."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from evo_cpg.fusion.ir.graph import Block, Graph, Node, Run, resolve
 
@@ -33,7 +33,7 @@ def show(graph: Graph) -> str:
     return "\n".join(lines)
 
 
-def _block(graph: Graph, runs, block: Block) -> Iterator[str]:
+def _block(graph: Graph, runs: Mapping[Block, Sequence[Run]], block: Block) -> Iterator[str]:
     for run in runs.get(block, ()):
         yield from map(_line, run.nodes)
         if run.loop is None:
@@ -65,5 +65,5 @@ def _name(node: Node) -> str:
     return str(node.value) if node.value is not None else f"%{node.number:g}"
 
 
-def _names(nodes) -> str:
+def _names(nodes: Iterable[Node]) -> str:
     return ", ".join(map(_name, nodes))
