@@ -1,8 +1,8 @@
 """What a user should know of a config's oscillators before they evolve: a line for each matter."""
 
-import sys
 from pathlib import Path
 
+from evo_cpg.cli.errors import warn
 from evo_cpg.control.couplings import uncoupled
 from evo_cpg.control.rest import resting
 from evo_cpg.simulation.simulation import Simulation
@@ -16,7 +16,7 @@ def warn_of_oscillators(path: Path, simulation: Simulation) -> None:
         simulation: that it describes.
     """
     for line in _matters(simulation):
-        print(f"evo-cpg: warning: {path}: {line}", file=sys.stderr)
+        warn(f"{path}: {line}")
 
 
 def _matters(simulation: Simulation) -> list[str]:

@@ -5,9 +5,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from rich import box
-from rich.console import Console
-from rich.table import Table
 
 from evo_cpg.analysis.limit_cycle import (
     LimitCycle,
@@ -20,6 +17,7 @@ from evo_cpg.cli.building import build
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.exit_codes import ExitCode
 from evo_cpg.cli.oscillators import warn_of_oscillators
+from evo_cpg.cli.tables import show_table
 from evo_cpg.config.load import load_config
 from evo_cpg.control.couplings import ring_members
 from evo_cpg.control.matsuoka import Oscillators
@@ -57,10 +55,7 @@ def show_rhythm(
     gains = np.full(network.oscillator_count, middle if gain is None else gain)
     tonic = cpg.max_tonic_input if tonic_input is None else tonic_input
     drive = np.full((2, network.oscillator_count), tonic)
-    table = Table(title=f"b = {gains[0]:g}, u = {tonic:g}", box=box.SIMPLE_HEAD, pad_edge=False)
-    for column in _COLUMNS:
-        left = column == "joints"
-        table.add_column(column, justify="left" if left else "right", no_wrap=left)
+    rows: list[tuple[str, ...]] = []
     rests: dict[str, list[str]] = {}
     failures: dict[str, list[str]] = {}
     cycles: dict[int, LimitCycle] = {}
@@ -69,15 +64,15 @@ def show_rhythm(
         names = tree.dof_names[first] + (f" + {len(others)}" if others else "")
         try:
             cycle = limit_cycle(network, drive, gains, part)
-            table.add_row(names, *_words(cycle))
+            rows.append((names, *_words(cycle)))
             cycles |= dict.fromkeys(part, cycle)
         except NoRhythmError as error:
-            table.add_row(names, "rest")
+            rows.append((names, "rest"))
             rests.setdefault(str(error), []).append(names)
         except RhythmSearchError as error:
-            table.add_row(names, "not found")
+            rows.append((names, "not found"))
             failures.setdefault(str(error), []).append(names)
-    Console().print(table)
+    show_table(_COLUMNS, rows, title=f"b = {gains[0]:g}, u = {tonic:g}")
     for i, ring in enumerate(cpg.rings):
         members = ring_members(tree, ring, i)
         if members[0] in cycles:

@@ -30,8 +30,7 @@ from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, topologic
 from evo_cpg.creature.mesh import ConvexMesh
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Sphere
 from evo_cpg.exchange.errors import ExchangeError
-from evo_cpg.exchange.mjcf_ground import add_ground
-from evo_cpg.exchange.mjcf_numbers import number_text, place_text
+from evo_cpg.exchange.mjcf_ground import add_ground, number_text, place_text
 from evo_cpg.physics.footing import Ground, combine
 from evo_cpg.physics.water import Water
 

@@ -6,6 +6,7 @@ import numpy as np
 from pydantic import Field, Tag, field_validator, model_validator
 
 from evo_cpg.config.schema.choice import CustomConfig, by_type
+from evo_cpg.config.schema.plausible import Direction
 from evo_cpg.config.schema.section import (
     Finite,
     NotNegative,
@@ -33,8 +34,8 @@ class LightConfig(OpenSection):
     """
 
     distance: Positive | None = None
-    bearing_deg: Finite | None = None
-    elevation_deg: Annotated[float, Field(ge=-90, le=90)] | None = None
+    bearing_deg: Annotated[Finite | None, Direction()] = None
+    elevation_deg: Annotated[Annotated[float, Field(ge=-90, le=90)] | None, Direction()] = None
     at: Vector | None = None
 
     @model_validator(mode="after")

@@ -1,42 +1,69 @@
-"""The commands that write for and read from other programs: export, import."""
+"""`evo-cpg export`: a creature as a MuJoCo model, or a motion for other programs."""
 
 import os
 import sys
 from pathlib import Path
+from typing import Annotated
 
-from evo_cpg.cli.building import build
-from evo_cpg.cli.champions import champion_motion, champion_record, open_run
+import typer
+
+from evo_cpg.cli.completion import complete_config
 from evo_cpg.cli.errors import UsageError, require_free
-from evo_cpg.cli.progress import working
-from evo_cpg.config.load import dump_creature, load_config
-from evo_cpg.config.schema.section import LARGEST
-from evo_cpg.exchange.mjcf_export import mjcf_model, mjcf_text
-from evo_cpg.exchange.mjcf_import import read_mjcf
-from evo_cpg.files import require_place, write_text, write_whole
-from evo_cpg.view.output import output_path
+from evo_cpg.cli.options import Cell, Number, Overwrite, Trial, find_config_or_folder
 
 
 def export(
-    source: Path, output: Path, overwrite: bool, number: int | None, trial: int, cell: str | None
+    source: Annotated[
+        Path,
+        typer.Argument(
+            metavar="CONFIG_OR_RUN",
+            help="A configuration file, the name of a shipped one, or a run folder.",
+            callback=find_config_or_folder,
+            autocompletion=complete_config,
+        ),
+    ],
+    output: Annotated[
+        Path,
+        typer.Argument(
+            metavar="OUT",
+            help="A .xml file for a MuJoCo model; of a run also a .glb, .csv or .npz file for the "
+            "motion.",
+        ),
+    ],
+    number: Number = None,
+    trial: Trial = 0,
+    cell: Cell = None,
+    overwrite: Overwrite = False,
 ) -> None:
-    """`evo-cpg export`: the suffix says what."""
+    """Write a creature as a MuJoCo model, or a run's motion as a 3D scene or a table."""
+    from evo_cpg.view.output import output_path
+
     require_free(output, overwrite)
-    suffix = output_path(output, (".xml", *MOTIONS)).suffix.lower()
+    suffix = output_path(output, (".xml", ".glb", ".csv", ".npz")).suffix.lower()
     if suffix == ".xml":
         if number is not None or trial or cell is not None:
             raise UsageError(f"{output}: has no motion; leave out --run, --trial, --cell")
-        export_model(source, output)
-        return
-    if not os.path.isdir(source):
+        _export_model(source, output)
+    elif not os.path.isdir(source):
         raise UsageError(f"{source} is no run folder: only a run has a motion for {output.name}")
-    MOTIONS[suffix](source, output, number, trial, cell)
+    elif suffix == ".glb":
+        _export_scene(source, output, number, trial, cell)
+    else:
+        from evo_cpg.cli.champions import champion_record
+
+        record = champion_record(source, number, trial, cell)
+        record.to_csv(output) if suffix == ".csv" else record.to_npz(output)
     print(output)
 
 
 def _export_scene(
     run: Path, output: Path, number: int | None, trial: int, cell: str | None
 ) -> None:
-    """An animated scene."""
+    """Write an animated scene."""
+    from evo_cpg.cli.champions import champion_motion
+    from evo_cpg.cli.progress import working
+    from evo_cpg.files import write_whole
+
     experiment, _, recording, _ = champion_motion(run, number, trial, cell)
     with working("writing the scene"):
         from evo_cpg.exchange.gltf_film import gltf_film
@@ -53,19 +80,14 @@ def _export_scene(
         write_whole(output, lambda file: file.write(scene))
 
 
-def _export_table(
-    run: Path, output: Path, number: int | None, trial: int, cell: str | None
-) -> None:
-    """The motion as named columns."""
-    record = champion_record(run, number, trial, cell)
-    record.to_csv(output) if output.suffix.lower() == ".csv" else record.to_npz(output)
+def _export_model(source: Path, output: Path) -> None:
+    """Write a MuJoCo model."""
+    from evo_cpg.cli.building import build
+    from evo_cpg.cli.champions import open_run
+    from evo_cpg.config.load import load_config
+    from evo_cpg.exchange.mjcf_export import mjcf_model, mjcf_text
+    from evo_cpg.files import write_text
 
-
-MOTIONS = {".glb": _export_scene, ".csv": _export_table, ".npz": _export_table}
-
-
-def export_model(source: Path, output: Path) -> None:
-    """A MuJoCo model."""
     if os.path.isdir(source):
         _, _, experiment = open_run(source)
     else:
@@ -92,19 +114,3 @@ def export_model(source: Path, output: Path) -> None:
     own = [type(law).__name__ for law in world.forces if not law.of_water]
     if own:
         print(f"left out: force laws of your own, {', '.join(own)}", file=sys.stderr)
-    print(output)
-
-
-def import_model(path: Path, output: Path, motor_gain: float | None, overwrite: bool) -> None:
-    """`evo-cpg import`."""
-    if motor_gain is not None and not motor_gain > 0:
-        raise UsageError(f"--motor-gain: must be greater than 0, got {motor_gain:g}")
-    if motor_gain is not None and motor_gain > LARGEST:
-        raise UsageError(f"--motor-gain: must be at most {LARGEST:g}, got {motor_gain:g}")
-    require_free(output, overwrite)
-    require_place(output)
-    creature, left_out = read_mjcf(path, motor_gain)
-    write_text(output, dump_creature(creature))
-    if left_out:
-        print(f"left out: {', '.join(left_out)}", file=sys.stderr)
-    print(output)
