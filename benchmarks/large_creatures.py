@@ -105,7 +105,8 @@ def _prepare(
     from evo_cpg.config.build import build_experiment
     from evo_cpg.config.load import complete_config
     from evo_cpg.fusion import engine
-    from evo_cpg.fusion.backend import machine, native
+    from evo_cpg.fusion.backend import machine
+    from evo_cpg.fusion.stopwatch import measuring
     from evo_cpg.training.devices import population_mesh, use_cores
     from evo_cpg.training.experiment import compile_trials
 
@@ -120,7 +121,11 @@ def _prepare(
     simulation = dataclasses.replace(simulation, steps=_STEPS)
     trials = compile_trials(simulation, population_mesh(1))
     live = functools.partial(trials, random_genes(simulation, size))
-    with warnings.catch_warnings(record=True) as caught, children_watched() as compiler:
+    with (
+        warnings.catch_warnings(record=True) as caught,
+        measuring() as spent,
+        children_watched() as compiler,
+    ):
         warnings.simplefilter("always")
         first = seconds(live)
         largest = compiler()
@@ -131,12 +136,12 @@ def _prepare(
         "memory": peak_memory(),
         "fallback": fallbacks[0] if fallbacks else None,
         "build": {
-            "operations": sum(each.operations for each in native.made) or None,
+            "operations": sum(each.operations for each in spent.programs) or None,
             "building": building,
-            "writing": sum(each.writing for each in native.made),
-            "llvm": sum(each.compiling for each in native.made),
+            "writing": sum(each.writing for each in spent.programs),
+            "llvm": sum(each.compiling for each in spent.programs),
             "code": machine.code_bytes(),
-            "scratch": max((each.scratch for each in native.made), default=0),
+            "scratch": max((each.scratch for each in spent.programs), default=0),
             "compiler": largest,
             "native": not fallbacks,
         },

@@ -1,10 +1,29 @@
-"""Measure the time that a thread spends on making native code."""
+"""Measure the time that a thread spends on making native code, and note what it makes."""
 
 import contextlib
 import contextvars
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+
+class Made(NamedTuple):
+    """Record of a program that became machine code.
+
+    Attributes:
+        name: of the program.
+        operations: number of nodes of its graph that became code.
+        writing: time from the JAX program to LLVM IR, s.
+        compiling: time from LLVM IR to machine code in memory, s.
+        scratch: bytes of memory that it works in.
+    """
+
+    name: str
+    operations: int
+    writing: float
+    compiling: float
+    scratch: int
 
 
 @dataclass
@@ -14,10 +33,12 @@ class Spent:
     Attributes:
         seconds: all of it, s: tracing programs, writing their code, and compiling it.
         compiler: the part of it that LLVM took, s; 0 where all code was kept from before.
+        programs: that became machine code, in order.
     """
 
     seconds: float = 0.0
     compiler: float = 0.0
+    programs: list[Made] = field(default_factory=list)
 
 
 _spent: contextvars.ContextVar[Spent | None] = contextvars.ContextVar("spent", default=None)
@@ -32,6 +53,13 @@ def measuring() -> Iterator[Spent]:
         yield spent
     finally:
         _spent.reset(token)
+
+
+def record(made: Made) -> None:
+    """Note a program that became machine code, if this thread measures."""
+    spent = _spent.get()
+    if spent is not None:
+        spent.programs.append(made)
 
 
 @contextlib.contextmanager

@@ -7,7 +7,7 @@ import pytest
 from against_jax import assert_agrees, fused, sample
 from jax import lax
 
-from evo_cpg.fusion.backend import native
+from evo_cpg.fusion import native
 from evo_cpg.fusion.fuse import fuse
 
 COUNTS = [1, 5, 16, 37, 301]

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 from against_jax import sample
 
-from evo_cpg.fusion import engine, machine_constants
-from evo_cpg.fusion.backend import compiler, compiler_process, machine, native
+from evo_cpg.fusion import engine, machine_constants, native
+from evo_cpg.fusion.backend import compiler, compiler_process, machine
+from evo_cpg.fusion.backend.compiler_process import Request
 from evo_cpg.fusion.engine import EngineWarning
 from evo_cpg.fusion.fuse import fuse
 
@@ -25,18 +26,21 @@ def tested():
     engine.target()
 
 
+def request(text):
+    target = machine.host()
+    return Request(text, target.processor, target.features, 2)
+
+
 @pytest.fixture
 def compiles(monkeypatch):
     """Compile a module as the library does, in a new process that ends afterwards."""
-    target = machine.host()
     compiler._stop()
-    yield lambda text: compiler.object_code(text, target.processor, target.features, 2)
+    yield lambda text: compiler.object_code(request(text))
     compiler._stop()
 
 
 def test_process_makes_the_same_code(compiles):
-    target = machine.host()
-    here = compiler_process.object_code(SEVEN, target.processor, target.features, 2)
+    here = compiler_process.object_code(request(SEVEN))
     assert compiles(SEVEN) == here
     assert compiler._process is not None and compiler._process.pid != os.getpid()
 

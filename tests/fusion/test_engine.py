@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from against_jax import sample
 
-from evo_cpg.fusion import engine, machine_constants
-from evo_cpg.fusion.backend import compiler, machine, native
+from evo_cpg.fusion import engine, machine_constants, native
+from evo_cpg.fusion.backend import compiler, machine
 from evo_cpg.fusion.engine import Engine, EngineWarning, described, using
 from evo_cpg.fusion.fuse import fuse
 from evo_cpg.fusion.unsupported import Unsupported
@@ -218,7 +218,7 @@ def test_a_mistake_in_the_making_of_code(monkeypatch):
     def fails(*_):
         raise ValueError("no idea\nat all")
 
-    monkeypatch.setattr(native, "emit", fails)
+    monkeypatch.setattr(native, "to_llvm", fails)
     x = sample((3, 9))
     got, said = warned(jax.jit(lambda x: fuse(smooth, x, batch_ndim=1)), x)
     assert said == ["smooth runs on plain JAX, not as native code: ValueError: no idea"]
@@ -226,13 +226,13 @@ def test_a_mistake_in_the_making_of_code(monkeypatch):
 
 
 def test_code_that_llvm_refuses(monkeypatch):
-    whole = native.emit
+    whole = native.to_llvm
 
     def broken(*args):
         code = whole(*args)
         return code._replace(text=code.text.replace("fmul", "fnothing"))
 
-    monkeypatch.setattr(native, "emit", broken)
+    monkeypatch.setattr(native, "to_llvm", broken)
     x = sample((3, 9))
     got, said = warned(jax.jit(lambda x: fuse(lambda x: x * x[0][None], x, batch_ndim=1)), x)
     assert len(said) == 1 and "RuntimeError: LLVM IR parsing error" in said[0]
@@ -245,9 +245,9 @@ def seven(tmp_path, monkeypatch):
     machine.keep_code_in(tmp_path)
     compiled, make = [], compiler.object_code
 
-    def compile_and_count(text, *args):
-        compiled.append(text)
-        return make(text, *args)
+    def compile_and_count(request):
+        compiled.append(request)
+        return make(request)
 
     monkeypatch.setattr(compiler, "object_code", compile_and_count)
 

@@ -9,7 +9,6 @@ import pytest
 from against_jax import assert_agrees, fused, plain, sample
 
 from evo_cpg.fusion.fuse import fuse, symmetric
-from evo_cpg.fusion.ir.graph import Graph
 from evo_cpg.spatial.linear import cross, expand_dims_like, inverse_symmetric, matmul, matvec
 
 LEGS = 4
@@ -200,17 +199,3 @@ def test_a_symmetric_matrix_is_its_upper_half():
     wanted = [[m[min(i, j), max(i, j)] for j in range(3)] for i in range(3)]
     np.testing.assert_array_equal(got, np.array(wanted))
     assert symmetric(m) is m
-
-
-def test_constants_fold_and_equal_things_are_one():
-    graph = Graph()
-    f32 = np.dtype("f4")
-    x, y = graph.input(0, f32), graph.input(1, f32)
-    zero, one, two = (graph.constant(value, f32) for value in (0, 1, 2))
-    assert graph.add(graph.multiply(zero, x), y) is y
-    assert graph.multiply(x, one) is x
-    assert graph.add(x, y) is graph.add(y, x)
-    assert graph.add(two, one).value == 3
-    assert graph.subtract(x, graph.negate(y)) is graph.add(x, y)
-    minus = graph.multiply(graph.constant(-2, f32), x)
-    assert graph.add(y, minus) is graph.subtract(y, graph.multiply(two, x))

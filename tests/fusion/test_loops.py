@@ -10,10 +10,11 @@ from against_jax import assert_agrees, fused, sample
 from jax import lax
 
 from evo_cpg.fusion.converge import implicit, while_each
+from evo_cpg.fusion.frontend.builder import Builder
 from evo_cpg.fusion.frontend.lower import trace_closed
 from evo_cpg.fusion.fuse import fuse
-from evo_cpg.fusion.ir.graph import Graph
-from evo_cpg.fusion.passes.liveness import Plan
+from evo_cpg.fusion.passes.dead_code import eliminate_dead_code
+from evo_cpg.fusion.passes.schedule import schedule
 
 COUNTS = [1, 2, 5, 16, 19]
 
@@ -263,15 +264,11 @@ def test_derivatives_of_a_search_by_what_all_share(x64):
         assert by_x[i, 4] == pytest.approx(float(moved[0] - moved[1]) / 2e-6, rel=1e-7)
 
 
-def planned(function, *values):
-    graph = Graph()
-    inputs = []
-    for i, value in enumerate(values):
-        nodes = np.empty(value.size, object)
-        nodes[:] = [graph.input((i, k), value.dtype) for k in range(value.size)]
-        inputs.append(nodes.reshape(value.shape))
-    results = trace_closed(graph, jax.make_jaxpr(function)(*values), inputs)
-    return Plan([node for result in results for node in result.flat], graph.top), graph.top
+def scheduled(function, *values):
+    builder = Builder()
+    inputs = [builder.argument(value.shape, value.dtype) for value in values]
+    results = trace_closed(builder, jax.make_jaxpr(function)(*values), inputs)
+    return schedule(eliminate_dead_code(builder.graph(results)))
 
 
 def test_what_nobody_needs_is_not_carried():
@@ -283,11 +280,11 @@ def test_what_nobody_needs_is_not_carried():
         (useful, _, _), (_, path) = lax.scan(turn, (x, x, x), None, length=3)
         return useful, path[2]
 
-    plan, top = planned(function, np.ones(2, np.float32))
-    (_, loop), _ = plan.runs(top)
-    assert len(plan.carried) == len(plan.kept(loop)) == 2
-    assert len(plan.lists(loop)) == 2
-    ((body, _),) = plan.runs(loop.detail.body)
+    graph = scheduled(function, np.ones(2, np.float32))
+    (_, loop), _ = graph.runs[graph.top]
+    assert len(graph.kept[loop]) == 2
+    assert sum(node.op == "list" for node in graph.nodes) == 2
+    ((body, _),) = graph.runs[loop.detail.body]
     assert [node.op for node in body] == ["mul", "mul"]
 
 
@@ -295,10 +292,10 @@ def test_what_does_not_change_is_computed_before_the_loop():
     def function(x):
         return lax.scan(lambda c, _: (c * jnp.sqrt(x[0] * x[1]), None), x, None, length=3)[0]
 
-    plan, top = planned(function, np.ones(2, np.float32))
-    (before, loop), _ = plan.runs(top)
+    graph = scheduled(function, np.ones(2, np.float32))
+    (before, loop), _ = graph.runs[graph.top]
     assert [node.op for node in before] == ["mul", "sqrt"]
-    ((body, _),) = plan.runs(loop.detail.body)
+    ((body, _),) = graph.runs[loop.detail.body]
     assert {node.op for node in body} == {"mul"}
 
 
@@ -315,9 +312,9 @@ def test_a_loop_within_another_does_not_wait_for_who_is_done_there():
 
         return lax.while_loop(lambda state: state[1] > 0, outer, (x, x[1]))[0]
 
-    plan, top = planned(function, np.ones(2, np.float32))
-    (_, outside), _ = plan.runs(top)
-    (_, inside), _ = plan.runs(outside.detail.body)
+    graph = scheduled(function, np.ones(2, np.float32))
+    (_, outside), _ = graph.runs[graph.top]
+    (_, inside), _ = graph.runs[outside.detail.body]
     wants, condition = inside.detail.condition, outside.detail.condition
     assert wants.op == "and" and condition.op == "gt"
     assert {node.op for node in wants.operands} == {"gt"}

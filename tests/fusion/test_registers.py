@@ -13,8 +13,8 @@ from jax import lax
 from evo_cpg.fusion.backend.machine import host
 from evo_cpg.fusion.backend.registers import Registers
 from evo_cpg.fusion.engine import Engine, using
+from evo_cpg.fusion.frontend.builder import Builder
 from evo_cpg.fusion.fuse import fuse
-from evo_cpg.fusion.ir.graph import Graph
 from evo_cpg.fusion.passes.schedule import ordered
 from evo_cpg.fusion.unsupported import Unsupported
 
@@ -25,8 +25,8 @@ LIMIT = 6  # of eight registers two are spare
 @st.composite
 def programs(draw):
     """Operations in the order in which they were made, and what is wanted of them."""
-    graph = Graph()
-    known = [graph.input((0, i), np.dtype(np.float32)) for i in range(INPUTS)]
+    graph = Builder()
+    known = list(graph.argument((INPUTS,), np.float32))
     made = []
     for _ in range(draw(st.integers(1, 60))):
         pair = [known[draw(st.integers(0, len(known) - 1))] for _ in range(2)]
@@ -51,8 +51,8 @@ def test_order_computes_all_of_it_operands_first(program):
 
 def test_what_frees_most_comes_soon():
     """Sums of neighbours, made one level after the other: each is added up before the next."""
-    graph = Graph()
-    rows = [graph.input((0, i), np.dtype(np.float32)) for i in range(16)]
+    graph = Builder()
+    rows = list(graph.argument((16,), np.float32))
     made = []
     while len(rows) > 1:
         rows = [graph.add(a, b) for a, b in zip(rows[::2], rows[1::2], strict=True)]

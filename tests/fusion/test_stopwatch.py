@@ -1,5 +1,6 @@
 """What is spent on native code is measured for whoever wants to know."""
 
+import functools
 import threading
 import time
 
@@ -45,7 +46,8 @@ def test_the_compiler_counts_for_new_code_alone():
 
     def made():
         # No other test has this number, so no code of it is there.
-        return jax.jit(lambda x: fuse(lambda x: x * 1.2345678 + 8.7654321, x, batch_ndim=1))
+        function = functools.partial(fuse, lambda x: x * 1.2345678 + 8.7654321, batch_ndim=1)
+        return jax.jit(functools.partial(function, name="a sum"))
 
     spents = []
     for _ in range(2):
@@ -55,3 +57,6 @@ def test_the_compiler_counts_for_new_code_alone():
     first, second = spents
     assert 0 < first.compiler < first.seconds
     assert second.compiler == 0 < second.seconds
+    (made,) = first.programs
+    assert made.name == "a sum" and made.operations == 1
+    assert 0 < made.writing < first.seconds and first.compiler <= made.compiling

@@ -7,10 +7,10 @@ import pytest
 
 from creatures import quick_jit
 from evo_cpg.fusion import machine_constants
+from evo_cpg.fusion.frontend.builder import Builder
 from evo_cpg.fusion.frontend.lower import trace_closed
 from evo_cpg.fusion.frontend.symmetric_solve import solve_symmetric
 from evo_cpg.fusion.fuse import fuse
-from evo_cpg.fusion.ir.graph import Graph
 from evo_cpg.spatial.ldl import factorize, solve_factorized
 
 
@@ -59,11 +59,9 @@ def test_zeros_between_limbs_cost_nothing():
         places = np.array([(1, 0), (2, 0), (2, 1), (3, 0), (4, 0), (4, 3)])
         return factorize(H.at[tuple(places.T)].set(x[5:]))
 
-    graph = Graph()
-    inputs = np.empty(11, object)
-    inputs[:] = [graph.input((0, k), np.float32) for k in range(11)]
+    builder = Builder()
     closed = jax.make_jaxpr(limbs)(np.zeros(11, np.float32))
-    rows = trace_closed(graph, closed, [inputs])[:5]
+    rows = trace_closed(builder, closed, [builder.argument((11,), np.float32)])[:5]
     between = [rows[3][1], rows[3][2], rows[4][1], rows[4][2]]
     assert [node.value for node in between] == [0, 0, 0, 0]
     assert all(node.value is None for node in (*rows[2], rows[3][0], rows[4][0], rows[4][3]))

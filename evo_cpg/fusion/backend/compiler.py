@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import BinaryIO, cast
 
 from evo_cpg.fusion.backend import compiler_process
+from evo_cpg.fusion.backend.compiler_process import Request
 from evo_cpg.fusion.unsupported import Unsupported
 
 # A process that has compiled more text than this (bytes) ends, for LLVM keeps its memory.
@@ -26,14 +27,8 @@ class CompilerDied(Unsupported):
     """LLVM ended its process while it compiled a program."""
 
 
-def object_code(text: str, processor: str, features: str, effort: int) -> bytes:
+def object_code(request: Request) -> bytes:
     """Compile a module of LLVM IR.
-
-    Args:
-        text: the module.
-        processor: LLVM's name of it.
-        features: LLVM's list of what it has.
-        effort: of the optimiser, 0 to 3.
 
     Raises:
         CompilerDied: LLVM ended its process.
@@ -42,27 +37,26 @@ def object_code(text: str, processor: str, features: str, effort: int) -> bytes:
     with _lock:
         process = _running()
         if process is None:
-            return compiler_process.object_code(text, processor, features, effort)
+            return compiler_process.object_code(request)
         try:
-            return _asked(process, text, processor, features, effort)
+            return _asked(process, request)
         except BaseException:
             # The pipes hold half a request or half an answer.
             _stop()
             raise
         finally:
-            if len(text) > _LARGE_TEXT:
+            if len(request.text) > _LARGE_TEXT:
                 _stop()
 
 
-def _asked(
-    process: subprocess.Popen, text: str, processor: str, features: str, effort: int
-) -> bytes:
+def _asked(process: subprocess.Popen, request: Request) -> bytes:
     """Send a request and read the answer."""
     requests, answers = cast(BinaryIO, process.stdin), cast(BinaryIO, process.stdout)
-    given = text.encode()
-    request = {"processor": processor, "features": features, "effort": effort, "size": len(given)}
+    options = request._asdict()
+    text = options.pop("text").encode()
+    line = json.dumps({**options, "size": len(text)}).encode()
     with contextlib.suppress(BrokenPipeError):
-        requests.write(json.dumps(request).encode() + b"\n" + given)
+        requests.write(line + b"\n" + text)
         requests.flush()
     line = answers.readline()
     answer = json.loads(line) if line.endswith(b"\n") else {"size": 1}

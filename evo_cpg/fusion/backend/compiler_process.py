@@ -16,7 +16,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable
-from typing import TYPE_CHECKING, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
 
 if TYPE_CHECKING:
     import llvmlite.binding as llvm
@@ -27,25 +27,35 @@ if TYPE_CHECKING:
 _STACK = 256 * 2**20
 
 
-def object_code(text: str, processor: str, features: str, effort: int) -> bytes:
-    """Compile a module of LLVM IR, on a thread with a large stack.
+class Request(NamedTuple):
+    """A module of LLVM IR to be compiled.
 
-    Args:
+    Attributes:
         text: the module.
         processor: LLVM's name of it.
         features: LLVM's list of what it has.
         effort: of the optimiser, 0 to 3.
+    """
+
+    text: str
+    processor: str
+    features: str
+    effort: int
+
+
+def object_code(request: Request) -> bytes:
+    """Compile a module of LLVM IR, on a thread with a large stack.
 
     Raises:
         RuntimeError: the text is not valid IR, or LLVM has no such processor.
     """
-    return _on_large_stack(lambda: _object_code(text, processor, features, effort))
+    return _on_large_stack(lambda: _object_code(*request))
 
 
-def _object_code(text: str, processor: str, features: str, effort: int) -> bytes:
+def _object_code(text: str, *machine_of: Any) -> bytes:
     import llvmlite.binding as llvm
 
-    machine = _machine(processor, features, effort)
+    machine = _machine(*machine_of)
     module = llvm.parse_assembly(text)
     # The order of instructions and what is in registers is settled (`registers`);
     # looking for a better one takes longer than all the rest. The setting is the whole process's.
@@ -113,7 +123,7 @@ def serve(requests: BinaryIO, answers: BinaryIO) -> None:
         request = json.loads(line)
         text = requests.read(request.pop("size")).decode()
         try:
-            code, told = object_code(text, **request), {}
+            code, told = object_code(Request(text, **request)), {}
         except Exception as error:
             code, told = b"", {"error": f"{error}"}
         answers.write(json.dumps({**told, "size": len(code)}).encode() + b"\n" + code)

@@ -23,7 +23,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from evo_cpg.fusion.backend.emit import Buffer, Variant
+from evo_cpg.fusion.backend.code import Variant
+from evo_cpg.fusion.ir.graph import Buffer
 
 # Of the interface that this is written for. Before 1.0 of it a later minor version only adds.
 _MAJOR, _MINOR = 0, 1

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from evo_cpg.fusion import machine_constants
 from evo_cpg.fusion.backend import compiler
+from evo_cpg.fusion.backend.compiler_process import Request
 from evo_cpg.fusion.stopwatch import counted
 from evo_cpg.fusion.unsupported import Unsupported
 
@@ -146,7 +147,8 @@ def _load(name: str, text: str, target: Target) -> int:
         if code is None:
             effort = machine_constants.LLVM_EFFORT
             with counted(compiler=True):
-                code = compiler.object_code(text, target.processor, target.features, effort)
+                request = Request(text, target.processor, target.features, effort)
+                code = compiler.object_code(request)
             _write(name, code)
         builder = _llvm().JITLibraryBuilder()
         builder.add_object_img(code).add_current_process().export_symbol("handler")

@@ -11,8 +11,10 @@ An individual's numbers are the same wherever they lie, so its bits do not depen
 neighbours are.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
+
+from evo_cpg.fusion.backend.code import Place
 
 _DECLARED = {
     "llvm.ctlz.i32": "declare i32 @llvm.ctlz.i32(i32, i1)",
@@ -33,20 +35,6 @@ _FEWEST_ROUNDS = 16
 
 # IR types by bytes of a number.
 _WORDS = {1: "i8", 2: "i16", 4: "i32", 8: "i64"}
-
-
-class Place(NamedTuple):
-    """A place in scratch memory.
-
-    Attributes:
-        start: bytes.
-        size: bytes of one individual's number.
-        shared: one number for all individuals.
-    """
-
-    start: int
-    size: int
-    shared: bool = False
 
 
 class Gang(NamedTuple):
@@ -87,7 +75,7 @@ def declared(width: int, compresses: bool) -> dict[str, str]:
 
 
 def packed_loop(
-    name: str, parameters: str, given: str, gang: Gang, reads: Iterable[Place], carries: list[Place]
+    name: str, parameters: str, gang: Gang, reads: Sequence[Place], carries: Sequence[Place]
 ) -> str:
     """The function ``@name.gang``, which runs a loop for all vectors of a gang.
 
@@ -97,12 +85,10 @@ def packed_loop(
     Args:
         name: of the loop.
         parameters: of both before the scratch memory, with their types, and a comma behind.
-        given: the same as arguments.
         gang: the vectors.
         reads: all that the loop reads.
         carries: what of it changes.
     """
-    reads = list(reads)
     own = sorted({place for place in reads if not place.shared} | set(carries))
     shared = sorted({place for place in reads if place.shared})
     width, stride, most = gang.width, gang.stride, gang.vectors * gang.width
@@ -117,7 +103,7 @@ def packed_loop(
             f"store {_WORDS[place.size]} %shared{i}, ptr %to{i}",
         )
     ]
-    call = f"{given}ptr %{{}}, i64 %n, i64 0"
+    call = f"{parameters}ptr %{{}}, i64 %n, i64 0"
     body = f"""
 define internal void @{name}.gang({parameters}ptr %scratch, i64 %n, i64 %count) noinline #0 {{
 entry:
@@ -466,13 +452,12 @@ def _lines(lines: list[str]) -> str:
     return "\n".join(f"  {line}" for line in lines)
 
 
-def each_vector(name: str, parameters: str, given: str, gang: Gang) -> str:
+def each_vector(name: str, parameters: str, gang: Gang) -> str:
     """The function ``@name.gang``, which calls ``@name`` for every vector of a gang.
 
     Args:
         name: of a function of one vector.
         parameters: before its scratch memory, with their types, and a comma behind.
-        given: the same as arguments.
         gang: the vectors.
     """
     return f"""
@@ -488,7 +473,7 @@ vector:
   %here = add i64 %first, %before
   %within = icmp slt i64 %here, %last
   %start = select i1 %within, i64 %here, i64 %last
-  call void @{name}({given}ptr %base, i64 %n, i64 %start)
+  call void @{name}({parameters}ptr %base, i64 %n, i64 %start)
   %next = add i64 %v, 1
   %more = icmp ult i64 %next, %count
   br i1 %more, label %vector, label %done

@@ -9,8 +9,7 @@ and finds nothing better.
 from collections.abc import Iterable, Sequence
 
 from evo_cpg.fusion import machine_constants
-from evo_cpg.fusion.ir.graph import Node
-from evo_cpg.fusion.passes.schedule import resolve
+from evo_cpg.fusion.ir.graph import Node, resolve
 
 # A value as a number for each individual, or once for all of them.
 Held = tuple[Node, bool]

@@ -4,9 +4,11 @@ A value is either the same for all individuals of a vector, a scalar, or a vecto
 """
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
+
+from evo_cpg.fusion.backend.code import Template
 
 # LLVM's types by NumPy's character.
 TYPES = {
@@ -16,52 +18,62 @@ TYPES = {
 
 
 class Writer:
-    """Writes instructions one after the other.
+    """Writes the instructions of templates.
 
     Attributes:
         width: individuals in a vector.
         fma: whether the processor multiplies and adds in one instruction.
         lines: the instructions.
-        count: of names given.
-        declared: declarations of the functions that were called, by name.
+        declared: declarations of the functions that are called, by name.
     """
 
     def __init__(self, width: int, fma: bool):
         self.width, self.fma = width, fma
         self.lines: list[str] = []
-        self.count = 0
         self.declared: dict[str, str] = {}
+        self._arity = self._names = 0
+
+    def template(self, arity: int, write: Callable[..., str | None]) -> Template:
+        """Return the instructions that a function writes.
+
+        Args:
+            arity: number of operands.
+            write: from gaps for operands to the name of the result.
+        """
+        self.lines, self._arity, self._names = [], arity, 0
+        operands = [f"{{{k}}}" for k in range(arity)]
+        found = write(*operands)
+        names = [f"%v{{{arity + k}}}" for k in range(self._names)]
+        result = 0 if found is None or found in operands else names.index(found) + 1
+        return Template("\n".join(self.lines), len(self.lines), self._names, result)
 
     def let(self, text: str) -> str:
-        """Write an instruction; the name of its result."""
-        self.count += 1
-        name = f"%v{self.count}"
+        """Write an instruction; return the name of its result."""
+        name = f"%v{{{self._arity + self._names}}}"
+        self._names += 1
         self.lines.append(f"{name} = {text}")
         return name
 
     def type_of(self, dtype: np.dtype, uniform: bool) -> str:
-        """The type of a value: a scalar, if it is the same for all, or a vector."""
+        """Return the type of a value: a scalar, if it is the same for all, or a vector."""
         t = TYPES[dtype.char]
         return t if uniform or self.width == 1 else f"<{self.width} x {t}>"
 
     def literal(self, value, dtype: np.dtype, uniform: bool) -> str:
-        """A constant."""
+        """Return a constant."""
         text = number(value, dtype)
         if uniform or self.width == 1:
             return text
         return f"splat ({TYPES[dtype.char]} {text})"
 
     def intrinsic(self, name: str, t: str, a: Sequence[str], source: str = "") -> str:
-        """Call one of LLVM's own functions.
+        """Call one of LLVM's own functions; return the name of its result.
 
         Args:
             name: of it, without ``llvm.`` and types.
             t: type of its result.
             a: names of its operands.
             source: type of these, if it is another.
-
-        Returns:
-            The name of its result.
         """
         source = source or t
         suffix = self.suffix(t) + (f".{self.suffix(source)}" if source != t else "")
@@ -72,7 +84,7 @@ class Writer:
 
     @staticmethod
     def suffix(t: str) -> str:
-        """What LLVM appends to the names of intrinsics for a type."""
+        """Return what LLVM appends to the names of intrinsics for a type."""
         short = t.replace("float", "f32").replace("double", "f64")
         if short.startswith("<"):
             width, _, item = short[1:-1].partition(" x ")
@@ -81,7 +93,7 @@ class Writer:
 
 
 def number(value, dtype: np.dtype) -> str:
-    """A constant as LLVM reads it."""
+    """Return a constant as LLVM reads it."""
     if dtype.kind == "b":
         return "true" if value else "false"
     if dtype.kind in "iu":

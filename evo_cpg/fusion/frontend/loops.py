@@ -15,14 +15,15 @@ from jax.extend.core import ClosedJaxpr, Jaxpr
 
 from evo_cpg.fusion import jax_internals as internals
 from evo_cpg.fusion import machine_constants
+from evo_cpg.fusion.frontend.builder import Builder, Sums
 from evo_cpg.fusion.frontend.moves import SCATTER_ADD
-from evo_cpg.fusion.ir.graph import Block, Graph, Loop, Node, Sums
+from evo_cpg.fusion.ir.graph import Block, Loop, Node
 from evo_cpg.fusion.unsupported import Unsupported
 
 Trace = Callable[..., list[Any]]
 
 
-def _scan(graph: Graph, operands: list[Any], params: dict, trace: Trace) -> list[Any]:
+def _scan(graph: Builder, operands: list[Any], params: dict, trace: Trace) -> list[Any]:
     """A counted loop; what it reads one by one lies in tables, what it stacks in lists."""
     constant_count, carry_count = internals.scan_counts(params)
     length, closed = params["length"], params["jaxpr"]
@@ -61,10 +62,10 @@ def _scan(graph: Graph, operands: list[Any], params: dict, trace: Trace) -> list
         results = one_round(place, carried)
     following = [results[k] for k in others]
     loop = Loop(
-        length, test, body, counter, _flat(begin), _flat(placed), _flat(following),
-        None, place, _flat(results[carry_count:]),
+        length, test, body, counter, _flat(placed), _flat(following), None, place,
+        _flat(results[carry_count:]),
     )  # fmt: skip
-    ends, lists = graph.loop(loop)
+    ends, lists = graph.loop(_flat(begin), loop)
     found = dict(zip(others, _like(ends, begin), strict=True))
     # Sums of a loop around this one go on.
     found |= {k: x if x is start[k] else graph.totals(x) for k, x in sums.items()}
@@ -131,7 +132,7 @@ def _returned(params: dict, place: int) -> int | None:
 
 
 def _while(
-    graph: Graph, operands: list[np.ndarray], params: dict, trace: Trace
+    graph: Builder, operands: list[np.ndarray], params: dict, trace: Trace
 ) -> list[np.ndarray]:
     """A loop that ends when no individual wants another round; the others stay as they are."""
     of_test, of_body = params["cond_nconsts"], params["body_nconsts"]
@@ -142,27 +143,21 @@ def _while(
     carried = [_placeholders(graph, x, test) for x in start]
     with graph.within(test):
         (condition,) = trace(graph, params["cond_jaxpr"], [*test_consts, *carried])
-        condition, around = condition.item(), graph.block.active
-        if around is not None and not condition.uniform:
+        condition = condition.item()
+        if graph.active is not None and not condition.uniform:
             # A loop in another one does not wait for individuals that are done there.
-            condition = graph.apply("and", condition, around)
-    if not condition.uniform:
-        body.active = condition
+            condition = graph.apply("and", condition, graph.active)
     # What the test computes of them is computed before it is known whether there is a round.
     inside = np.frompyfunc(lambda node: graph.opaque(node, body), 1, 1)
     again = [np.asarray(inside(x), object) for x in carried]
-    with graph.within(body):
+    with graph.within(body, None if condition.uniform else condition):
         results = trace(graph, params["body_jaxpr"], [*body_consts, *again])
-    counter = graph.placeholder("counter", np.int32, body, uniform=True)
-    loop = Loop(
-        None, test, body, counter, _flat(start), _flat(carried), _flat(results),
-        condition, counter, [],
-    )  # fmt: skip
-    ends, _ = graph.loop(loop)
+    loop = Loop(None, test, body, None, _flat(carried), _flat(results), condition, None, ())
+    ends, _ = graph.loop(_flat(start), loop)
     return _like(ends, start)
 
 
-def _cond(graph: Graph, operands: list, params: dict, trace: Trace) -> list:
+def _cond(graph: Builder, operands: list, params: dict, trace: Trace) -> list:
     which, *given = operands
     number, branches = which.item(), params["branches"]
     if number.value is not None:
@@ -177,7 +172,7 @@ def _cond(graph: Graph, operands: list, params: dict, trace: Trace) -> list:
     return results
 
 
-def _without_sums(graph: Graph, trace: Trace, branch: ClosedJaxpr, given: list) -> list:
+def _without_sums(graph: Builder, trace: Trace, branch: ClosedJaxpr, given: list) -> list:
     """The results of a branch that is always computed; it must not add to anything."""
     before = [len(x.added) for x in given if isinstance(x, Sums)]
     results = trace(graph, branch, given)
@@ -187,7 +182,7 @@ def _without_sums(graph: Graph, trace: Trace, branch: ClosedJaxpr, given: list) 
 
 
 def _branch(
-    graph: Graph, branch: ClosedJaxpr, given: list, here: Node, otherwise: list, trace: Trace
+    graph: Builder, branch: ClosedJaxpr, given: list, here: Node, otherwise: list, trace: Trace
 ) -> list:
     """The results of a branch for whoever takes it, and the other results for all others."""
     adds = any(isinstance(x, Sums) for x in otherwise)
@@ -197,12 +192,10 @@ def _branch(
         return [np.asarray(choose(a, b), object) for a, b in zip(results, otherwise, strict=True)]
     test = Block(graph.block)
     body = Block(test)
-    around = graph.block.active
     with graph.within(test):
         condition = graph.inside(here, test)
-        if around is not None:
-            condition = graph.apply("and", condition, around)
-    body.active = condition
+        if graph.active is not None:
+            condition = graph.apply("and", condition, graph.active)
     start = [x for x in otherwise if not isinstance(x, Sums)]
     carried = [_placeholders(graph, x, body) for x in start]
 
@@ -218,15 +211,12 @@ def _branch(
         x if isinstance(x, Sums) else np.asarray(np.frompyfunc(hide, 1, 1)(x), object)
         for x in given
     ]
-    with graph.within(body):
+    with graph.within(body, condition):
         results = trace(graph, branch, inside)
     following = [x for x in results if not isinstance(x, Sums)]
-    counter = graph.placeholder("counter", np.int32, body, uniform=True)
-    loop = Loop(
-        None, test, body, counter, _flat(start), _flat(carried), _flat(following),
-        condition, counter, [], once=True,
-    )  # fmt: skip
-    ends = iter(_like(graph.loop(loop)[0], start))
+    values = _flat(carried), _flat(following)
+    loop = Loop(None, test, body, None, *values, condition, None, (), once=True)
+    ends = iter(_like(graph.loop(_flat(start), loop)[0], start))
     return [x if isinstance(x, Sums) else next(ends) for x in otherwise]
 
 
@@ -247,14 +237,14 @@ def _length(jaxpr: Jaxpr) -> int:
     return total
 
 
-LOOPS: dict[str, Callable[[Graph, list[np.ndarray], dict, Trace], list[np.ndarray]]] = {
+LOOPS: dict[str, Callable[[Builder, list[np.ndarray], dict, Trace], list[np.ndarray]]] = {
     "cond": _cond,
     "scan": _scan,
     "while": _while,
 }
 
 
-def _row(graph: Graph, x: np.ndarray, place: Node) -> np.ndarray:
+def _row(graph: Builder, x: np.ndarray, place: Node) -> np.ndarray:
     """One of the rows of an array, at a computed place."""
     columns = x.reshape(len(x), -1).T
     row = np.empty(len(columns), object)
@@ -262,14 +252,14 @@ def _row(graph: Graph, x: np.ndarray, place: Node) -> np.ndarray:
     return row.reshape(x.shape[1:])
 
 
-def _placeholders(graph: Graph, like: np.ndarray, block: Block) -> np.ndarray:
+def _placeholders(graph: Builder, like: np.ndarray, block: Block) -> np.ndarray:
     result = np.empty(like.size, object)
     result[:] = [graph.placeholder("carried", node.dtype, block) for node in like.flat]
     return result.reshape(like.shape)
 
 
-def _flat(arrays: Sequence[np.ndarray]) -> list[Node]:
-    return [node for array in arrays for node in array.flat]
+def _flat(arrays: Sequence[np.ndarray]) -> tuple[Node, ...]:
+    return tuple([node for array in arrays for node in array.flat])
 
 
 def _like(nodes: list[Node], arrays: Sequence[np.ndarray]) -> list[np.ndarray]:
@@ -283,7 +273,7 @@ def _like(nodes: list[Node], arrays: Sequence[np.ndarray]) -> list[np.ndarray]:
     return result
 
 
-def _stacks(graph: Graph, lists: list[Node], avals: Sequence, length: int) -> list[np.ndarray]:
+def _stacks(graph: Builder, lists: list[Node], avals: Sequence, length: int) -> list[np.ndarray]:
     """What a loop has stacked, from the lists of its scalars."""
     given = iter(lists)
     result = []

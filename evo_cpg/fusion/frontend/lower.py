@@ -13,13 +13,13 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
 
 from evo_cpg.fusion import jax_internals as internals
+from evo_cpg.fusion.frontend.builder import Builder, Sums
 from evo_cpg.fusion.frontend.elementary import FLOAT32
 from evo_cpg.fusion.frontend.loops import LOOPS
 from evo_cpg.fusion.frontend.moves import MOVES, SCATTER_ADD, add_to_sums
 from evo_cpg.fusion.frontend.primitives import Program, fused_p, linear_map_p, trace_of
 from evo_cpg.fusion.frontend.symmetric_solve import eliminate, eliminate_p, elimination_of
-from evo_cpg.fusion.ir.graph import Graph, Node, Sums
-from evo_cpg.fusion.passes.contract import chain_sums
+from evo_cpg.fusion.ir.graph import Graph, Node
 from evo_cpg.fusion.unsupported import Unsupported
 
 # Programs within the program, by primitive, and the parameter that holds them.
@@ -53,10 +53,29 @@ LIBRARY = {
 _LINEAR_SOLVE = "custom_linear_solve"
 _OWN = {linear_map_p.name, eliminate_p.name, _LINEAR_SOLVE}
 
-Rule = Callable[[Graph, list[np.ndarray], dict], list[np.ndarray]]
+Rule = Callable[[Builder, list[np.ndarray], dict], list[np.ndarray]]
 
 
-def trace_program(graph: Graph, program: Program, inputs: Sequence[np.ndarray]) -> list[np.ndarray]:
+def lower(program: Program, builder: Builder) -> Graph:
+    """Return the graph of a program.
+
+    Args:
+        program: for one individual.
+        builder: makes its nodes.
+
+    Raises:
+        Unsupported: the program holds something that cannot be written as scalars.
+    """
+    inputs = [
+        builder.argument(x.shape, x.dtype, shared=i < program.shared)
+        for i, x in enumerate(program.inputs)
+    ]
+    return builder.graph(trace_program(builder, program, inputs))
+
+
+def trace_program(
+    graph: Builder, program: Program, inputs: Sequence[np.ndarray]
+) -> list[np.ndarray]:
     """The results of a program for one individual, arrays of nodes.
 
     What a program computes depends on nothing around it, not even in its last digit: nothing is
@@ -75,13 +94,13 @@ def trace_program(graph: Graph, program: Program, inputs: Sequence[np.ndarray]) 
     given = iter(inside[: program.shared])
     consts = [next(given) if own is None else constants(graph, own) for own in program.constants]
     results = trace(graph, program.jaxpr, [], [*consts, *inside[program.shared :]])
-    chain_sums(graph, [node for array in results for node in array.flat])
+    graph.end_part([node for array in results for node in array.flat])
     hide = functools.partial(graph.opaque, given=graph.given(inputs))
     return [_map(hide, x) for x in results]
 
 
 def trace(
-    graph: Graph, jaxpr: Jaxpr, consts: Sequence[np.ndarray], inputs: Sequence[np.ndarray]
+    graph: Builder, jaxpr: Jaxpr, consts: Sequence[np.ndarray], inputs: Sequence[np.ndarray]
 ) -> list[np.ndarray]:
     """The program's outputs as arrays of nodes.
 
@@ -111,14 +130,14 @@ def trace(
 
 
 def trace_closed(
-    graph: Graph, closed: ClosedJaxpr, inputs: Sequence[np.ndarray]
+    graph: Builder, closed: ClosedJaxpr, inputs: Sequence[np.ndarray]
 ) -> list[np.ndarray]:
     """`trace` of a program that brings its constants along."""
     values = [constants(graph, np.asarray(value)) for value in closed.consts]
     return trace(graph, closed.jaxpr, values, inputs)
 
 
-def constants(graph: Graph, values: np.ndarray) -> np.ndarray:
+def constants(graph: Builder, values: np.ndarray) -> np.ndarray:
     """An array of constant nodes."""
     result = np.empty(values.size, object)
     result[:] = [graph.constant(value, values.dtype) for value in values.flat]
@@ -132,7 +151,7 @@ def is_supported(name: str) -> bool:
 
 
 def _for_each(
-    graph: Graph, program: Program, batch: tuple[int, ...], inputs: Sequence[np.ndarray]
+    graph: Builder, program: Program, batch: tuple[int, ...], inputs: Sequence[np.ndarray]
 ) -> list[np.ndarray]:
     """`trace_program`, of which each individual may hold several."""
     if not batch:
@@ -151,7 +170,7 @@ def _for_each(
     return results
 
 
-def _equation(graph: Graph, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
+def _equation(graph: Builder, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
     name, params = equation.primitive.name, equation.params
     if name in _CALLS:
         inner = params[_CALLS[name]]
@@ -189,7 +208,7 @@ def _equation(graph: Graph, equation, operands: list[np.ndarray]) -> list[np.nda
     raise Unsupported(f"it has no rule for {name}")
 
 
-def _solve_linear(graph: Graph, operands: list[np.ndarray], params: dict) -> list[np.ndarray]:
+def _solve_linear(graph: Builder, operands: list[np.ndarray], params: dict) -> list[np.ndarray]:
     """What a linear system's own solver does; its other programs are for derivatives."""
     counts, jaxprs = params["const_lengths"], params["jaxprs"]
     before = counts.matvec + counts.vecmat
@@ -206,7 +225,7 @@ def _map(make: Callable[..., Node], *arrays: np.ndarray) -> np.ndarray:
     return np.asarray(np.frompyfunc(make, len(arrays), 1)(*arrays), object)
 
 
-def _evaluate(graph: Graph, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
+def _evaluate(graph: Builder, equation, operands: list[np.ndarray]) -> list[np.ndarray]:
     """Any other primitive on constants, by JAX itself."""
     values = [
         np.array([node.value for node in operand.flat], _type(atom)).reshape(operand.shape)
@@ -224,7 +243,7 @@ def _in_float32(name: str, count: int) -> ClosedJaxpr:
     return jax.make_jaxpr(FLOAT32[name])(*[scalar] * count)
 
 
-def _elementary(graph: Graph, name: str, operands: list[np.ndarray], params: dict) -> np.ndarray:
+def _elementary(graph: Builder, name: str, operands: list[np.ndarray], params: dict) -> np.ndarray:
     """A function of the C library: written out for float32, called for float64."""
     del params
     dtype = next((node.dtype for node in operands[0].flat), np.dtype(np.float32))
@@ -233,7 +252,7 @@ def _elementary(graph: Graph, name: str, operands: list[np.ndarray], params: dic
         inside = [_map(graph.opaque, x) for x in np.broadcast_arrays(*operands)]
         (result,) = trace_closed(graph, _in_float32(name, len(operands)), inside)
         # Their sums are ordered so that errors cancel.
-        chain_sums(graph, list(result.flat), reorder=False)
+        graph.end_part(list(result.flat), reorder=False)
         return _map(functools.partial(graph.opaque, given=graph.given(operands)), result)
     if dtype == np.float64 and name == "logistic":
         one = constants(graph, np.ones((), dtype))
@@ -245,7 +264,7 @@ def _elementary(graph: Graph, name: str, operands: list[np.ndarray], params: dic
 
 
 def _reduction(op: str) -> Rule:
-    def reduce(graph: Graph, operands: list[np.ndarray], params: dict) -> list[np.ndarray]:
+    def reduce(graph: Builder, operands: list[np.ndarray], params: dict) -> list[np.ndarray]:
         (x,), axes = operands, params["axes"]
         kept = [i for i in range(x.ndim) if i not in axes]
         rows = x.transpose(*kept, *axes).reshape(*(x.shape[i] for i in kept), -1)
@@ -259,7 +278,7 @@ def _reduction(op: str) -> Rule:
 
 
 def _cumulative(op: str) -> Rule:
-    def accumulate(graph: Graph, operands: list[np.ndarray], params: dict) -> list[np.ndarray]:
+    def accumulate(graph: Builder, operands: list[np.ndarray], params: dict) -> list[np.ndarray]:
         x = np.moveaxis(operands[0], params["axis"], 0)
         x = x[::-1] if params["reverse"] else x
         rows = list(x[:1])
@@ -275,7 +294,7 @@ def _cumulative(op: str) -> Rule:
 def _extreme_place(op: str) -> Rule:
     """Index of the first largest or smallest; of the first NaN, if there is one."""
 
-    def find(graph: Graph, operands: list[np.ndarray], params: dict) -> list[np.ndarray]:
+    def find(graph: Builder, operands: list[np.ndarray], params: dict) -> list[np.ndarray]:
         (x,), (axis,), dtype = operands, params["axes"], np.dtype(params["index_dtype"])
         x = np.moveaxis(x, axis, 0)
 
@@ -296,7 +315,7 @@ def _extreme_place(op: str) -> Rule:
     return find
 
 
-def _dot_general(graph: Graph, operands: list[np.ndarray], params: dict) -> list[np.ndarray]:
+def _dot_general(graph: Builder, operands: list[np.ndarray], params: dict) -> list[np.ndarray]:
     a, b = operands
     (contract_a, contract_b), (batch_a, batch_b) = params["dimension_numbers"]
     free_a = [i for i in range(a.ndim) if i not in (*contract_a, *batch_a)]
@@ -313,7 +332,7 @@ def _dot_general(graph: Graph, operands: list[np.ndarray], params: dict) -> list
     return [result.reshape((*batch, *outer_a, *outer_b))]
 
 
-def _scalar_product(graph: Graph, a: np.ndarray, b: np.ndarray) -> Node:
+def _scalar_product(graph: Builder, a: np.ndarray, b: np.ndarray) -> Node:
     """Sum of products; those with the same constant factor, up to its sign, share it.
 
     Points on a regular grid have coordinates that differ by their signs only: what their rows
@@ -343,7 +362,7 @@ def _scalar_product(graph: Graph, a: np.ndarray, b: np.ndarray) -> Node:
     return total
 
 
-def _select_n(graph: Graph, operands: list[np.ndarray], params: dict) -> list[np.ndarray]:
+def _select_n(graph: Builder, operands: list[np.ndarray], params: dict) -> list[np.ndarray]:
     which, *cases = operands
     if all(node.dtype.kind == "b" for node in which.flat):
         return [_map(lambda w, no, yes: graph.select(w, yes, no), which, *cases)]
@@ -359,7 +378,7 @@ def _select_n(graph: Graph, operands: list[np.ndarray], params: dict) -> list[np
     return [result]
 
 
-def _rounded(graph: Graph, operands: list[np.ndarray], params: dict) -> list[np.ndarray]:
+def _rounded(graph: Builder, operands: list[np.ndarray], params: dict) -> list[np.ndarray]:
     if params["rounding_method"] == jax.lax.RoundingMethod.TO_NEAREST_EVEN:
         return [_map(functools.partial(graph.apply, "round"), *operands)]
 
@@ -373,11 +392,11 @@ def _rounded(graph: Graph, operands: list[np.ndarray], params: dict) -> list[np.
     return [_map(away_from_zero, *operands)]
 
 
-def _power(graph: Graph, operands: list[np.ndarray], params: dict) -> list[np.ndarray]:
+def _power(graph: Builder, operands: list[np.ndarray], params: dict) -> list[np.ndarray]:
     return [_map(lambda x: graph.power(x, params.get("y", 2)), *operands)]
 
 
-def _one_minus_square(graph: Graph, operands: list[np.ndarray], params: dict) -> list[np.ndarray]:
+def _one_minus_square(graph: Builder, operands: list[np.ndarray], params: dict) -> list[np.ndarray]:
     """As a product, which keeps all digits near one; JAX has it since 0.12, for ``tanh``."""
 
     def product(x: Node) -> Node:
@@ -387,14 +406,14 @@ def _one_minus_square(graph: Graph, operands: list[np.ndarray], params: dict) ->
     return [_map(product, *operands)]
 
 
-def _inverse_root(graph: Graph, operands: list[np.ndarray], params: dict) -> list[np.ndarray]:
+def _inverse_root(graph: Builder, operands: list[np.ndarray], params: dict) -> list[np.ndarray]:
     def inverse(x: Node) -> Node:
         return graph.apply("div", graph.constant(1, x.dtype), graph.apply("sqrt", x))
 
     return [_map(inverse, *operands)]
 
 
-def _clamp(graph: Graph, operands: list[np.ndarray], params: dict) -> list[np.ndarray]:
+def _clamp(graph: Builder, operands: list[np.ndarray], params: dict) -> list[np.ndarray]:
     def clamp(low: Node, x: Node, high: Node) -> Node:
         return graph.apply("min", graph.apply("max", low, x), high)
 
@@ -402,7 +421,7 @@ def _clamp(graph: Graph, operands: list[np.ndarray], params: dict) -> list[np.nd
 
 
 def _conversion(op: str) -> Rule:
-    def convert(graph: Graph, operands: list[np.ndarray], params: dict) -> list[np.ndarray]:
+    def convert(graph: Builder, operands: list[np.ndarray], params: dict) -> list[np.ndarray]:
         dtype = np.dtype(params["new_dtype"])
         return [_map(functools.partial(graph.apply, op, dtype=dtype), *operands)]
 

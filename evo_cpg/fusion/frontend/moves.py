@@ -7,7 +7,7 @@ from collections.abc import Callable
 import jax
 import numpy as np
 
-from evo_cpg.fusion.ir.graph import Graph
+from evo_cpg.fusion.frontend.builder import Builder
 from evo_cpg.fusion.unsupported import Unsupported
 
 
@@ -233,7 +233,7 @@ def _same(graph, operands, params):
 SCATTER_ADD = ("scatter-add", "scatter_add")
 
 
-def add_to_sums(graph: Graph, operands: list, params: dict) -> list:
+def add_to_sums(graph: Builder, operands: list, params: dict) -> list:
     """Add to numbers in memory, at places that are the same for all individuals."""
     sums, indices, updates = operands
     places = indices.reshape(-1)
@@ -249,7 +249,7 @@ def _scatter_add(graph, operands, params):
 
 
 # By the name of JAX's primitive, from its operands and parameters to its results.
-MOVES: dict[str, Callable[[Graph, list[np.ndarray], dict], list[np.ndarray]]] = {
+MOVES: dict[str, Callable[[Builder, list[np.ndarray], dict], list[np.ndarray]]] = {
     "broadcast_in_dim": _broadcast_in_dim,
     "concatenate": lambda graph, xs, params: [np.concatenate(xs, params["dimension"])],
     "copy": _same,

@@ -213,7 +213,7 @@ def trace_of(params: dict[str, Any], inputs: Sequence[Any]) -> ClosedJaxpr:
     return jax.make_jaxpr(lambda *values: _apply_map(*values, **params))(*inputs)
 
 
-# How fused programs run, are differentiated and mapped; `evo_cpg.fusion.backend.native` and
+# How fused programs run, are differentiated and mapped; `evo_cpg.fusion.native` and
 # `evo_cpg.fusion.frontend.derivatives`, which themselves bind the primitive, fill it in.
 RULES: dict[str, Callable] = {}
 

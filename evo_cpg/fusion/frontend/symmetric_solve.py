@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 
 from evo_cpg.fusion import jax_internals as internals
 from evo_cpg.fusion import machine_constants
-from evo_cpg.fusion.ir.graph import Graph
+from evo_cpg.fusion.frontend.builder import Builder
 from evo_cpg.spatial.ldl import factorize, solve_factorized
 
 
@@ -80,7 +80,7 @@ def elimination_cost(filled: np.ndarray) -> int:
     return total
 
 
-def eliminate(graph: Graph, operands: list[np.ndarray]) -> np.ndarray | None:
+def eliminate(graph: Builder, operands: list[np.ndarray]) -> np.ndarray | None:
     """Make the answers by a loop; return None where writing them out is better.
 
     Args:

@@ -6,7 +6,8 @@ instructions and an addition; as a chain, ``((a b + c d) + e f) + g h``, one mul
 three of them. Where a sum has other terms they come first: ``((x + a b) + c d)``.
 
 Which products are added so is decided here, never by the compiler: the numbers are then the same
-with vectors of any width.
+with vectors of any width. It is decided for each part of the program by itself, so a part has the
+same results alone and within a larger program.
 
 | operation | what it is |
 |---|---|
@@ -16,65 +17,104 @@ with vectors of any width.
 """
 
 import collections
+import dataclasses
+import itertools
+from collections.abc import Iterable, Sequence
 
-from evo_cpg.fusion.ir.graph import Graph, Node, loops_around
+from evo_cpg.fusion.ir.graph import Change, Graph, Node, Part, behind, rewrite
 
 _SUMS = {"add", "sub"}
 
 
-def chain_sums(graph: Graph, wanted: list[Node], reorder: bool = True) -> None:
-    """Turn all sums behind the wanted nodes into chains of fused products, in place.
+def contract_multiply_adds(graph: Graph) -> Graph:
+    """Return the program with the sums of each part as chains of fused products."""
+    changes: dict[Node, Change] = {}
+    reached: set[Node] = set()
 
-    What other programs compute is left alone, and what they are given is not taken apart.
+    def reach(nodes: Iterable[Node]) -> None:
+        reached.update(nodes)
+        reached.update([node.operands[0] for node in nodes if node.op == "opaque"])
 
-    Args:
-        graph: whose nodes they are.
-        wanted: the results.
-        reorder: add in another order than is written; if not, only products are fused.
+    reach(_part(graph, graph.wanted))
+    # A part within another one comes before it.
+    for part in reversed(graph.parts):
+        if not reached.isdisjoint(part.results):
+            contraction = _Contraction(graph, part)
+            changes |= contraction.changes
+            reach(contraction.nodes)
+    # What was left of a sum may have users that no result needs.
+    nodes = [node for node in graph.nodes if node in reached]
+    return rewrite(dataclasses.replace(graph, nodes=nodes, parts=()), changes)
+
+
+class _Contraction:
+    """The new sums of a part.
+
+    Other parts are left alone, and what they are given is not taken apart.
+
+    Attributes:
+        changes: what sums become.
+        nodes: the nodes of the part, each with what it uses.
     """
-    order = _operands_first(wanted)
-    uses = collections.Counter(wanted)
-    for node in order:
-        uses.update(behind(node))
-    inner = {node for node in order if reorder and _is_sum(node) and uses[node] == 1}
-    taken = {
-        operand
-        for node in order
-        if _is_sum(node)
-        for operand in node.operands
-        if operand in inner and _goes_with(operand, node)
-    }
-    for node in order:
-        if _is_sum(node) and node not in taken:
-            chain = _chain(node, taken, uses)
-            for i, part in enumerate(chain, 1):
-                part.number = node.number - 1 + i / (len(chain) + 1)
-    for node in order:
-        if _is_sum(node):
-            _fuse_product(node, uses)
-    # Sums are no longer what they were made as.
-    graph.forget()
 
+    def __init__(self, graph: Graph, part: Part):
+        self.changes: dict[Node, Change] = {}
+        self.nodes = _part(graph, part.results)
+        every = itertools.chain(part.results, *self.nodes.values())
+        self._uses = uses = collections.Counter(every)
+        sums = [node for node in self.nodes if node.op in _SUMS and node.dtype.kind == "f"]
+        inner = {node for node in sums if part.reorder and uses[node] == 1}
+        self._taken = {
+            operand
+            for node in sums
+            for operand in node.operands
+            if operand in inner and _goes_with(operand, node)
+        }
+        for node in sums:
+            if node not in self._taken:
+                self._chain(node)
+        for node in sums:
+            self._fuse_product(node)
 
-def behind(node: Node) -> tuple[Node, ...]:
-    """All that must be known before a node is."""
-    if node.op == "inside":
-        return node.operands
-    if node.op == "opaque":
-        return () if node.detail is None else (node.detail,)
-    if node.op == "totals":
-        return (node.detail.memory, *node.detail.added)
-    if node.op == "accumulate":
-        return (*node.operands, *loops_around(node))
-    if node.op != "loop":
-        return node.operands
-    loop = node.detail
-    condition = () if loop.condition is None else (loop.condition,)
-    return (*node.operands, *condition, *loop.following, loop.place, *loop.written)
+    def _chain(self, root: Node) -> None:
+        """Write one sum as a chain with as many additions as before."""
+        sums, terms = [], []
+        waiting = [(root, True)]
+        while waiting:
+            node, positive = waiting.pop()
+            if node is root or (node in self._taken and _goes_with(node, root)):
+                sums.append(node)
+                first, second = node.operands
+                waiting.append((second, positive == (node.op == "add")))
+                waiting.append((first, positive))
+            else:
+                terms.append((node, positive))
+        if len(sums) == 1:
+            return
+        terms.sort(key=lambda term: self._is_product(term[0], root))
+        start = next(i for i, (_, positive) in enumerate(terms) if positive)
+        total = terms.pop(start)[0]
+        # The root is the last link and keeps its number. The others come shortly before it.
+        for i, (node, (term, positive)) in enumerate(zip(reversed(sums), terms, strict=True)):
+            after = len(sums) - 1 - i
+            number = root.number - after / len(sums) if after else root.number
+            self.changes[node] = Change("add" if positive else "sub", (total, term), number)
+            total = node
 
+    def _fuse_product(self, node: Node) -> None:
+        """Make one operation of a sum and one of its products."""
+        op, (first, second), number = self.changes.get(node) or (
+            node.op, node.operands, node.number
+        )  # fmt: skip
+        if self._is_product(second, node):
+            fused = "fma" if op == "add" else "fnma"
+            self.changes[node] = Change(fused, (*second.operands, first), number)
+        elif self._is_product(first, node):
+            fused = "fma" if op == "add" else "fms"
+            self.changes[node] = Change(fused, (*first.operands, second), number)
 
-def _is_sum(node: Node) -> bool:
-    return node.op in _SUMS and node.dtype.kind == "f"
+    def _is_product(self, node: Node, into: Node) -> bool:
+        return node.op == "mul" and self._uses[node] == 1 and _goes_with(node, into)
 
 
 def _goes_with(operand: Node, node: Node) -> bool:
@@ -82,57 +122,13 @@ def _goes_with(operand: Node, node: Node) -> bool:
     return operand.block is node.block and operand.uniform == node.uniform
 
 
-def _chain(root: Node, taken: set[Node], uses: collections.Counter) -> list[Node]:
-    """One sum, with as many additions as before; returns those before the last."""
-    sums, terms = [], []
-    waiting = [(root, True)]
+def _part(graph: Graph, wanted: Iterable[Node]) -> dict[Node, Sequence[Node]]:
+    """Return the wanted nodes and all behind them in their part, each with what it uses."""
+    found: dict[Node, Sequence[Node]] = {}
+    waiting = list(wanted)
     while waiting:
-        node, positive = waiting.pop()
-        if node is root or (node in taken and _goes_with(node, root)):
-            sums.append(node)
-            first, second = node.operands
-            waiting.append((second, positive == (node.op == "add")))
-            waiting.append((first, positive))
-        else:
-            terms.append((node, positive))
-    if len(sums) == 1:
-        return []
-    terms.sort(key=lambda term: _is_product(term[0], root, uses))
-    start = next(i for i, (_, positive) in enumerate(terms) if positive)
-    total = terms.pop(start)[0]
-    for node, (term, positive) in zip(reversed(sums), terms, strict=True):
-        node.op = "add" if positive else "sub"
-        node.operands = (total, term)
-        total = node
-    return sums[:0:-1]
-
-
-def _is_product(node: Node, into: Node, uses: collections.Counter) -> bool:
-    return node.op == "mul" and uses[node] == 1 and _goes_with(node, into)
-
-
-def _fuse_product(node: Node, uses: collections.Counter) -> None:
-    """Make one operation of a sum and one of its products."""
-    first, second = node.operands
-    if _is_product(second, node, uses):
-        node.op = "fma" if node.op == "add" else "fnma"
-        node.operands = (*second.operands, first)
-    elif _is_product(first, node, uses):
-        node.op = "fma" if node.op == "add" else "fms"
-        node.operands = (*first.operands, second)
-
-
-def _operands_first(wanted: list[Node]) -> list[Node]:
-    """The wanted nodes and all behind them."""
-    order: dict[Node, None] = {}
-    stack = [(node, False) for node in reversed(wanted)]
-    while stack:
-        node, expanded = stack.pop()
-        if node in order:
-            continue
-        if expanded:
-            order[node] = None
-        else:
-            stack.append((node, True))
-            stack.extend((operand, False) for operand in reversed(behind(node)))
-    return list(order)
+        node = waiting.pop()
+        if node not in found:
+            found[node] = uses = behind(node, graph)
+            waiting.extend(uses)
+    return found

@@ -4,20 +4,45 @@ What waits takes a register, or is stored and read again: a quarter of all instr
 in which a program was written.
 """
 
-from collections.abc import Iterator
+import dataclasses
+from collections.abc import Callable, Iterator, Sequence
 
-from evo_cpg.fusion.ir.graph import Node
+from evo_cpg.fusion.ir.graph import Block, Graph, Node, Run, resolve
+
+_NO_CODE = {"input", "carried", "counter", "constant", "opaque", "inside", "given"}
 
 
-def resolve(node: Node) -> Node:
-    """The node behind others that only stand for it."""
-    while node.op in ("opaque", "inside"):
-        node = node.operands[0]
-    return node
+def schedule(graph: Graph) -> Graph:
+    """Return the program with the operations of each block in the order of their computation."""
+    return dataclasses.replace(graph, runs=runs_of(graph, ordered))
+
+
+def runs_of(
+    graph: Graph, order: Callable[[list[Node]], Sequence[Node]] = list
+) -> dict[Block, list[Run]]:
+    """Return the operations of each block up to each of its loops, and behind the last.
+
+    Args:
+        graph: the program.
+        order: puts the operations of a run in order; else they stay in the order of their numbers.
+    """
+    blocks: dict[Block, list[Node]] = {}
+    for node in graph.nodes:
+        if node.op not in _NO_CODE:
+            blocks.setdefault(node.block, []).append(node)
+    runs = {}
+    for block, nodes in blocks.items():
+        runs[block], start = [], 0
+        for stop, node in enumerate(nodes):
+            if node.op == "loop":
+                runs[block].append(Run(order(nodes[start:stop]), node))
+                start = stop + 1
+        runs[block].append(Run(order(nodes[start:]), None))
+    return runs
 
 
 def ordered(run: list[Node]) -> list[Node]:
-    """The operations of a stretch without loops.
+    """Return the operations of a run in order.
 
     Each comes shortly before it is used, behind what nothing else uses, the operand made last
     first; and as soon as it is the last that waits for some value.

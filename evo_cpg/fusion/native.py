@@ -9,13 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from evo_cpg.fusion import engine
-from evo_cpg.fusion.backend.emit import Buffer, Code, Variant, emit
-from evo_cpg.fusion.backend.handler import handler
+from evo_cpg.fusion.backend.code import Variant
 from evo_cpg.fusion.backend.machine import Target, load
-from evo_cpg.fusion.frontend.lower import trace_program
+from evo_cpg.fusion.compile import to_llvm
 from evo_cpg.fusion.frontend.primitives import RULES, Program, plain
-from evo_cpg.fusion.ir.graph import Graph
-from evo_cpg.fusion.stopwatch import counted
+from evo_cpg.fusion.stopwatch import Made, counted, record
 
 
 class Native(NamedTuple):
@@ -30,32 +28,8 @@ class Native(NamedTuple):
     scratch: int
 
 
-class Made(NamedTuple):
-    """Record of a program that became machine code.
-
-    Attributes:
-        name: of the program.
-        operations: number of nodes of its graph that became code.
-        writing: time from the JAX program to LLVM IR, s.
-        compiling: time from LLVM IR to machine code in memory, s.
-        scratch: bytes of memory that it works in.
-    """
-
-    name: str
-    operations: int
-    writing: float
-    compiling: float
-    scratch: int
-
-
 # Bytes of a float32.
 _SINGLE = 4
-
-# Whether JAX computes what code cannot be made for; not in the self-test.
-FALLS_BACK = True
-
-# All programs that became machine code in this process, in order.
-made: list[Made] = []
 
 _codes: "weakref.WeakKeyDictionary[Program, dict]" = weakref.WeakKeyDictionary()
 
@@ -75,8 +49,6 @@ def evaluate(*arrays: jax.Array, program: Program, batch: tuple[int, ...]) -> li
     try:
         native = _native(program, count)
     except Exception as error:
-        if not FALLS_BACK:
-            raise
         engine.warn_of_fallback(program.name, error)
         return plain(program, batch)(*arrays)
     rows = [int(np.prod(aval.shape, dtype=int)) for aval in outputs]
@@ -116,46 +88,12 @@ def _native(program: Program, count: int) -> Native:
 
 def _make(program: Program, target: Target, variant: Variant) -> Native:
     start = time.perf_counter()
-    code = written(program, target, variant)
+    module = to_llvm(program, target, variant)
     middle = time.perf_counter()
-    name, address = load(code.text, target)
+    name, address = load(module.text, target)
     taken = middle - start, time.perf_counter() - middle
-    made.append(Made(program.name, code.operations, *taken, code.scratch))
-    return Native(engine.register(name, address), code.scratch)
-
-
-def written(program: Program, target: Target, variant: Variant) -> Code:
-    """LLVM IR of a program's code and of the entry into it.
-
-    Args:
-        program: for one individual.
-        target: the machine.
-        variant: the kind of code.
-
-    Raises:
-        Unsupported: there is no rule for a part of it, or it is too large.
-    """
-    graph, inputs, arguments = Graph(), [], []
-    for i, x in enumerate(program.inputs):
-        shared, dtype = i < program.shared, np.dtype(x.dtype)
-        nodes = np.empty(x.size, object)
-        nodes[:] = [graph.input((len(arguments), row), dtype, shared) for row in range(x.size)]
-        inputs.append(nodes.reshape(x.shape))
-        if x.size:
-            arguments.append(Buffer(x.size, dtype, shared))
-    found = trace_program(graph, program, inputs)
-    results = [
-        (Buffer(nodes.size, np.dtype(x.dtype)), list(nodes.flat))
-        for x, nodes in zip(program.outputs, found, strict=True)
-        if nodes.size
-    ]
-    code = emit(arguments, results, graph.top, variant)
-    entry = handler("handler", arguments, [buffer for buffer, _ in results], code.scratch, variant)
-    vector = (
-        f'"prefer-vector-width"="{8 * target.bytes}" "min-legal-vector-width"="{8 * target.bytes}"'
-    )
-    text = f"{code.text}\n{entry}\nattributes #0 = {{ nounwind {vector} }}\n"
-    return code._replace(text=text)
+    record(Made(program.name, module.operations, *taken, module.scratch))
+    return Native(engine.register(name, address), module.scratch)
 
 
 RULES["evaluate"] = evaluate

@@ -1,0 +1,532 @@
+"""Give every value its place: a register, a name that LLVM finds a register for, or memory.
+
+The program runs over the individuals a *vector* at a time: every scalar of the graph becomes
+instructions on registers that hold it for 16 individuals (or 8, 4, 1: the machine's width). All
+that lies between two ends of loops is one *stretch* without branches. What crosses from one to
+another has a *slot* in scratch memory, a number for each individual of the vector. What leaves the
+registers for a while is in memory that all vectors share. A value that a loop carries lives in its
+slot.
+
+The outcome is a program of `evo_cpg.fusion.backend.code`, in which nothing is left to decide.
+"""
+
+import dataclasses
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from evo_cpg.fusion import machine_constants
+from evo_cpg.fusion.backend.code import (
+    Code,
+    Copy,
+    Item,
+    LoopCode,
+    Piece,
+    Place,
+    Step,
+    Stretch,
+    Table,
+    Template,
+    Variant,
+)
+from evo_cpg.fusion.backend.crossing import crossing
+from evo_cpg.fusion.backend.packing import declared
+from evo_cpg.fusion.backend.places import FRAME_ORIGIN, Places
+from evo_cpg.fusion.backend.registers import Registers
+from evo_cpg.fusion.backend.select import FRAME, SCRATCH, Selector
+from evo_cpg.fusion.ir.graph import Block, Graph, Loop, Node, home, resolve, row_count
+from evo_cpg.fusion.passes.schedule import runs_of
+
+_FLAG = np.dtype(bool)
+
+
+def allocate(graph: Graph, variant: Variant) -> Code:
+    """Return the program in which every value has a place.
+
+    Args:
+        graph: a program; one that is not scheduled stays in the order in which it was made.
+        variant: the kind of code.
+    """
+    if not graph.runs:
+        graph = dataclasses.replace(graph, runs=runs_of(graph))
+    return _Allocator(graph, variant).code()
+
+
+class _Packed:
+    """A packed loop: what its rounds read from memory, and what they write."""
+
+    def __init__(self):
+        self.read: dict[Node, None] = {}
+        self.tables: dict[Node, None] = {}
+        self.written: set[Node] = set()
+
+
+class _Allocator:
+    """Goes through the code in the order in which it runs.
+
+    ``steps`` are those of the present piece, ``pieces`` those before it in the present stretch, and
+    ``items`` the code of the present block. ``registers`` and ``names`` know where the values of
+    the stretch are. ``packed`` belongs to the packed loop that is allocated, if it is one.
+    """
+
+    def __init__(self, graph: Graph, variant: Variant):
+        self.graph, self.variant = graph, variant
+        self.width = variant.width
+        self.lists: dict[Node, list[Node]] = {loop: [] for loop in graph.kept}
+        for node in graph.nodes:
+            if node.op == "list":
+                self.lists[node.operands[0]].append(node)
+        self.select = Selector(variant)
+        self.registers = Registers(variant.registers)
+        self.places = Places()
+        self.tables: dict[Node, int | str] = {}
+        self.constants: list[Table] = []
+        self.count = 0
+        # Of what crosses stretches, and of what left the registers in this one.
+        self.slots: dict[Node, int] = {}
+        self.spilled: dict[Node, int] = {}
+        ends = [loop.detail for loop in graph.kept if loop.detail.condition is not None]
+        self.ganged = self.width > 1 and not variant.masked and not all(x.once for x in ends)
+        self.packed: _Packed | None = None
+        self.alone = False
+        self.pieces: list[Piece] = []
+        self.items: list[Item] = []
+        self._begin()
+
+    def code(self) -> Code:
+        """Allocate the whole program."""
+        graph = self.graph
+        across = crossing(graph, self.lists)
+        far = set(across)
+        self._copy_inputs([node for node in graph.nodes if node.op == "input" and node in far])
+        carried = [loop.detail.carried[k] for loop, kept in graph.kept.items() for k in kept]
+        counters = [node for node in graph.nodes if node.op == "counter"]
+        for node in [*carried, *counters, *across]:
+            if node not in self.slots:
+                self.slots[node] = self.places.room(self._row_bytes(node))
+        self._block(graph.top, graph.wanted)
+        for k, (buffer, nodes) in enumerate(graph.results):
+            base = self._buffer(len(graph.arguments) + k)
+            template = self.select.store_row(buffer.dtype)
+            for row, node in enumerate(nodes):
+                name = self._ref(node)
+                self.buffers[base] = None
+                self._let(template, name, base, row)
+                self._used()
+                self._cut()
+        self._end()
+        return Code(
+            graph.arguments,
+            tuple(buffer for buffer, _ in graph.results),
+            self.variant,
+            self.items,
+            self.constants,
+            self.select.declared,
+            self.places.size,
+            self.places.frame,
+            self.ganged,
+        )
+
+    @property
+    def _takes_turns(self) -> bool:
+        """Whether all vectors of a gang come to the present code together."""
+        return self.ganged and self.packed is None and not self.alone
+
+    # Steps, pieces, stretches.
+
+    def _let(self, template: Template, *operands: str | int) -> str:
+        """Add a step; return the name of its result."""
+        first = self.count + 1
+        self.count += template.names
+        self.lines += template.lines
+        self.steps.append(Step(template, operands, first))
+        if template.result:
+            return f"%v{first + template.result - 1}"
+        return operands[0]  # pyright: ignore[reportReturnType]
+
+    def _begin(self) -> None:
+        """Begin a stretch, in which nothing is known yet."""
+        self.steps: list[Step] = []
+        self.lines = 0
+        # Names of values that LLVM finds registers for: truth values, and whole numbers for all.
+        self.names: dict[Node, str] = {}
+        self.buffers: dict[str, None] = {}
+
+    def _cut(self) -> None:
+        """Go on in another function, if this one is long.
+
+        The time and the stack that LLVM takes grow faster than a function. All that is used again
+        goes through memory. Nothing may be held by its name alone where this is called.
+        """
+        if self.lines >= machine_constants.LONGEST_FUNCTION:
+            self._empty_registers()
+            self._end_piece()
+
+    def _end_piece(self) -> None:
+        self.pieces.append(Piece(self.steps, tuple(self.buffers)))
+        self.steps, self.lines = [], 0
+
+    def _end(self, result: str = "", kind: str = "void") -> None:
+        """End the stretch."""
+        if self.steps or result or self.pieces:
+            self._end_piece()
+            self.items.append(Stretch(self.pieces, result, kind))
+            self.pieces = []
+
+    # Registers.
+
+    def _empty_registers(self) -> None:
+        """Put all that is used again into memory."""
+        for (node, wide), name in self.registers.empty():
+            if wide != node.uniform:
+                self._spill(node, name)
+        for node, name in self.names.items():
+            if self.registers.is_used_again(node):
+                self._spill(node, name)
+        self.names = {}
+
+    def _spill(self, node: Node, name: str) -> None:
+        """Keep a value in the memory that vectors share, unless it is in memory already."""
+        if node in self.spilled or home(node) in self.slots:
+            return
+        self.spilled[node] = place = self.places.borrow(self._row_bytes(node))
+        self.buffers[FRAME] = None
+        self._let(self.select.store(node.dtype, node.uniform, FRAME), name, place - FRAME_ORIGIN)
+
+    def _expect(self, run: Sequence[Node], wanted: list[Node]) -> None:
+        """Begin a run; `_used` is to be called after each operation and each use in the end."""
+        self.registers.expect(run, wanted)
+        for node, place in self.spilled.items():
+            self.places.give_back(self._row_bytes(node), place)
+        self.spilled = {}
+
+    def _used(self) -> None:
+        leaving, over = self.registers.pass_on()
+        for node in over:
+            if node in self.spilled:
+                self.places.give_back(self._row_bytes(node), self.spilled.pop(node))
+        for (node, wide), name in leaving:
+            if wide != node.uniform:
+                self._spill(node, name)
+
+    def _hold(self, node: Node, wide: bool, name: str) -> None:
+        kind = node.dtype.kind
+        if kind == "f" or (wide and self.width > 1 and kind in "iu"):
+            self.registers.hold(node, wide, name)
+        else:
+            self.names[node] = name
+
+    # Values.
+
+    def _ref(self, node: Node, uniform: bool = False) -> str:
+        """Return the name of a value, spread over a vector unless it is wanted once for all."""
+        while node.op in ("opaque", "inside"):
+            node = node.operands[0]
+        if node.value is not None:
+            return self.select.literal(node.value, node.dtype, uniform)
+        name = self.registers.name(node, not node.uniform) or self.names.get(node)
+        if node.uniform and not uniform and self.width > 1:
+            spread = self.registers.name(node, True)
+            if spread is None:
+                spread = self._let(self.select.spread(node.dtype), name or self._fetch(node))
+                self.registers.hold(node, True, spread)
+            return spread
+        return name or self._fetch(node)
+
+    def _fetch(self, node: Node) -> str:
+        """Read a value that is in memory."""
+        if node in self.spilled:
+            self.buffers[FRAME] = None
+            template = self.select.load(node.dtype, node.uniform, FRAME)
+            name = self._let(template, self.spilled[node] - FRAME_ORIGIN)
+        elif node.op == "input" and node not in self.slots:
+            number, row = node.detail
+            base = self._buffer(number)
+            self.buffers[base] = None
+            name = self._let(self.select.load_row(node.dtype, node.uniform), base, row)
+        else:
+            if self.packed is not None:
+                self.packed.read[home(node)] = None
+            name = self._load(node, self.slots[home(node)])
+        self._hold(node, not node.uniform, name)
+        return name
+
+    @staticmethod
+    def _buffer(number: int) -> str:
+        return f"%b{number}"
+
+    # Memory.
+
+    def _row_bytes(self, node: Node) -> int:
+        return node.dtype.itemsize * (1 if node.uniform else self.width)
+
+    def _load(self, node: Node, place: int) -> str:
+        return self._let(self.select.load(node.dtype, node.uniform, SCRATCH), place)
+
+    def _store(self, value: str, node: Node, place: int) -> None:
+        self._let(self.select.store(node.dtype, node.uniform, SCRATCH), value, place)
+
+    def _address(self, place: int) -> str:
+        return self._let(self.select.address(SCRATCH), place)
+
+    def _wrote(self, node: Node) -> None:
+        if self.packed is not None:
+            self.packed.written.add(node)
+
+    def _copy_inputs(self, nodes: list[Node]) -> None:
+        """Bring rows that loops read close together: far apart they compete for cache and pages."""
+        runs: list[list[Node]] = []
+        for node in sorted(nodes, key=lambda node: node.detail):
+            number, row = node.detail
+            if runs and runs[-1][-1].detail == (number, row - 1):
+                runs[-1].append(node)
+            else:
+                runs.append([node])
+        for run in runs:
+            size = self._row_bytes(run[0])
+            start = self.places.room(size * len(run))
+            self.slots.update((node, start + i * size) for i, node in enumerate(run))
+            number, row = run[0].detail
+            base = self._buffer(number)
+            self._let(self.select.copy_row(run[0].dtype), base, row, size, start)
+            self.items.append(Copy(self.steps[0], len(run), base))
+            self._begin()
+
+    # Code without branches.
+
+    def _block(self, block: Block, wanted: list[Node]) -> None:
+        """The operations of a block; what is wanted in the end, in the order of its use."""
+        for run, loop in self.graph.runs.get(block, [([], None)]):
+            uses = wanted if loop is None else [loop.operands[k] for k in self.graph.kept[loop]]
+            self._expect(run, uses)
+            for node in run:
+                self._operation(node)
+                self._used()
+                self._cut()
+            if loop is not None:
+                self._loop(loop, loop.detail)
+
+    def _operation(self, node: Node) -> None:
+        special = _SPECIAL.get(node.op)
+        if special is not None:
+            special(self, node)
+            return
+        if node.op == "lookup":
+            name = self._lookup(node)
+        else:
+            uniform = node.uniform
+            operands = [self._ref(one, uniform) for one in node.operands]
+            name = self._let(self.select.operation(node), *operands)
+        self._hold(node, not node.uniform, name)
+        if node in self.slots:
+            self._store(name, node, self.slots[node])
+            self._wrote(node)
+
+    def _rows(self, node: Node) -> None:
+        """Write a table of computed numbers."""
+        size = self._row_bytes(node)
+        start = self.tables[node] = self.places.room(size * len(node.operands))
+        for i, operand in enumerate(node.operands):
+            self._store(self._ref(operand, node.uniform), node, start + i * size)
+        self._wrote(node)
+
+    def _sums(self, node: Node) -> None:
+        """Begin sums in memory of their own."""
+        size, first = self._row_bytes(node), node.operands[0]
+        start = self.tables[node] = self.places.room(size * len(node.operands))
+        self._wrote(node)
+        if first.value is not None and all(operand is first for operand in node.operands):
+            to = self._address(start)
+            self._let(self.select.fill(node.dtype), to, self._ref(first), len(node.operands))
+            return
+        for i, operand in enumerate(node.operands):
+            self._store(self._ref(operand), node, start + i * size)
+            self._cut()
+
+    def _totals(self, node: Node) -> None:
+        self.tables[node] = self.tables[node.operands[0]]
+        self._wrote(node)
+
+    def _solve(self, node: Node) -> None:
+        """Put equations in memory and call the function that solves them."""
+        size = self._row_bytes(node)
+        start = self.places.room(size * len(node.operands))
+        for i, operand in enumerate(node.operands):
+            self._store(self._ref(operand, node.uniform), node, start + i * size)
+        answers = self.tables[node] = start + (len(node.operands) - node.detail) * size
+        template = self.select.solve(node.dtype, node.uniform)
+        H, b = self._address(start), self._address(answers)
+        # Registers do not outlast a call.
+        self._empty_registers()
+        self._let(template, H, b, node.detail)
+        self._wrote(node)
+
+    def _accumulate(self, node: Node) -> None:
+        """Add to a number in memory."""
+        place, value, memory = node.operands
+        base = self._address(self.tables[memory])  # pyright: ignore[reportArgumentType]
+        steps = self._let(self.select.times(), self._ref(place, True), self._row_bytes(node))
+        pointer = self._let(self.select.element(), base, steps)
+        before = self._let(self.select.load(node.dtype, False, ""), pointer)
+        total = self._let(self.select.add(node.dtype), before, self._ref(value))
+        self._let(self.select.store(node.dtype, False, ""), total, pointer)
+
+    def _constants(self, node: Node) -> None:
+        name = self.tables[node] = f"@table{len(self.constants)}"
+        self.constants.append(Table(name, node.detail.values, node.dtype))
+
+    def _lookup(self, node: Node) -> str:
+        table, place = node.operands
+        where = self.tables[table]
+        if self.packed is not None and not isinstance(where, str):
+            self.packed.tables[table] = None
+        base = where if isinstance(where, str) else self._address(where)
+        index = self._ref(place, place.uniform)
+        shared = table.op == "constants" or table.uniform
+        return self._let(self.select.look_up(node.dtype, shared, place.uniform), base, index)
+
+    # Loops.
+
+    def _loop(self, node: Node, loop: Loop) -> None:
+        """Carried values live in their slots; a round reads all that it needs before it writes."""
+        kept, lists = self.graph.kept[node], self.lists[node]
+        for k in kept:
+            self._store(self._ref(node.operands[k]), loop.carried[k], self.slots[loop.carried[k]])
+            self._used()
+            self._cut()
+            self._wrote(loop.carried[k])
+        for one in lists:
+            self.tables[one] = self.places.room(self._row_bytes(one) * (loop.count or 1))
+            self._wrote(one)
+        self._end()
+        self._begin()
+        alone = self._takes_turns and loop.once
+        if self._takes_turns and loop.condition is not None and not loop.once:
+            self._pack(node, loop)
+            return
+        before, self.alone = self.alone, self.alone or alone
+        outside, self.items, number = self.items, [], 0
+        self.count += 1
+        number = self.count
+        if loop.condition is not None:
+            flags = self._wanting(loop)
+            # A vector goes on while any of its individuals does.
+            result = flags if self.width == 1 else self._let(self.select.any_of(), flags)
+            self._end(result, "i1")
+        test, self.items = self.items, []
+        counter = None
+        if loop.counter in self.slots:
+            counter = self.slots[loop.counter]
+            self._wrote(loop.counter)
+        body = self._round(node, loop)
+        self.items = outside
+        self.items.append(LoopCode(loop, number, counter, test, body, alone))
+        self.alone = before
+
+    def _pack(self, node: Node, loop: Loop) -> None:
+        """A loop whose individuals are packed together; its functions are of one vector."""
+        packed = self.packed = _Packed()
+        outside, self.items = self.items, []
+        self._end(self._let(self.select.mask(), self._wanting(loop)), "i32")
+        test, self.items = self.items, []
+        # Of who is moved the test was made before: a round comes first.
+        tested = set(packed.written)
+        body = self._round(node, loop)
+        self.packed, self.items = None, outside
+        carries = [self._place(loop.carried[k]) for k in self.graph.kept[node]]
+        reads = [self._place(x) for x in packed.read if x in tested or x not in packed.written]
+        for table in packed.tables:
+            if table not in packed.written:
+                reads += self._rows_of(table)
+        self.select.declared.update(declared(self.width, self.variant.compresses))
+        self.items.append(LoopCode(loop, 0, None, test, body, packed=(reads, carries)))
+
+    def _place(self, node: Node) -> Place:
+        return Place(self.slots[node], node.dtype.itemsize, node.uniform)
+
+    def _rows_of(self, table: Node) -> Iterable[Place]:
+        """The places of a table in scratch memory."""
+        start, size = self.tables[table], self._row_bytes(table)
+        assert isinstance(start, int)
+        for i in range(row_count(table)):
+            yield Place(start + i * size, table.dtype.itemsize, table.uniform)
+
+    def _wanting(self, loop: Loop) -> str:
+        """Allocate the test of a loop; return who wants another round."""
+        condition = loop.condition
+        assert condition is not None
+        self._begin()
+        self._block(loop.test, [condition])
+        flags = self._ref(condition)
+        return self._let(self.select.existing(), flags) if self.variant.masked else flags
+
+    def _round(self, node: Node, loop: Loop) -> list[Item]:
+        """Allocate a round of a loop; return its code."""
+        self._begin()
+        kept, lists = self.graph.kept[node], self.lists[node]
+        # What goes from one place to another is read before any is written.
+        carried = set(loop.carried)
+        ends = {k: resolve(loop.following[k]) for k in kept}
+        moved = [k for k in kept if ends[k] in carried and ends[k] is not loop.carried[k]]
+        kept = [k for k in kept if k not in moved]
+        written = [loop.written[one.detail] for one in lists]
+        old = [] if loop.condition is None else [loop.condition]
+        uses = [*written, *(ends[k] for k in moved)]
+        for k in kept:
+            uses += [ends[k], *([loop.carried[k]] if old else [])]
+        self._block(loop.body, [*uses, *old])
+        for one, value in zip(lists, written, strict=True):
+            assert loop.place is not None
+            steps = self._let(
+                self.select.times(), self._ref(loop.place, True), self._row_bytes(one)
+            )
+            start = self._address(self.tables[one])  # pyright: ignore[reportArgumentType]
+            pointer = self._let(self.select.element(), start, steps)
+            self._let(self.select.store(one.dtype, False, ""), self._ref(value), pointer)
+            self._used()
+            self._cut()
+        copies = [(k, self._copy(loop, k)) for k in moved]
+        for k in kept:
+            value = self._ref(ends[k])
+            self._used()
+            if old:
+                value = self._unless_done(loop, k, value)
+                self._used()
+            self._store(value, loop.carried[k], self.slots[loop.carried[k]])
+            self._cut()
+        for k, place in copies:
+            one = loop.carried[k]
+            self._store(self._load(one, place), one, self.slots[one])
+        self._end()
+        self._begin()
+        return self.items
+
+    def _copy(self, loop: Loop, k: int) -> int:
+        """Keep aside what comes to be carried; return where."""
+        node = loop.carried[k]
+        value = self._ref(loop.following[k])
+        if loop.condition is not None:
+            value = self._unless_done(loop, k, value)
+        place = self.places.room(self._row_bytes(node))
+        self._store(value, node, place)
+        self._used()
+        return place
+
+    def _unless_done(self, loop: Loop, k: int, value: str) -> str:
+        """Return a value of who wants more rounds; who does not stays as it is."""
+        node, condition = loop.carried[k], loop.condition
+        assert condition is not None
+        flags = self._ref(condition)
+        return self._let(self.select.choose(node.dtype), flags, value, self._ref(node))
+
+
+_SPECIAL = {
+    "accumulate": _Allocator._accumulate,
+    "constants": _Allocator._constants,
+    "list": lambda self, node: None,
+    "result": lambda self, node: None,
+    "rows": _Allocator._rows,
+    "solve": _Allocator._solve,
+    "sums": _Allocator._sums,
+    "totals": _Allocator._totals,
+}

@@ -1,0 +1,291 @@
+"""Print an allocated program as LLVM IR.
+
+Every stretch becomes a function. A *driver*, the function ``@program``, loops and calls them, for
+one vector, or for several in turn where loops end at different rounds for each individual
+(`evo_cpg.fusion.backend.packing`). The last vector overlaps the one before it where the individuals
+do not come out even; where there are fewer than one vector holds, rows are read and written with a
+mask.
+
+No instruction carries a fast-math flag, so the bits of an individual's results do not depend on the
+vector's width.
+"""
+
+from collections.abc import Callable, Sequence
+
+from evo_cpg.fusion import machine_constants
+from evo_cpg.fusion.backend.code import Code, Copy, Item, LoopCode, Place, Step, Stretch, Table
+from evo_cpg.fusion.backend.packing import Gang, each_vector, packed_loop
+from evo_cpg.fusion.backend.places import FRAME_ORIGIN
+from evo_cpg.fusion.backend.select import FRAME
+from evo_cpg.fusion.backend.writer import TYPES, number
+
+_GIVEN = "ptr %scratch, i64 %n, i64 %first"
+
+
+def print_llvm(code: Code) -> tuple[str, int]:
+    """Return the text of the function ``@program``, and the bytes of memory that it works in."""
+    return _Printer(code).text()
+
+
+class _Printer:
+    """Writes the functions, one for each stretch, and the lines of the driver that calls them.
+
+    With a gang, the driver's calls are for all of its vectors, but for those in a packed loop and
+    in a branch that each vector takes by itself: there ``turns`` is false.
+    """
+
+    def __init__(self, code: Code):
+        self.code = code
+        variant, size = code.variant, code.size
+        # An odd number of lines: the same place of different vectors is not in the same set.
+        line = machine_constants.CACHE_LINE
+        stride = (size // line | 1) * line + line
+        self.gang = Gang(machine_constants.GANG, variant.width, stride, variant.compresses)
+        self.own = (self.gang.vectors + 1) * stride if code.ganged else size
+        count = len(code.arguments) + len(code.results)
+        self.buffers = "".join(f"ptr %b{k}, " for k in range(count))
+        self.functions: list[str] = []
+        self.gangs: list[str] = []
+        self.driver: list[str] = []
+        self.label = "vector"
+        self.turns = code.ganged
+
+    def text(self) -> tuple[str, int]:
+        """Print the whole program."""
+        self._items(self.code.items)
+        driver = [
+            f"define internal void @program({self.buffers}ptr %scratch, i64 %n) #0 {{",
+            "entry:",
+            # Behind all that vectors have of their own.
+            f"{FRAME} = getelementptr i8, ptr %scratch, i64 {self.own + FRAME_ORIGIN}",
+            "br label %vector",
+            "vector:",
+            f"%first = phi i64 [ 0, %entry ], [ %next, %{self.label} ]",
+            *(self._gang_lines() if self.code.ganged else self._vector_lines()),
+            "br i1 %more, label %vector, label %done",
+            "done:",
+            "ret void",
+            "}",
+        ]
+        tables = [_table(each) for each in self.code.tables]
+        declared = self.code.declared.values()
+        text = "\n".join([*tables, *declared, *self.functions, *self.gangs, *driver])
+        return text, self.own + self.code.frame
+
+    def _vector_lines(self) -> list[str]:
+        width = self.code.variant.width
+        return [
+            *self._valid(),
+            *self.driver,
+            # The last vector ends with the last individual.
+            f"%stop = add i64 %first, {width}",
+            f"%left = sub i64 %n, {width}",
+            "%within = icmp slt i64 %stop, %left",
+            "%next = select i1 %within, i64 %stop, i64 %left",
+            "%more = icmp slt i64 %stop, %n",
+        ]
+
+    def _gang_lines(self) -> list[str]:
+        vectors, width = self.gang.vectors, self.gang.width
+        return [
+            "%left = sub i64 %n, %first",
+            f"%begun = add i64 %left, {width - 1}",
+            f"%whole = udiv i64 %begun, {width}",
+            f"%fewer = icmp ult i64 %whole, {vectors}",
+            f"%count = select i1 %fewer, i64 %whole, i64 {vectors}",
+            *self.driver,
+            f"%next = add i64 %first, {vectors * width}",
+            "%more = icmp slt i64 %next, %n",
+        ]
+
+    def _items(self, items: Sequence[Item]) -> str:
+        """Print code; return the name of the last result."""
+        result = ""
+        for item in items:
+            if isinstance(item, Stretch):
+                result = self._stretch(item)
+            elif isinstance(item, Copy):
+                self._copy(item)
+            elif item.packed is not None:
+                self._packed(item, *item.packed)
+            elif item.alone:
+                self._alone(item)
+            else:
+                self._loop(item)
+        return result
+
+    # Functions.
+
+    def _function(
+        self, lines: Sequence[str], buffers: Sequence[str], result: str = "", kind: str = "void"
+    ) -> str:
+        """Write a function of some lines; return its name."""
+        name = f"stretch{len(self.functions)}"
+        pointers = "".join(f"ptr noalias {buffer}, " for buffer in buffers)
+        body = "\n".join(["entry:", *self._valid(), *lines, f"ret {kind} {result}"])
+        # Not inlined: within the driver's loops LLVM would take constants out of them, thousands,
+        # and spill each as a whole vector.
+        self.functions.append(
+            f"define internal {kind} @{name}({pointers}ptr noalias %scratch, i64 %n, i64 %first) "
+            f"noinline #0 {{\n{body}\n}}"
+        )
+        return name
+
+    def _stretch(self, stretch: Stretch) -> str:
+        """Print a stretch and its call; return the name of its result."""
+        *before, last = [
+            (_lines(piece.steps), piece.buffers, "".join(f"ptr {b}, " for b in piece.buffers))
+            for piece in stretch.pieces
+        ]
+        lines, buffers, given = last
+        result, kind = stretch.result, stretch.kind
+        if before:
+            # The pieces take turns for each vector, for what they hand on is in shared memory.
+            calls = [
+                f"call void @{self._function(part, own)}({passed}{_GIVEN})"
+                for part, own, passed in before
+            ]
+            name = self._function(lines, buffers, result, kind)
+            result = "%result" if result else ""
+            lines = [*calls, _call(result, kind, name, f"{given}{_GIVEN}")]
+        name = self._function(lines, buffers, result, kind)
+        if self.turns:
+            self._call_for_gang(name, given, given)
+            return ""
+        found = f"%found{len(self.functions)}" if result else ""
+        self.driver.append(_call(found, kind, name, f"{given}{_GIVEN}"))
+        return found
+
+    def _call_for_gang(self, name: str, parameters: str, given: str) -> None:
+        self.gangs.append(each_vector(name, parameters, self.gang))
+        self.driver.append(f"call void @{name}.gang({given}{_GIVEN}, i64 %count)")
+
+    def _copy(self, copy: Copy) -> None:
+        lines = [
+            "br label %head",
+            "head:",
+            "%i = phi i64 [ 0, %entry ], [ %j, %head ]",
+            *_lines([copy.step]),
+            "%j = add i64 %i, 1",
+            f"%more = icmp slt i64 %j, {copy.rows}",
+            "br i1 %more, label %head, label %copied",
+            "copied:",
+        ]
+        given = f"ptr {copy.buffer}, "
+        name = self._function(lines, [copy.buffer])
+        if self.turns:
+            self._call_for_gang(name, given, given)
+        else:
+            self.driver.append(_call("", "void", name, f"{given}{_GIVEN}"))
+
+    def _valid(self) -> list[str]:
+        """Return lines that say which individuals of a vector exist."""
+        width = self.code.variant.width
+        if not self.code.variant.masked:
+            return []
+        lanes, wide = ", ".join(f"i64 {i}" for i in range(width)), f"<{width} x i64>"
+        zeros = f"<{width} x i32> zeroinitializer"
+        return [
+            f"%one = insertelement {wide} poison, i64 %n, i32 0",
+            f"%all = shufflevector {wide} %one, {wide} poison, {zeros}",
+            f"%valid = icmp ult {wide} <{lanes}>, %all",
+        ]
+
+    # Loops.
+
+    def _loop(self, item: LoopCode) -> str:
+        """Print the driver's lines of a loop or a branch, which has no result."""
+        number, loop = item.number, item.loop
+        counter, head, body, after = (
+            f"{word}{number}" for word in ("round", "head", "body", "after")
+        )
+        before, self.label = self.label, head
+        self.driver += [f"br label %{head}", f"{head}:"]
+        phi = len(self.driver)
+        self.driver.append("")
+        if loop.condition is None:
+            more = f"%more{number}"
+            self.driver.append(f"{more} = icmp slt i32 %{counter}, {loop.count}")
+        else:
+            more = self._items(item.test)
+        self.driver += [f"br i1 {more}, label %{body}, label %{after}", f"{body}:"]
+        self.label = body
+        if item.counter is not None:
+            self._count(item.counter, counter, number)
+        self._items(item.body)
+        if loop.once:
+            self.driver += [f"br label %{after}", f"{after}:"]
+        else:
+            self.driver[phi] = (
+                f"%{counter} = phi i32 [ 0, %{before} ], [ %next{number}, %{self.label} ]"
+            )
+            self.driver += [f"%next{number} = add i32 %{counter}, 1", f"br label %{head}"]
+            self.driver.append(f"{after}:")
+        self.label = after
+        return ""
+
+    def _count(self, slot: int, counter: str, number: int) -> None:
+        """Put the number of the round where it is read."""
+        if not self.turns:
+            place = f"%place{number}"
+            self.driver.append(f"{place} = getelementptr i8, ptr %scratch, i64 {slot}")
+            self.driver.append(f"store i32 %{counter}, ptr {place}")
+            return
+        name = f"count{len(self.functions)}"
+        self.functions.append(
+            f"define internal void @{name}(i32 %round, {_GIVEN}) #0 {{\n"
+            f"%place = getelementptr i8, ptr %scratch, i64 {slot}\n"
+            "store i32 %round, ptr %place\nret void\n}"
+        )
+        self._call_for_gang(name, "i32 %round, ", f"i32 %{counter}, ")
+
+    def _alone(self, item: LoopCode) -> None:
+        """A branch that each vector of a gang takes by itself, as a function of one vector."""
+        name = f"branch{len(self.functions)}"
+        parameters = f"{self.buffers}ptr {FRAME}, "
+        lines, _ = self._apart(lambda: self._loop(item))
+        self._of_one_vector("void", name, parameters, [*lines, "ret void"])
+        self._call_for_gang(name, parameters, parameters)
+
+    def _packed(self, item: LoopCode, reads: Sequence[Place], carries: Sequence[Place]) -> None:
+        """A loop whose individuals are packed together; its functions are of one vector."""
+        name = f"loop{len(self.functions)}"
+        parameters = f"{self.buffers}ptr {FRAME}, "
+        lines, mask = self._apart(lambda: self._items(item.test))
+        self._of_one_vector("i32", f"{name}.test", parameters, [*lines, f"ret i32 {mask}"])
+        lines, _ = self._apart(lambda: self._items(item.body))
+        self._of_one_vector("void", f"{name}.round", parameters, [*lines, "ret void"])
+        self.gangs.append(packed_loop(name, parameters, self.gang, reads, carries))
+        self.driver.append(f"call void @{name}.gang({parameters}ptr %scratch, i64 %n, i64 %count)")
+
+    def _apart(self, write: Callable[[], str]) -> tuple[list[str], str]:
+        """Return the driver's lines of what one vector does by itself, and the result of that."""
+        outside = self.driver, self.label, self.turns
+        self.driver, self.label, self.turns = [], "entry", False
+        result = write()
+        lines = self.driver
+        self.driver, self.label, self.turns = outside
+        return lines, result
+
+    def _of_one_vector(self, kind: str, name: str, parameters: str, lines: list[str]) -> None:
+        body = "\n".join(lines)
+        self.functions.append(
+            f"define internal {kind} @{name}({parameters}{_GIVEN}) #0 {{\nentry:\n{body}\n}}"
+        )
+
+
+def _lines(steps: Sequence[Step]) -> list[str]:
+    return [
+        template.text.format(*operands, *range(first, first + template.names))
+        for template, operands, first in steps
+    ]
+
+
+def _call(result: str, kind: str, name: str, given: str) -> str:
+    return f"{f'{result} = ' if result else ''}call {kind} @{name}({given})"
+
+
+def _table(table: Table) -> str:
+    t = "i8" if table.dtype.kind == "b" else TYPES[table.dtype.char]
+    items = ", ".join(f"{t} {number(value, table.dtype)}" for value in table.values)
+    return f"{table.name} = internal constant [{len(table.values)} x {t}] [{items}], align 64"

@@ -1,0 +1,274 @@
+"""Which instructions an operation becomes, as templates that are made once for each kind.
+
+What is in registers is decided elsewhere (`evo_cpg.fusion.backend.allocate`), so every load and
+store is *volatile*: LLVM neither drops nor moves one, nor spends time on trying to.
+"""
+
+import functools
+from collections.abc import Callable
+
+import numpy as np
+
+from evo_cpg.fusion.backend.code import Template, Variant
+from evo_cpg.fusion.backend.operations import write
+from evo_cpg.fusion.backend.solve_routine import routine
+from evo_cpg.fusion.backend.writer import TYPES, Writer
+from evo_cpg.fusion.ir.graph import Node
+
+SCRATCH, FRAME = "%scratch", "%frame"
+"""Pointers to a vector's own memory, and to the memory that vectors share."""
+
+_BOOL, _BYTE, _INDEX = np.dtype(bool), np.dtype(np.int8), np.dtype(np.int32)
+
+# Operations that are shorter with some constants.
+_DEPENDS_ON_CONSTANTS = {
+    "div", "max", "min", "rem", "shift_left", "shift_right_arithmetic", "shift_right_logical",
+}  # fmt: skip
+
+
+def _made_once(arity: int) -> Callable[[Callable], Callable[..., Template]]:
+    """Make a method's instructions a template for each kind; its last arguments are operands."""
+
+    def decorate(method: Callable) -> Callable[..., Template]:
+        @functools.wraps(method)
+        def get(self: "Selector", *kind) -> Template:
+            key = method, *kind
+            found = self._known.get(key)
+            if found is None:
+                found = self._w.template(arity, functools.partial(method, self, *kind))
+                self._known[key] = found
+            return found
+
+        return get
+
+    return decorate
+
+
+class Selector:
+    """Templates for a variant of code.
+
+    Attributes:
+        declared: functions that templates call, by name.
+    """
+
+    def __init__(self, variant: Variant):
+        self.masked = variant.masked
+        self._w = Writer(variant.width, variant.fma)
+        self.declared = self._w.declared
+        self.literal, self.type_of = self._w.literal, self._w.type_of
+        self._known: dict[tuple, Template] = {}
+
+    def operation(self, node: Node) -> Template:
+        """Return the instructions of an arithmetic operation."""
+        operands, constants = node.operands, None
+        if node.op in _DEPENDS_ON_CONSTANTS:
+            constants = tuple([None if x.value is None else x.value.item() for x in operands])
+        key = node.op, node.dtype, node.uniform, operands[0].dtype, constants
+        found = self._known.get(key)
+        if found is None:
+            found = self._w.template(len(operands), lambda *names: write(self._w, node, [*names]))
+            self._known[key] = found
+        return found
+
+    @_made_once(1)
+    def address(self, base: str, place: str) -> str:
+        """Return a pointer to a place in memory."""
+        return self._w.let(f"getelementptr i8, ptr {base}, i64 {place}")
+
+    @_made_once(2)
+    def element(self, pointer: str, steps: str) -> str:
+        """Return a pointer some bytes behind another."""
+        return self._w.let(f"getelementptr i8, ptr {pointer}, i32 {steps}")
+
+    @_made_once(2)
+    def times(self, x: str, y: str) -> str:
+        """Return a product of int32."""
+        return self._w.let(f"mul i32 {x}, {y}")
+
+    @_made_once(2)
+    def add(self, dtype: np.dtype, x: str, y: str) -> str:
+        """Return a sum."""
+        word = "fadd" if dtype.kind == "f" else "add"
+        return self._w.let(f"{word} {self._w.type_of(dtype, False)} {x}, {y}")
+
+    @_made_once(3)
+    def choose(self, dtype: np.dtype, flag: str, yes: str, no: str) -> str:
+        """Return one or the other."""
+        t, flags = self._w.type_of(dtype, False), self._w.type_of(_BOOL, False)
+        return self._w.let(f"select {flags} {flag}, {t} {yes}, {t} {no}")
+
+    @_made_once(2)
+    def store(self, dtype: np.dtype, uniform: bool, base: str, value: str, place: str) -> None:
+        """Write a value to a place behind a pointer; "" if the place is a pointer itself."""
+        pointer = self._w.let(f"getelementptr i8, ptr {base}, i64 {place}") if base else place
+        self._store(value, dtype, pointer, uniform)
+
+    @_made_once(1)
+    def load(self, dtype: np.dtype, uniform: bool, base: str, place: str) -> str:
+        """Read a value from a place behind a pointer; "" if the place is a pointer itself."""
+        pointer = self._w.let(f"getelementptr i8, ptr {base}, i64 {place}") if base else place
+        return self._load(dtype, pointer, uniform)
+
+    @_made_once(2)
+    def load_row(self, dtype: np.dtype, shared: bool, base: str, row: str) -> str:
+        """Read a row of an argument: a number for each individual, or one for all."""
+        return self._load_row(dtype, shared, base, row)
+
+    @_made_once(4)
+    def copy_row(self, dtype: np.dtype, base: str, row: str, size: str, start: str) -> None:
+        """Bring the row ``%i`` behind a row of an argument to scratch memory."""
+        w = self._w
+        source = w.let(f"add i64 %i, {row}")
+        value = self._load_row(dtype, False, base, source)
+        place = w.let(f"mul i64 %i, {size}")
+        place = w.let(f"add i64 {place}, {start}")
+        self._store(value, dtype, w.let(f"getelementptr i8, ptr {SCRATCH}, i64 {place}"), False)
+
+    @_made_once(3)
+    def store_row(self, dtype: np.dtype, value: str, base: str, row: str) -> None:
+        """Write a row of a result."""
+        pointer = self._row(base, row, dtype, False)
+        if not self.masked:
+            self._store(value, dtype, pointer, False)
+            return
+        value, t = self._kept(value, dtype, False)
+        mask = self._w.type_of(_BOOL, False)
+        name = f"llvm.masked.store.{self._w.suffix(t)}.p0"
+        self._w.declared[name] = f"declare void @{name}({t}, ptr, i32, {mask})"
+        self._w.lines.append(
+            f"call void @{name}({t} {value}, ptr {pointer}, i32 {dtype.itemsize}, {mask} %valid)"
+        )
+
+    @_made_once(2)
+    def look_up(
+        self, dtype: np.dtype, shared: bool, same_index: bool, base: str, index: str
+    ) -> str:
+        """Read a number of a table.
+
+        Args:
+            dtype: of the table.
+            shared: whether the table is the same for all individuals.
+            same_index: whether the index is.
+            base: pointer to the table.
+            index: which, of one number for all or of a number for each individual.
+        """
+        w, t = self._w, TYPES[_kept_as(dtype).char]
+        if same_index or w.width == 1:
+            steps = index if shared or w.width == 1 else w.let(f"mul i32 {index}, {w.width}")
+            pointer = w.let(f"getelementptr {t}, ptr {base}, i32 {steps}")
+            return self._load(dtype, pointer, same_index and shared)
+        whole, result, indices = w.type_of(dtype, False), "poison", w.type_of(_INDEX, False)
+        for i in range(w.width):
+            own = w.let(f"extractelement {indices} {index}, i32 {i}")
+            if not shared:
+                own = w.let(f"mul i32 {own}, {w.width}")
+                own = w.let(f"add i32 {own}, {i}")
+            pointer = w.let(f"getelementptr {t}, ptr {base}, i32 {own}")
+            value = self._load(dtype, pointer, True)
+            result = w.let(f"insertelement {whole} {result}, {TYPES[dtype.char]} {value}, i32 {i}")
+        return result
+
+    @_made_once(1)
+    def spread(self, dtype: np.dtype, name: str) -> str:
+        """Return a value that all share as a vector."""
+        t, scalar = self._w.type_of(dtype, False), TYPES[dtype.char]
+        one = self._w.let(f"insertelement {t} poison, {scalar} {name}, i32 0")
+        zeros = f"<{self._w.width} x i32> zeroinitializer"
+        return self._w.let(f"shufflevector {t} {one}, {t} poison, {zeros}")
+
+    @_made_once(3)
+    def fill(self, dtype: np.dtype, to: str, value: str, count: str) -> None:
+        """Write the same value to all rows of a table, by a loop in a function of its own."""
+        w, t = self._w, self._w.type_of(dtype, False)
+        size = dtype.itemsize * w.width
+        name = f"fill.{w.suffix(t)}"
+        w.declared[name] = (
+            f"define internal void @{name}(ptr %to, {t} %value, i64 %count) noinline #0 {{\n"
+            "entry:\nbr label %row\nrow:\n"
+            "%i = phi i64 [ 0, %entry ], [ %j, %row ]\n"
+            f"%steps = mul i64 %i, {size}\n"
+            "%place = getelementptr i8, ptr %to, i64 %steps\n"
+            f"store {t} %value, ptr %place, align {dtype.itemsize}\n"
+            "%j = add i64 %i, 1\n%more = icmp ult i64 %j, %count\n"
+            "br i1 %more, label %row, label %done\ndone:\nret void\n}"
+        )
+        w.lines.append(f"call void @{name}(ptr {to}, {t} {value}, i64 {count})")
+
+    @_made_once(3)
+    def solve(self, dtype: np.dtype, uniform: bool, H: str, b: str, count: str) -> None:
+        """Call the function that solves symmetric equations in memory."""
+        w, t = self._w, self._w.type_of(dtype, uniform)
+        name, size = f"solve.{w.suffix(t)}", dtype.itemsize * (1 if uniform else w.width)
+        if w.fma:
+            fma = f"llvm.fma.{w.suffix(t)}"
+            w.declared[fma] = f"declare {t} @{fma}({t}, {t}, {t})"
+        if w.width > 1:
+            any_of = f"llvm.vector.reduce.or.v{w.width}i1"
+            w.declared[any_of] = f"declare i1 @{any_of}(<{w.width} x i1>)"
+        w.declared[name] = routine(name, t, size, dtype.itemsize, w.fma)
+        w.lines.append(f"call void @{name}(ptr {H}, ptr {b}, i64 {count})")
+
+    @_made_once(1)
+    def existing(self, flags: str) -> str:
+        """Return the truth values of individuals that exist."""
+        return self._w.let(f"and {self._w.type_of(_BOOL, False)} {flags}, %valid")
+
+    @_made_once(1)
+    def any_of(self, flags: str) -> str:
+        """Return whether a truth value holds for any individual."""
+        t, name = self._w.type_of(_BOOL, False), f"llvm.vector.reduce.or.v{self._w.width}i1"
+        self._w.declared[name] = f"declare i1 @{name}({t})"
+        return self._w.let(f"call i1 @{name}({t} {flags})")
+
+    @_made_once(1)
+    def mask(self, flags: str) -> str:
+        """Return a whole number with a bit for each individual."""
+        bits = f"i{self._w.width}"
+        own = self._w.let(f"bitcast {self._w.type_of(_BOOL, False)} {flags} to {bits}")
+        return self._w.let(f"zext {bits} {own} to i32")
+
+    def _store(self, value: str, dtype: np.dtype, pointer: str, uniform: bool) -> None:
+        value, t = self._kept(value, dtype, uniform)
+        self._w.lines.append(f"store volatile {t} {value}, ptr {pointer}, align {dtype.itemsize}")
+
+    def _load(self, dtype: np.dtype, pointer: str, uniform: bool) -> str:
+        t = self._w.type_of(_kept_as(dtype), uniform)
+        value = self._w.let(f"load volatile {t}, ptr {pointer}, align {dtype.itemsize}")
+        return self._read(value, dtype, uniform)
+
+    def _load_row(self, dtype: np.dtype, shared: bool, base: str, row: str) -> str:
+        pointer = self._row(base, row, dtype, shared)
+        if shared or not self.masked:
+            return self._load(dtype, pointer, shared)
+        t, mask = self._w.type_of(_kept_as(dtype), False), self._w.type_of(_BOOL, False)
+        name = f"llvm.masked.load.{self._w.suffix(t)}.p0"
+        self._w.declared[name] = f"declare {t} @{name}(ptr, i32, {mask}, {t})"
+        # Individuals that do not exist are zero.
+        value = self._w.let(
+            f"call {t} @{name}(ptr {pointer}, i32 {dtype.itemsize}, {mask} %valid, "
+            f"{t} zeroinitializer)"
+        )
+        return self._read(value, dtype, False)
+
+    def _row(self, base: str, row: str, dtype: np.dtype, shared: bool) -> str:
+        item = TYPES[_kept_as(dtype).char]
+        if shared:
+            return self._w.let(f"getelementptr {item}, ptr {base}, i64 {row}")
+        start = self._w.let(f"mul i64 %n, {row}")
+        place = self._w.let(f"add i64 {start}, %first")
+        return self._w.let(f"getelementptr {item}, ptr {base}, i64 {place}")
+
+    def _kept(self, value: str, dtype: np.dtype, uniform: bool) -> tuple[str, str]:
+        """Return a value and its type as they are in memory: truth values are bytes."""
+        t, kept = self._w.type_of(dtype, uniform), self._w.type_of(_kept_as(dtype), uniform)
+        return (value if t == kept else self._w.let(f"zext {t} {value} to {kept}")), kept
+
+    def _read(self, value: str, dtype: np.dtype, uniform: bool) -> str:
+        if dtype.kind != "b":
+            return value
+        zero = self._w.literal(0, _BYTE, uniform)
+        return self._w.let(f"icmp ne {self._w.type_of(_BYTE, uniform)} {value}, {zero}")
+
+
+def _kept_as(dtype: np.dtype) -> np.dtype:
+    return _BYTE if dtype.kind == "b" else dtype

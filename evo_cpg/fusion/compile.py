@@ -1,0 +1,143 @@
+"""The compiler: from a JAX program for one individual to machine code for all of them.
+
+| pass | from | to | file |
+|---|---|---|---|
+| lower | JAX program | graph of scalars | `frontend.lower` |
+| simplify | each operation, as it is made | an equal one that costs less | `passes.simplify` |
+| contract multiply-adds | graph | graph | `passes.contract` |
+| verify | graph | the same graph | `ir.verify`, in the tests |
+| eliminate dead code | graph | graph | `passes.dead_code` |
+| schedule | graph | graph | `passes.schedule` |
+| allocate | graph | code with registers and places | `backend.allocate` |
+| print | code | LLVM IR | `backend.llvm`, `backend.handler` |
+| compile | LLVM IR | machine code in memory | `backend.machine` |
+
+Rules of `simplify` and passes from graph to graph may be left out (`PASSES`, `RULES`): the program
+then costs more and means the same. With the environment variable ``EVO_CPG_SHOW_PASSES`` the graph
+is printed to standard error after each pass.
+"""
+
+import contextlib
+import gc
+import os
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import NamedTuple
+
+from evo_cpg.fusion import machine_constants
+from evo_cpg.fusion.backend.allocate import allocate
+from evo_cpg.fusion.backend.code import Variant
+from evo_cpg.fusion.backend.handler import handler
+from evo_cpg.fusion.backend.llvm import print_llvm
+from evo_cpg.fusion.backend.machine import Target
+from evo_cpg.fusion.frontend.builder import Builder
+from evo_cpg.fusion.frontend.lower import lower
+from evo_cpg.fusion.frontend.primitives import Program
+from evo_cpg.fusion.ir.graph import Graph
+from evo_cpg.fusion.ir.show import show
+from evo_cpg.fusion.passes.contract import contract_multiply_adds
+from evo_cpg.fusion.passes.dead_code import eliminate_dead_code
+from evo_cpg.fusion.passes.schedule import schedule
+from evo_cpg.fusion.passes.simplify import RULES, Rule
+from evo_cpg.fusion.unsupported import Unsupported
+
+Pass = Callable[[Graph], Graph]
+Rules = Mapping[str, Sequence[Rule]]
+
+
+def check_size(graph: Graph) -> Graph:
+    """Return the graph if it is small enough.
+
+    Raises:
+        Unsupported: there are more operations than code is made of.
+    """
+    if len(graph.nodes) > machine_constants.MOST_OPERATIONS:
+        raise Unsupported(f"it has more than {machine_constants.MOST_OPERATIONS} operations")
+    return graph
+
+
+PASSES: tuple[Pass, ...] = (contract_multiply_adds, eliminate_dead_code, check_size, schedule)
+"""From graph to graph, in order."""
+
+
+class Module(NamedTuple):
+    """A module of LLVM IR, whose function ``@handler`` XLA calls.
+
+    Attributes:
+        text: LLVM IR.
+        scratch: bytes of memory that it works in.
+        operations: number of nodes of the graph that it computes.
+    """
+
+    text: str
+    scratch: int
+    operations: int
+
+
+def optimize(program: Program, passes: Sequence[Pass] | None = None, rules: Rules = RULES) -> Graph:
+    """Return the graph of a program behind the passes from graph to graph.
+
+    Args:
+        program: for one individual.
+        passes: from graph to graph; None for `PASSES`.
+        rules: rewrite rules by operation.
+
+    Raises:
+        Unsupported: there is no rule for a part of it, or it is too large.
+    """
+    graph = lower(program, Builder(rules))
+    _show("lower", graph)
+    for each in PASSES if passes is None else passes:
+        graph = each(graph)
+        _show(each.__name__, graph)
+    return graph
+
+
+def to_llvm(
+    program: Program,
+    target: Target,
+    variant: Variant,
+    passes: Sequence[Pass] | None = None,
+    rules: Rules = RULES,
+) -> Module:
+    """Return LLVM IR of a program's code and of the entry into it.
+
+    Args:
+        program: for one individual.
+        target: the machine.
+        variant: the kind of code.
+        passes: see `optimize`.
+        rules: see `optimize`.
+
+    Raises:
+        Unsupported: there is no rule for a part of it, or it is too large.
+    """
+    with _without_collector():
+        graph = optimize(program, passes, rules)
+        code = allocate(graph, variant)
+        text, scratch = print_llvm(code)
+    entry = handler("handler", code.arguments, code.results, scratch, variant)
+    size = 8 * target.bytes
+    vector = f'"prefer-vector-width"="{size}" "min-legal-vector-width"="{size}"'
+    text = f"{text}\n{entry}\nattributes #0 = {{ nounwind {vector} }}\n"
+    return Module(text, scratch, graph.operations)
+
+
+@contextlib.contextmanager
+def _without_collector() -> Iterator[None]:
+    """Pause Python's garbage collector: there are a million objects, and no cycles to be found.
+
+    The collector took half of the time that passes take.
+    """
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
+
+
+def _show(name: str, graph: Graph) -> None:
+    if os.environ.get("EVO_CPG_SHOW_PASSES"):
+        print(f"--- {name}", show(graph), sep="\n", file=sys.stderr)

@@ -1,0 +1,344 @@
+"""Make the nodes of a graph, in which equal things are one thing.
+
+Making a node folds constants, applies the rewrite rules (`evo_cpg.fusion.passes.simplify`), and
+hands out the node that is there already. So a creature's zeros (a centre of mass on the joint, a
+principal axis) cost nothing in the end.
+
+A node lies in the block of the innermost loop that any of its operands lies in, so what does not
+change in a loop is computed before it.
+"""
+
+import contextlib
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from evo_cpg.fusion.ir.graph import Block, Buffer, Graph, Loop, Node, Part, Values, row_count
+from evo_cpg.fusion.ir.types import COMMUTATIVE, PREDICATES
+from evo_cpg.fusion.passes.simplify import FOLDED, RULES, Rule, saturates
+
+
+class Sums:
+    """An array that a loop carries and only adds to: numbers in memory.
+
+    Attributes:
+        shape: of the array.
+        memory: the node of its memory.
+        added: the nodes that add to it.
+    """
+
+    def __init__(self, shape: tuple[int, ...], memory: Node):
+        self.shape, self.memory = shape, memory
+        self.added: list[Node] = []
+
+
+class Builder:
+    """Makes nodes, and hands out the one that is there already.
+
+    Args:
+        rules: rewrite rules by operation, tried in order.
+
+    Attributes:
+        top: the block of the whole program.
+        block: the block in which loops are made at present.
+        active: whether an individual takes part in the block, if some do not; else None.
+    """
+
+    def __init__(self, rules: Mapping[str, Sequence[Rule]] = RULES):
+        self.top = self.block = Block()
+        self.active: Node | None = None
+        self._rules = {op: [rule.apply for rule in each] for op, each in rules.items()}
+        self._arguments: list[Buffer] = []
+        self._made: list[Node] = []
+        self._loops: dict[Block, Node] = {}
+        self._parts: list[Part] = []
+        self._nodes: dict[Any, Node] = {}
+        self._constants: dict[Any, Node] = {}
+
+    def argument(self, shape: Sequence[int], dtype: Any, shared: bool = False) -> np.ndarray:
+        """Return the nodes of one more argument; an array without elements is none."""
+        dtype, size = np.dtype(dtype), int(np.prod(shape, dtype=int))
+        buffer, nodes = len(self._arguments), np.empty(size, object)
+        nodes[:] = [
+            self._new("input", (), dtype, self.top, shared, detail=(buffer, row))
+            for row in range(size)
+        ]
+        if size:
+            self._arguments.append(Buffer(size, dtype, shared))
+        return nodes.reshape(shape)
+
+    def graph(self, results: Sequence[np.ndarray]) -> Graph:
+        """Return the program whose results are some arrays of nodes."""
+        rows = [tuple(nodes.flat) for nodes in results if nodes.size]
+        return Graph(
+            arguments=tuple(self._arguments),
+            results=tuple((Buffer(len(nodes), nodes[0].dtype), nodes) for nodes in rows),
+            top=self.top,
+            nodes=self._made,
+            loops=self._loops,
+            parts=tuple(self._parts),
+            kept={
+                node: tuple(range(len(node.operands))) for node in self._made if node.op == "loop"
+            },
+        )
+
+    def end_part(self, results: Sequence[Node], reorder: bool = True) -> None:
+        """End a program within the program: equal nodes are not the same on both sides of its end.
+
+        Args:
+            results: its last nodes.
+            reorder: whether its sums may be added in another order than they are written.
+        """
+        self._parts.append(Part(tuple(results), reorder))
+        self._nodes.clear()
+
+    def constant(self, value: Any, dtype: Any) -> Node:
+        """A constant of the given type."""
+        value = np.asarray(value, dtype)[()]
+        key = (value.dtype.char, value.tobytes())
+        node = self._constants.get(key)
+        if node is None:
+            node = self._new("constant", (), value.dtype, self.top, True, value=value)
+            self._constants[key] = node
+        return node
+
+    def placeholder(self, op: str, dtype: Any, block: Block, uniform: bool = False) -> Node:
+        """What a loop gives to its rounds: something carried, or the counter."""
+        return self._new(op, (), np.dtype(dtype), block, uniform)
+
+    def opaque(self, node: Node, block: Block | None = None, given: Node | None = None) -> Node:
+        """The same number as a node of which nothing is known but its type.
+
+        Args:
+            node: which.
+            block: where it is seen; None for its own.
+            given: what the program was given (`given`) whose result it is.
+        """
+        if node.value is not None:
+            return node
+        operands = (node,) if given is None else (node, given)
+        return self._new("opaque", operands, node.dtype, block or node.block, node.uniform)
+
+    def inside(self, node: Node, block: Block) -> Node:
+        """A node as a block sees it, so that what is computed from it is computed in the block."""
+        if node.value is not None:
+            return node
+        return self._new("inside", (node,), node.dtype, block, node.uniform)
+
+    def given(self, arrays: Sequence[np.ndarray]) -> Node:
+        """What a program within the program is given, for those who must know what it uses."""
+        nodes = tuple(node for array in arrays for node in array.flat)
+        return self._new("given", nodes, np.dtype(bool), self.top, False)
+
+    def make(self, op: str, operands: Sequence[Node], dtype: Any, detail: Any = None) -> Node:
+        """A node as it stands, without simplification; the one that is there already, if any.
+
+        Args:
+            op: its name.
+            operands: nodes.
+            dtype: of the value.
+            detail: hashable.
+        """
+        return self._found(op, tuple(operands), np.dtype(dtype), detail)
+
+    def _found(self, op: str, operands: tuple[Node, ...], dtype: np.dtype, detail: Any) -> Node:
+        key = (op, dtype.char, detail, operands)
+        node = self._nodes.get(key)
+        if node is None:
+            block, uniform = self.top, True
+            for operand in operands:
+                if operand.block.depth > block.depth:
+                    block = operand.block
+                uniform = uniform and operand.uniform
+            node = self._new(op, operands, dtype, block, uniform, detail=detail)
+            self._nodes[key] = node
+        return node
+
+    def table(self, column: Sequence[Node]) -> Node:
+        """Numbers in a row, from which one can be taken at a computed place."""
+        dtype, first = column[0].dtype, column[0]
+        if first.op == "lookup" and first.operands[0].op in ("list", "totals"):
+            # All of a list, read one by one, are that list.
+            whole = first.operands[0]
+            of_it = all(node.op == "lookup" and node.operands[0] is whole for node in column)
+            places = [node.operands[1].value for node in column] if of_it else []
+            if places == list(range(row_count(whole))):
+                return whole
+        if all([node.value is not None for node in column]):
+            values = np.array([node.value for node in column], dtype)
+            return self.make("constants", (), dtype, Values(values))
+        return self.make("rows", column, dtype)
+
+    def lookup(self, table: Node, place: Node) -> Node:
+        """The number at a place (int32) within a table or list."""
+        if place.value is not None and table.op == "rows":
+            return table.operands[int(place.value)]
+        if place.value is not None and table.op == "constants":
+            return self.constant(table.detail.values[int(place.value)], table.dtype)
+        return self.make("lookup", (table, place), table.dtype)
+
+    def solve(self, triangle: np.ndarray, b: np.ndarray) -> np.ndarray:
+        """The answers to symmetric equations, by a function that loops.
+
+        Args:
+            triangle: the lower triangle of the matrix, row by row.
+            b: the other side.
+        """
+        table = self.make("solve", (*triangle, *b), b[0].dtype, len(b))
+        answers = np.empty(len(b), object)
+        answers[:] = [self.lookup(table, self.constant(place, np.int32)) for place in range(len(b))]
+        return answers
+
+    def sums(self, start: np.ndarray) -> Sums:
+        """Memory for sums that begin with the given nodes, all of one type."""
+        nodes = tuple(start.flat)
+        memory = self._new("sums", nodes, nodes[0].dtype, self.block, False)
+        return Sums(start.shape, memory)
+
+    def accumulate(self, sums: Sums, place: Node, value: Node) -> None:
+        """Add a number to the one at a place (int32, the same for all individuals)."""
+        if self.active is not None and not self.active.uniform:
+            value = self.select(self.active, value, self.constant(0, value.dtype))
+        operands = place, value, sums.memory
+        sums.added.append(self._new("accumulate", operands, value.dtype, self.block, False))
+
+    def totals(self, sums: Sums) -> np.ndarray:
+        """What sums have come to after the loop that was made last."""
+        operands = (sums.memory, *sums.added)
+        table = self._new("totals", operands, sums.memory.dtype, self.block, False)
+        places = [self.constant(place, np.int32) for place in range(row_count(table))]
+        nodes = np.empty(len(places), object)
+        nodes[:] = [self.lookup(table, place) for place in places]
+        return nodes.reshape(sums.shape)
+
+    def loop(self, start: Sequence[Node], loop: Loop) -> tuple[list[Node], list[Node]]:
+        """Put a loop into the current block.
+
+        Args:
+            start: the carried values at first.
+            loop: what it does.
+
+        Returns:
+            The carried values in the end, and its lists.
+        """
+        block, flag = self.block, np.dtype(bool)
+        node = self._new("loop", tuple(start), flag, block, False, detail=loop)
+        self._loops |= {loop.test: node, loop.body: node}
+        results = [
+            self._new("result", (node,), one.dtype, block, False, detail=k)
+            for k, one in enumerate(loop.carried)
+        ]
+        lists = [
+            self._new("list", (node,), one.dtype, block, False, detail=k)
+            for k, one in enumerate(loop.written)
+        ]
+        return results, lists
+
+    @contextlib.contextmanager
+    def within(self, block: Block, active: Node | None = None) -> Iterator[None]:
+        """Make loops in the given block.
+
+        Args:
+            block: a block within the present one.
+            active: whether an individual takes part; None for the same as around it.
+        """
+        outer = self.block, self.active
+        self.block, self.active = block, active or self.active
+        try:
+            yield
+        finally:
+            self.block, self.active = outer
+
+    def apply(self, op: str, *operands: Node, dtype: Any = None) -> Node:
+        """The result of an operation on scalars, in its simplest form.
+
+        Args:
+            op: name of JAX's primitive.
+            operands: its arguments.
+            dtype: of the result of a conversion.
+        """
+        if op in ("convert", "bitcast"):
+            return self._convert(op, operands[0], np.dtype(dtype))
+        kind = operands[-1].dtype
+        if op in PREDICATES:
+            kind = np.dtype(bool)
+        for node in operands:
+            if node.value is None:
+                break
+        else:
+            if op in FOLDED:
+                with np.errstate(all="ignore"):
+                    return self.constant(FOLDED[op](*[node.value for node in operands]), kind)
+        for simplify in self._rules.get(op, ()):
+            simpler = simplify(self, *operands)
+            if simpler is not None:
+                return simpler
+        if op in COMMUTATIVE and _comes_later(*operands):
+            operands = operands[::-1]
+        return self._found(op, operands, kind, None)
+
+    def add(self, a: Node, b: Node) -> Node:
+        """The sum a + b."""
+        return self.apply("add", a, b)
+
+    def subtract(self, a: Node, b: Node) -> Node:
+        """The difference a - b."""
+        return self.apply("sub", a, b)
+
+    def multiply(self, a: Node, b: Node) -> Node:
+        """The product a b."""
+        return self.apply("mul", a, b)
+
+    def negate(self, a: Node) -> Node:
+        """The negative of a."""
+        return self.apply("neg", a)
+
+    def select(self, condition: Node, yes: Node, no: Node) -> Node:
+        """One or the other."""
+        return self.apply("select", condition, yes, no)
+
+    def convert(self, a: Node, dtype: Any) -> Node:
+        """The number in another type."""
+        return self.apply("convert", a, dtype=dtype)
+
+    def power(self, base: Node, exponent: int) -> Node:
+        """A whole power by repeated squaring."""
+        if exponent < 0:
+            return self.apply("div", self.constant(1, base.dtype), self.power(base, -exponent))
+        if exponent == 0:
+            return self.constant(1, base.dtype)
+        half = self.power(base, exponent // 2)
+        square = self.multiply(half, half) if exponent > 1 else half
+        return self.multiply(square, base) if exponent % 2 else square
+
+    def _convert(self, op: str, operand: Node, dtype: np.dtype) -> Node:
+        if dtype == operand.dtype:
+            return operand
+        if operand.value is not None and op == "bitcast":
+            return self.constant(operand.value.view(dtype), dtype)
+        if operand.value is not None and not saturates(operand, dtype):
+            with np.errstate(all="ignore"):
+                return self.constant(operand.value.astype(dtype), dtype)
+        return self.make(op, (operand,), dtype)
+
+    def _new(
+        self,
+        op: str,
+        operands: tuple[Node, ...],
+        dtype: np.dtype,
+        block: Block,
+        uniform: bool,
+        value: Any = None,
+        detail: Any = None,
+    ) -> Node:
+        node = Node(op, operands, dtype, block, uniform, len(self._made) + 1, value, detail)
+        self._made.append(node)
+        return node
+
+
+def _comes_later(a: Node, b: Node) -> bool:
+    """Whether b is to be named before a: constants come last, whenever they were made."""
+    if a.value is not None or b.value is not None:
+        return a.value is not None
+    return a.number > b.number

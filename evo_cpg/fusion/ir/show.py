@@ -1,0 +1,69 @@
+"""Print a graph as text, one node a line."""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+from evo_cpg.fusion.ir.graph import Block, Graph, Node, Run, resolve
+
+# Constants, and other names of nodes.
+_HIDDEN = {"constant", "given", "inside", "opaque"}
+
+
+def show(graph: Graph) -> str:
+    """Return a program as text.
+
+    A line has the number of a node, its type (with ``u`` if it is uniform), its operation, and the
+    numbers of its operands. The blocks of a loop are indented. Other names of a node are not shown.
+    """
+    runs = graph.runs
+    if not runs:
+        blocks: dict[Block, list[Run]] = {}
+        for node in graph.nodes:
+            if node.op not in _HIDDEN:
+                loop = node if node.op == "loop" else None
+                blocks.setdefault(node.block, []).append(Run([] if loop else [node], loop))
+        runs = blocks
+    lines = [
+        f"argument {k}: {'shared ' if each.shared else ''}{each.dtype}[{each.rows}]"
+        for k, each in enumerate(graph.arguments)
+    ]
+    lines += _block(graph, runs, graph.top)
+    lines += [f"part {k}: {_names(part.results)}" for k, part in enumerate(graph.parts)]
+    for k, (buffer, nodes) in enumerate(graph.results):
+        lines.append(f"result {k}: {buffer.dtype}[{buffer.rows}] = {_names(nodes)}")
+    return "\n".join(lines)
+
+
+def _block(graph: Graph, runs: Mapping[Block, Sequence[Run]], block: Block) -> Iterator[str]:
+    for run in runs.get(block, ()):
+        yield from map(_line, run.nodes)
+        if run.loop is None:
+            continue
+        loop = run.loop.detail
+        kind = "branch" if loop.once else "while" if loop.condition else f"repeat {loop.count}"
+        kept = graph.kept.get(run.loop, ())
+        yield f"{_name(run.loop)} = {kind}"
+        yield from (
+            f"  carry {_name(loop.carried[k])} from {_name(run.loop.operands[k])}" for k in kept
+        )
+        yield from (f"  {line}" for line in _block(graph, runs, loop.test))
+        if loop.condition is not None:
+            yield f"  if {_name(loop.condition)}"
+        yield from (f"    {line}" for line in _block(graph, runs, loop.body))
+        yield from (f"  next {_name(loop.carried[k])} = {_name(loop.following[k])}" for k in kept)
+        if loop.written:
+            yield f"  write {_names(loop.written)} at {_name(loop.place)}"
+
+
+def _line(node: Node) -> str:
+    detail = "" if node.detail is None else f" {node.detail}"
+    kind = f"{node.dtype}{' u' if node.uniform else ''}"
+    return f"{_name(node)}: {kind} = {node.op} {_names(node.operands)}{detail}".rstrip()
+
+
+def _name(node: Node) -> str:
+    node = resolve(node)
+    return str(node.value) if node.value is not None else f"%{node.number:g}"
+
+
+def _names(nodes: Iterable[Node]) -> str:
+    return ", ".join(map(_name, nodes))

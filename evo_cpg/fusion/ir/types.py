@@ -1,0 +1,83 @@
+"""The operations of the graph with the types of their operands and results.
+
+A signature lists the types of the operands and, behind the arrow, of the result. Equal letters are
+equal types.
+
+| letter | type |
+|---|---|
+| f, i, n | a float, a whole number, either of them |
+| b | a truth value |
+| k | an int32, the place of something in memory |
+| a | any type |
+| * | any type, of its own |
+| ... | any number of operands of the type before it |
+"""
+
+from typing import NamedTuple
+
+from evo_cpg.fusion.ir.graph import Loop, Values
+
+
+class Operation(NamedTuple):
+    """A kind of node.
+
+    Attributes:
+        signature: types of its operands and of its result.
+        detail: type of what else it needs; None for nothing.
+    """
+
+    signature: str
+    detail: type | None = None
+
+
+def _each(names: str, signature: str) -> dict[str, Operation]:
+    return dict.fromkeys(names.split(), Operation(signature))
+
+
+OPERATIONS: dict[str, Operation] = {
+    # Arithmetic: one scalar from others.
+    **_each("add sub mul div rem max min", "n n -> n"),
+    **_each("eq ne lt le gt ge", "a a -> b"),
+    **_each("and or xor", "a a -> a"),
+    **_each("shift_left shift_right_arithmetic shift_right_logical", "i i -> i"),
+    **_each("abs neg sign", "n -> n"),
+    **_each("ceil floor round sqrt", "f -> f"),
+    **_each("is_finite", "f -> b"),
+    **_each("not", "a -> a"),
+    **_each("select", "b a a -> a"),
+    **_each("convert bitcast", "a -> *"),
+    # Multiply-adds: x y + z, x y - z, z - x y.
+    **_each("fma fms fnma", "f f f -> f"),
+    # Functions of the C library.
+    **_each(
+        "acos acosh asin asinh atan atanh cbrt cos cosh erf erfc exp exp2 expm1 lgamma log log1p"
+        " sin sinh tan tanh",
+        "f -> f",
+    ),
+    **_each("atan2 pow", "f f -> f"),
+    # What a block is given.
+    "constant": Operation("-> *"),
+    "input": Operation("-> *", tuple),
+    "carried": Operation("-> *"),
+    "counter": Operation("-> k"),
+    # The same number, seen from elsewhere.
+    "opaque": Operation("a b... -> a"),
+    "inside": Operation("a -> a"),
+    "given": Operation("*... -> b"),
+    # Tables in memory, and the numbers in them.
+    "constants": Operation("-> *", Values),
+    "rows": Operation("a... -> a"),
+    "solve": Operation("f... -> f", int),
+    "sums": Operation("n... -> n"),
+    "totals": Operation("n... -> n"),
+    "accumulate": Operation("k n n -> n"),
+    "lookup": Operation("a k -> a"),
+    # Loops; a list has what each round has written.
+    "loop": Operation("*... -> b", Loop),
+    "result": Operation("b -> *", int),
+    "list": Operation("b -> *", int),
+}
+
+COMMUTATIVE = {"add", "mul", "max", "min", "and", "or", "xor", "eq", "ne"}
+PREDICATES = {"eq", "ne", "lt", "le", "gt", "ge", "is_finite"}
+"""Operations whose result is a truth value."""
