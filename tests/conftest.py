@@ -43,13 +43,12 @@ jax.config.update("jax_compilation_cache_dir", _COMPILED.name)
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
 keep_code_in(Path(_COMPILED.name))
 
+# JAX and the traced programs keep millions of objects, hardly ever in a cycle. Collecting the tests
+# makes another million, of which none is garbage: it takes a third longer with Python's thresholds.
+gc.set_threshold(50_000, 20, 20)
+
 # (3,) against (3, n) must not broadcast by accident: `expand_dims_like` says which axis is meant.
 jax.config.update("jax_numpy_rank_promotion", "raise")
-
-# Of what JAX and the traced programs keep there are millions of objects, hardly ever in a cycle.
-_OBJECTS_BETWEEN_COLLECTIONS = 50_000
-# A process that has more than this in memory forgets its compiled programs after a test file.
-_MEMORY = 1.2 * 2**30
 
 # The same examples in every run. No deadline: the first example pays for the compiling.
 hypothesis.settings.register_profile(
@@ -74,17 +73,16 @@ def pytest_configure(config):
 
 
 def pytest_collection_finish(session):
-    """What was imported and collected stays; the garbage collector need not look at it again."""
+    """Keep the garbage collector from what was imported and collected, which stays."""
     gc.collect()
     gc.freeze()
-    gc.set_threshold(_OBJECTS_BETWEEN_COLLECTIONS, 20, 20)
 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_protocol(item, nextitem):
-    """Give memory back between files, each of which has programs of its own."""
+    """Drop compiled programs between files where memory is short; later files compile anew."""
     result = yield
-    if (nextitem is None or nextitem.path != item.path) and memory_in_use() > _MEMORY:
+    if (nextitem is None or nextitem.path != item.path) and is_short_of_memory():
         jax.clear_caches()
         gc.collect()
         with contextlib.suppress(OSError, AttributeError):
@@ -92,12 +90,16 @@ def pytest_runtest_protocol(item, nextitem):
     return result
 
 
-def memory_in_use() -> float:
-    """Of this process, bytes; 0 where the system does not tell."""
+def is_short_of_memory() -> bool:
+    """Return whether this process has an eighth of the machine's memory, and more than 1.2 GiB.
+
+    The session has two processes like this one, and they start others.
+    """
     if sys.platform != "linux":
-        return 0.0
+        return False
     pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return float(pages * os.sysconf("SC_PAGE_SIZE"))
+    most = max(1.2 * 2**30 / os.sysconf("SC_PAGE_SIZE"), os.sysconf("SC_PHYS_PAGES") / 8)
+    return pages > most
 
 
 @pytest.fixture

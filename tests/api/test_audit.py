@@ -176,11 +176,16 @@ def test_a_solver_that_gives_is_found(monkeypatch, cheat):
     assert f"simulator_{cheat}" in failed((made, lived_trials(made, champion())))
 
 
-def test_who_starts_in_the_ground_is_found():
+@pytest.fixture(scope="module")
+def buried():
+    """A row that starts in the ground, in which its light lies too."""
+    made = walker(height=-0.05, light=(2.0, 0.0, -0.5))
+    return made, lived_trials(made, champion())
+
+
+def test_who_starts_in_the_ground_is_found(buried):
     """The push-out lifts it: depth, and energy that no motor gave."""
-    made = walker(height=-0.05)
-    flagged = failed((made, lived_trials(made, champion())), push_out_energy=0.01)
-    assert {"penetration", "push_out_energy"} <= flagged
+    assert {"penetration", "push_out_energy"} <= failed(buried, push_out_energy=0.01)
 
 
 def test_who_stands_is_not_lifted():
@@ -396,11 +401,9 @@ def test_who_swims_above_a_floor_does_not_fly():
         assert found.excursions.airborne_way == pytest.approx(share)
 
 
-def test_light_seen_through_the_ground_is_found(honest):
+def test_light_seen_through_the_ground_is_found(honest, buried):
     """A light that lies in the ground, and one above it."""
-    buried = walker(light=(2.0, 0.0, -0.5))
-    below = buried, lived_trials(buried, champion())
-    for found, share in ((below, 1.0), (honest, 0.0)):
+    for found, share in ((buried, 1.0), (honest, 0.0)):
         (trial,) = found[1]
         assert trial.excursions.seen_through_ground == share
         assert ("seen_through_ground" in failed(found)) == (share > 0)

@@ -124,7 +124,7 @@ def test_mirrored_limbs_are_mirror_images_in_every_pose():
             body = tree.names.index(f"front_{side}_{part}")
             q[[i for i, b in enumerate(tree.dof_bodies) if b == body]] = values
     state = dataclasses.replace(state, q=jnp.asarray(q, state.q.dtype))
-    pose = kinematics(tree, state)
+    pose = quick_jit(lambda state: kinematics(tree, state))(state)
     rotation = np.asarray(pose.rotation)
     place = np.asarray(pose.origin) + np.einsum("ijb,jb->ib", rotation, tree.com)
     for part in angle:

@@ -89,12 +89,27 @@ def test_wrong_noise_trials_and_runs_are_refused(changes, expected):
     assert expected in problem(small(**changes))
 
 
+SHIPPED = sorted((REPOSITORY / "configs").glob("*.yaml"))
+
+
 @pytest.mark.parametrize(
-    "path", sorted((REPOSITORY / "configs").glob("*.yaml")), ids=lambda p: p.stem
+    "path",
+    [
+        # Among boulders the search for a start takes six seconds.
+        pytest.param(path, id=path.stem, marks=[pytest.mark.slow] * path.stem.endswith("boulders"))
+        for path in SHIPPED
+    ],
 )
-def test_shipped_configs_build_and_survive_being_written_and_read(path, tmp_path):
+def test_shipped_configs_build(path):
     config = load_config(path)
-    build_experiment(config, path)
+    experiment = build_experiment(config, path)
+    assert len(experiment.creature.bodies) == len(config.creature.build().bodies)
+    assert experiment.simulation.steps == config.simulation.steps
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda p: p.stem)
+def test_shipped_configs_survive_being_written(path, tmp_path):
+    config = load_config(path)
     copy = tmp_path / "copy.yaml"
     copy.write_text(dump_config(config))
     assert load_config(copy) == config

@@ -19,6 +19,8 @@ from evo_cpg.evolution.selection import (
 
 DRAWS = 100_000
 
+by_lexicase = jax.jit(draw_by_lexicase, static_argnums=3)
+
 # Any fitness that `score` lets through, and NaN.
 FITNESS = st.lists(
     st.sampled_from([-2.5, -1.0, 0.0, 0.5, 0.5, 3.0, -np.inf, np.nan]), min_size=6, max_size=6
@@ -99,7 +101,7 @@ def test_lexicase_parents_are_drawn_as_often_as_the_orders_of_trials_say(trials)
     chances = lexicase_chances(trial_fitness)
     assert 1 < (chances > 0).sum() < 9
     fitness = jnp.asarray(trial_fitness.mean(0))
-    drawn = draw_by_lexicase(jax.random.key(4), fitness, jnp.asarray(trial_fitness), DRAWS)
+    drawn = by_lexicase(jax.random.key(4), fitness, jnp.asarray(trial_fitness), DRAWS)
     counts = np.bincount(np.asarray(drawn), minlength=9)
     assert counts[chances == 0].sum() == 0
     assert chisquare(counts[chances > 0], DRAWS * chances[chances > 0]).pvalue > 0.01
@@ -111,7 +113,7 @@ def test_lexicase_keeps_who_does_well_in_one_trial_only():
     trial_fitness = np.concatenate([np.tile(np.linspace(0, 1, 9), (2, 1)), specialist], 1)
     fitness = jnp.asarray(trial_fitness.mean(0), jnp.float32)
     each = jnp.asarray(trial_fitness, jnp.float32)
-    drawn = np.asarray(draw_by_lexicase(jax.random.key(5), fitness, each, 1000))
+    drawn = np.asarray(by_lexicase(jax.random.key(5), fitness, each, 1000))
     assert 400 < (drawn == 9).sum() < 600
     by_rank = draw_parents(jax.random.key(5), fitness, linear_rank_probabilities(10, 0.9), 1000)
     assert 9 not in np.asarray(by_rank)
@@ -120,8 +122,8 @@ def test_lexicase_keeps_who_does_well_in_one_trial_only():
 def test_lexicase_draws_nobody_who_diverged_in_any_trial_while_others_live():
     trial_fitness = jnp.asarray([[9.0, -1.0, -2.0, jnp.nan], [-jnp.inf, -1.0, 0.5, 3.0]])
     fitness = trial_fitness.mean(0)
-    drawn = draw_by_lexicase(jax.random.key(6), fitness, trial_fitness, 1000)
+    drawn = by_lexicase(jax.random.key(6), fitness, trial_fitness, 1000)
     assert set(np.asarray(drawn).tolist()) == {1, 2}
     nobody = jnp.full((2, 4), -jnp.inf)
-    drawn = draw_by_lexicase(jax.random.key(6), nobody[0], nobody, 1000)
+    drawn = by_lexicase(jax.random.key(6), nobody[0], nobody, 1000)
     assert set(np.asarray(drawn).tolist()) == {0, 1, 2, 3}

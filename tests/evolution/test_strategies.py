@@ -1,6 +1,7 @@
 """Every search is asked and told, keeps what it knows in arrays, and gets better at a sphere."""
 
 import dataclasses
+import functools
 import importlib
 
 import equinox as eqx
@@ -89,6 +90,11 @@ STRATEGIES = {
 }
 
 
+@functools.cache
+def made(name):
+    return STRATEGIES[name]()
+
+
 # Of evosax one algorithm with a distribution and one with a population are enough for every day.
 NAMES = [
     pytest.param(name, marks=[pytest.mark.slow] if name in ("LM_MA_ES", "Open_ES") else [])
@@ -96,6 +102,7 @@ NAMES = [
 ]
 
 
+@jax.jit
 def sphere(genes):
     """Best where all genes are 0.7; a corner of the space is deadly."""
     fitness = -((genes - 0.7) ** 2).sum(0)
@@ -104,27 +111,36 @@ def sphere(genes):
     return Evaluation(fitness, *about, jnp.stack([fitness + genes[0], fitness - genes[0]]))
 
 
+# By the identity of a strategy, which is kept for as long: what several tests search with.
+_PROGRAMS: dict = {}
+
+
+def programs(strategy):
+    """Return a strategy's first and later generations, compiled once."""
+
+    @jax.jit
+    def begin(start_key, key, start):
+        return strategy.ask(jax.random.fold_in(key, 0), strategy.init(start_key, start))
+
+    @jax.jit
+    def step(key, i, genes, state, worth):
+        told, asked = jax.random.split(jax.random.fold_in(key, i))
+        return strategy.ask(asked, strategy.tell(told, state, genes, worth))
+
+    return _PROGRAMS.setdefault(id(strategy), (strategy, begin, step))[1:]
+
+
 def search(strategy, generations=40, seed=0, evaluate=sphere, genes=GENES):
     """Populations, fitness of each, and the last state."""
     start_key, key = jax.random.split(jax.random.key(seed))
     start = jax.random.uniform(start_key, (genes, SIZE), jnp.float32, -2.0, 2.0)
-
-    @jax.jit
-    def begin(start):
-        return strategy.ask(jax.random.fold_in(key, 0), strategy.init(start_key, start))
-
-    @jax.jit
-    def step(i, genes, state):
-        told, asked = jax.random.split(jax.random.fold_in(key, i))
-        worth = evaluate(genes)
-        genes, state = strategy.ask(asked, strategy.tell(told, state, genes, worth))
-        return worth.fitness, genes, state
-
-    genes, state = begin(start)
+    begin, step = programs(strategy)
+    genes, state = begin(start_key, key, start)
     populations, found = [genes], []
     for i in range(1, generations + 1):
-        fitness, genes, state = step(i, genes, state)
-        found.append(np.asarray(fitness))
+        worth = evaluate(genes)
+        genes, state = step(key, i, genes, state, worth)
+        found.append(np.asarray(worth.fitness))
         populations.append(np.asarray(genes))
     return populations, found, state
 
@@ -137,7 +153,7 @@ def search(strategy, generations=40, seed=0, evaluate=sphere, genes=GENES):
     ],
 )
 def test_a_search_gets_better_and_asks_for_numbers(name):
-    populations, found, _ = search(STRATEGIES[name](), genes=genes_of(name))
+    populations, found, _ = search(made(name), genes=genes_of(name))
     assert all(genes.shape == (genes_of(name), SIZE) for genes in populations)
     assert np.isfinite(np.array(populations)).all()
     # Half of what random genomes leave.
@@ -147,7 +163,7 @@ def test_a_search_gets_better_and_asks_for_numbers(name):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_what_a_search_knows_goes_through_arrays(name):
-    strategy = STRATEGIES[name]()
+    strategy = made(name)
     populations, _, state = search(strategy, 6, genes=genes_of(name))
     arrays = {name: np.array(value) for name, value in state_arrays(state).items()}
     like = jax.eval_shape(lambda: state)
@@ -170,12 +186,12 @@ def test_a_search_survives_that_nobody_does(name):
         about = {"cost": lost}, {"first": lost, "second": lost}
         return Evaluation(nobody, *about, jnp.stack([nobody, nobody]))
 
-    populations, _, _ = search(STRATEGIES[name](), 5, evaluate=deadly, genes=genes_of(name))
+    populations, _, _ = search(made(name), 5, evaluate=deadly, genes=genes_of(name))
     assert np.isfinite(np.array(populations)).all()
 
 
 def test_random_search_draws_anew():
-    populations, _, _ = search(STRATEGIES["random"](), 4)
+    populations, _, _ = search(made("random"), 4)
     assert len({np.asarray(genes).tobytes() for genes in populations}) == 5
     later = np.array(populations[1:])
     assert abs(later.mean()) < 0.2 and later.std() == pytest.approx(4 / 12**0.5, rel=0.05)
@@ -339,7 +355,7 @@ def test_children_of_bits_are_bits_of_two_parents():
     vary = OfBits(mutated_genes_max=2, mutation_probability=0.0)
     genes = jnp.asarray(np.random.default_rng(0).integers(0, 2, (GENES, 5)), jnp.float32)
     parents = jnp.array([[0, 1, 2, 3], [4, 3, 2, 0]])
-    children = np.asarray(vary(jax.random.key(0), genes, parents))
+    children = np.asarray(jax.jit(vary)(jax.random.key(0), genes, parents))
     assert children.shape == (GENES, 4)
     for child, (first, second) in zip(children.T, np.asarray(parents).T, strict=True):
         a, b = np.asarray(genes[:, first]), np.asarray(genes[:, second])
@@ -352,8 +368,8 @@ def test_children_of_bits_that_are_not_crossed_are_the_first_parents_but_for_wha
     genes = jnp.asarray(np.random.default_rng(0).integers(0, 2, (GENES, 2)), jnp.float32)
     parents = jnp.array([[0] * 500, [1] * 500])
     for children in (
-        vary(jax.random.key(0), genes, parents),
-        vary.copies(jax.random.key(1), genes[:, parents[0]]),
+        jax.jit(vary)(jax.random.key(0), genes, parents),
+        jax.jit(vary.copies)(jax.random.key(1), genes[:, parents[0]]),
     ):
         changed = np.asarray(children != genes[:, :1]).sum(0)
         assert set(changed.tolist()) == {1, 2, 3}

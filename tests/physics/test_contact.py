@@ -141,12 +141,10 @@ def on_slope(degrees: float, tall: float):
     return world, state, np.array([np.cos(angle), 0.0, -np.sin(angle)])
 
 
-@pytest.mark.parametrize(
-    ("degrees", "tall"), [(10.0, 0.1), (20.0, 0.3), (25.0, 0.1), (25.5, 0.1), (25.5, 0.3)]
-)
-def test_static_friction_holds(degrees, tall):
-    """Up to a degree below atan 0.5 = 26.57 a block creeps less than 0.5 mm/s."""
-    world, state, downhill = on_slope(degrees, tall)
+@pytest.mark.parametrize("tall", [0.1, 0.3])
+def test_static_friction_holds(tall):
+    """A degree below atan 0.5 = 26.57 a block creeps less than 0.5 mm/s."""
+    world, state, downhill = on_slope(25.5, tall)
     states, _ = record(world, state, 480)
     place = np.asarray(states.position)[:, :, 0]
     creep = downhill @ (place[-1] - place[239])
@@ -155,8 +153,7 @@ def test_static_friction_holds(degrees, tall):
     assert np.abs(np.asarray(states.velocity)[-1, :3]).max() < 1e-3
 
 
-@pytest.mark.parametrize("tall", [0.1, 0.3])
-@pytest.mark.parametrize("degrees", [27.57, 35.0])
+@pytest.mark.parametrize(("degrees", "tall"), [(27.57, 0.3), (35.0, 0.1)])
 def test_dynamic_friction_brakes(degrees, tall):
     """Beyond it the block slides with g (sin a - mu_d cos a), once above ten Stribeck speeds."""
     world, state, downhill = on_slope(degrees, tall)

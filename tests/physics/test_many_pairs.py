@@ -80,7 +80,7 @@ def one_step(world, state):
     ("shape", "axes"),
     [
         ("capsules", "z"),
-        ("boxes", "z"),
+        pytest.param("boxes", "z", marks=pytest.mark.slow),
         pytest.param("boxes", "yz", marks=pytest.mark.slow),
         pytest.param("ellipsoids", "yz", marks=pytest.mark.slow),
     ],

@@ -145,7 +145,7 @@ def test_slow_parts_are_looked_at_where_they_are():
     """So nothing changes for them: 4 cm in a step is slow with a margin of 5 cm."""
     obstacles = THIN, Boulder((0.3, 0.0, 0.0), 0.1)
     floor = Shore("x", 0.0, 1.0, -0.5, 0.5)
-    for name in ("ball", "box", "mesh"):
+    for name in ("ball", "mesh"):
         shape, _ = SHAPES[name]
         world = alone(shape, obstacles=obstacles, floor=floor)
         velocity = np.array([[0.0] * 5 + [v] for v in (-0.039 / H, -0.06 / H)]).T
