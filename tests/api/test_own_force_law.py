@@ -163,7 +163,7 @@ def test_a_law_acts_on_a_creature_at_rest(plate):
 @pytest.fixture
 def glider(here, monkeypatch):
     """The page's files in the working folder."""
-    wriggler, _, plate = programs("docs/own.md")
+    wriggler, _, plate, _ = programs("docs/own.md")
     (here / "wriggler.py").write_text(wriggler)
     (here / "plate.py").write_text(
         plate
@@ -194,7 +194,7 @@ def test_a_force_law_trains_and_goes_again(glider):
     again = evo.load(trained.folder).evaluate(0, genes).fitness
     np.testing.assert_array_equal(again, fitness)
     simulation = with_lift.parts.simulation
-    steps = quick_jit(lambda g: rollout(simulation, g, observer=EachPhysicsStep()))(
+    steps = quick_jit(lambda g: rollout(simulation, g, observers=EachPhysicsStep()))(
         jnp.asarray(genes.T)
     )
     book = ledger(simulation.world, jax.tree.map(np.asarray, steps), simulation.step_length)
