@@ -1,10 +1,13 @@
-"""Which program this is."""
+"""Version of this program, and commit of its checkout."""
 
 import os
 import platform
+import subprocess
 import warnings
+from collections.abc import Sequence
+from pathlib import Path
 
-from evo_cpg.api.commit import commit
+import evo_cpg
 from evo_cpg.installation import version_of
 
 
@@ -19,6 +22,44 @@ def version() -> str:
             f"engine: {_engine()}",
         ]
     )
+
+
+def checkout() -> Path | None:
+    """The checkout that this program lies in; None where it was installed."""
+    folder = Path(evo_cpg.__file__).parents[1]
+    # An installed package may lie in a folder that is somebody else's checkout.
+    return folder if os.path.exists(folder / ".git") else None
+
+
+def commit() -> str | None:
+    """The state of this program's checkout, see `commit_of`."""
+    folder = checkout()
+    return folder and commit_of(folder)
+
+
+def program_commit() -> str | None:
+    """`commit`, where only what results depend on counts: program, configurations, benchmarks."""
+    folder = checkout()
+    return folder and commit_of(folder, ("evo_cpg", "configs", "benchmarks", "pyproject.toml"))
+
+
+def commit_of(folder: Path, paths: Sequence[str] = (".",)) -> str | None:
+    """Short name of a checkout's commit, with "-dirty" where files were changed since.
+
+    None where it is no checkout, or there is no git.
+
+    Args:
+        folder: of the checkout.
+        paths: of it, whose changes count.
+    """
+    if not os.path.exists(folder / ".git"):
+        return None
+    try:
+        name = _git(folder, "rev-parse", "--short", "HEAD")
+        changed = _git(folder, "status", "--porcelain", "--untracked-files=no", "--", *paths)
+    except (OSError, subprocess.CalledProcessError):
+        return None
+    return f"{name}-dirty" if changed else name
 
 
 def _engine() -> str:
@@ -36,3 +77,9 @@ def _engine() -> str:
     if found["engine"] == "native":
         return f"native code, {found['instructions']}, LLVM {found['llvm']}"
     return "; ".join(["plain JAX", *(str(warning.message) for warning in told)])
+
+
+def _git(folder: Path, *arguments: str) -> str:
+    command = ["git", "-C", str(folder), *arguments]
+    done = subprocess.run(command, capture_output=True, check=True)
+    return done.stdout.decode(errors="replace").strip()

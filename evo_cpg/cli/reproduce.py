@@ -112,7 +112,7 @@ def default_folder(name: str, quick: bool) -> Path:
     """Where a study's files go: in a checkout beside its page, else into the working folder."""
     if quick:
         return Path("reproduction") / f"{name}_quick"
-    from evo_cpg.api.commit import checkout
+    from evo_cpg.api.version import checkout
 
     here = checkout()
     if here is None:

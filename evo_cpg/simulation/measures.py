@@ -65,8 +65,14 @@ class Measure(eqx.Module):
 class Way(NamedTuple):
     """Where the root set out and where it is, m."""
 
-    start: Float[Array, "3 *n"]
-    end: Float[Array, "3 *n"]
+    start: Float[Array, "c *n"]
+    end: Float[Array, "c *n"]
+
+
+def no_way(batch: tuple[int, ...], dtype: jnp.dtype, components: int = 3) -> Way:
+    """The way before a trial."""
+    nowhere = jnp.zeros((components, *batch), dtype)
+    return Way(nowhere, nowhere)
 
 
 class Speed(Measure):
@@ -74,7 +80,7 @@ class Speed(Measure):
 
     def begin(self, world: World, batch: tuple[int, ...], dtype: jnp.dtype) -> Way:
         """See `Measure.begin`."""
-        return Way(jnp.zeros((3, *batch), dtype), jnp.zeros((3, *batch), dtype))
+        return no_way(batch, dtype)
 
     def update(self, tally: Way, transition: Transition) -> Way:
         """See `Measure.update`."""
@@ -99,7 +105,7 @@ class CostOfTransport(Measure):
 
     def begin(self, world: World, batch: tuple[int, ...], dtype: jnp.dtype) -> Spent:
         """See `Measure.begin`."""
-        return Spent(jnp.zeros(batch, dtype), Speed().begin(world, batch, dtype))
+        return Spent(jnp.zeros(batch, dtype), no_way(batch, dtype))
 
     def update(self, tally: Spent, transition: Transition) -> Spent:
         """See `Measure.update`."""

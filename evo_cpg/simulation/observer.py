@@ -71,8 +71,9 @@ class Observer:
         return ()
 
     def finish(self, simulation: Simulation, tally: PyTree[Array], steps: PyTree[Array]) -> Any:
-        """Return the result: of the tally, and of what `of_step` kept, stacked along time."""
-        raise NotImplementedError
+        """Return the result, by default what `of_step` kept, stacked along time."""
+        del simulation, tally
+        return steps
 
 
 @dataclasses.dataclass(frozen=True)

@@ -139,13 +139,6 @@ class Recorder(Observer):
         recorded = slice(self.first, self.first + self.count)
         return {name: values[..., recorded] for name, values in frames.items()}
 
-    def finish(
-        self, simulation: Simulation, tally: tuple, steps: dict[str, Array]
-    ) -> dict[str, Array]:
-        """Return the frames, stacked along the first axis."""
-        del simulation, tally
-        return steps
-
 
 def as_recording(
     simulation: Simulation,

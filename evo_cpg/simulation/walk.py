@@ -31,19 +31,13 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from evo_cpg.simulation.measures import Way, no_way
 from evo_cpg.simulation.task import Task, Transition
 from evo_cpg.spatial.numerics import Number
 
 # ``any`` counts the way made whatever its direction; ``forward`` what of it leads along the world's
 # +x, which an animal faces at the start unless it is turned, and counts a way back as negative.
 Heading = Literal["any", "forward"]
-
-
-class Way(NamedTuple):
-    """Where the torso set out and where it is, m."""
-
-    start: Float[Array, "3 *n"]
-    end: Float[Array, "3 *n"]
 
 
 class Gait(NamedTuple):
@@ -79,7 +73,7 @@ class Distance(Task):
     def begin(self, batch: tuple[int, ...], dtype: jnp.dtype, steps: int) -> Way:
         """See `Task.begin`."""
         del steps
-        return _no_way(batch, dtype)
+        return no_way(batch, dtype)
 
     def update(self, tally: Way, transition: Transition, steps: int) -> Way:
         """See `Task.update`."""
@@ -123,7 +117,7 @@ class Walk(Task):
     def begin(self, batch: tuple[int, ...], dtype: jnp.dtype, steps: int) -> Gait:
         """See `Task.begin`."""
         del steps
-        return Gait(_no_way(batch, dtype), *(jnp.zeros(batch, dtype) for _ in Gait._fields[1:]))
+        return Gait(no_way(batch, dtype), *(jnp.zeros(batch, dtype) for _ in Gait._fields[1:]))
 
     def update(self, tally: Gait, transition: Transition, steps: int) -> Gait:
         """See `Task.update`."""
@@ -160,10 +154,6 @@ class Walk(Task):
             - self.bounce_weight * terms["bounce"] / self.torso_length
             - self.airborne_weight * terms["airborne"]
         )
-
-
-def _no_way(batch: tuple[int, ...], dtype: jnp.dtype) -> Way:
-    return Way(jnp.zeros((3, *batch), dtype), jnp.zeros((3, *batch), dtype))
 
 
 def _go_on(way: Way, transition: Transition) -> Way:

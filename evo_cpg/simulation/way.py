@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from evo_cpg.physics.world import World
-from evo_cpg.simulation.measures import Measure, Measures, Trial, Way
+from evo_cpg.simulation.measures import Measure, Measures, Trial, Way, no_way
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.snapshot import Snapshot
 from evo_cpg.simulation.task import Transition
@@ -28,8 +28,7 @@ class Displacement(Measure):
     def begin(self, world: World, batch: tuple[int, ...], dtype: jnp.dtype) -> Way:
         """See `Measure.begin`."""
         del world
-        nowhere = jnp.zeros((2, *batch), dtype)
-        return Way(nowhere, nowhere)
+        return no_way(batch, dtype, 2)
 
     def update(self, tally: Way, transition: Transition) -> Way:
         """See `Measure.update`."""

@@ -22,10 +22,10 @@ from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float
 
-from evo_cpg.api.commit import program_commit
 from evo_cpg.api.surroundings import surroundings
 from evo_cpg.api.sweep import Member, groups, run_group
 from evo_cpg.api.training import now
+from evo_cpg.api.version import program_commit
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import dump_config, load_config
 from evo_cpg.config.schema.experiment import ExperimentConfig

@@ -77,7 +77,7 @@ def test_the_readme_runs(here, capsys):
 
 
 def test_an_animal_of_ones_own_trains(here, monkeypatch):
-    classes, program, _ = programs("docs/own.md")
+    classes, program, *_ = programs("docs/own.md")
     config, *_ = configs("docs/own.md")
     (here / "wriggler.py").write_text(classes)
     (here / "wriggler.yaml").write_text(config)
@@ -91,6 +91,25 @@ def test_an_animal_of_ones_own_trains(here, monkeypatch):
     assert trained.fitness == pytest.approx(way - cost, rel=1e-4) and trained.fitness > 0
     assert set(names["experiment"].evaluate(0, trained.genome[None]).descriptors) == {"energy"}
     assert evo.load(trained.folder).gene_count == 3
+
+
+def test_the_documented_sensor_feels_the_motor(here, monkeypatch):
+    classes, _, _, sensor = programs("docs/own.md")
+    config, *_ = configs("docs/own.md")
+    for name, text in (("wriggler", classes), ("tension", sensor)):
+        (here / f"{name}.py").write_text(text)
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    line = '{type: "tension:Tension", options: {dofs: [tail1.z], full_scale: 0.5}}'
+    assert line in (ROOT / "docs/own.md").read_text()
+    (here / "wriggler.yaml").write_text(config.replace("sensors: [", f"sensors: [{line}, "))
+    # The reading that the controller uses comes one place later.
+    wave = (here / "wriggler.py").read_text().replace("custom[1]", "custom[2]")
+    (here / "wriggler.py").write_text(wave)
+    experiment = evo.load("wriggler.yaml")
+    record = experiment.record(0, experiment.random_genomes(0, 1)[0])
+    felt, torque = record["sense.custom.0"], record["tail1.z.torque"]
+    assert felt[0] == 0 and np.abs(felt).max() > 0
+    np.testing.assert_allclose(felt[1:], np.clip(torque[:-1] / 0.5, -1, 1), rtol=1e-6)
 
 
 def test_an_animal_with_limbs_swings_without_a_warning(here, monkeypatch):

@@ -165,7 +165,7 @@ def test_a_law_acts_on_a_creature_at_rest(plate):
 @pytest.fixture
 def glider(here, monkeypatch):
     """The page's files in the working folder."""
-    wriggler, _, plate = programs("docs/own.md")
+    wriggler, _, plate, _ = programs("docs/own.md")
     (here / "wriggler.py").write_text(wriggler)
     (here / "plate.py").write_text(
         plate

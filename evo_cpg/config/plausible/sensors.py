@@ -7,7 +7,6 @@ import numpy as np
 from evo_cpg.config.plausible.doubt import Case, Doubt
 from evo_cpg.config.plausible.surroundings import lowest_ground
 from evo_cpg.config.schema.choice import CustomConfig
-from evo_cpg.config.schema.task import ReachLightConfig
 from evo_cpg.creature.creature import neutral_pose
 
 # By so much may an animal on the ground tilt an eye, degrees.
@@ -20,7 +19,7 @@ _LEAST_READING = 0.01
 def light_without(case: Case) -> Iterator[Doubt]:
     """Eyes where no trial has a light."""
     task = case.config.task
-    if isinstance(task, ReachLightConfig | CustomConfig):
+    if task.goal is not None or isinstance(task, CustomConfig):
         return
     for i, eye in enumerate(case.config.creature.light_sensors):
         yield Doubt(
@@ -34,7 +33,7 @@ def light_without(case: Case) -> Iterator[Doubt]:
 def light_unseen(case: Case) -> Iterator[Doubt]:
     """A task about a light, and an animal that has no eye, or whose controller uses none."""
     config = case.config
-    if not isinstance(config.task, ReachLightConfig):
+    if config.task.goal is None:
         return
     instead = "or choose a task without a light, such as task: {type: distance}"
     if config.controller.type == "postures":
@@ -84,13 +83,13 @@ def light_never_in_view(case: Case) -> Iterator[Doubt]:
 
 def _elevations(case: Case) -> list[float] | None:
     """Of the lights above the horizon, degrees; None where they cannot be told."""
-    task, trials = case.config.task, case.config.simulation.trials
-    if not isinstance(task, ReachLightConfig):
+    goal, trials = case.config.task.goal, case.config.simulation.trials
+    if goal is None:
         return None
     own = [entry.light for entry in trials if entry.light] if isinstance(trials, list) else []
-    lights = [light.over(task.light) for light in own] or [task.light]
+    lights = [light.over(goal) for light in own] or [goal]
     if isinstance(trials, list) and len(own) < len(trials):
-        lights.append(task.light)
+        lights.append(goal)
     found = [light.elevation_deg for light in lights]
     return None if None in found else [angle for angle in found if angle is not None]
 

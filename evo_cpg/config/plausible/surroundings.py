@@ -4,7 +4,6 @@ from collections.abc import Iterator
 
 from evo_cpg.config.plausible.doubt import Case, Doubt
 from evo_cpg.config.schema.ground import PlaneConfig, ReliefConfig, ShoreConfig
-from evo_cpg.config.schema.task import WalkConfig
 from evo_cpg.creature.creature import lowest_height
 
 # An animal that starts so many times its own length above what holds it falls for long.
@@ -104,7 +103,7 @@ def start_above(case: Case) -> Iterator[Doubt]:
 def walk_without_ground(case: Case) -> Iterator[Doubt]:
     """The task of walking where there is nothing to walk on."""
     task = case.config.task
-    if isinstance(task, WalkConfig) and case.config.world.ground is None:
+    if task.needs_ground and case.config.world.ground is None:
         yield Doubt(
             ("task", "type"),
             task.type,
