@@ -6,11 +6,10 @@ from pathlib import Path
 import numpy as np
 from jax.typing import ArrayLike
 
-from evo_cpg.config.batched import build_batch
+from evo_cpg.config.batched import BodyPlan, build_batch
 from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.numbers import number_at
 from evo_cpg.config.schema.experiment import ExperimentConfig
-from evo_cpg.simulation.batched import BatchedSimulation
 from evo_cpg.simulation.judge import Outcome
 from evo_cpg.training.devices import population_mesh
 from evo_cpg.training.experiment import Experiment, compile_trials
@@ -21,6 +20,10 @@ Numbers = Mapping[str, ArrayLike | Sequence[float]]
 class Bodies:
     """Trials of individuals that differ in numbers; one program for all of the same keys.
 
+    One program builds all bodies that fit a plan (`BodyPlan`). Others are built one by one, and
+    join the trials of the plan if they differ in its numbers alone. If they do not, there is a new
+    plan, in which the old bodies and the new ones fit.
+
     Args:
         parts: what they have in common.
         config: the configuration.
@@ -29,7 +32,7 @@ class Bodies:
 
     def __init__(self, parts: Experiment, config: ExperimentConfig, source: Path):
         self._parts, self._config, self._source = parts, config, source
-        self._made: dict[frozenset[str], tuple[BatchedSimulation, Callable[..., Outcome]]] = {}
+        self._made: dict[frozenset[str], tuple[BodyPlan, Callable[..., Outcome]]] = {}
 
     def trials(
         self, numbers: Numbers, count: int
@@ -54,25 +57,51 @@ class Bodies:
                     f"{key} must have a value for each of the {count} individuals, got the shape "
                     f"{values.shape}"
                 )
-        own = {key: number_at(self._config, key, self._source) for key in columns}
-        if all((values == own[key]).all() for key, values in columns.items()):
+        differs = {
+            key: v != number_at(self._config, key, self._source) for key, v in columns.items()
+        }
+        if not any(each.any() for each in differs.values()):
             return None
-        before, run = self._made.get(frozenset(columns), (None, None))
-        batched = self._batch(columns, before)
-        if run is None or before is None or batched.common is not before.common:
-            run = compile_trials(batched.common, population_mesh(), inputs=batched.inputs)
-            self._made[frozenset(columns)] = batched, run
-        return run, batched.values
-
-    def _batch(
-        self, columns: dict[str, np.ndarray], before: BatchedSimulation | None
-    ) -> BatchedSimulation:
-        """As a program has it that is there already, or anew."""
-        task = self._parts.simulation.task
-        if before is not None:
+        if frozenset(columns) not in self._made:
+            # By somebody for each number who differs in it, and by the last one.
+            self._plan(
+                columns, np.unique([*(each.argmax() for each in differs.values()), count - 1])
+            )
+        plan, run = self._made[frozenset(columns)]
+        values, fits = plan.build(columns)
+        if not fits.all():
             try:
-                return build_batch(self._config, self._source, columns, like=before, task=task)
+                self._build_one_by_one(plan, columns, values, ~fits)
             except ConfigError:
-                # More may come to differ than did at first, or bodies that were alike.
-                pass
-        return build_batch(self._config, self._source, columns, task=task)
+                plan, run = self._plan(columns, np.arange(count))
+                values = list(plan.batched.values)
+        return run, tuple(values)
+
+    def _plan(
+        self, columns: dict[str, np.ndarray], individuals: np.ndarray
+    ) -> tuple[BodyPlan, Callable[..., Outcome]]:
+        """Plan by some of the individuals."""
+        task = self._parts.simulation.task
+        some = {key: values[individuals] for key, values in columns.items()}
+        plan = BodyPlan(self._config, self._source, some, task)
+        run = compile_trials(plan.batched.common, population_mesh(), inputs=plan.batched.inputs)
+        self._made[frozenset(columns)] = plan, run
+        return plan, run
+
+    def _build_one_by_one(
+        self,
+        plan: BodyPlan,
+        columns: dict[str, np.ndarray],
+        values: list[np.ndarray],
+        individuals: np.ndarray,
+    ) -> None:
+        """Put into the values those of some individuals.
+
+        Raises:
+            ConfigError: they do not fit the plan's trials.
+        """
+        some = {key: column[individuals] for key, column in columns.items()}
+        task = self._parts.simulation.task
+        built = build_batch(self._config, self._source, some, like=plan.batched, task=task)
+        for value, own in zip(values, built.values, strict=True):
+            value[:, individuals] = own

@@ -161,8 +161,9 @@ class Experiment:
             key: of the noise in the trials, if there is any: a number, or a key of JAX.
             genomes: ``(n, genes)``.
             bodies: numbers of the configuration in which individuals differ, such as sizes and
-                densities: by their keys, ``(n,)``. Every body is built by itself, which takes some
-                10 to 50 ms; a program serves all populations with the same keys.
+                densities: by their keys, ``(n,)``. One program builds all bodies, and it serves all
+                populations with the same keys. Bodies that do not fit its plan are built by
+                themselves, which takes some 10 to 50 ms each (see docs/models/bodies.md).
 
         Returns:
             Terms and survival, ``(n, trials)``.
@@ -243,13 +244,15 @@ class Experiment:
                 slopes on the ground, too.
             numbers: keys of numbers of the configuration, such as sizes and densities, whose values
                 the function takes as its second argument: building the animal is then a part of it,
-                and as differentiable.
+                and as differentiable. Only a derivative by a number at a kink raises an error.
 
         Raises:
-            ConfigError: numbers that are none of the configuration, or have no derivative.
+            ConfigError: numbers that are none of the configuration, or change more than numbers.
         """
         own_task = self.task if "task" in self.replaced else None
-        parameters = parametrise(self.config, self.source, numbers) if numbers else None
+        parameters = None
+        if numbers:
+            parameters = parametrise(self.config, self.source, numbers, smooth=False)
         noise = self._noise(_key(key), 1)
         return fitness_function(self.parts, self.scales, noise, horizon, parameters, own_task)
 

@@ -1,21 +1,115 @@
-"""Different bodies from one configuration: the same but for some numbers."""
+"""Different bodies from one configuration: the same but for some numbers.
+
+One program builds them all (`BodyPlan`). It is planned by some of them, which are built one by one
+in NumPy (`build_batch`), and so are those that do not fit the plan.
+"""
 
 import dataclasses
-from collections.abc import Iterable, Mapping, Sequence
+import itertools
+from collections.abc import Iterable, Mapping
 from pathlib import Path
+from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Bool, Float
 
-from evo_cpg.config.build import build_creature, build_experiment
+from evo_cpg.config.build import build_experiment
+from evo_cpg.config.building import Building
 from evo_cpg.config.errors import ConfigError
-from evo_cpg.config.numbers import number_at, with_numbers
+from evo_cpg.config.numbers import are_allowed, are_checked_alone, number_at, with_numbers
 from evo_cpg.config.schema.experiment import ExperimentConfig
-from evo_cpg.creature.self_collision import PairNames, SelfCollision, colliding_pairs_of_all
-from evo_cpg.creature.tree import build_tree
+from evo_cpg.creature.self_collision import PairNames, PlanPairs
+from evo_cpg.physics.pairs import Pairs
 from evo_cpg.simulation.batched import BatchedSimulation, LayoutError, batch
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.task import Task
+from evo_cpg.spatial.choices import Condition, Undecidable, all_hold
+from evo_cpg.spatial.numerics import is_traced
+
+# What does not differ may do so by this share of the largest number in its array: rounding.
+_ROUNDING = 1e-9
+
+
+class BodyPlan:
+    """What bodies that differ in some numbers have in common, and the program that builds them.
+
+    Attributes:
+        batched: the bodies by which it was planned.
+        hindrance: why no program can build them; empty where one can.
+    """
+
+    def __init__(
+        self,
+        config: ExperimentConfig,
+        source: Path | str,
+        numbers: Mapping[str, Float[np.ndarray, " n"]],
+        task: Task | None = None,
+    ):
+        """Plan by some bodies; see `build_batch` for the arguments, and what it raises."""
+        self._config, self._keys = config, tuple(numbers)
+        self.batched, apart = _build(config, source, numbers, (), None, task)
+        pairs = _pairs(self.batched.common)
+        self._building = Building(config, source, apart, pairs, task)
+        self.hindrance = ""
+        if not are_checked_alone(config, self._keys):
+            self.hindrance = "numbers are checked together"
+        self._run = jax.jit(jax.vmap(self._one, in_axes=-1, out_axes=-1))
+
+    def build(
+        self, numbers: Mapping[str, Float[np.ndarray, " n"]]
+    ) -> tuple[list[Float[np.ndarray, "_ n"]], Bool[np.ndarray, " n"]]:
+        """Build bodies as the plan has them, in float64.
+
+        Args:
+            numbers: as many values of each, in the order of the plan.
+
+        Returns:
+            The values of `BatchedSimulation`, and which bodies fit the plan. The values of the
+            others mean nothing.
+        """
+        columns = np.stack([np.asarray(numbers[key], float) for key in self._keys])
+        none = np.zeros(columns.shape[1], bool)
+        shapes = [(len(elements), len(none)) for elements in self.batched.inputs.elements]
+        if self.hindrance or not are_allowed(self._config, numbers):
+            return [np.zeros(shape) for shape in shapes], none
+        try:
+            with jax.enable_x64(True):
+                values, fits = jax.device_get(self._run(columns))
+        except (Undecidable, jax.errors.JAXTypeError, TypeError, ValueError) as error:
+            self.hindrance = str(error).partition("\n")[0]
+            return [np.zeros(shape) for shape in shapes], none
+        return list(map(np.array, values)), fits
+
+    def _one(self, numbers: Float[Array, " k"]) -> tuple[list[Array], Condition]:
+        """Build one body, and tell whether it fits the plan."""
+        conditions: list[Condition] = []
+        given = dict(zip(self._keys, numbers, strict=True))
+        leaves = self._building.traced(self._config, given, conditions)
+        inputs, own = self.batched.inputs, self._building.own.leaves
+        moving = dict(zip(inputs.places, inputs.elements, strict=True))
+        conditions += [
+            _is_same(leaf, other, moving.get(place, np.array([], int)))
+            for place, (leaf, other) in enumerate(zip(leaves, own, strict=True))
+        ]
+        values = [
+            jnp.asarray(leaves[place], numbers.dtype).reshape(-1)[elements]
+            for place, elements in moving.items()
+        ]
+        return values, jnp.asarray(all_hold(conditions))
+
+
+def _is_same(leaf: Any, own: Any, moving: np.ndarray) -> Condition:
+    """Whether a leaf has the plan's numbers, but for the elements that may differ."""
+    if not is_traced(leaf):
+        return np.array_equal(leaf, own)
+    if leaf.shape != np.shape(own):
+        raise Undecidable("the shape of an array would change")
+    rest = np.delete(np.arange(np.size(own)), moving)
+    found, known = jnp.ravel(leaf)[rest], np.ravel(own)[rest]
+    slack = _ROUNDING * np.abs(own, where=np.isfinite(own), out=np.zeros(np.shape(own))).max()
+    return ((found == known) | (abs(found - known) <= slack)).all()
 
 
 def build_batch(
@@ -44,6 +138,18 @@ def build_batch(
             numbers that change how the simulation is laid out, or nothing.
         ValueError: not one value for each individual.
     """
+    return _build(config, source, numbers, folders, like, task)[0]
+
+
+def _build(
+    config: ExperimentConfig,
+    source: Path | str,
+    numbers: Mapping[str, Float[np.ndarray, " n"]],
+    folders: Iterable[Path],
+    like: BatchedSimulation | None,
+    task: Task | None,
+) -> tuple[BatchedSimulation, bool]:
+    """See `build_batch`; also whether bodies with equal surfaces are treated one by one."""
     folders = tuple(folders)
     for key in numbers:
         number_at(config, key, source)
@@ -55,23 +161,28 @@ def build_batch(
         with_numbers(config, dict(zip(numbers, row, strict=True)), source)
         for row in zip(*columns, strict=True)
     ]
-    problem, pairs = "", _pairs(like.common) if like else None
+    problem, pairs = "", None
     # Bodies with surfaces that are alike may come to differ, and are then treated one by one.
     for apart in (False, True):
 
-        def build(pairs: PairNames | None, apart: bool = apart) -> list[Simulation]:
+        def build(pairs: PlanPairs | None, apart: bool = apart) -> list[Simulation]:
             return [
                 _with_task(build_experiment(each, source, folders, apart, pairs).simulation, task)
                 for each in (config, *configs)
             ]
 
         common, *simulations = build(pairs)
-        if len({_pairs(each) for each in (common, *simulations)}) > 1:
-            # Longer limbs meet others.
-            pairs = _pairs_of_all((config, *configs), source)
+        sets = [_pairs(each) for each in (like.common if like else common, *simulations)]
+        every = PlanPairs(*(tuple(sorted({*itertools.chain(*x)})) for x in zip(*sets, strict=True)))
+        if like and every != sets[0]:
+            problem = "limbs can meet that never do in the others"
+            break
+        if len(set(sets)) > 1:
+            # Longer limbs meet others. All look at the same pairs.
+            pairs = every
             common, *simulations = build(pairs)
         try:
-            return batch(common, simulations, like)
+            return batch(common, simulations, like), apart
         except LayoutError as error:
             problem = str(error)
         except ValueError as error:
@@ -80,22 +191,15 @@ def build_batch(
     raise ConfigError(source, (), f"{', '.join(numbers)}: {problem}")
 
 
-def _pairs(simulation: Simulation) -> PairNames:
-    """Names of the bodies that are kept from passing through each other."""
-    pairs, names = simulation.world.pairs, simulation.world.tree.names
-    if pairs is None:
-        return ()
-    both = zip(pairs.first, pairs.second, strict=True)
-    return tuple(sorted((names[min(pair)], names[max(pair)]) for pair in both))
+def _pairs(simulation: Simulation) -> PlanPairs:
+    """Pairs of bodies that a simulation looks at."""
+    rules, names = simulation.rules, simulation.world.tree.names
 
+    def named(pairs: Pairs | None) -> PairNames:
+        both = zip(pairs.first, pairs.second, strict=True) if pairs else ()
+        return tuple(sorted((names[min(pair)], names[max(pair)]) for pair in both))
 
-def _pairs_of_all(configs: Sequence[ExperimentConfig], source: Path | str) -> PairNames:
-    """Those of creatures of one plan, of which limbs can meet."""
-    first = configs[0]
-    wanted = first.creature.build_self_collision(on_ground=first.world.ground is not None)
-    creatures = (build_creature(each, source) for each in configs)
-    every = ((creature, build_tree(creature)) for creature in creatures)
-    return colliding_pairs_of_all(every, wanted or SelfCollision())
+    return PlanPairs(named(simulation.world.pairs), named(rules.pairs if rules else None))
 
 
 def _with_task(simulation: Simulation, task: Task | None) -> Simulation:

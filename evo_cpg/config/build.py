@@ -25,7 +25,7 @@ from evo_cpg.control.controller import Controller
 from evo_cpg.control.couplings import CouplingError, UnfitError
 from evo_cpg.control.postures import PostureSettings, build_posture_controller
 from evo_cpg.creature.creature import Creature, CreatureError, length_of
-from evo_cpg.creature.self_collision import PairNames
+from evo_cpg.creature.self_collision import PlanPairs, SelfCollision
 from evo_cpg.creature.shapes import Surface
 from evo_cpg.creature.surface import outer_surfaces, random_surfaces
 from evo_cpg.creature.tree import Tree, build_tree
@@ -63,7 +63,7 @@ def build_experiment(
     source: Path | str,
     folders: Iterable[Path] = (),
     apart: bool = False,
-    pairs: PairNames | None = None,
+    pairs: PlanPairs | None = None,
 ) -> Experiment:
     """Build what a configuration describes.
 
@@ -73,8 +73,8 @@ def build_experiment(
             where it is trusted (`evo_cpg.config.trust`).
         folders: where else to look for them then, before the working folder.
         apart: leave surfaces ungrouped that are alike, so that they may come to differ.
-        pairs: names of the bodies that are kept from passing through each other, instead of what
-            the creature's own numbers make of it; None for that.
+        pairs: of bodies that are looked at in all creatures of a plan; None for what the creature's
+            own numbers make of it.
 
     Raises:
         ConfigError: parts that do not fit together.
@@ -90,7 +90,7 @@ def _build_experiment(
     source: Path | str,
     folders: Iterable[Path],
     apart: bool,
-    pairs: PairNames | None,
+    pairs: PlanPairs | None,
 ) -> Experiment:
     folders = (Path(source).parent, *folders)
     for folder in with_working_folder(code_folders(folders)):
@@ -151,7 +151,7 @@ def build_simulation(
     config: ExperimentConfig,
     source: Path | str,
     apart: bool = False,
-    pairs: PairNames | None = None,
+    pairs: PlanPairs | None = None,
 ) -> tuple[Creature, Simulation]:
     """The creature that a configuration describes, and what its trials are made of.
 
@@ -198,7 +198,7 @@ def build_simulation(
         situations=situations,
         engine=engine,
         extra_sensors=extra_sensors,
-        rules=_build_rules(config, creature, world, source),
+        rules=_build_rules(config, creature, world, pairs, source),
         measures=_build_measures(config, task, world, source),
     )
     return creature, simulation
@@ -242,7 +242,11 @@ def _build_measures(
 
 
 def _build_rules(
-    config: ExperimentConfig, creature: Creature, world: World, source: Path | str
+    config: ExperimentConfig,
+    creature: Creature,
+    world: World,
+    pairs: PlanPairs | None,
+    source: Path | str,
 ) -> Rules | None:
     """What an individual is out for breaking.
 
@@ -262,8 +266,14 @@ def _build_rules(
         most["speed"] = most["speed"] * length_of(creature)
     if "power" in most:
         most["power"] = most["power"] * creature.mass
-    pairs = make_pairs(creature, world.tree, world.watched) if "overlap" in most else None
-    return Rules(**most, pairs=pairs)
+    if "overlap" not in most:
+        return Rules(**most)
+    watched = world.watched
+    if pairs is not None:
+        given = config.creature.build_self_collision(on_ground=world.footing is not None)
+        include = given.include if given else ()
+        watched = SelfCollision(include=include, only=pairs.watched)
+    return Rules(**most, pairs=make_pairs(creature, world.tree, watched))
 
 
 def _choose_engine(config: ExperimentConfig, source: Path | str) -> Engine:
@@ -303,14 +313,14 @@ def _build_world(
     creature: Creature,
     tree: Tree,
     apart: bool,
-    pairs: PairNames | None,
+    pairs: PlanPairs | None,
     source: Path | str,
 ) -> World:
     water = config.world.water
     ground = config.world.ground and build_ground(config.world.ground)
     wanted = config.creature.build_self_collision(on_ground=ground is not None)
     if wanted:
-        wanted = dataclasses.replace(wanted, only=pairs)
+        wanted = dataclasses.replace(wanted, only=pairs and pairs.kept)
     return World(
         tree=tree,
         gravity=config.world.gravity,

@@ -7,7 +7,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
-from pydantic import BaseModel
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from pydantic import BaseModel, ValidationError
 
 from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.load import check_config, is_index
@@ -75,6 +79,51 @@ def with_numbers(
     return check_config(data, source)
 
 
+def are_allowed(config: ExperimentConfig, columns: Mapping[str, Float[np.ndarray, " n"]]) -> bool:
+    """Whether values lie in the ranges of their fields.
+
+    Each range is one interval, so the least and the largest value of a key are looked at.
+
+    Args:
+        config: the configuration; no number is checked together with another one
+            (`are_checked_alone`).
+        columns: values by key.
+    """
+    for key, values in columns.items():
+        *_, (section, rest) = _sections(config, key)
+        for extreme in (values.min(), values.max()):
+            try:
+                changed = _put(section, rest, float(extreme))
+                type(section).model_validate(changed.model_dump(mode="json"))
+            except ValidationError:
+                return False
+    return True
+
+
+def are_checked_alone(config: ExperimentConfig, keys: Sequence[str]) -> bool:
+    """Whether no check of a section looks at one of some numbers, apart from the field's own.
+
+    Checks are run with traced numbers, of which they can decide nothing.
+
+    Args:
+        config: a checked configuration.
+        keys: of the numbers.
+    """
+
+    def check(numbers: list[Array]) -> None:
+        changed = put_numbers(config, dict(zip(keys, numbers, strict=True)))
+        sections = {id(each): each for key in keys for each, _ in _sections(changed, key)}
+        for section in sections.values():
+            for name in type(section).__pydantic_decorators__.model_validators:
+                getattr(section, name)()
+
+    try:
+        jax.eval_shape(check, [jnp.zeros(())] * len(keys))
+    except (jax.errors.JAXTypeError, TypeError):
+        return False
+    return True
+
+
 def put_numbers(config: ExperimentConfig, numbers: Mapping[str, Number]) -> ExperimentConfig:
     """A configuration with other numbers, unchecked, which may be traced.
 
@@ -93,6 +142,17 @@ def unchecked(settings: type[_T], fields: Mapping[str, Any]) -> _T:
     for name, value in fields.items():
         object.__setattr__(made, name, value)
     return made
+
+
+def _sections(place: Any, key: str) -> Iterator[tuple[BaseModel, list[str]]]:
+    """The sections around a number, from the outermost one, and the rest of the key in each."""
+    names = key.split(".")
+    for i, name in enumerate(names):
+        if isinstance(place, BaseModel):
+            yield place, names[i:]
+            place = getattr(place, name)
+        else:
+            place = place[int(name)] if isinstance(place, (list, tuple)) else place[name]
 
 
 def _put(place: Any, key: Sequence[str], number: Number) -> Any:

@@ -1,31 +1,30 @@
 """Numbers of a configuration as parameters by which a trial can be differentiated.
 
-What a configuration describes is built of its numbers twice. With known ones NumPy makes constants,
-and notes what was chosen by them (see `evo_cpg.spatial.choices`). With traced ones JAX makes the
-same functions of the parameters, exactly and wherever they are, as long as the choices stay. What
-no parameter changes remains a constant of the compiled program (see `Inputs`).
+What a configuration describes is built of traced numbers (see `evo_cpg.config.building`), exactly
+and wherever they are, as long as the choices stay. What no parameter changes remains a constant of
+the compiled program (see `Inputs`).
 
 Which elements those are, and whether choices or kinks are near, is found by building at values
 near by.
 """
 
 import dataclasses
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from evo_cpg.config.build import build_experiment, build_simulation
+from evo_cpg.config.build import build_experiment
+from evo_cpg.config.building import Building
 from evo_cpg.config.errors import ConfigError
-from evo_cpg.config.numbers import number_at, number_keys, put_numbers, with_numbers
+from evo_cpg.config.numbers import number_at, number_keys, with_numbers
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.simulation.batched import Inputs
 from evo_cpg.simulation.simulation import Simulation
-from evo_cpg.spatial.choices import Choices, noting, repeating
 from evo_cpg.spatial.numerics import TABLES, is_number, is_traced
 from evo_cpg.training.experiment import Experiment
 
@@ -64,6 +63,7 @@ class Parameters:
         folders: where else a user's own classes are looked for.
         inputs: the numbers of the simulation that change.
         building: how it is built.
+        kinks: why some of the keys have no derivative, if there are such keys.
     """
 
     keys: tuple[str, ...]
@@ -72,7 +72,8 @@ class Parameters:
     source: Path | str
     folders: tuple[Path, ...]
     inputs: Inputs
-    building: "_Building"
+    building: Building
+    kinks: Mapping[str, str]
 
     @property
     def values(self) -> Float[np.ndarray, " k"]:
@@ -84,13 +85,23 @@ class Parameters:
 
         Args:
             values: of the parameters, in the precision of the trial; see `require`.
+
+        Raises:
+            ConfigError: it is differentiated by a value at a kink.
         """
-        leaves = self.building.traced(self.config, dict(zip(self.keys, values, strict=True)))
+        given = {
+            key: _undifferentiated(value, self._refusal(key)) if key in self.kinks else value
+            for key, value in zip(self.keys, values, strict=True)
+        }
+        leaves = self.building.traced(self.config, given)
         changed = [
             jnp.asarray(leaves[place], values.dtype).reshape(-1)[own]
             for place, own in zip(self.inputs.places, self.inputs.elements, strict=True)
         ]
         return self.inputs.put(self.experiment.simulation, changed)
+
+    def _refusal(self, key: str) -> ConfigError:
+        return ConfigError(self.source, key.split("."), self.kinks[key])
 
     def require(self, values: Float[np.ndarray, " k"]) -> None:
         """Check that `simulation` is what a configuration with other values describes.
@@ -136,6 +147,7 @@ def parametrise(
     source: Path | str,
     keys: Sequence[str],
     folders: Iterable[Path] = (),
+    smooth: bool = True,
 ) -> Parameters:
     """The simulation of a configuration as a function of some of its numbers.
 
@@ -144,6 +156,7 @@ def parametrise(
         source: file it came from.
         keys: such as ``world.water.form_drag`` or ``creature.bodies.1.shape.size.0``.
         folders: see `evo_cpg.config.build.build_experiment`.
+        smooth: refuse a value at a kink at once, and not only where it is differentiated by.
 
     Raises:
         ConfigError: a key that does not exist, is no real number, changes nothing or more than
@@ -156,20 +169,25 @@ def parametrise(
         number_at(config, key, source)
     # A user's own classes can be imported from here on.
     experiment = build_experiment(config, source, folders)
-    building, changes = _Building(config, source), {}
+    building, changes, kinks = Building(config, source), {}, {}
+
+    def found() -> dict[str, dict[int, np.ndarray]]:
+        kinks.clear()
+        return {key: _changes(building, config, key, None if smooth else kinks) for key in keys}
+
     try:
-        changes = {key: building.changes(config, key) for key in keys}
+        changes = found()
     except ConfigError:
         # Grouped surfaces may part, and their points change places.
-        building = _Building(config, source, apart=True)
-        changes = {key: building.changes(config, key) for key in keys}
+        building = Building(config, source, apart=True)
+        changes = found()
         experiment = build_experiment(config, source, folders, apart=True)
-    building.require_followed(config, changes)
+    _require_followed(building, config, changes)
     every = changes.values()
     places = sorted({place for change in every for place in change})
     moves = [np.any([c[place] for c in every if place in c], axis=0) for place in places]
     inputs = Inputs(tuple(places), tuple(map(np.flatnonzero, moves)))
-    return Parameters(tuple(keys), experiment, config, source, folders, inputs, building)
+    return Parameters(tuple(keys), experiment, config, source, folders, inputs, building, kinks)
 
 
 def all_parameters(
@@ -192,202 +210,167 @@ def all_parameters(
     paths = jax.tree_util.tree_flatten_with_path(experiment.simulation)[0]
     wet = {i for i, (path, _) in enumerate(paths) if _PATCHES in path}
     for apart in (False, True) if surfaces else (False,):
-        building = _Building(config, source, apart)
+        building = Building(config, source, apart)
         changes = {}
         for key in number_keys(config):
             if key in found:
                 continue
             try:
-                change = building.changes(config, key)
+                change = _changes(building, config, key)
             except ConfigError:
                 continue
             if surfaces or not wet & set(change):
                 changes[key] = change
-        found += building.followed(config, changes)
+        found += _followed(building, config, changes)
     return tuple(key for key in number_keys(config) if key in found)
 
 
-class _Built(NamedTuple):
-    """A simulation of known numbers.
+def _changes(
+    building: Building, config: ExperimentConfig, key: str, kinks: dict[str, str] | None = None
+) -> dict[int, np.ndarray]:
+    """Which elements of which leaves follow one number.
 
-    Attributes:
-        paths: of its leaves.
-        leaves: its leaves.
-        structure: the rest.
-        choices: by which it came about.
+    Args:
+        building: how simulations are built.
+        config: the configuration.
+        key: of the number.
+        kinks: to which it is added why there is no derivative at a kink; None to raise that.
+
+    Raises:
+        ConfigError: more than leaves change, none does, or there is no derivative.
     """
-
-    paths: list[Any]
-    leaves: list[Any]
-    structure: Any
-    choices: Choices
-
-    def same_layout(self, other: "_Built") -> list[Any] | None:
-        """The leaves if nothing but numbers is different in the other one, or None."""
-        if self.structure != other.structure or self.choices != other.choices:
-            return None
-        for mine, given in zip(self.leaves, other.leaves, strict=True):
-            if not (is_number(given) and is_number(mine)):
-                if not np.array_equal(mine, given):
-                    return None
-            elif np.shape(mine) != np.shape(given):
-                return None
-        return self.leaves
-
-
-class _Building:
-    """How simulations are built that differ from that of a configuration in numbers alone.
-
-    Attributes:
-        source: file that the configuration came from.
-        apart: whether bodies with the same surface are treated one by one.
-        own: the simulation of the configuration itself.
-    """
-
-    def __init__(self, config: ExperimentConfig, source: Path | str, apart: bool = False):
-        self.source, self.apart = source, apart
-        self.own = self.known(config)
-
-    def known(self, config: ExperimentConfig) -> _Built:
-        """Of known numbers.
-
-        Raises:
-            ConfigError: parts that do not fit together.
-        """
-        with noting() as choices:
-            _, simulation = build_simulation(config, self.source, self.apart)
-        paths, structure = jax.tree_util.tree_flatten_with_path(simulation)
-        names, leaves = zip(*paths, strict=True)
-        return _Built(list(names), list(leaves), structure, choices)
-
-    def traced(self, config: ExperimentConfig, numbers: dict[str, Any]) -> list[Any]:
-        """The leaves as functions of some numbers, which may be traced."""
-        with repeating(self.own.choices), jax.numpy_rank_promotion("allow"):
-            changed = put_numbers(config, numbers)
-            _, simulation = build_simulation(changed, self.source, self.apart)
-        return jax.tree.leaves(simulation)
-
-    def changes(self, config: ExperimentConfig, key: str) -> dict[int, np.ndarray]:
-        """Which elements of which leaves follow one number.
-
-        Raises:
-            ConfigError: more than leaves change, none does, or there is no derivative.
-        """
-        value, where = number_at(config, key, self.source), key.split(".")
-        step = _STEP * (abs(value) or 1.0)
-        beyond = f"has no allowed values on either side of {value:g}"
-        others: list[list[Any]] | None = None
-        both = False
-        for shares in (_BOTH_SIDES, _ONE_SIDE, [-share for share in _ONE_SIDE]):
-            neighbours = []
-            try:
-                for share in shares:
-                    pairs = {key: value + share * step}
-                    neighbours.append(self.known(with_numbers(config, pairs, self.source)))
-            except ConfigError:
-                # At the end of what is allowed: from the other side.
-                continue
-            found = [neighbour.same_layout(self.own) for neighbour in neighbours]
-            others = [leaves for leaves in found if leaves is not None]
-            if len(others) < len(found):
-                raise ConfigError(
-                    self.source,
-                    where,
-                    "changes more than numbers (which parts there are, how they are joined or "
-                    "grouped, which of several is the largest, steps of time), so there is no "
-                    "derivative by it",
-                )
-            both = shares is _BOTH_SIDES
-            break
-        if others is None:
-            raise ConfigError(self.source, where, beyond)
-        changes = {}
-        for place, leaf in enumerate(self.own.leaves):
-            if not is_number(leaf):
-                continue
-            accuracy = _SEARCHED if self._is_searched(place) else 0.0
-            moves, smooth = _moves(leaf, [other[place] for other in others], both, accuracy)
-            if not smooth:
-                raise ConfigError(
-                    self.source,
-                    where,
-                    f"{value:g} is at a kink of `{self._name(place)}` (the lowest of several feet, "
-                    "a limit), so there is no derivative by it",
-                )
-            if moves.any():
-                changes[place] = moves
-        if not changes:
-            raise ConfigError(self.source, where, "changes nothing in a trial of this experiment")
-        for place in changes:
-            if getattr(self.own.paths[place][-1], "name", None) in TABLES:
-                raise ConfigError(
-                    self.source,
-                    where,
-                    "changes a table of places (a mesh, a relief): not differentiable",
-                )
-        return changes
-
-    def require_followed(
-        self, config: ExperimentConfig, changes: dict[str, dict[int, np.ndarray]]
-    ) -> None:
-        """Check that the traced building follows numbers wherever the known one does.
-
-        Args:
-            config: the configuration.
-            changes: what each number changes, by key.
-
-        Raises:
-            ConfigError: it does not.
-        """
-        if not self._hindrance(config, changes):
-            return
-        # Which one it is.
-        for key, change in changes.items():
-            problem = self._hindrance(config, {key: change})
-            if problem:
-                raise ConfigError(
-                    self.source, key.split("."), f"{problem}, so it has no derivative"
-                )
-
-    def followed(
-        self, config: ExperimentConfig, changes: dict[str, dict[int, np.ndarray]]
-    ) -> list[str]:
-        """The keys of those numbers that the traced building follows; see `require_followed`."""
-        if not changes or not self._hindrance(config, changes):
-            return list(changes)
-        if len(changes) == 1:
-            return []
-        pairs, middle = list(changes.items()), len(changes) // 2
-        halves = dict(pairs[:middle]), dict(pairs[middle:])
-        return [key for half in halves for key in self.followed(config, half)]
-
-    def _hindrance(
-        self, config: ExperimentConfig, changes: dict[str, dict[int, np.ndarray]]
-    ) -> str:
-        """Why the traced building does not follow some numbers; nothing where it does."""
-        places = sorted({place for change in changes.values() for place in change})
-        constant: list[int] = []
-
-        def trace(numbers: list[Array]) -> None:
-            leaves = self.traced(config, dict(zip(changes, numbers, strict=True)))
-            constant.extend(place for place in places if not is_traced(leaves[place]))
-
+    value, where = number_at(config, key, building.source), key.split(".")
+    step = _STEP * (abs(value) or 1.0)
+    beyond = f"has no allowed values on either side of {value:g}"
+    others: list[list[Any]] | None = None
+    both = False
+    for shares in (_BOTH_SIDES, _ONE_SIDE, [-share for share in _ONE_SIDE]):
+        neighbours = []
         try:
-            jax.eval_shape(trace, [jnp.zeros(())] * len(changes))
-        except (jax.errors.JAXTypeError, TypeError, ValueError) as error:
-            return f"cannot be traced by JAX: {str(error).partition(chr(10))[0]}"
-        if not constant:
-            return ""
-        names = ", ".join(f"`{self._name(place)}`" for place in constant)
-        return f"changes {names} in a way that JAX cannot trace"
+            for share in shares:
+                pairs = {key: value + share * step}
+                neighbours.append(building.known(with_numbers(config, pairs, building.source)))
+        except ConfigError:
+            # At the end of what is allowed: from the other side.
+            continue
+        found = [neighbour.same_layout(building.own) for neighbour in neighbours]
+        others = [leaves for leaves in found if leaves is not None]
+        if len(others) < len(found):
+            raise ConfigError(
+                building.source,
+                where,
+                "changes more than numbers (which parts there are, how they are joined or "
+                "grouped, which of several is the largest, steps of time), so there is no "
+                "derivative by it",
+            )
+        both = shares is _BOTH_SIDES
+        break
+    if others is None:
+        raise ConfigError(building.source, where, beyond)
+    changes = {}
+    for place, leaf in enumerate(building.own.leaves):
+        if not is_number(leaf):
+            continue
+        accuracy = _SEARCHED if _is_searched(building, place) else 0.0
+        moves, smooth = _moves(leaf, [other[place] for other in others], both, accuracy)
+        if not smooth:
+            problem = (
+                f"{value:g} is at a kink of `{building.name(place)}` (the lowest of several feet, "
+                "a limit), so there is no derivative by it"
+            )
+            if kinks is None:
+                raise ConfigError(building.source, where, problem)
+            kinks[key] = problem
+        if moves.any():
+            changes[place] = moves
+    if not changes:
+        raise ConfigError(building.source, where, "changes nothing in a trial of this experiment")
+    for place in changes:
+        if getattr(building.own.paths[place][-1], "name", None) in TABLES:
+            raise ConfigError(
+                building.source,
+                where,
+                "changes a table of places (a mesh, a relief): not differentiable",
+            )
+    return changes
 
-    def _is_searched(self, place: int) -> bool:
-        """Whether a search takes part in a leaf."""
-        begins = getattr(self.own.paths[place][0], "name", None) == "situations"
-        return begins and bool(self.own.choices.searched)
 
-    def _name(self, place: int) -> str:
-        return jax.tree_util.keystr(self.own.paths[place])[1:]
+def _require_followed(
+    building: Building, config: ExperimentConfig, changes: dict[str, dict[int, np.ndarray]]
+) -> None:
+    """Check that the traced building follows numbers wherever the known one does.
+
+    Args:
+        building: how simulations are built.
+        config: the configuration.
+        changes: what each number changes, by key.
+
+    Raises:
+        ConfigError: it does not.
+    """
+    if not _hindrance(building, config, changes):
+        return
+    # Which one it is.
+    for key, change in changes.items():
+        problem = _hindrance(building, config, {key: change})
+        if problem:
+            raise ConfigError(
+                building.source, key.split("."), f"{problem}, so it has no derivative"
+            )
+
+
+def _followed(
+    building: Building, config: ExperimentConfig, changes: dict[str, dict[int, np.ndarray]]
+) -> list[str]:
+    """The keys of those numbers that the traced building follows; see `_require_followed`."""
+    if not changes or not _hindrance(building, config, changes):
+        return list(changes)
+    if len(changes) == 1:
+        return []
+    pairs, middle = list(changes.items()), len(changes) // 2
+    halves = dict(pairs[:middle]), dict(pairs[middle:])
+    return [key for half in halves for key in _followed(building, config, half)]
+
+
+def _hindrance(
+    building: Building, config: ExperimentConfig, changes: dict[str, dict[int, np.ndarray]]
+) -> str:
+    """Why the traced building does not follow some numbers; nothing where it does."""
+    places = sorted({place for change in changes.values() for place in change})
+    constant: list[int] = []
+
+    def trace(numbers: list[Array]) -> None:
+        leaves = building.traced(config, dict(zip(changes, numbers, strict=True)))
+        constant.extend(place for place in places if not is_traced(leaves[place]))
+
+    try:
+        jax.eval_shape(trace, [jnp.zeros(())] * len(changes))
+    except (jax.errors.JAXTypeError, TypeError, ValueError) as error:
+        return f"cannot be traced by JAX: {str(error).partition(chr(10))[0]}"
+    if not constant:
+        return ""
+    names = ", ".join(f"`{building.name(place)}`" for place in constant)
+    return f"changes {names} in a way that JAX cannot trace"
+
+
+def _is_searched(building: Building, place: int) -> bool:
+    """Whether a search takes part in a leaf."""
+    begins = getattr(building.own.paths[place][0], "name", None) == "situations"
+    return begins and bool(building.own.choices.searched)
+
+
+def _undifferentiated(value: Array, refusal: ConfigError) -> Array:
+    """Return the value; raise the refusal where it is differentiated."""
+
+    @jax.custom_jvp
+    def same(value: Array) -> Array:
+        return value
+
+    @same.defjvp
+    def refuse(*_: Any) -> Any:
+        raise refusal
+
+    return same(value)
 
 
 def _moves(leaf: Any, others: list[Any], both: bool, accuracy: float) -> tuple[np.ndarray, bool]:

@@ -3,6 +3,7 @@
 import functools
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -24,7 +25,7 @@ from evo_cpg.simulation.plans import Programs
 from evo_cpg.simulation.settle import NoRestError, Settling, settled
 from evo_cpg.simulation.situation import Situation
 from evo_cpg.simulation.task import Task
-from evo_cpg.spatial.choices import chosen, searched
+from evo_cpg.spatial.choices import Condition, chosen, searched
 from evo_cpg.spatial.numerics import Number, Triple, is_traced, xp
 from evo_cpg.spatial.rotation import euler_to_matrix
 
@@ -74,7 +75,10 @@ def build_situations(
         if entry.light is not None:
             light = entry.light.over(common or DEFAULT_LIGHT)
         goal = light and light.position(start, heading)
-        problem = goal and chosen(functools.partial(out_of_reach, creature, world, start, goal))
+        problem = goal and chosen(
+            functools.partial(out_of_reach, creature, world, start, goal),
+            functools.partial(_is_still_within_reach, creature, world, start, goal),
+        )
         if problem:
             own = entry.light is not None
             raise ConfigError(source, (*key, "light") if own else ("task", "light"), problem)
@@ -130,6 +134,25 @@ def require_light(config: ExperimentConfig, task: Task, source: Path | str) -> N
             )
 
 
+def _is_still_within_reach(
+    creature: Creature, world: World, start: Triple, light: Triple, problem: str | None
+) -> Condition:
+    """Whether `out_of_reach` has nothing to say of other numbers either."""
+    holds = not problem
+    if world.ground is not None:
+        solid = (world.ground.floor, *world.ground.obstacles)
+        holds = holds & (nearest(solid, jnp.array(light))[0] >= 0)
+    distance = xp.linalg.norm(xp.array(light) - xp.array(start))
+    return holds & (distance > 0) & (distance <= _FARTHEST_LIGHT * _length(creature))
+
+
+def _length(creature: Creature) -> Number:
+    """Of the creature in its neutral pose, m, no less than it is."""
+    centres, _ = neutral_pose(creature)
+    reach = xp.max(xp.array([body.shape.reach for body in creature.bodies]))
+    return xp.ptp(centres, axis=0).max() + 2 * reach
+
+
 def out_of_reach(creature: Creature, world: World, start: Triple, light: Triple) -> str | None:
     """Why a light cannot be reached; None where it may be.
 
@@ -145,9 +168,7 @@ def out_of_reach(creature: Creature, world: World, start: Triple, light: Triple)
         depth = -float(nearest(solid, jnp.array(light))[0])
         if depth > 0:
             return f"the light at {where} would be {depth:.3g} m deep in the ground"
-    centres, _ = neutral_pose(creature)
-    reach = max(body.shape.reach for body in creature.bodies)
-    length = float(np.ptp(centres, axis=0).max()) + 2 * reach
+    length = _length(creature)
     distance = float(np.linalg.norm(np.subtract(light, start)))
     if not distance:
         return f"the light at {where} would be where the animal starts"
@@ -192,12 +213,43 @@ def _start_height(
             here += missing
         return None
 
-    found = searched(search)
-    if found is None or not is_traced(world, x, y, heading, start_clearance):
-        return found
-    # A step of Newton's.
-    reached, rise = _gap(world, x, y, heading, found)
-    return found + (start_clearance - reached) / jax.lax.stop_gradient(rise)
+    def followed(found: float) -> Number:
+        if not is_traced(world, x, y, heading, height):
+            return found
+
+        def stopped(numbers: Any) -> Any:
+            return jax.tree.map(
+                lambda leaf: jax.lax.stop_gradient(leaf) if is_traced(leaf) else leaf, numbers
+            )
+
+        def stopped_gap(here: Array) -> tuple[Array, Array]:
+            return _gap(stopped(world), stopped(x), stopped(y), stopped(heading), here)
+
+        def step(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+            count, here, missing = carry
+            here = here + missing / stopped_gap(here)[1]
+            return count + 1, here, clearance - stopped_gap(here)[0]
+
+        def is_apart(carry: tuple[Array, Array, Array]) -> Array:
+            return (abs(carry[2]) >= _START_ACCURACY) & (carry[0] < _START_STEPS)
+
+        begin = jnp.asarray(found, float)
+        clearance = jax.lax.stop_gradient(jnp.asarray(start_clearance, float))
+        missing = clearance - stopped_gap(begin)[0]
+        _, here, _ = jax.lax.while_loop(is_apart, step, (jnp.asarray(0), begin, missing))
+        # A step of Newton's that follows the numbers.
+        reached, rise = _gap(world, x, y, heading, here)
+        return here + (start_clearance - reached) / jax.lax.stop_gradient(rise)
+
+    def stands(found: float | None) -> Condition:
+        if found is None or not is_traced(world, x, y, heading, height):
+            return not is_traced(world, x, y, heading, height)
+        return abs(start_clearance - _gap(world, x, y, heading, followed(found))[0]) < (
+            _START_ACCURACY
+        )
+
+    found = searched(search, stands)
+    return None if found is None else followed(found)
 
 
 def _gap(

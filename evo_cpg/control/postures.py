@@ -33,13 +33,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from evo_cpg.control.controller import Command, Controller, Observation, Origin
 from evo_cpg.creature.tree import Tree
 from evo_cpg.spatial.choices import chosen
 from evo_cpg.spatial.linear import expand_dims_like
-from evo_cpg.spatial.numerics import Number
+from evo_cpg.spatial.numerics import Number, Numbers, xp
 
 # Switches fall on the right control step for so many periods (and for ever, where that many hold a
 # whole number of control steps). A trial of the thesis, 20 s, has 60.
@@ -188,7 +188,7 @@ def build_posture_controller(
     """
     if not tree.dof_count:
         raise ValueError("the controller needs a creature with at least one joint")
-    chosen(lambda: _check_limits(tree, settings))
+    chosen(lambda: _check_limits(tree, settings), lambda _: ~_beyond(tree, settings)[0].any())
     ratio = settings.period / control_step
     if not chosen(lambda: 1 - TOLERANCE <= ratio <= LONGEST_PERIOD):
         raise ValueError(
@@ -217,13 +217,21 @@ def one_posture(controller: Controller, angle: float) -> Float[np.ndarray, " g"]
     return np.tile(np.array(bits, np.float32), controller.gene_count // settings.bits_per_joint)
 
 
-def _check_limits(tree: Tree, settings: PostureSettings) -> None:
+def _beyond(
+    tree: Tree, settings: PostureSettings
+) -> tuple[Bool[Numbers, " d"], tuple[Number, Number]]:
+    """Joints that a motor would pull beyond a limit, and the outermost angles, degrees."""
     lowest = settings.lowest_angle - settings.neutral_angle
     highest = lowest + settings.angle_step * (2**settings.bits_per_joint - 1)
-    least, most = np.deg2rad([lowest, highest])
+    least, most = xp.deg2rad(xp.array([lowest, highest]))
     beyond = (least < tree.lower - _ANGLE_TOLERANCE) | (most > tree.upper + _ANGLE_TOLERANCE)
     # A motor without a spring does not pull to any angle.
-    for i in np.flatnonzero(beyond & (tree.servo_stiffness > 0)):
+    return beyond & (tree.servo_stiffness > 0), (lowest, highest)
+
+
+def _check_limits(tree: Tree, settings: PostureSettings) -> None:
+    beyond, (lowest, highest) = _beyond(tree, settings)
+    for i in np.flatnonzero(beyond):
         lower, upper = np.rad2deg([tree.lower[i], tree.upper[i]])
         raise ValueError(
             f"the postures turn joint {tree.dof_names[i]} from {lowest:g} to {highest:g} degrees, "

@@ -163,9 +163,9 @@ class ConvexMesh(Shape):
         far = chosen(lambda: self._farthest(direction))
         return self.points[far].mean(0)
 
-    def _farthest(self, direction: np.ndarray) -> np.ndarray:
+    def _farthest(self, direction: Numbers) -> Numbers:
         reach = self.points @ direction
-        return np.flatnonzero(reach.max() - reach <= _EQUALLY_FAR * np.ptp(reach))
+        return reach.max() - reach <= _EQUALLY_FAR * xp.ptp(reach)
 
     @functools.cached_property
     def corners(self) -> np.ndarray:

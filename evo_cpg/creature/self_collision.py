@@ -6,20 +6,40 @@ never meet (`evo_cpg.creature.reach`). Bodies count as their `RoundedBox`.
 
 import dataclasses
 import itertools
-from collections.abc import Iterable
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
+import jax
 import numpy as np
+from jaxtyping import Bool, Float
 
 from evo_cpg.creature.creature import Creature, neutral_pose
-from evo_cpg.creature.reach import pairs_that_can_meet
+from evo_cpg.creature.reach import PIECES, keeps_apart
 from evo_cpg.creature.tree import Tree
+from evo_cpg.spatial.choices import Condition, all_hold
+from evo_cpg.spatial.numerics import Numbers, is_traced, xp
 
 # Projections by which the nearest points of two boxes are found, and what they must come nearer
 # each other than to overlap, m.
 _PROJECTIONS, _TOUCH = 200, 1e-4
 
+# Pieces that may be enough to show that bodies never meet, even bodies larger by some factor.
+_FEWER_PIECES, _SLACK = (1, 8, 27, 125), 1.25
+
 # Names of two bodies each.
 PairNames = tuple[tuple[str, str], ...]
+
+
+class PlanPairs(NamedTuple):
+    """Pairs of bodies that are looked at in all creatures of one plan.
+
+    Attributes:
+        kept: those that are kept from passing through each other.
+        watched: those that must not overlap (`evo_cpg.simulation.rules`).
+    """
+
+    kept: PairNames = ()
+    watched: PairNames = ()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -29,7 +49,8 @@ class SelfCollision:
     Attributes:
         exclude: pairs of bodies that may pass through each other.
         include: pairs that may not, although they are neighbours or overlap in the neutral pose.
-        only: instead of the rule, all pairs that may not.
+        only: of all pairs these alone are looked at, for they are those of several creatures of one
+            plan. The rule still lets pass what overlaps in the neutral pose (`passing_at_rest`).
     """
 
     exclude: PairNames = ()
@@ -51,6 +72,63 @@ def colliding_pairs(creature: Creature, tree: Tree, wanted: SelfCollision) -> li
     return [pair for pair in candidates if pair not in overlapping]
 
 
+def passing_at_rest(
+    creature: Creature, tree: Tree, wanted: SelfCollision, pairs: Sequence[tuple[int, int]]
+) -> Bool[Numbers, " p"]:
+    """Whether the rule lets pairs pass because they touch or overlap in the neutral pose.
+
+    Args:
+        creature: the numbers may be traced.
+        tree: its bodies in order.
+        wanted: what differs from the rule; all names exist.
+        pairs: of the tree's bodies.
+    """
+    included = _indices(tree.names, wanted.include)
+    ruled = np.array([tuple(sorted(pair)) not in included for pair in pairs], bool)
+    return (_gaps_at_rest(creature, tree, pairs) < _TOUCH) & ruled
+
+
+class LeftOut(NamedTuple):
+    """Why pairs of a plan are not looked at: they never meet.
+
+    Attributes:
+        apart: pairs of bodies, and into how many pieces joint ranges are cut to show it.
+        others: pairs that are left out for another reason: they overlap in the neutral pose, or
+            turn beside each other.
+    """
+
+    apart: tuple[tuple[int, int, int], ...]
+    others: tuple[tuple[int, int], ...]
+
+
+def left_out(creature: Creature, tree: Tree, wanted: SelfCollision) -> LeftOut:
+    """Return why all pairs but those of ``wanted.only`` need not be looked at.
+
+    Args:
+        creature: of known numbers.
+        tree: its bodies in order.
+        wanted: with pairs that alone are looked at.
+    """
+    assert wanted.only is not None
+    every = [pair for pair in _ruled(tree, wanted) if pair not in _indices(tree.names, wanted.only)]
+    centre, half = _boxes(creature, tree)
+    apart: list[tuple[int, int, int]] = []
+    for pieces in (*_FEWER_PIECES, PIECES):
+        slack = 1.0 if pieces == PIECES else _SLACK
+        are_apart = keeps_apart(tree, (centre, slack * half), pieces)
+        shown = [pair for pair in every if are_apart(*pair)]
+        apart += [(*pair, pieces) for pair in shown]
+        every = [pair for pair in every if pair not in shown]
+    return LeftOut(tuple(apart), tuple(every))
+
+
+def still_apart(creature: Creature, tree: Tree, left: LeftOut) -> Condition:
+    """Whether the pairs never meet that never met; the numbers may be traced."""
+    box = _boxes(creature, tree)
+    are_apart = {pieces: keeps_apart(tree, box, pieces) for *_, pieces in left.apart}
+    return all_hold(are_apart[pieces](first, second) for first, second, pieces in left.apart)
+
+
 def pairs_that_touch_at_rest(
     creature: Creature, tree: Tree, wanted: SelfCollision
 ) -> list[tuple[int, int]]:
@@ -61,39 +139,29 @@ def pairs_that_touch_at_rest(
     return sorted(_candidates(creature, tree, wanted)[1])
 
 
-def colliding_pairs_of_all(
-    creatures: Iterable[tuple[Creature, Tree]], wanted: SelfCollision
-) -> PairNames:
-    """Pairs of bodies that are to be kept apart in creatures of one plan, by names.
-
-    Those that may meet in any of them, without those that overlap in the neutral pose of any.
-
-    Args:
-        creatures: of known numbers, and their trees.
-        wanted: what differs from the rule; all names exist.
-    """
-    meeting, passing, names = set(), set(), tuple[str, ...]()
-    for creature, tree in creatures:
-        candidates, overlapping = _candidates(creature, tree, wanted)
-        meeting.update(candidates)
-        passing |= overlapping
-        names = tree.names
-    return tuple((names[first], names[second]) for first, second in sorted(meeting - passing))
-
-
 def _candidates(
     creature: Creature, tree: Tree, wanted: SelfCollision
 ) -> tuple[list[tuple[int, int]], set[tuple[int, int]]]:
     """Pairs that can meet, and those of them that pass because they overlap from the start."""
+    are_apart = keeps_apart(tree, _boxes(creature, tree))
+    candidates = [pair for pair in _ruled(tree, wanted) if not are_apart(*pair)]
+    passing = passing_at_rest(creature, tree, wanted, candidates)
+    return candidates, {pair for pair, passes in zip(candidates, passing, strict=True) if passes}
+
+
+def _ruled(tree: Tree, wanted: SelfCollision) -> list[tuple[int, int]]:
+    """Pairs that the rule keeps apart where they can meet and do not overlap from the start."""
     every = set(itertools.combinations(range(len(tree.names)), 2))
     excluded, included = (_indices(tree.names, x) for x in (wanted.exclude, wanted.include))
     joined = {(parent, body) for body, parent in enumerate(tree.parents) if parent >= 0}
+    return sorted((every - joined - excluded) | included)
+
+
+def _boxes(creature: Creature, tree: Tree) -> tuple[Numbers, Numbers]:
+    """Centres and half edges ``(3, b)`` of boxes around all bodies, in their working frames, m."""
     boxes = [creature.bodies[creature.body_index(name)].shape.rounded_box for name in tree.names]
-    centre = tree.com + np.array([box.centre for box in boxes]).T
-    half = np.array([box.half_extents + box.radius for box in boxes]).T
-    wanted_pairs = sorted((every - joined - excluded) | included)
-    candidates = pairs_that_can_meet(tree, wanted_pairs, (centre, half))
-    return candidates, _overlapping(creature, tree, candidates) - included
+    centre = tree.com + xp.array([box.centre for box in boxes]).T
+    return centre, xp.array([box.half_extents + box.radius for box in boxes]).T
 
 
 def _indices(names: tuple[str, ...], given: tuple[tuple[str, str], ...]) -> set[tuple[int, int]]:
@@ -102,28 +170,35 @@ def _indices(names: tuple[str, ...], given: tuple[tuple[str, str], ...]) -> set[
     return {(first, second) for first, second in found}
 
 
-def _overlapping(
-    creature: Creature, tree: Tree, pairs: list[tuple[int, int]]
-) -> set[tuple[int, int]]:
-    """Those of some pairs that touch in the neutral pose, by projections onto either in turn."""
+def _gaps_at_rest(
+    creature: Creature, tree: Tree, pairs: Sequence[tuple[int, int]]
+) -> Float[Numbers, " p"]:
+    """Distances in the neutral pose, m, by projections onto either body of a pair in turn."""
     centres, rotations = neutral_pose(creature)
     bodies = np.array([creature.body_index(name) for name in tree.names])
     boxes = [creature.bodies[i].shape.rounded_box for i in bodies]
-    half = np.array([box.half_extents for box in boxes])
-    radius = np.array([box.radius for box in boxes])
+    half = xp.array([box.half_extents for box in boxes])
+    radius = xp.array([box.radius for box in boxes])
     turned = rotations[bodies]
-    middle = centres[bodies] + np.einsum("bij,bj->bi", turned, [box.centre for box in boxes])
+    within = xp.array([box.centre for box in boxes])
+    middle = centres[bodies] + xp.einsum("bij,bj->bi", turned, within)
     first, second = np.array(pairs, int).reshape(-1, 2).T
 
-    def project(point: np.ndarray, body: np.ndarray) -> np.ndarray:
-        own = np.einsum("pij,pi->pj", turned[body], point - middle[body])
-        return middle[body] + np.einsum(
-            "pij,pj->pi", turned[body], np.clip(own, -half[body], half[body])
+    def project(point: Numbers, body: np.ndarray) -> Numbers:
+        own = xp.einsum("pij,pi->pj", turned[body], point - middle[body])
+        return middle[body] + xp.einsum(
+            "pij,pj->pi", turned[body], xp.clip(own, -half[body], half[body])
         )
 
-    there = middle[second]
-    for _ in range(_PROJECTIONS):
-        here = project(there, first)
-        there = project(here, second)
-    gap = np.linalg.norm(there - here, axis=1) - radius[first] - radius[second]
-    return {pair for pair, distance in zip(pairs, gap, strict=True) if distance < _TOUCH}
+    def on_both(_: Any, points: tuple[Numbers, Numbers]) -> tuple[Numbers, Numbers]:
+        here = project(points[1], first)
+        return here, project(here, second)
+
+    points = middle[first], middle[second]
+    if is_traced(points):
+        points = jax.lax.fori_loop(0, _PROJECTIONS, on_both, points)
+    else:
+        for _ in range(_PROJECTIONS):
+            points = on_both(_, points)
+    here, there = points
+    return xp.linalg.norm(there - here, axis=1) - radius[first] - radius[second]

@@ -323,7 +323,7 @@ class Capsule(Shape):
         A half-sphere's centre of volume lies 3/8 r from its base; its second moment along the axis
         about there is that of a half axis of sqrt(19/64) r.
         """
-        r, slices = self.radius, _SLICES if chosen(lambda: bool(self.length > 0)) else 0
+        r, slices = self.radius, _SLICES if chosen(lambda: self.length > 0) else 0
         half_slice = self.length / (2 * _SLICES)
         discs = [
             Cell(

@@ -7,17 +7,22 @@ stream against them. Counting them made a 10-body chain swim at 0.05 m/s instead
 import functools
 
 import numpy as np
+from jaxtyping import Bool, Float
 
 from evo_cpg.creature.creature import Body, Creature, neutral_pose
 from evo_cpg.creature.shapes import Surface
-from evo_cpg.spatial.choices import chosen
-from evo_cpg.spatial.numerics import xp
+from evo_cpg.spatial.choices import Condition, all_hold, chosen
+from evo_cpg.spatial.numerics import Number, Numbers, xp
 
 # A point is sheltered when a step of this many joint gaps along its normal ends in another body.
 _SHELTER_GAPS = 1.5
 
 # Places along the normal (as fractions of the sheltering distance) that are probed.
 _PROBES = (0.0, 0.25, 0.5, 0.75, 1.0)
+
+# Share of the distance of two bodies that counts: those of a plan that are looked at may be farther
+# apart than bodies that cover each other.
+_NEAR = 0.8
 
 # Two bodies have the same skin where it is no farther apart (m), and so far outside of it (m)
 # neither is.
@@ -41,11 +46,23 @@ def outer_surfaces(
     surfaces = tuple(body.shape.surface(resolution) for body in creature.bodies)
     if not sheltered or len(surfaces) == 1:
         return surfaces
+    pose = neutral_pose(creature)
+    reach = _SHELTER_GAPS * _largest_gap(creature, pose)
+
+    def choose() -> tuple[list[Numbers], np.ndarray]:
+        near = _NEAR * _nearness(creature, pose, reach) <= 1
+        return _exposed(creature, pose, reach, surfaces, near), near
+
+    def still(made: tuple[list[Numbers], np.ndarray]) -> Condition:
+        exposed, near = made
+        again = _exposed(creature, pose, reach, surfaces, near)
+        same = [(one == other).all() for one, other in zip(exposed, again, strict=True)]
+        return all_hold([(near | (_nearness(creature, pose, reach) > 1)).all(), *same])
+
+    exposed, _ = chosen(choose, still)
     return tuple(
         Surface(*(column[outside] for column in surface))
-        for surface, outside in zip(
-            surfaces, chosen(lambda: _exposed(creature, surfaces)), strict=True
-        )
+        for surface, outside in zip(surfaces, exposed, strict=True)
     )
 
 
@@ -83,13 +100,41 @@ def _draw(areas: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray
     return rng.choice(len(areas), size=count, p=areas / areas.sum())
 
 
-def _exposed(creature: Creature, surfaces: tuple[Surface, ...]) -> list[np.ndarray]:
-    """Which points of each body no other body covers, by their numbers.
+def _nearness(
+    creature: Creature, pose: tuple[Numbers, Numbers], reach: Number
+) -> Float[Numbers, "b b"]:
+    """Return the distance of every two bodies, as a multiple of one at which none covers the other.
+
+    Args:
+        creature: the animal.
+        pose: its bodies' centres and rotations.
+        reach: distance at which a body shelters, m.
+    """
+    centres, _ = pose
+    radius = xp.array([body.shape.reach for body in creature.bodies])
+    distance = xp.sqrt(xp.square(centres[:, None] - centres).sum(-1))
+    return distance / (radius[:, None] + radius + reach)
+
+
+def _exposed(
+    creature: Creature,
+    pose: tuple[Numbers, Numbers],
+    reach: Number,
+    surfaces: tuple[Surface, ...],
+    near: Bool[np.ndarray, "b b"],
+) -> list[Numbers]:
+    """Which points of each body no other body covers.
 
     Where two bodies share a piece of skin, it is the first one's.
+
+    Args:
+        creature: the animal.
+        pose: its bodies' centres and rotations.
+        reach: distance at which a body shelters, m.
+        surfaces: of the bodies.
+        near: which bodies can cover which.
     """
-    centres, rotations = neutral_pose(creature)
-    reach = _SHELTER_GAPS * _largest_gap(creature, centres, rotations)
+    centres, rotations = pose
     found = []
     for i, surface in enumerate(surfaces):
         probes = reach * np.array(_PROBES)[:, None, None]
@@ -97,24 +142,25 @@ def _exposed(creature: Creature, surfaces: tuple[Surface, ...]) -> list[np.ndarr
         outwards = world[0] + _OUTWARDS * surface.normals @ rotations[i].T
         exposed = np.ones(world.shape[:-1], bool)
         for j, other in enumerate(creature.bodies):
-            if j == i:
+            if j == i or not near[i, j]:
                 continue
 
-            def distance(place: np.ndarray, j: int = j, other: Body = other) -> np.ndarray:
+            def distance(place: Numbers, j: int = j, other: Body = other) -> Numbers:
                 local = (place - centres[j]) @ rotations[j]
                 return other.shape.distance(local.reshape(-1, 3)).reshape(place.shape[:-1])
 
             gap = distance(world)
             apart = gap > 0
             if i < j:
-                apart |= (np.abs(gap) < _SAME_SKIN) & (distance(outwards) > 0)
-            exposed &= apart
-        found.append(np.flatnonzero(exposed.all(0)))
+                apart = apart | (xp.abs(gap) < _SAME_SKIN) & (distance(outwards) > 0)
+            exposed = exposed & apart
+        found.append(exposed.all(0))
     return found
 
 
-def _largest_gap(creature: Creature, centres: np.ndarray, rotations: np.ndarray) -> float:
+def _largest_gap(creature: Creature, pose: tuple[Numbers, Numbers]) -> Number:
     """Widest opening (m) between a body and its parent in the neutral pose."""
+    centres, rotations = pose
     gaps = [0.0]
     for i, body in enumerate(creature.bodies):
         if body.joint is None:
@@ -122,5 +168,5 @@ def _largest_gap(creature: Creature, centres: np.ndarray, rotations: np.ndarray)
         parent = creature.body_index(body.joint.parent)
         world = body.shape.surface(8).points @ rotations[i].T + centres[i]
         local = (world - centres[parent]) @ rotations[parent]
-        gaps.append(float(creature.bodies[parent].shape.distance(local).min()))
-    return max(gaps)
+        gaps.append(creature.bodies[parent].shape.distance(local).min())
+    return xp.max(xp.array(gaps))

@@ -27,7 +27,7 @@ from evo_cpg.creature.shapes import Shape
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.buoyancy import displacement
 from evo_cpg.physics.force_law import Bodies, ForceLaw, Part, blocks
-from evo_cpg.spatial.choices import chosen
+from evo_cpg.spatial.choices import Condition, chosen
 from evo_cpg.spatial.linear import cross, expand_dims_like, matvec
 from evo_cpg.spatial.numerics import Number, Numbers, xp
 
@@ -156,8 +156,8 @@ def ellipsoid(shape: Shape) -> Float[Numbers, " 6"]:
     return shape.volume * xp.concatenate([xp.array(angular), linear])
 
 
-def _is_oblong(difference: float, total: float) -> bool:
-    return bool(abs(difference) > _ROUND * total)
+def _is_oblong(difference: Number, total: Number) -> Condition:
+    return abs(difference) > _ROUND * total
 
 
 def carried_water(

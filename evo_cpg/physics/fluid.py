@@ -37,7 +37,7 @@ from jaxtyping import Array, Float
 from evo_cpg.creature.shapes import Surface
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.force_law import Bodies, ForceLaw, Part
-from evo_cpg.spatial.choices import chosen
+from evo_cpg.spatial.choices import Condition, all_hold, chosen
 from evo_cpg.spatial.numerics import Number, Numbers, xp
 from evo_cpg.spatial.partly import PartlyTraced
 
@@ -46,6 +46,13 @@ _SPEED_FLOOR = 1e-12
 
 # Operations of native code for a point of form drag, of skin friction, and of either at a surface.
 _FORM_POINT, _SKIN_POINT, _SURFACE_POINT = 27.0, 36.0, 38.0
+
+# Numbers that are equal when rounded to so many decimals are the same (m, m^2), and whether they
+# still are (m, m^2).
+_DECIMALS, _SAME = 9, 1e-9
+
+# Largest share of a normal along an axis from which tangents are made; the least share is 0.58.
+_ACROSS = 0.9
 
 # Height over which a level patch gets wet, as a share of its size: water does not jump.
 _LEAST_SLOPE = 0.1
@@ -177,7 +184,11 @@ def make_patches(
         )
         for i, name in enumerate(tree.names)
     ]
-    groups = [(i,) for i in range(len(placed))] if apart else chosen(lambda: _alike(placed))
+    groups = (
+        [(i,) for i in range(len(placed))]
+        if apart
+        else chosen(lambda: _alike(placed), lambda groups: _still_alike(placed, groups))
+    )
     return tuple(
         _patch(bodies, *placed[bodies[0]], law == "normal" and not apart, surfacing)
         for bodies in groups
@@ -305,9 +316,24 @@ def _alike(surfaces: list[tuple[Surface, Surface]]) -> list[tuple[int, ...]]:
     """Bodies, grouped by their surfaces."""
     groups: dict[bytes, list[int]] = {}
     for i, own in enumerate(surfaces):
-        key = b"|".join(np.round(column, 9).tobytes() for surface in own for column in surface)
+        key = b"|".join(
+            np.round(column, _DECIMALS).tobytes() for surface in own for column in surface
+        )
         groups.setdefault(key, []).append(i)
     return [tuple(bodies) for bodies in groups.values()]
+
+
+def _still_alike(
+    surfaces: list[tuple[Surface, Surface]], groups: list[tuple[int, ...]]
+) -> Condition:
+    """Whether bodies of one group have the same surfaces."""
+    return all_hold(
+        (xp.abs(one - same) <= _SAME).all()
+        for first, *others in groups
+        for other in others
+        for own, theirs in zip(surfaces[first], surfaces[other], strict=True)
+        for one, same in zip(own, theirs, strict=True)
+    )
 
 
 def _places(surface: Surface) -> Places:
@@ -317,7 +343,9 @@ def _places(surface: Surface) -> Places:
 def _velocity_rows(surface: Surface) -> list[Numbers]:
     """Rows ``(points, 6)`` giving the normal and two tangential velocities from a body's twist."""
     points, normals, _ = surface
-    helper = np.eye(3)[chosen(lambda: np.abs(normals).argmin(-1))]
+    helper = np.eye(3)[
+        chosen(lambda: np.abs(normals).argmin(-1), lambda axes: _are_across(normals, axes))
+    ]
     across = xp.cross(normals, helper)
     first = across / xp.linalg.norm(across, axis=-1, keepdims=True)
     second = xp.cross(normals, first)
@@ -327,15 +355,22 @@ def _velocity_rows(surface: Surface) -> list[Numbers]:
     ]
 
 
+def _are_across(normals: Numbers, axes: np.ndarray) -> Condition:
+    """Whether none of some axes is nearly along its normal: then any tangents serve."""
+    return (xp.abs(normals[np.arange(len(axes)), axes]) < _ACROSS).all()
+
+
 def _merge_alike(rows: Numbers, areas: Numbers) -> tuple[Numbers, Numbers]:
     """Rows that are equal up to their sign, once each, with their areas summed."""
-    signs, kept, members = chosen(lambda: _equal_up_to_sign(rows))
+    signs, kept, members = chosen(
+        lambda: _equal_up_to_sign(rows), lambda merged: _may_merge(rows, *merged)
+    )
     return (rows * signs)[kept], members @ areas
 
 
 def _equal_up_to_sign(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Which rows are: a sign for each, the first of its kind, and which are of each kind."""
-    rounded = np.round(rows, 9) + 0.0
+    rounded = np.round(rows, _DECIMALS) + 0.0
     leading = np.take_along_axis(rounded, (rounded != 0).argmax(1)[:, None], 1)
     signs = np.where(leading < 0, -1.0, 1.0)
     _, first, inverse = np.unique(
@@ -344,6 +379,14 @@ def _equal_up_to_sign(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndar
     # In the order of the points: that of the rows themselves would change with a body's size.
     order = np.argsort(first)
     return signs, first[order], (inverse.ravel() == order[:, None]).astype(float)
+
+
+def _may_merge(
+    rows: Numbers, signs: np.ndarray, kept: np.ndarray, members: np.ndarray
+) -> Condition:
+    """Whether the rows that are merged are equal up to their sign."""
+    signed = rows * signs
+    return (xp.abs(signed - signed[kept[members.argmax(0)]]) <= _SAME).all()
 
 
 def _outer_products(rows: Numbers) -> Numbers:

@@ -20,7 +20,14 @@ from jaxtyping import Array, Float
 
 from evo_cpg.creature.creature import Creature, neutral_pose
 from evo_cpg.creature.reach import chain_to_root
-from evo_cpg.creature.self_collision import SelfCollision, colliding_pairs
+from evo_cpg.creature.self_collision import (
+    LeftOut,
+    SelfCollision,
+    colliding_pairs,
+    left_out,
+    passing_at_rest,
+    still_apart,
+)
 from evo_cpg.creature.shapes import RoundedBox
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.box_separation import separation_of_boxes
@@ -35,9 +42,9 @@ from evo_cpg.physics.separation import (
     separation_of_lines,
     separation_of_rounded,
 )
-from evo_cpg.spatial.choices import chosen
+from evo_cpg.spatial.choices import Condition, Undecidable, all_hold, chosen
 from evo_cpg.spatial.linear import expand_dims_like, matvec
-from evo_cpg.spatial.numerics import Numbers, xp
+from evo_cpg.spatial.numerics import Numbers, is_traced, xp
 
 # c h of a pair: so many times the geometric mean of the two masses.
 _STIFFNESS = 60.0
@@ -124,7 +131,11 @@ class Pairs(eqx.Module):
 
 
 def make_pairs(creature: Creature, tree: Tree, wanted: SelfCollision) -> Pairs | None:
-    """The pairs of a creature that may touch; None where there are none."""
+    """The pairs of a creature that may touch; None where there are none.
+
+    Of the pairs of a whole plan (``wanted.only``) those that this creature lets pass have no
+    stiffness, and so no force.
+    """
     boxes = [creature.bodies[creature.body_index(name)].shape.rounded_box for name in tree.names]
 
     def in_order(pair: tuple[int, int]) -> tuple[int, int]:
@@ -134,22 +145,52 @@ def make_pairs(creature: Creature, tree: Tree, wanted: SelfCollision) -> Pairs |
 
     def choose() -> tuple[tuple[int, ...], tuple[int, ...], tuple[Alike, ...]]:
         found = colliding_pairs(creature, tree, wanted)
-        order = [creature.body_index(name) for name in tree.names]
-        places, turned = (np.array(each)[order] for each in neutral_pose(creature))
-        centres = [
-            place + turn @ box.centre
-            for place, turn, box in zip(places, turned, boxes, strict=True)
-        ]
         ways = sorted((*_way(tree, turned, boxes, *pair), pair) for pair in map(in_order, found))
-        ways = [way for way in ways if not _passes(way, turned, centres, boxes)]
+        if wanted.only is None:
+            ways = [way for way in ways if not _passes(way, turned, centres, boxes)]
         first, second = zip(*(pair for *_, pair in ways), strict=True) if ways else ((), ())
         groups = itertools.groupby(ways, lambda way: way[:2])
         return first, second, tuple(Alike(*way, len(list(same))) for way, same in groups)
 
-    first, second, runs = chosen(choose)
+    def still(made: tuple[tuple[int, ...], tuple[int, ...], tuple[Alike, ...]]) -> Condition:
+        """Whether each pair is treated as it has to be."""
+        if wanted.only is None and is_traced(tree, boxes):
+            raise Undecidable("which limbs can meet")
+        kinds = [run for run in made[2] for _ in range(run.count)]
+        treated = zip(kinds, *made[:2], strict=True)
+        return all_hold(_still(tree, turned, boxes, *each) for each in treated)
+
+    def why() -> tuple[LeftOut, list]:
+        """Return why the other pairs never meet."""
+        left = left_out(creature, tree, wanted)
+        ways = [(*_way(tree, turned, boxes, *in_order(pair)), pair) for pair in left.others]
+        return left, [way for way in ways if _passes(way, turned, centres, boxes)]
+
+    def stay_left_out(reasons: tuple[LeftOut, list]) -> Condition:
+        left, beside = reasons
+        passing = [pair for pair in left.others if pair not in [pair for *_, pair in beside]]
+        holds = [_passes(way, turned, centres, boxes) for way in beside]
+        if passing:
+            holds.append(passing_at_rest(creature, tree, wanted, passing).all())
+        return all_hold([still_apart(creature, tree, left), *holds])
+
+    order = np.array([creature.body_index(name) for name in tree.names])
+    places, turned = (each[order] for each in neutral_pose(creature))
+    centres = [
+        place + turn @ box.centre for place, turn, box in zip(places, turned, boxes, strict=True)
+    ]
+    first, second, runs = chosen(choose, still)
+    if wanted.only is not None:
+        chosen(why, stay_left_out)
     if not first:
         return None
     one, two = (tree.mass[np.array(bodies)] for bodies in _owners(first, second, runs))
+    stiffness = _STIFFNESS * xp.sqrt(one * two)
+    if wanted.only is not None:
+        pairs = list(zip(first, second, strict=True))
+        passing = passing_at_rest(creature, tree, wanted, pairs)
+        of_pair, _ = _owners(tuple(range(len(pairs))), second, runs)
+        stiffness = xp.where(passing[np.array(of_pair)], 0.0, stiffness)
     return Pairs(
         first,
         second,
@@ -157,7 +198,7 @@ def make_pairs(creature: Creature, tree: Tree, wanted: SelfCollision) -> Pairs |
         tree.com + xp.array([box.centre for box in boxes]).T,
         xp.array([box.half_extents for box in boxes]).T,
         xp.array([box.radius for box in boxes]),
-        _STIFFNESS * xp.sqrt(one * two),
+        stiffness,
     )
 
 
@@ -216,12 +257,29 @@ def _way(
     return "flat", (one, two)
 
 
+def _still(
+    tree: Tree, turned: Numbers, boxes: list[RoundedBox], run: Alike, first: int, second: int
+) -> Condition:
+    """Whether a pair may be treated in some way; see `_way`."""
+    both = boxes[first], boxes[second]
+    if run.kind in ("flat", "boxes"):
+        return _way(tree, turned, boxes, first, second) == run[:2]
+    if run.kind == "rounded":
+        # The axis that comes first is the longest.
+        halves = zip(both, run.turned, strict=True)
+        return all_hold(
+            (box.half_extents[order[0]] >= box.half_extents).all() for box, order in halves
+        )
+    lines = both if run.kind == "lines" else both[:1]
+    return all_hold((box.half_extents[1:] == 0).all() for box in lines)
+
+
 def _passes(
     way: tuple[str, tuple[tuple[int, int, int], ...], tuple[int, int]],
-    turned: np.ndarray,
-    centres: list[np.ndarray],
+    turned: Numbers,
+    centres: list[Numbers],
     boxes: list[RoundedBox],
-) -> bool:
+) -> Condition:
     """Whether two boxes turn beside each other, apart along their common axis for ever.
 
     Args:
@@ -235,7 +293,7 @@ def _passes(
         return False
     aside = turned[first][:, order[2]] @ (centres[second] - centres[first])
     sides = boxes[first].half_extents[order[2]] + boxes[second].half_extents[other_order[2]]
-    return bool(abs(aside) > sides)
+    return abs(aside) > sides
 
 
 def placed_boxes(pairs: Pairs, kin: Kinematics) -> tuple[Array, Array, Array]:

@@ -13,6 +13,7 @@ from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.pairs import Pairs, separations
 from evo_cpg.physics.state import State
 from evo_cpg.physics.world import World
+from evo_cpg.spatial.linear import expand_dims_like
 from evo_cpg.spatial.numerics import Number
 
 
@@ -56,5 +57,8 @@ def keeps(
     if rules.penetration is not None and world.footing is not None:
         kept &= (clearance(world.footing, kin) >= -rules.penetration).all(0)
     if rules.overlap is not None and rules.pairs is not None:
-        kept &= (separations(rules.pairs, kin).gap >= -rules.overlap).all(0)
+        gap = separations(rules.pairs, kin).gap
+        # Pairs without stiffness are those of other bodies of a plan.
+        passes = expand_dims_like(rules.pairs.stiffness, gap) == 0
+        kept &= ((gap >= -rules.overlap) | passes).all(0)
     return kept

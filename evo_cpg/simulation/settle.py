@@ -18,7 +18,7 @@ All is done in float64, and nothing of that is left behind.
 import dataclasses
 import functools
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -33,7 +33,7 @@ from evo_cpg.physics.statics import Grip, Touch, moved, next_grip, radius_of_gyr
 from evo_cpg.physics.world import World
 from evo_cpg.simulation.plans import Plan, Programs
 from evo_cpg.simulation.situation import Situation
-from evo_cpg.spatial.choices import chosen, searched
+from evo_cpg.spatial.choices import Undecidable, chosen, searched
 from evo_cpg.spatial.numerics import is_traced
 from evo_cpg.spatial.rotation import axis_rotation, integrate_quaternion, quaternion_to_matrix
 
@@ -355,7 +355,7 @@ def settled(
     Raises:
         NoRestError: it does not come to rest, or not as it stands.
     """
-    found = searched(lambda: settling().settle(situation))
+    found = searched(lambda: settling().settle(situation), lambda _: _is_known(world, situation))
     alike_everywhere = chosen(lambda: _is_alike_everywhere(world))
     state = found.state
     if is_traced(world, situation):
@@ -376,6 +376,17 @@ def settled(
     return situation._replace(
         start_position=position, start_orientation=orientation, start_angles=angles
     )
+
+
+def _is_known(*values: Any) -> bool:
+    """Whether no number is traced: a step from another rest may end where no search would.
+
+    Raises:
+        Undecidable: one is.
+    """
+    if is_traced(values):
+        raise Undecidable("the start is searched: start_pose is 'settled'")
+    return True
 
 
 def _gives_way(tree: Tree) -> np.ndarray:

@@ -1,23 +1,34 @@
-"""What is decided while a model is built, and is no number: which points are left out, and so on.
+"""Decisions made while a model is built: which points are left out, which bodies are alike.
 
-A builder decides by numbers: which surface points another body covers, which bodies are alike,
-where an animal comes to rest. Where numbers are traced nothing can be decided by them. So the
-building is done twice: with known numbers, noting every choice in turn, and with traced ones about
-the same place, taking the choices that were noted. What comes out of the second is a smooth
-function of the numbers, and is what the first would build as long as it would choose the same.
+A builder decides by numbers, and traced numbers decide nothing. So the building is done twice. With
+known numbers it notes every decision in turn. With traced numbers it repeats them. The result of
+the second is a smooth function of the numbers.
 
-Outside `noting` and `repeating` a choice is simply made.
+It is what the first would build as long as each decision holds. `repeating` can collect the
+conditions for that, as functions of the same numbers: see `chosen` and `searched`.
+
+Outside `noting` and `repeating` a decision is simply made.
 """
 
 import contextlib
 import contextvars
-from collections.abc import Callable, Iterator
+import functools
+import operator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any, NamedTuple, TypeVar
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 _T = TypeVar("_T")
+
+# A truth value, which may be traced.
+Condition = Any
+
+
+class Undecidable(Exception):
+    """A decision of which traced numbers cannot tell whether it holds."""
 
 
 class Choices:
@@ -47,6 +58,7 @@ class _Present(NamedTuple):
     made: Iterator[Any] = iter(())
     searched: Iterator[Any] = iter(())
     repeats: bool = False
+    conditions: list[Condition] | None = None
 
 
 _NOTHING = _Present()
@@ -71,32 +83,51 @@ def noting() -> Iterator[Choices]:
 
 
 @contextlib.contextmanager
-def repeating(choices: Choices) -> Iterator[None]:
-    """Choose within what was chosen before; the numbers may be traced."""
-    present = _Present(None, iter(choices.made), iter(choices.searched), repeats=True)
-    with _in_present(present):
+def repeating(choices: Choices, conditions: list[Condition] | None = None) -> Iterator[None]:
+    """Choose within what was chosen before; the numbers may be traced.
+
+    Args:
+        choices: that were noted.
+        conditions: a list to which is added for every choice whether it holds.
+    """
+    made, searched = iter(choices.made), iter(choices.searched)
+    with _in_present(_Present(None, made, searched, True, conditions)):
         yield
 
 
-def chosen(choose: Callable[[], _T]) -> _T:
-    """What a function of known numbers chooses, or chose when it was noted.
+def chosen(choose: Callable[[], _T], holds: Callable[[_T], Condition] | None = None) -> _T:
+    """Return what a function of known numbers chooses, or chose when it was noted.
 
     Args:
-        choose: gives a pytree; it is not called where numbers may be traced.
+        choose: gives a pytree.
+        holds: whether a choice builds the right thing for the present numbers, which may be traced;
+            None where that is so if ``choose`` gives the same again.
+
+    Raises:
+        Undecidable: conditions are collected, and the numbers are traced in a way that no condition
+            can be computed.
     """
-    return _noted_or_repeated("made", choose)
+    made = _noted_or_repeated("made", choose)
+    _collect(lambda: holds(made) if holds else _equal(made, choose()))
+    return made
 
 
-def searched(search: Callable[[], _T]) -> _T:
-    """Where a search by known numbers ends, or ended when it was noted.
+def searched(search: Callable[[], _T], holds: Callable[[_T], Condition]) -> _T:
+    """Return where a search by known numbers ends, or ended when it was noted.
 
-    That does not follow the numbers; whoever calls this takes a step of Newton's from there, which
-    does (the implicit function theorem), and is none where the search was exact.
+    That does not follow the numbers. Whoever calls this takes steps of Newton's from there, which
+    do (the implicit function theorem), and are none where the search was exact.
 
     Args:
         search: gives a pytree of numbers; it is not called where numbers may be traced.
+        holds: whether these steps end where a search of the present numbers would.
+
+    Raises:
+        Undecidable: see `chosen`.
     """
-    return _noted_or_repeated("searched", search)
+    found = _noted_or_repeated("searched", search)
+    _collect(lambda: holds(found))
+    return found
 
 
 def _noted_or_repeated(notes: str, make: Callable[[], _T]) -> _T:
@@ -114,3 +145,32 @@ def _noted_or_repeated(notes: str, make: Callable[[], _T]) -> _T:
     if present.noted is not None:
         getattr(present.noted, notes).append(given)
     return given
+
+
+def all_hold(conditions: Iterable[Condition]) -> Condition:
+    """Whether all of some conditions hold."""
+    return functools.reduce(operator.and_, conditions, True)
+
+
+def _collect(condition: Callable[[], Condition]) -> None:
+    """Add a condition to those that are collected, if any are."""
+    conditions = _present.get().conditions
+    if conditions is None:
+        return
+    try:
+        with _in_present(_NOTHING):
+            conditions.append(condition())
+    except (jax.errors.JAXTypeError, jax.errors.JAXIndexError, TypeError) as error:
+        raise Undecidable(str(error).partition("\n")[0]) from error
+
+
+def _equal(made: Any, again: Any) -> Condition:
+    """Whether two choices are the same; the second may be traced."""
+    mine, layout = jax.tree.flatten(made)
+    theirs, their_layout = jax.tree.flatten(again)
+    if layout != their_layout:
+        return False
+    return all_hold(
+        (jnp if isinstance(other, jax.Array) else np).array_equal(one, other)
+        for one, other in zip(mine, theirs, strict=True)
+    )

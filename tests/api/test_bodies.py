@@ -5,7 +5,10 @@ import numpy as np
 import pytest
 
 import evo_cpg as evo
-from tiny_run import CONFIG, TINY
+from evo_cpg.config.numbers import number_at
+from tiny_run import CONFIG, REPOSITORY, TINY
+
+WALKER = REPOSITORY / "configs" / "fukui2003_model1.yaml"
 
 DENSITY, LENGTH = "creature.materials.body.density", "creature.bodies.1.shape.size.0"
 
@@ -46,6 +49,47 @@ def test_one_program_serves_all_populations(experiment, genomes, numbers):
     again, _ = experiment._bodies.trials(others, 3)
     assert again is first
     assert experiment._bodies.trials({DENSITY: np.full(3, 1000.0)}, 3) is None
+
+
+def test_bodies_that_do_not_fit_the_plan_are_built_alone(experiment, genomes):
+    """Two limits of one joint are checked together, which no program does."""
+    middle = experiment.config.creature.bodies[1].joint.limits_deg
+    keys = [f"creature.bodies.1.joint.limits_deg.{i}" for i in range(2)]
+    numbers = {key: middle[i] * np.array([0.5, 0.8, 1.1]) for i, key in enumerate(keys)}
+    together = experiment.evaluate(0, genomes, numbers)
+    plan, _ = experiment._bodies._made[frozenset(keys)]
+    assert plan.hindrance == "numbers are checked together"
+    for i in range(3):
+        body = experiment.with_numbers({key: values[i] for key, values in numbers.items()})
+        alone = body.evaluate(0, genomes[i : i + 1])
+        np.testing.assert_allclose(together.fitness[i], alone.fitness[0], rtol=1e-4)
+
+
+def test_limbs_that_meet_others_make_a_new_plan():
+    hips = [f"creature.bodies.{i}.joint.at.0" for i in (1, 3)]
+    loaded = evo.load(WALKER, ["simulation.steps=3"]).with_numbers(dict.fromkeys(hips, 1.2))
+    genomes = loaded.random_genomes(0, 2)
+    apart = {key: np.array([1.2, 1.3]) for key in hips}
+    assert np.isfinite(loaded.evaluate(0, genomes, apart).fitness).all()
+    first, _ = loaded._bodies._made[frozenset(hips)]
+    mixed = {key: np.array([1.2, 0.25]) for key in hips}
+    together = loaded.evaluate(0, genomes, mixed)
+    assert loaded._bodies._made[frozenset(hips)][0] is not first
+    for i in range(2):
+        body = loaded.with_numbers({key: values[i] for key, values in mixed.items()})
+        alone = body.evaluate(0, genomes[i : i + 1])
+        np.testing.assert_allclose(together.fitness[i], alone.fitness[0], rtol=1e-4)
+
+
+def test_a_kink_stops_a_derivative_alone():
+    """The length of a lower leg: the start's height follows the longest one."""
+    loaded = evo.load(WALKER, ["simulation.steps=2"])
+    key = "creature.bodies.2.shape.size.2"
+    genome, length = loaded.random_genomes(0, 1)[0], np.array([number_at(loaded.config, key)])
+    fitness = loaded.fitness_function(numbers=[key])
+    assert np.isfinite(jax.jit(fitness)(genome, length * 1.1))
+    with pytest.raises(evo.ConfigError, match=r"size\.2: 0\.24 is at a kink of .*no derivative"):
+        jax.eval_shape(jax.grad(fitness, 1), genome, length)
 
 
 def test_what_is_wrong_is_said(experiment, genomes, numbers):

@@ -6,7 +6,7 @@ import jax
 import numpy as np
 import pytest
 
-from evo_cpg.config.batched import build_batch
+from evo_cpg.config.batched import BodyPlan, build_batch
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.load import load_config
@@ -149,6 +149,20 @@ def test_a_part_of_every_array_may_be_traced(name, overrides):
     assert {term.shape for term in found.values()} == {()}
 
 
+@pytest.mark.parametrize(
+    "case", ["swimmer", "hopper", pytest.param("walker", marks=pytest.mark.slow)]
+)
+def test_one_program_builds_what_numpy_builds(case):
+    config, path, keys = configured(case)
+    given = numbers(config, keys)
+    plan = BodyPlan(config, path, {key: values[:1] for key, values in given.items()})
+    found, fits = plan.build(given)
+    assert fits.all() and not plan.hindrance
+    built = build_batch(config, path, given, like=plan.batched)
+    for values, own in zip(found, built.values, strict=True):
+        np.testing.assert_allclose(values, own, rtol=1e-12, atol=1e-14 * np.abs(own).max())
+
+
 def test_a_compiled_program_serves_other_bodies():
     path, overrides, keys = CASES["swimmer"]
     config = load_config(path, [*overrides, "simulation.steps=5"])
@@ -164,7 +178,7 @@ def test_a_compiled_program_serves_other_bodies():
         np.testing.assert_allclose(term[2], alone.terms[name][0], rtol=1e-5, atol=1e-5)
 
 
-def test_bodies_of_which_different_limbs_can_meet_share_the_pairs():
+def test_bodies_whose_limbs_meet_others_share_the_pairs():
     """Legs far apart cannot meet; thick ones overlap from the start; some of each, and neither."""
     path, overrides, _ = CASES["walker"]
     config = load_config(path, list(overrides))
@@ -191,10 +205,24 @@ def test_bodies_of_which_different_limbs_can_meet_share_the_pairs():
     batched = build_batch(config, path, given)
     overlaps = alone[0] - alone[2]
     assert alone[1] < alone[0] and overlaps - alone[1]
-    assert pairs(batched.common) == alone[0] - overlaps
-    assert all(pairs(batched[i]) == pairs(batched.common) for i in range(3))
-    again = build_batch(config, path, {k: v[:1] for k, v in given.items()}, like=batched)
-    assert pairs(again[0]) == pairs(batched.common)
+    assert pairs(batched.common) == alone[0] | alone[1] | alone[2]
+    plan = BodyPlan(config, path, given)
+    values, fits = plan.build(given)
+    assert fits.all()
+    for each in (batched, batched._replace(values=tuple(values))):
+        for i in range(3):
+            simulation = each[i]
+            assert pairs(simulation) == pairs(batched.common)
+            # Pairs that overlap from the start are without force.
+            found = simulation.world.pairs
+            idle = np.array(found.owners).T[found.stiffness == 0]
+            of = simulation.world.tree.names
+            assert {frozenset((of[a], of[b])) for a, b in idle} == (overlaps if i == 2 else set())
+    apart = with_numbers(config, {k: v[1] for k, v in given.items()}, path)
+    wider = BodyPlan(apart, path, {k: v[1:2] * 1.1 for k, v in given.items()})
+    assert wider.build(given)[1].tolist() == [False, True, False]
+    with pytest.raises(ConfigError, match="limbs can meet that never do in the others"):
+        build_batch(apart, path, {k: v[:1] for k, v in given.items()}, like=wider.batched)
 
 
 def test_the_number_that_may_not_differ_is_named():
