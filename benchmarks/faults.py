@@ -301,7 +301,11 @@ def open_damaged(folder: Path, number: int) -> str:
     Returns:
         What became of every command, and of the checkpoints.
     """
-    from evo_cpg.cli import champions, pictures, training, verify
+    from evo_cpg.cli import champions
+    from evo_cpg.cli.plot import plot
+    from evo_cpg.cli.resume import resume
+    from evo_cpg.cli.verify import verify
+    from evo_cpg.training import devices
     from evo_cpg.training.run_folder import RunFolder
 
     chance = random.Random(number)
@@ -311,14 +315,14 @@ def open_damaged(folder: Path, number: int) -> str:
     broken = damage(run, chance)
     told = []
     commands: dict[str, Callable[[], object]] = {
-        "plot": lambda: pictures.plot_run(run, None, None, 0),
-        "verify": lambda: verify.verify_run(run, 1),
-        "resume": lambda: training.resume_run(run, None, 1),
+        "plot": lambda: plot(run),
+        "verify": lambda: verify(run, 1),
+        "resume": lambda: resume(run, cores=1),
     }
     if number % _VERIFIED:
         commands = {"plot": commands["plot"], "open": lambda: champions.open_champion(run)}
     # Whatever the damage says: JAX has its devices in this process already.
-    training.use_cores = champions.use_cores = lambda cores: 1
+    devices.use_cores = champions.use_cores = lambda cores: 1
     for name, call in commands.items():
         try:
             with (

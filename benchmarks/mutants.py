@@ -96,6 +96,18 @@ MUTANTS = (
         "physics/test_water_surface.py",
     ),
     Mutant(
+        "physics/force_law.py",
+        "matvec(0.5 * (slope - transpose(slope)), moving.velocity)",
+        "matvec(0.0 * (slope - transpose(slope)), moving.velocity)",
+        "api/test_own_force_law.py",
+    ),
+    Mutant(
+        "physics/force_law.py",
+        "about_origin = cross(",
+        "about_origin = 0 * cross(",
+        "api/test_own_force_law.py",
+    ),
+    Mutant(
         "physics/weight.py",
         "under - tree.mass",
         "tree.mass - under",

@@ -11,7 +11,7 @@ from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
 from evo_cpg.creature.surface import outer_surfaces
 from evo_cpg.creature.tree import Tree, build_tree
 from evo_cpg.fusion.jax_internals import quick_jit
-from evo_cpg.physics.added_mass import AddedMass, Slamming, added_inertia
+from evo_cpg.physics.added_mass import AddedMass, added_inertia
 from evo_cpg.physics.buoyancy import make_cells
 from evo_cpg.physics.fluid import Drag, DragLaw, make_patches
 from evo_cpg.physics.state import State
@@ -157,15 +157,14 @@ def in_water(
         )
     }
     patches = make_patches(tree, surfaces, surfaces, law, surface is not None)
-    forces = [Drag(form_drag, skin_drag, patches, law)]
+    forces = (Drag(form_drag, skin_drag, patches, law),)
     if added_mass:
-        carried = added_inertia(creature, tree, density)
-        forces += [AddedMass(carried)] + ([] if surface is None else [Slamming(carried)])
+        forces += (AddedMass(added_inertia(creature, tree, density)),)
     return World(
         tree,
         gravity,
         Water(density, surface, (Current(current, gradient), *vortices)),
-        tuple(forces),
+        forces,
         cells=() if surface is None else make_cells(creature, tree),
     )
 

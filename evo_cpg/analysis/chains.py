@@ -9,12 +9,10 @@ import numpy as np
 from jaxtyping import Float
 
 from evo_cpg.analysis.limit_cycle import parts
-from evo_cpg.control.brain_cpg import BrainCpg
-from evo_cpg.control.controller import Controller
 from evo_cpg.control.couplings import explicit_weights
 from evo_cpg.control.matsuoka import CpgSettings, build_network, inhibition_matrix
-from evo_cpg.control.postures import PostureController
 from evo_cpg.creature.tree import Tree
+from evo_cpg.simulation.simulation import Simulation
 
 # Axes are square to each other if the cosine of their angle is less.
 _SQUARE = 1e-6
@@ -67,9 +65,11 @@ def chains(tree: Tree, settings: CpgSettings) -> list[Chain]:
     return sorted(found, key=lambda chain: (-len(chain.oscillators), chain.oscillators[0]))
 
 
-def joint_rows(tree: Tree, settings: CpgSettings) -> list[tuple[int, ...]]:
-    """The degrees of freedom of each of `chains`."""
-    return [chain.oscillators for chain in chains(tree, settings)]
+def joint_rows(simulation: Simulation) -> list[tuple[int, ...]]:
+    """The degrees of freedom of each of `chains`; as by default if there are no oscillators."""
+    oscillators = simulation.controller.rhythm_generator
+    settings = CpgSettings() if oscillators is None else oscillators.settings
+    return [chain.oscillators for chain in chains(simulation.world.tree, settings)]
 
 
 def axis_signs(tree: Tree, rows: Iterable[Sequence[int]]) -> Float[np.ndarray, " d"]:
@@ -94,12 +94,3 @@ def axis_signs(tree: Tree, rows: Iterable[Sequence[int]]) -> Float[np.ndarray, "
         for dof in row:
             signs[dof] = -1.0 if axes[dof] @ axes[row[0]] < -_SQUARE else 1.0
     return signs
-
-
-def rhythm_of(controller: Controller) -> tuple[CpgSettings, str]:
-    """How the oscillators of a controller are joined, and what its signals are, with the unit."""
-    if isinstance(controller, BrainCpg):
-        return controller.settings.cpg, "CPG output (no unit)"
-    if isinstance(controller, PostureController):
-        return CpgSettings(), "angle of the posture (rad)"
-    return CpgSettings(), "controller's signal"

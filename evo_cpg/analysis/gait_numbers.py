@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float
 
 from evo_cpg.analysis import footfalls, stride
 from evo_cpg.analysis.body_wave import BodyWave, body_wave
-from evo_cpg.analysis.chains import axis_signs, joint_rows, rhythm_of
+from evo_cpg.analysis.chains import axis_signs, joint_rows
 from evo_cpg.analysis.footfalls import Phases
 from evo_cpg.analysis.phase_lags import PhaseLags, phase_lags
 from evo_cpg.creature.creature import Creature, length_of, neutral_pose
@@ -135,7 +135,7 @@ def gait_numbers(
     frequency = stride.stride_frequency(angle, step)
     power = np.asarray(frames["energy"], float)[:, 0] / step
     tree = simulation.world.tree
-    rows = joint_rows(tree, rhythm_of(simulation.controller)[0])
+    rows = joint_rows(simulation)
     signs = axis_signs(tree, rows)
     angle *= signs
     chain = _chain(rows, recording)

@@ -130,7 +130,7 @@ def followed(simulation: Simulation) -> Simulation:
     the task wants that, else the straight way in any direction, over ground without its height.
     """
     task = simulation.task
-    ahead = simulation.lights[0] is not None or getattr(task, "heading", "any") == "forward"
+    ahead = simulation.lights[0] is not None or task.heading == "forward"
     duration = (simulation.steps - 1) / simulation.control_rate
     axes = 1 if ahead else 3 if simulation.world.footing is None else 2
     progress = Measures((_SPEED,), (_Progress(duration=duration, axes=axes),))

@@ -7,9 +7,9 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from evo_cpg.analysis.chains import joint_rows, rhythm_of
+from evo_cpg.analysis.chains import joint_rows
 from evo_cpg.api.departures import departures
-from evo_cpg.api.load import changed_config, load, misfit
+from evo_cpg.api.load import changed_config, load
 from evo_cpg.api.progress import working
 from evo_cpg.api.record import lives_again
 from evo_cpg.api.training import now, require_configured
@@ -54,7 +54,7 @@ def analyse(run: Path | str, trial: int = 0, trust: bool = False) -> Path:
         require_configured(folder)
         experiment = load(run, trust=trust).parts
         champion, _, _ = folder.load_champion()
-        wrong = misfit(experiment, champion)
+        wrong = experiment.simulation.genome.misfit(champion.genes)
         if wrong:
             raise RunFolderError(f"{folder.config} was changed after training: {wrong}")
         if not 0 <= trial < experiment.trials:
@@ -121,7 +121,6 @@ def page(
         history=folder.history(),
         chain_places=chain_places(simulation, experiment.creature, numbers.chain),
     )
-    settings, signal = rhythm_of(simulation.controller)
     audit = _audit(folder, champion)
     subject = Subject(
         name=experiment.name,
@@ -134,8 +133,8 @@ def page(
         run=champion.run if experiment.runs > 1 else None,
         trial=trial if experiment.trials > 1 else None,
         seed=config.seed + champion.run,
-        chains=joint_rows(simulation.world.tree, settings),
-        signal=signal,
+        chains=joint_rows(simulation),
+        signal=simulation.controller.signal_label,
         config=folder.config.read_text(encoding="utf-8"),
         meta=folder.read_meta(),
         audit=audit,
@@ -180,7 +179,7 @@ def _sentence(experiment: Experiment, config: ExperimentConfig) -> str:
     bodies = f"{len(creature.bodies)} bodies and {simulation.world.tree.dof_count} joint axes"
     return (
         f"An animal of {bodies} ({float(creature.mass):.3g} kg) {where}, driven by the controller "
-        f"{config.controller.type!r} with {simulation.controller.gene_count} genes, that evolved "
+        f"{config.controller.type!r} with {simulation.genome.count} genes, that evolved "
         f"for the task {config.task.type!r}."
     )
 

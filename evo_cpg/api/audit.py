@@ -16,7 +16,6 @@ from evo_cpg.analysis.excursions import Excursions, excursions, way
 from evo_cpg.analysis.verdict import Check, Limits, Verdict
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.schema.experiment import ExperimentConfig
-from evo_cpg.control.postures import PostureController
 from evo_cpg.creature.creature import Creature, length_of
 from evo_cpg.creature.self_collision import pairs_that_touch_at_rest
 from evo_cpg.exchange.errors import ExchangeError
@@ -24,7 +23,6 @@ from evo_cpg.exchange.second_opinion import Brain, Opinion, own_opinion, second_
 from evo_cpg.fusion.engine import Engine, described
 from evo_cpg.physics.pairs import make_pairs
 from evo_cpg.simulation.physics_steps import EachPhysicsStep, PhysicsSteps
-from evo_cpg.simulation.reach_light import ReachLight
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.training import variations
@@ -163,7 +161,7 @@ def _opinions(
         theirs.append(second_opinion(simulation, creature, steps))
         if simulation.world.footing is not None:
             theirs.append(second_opinion(simulation, creature, steps, hard=True))
-            if not isinstance(simulation.controller, PostureController):
+            if simulation.controller.uses_senses:
                 brain = _brain(experiment, champion)
                 theirs.append(second_opinion(simulation, creature, steps, True, brain))
     except ExchangeError as error:
@@ -223,7 +221,7 @@ def lived_trials(experiment: Experiment, champion: Champion) -> tuple[Trial, ...
 def compile_lived_trials(experiment: Experiment) -> Callable[[Champion], tuple[Trial, ...]]:
     """`lived_trials` of any champion; it is compiled at the first call."""
     simulation, numbers = experiment.simulation, situation_numbers(experiment)
-    live = jax.jit(functools.partial(rollout, simulation, observer=EachPhysicsStep()))
+    live = jax.jit(functools.partial(rollout, simulation, observers=EachPhysicsStep()))
 
     def of(champion: Champion) -> tuple[Trial, ...]:
         keys = champion_keys(experiment, champion)
@@ -309,9 +307,8 @@ def books(
     if lit and simulation.sensors.eye_bodies and world.footing is not None:
         seen = worst("seen_through_ground")
         checks.append(check("seen_through_ground", "light seen through the ground", seen))
-    if isinstance(simulation.task, ReachLight):
-        spent = champion.terms["energy"] / champion.scales["energy"] - 1.0
-        checks.append(check("free_energy", "energy spent for free", max(0.0, spent)))
+    for name, excess in simulation.task.beyond_scales(champion.terms, champion.scales).items():
+        checks.append(check(f"free_{name}", f"{name} spent for free", excess))
     return checks
 
 

@@ -29,6 +29,7 @@ from evo_cpg.simulation.control_step import (
     starting_animal,
     transition,
 )
+from evo_cpg.simulation.genome import Phenotype
 from evo_cpg.simulation.judge import begin_tally, finish_tally, is_sane, update_tally
 from evo_cpg.simulation.noise import grip_of
 from evo_cpg.simulation.simulation import Simulation
@@ -179,7 +180,7 @@ class Environment:
 
     def _life(self, keys: Array | None) -> Life:
         light = light_places(self._simulation.lights, None, jnp.dtype("float32"))
-        return Life((), keys, None, light, grip_of(self._simulation.noise, keys))
+        return Life(Phenotype(()), keys, None, light, grip_of(self._simulation.noise, keys))
 
     def _sense(
         self, animal: Animal, keys: Array | None, number: Array | int = 0

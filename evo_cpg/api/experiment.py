@@ -132,7 +132,7 @@ class Experiment:
     @property
     def gene_count(self) -> int:
         """Numbers in a genome."""
-        return self.parts.simulation.controller.gene_count
+        return self.parts.simulation.genome.count
 
     @property
     def population(self) -> int:
@@ -151,9 +151,8 @@ class Experiment:
             key: of all chance: a number, or a key of JAX.
             count: how many; None for the configuration's population.
         """
-        controller = self.parts.simulation.controller
         shape = (self.population if count is None else count,)
-        return np.asarray(training.random_genes(controller, _key(key), shape)).T.copy()
+        return np.asarray(self.parts.simulation.genome.random(_key(key), shape)).T.copy()
 
     def rollout(self, key: ArrayLike, genomes: ArrayLike, bodies: Numbers | None = None) -> Trials:
         """Let every individual live through its trials.
@@ -369,7 +368,7 @@ class Experiment:
     @functools.cached_property
     def _record(self) -> Callable:
         recorder = Recorder(full=True)
-        return jax.jit(functools.partial(rollout, self.parts.simulation, observer=recorder))
+        return jax.jit(functools.partial(rollout, self.parts.simulation, observers=recorder))
 
     def _genes(self, genomes: ArrayLike) -> np.ndarray:
         """Genomes as the library has them, checked."""

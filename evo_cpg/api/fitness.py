@@ -38,7 +38,7 @@ def fitness_function(
         parameters: numbers of the configuration that the function takes as well.
         task: instead of the configuration's.
     """
-    simulation, count = parts.simulation, parts.simulation.controller.gene_count
+    simulation, count = parts.simulation, parts.simulation.genome.count
     situations: Any = situation_numbers(parts)
     kept, exact = None, horizon == math.inf
     if horizon is not None and not exact:

@@ -11,8 +11,6 @@ from evo_cpg.config.load import as_overrides, complete_config, load_config
 from evo_cpg.config.shipped import find_config
 from evo_cpg.config.trust import trusting
 from evo_cpg.system import named
-from evo_cpg.training import experiment as parts
-from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.devices import use_cores
 from evo_cpg.training.run_folder import RunFolder
 
@@ -71,14 +69,6 @@ def class_folders(folder: RunFolder) -> list[Path]:
     """Where a user's own classes lie: beside the config that the run was started with."""
     origin = folder.read_meta().get("config")
     return [named(origin).parent] if isinstance(origin, str) else []
-
-
-def misfit(experiment: parts.Experiment, champion: Champion) -> str | None:
-    """What is wrong where the champion cannot even live in the experiment."""
-    expected = experiment.simulation.controller.gene_count
-    if champion.genes.shape == (expected,):
-        return None
-    return f"the genome has {champion.genes.size} genes, not {expected}"
 
 
 def changed_config(folder: RunFolder) -> str | None:

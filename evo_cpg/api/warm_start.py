@@ -109,7 +109,7 @@ def _require_same_plan(experiment: Experiment, earlier: Experiment, path: Path) 
             "controller": type(controller).__name__,
             "bodies": ", ".join(tree.names),
             "degrees of freedom": ", ".join(tree.dof_names),
-            "genes": controller.gene_count,
+            "genes": of.simulation.genome.count,
         }
 
     asked, found = plan(experiment), plan(earlier)

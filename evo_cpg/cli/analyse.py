@@ -1,34 +1,36 @@
-"""The command that makes a page of a run: analyse."""
+"""`evo-cpg analyse`: a page about a run."""
 
-import sys
 from pathlib import Path
+from typing import Annotated
 
-from evo_cpg.api.analyse import page, page_path
-from evo_cpg.api.load import changed_config
-from evo_cpg.api.training import require_configured
-from evo_cpg.cli.champions import open_champion, require_trial
-from evo_cpg.cli.errors import UsageError, require_free
-from evo_cpg.cli.progress import working
-from evo_cpg.files import write_text
+import typer
+
+from evo_cpg.cli.errors import UsageError, require_free, warn
+from evo_cpg.cli.options import Number, Overwrite, Run, Trial
+from evo_cpg.cli.writing import writes_to_run
 
 _SUFFIXES = (".html", ".htm")
 
 
-def analyse_run(
-    run: Path, output: Path | None, number: int | None, trial: int, overwrite: bool
+@writes_to_run("output", "--out")
+def analyse(
+    run: Run,
+    output: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", help="A .html file; RUN/analysis.html by default."),
+    ] = None,
+    number: Number = None,
+    trial: Trial = 0,
+    overwrite: Overwrite = False,
 ) -> None:
-    """`evo-cpg analyse`.
+    """Make a page of a run: the champion in 3D, its gait in numbers and charts."""
+    from evo_cpg.api.analyse import page, page_path
+    from evo_cpg.api.load import changed_config
+    from evo_cpg.api.training import require_configured
+    from evo_cpg.cli.champions import open_champion, require_trial
+    from evo_cpg.cli.progress import working
+    from evo_cpg.files import write_text
 
-    Args:
-        run: the run folder.
-        output: the page; in the run folder if None.
-        number: whose champion, where the folder holds several runs; None for the best.
-        trial: in which of its trials, from 0.
-        overwrite: replace a page that was asked for by name.
-
-    Raises:
-        UsageError: the page cannot be written there, or there is no such trial.
-    """
     if output is not None:
         _require_place(output, overwrite)
     experiment, champion, _, folder = open_champion(run, number)
@@ -36,7 +38,7 @@ def analyse_run(
     require_trial(experiment, folder, trial)
     changed = changed_config(folder)
     if changed:
-        print(f"evo-cpg: warning: {run}: {changed}", file=sys.stderr)
+        warn(f"{run}: {changed}")
     path = output or page_path(folder, trial, number)
     with working("replaying the champion") as work:
         text = page(experiment, champion, folder, trial, number, work.doing)

@@ -1,41 +1,59 @@
-"""The command that measures: bench. The suite itself lies in the checkout's benchmarks/."""
+"""`evo-cpg bench`: measure. The suite itself is in the checkout's benchmarks/."""
 
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import typer
 
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.exit_codes import ExitCode
-from evo_cpg.config.errors import nearest
-from evo_cpg.studies.benchmarks import bench_suite
-from evo_cpg.view.output import output_path
 
-# Individuals beyond which a population does not fit a machine that people have.
+# Largest population that fits the memory of common machines.
 _LARGEST = 1_000_000
 
 
-def run_suite(
-    cases: Sequence[str],
-    sizes: str | None,
-    json: Path | None,
-    plot: Path | None,
-    compare: Path | None,
-    tolerance: float,
-    limit: float,
-    quick: bool,
+def bench(
+    cases: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[CASE]...",
+            help="swimmer, salamander-water, salamander-land, quadruped, cpg, brain, ga, "
+            "generation, gradient, bodies, large-creatures, engines, scaling or startup; all by "
+            "default.",
+        ),
+    ] = None,
+    sizes: Annotated[
+        str | None,
+        typer.Option(help="Individuals, such as 1,15,200; each case has its own by default."),
+    ] = None,
+    json: Annotated[
+        Path | None, typer.Option("--json", help="Also write the rows to this file.")
+    ] = None,
+    plot: Annotated[
+        Path | None, typer.Option("--plot", help="Draw the rates: a .png, .svg or .pdf file.")
+    ] = None,
+    compare: Annotated[
+        Path | None,
+        typer.Option("--compare", help="An earlier --json file; exit code 3 if anything lost."),
+    ] = None,
+    tolerance: Annotated[
+        float, typer.Option(min=0, max=1, help="Share that may be lost before that.")
+    ] = 0.1,
+    limit: Annotated[
+        float, typer.Option(min=1, help="Seconds that a peer written in JAX may compile.")
+    ] = 120.0,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="One size, short calls, few repeats: a first look.")
+    ] = False,
 ) -> None:
-    """`evo-cpg bench`.
+    """Measure this program beside its peers on this machine."""
+    from evo_cpg.config.errors import nearest
+    from evo_cpg.studies.benchmarks import bench_suite
+    from evo_cpg.view.output import output_path
 
-    Raises:
-        UsageError: something is wrong with the input.
-        SuiteError: there is no suite.
-        Exit: with 1, where something became slower.
-    """
     numbers = _sizes(sizes) if sizes is not None else None
     suite = bench_suite()
-    for case in cases:
+    for case in cases or []:
         if case not in suite.CASES:
             raise UsageError(f"there is no case {case!r}; {nearest(case, suite.CASES)}")
     chosen = cases or list(suite.CASES)
@@ -50,7 +68,7 @@ def run_suite(
             raise UsageError(f"--json: {json} cannot be written ({error.strerror})") from None
     if plot is not None:
         output_path(plot, suite.picture.SUFFIXES)
-    wanted: Any = suite.Wanted(cases, numbers, quick, limit, json, plot, compare, tolerance)
+    wanted: Any = suite.Wanted(cases or [], numbers, quick, limit, json, plot, compare, tolerance)
     try:
         fine = suite.main(wanted)
     except suite.rows.RowsError as error:

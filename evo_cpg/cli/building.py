@@ -1,10 +1,9 @@
 """From a configuration file to an experiment, with what the user should know on the way."""
 
-import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from evo_cpg.cli.errors import UsageError
+from evo_cpg.cli.errors import UsageError, warn
 from evo_cpg.cli.progress import working
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import load_config
@@ -33,7 +32,7 @@ def read_config(
     if found and strict:
         raise UsageError("\n".join(found))
     for line in found if warned else ():
-        print(f"evo-cpg: warning: {line}", file=sys.stderr)
+        warn(line)
     return config
 
 

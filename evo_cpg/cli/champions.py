@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from evo_cpg.api.load import class_folders, misfit
+from evo_cpg.api.load import class_folders
 from evo_cpg.cli.building import build
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.progress import working
@@ -53,7 +53,7 @@ def open_champion(
         champion, recording = _elite_of(folder, experiment, cell, of_run), None
     elif number is not None and number != champion.run:
         champion, recording = champion_of(folder, number), None
-    wrong = misfit(experiment, champion)
+    wrong = experiment.simulation.genome.misfit(champion.genes)
     if wrong:
         raise RunFolderError(f"{folder.config} was changed after training: {wrong}")
     if digests["config_sha256"] != folder.config_digest():

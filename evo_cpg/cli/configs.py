@@ -7,20 +7,21 @@ import typer
 
 from evo_cpg.cli.completion import complete_shipped
 
-app = typer.Typer(
+configs = typer.Typer(
     help="List the configurations that come with the program, copy one, or print their schema.",
+    add_completion=False,
     rich_markup_mode=None,
 )
 
 
-@app.callback(invoke_without_command=True)
-def configs(context: typer.Context) -> None:
+@configs.callback(invoke_without_command=True)
+def without_command(context: typer.Context) -> None:
     """List the configurations that come with the program, copy one, or print their schema."""
     if context.invoked_subcommand is None:
         _list()
 
 
-@app.command()
+@configs.command()
 def copy(
     name: Annotated[
         str,
@@ -42,7 +43,7 @@ def copy(
         ) from None
 
 
-@app.command()
+@configs.command()
 def schema() -> None:
     """Print the JSON Schema of configuration files, by which editors complete and check keys."""
     import json
@@ -53,21 +54,13 @@ def schema() -> None:
 
 
 def _list() -> None:
-    from rich import box
-    from rich.console import Console
-    from rich.table import Table
-
     from evo_cpg.cli.errors import UsageError
+    from evo_cpg.cli.tables import show_table
     from evo_cpg.config.shipped import shipped, shipped_names
 
     names = shipped_names()
     if not names:
         raise UsageError("configs: there are none beside the program; install it anew")
-    table = Table(box=box.SIMPLE_HEAD)
-    table.add_column("name", no_wrap=True)
-    table.add_column("study", no_wrap=True)
-    table.add_column("what it is", overflow="fold")
-    for name in names:
-        found = shipped(name)
-        table.add_row(name, found.study or "ours", found.summary)
-    Console(highlight=False, markup=False).print(table)
+    found = map(shipped, names)
+    rows = [(one.name, one.study or "ours", one.summary) for one in found]
+    show_table(("name", "study", "what it is"), rows, left=3)

@@ -2,9 +2,9 @@
 
 import hashlib
 import json
-import sys
 from pathlib import Path
 
+from evo_cpg.cli.errors import warn
 from evo_cpg.config.fingerprint import fingerprint
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.fusion.machine_constants import MOST_OPERATIONS
@@ -60,7 +60,7 @@ def warn_of_cost(path: Path, simulation: Simulation) -> None:
         return
     line = _line(estimate_operations(simulation))
     if line:
-        print(f"evo-cpg: warning: {path}: {line}", file=sys.stderr)
+        warn(f"{path}: {line}")
 
 
 def expected_to_compile(simulation: Simulation, animal: str | None = None) -> float | None:

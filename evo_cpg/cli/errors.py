@@ -11,6 +11,11 @@ class UsageError(UserError):
     """Input that no other part of the program is responsible for."""
 
 
+def warn(words: object) -> None:
+    """Print a warning to standard error."""
+    print(f"evo-cpg: warning: {words}", file=sys.stderr)
+
+
 def require_free(output: Path, overwrite: bool) -> None:
     """Check that a file of the user's is not replaced without being told.
 

@@ -1,12 +1,14 @@
 """Arguments and options that several commands share."""
 
 import enum
+import re
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from evo_cpg.cli.completion import complete_config, complete_folder
+from evo_cpg.cli.errors import UsageError
 
 
 class What(enum.StrEnum):
@@ -110,9 +112,27 @@ Patience = Annotated[
         "20 by default.",
     ),
 ]
-
-
 Tensorboard = Annotated[
     bool,
     typer.Option("--tensorboard", help="Write RUN/tensorboard, with the columns of metrics.csv."),
 ]
+Folder = Annotated[
+    Path | None, typer.Option("--out", "-o", help="Folder for the files; RUN by default.")
+]
+
+
+def of_trial(trial: int) -> str:
+    """Return what is added to the name of a picture for any trial but the first."""
+    return f"_trial{trial}" if trial else ""
+
+
+def pixels_of(size: str) -> tuple[int, int]:
+    """Return width and height from ``WIDTHxHEIGHT``.
+
+    Raises:
+        UsageError: the text has another form.
+    """
+    match = re.fullmatch(r"(\d{1,9})x(\d{1,9})", size)
+    if not match:
+        raise UsageError(f"--size: {size!r} is not WIDTHxHEIGHT, such as 1280x720")
+    return int(match[1]), int(match[2])

@@ -1,9 +1,8 @@
 """What a user should know of a config's oscillators before they evolve: a line for each matter."""
 
-import sys
 from pathlib import Path
 
-from evo_cpg.control.brain_cpg import BrainCpg
+from evo_cpg.cli.errors import warn
 from evo_cpg.control.couplings import uncoupled
 from evo_cpg.control.rest import resting
 from evo_cpg.simulation.simulation import Simulation
@@ -17,17 +16,17 @@ def warn_of_oscillators(path: Path, simulation: Simulation) -> None:
         simulation: that it describes.
     """
     for line in _matters(simulation):
-        print(f"evo-cpg: warning: {path}: {line}", file=sys.stderr)
+        warn(f"{path}: {line}")
 
 
 def _matters(simulation: Simulation) -> list[str]:
-    controller, tree = simulation.controller, simulation.world.tree
-    if not isinstance(controller, BrainCpg):
+    oscillators, tree = simulation.controller.rhythm_generator, simulation.world.tree
+    if oscillators is None:
         return []
+    cpg, network, rate_gain = oscillators
     # Others move nothing, whether they swing or not.
     driven = (tree.servo_gain > 0) | (tree.servo_stiffness > 0)
-    driven = driven & (controller.rate_gain != 0)
-    cpg, network = controller.settings.cpg, controller.network
+    driven = driven & (rate_gain != 0)
     gains = cpg.min_adaptation_gain, cpg.max_adaptation_gain
     alone = [i for i in uncoupled(network.matrix) if driven[i]]
     still = [i for i in resting(network, cpg.max_tonic_input, *gains) if driven[i]]

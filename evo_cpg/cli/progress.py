@@ -25,6 +25,7 @@ from rich.progress import (
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
+from typing_extensions import override
 
 # Nobody has to wonder for longer than this whether anything goes on, s.
 LONGEST_SILENCE = 10.0
@@ -40,50 +41,91 @@ _LOOK = 0.25
 _LEAST_SHARE = 0.02
 
 
-class Heartbeat:
-    """When to say what, as a function of the time; see `beating` for what looks at the clock.
+class Work:
+    """Work that goes on: what it calls to report its progress."""
+
+    def say(self, line: str) -> None:
+        """Print a line that stays."""
+
+    def doing(self, what: str, expected: float | None = None) -> None:
+        """Name what is done from now on; expected by measurement to take so long, s."""
+
+    def reached(self, done: int, total: int) -> None:
+        """Report how much of it is done."""
+
+
+class Heartbeat(Work):
+    """Work in a log or a pipe: lines, with `LONGEST_SILENCE` between them at most.
 
     Args:
         what: is being done.
-        start: when it began, s.
-        said: when the last line before that was said, s; minus infinity where there was none.
-        expected: duration by what was measured before, s; None where nothing was.
+        said: when the last line before was printed, s; minus infinity if there was none.
+        expected: duration that was measured before, s; None if nothing was.
+        clock: tells the time, s.
     """
 
     def __init__(
-        self, what: str, start: float, said: float = -math.inf, expected: float | None = None
+        self,
+        what: str,
+        said: float = -math.inf,
+        expected: float | None = None,
+        clock: Callable[[], float] = time.monotonic,
     ):
-        self._what, self._start, self._expected = what, start, expected
+        self._clock, self._lock = clock, threading.Lock()
+        self.doing(what, expected)
         # Work that follows other work adds to its silence.
-        self._next = start + FIRST
+        self._next = self._start + FIRST
         if math.isfinite(said):
             self._next = min(self._next, said + BETWEEN)
-        self._done: tuple[int, int] | None = None
-        self._lock = threading.Lock()
 
-    def doing(self, what: str, now: float, expected: float | None = None) -> None:
-        """From now on something else is being done."""
+    @override
+    def say(self, line: str) -> None:
+        _say(line)
         with self._lock:
-            self._what, self._start, self._done = what, now, None
-            self._expected = expected
+            self._next = self._clock() + BETWEEN
 
+    @override
+    def doing(self, what: str, expected: float | None = None) -> None:
+        with self._lock:
+            self._what, self._start, self._expected = what, self._clock(), expected
+            self._done: tuple[int, int] | None = None
+
+    @override
     def reached(self, done: int, total: int) -> None:
-        """So much of it is done."""
         with self._lock:
             self._done = done, total
 
-    def heard(self, now: float) -> None:
-        """Something was said by somebody else."""
+    def due(self) -> str | None:
+        """Return the line that is due, if one is; it counts as printed."""
         with self._lock:
-            self._next = now + BETWEEN
-
-    def due(self, now: float) -> str | None:
-        """The line that is due, if one is; it counts as said."""
-        with self._lock:
+            now = self._clock()
             if now < self._next:
                 return None
             self._next = now + BETWEEN
             return f"{self._what}: {_standing(now - self._start, self._done, self._expected)}"
+
+    @contextlib.contextmanager
+    def beating(self, say: Callable[[str], None] | None = None) -> Iterator["Heartbeat"]:
+        """Print what is due, in a thread, for as long as the block lasts.
+
+        Args:
+            say: writes a line; None for standard error.
+        """
+        over = threading.Event()
+
+        def watch() -> None:
+            while not over.wait(_LOOK):
+                line = self.due()
+                if line is not None:
+                    (say or _say)(line)
+
+        thread = threading.Thread(target=watch, name="heartbeat", daemon=True)
+        thread.start()
+        try:
+            yield self
+        finally:
+            over.set()
+            thread.join()
 
 
 def _standing(elapsed: float, done: tuple[int, int] | None, expected: float | None) -> str:
@@ -99,52 +141,9 @@ def _standing(elapsed: float, done: tuple[int, int] | None, expected: float | No
     return words
 
 
-@contextlib.contextmanager
-def beating(
-    heartbeat: Heartbeat,
-    say: Callable[[str], None],
-    clock: Callable[[], float] = time.monotonic,
-) -> Iterator[None]:
-    """Say what is due, in a thread, for as long as the block lasts.
-
-    Args:
-        heartbeat: knows what is due.
-        say: writes a line.
-        clock: tells the time, s.
-    """
-    over = threading.Event()
-
-    def watch() -> None:
-        while not over.wait(_LOOK):
-            line = heartbeat.due(clock())
-            if line is not None:
-                say(line)
-
-    thread = threading.Thread(target=watch, name="heartbeat", daemon=True)
-    thread.start()
-    try:
-        yield
-    finally:
-        over.set()
-        thread.join()
-
-
 def _announced(what: str, expected: float | None) -> str:
     """Name some work and its expected duration, for a line that does not change."""
     return what if expected is None or expected < 1 else f"{what}, about {expected:.0f} s"
-
-
-class Work:
-    """Work that goes on: what it calls to say how far it is."""
-
-    def say(self, line: str) -> None:
-        """A line that stays."""
-
-    def doing(self, what: str, expected: float | None = None) -> None:
-        """From now on something else is being done; expected by measurement to take so long, s."""
-
-    def reached(self, done: int, total: int) -> None:
-        """So much of it is done."""
 
 
 class _Line(Work):
@@ -163,23 +162,6 @@ class _Line(Work):
         self._bars.update(self._bar, completed=done, total=total)
 
 
-class _Lines(Work):
-    """Elsewhere."""
-
-    def __init__(self, heartbeat: Heartbeat):
-        self._heartbeat = heartbeat
-
-    def say(self, line: str) -> None:
-        _say(line)
-        self._heartbeat.heard(time.monotonic())
-
-    def doing(self, what: str, expected: float | None = None) -> None:
-        self._heartbeat.doing(what, time.monotonic(), expected)
-
-    def reached(self, done: int, total: int) -> None:
-        self._heartbeat.reached(done, total)
-
-
 @contextlib.contextmanager
 def working(what: str, counted: bool = False, expected: float | None = None) -> Iterator[Work]:
     """Say what is being done for as long as the block lasts, and for how long it has been.
@@ -194,9 +176,8 @@ def working(what: str, counted: bool = False, expected: float | None = None) -> 
     """
     console = Console(stderr=True)
     if not console.is_terminal:
-        heartbeat = Heartbeat(what, time.monotonic(), _said_at, expected)
-        with beating(heartbeat, _say):
-            yield _Lines(heartbeat)
+        with Heartbeat(what, _said_at, expected).beating() as heartbeat:
+            yield heartbeat
         return
     columns: list[ProgressColumn] = [
         SpinnerColumn(),
@@ -236,18 +217,16 @@ def progress(
     """
     console = Console(stderr=True)
     if not console.is_terminal:
-        begun = f"{completed:4d}/{total} {step}  {first}"
-        heartbeat = Heartbeat(begun, time.monotonic(), _said_at, expected)
+        with Heartbeat(
+            f"{completed:4d}/{total} {step}  {first}", _said_at, expected
+        ).beating() as heartbeat:
 
-        def tell(number: int, state: str, seconds: float) -> None:
-            _say(f"{number + 1:4d}/{total} {step}  {state}  {seconds:6.2f} s")
-            now = time.monotonic()
-            heartbeat.heard(now)
-            done = f"{number + 1:4d}/{total} {step}"
-            more = number + 1 < total
-            heartbeat.doing(f"{done}, and the next one" if more else last or done, now)
+            def tell(number: int, state: str, seconds: float) -> None:
+                done = f"{number + 1:4d}/{total} {step}"
+                heartbeat.say(f"{done}  {state}  {seconds:6.2f} s")
+                more = number + 1 < total
+                heartbeat.doing(f"{done}, and the next one" if more else last or done)
 
-        with beating(heartbeat, _say):
             yield tell
         return
     columns = (

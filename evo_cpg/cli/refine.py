@@ -1,64 +1,70 @@
-"""The command that polishes a champion along the slope of its fitness: refine."""
+"""`evo-cpg refine`: improve a champion along the gradient of its fitness."""
 
 import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
+import typer
 
-from evo_cpg.api.load import class_folders, misfit
-from evo_cpg.api.training import now, require_configured
-from evo_cpg.cli.building import build
-from evo_cpg.cli.champions import (
-    REPLAY_TOLERANCE,
-    champion_of,
-    live_again,
-    open_run,
-    use_cores_of,
-)
 from evo_cpg.cli.errors import UsageError
-from evo_cpg.cli.progress import progress
-from evo_cpg.config.build import build_experiment
-from evo_cpg.config.errors import ConfigError
-from evo_cpg.config.fingerprint import fingerprint
-from evo_cpg.config.load import dump_config
-from evo_cpg.config.parameters import Parameters, parametrise
-from evo_cpg.training.run_folder import RunFolder, RunFolderError, refinements
-
-_COMPILING = "compiling"
+from evo_cpg.cli.options import Cores, Number, Run
 
 if TYPE_CHECKING:
+    import numpy as np
+
+    from evo_cpg.config.parameters import Parameters
     from evo_cpg.training.ascent import Free
     from evo_cpg.training.experiment import Experiment
     from evo_cpg.training.refine import Round
 
 
-def refine_run(
-    run: Path,
-    keys: Sequence[str],
-    rounds: int,
-    steps: int,
-    number: int | None,
-    seed: int,
-    cores: int | None,
+def refine(
+    run: Run,
+    keys: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[KEY]...",
+            help="Numbers of the configuration to refine with the genes, such as "
+            "controller.cpg.time_scale.",
+        ),
+    ] = None,
+    rounds: Annotated[int, typer.Option(min=1, help="Rounds of climbing and choosing.")] = 5,
+    steps: Annotated[int, typer.Option(min=1, help="Moves of each lane in a round.")] = 20,
+    number: Number = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of what the lanes draw.")] = 0,
+    cores: Cores = None,
 ) -> None:
-    """`evo-cpg refine`."""
+    """Polish the champion of a run along the slope of its fitness."""
+    from evo_cpg.cli.champions import use_cores_of
+    from evo_cpg.training.run_folder import RunFolder
+
     use_cores_of(run, cores)
     with RunFolder(run).locked():
-        _refine(run, keys, rounds, steps, number, seed)
+        _refine(run, keys or [], rounds, steps, number, seed)
 
 
 def _refine(
     run: Path, keys: Sequence[str], rounds: int, steps: int, number: int | None, seed: int
 ) -> None:
+    from evo_cpg.api.load import class_folders
+    from evo_cpg.api.training import now, require_configured
+    from evo_cpg.cli.building import build
+    from evo_cpg.cli.champions import REPLAY_TOLERANCE, champion_of, live_again, open_run
+    from evo_cpg.cli.progress import progress
+    from evo_cpg.config.fingerprint import fingerprint
+    from evo_cpg.config.load import dump_config
+    from evo_cpg.config.parameters import parametrise
+    from evo_cpg.training.refine import Refinement, Round, compile_refinement
+    from evo_cpg.training.run_folder import RunFolderError, refinements
+
     folder, config, experiment = open_run(run)
     require_configured(folder)
     champion, motion, _ = folder.load_champion()
     if number is not None and number != champion.run:
         champion, motion = champion_of(folder, number), None
-    wrong = misfit(experiment, champion)
+    wrong = experiment.simulation.genome.misfit(champion.genes)
     if wrong:
         raise RunFolderError(f"{folder.config} was changed after training: {wrong}")
     beside = class_folders(folder)
@@ -76,8 +82,6 @@ def _refine(
             "configuration; free numbers take a run of its own"
         )
     parameters = parametrise(config, folder.config, keys, beside) if keys else None
-    from evo_cpg.training.refine import Refinement, Round, compile_refinement
-
     devices = folder.read_meta().get("devices", 1)
     history: list[Round] = []
 
@@ -92,7 +96,7 @@ def _refine(
 
     recorded = champion.fitness
     try:
-        with progress("refine", "rounds", rounds, first=_COMPILING) as show:
+        with progress("refine", "rounds", rounds, first="compiling") as show:
 
             def tell(done: Round) -> None:
                 keep(done)
@@ -140,10 +144,12 @@ def _refine(
     print(folder.path)
 
 
-def _free(parameters: Parameters) -> "Free":
+def _free(parameters: "Parameters") -> "Free":
+    from evo_cpg.config.build import build_experiment
+    from evo_cpg.config.errors import ConfigError
     from evo_cpg.training.ascent import Free
 
-    def rebuild(values: np.ndarray) -> "Experiment | None":
+    def rebuild(values: "np.ndarray") -> "Experiment | None":
         try:
             config = parameters.config_at(values)
             experiment = build_experiment(config, parameters.source, parameters.folders)

@@ -1,239 +1,139 @@
-"""The command that makes films: render."""
+"""`evo-cpg render`: films of champions."""
 
-import math
 import re
-import sys
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import Annotated
 
-from evo_cpg.analysis.chains import rhythm_of
-from evo_cpg.api.load import misfit
-from evo_cpg.api.record import Life, lives_again
-from evo_cpg.cli.champions import (
-    REPLAY_TOLERANCE,
-    champion_motion,
-    open_champion,
-    require_trial,
-)
+import typer
+
 from evo_cpg.cli.errors import UsageError
-from evo_cpg.cli.pictures import of_trial, pixels_of
-from evo_cpg.cli.progress import working
-from evo_cpg.files import make_folder
-from evo_cpg.training.checkpoint import Champion
-from evo_cpg.training.devices import available_cores
-from evo_cpg.training.experiment import Experiment
-from evo_cpg.training.lineage import champion_at, telling
-from evo_cpg.training.run_folder import RunFolder, RunFolderError
+from evo_cpg.cli.options import Cell, Cores, Number, Run, Trial, View, of_trial, pixels_of
+from evo_cpg.cli.writing import writes_to_run
 
-if TYPE_CHECKING:
-    from evo_cpg.view.panel import Panel
-    from evo_cpg.view.signals import Signals
-
-# Animals side by side: of a lineage where nothing is said, and at most.
-_SHOWN, _MOST = 4, 9
+# Animals side by side at most.
+_MOST = 9
 
 
-class Film(NamedTuple):
-    """How a film is made, see `evo-cpg render --help`."""
-
-    output: Path | None
-    size: str | None
-    sheet: str | None
-    camera: str
-    fps: float
-    speed: float
-    seconds: float | None
-    signals: bool
-    titles: Sequence[str] = ()
-    cores: int | None = None
-
-
-def render_run(
-    run: Path,
-    film: Film,
-    number: int | None,
-    trial: int,
-    cell: str | None,
-    lineage: str | None,
-    beside: Sequence[Path],
+@writes_to_run("output", "--output")
+def render(
+    run: Run,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output",
+            "-o",
+            help="A .mp4, .webp, .gif or .png file, in RUN/videos by default; or FOLDER/%04d.png "
+            "for a picture of every frame.",
+        ),
+    ] = None,
+    size: Annotated[
+        str | None,
+        typer.Option(
+            help="WIDTHxHEIGHT in pixels: 1280x720, or 640x360 for each of a sheet and of animals "
+            "side by side."
+        ),
+    ] = None,
+    sheet: Annotated[
+        str | None,
+        typer.Option(
+            metavar="COLUMNSxROWS",
+            help="One picture of so many moments of the film, such as 4x3; of several animals "
+            "each moment is a column of them.",
+        ),
+    ] = None,
+    title: Annotated[
+        list[str] | None,
+        typer.Option(metavar="TEXT", help="Caption of the champion, then of every one beside it."),
+    ] = None,
+    camera: Annotated[View, typer.Option(help="From where the animal is seen.")] = View.FOLLOW,
+    signals: Annotated[
+        bool,
+        typer.Option("--signals", help="Show joint angles, what drives them, and footfalls, too."),
+    ] = False,
+    lineage: Annotated[
+        str | None,
+        typer.Option(
+            metavar="GENERATIONS",
+            help="Side by side those who were champion in these generations, such as 0,5,20,49; "
+            "auto for four.",
+        ),
+    ] = None,
+    beside: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="RUN", help="Another run, whose champion is shown beside; repeatable."
+        ),
+    ] = None,
+    fps: Annotated[float, typer.Option(min=1, max=240, help="Frames per second.")] = 30.0,
+    speed: Annotated[float, typer.Option(min=0.01, help="Speed of the film; 1 is real.")] = 1.0,
+    seconds: Annotated[
+        float | None, typer.Option(min=0.1, help="Show only the first seconds of the trial.")
+    ] = None,
+    number: Number = None,
+    trial: Trial = 0,
+    cell: Cell = None,
+    cores: Cores = None,
 ) -> None:
-    """`evo-cpg render`.
-
-    Args:
-        run: the run folder.
-        film: how it is made.
-        number: whose champion, where the folder holds several runs; None for the best.
-        trial: in which of its trials, from 0.
-        cell: of the run's map, whose elite is wanted instead.
-        lineage: generations whose champions are wanted side by side, ``auto``, or None.
-        beside: other run folders, whose champions are wanted beside that of the first.
-
-    Raises:
-        UsageError: an option is wrong, or two do not go together.
-    """
-    moments = None if film.sheet is None else _moments(film.sheet)
-    several = lineage is not None or bool(beside)
-    pixels = pixels_of(film.size or ("640x360" if several or moments else "1280x720"))
-    if lineage is not None and (cell is not None or beside):
-        other = "--cell" if cell is not None else "--beside"
-        raise UsageError(f"--lineage: the champions of a run on its way; leave {other} out")
-    if film.titles and lineage is not None:
+    """Film the champion of a run, or anybody on its map of behaviour."""
+    others = beside or []
+    moments = None if sheet is None else _moments(sheet)
+    several = lineage is not None or bool(others)
+    pixels = pixels_of(size or ("640x360" if several or moments else "1280x720"))
+    if lineage is not None and (cell is not None or others):
+        wrong = "--cell" if cell is not None else "--beside"
+        raise UsageError(f"--lineage: the champions of a run on its way; leave {wrong} out")
+    if title and lineage is not None:
         raise UsageError("--title: of a lineage every one has its generation and fitness")
-    if film.titles and len(film.titles) != 1 + len(beside):
+    if title and len(title or ()) != 1 + len(others):
         raise UsageError(
-            f"--title: {len(film.titles)} for {1 + len(beside)} animals; give one for each"
+            f"--title: {len(title or ())} for {1 + len(others)} animals; give one for each"
         )
-    if len(beside) >= _MOST:
-        raise UsageError(f"--beside: {len(beside) + 1} runs are too many; {_MOST} have room")
+    if len(others) >= _MOST:
+        raise UsageError(f"--beside: {len(others) + 1} runs are too many; {_MOST} have room")
     wanted = None if lineage is None else _generations(lineage)
-    from evo_cpg.view.film import film_path, side_by_side
-
     name = "champion" if cell is None else f"cell_{cell.replace(',', '_')}"
     name = name if lineage is None else "lineage"
     name += "" if number is None else f"_run{number}"
-    name += of_trial(trial) + ("_beside_others" if beside else "")
-    name += ("" if film.camera == "follow" else f"_{film.camera}") + "_signals" * film.signals
+    name += of_trial(trial) + ("_beside_others" if others else "")
+    name += ("" if camera == "follow" else f"_{camera}") + "_signals" * signals
     name += ".mp4" if moments is None else "_sheet.png"
     settings = {
         "size": pixels,
-        "fps": film.fps,
-        "seconds": film.seconds,
-        "speed": film.speed,
-        "camera": film.camera,
+        "fps": fps,
+        "seconds": seconds,
+        "speed": speed,
+        "camera": camera.value,
         "sheet": moments,
     }
+    from evo_cpg.cli.filmed import champion_panel, lineage_panels
+    from evo_cpg.cli.progress import working
+    from evo_cpg.files import make_folder
+    from evo_cpg.training.devices import available_cores
+    from evo_cpg.training.run_folder import RunFolder
+    from evo_cpg.view.film import film_path, side_by_side
+
     RunFolder(run).require()
     # The folder of films is made where there is one to put there.
-    film_path(film.output or run / name, **settings, signals=film.signals)
+    film_path(output or run / name, **settings, signals=signals)
     if lineage is not None:
-        panels = _lineage(run, wanted, number, trial, film.signals)
+        panels = lineage_panels(run, wanted, number, trial, signals)
     else:
         panels = []
-        for place in (run, *beside):
+        for place in (run, *others):
             which = number if place == run else None
-            panels.append(_panel(place, which, trial, cell, film.signals))
-    if film.titles:
-        panels = [
-            shown._replace(title=title) for shown, title in zip(panels, film.titles, strict=True)
-        ]
-    path = film.output or make_folder(run / "videos") / name
+            panels.append(champion_panel(place, which, trial, cell, signals))
+    if title:
+        panels = [one._replace(title=words) for one, words in zip(panels, title, strict=True)]
+    path = output or make_folder(run / "videos") / name
     with working("rendering", counted=True) as work:
         made = side_by_side(
             panels,
             path,
             **settings,
-            processes=film.cores or available_cores(),
+            processes=cores or available_cores(),
             progress=work.reached,
         )
     print(made)
-
-
-def _panel(run: Path, number: int | None, trial: int, cell: str | None, signals: bool) -> "Panel":
-    """The champion of a run, or the elite of a cell."""
-    from evo_cpg.view.panel import panel_of
-    from evo_cpg.view.units import told
-
-    strip = None
-    if signals:
-        experiment, champion, _, folder = open_champion(run, number, cell)
-        require_trial(experiment, folder, trial)
-        (life,) = _replayed(experiment, [champion], folder, trial)
-        recording, strip = life.recording, _signals(experiment, life)
-    else:
-        experiment, champion, recording, _ = champion_motion(run, number, trial, cell)
-    if cell is None:
-        return panel_of(experiment, recording, experiment.name, strip)
-    # Of an elite the map keeps what it is told apart by, and nothing else.
-    title = f"{experiment.name}, cell {cell}"
-    return panel_of(experiment, recording, title, strip, told(champion.terms))
-
-
-def _lineage(
-    run: Path, wanted: list[int] | None, number: int | None, trial: int, signals: bool
-) -> "list[Panel]":
-    """Those who were champion on the way, each with its generation and fitness."""
-    from evo_cpg.view.panel import panel_of
-
-    experiment, champion, _, folder = open_champion(run, number)
-    require_trial(experiment, folder, trial)
-    chosen, panels = _chosen(folder, champion, wanted), []
-    for one in chosen:
-        wrong = misfit(experiment, one)
-        if wrong:
-            raise RunFolderError(f"{folder.lineage}: generation {one.generation}: {wrong}")
-    for one, life in zip(chosen, _replayed(experiment, chosen, folder, trial), strict=True):
-        if not math.isclose(
-            life.fitness, one.fitness, rel_tol=REPLAY_TOLERANCE, abs_tol=REPLAY_TOLERANCE
-        ):
-            print(
-                f"evo-cpg: warning: {run}: the champion of generation {one.generation} comes to "
-                f"{life.fitness:.4f} and not to {one.fitness:.4f} as recorded: {folder.config} or "
-                "the machine is another one than it evolved with",
-                file=sys.stderr,
-            )
-        title = f"generation {one.generation}: fitness {one.fitness:.3g}"
-        if one.expected is not None:
-            title = f"champion: fitness {one.expected:.3g} in fresh draws"
-        shown = _signals(experiment, life) if signals else None
-        panels.append(panel_of(experiment, life.recording, title, shown))
-    return panels
-
-
-def _chosen(folder: RunFolder, champion: Champion, wanted: list[int] | None) -> list[Champion]:
-    """Champions of a run, in the order of generations, nobody twice.
-
-    Args:
-        folder: of the run.
-        champion: in the end.
-        wanted: generations; None for some that tell how it came to the champion.
-    """
-    run = champion.run
-    lineage = [each for each in folder.load_lineage() if each.run == run]
-    if not lineage:
-        raise RunFolderError(f"{folder.lineage} knows no champion of run {run}")
-    if wanted is None:
-        if champion.expected is None:
-            return telling(lineage, _SHOWN)
-        # Who had the best score on the way need not be who was chosen in the end.
-        places = (champion.generation, champion.index)
-        others = [each for each in lineage if (each.generation, each.index) != places]
-        return [*telling(others, _SHOWN - 1), champion]
-    done = folder.newest
-    found: list[Champion] = []
-    for generation in sorted(set(wanted)):
-        one = champion_at(lineage, generation)
-        if generation >= max(done, lineage[-1].generation + 1):
-            raise UsageError(
-                f"--lineage: {folder.path} has done {done} generations; {done - 1} is the last"
-            )
-        if one is None:
-            raise UsageError(
-                f"--lineage: the first champion that {folder.path} knows is that of generation "
-                f"{lineage[0].generation}"
-            )
-        if all(one is not other for other in found):
-            found.append(one)
-    return found
-
-
-def _replayed(
-    experiment: Experiment, champions: Sequence[Champion], folder: RunFolder, trial: int
-) -> list[Life]:
-    with working("replaying the champion"):
-        return lives_again(experiment, champions, folder, trial)
-
-
-def _signals(experiment: Experiment, life: Life) -> "Signals":
-    """What the controller of an individual did, and its feet."""
-    from evo_cpg.analysis.gait_numbers import gait_numbers
-    from evo_cpg.view.signals import signals_of
-
-    simulation = experiment.simulation
-    word, _, unit = rhythm_of(simulation.controller)[1].partition(" (")
-    feet = gait_numbers(simulation, experiment.creature, life.frames, life.recording).feet
-    names, touched = ((), None) if feet is None else (feet.names, feet.steady)
-    return signals_of(life.recording, word, unit == "rad)", names, touched)
 
 
 def _generations(lineage: str) -> list[int] | None:

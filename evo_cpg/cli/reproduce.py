@@ -1,67 +1,89 @@
-"""The command that makes the tables and pictures of a study anew: reproduce."""
+"""`evo-cpg reproduce`: the tables and pictures of a study, computed anew."""
 
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
-from rich import box
-from rich.console import Console
-from rich.table import Table
+import typer
 
-from evo_cpg.api.commit import checkout
 from evo_cpg.cli.errors import UsageError
-from evo_cpg.cli.progress import progress, working
-from evo_cpg.config.errors import nearest
-from evo_cpg.locks import locked
-from evo_cpg.studies import provenance
-from evo_cpg.studies.catalogue import NAMES, study
-from evo_cpg.studies.study import Study
-from evo_cpg.studies.workshop import Work, Workshop
-from evo_cpg.training.devices import use_cores
+from evo_cpg.cli.options import Cores
+
+if TYPE_CHECKING:
+    from evo_cpg.studies.study import Study
+    from evo_cpg.studies.workshop import Work, Workshop
 
 
-def reproduce_study(
-    name: str | None,
-    parts: Sequence[str],
-    out: Path | None,
-    quick: bool,
-    listed: bool,
-    fresh: bool,
-    cores: int | None,
+def reproduce(
+    study: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="STUDY",
+            help="One of iwadate2010, fukui2003, salamander, hexapod, starfish, turtle, search,"
+            " benchmarks.",
+        ),
+    ] = None,
+    parts: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[PART]...", help="Parts of it; all by default."),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            "-o",
+            help="Folder; docs/reproduction/STUDY of a clone, else reproduction/STUDY.",
+        ),
+    ] = None,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Scaled down: does everything run? No results.")
+    ] = False,
+    listed: Annotated[
+        bool, typer.Option("--list", help="Show the studies, their parts, and how each was made.")
+    ] = False,
+    fresh: Annotated[
+        bool, typer.Option("--fresh", help="Throw finished runs of these parts away first.")
+    ] = False,
+    cores: Cores = None,
 ) -> None:
-    """`evo-cpg reproduce`.
+    """Make the tables and pictures of a study anew."""
+    from evo_cpg.config.errors import nearest
+    from evo_cpg.studies.catalogue import NAMES
+    from evo_cpg.studies.catalogue import study as study_called
+    from evo_cpg.training.devices import use_cores
 
-    Raises:
-        UsageError: there is no such study or part.
-    """
-    if name is not None and name not in NAMES:
-        raise UsageError(f"reproduce: there is no study {name!r}; {nearest(name, NAMES)}")
+    if study is not None and study not in NAMES:
+        raise UsageError(f"reproduce: there is no study {study!r}; {nearest(study, NAMES)}")
     if listed:
-        _list([name] if name else NAMES, out)
+        _list([study] if study else NAMES, out)
         return
-    if name is None:
+    if study is None:
         raise UsageError(f"reproduce: name a study: {', '.join(NAMES)}; --list tells their parts")
-    chosen = study(name)
-    for part in parts:
+    chosen = study_called(study)
+    for part in parts or []:
         if part not in chosen.parts:
             raise UsageError(
-                f"reproduce: {name} has no part {part!r}; {nearest(part, list(chosen.parts))}"
+                f"reproduce: {study} has no part {part!r}; {nearest(part, list(chosen.parts))}"
             )
-    make(chosen, parts or list(chosen.parts), out or default_folder(name, quick), quick, fresh,
-         use_cores(cores))  # fmt: skip
+    place = out or default_folder(study, quick)
+    make(chosen, parts or list(chosen.parts), place, quick, fresh, use_cores(cores))
 
 
 def make(
-    chosen: Study, parts: Sequence[str], folder: Path, quick: bool, fresh: bool, devices: int
+    chosen: "Study", parts: Sequence[str], folder: Path, quick: bool, fresh: bool, devices: int
 ) -> None:
     """Make some parts of a study, one after the other, each written when it is done."""
+    from evo_cpg.locks import locked
+    from evo_cpg.studies.workshop import Workshop
+
     workshop = Workshop(chosen, folder, quick, devices)
     with locked(folder, make=True):
         _make(workshop, parts, fresh)
 
 
-def _make(workshop: Workshop, parts: Sequence[str], fresh: bool) -> None:
+def _make(workshop: "Workshop", parts: Sequence[str], fresh: bool) -> None:
     workshop.claim()
     chosen, folder, quick = workshop.study, workshop.folder, workshop.quick
     if fresh:
@@ -90,6 +112,8 @@ def default_folder(name: str, quick: bool) -> Path:
     """Where a study's files go: in a checkout beside its page, else into the working folder."""
     if quick:
         return Path("reproduction") / f"{name}_quick"
+    from evo_cpg.api.commit import checkout
+
     here = checkout()
     if here is None:
         return Path("reproduction") / name
@@ -103,20 +127,28 @@ class _Shown:
         self, title: str, total: int, done: int
     ) -> AbstractContextManager[Callable[[int, str, float], None]]:
         """A bar with the time that is left, or lines."""
+        from evo_cpg.cli.progress import progress
+
         print(title, file=sys.stderr)
         return progress(title.partition(",")[0], "generations", total, done)
 
-    def measuring(self, title: str) -> AbstractContextManager[Work]:
+    def measuring(self, title: str) -> "AbstractContextManager[Work]":
         """A line that moves."""
+        from evo_cpg.cli.progress import working
+
         return working(title)
 
 
 def _list(names: Sequence[str], out: Path | None) -> None:
-    table = Table("study", "part", "about", "made", box=box.SIMPLE_HEAD, pad_edge=False)
+    from evo_cpg.cli.tables import show_table
+    from evo_cpg.studies import provenance
+    from evo_cpg.studies.catalogue import study
+
+    rows = []
     for name in names:
         known = provenance.read(out or default_folder(name, quick=False))
         for part, declared in study(name).parts.items():
             told = known.get(part, {})
             made = f"{told['date'][:10]}, {told['commit']}" if "date" in told else "never"
-            table.add_row(name, part, declared.title, made)
-    Console().print(table)
+            rows.append((name, part, declared.title, made))
+    show_table(("study", "part", "about", "made"), rows, left=4)

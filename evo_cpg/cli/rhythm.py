@@ -5,9 +5,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from rich import box
-from rich.console import Console
-from rich.table import Table
 
 from evo_cpg.analysis.limit_cycle import (
     LimitCycle,
@@ -20,27 +17,28 @@ from evo_cpg.cli.building import build
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.exit_codes import ExitCode
 from evo_cpg.cli.oscillators import warn_of_oscillators
+from evo_cpg.cli.tables import show_table
 from evo_cpg.config.load import load_config
-from evo_cpg.control.brain_cpg import BrainCpg
 from evo_cpg.control.couplings import ring_members
+from evo_cpg.control.matsuoka import Oscillators
 from evo_cpg.simulation.simulation import Simulation
 
 _COLUMNS = ("joints", "Hz", "lag, deg", "amplitude", "multiplier", "recovery")
 
 
-def read_oscillators(path: Path, overrides: Sequence[str]) -> tuple[Simulation, BrainCpg]:
-    """A config's simulation and its controller.
+def read_oscillators(path: Path, overrides: Sequence[str]) -> tuple[Simulation, Oscillators]:
+    """Return a config's simulation and its oscillators.
 
     Raises:
         UsageError: the controller has no oscillators.
     """
     simulation = build(load_config(path, overrides), path).simulation
-    controller = simulation.controller
-    if not isinstance(controller, BrainCpg):
+    oscillators = simulation.controller.rhythm_generator
+    if oscillators is None:
         raise UsageError(
             f"{path}: its controller has no oscillators; `controller.type: brain_cpg` has"
         )
-    return simulation, controller
+    return simulation, oscillators
 
 
 def show_rhythm(
@@ -51,17 +49,13 @@ def show_rhythm(
     Raises:
         SystemExit: with `ExitCode.FAULT`, where the search failed for some oscillators.
     """
-    simulation, controller = read_oscillators(path, overrides)
+    simulation, (cpg, network, _) = read_oscillators(path, overrides)
     tree = simulation.world.tree
-    cpg, network = controller.settings.cpg, controller.network
     middle = (cpg.min_adaptation_gain + cpg.max_adaptation_gain) / 2
     gains = np.full(network.oscillator_count, middle if gain is None else gain)
     tonic = cpg.max_tonic_input if tonic_input is None else tonic_input
     drive = np.full((2, network.oscillator_count), tonic)
-    table = Table(title=f"b = {gains[0]:g}, u = {tonic:g}", box=box.SIMPLE_HEAD, pad_edge=False)
-    for column in _COLUMNS:
-        left = column == "joints"
-        table.add_column(column, justify="left" if left else "right", no_wrap=left)
+    rows: list[tuple[str, ...]] = []
     rests: dict[str, list[str]] = {}
     failures: dict[str, list[str]] = {}
     cycles: dict[int, LimitCycle] = {}
@@ -70,15 +64,15 @@ def show_rhythm(
         names = tree.dof_names[first] + (f" + {len(others)}" if others else "")
         try:
             cycle = limit_cycle(network, drive, gains, part)
-            table.add_row(names, *_words(cycle))
+            rows.append((names, *_words(cycle)))
             cycles |= dict.fromkeys(part, cycle)
         except NoRhythmError as error:
-            table.add_row(names, "rest")
+            rows.append((names, "rest"))
             rests.setdefault(str(error), []).append(names)
         except RhythmSearchError as error:
-            table.add_row(names, "not found")
+            rows.append((names, "not found"))
             failures.setdefault(str(error), []).append(names)
-    Console().print(table)
+    show_table(_COLUMNS, rows, title=f"b = {gains[0]:g}, u = {tonic:g}")
     for i, ring in enumerate(cpg.rings):
         members = ring_members(tree, ring, i)
         if members[0] in cycles:

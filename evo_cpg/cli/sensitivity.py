@@ -1,47 +1,61 @@
-"""The command that tells what a champion's success depends on: sensitivity."""
+"""`evo-cpg sensitivity`: rank the parameters that a champion's success depends on."""
 
 import itertools
 import math
-from collections.abc import Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
-from rich import box
-from rich.console import Console
-from rich.table import Table
+import typer
 
-from evo_cpg.api.load import class_folders
-from evo_cpg.cli.champions import open_champion
 from evo_cpg.cli.errors import UsageError
-from evo_cpg.cli.progress import Work, working
-from evo_cpg.config.errors import ConfigError
-from evo_cpg.config.load import load_config
-from evo_cpg.config.parameters import Parameters, all_parameters, parametrise
-from evo_cpg.files import make_folder, write_table
-from evo_cpg.training.checkpoint import Champion
+from evo_cpg.cli.options import Folder, Number, Run
+from evo_cpg.cli.writing import writes_to_run
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from evo_cpg.analysis.sensitivity import Sensitivity
+    from evo_cpg.cli.progress import Work
+    from evo_cpg.config.parameters import Parameters
+    from evo_cpg.training.checkpoint import Champion
 
 # Rows for the terminal and bars of the picture; the table file has all.
 _SHOWN = 25
 
-_COMPILING = "compiling and differentiating the trial"
-
-# Not a key of the configuration: what all genes are multiplied by.
+# Not a key of the configuration: a factor of all genes.
 GENES = "genes"
 
 
-def show_sensitivities(
-    run: Path,
-    keys: Sequence[str],
-    out: Path | None,
-    seconds: float | None,
-    number: int | None,
-    shapes: bool,
+@writes_to_run("out", "--out")
+def sensitivity(
+    run: Run,
+    keys: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[KEY]...",
+            help="Numbers of its configuration, such as world.water.form_drag, or genes; "
+            "all by default but shapes in water.",
+        ),
+    ] = None,
+    seconds: Annotated[
+        float | None, typer.Option(min=0, help="Of the trial, from its start; all by default.")
+    ] = None,
+    shapes: Annotated[
+        bool, typer.Option("--shapes", help="Also those that change surfaces in water: slow.")
+    ] = False,
+    number: Number = None,
+    out: Folder = None,
 ) -> None:
-    """`evo-cpg sensitivity`."""
+    """Tell what the champion's speed and fitness depend on, parameter by parameter."""
+    from evo_cpg.api.load import class_folders
+    from evo_cpg.cli.champions import open_champion
+    from evo_cpg.cli.progress import working
+    from evo_cpg.cli.tables import show_table
+    from evo_cpg.config.load import load_config
+    from evo_cpg.config.parameters import all_parameters, parametrise
+    from evo_cpg.files import make_folder, write_table
+    from evo_cpg.view.figure import save_figure
+    from evo_cpg.view.parameter_plots import sensitivity_figure
+
     experiment, champion, _, folder = open_champion(run, number)
     if experiment.simulation.situations[1:]:
         print(f"{run}: of its {experiment.trials} trials the first is taken")
@@ -61,12 +75,12 @@ def show_sensitivities(
         trial = trial.model_copy(update={"trials": trial.trials[:1]})
     config = config.model_copy(update={"simulation": trial})
     bits = not getattr(config.controller, "graded", True)
-    if bits and GENES in keys:
+    if bits and GENES in (keys or []):
         raise UsageError(
             f"{GENES}: bits count as 0 or 1, so that 1 % more of them is the same; allowed: the "
             "keys of numbers, or controller.graded: true"
         )
-    chosen = tuple(key for key in keys if key != GENES)
+    chosen = tuple(key for key in keys or [] if key != GENES)
     if not keys:
         with working("finding the numbers that can be changed"):
             chosen = all_parameters(config, folder.config, beside, shapes)
@@ -74,20 +88,17 @@ def show_sensitivities(
         parameters = parametrise(config, folder.config, chosen, beside)
     place = make_folder(out or folder.path)
     scaled = not bits and (not keys or GENES in keys)
-    with working(_COMPILING) as work:
+    with working("compiling and differentiating the trial") as work:
         speed, fitness = _measure(parameters, champion, scaled, work)
     rows = [_row(one, other) for one in speed for other in fitness if one.key == other.key]
     name = "sensitivity" if number is None else f"sensitivity_run{number}"
     table = place / f"{name}.csv"
     write_table(table, rows)
-    from evo_cpg.view.figure import save_figure
-    from evo_cpg.view.parameter_plots import sensitivity_figure
-
     time = steps / rate
     title = f"{experiment.name}: speed {speed[0].measure:.3g} m/s over {time:.3g} s"
     figure = sensitivity_figure(speed, "speed", title, _SHOWN)
     picture = save_figure(figure, table.with_suffix(".png"))
-    Console().print(_table(rows[:_SHOWN]))
+    show_table(("parameter", "value", "speed", "fitness"), map(_cells, rows[:_SHOWN]))
     stuck = sum(not one.step for one in speed)
     doubtful = sum(not one.confirmed for one in speed) - stuck
     print(f"speed {speed[0].measure:.4g} m/s, fitness {fitness[0].measure:.4g} over {time:.3g} s")
@@ -105,12 +116,14 @@ def show_sensitivities(
     print(picture)
 
 
-def _measure(parameters: Parameters, champion: Champion, scaled: bool, work: Work) -> tuple:
+def _measure(parameters: "Parameters", champion: "Champion", scaled: bool, work: "Work") -> tuple:
     """Sensitivities of speed and fitness, in float64."""
     import jax
     import jax.numpy as jnp
+    import numpy as np
 
     from evo_cpg.analysis.sensitivity import changed, differentiate, measured, sensitivities
+    from evo_cpg.config.errors import ConfigError
     from evo_cpg.training.experiment import champion_keys
 
     keys = (*parameters.keys, GENES) if scaled else parameters.keys
@@ -130,7 +143,7 @@ def _measure(parameters: Parameters, champion: Champion, scaled: bool, work: Wor
         work.doing("changing the numbers one by one")
         tried = itertools.count(1)
 
-        def allowed(place: np.ndarray) -> bool:
+        def allowed(place: "np.ndarray") -> bool:
             work.reached(next(tried), 2 * len(values))
             try:
                 parameters.require(place[: len(parameters.keys)])
@@ -163,21 +176,15 @@ def _row(speed: "Sensitivity", fitness: "Sensitivity") -> dict[str, str | float 
     return row
 
 
-def _table(rows: list[dict[str, Any]]) -> Table:
-    """For the terminal: the strongest first."""
-    table = Table("parameter", "value", "speed", "fitness", box=box.SIMPLE_HEAD, pad_edge=False)
-    for column in table.columns[1:]:
-        column.justify = "right"
-        column.no_wrap = True
-    for row in rows:
-        words = []
-        for name in ("speed", "fitness"):
-            sure = row[f"{name}_confirmed"]
-            size = row[f"{name}_elasticity" if sure else f"{name}_found"]
-            unit = " %/%" if row["relative"] else " %/unit"
-            share = size if row["relative"] else 100 * size
-            # Of a measure that is nothing there is no per cent.
-            told = f"{share:+.3g}{unit}" if math.isfinite(share) else "\N{EN DASH}"
-            words.append(f"{'' if sure else '? '}{told}")
-        table.add_row(row["key"], f"{row['value']:.4g}", *words)
-    return table
+def _cells(row: dict[str, Any]) -> tuple[str, ...]:
+    """Return a line of the table on the terminal."""
+    words = []
+    for name in ("speed", "fitness"):
+        sure = row[f"{name}_confirmed"]
+        size = row[f"{name}_elasticity" if sure else f"{name}_found"]
+        unit = " %/%" if row["relative"] else " %/unit"
+        share = size if row["relative"] else 100 * size
+        # There is no per cent of a measure that is 0.
+        told = f"{share:+.3g}{unit}" if math.isfinite(share) else "\N{EN DASH}"
+        words.append(f"{'' if sure else '? '}{told}")
+    return row["key"], f"{row['value']:.4g}", *words

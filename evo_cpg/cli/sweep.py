@@ -1,72 +1,105 @@
-"""The command that compares settings: sweep."""
+"""`evo-cpg sweep`: compare settings."""
 
+import math
 import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
-import yaml
-from rich.console import Console
-from rich.table import Table
+import typer
 
-from evo_cpg.analysis.compare import Comparison, Spread
-from evo_cpg.api.sweep import (
-    Member,
-    claim,
-    groups,
-    members_of,
-    new_plan,
-    read_plan,
-    run_group,
-    summarise,
-)
-from evo_cpg.cli.errors import UsageError
-from evo_cpg.cli.jobs import Jobs, claimed, read_jobs, run_jobs
-from evo_cpg.cli.progress import progress, working
-from evo_cpg.config.settings import Setting, combine, read_settings
-from evo_cpg.config.yaml_text import parse_yaml
-from evo_cpg.system import as_utf8, named
-from evo_cpg.training.devices import use_cores
+from evo_cpg.cli.completion import complete_config
+from evo_cpg.cli.errors import UsageError, warn
+from evo_cpg.cli.exit_codes import ExitCode
+from evo_cpg.cli.options import Cores, Overrides, find_config_or_folder
+
+if TYPE_CHECKING:
+    from evo_cpg.api.sweep import Member
+    from evo_cpg.cli.jobs import Jobs
+    from evo_cpg.config.settings import Setting
 
 # More rows of a table than anybody reads on a terminal; the file has all.
 _MOST_ROWS = 30
 
-# Of the words of a test that is passed.
+# Level of significance that is marked.
 _SURE = 0.05
 
 
-def run_sweep(
-    path: Path,
-    overrides: Sequence[str],
-    grid: Sequence[str],
-    settings: Path | None,
-    out: Path | None,
-    cores: int | None,
-    only: Sequence[str] = (),
-    jobs: str | None = None,
-    job_options: Sequence[str] = (),
-) -> bool:
-    """`evo-cpg sweep`.
+def sweep(
+    config: Annotated[
+        Path,
+        typer.Argument(
+            metavar="CONFIG",
+            help="A YAML configuration file or the name of a shipped one; or a sweep, to go on "
+            "with it.",
+            callback=find_config_or_folder,
+            autocompletion=complete_config,
+        ),
+    ],
+    overrides: Overrides = None,
+    grid: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--grid",
+            metavar="KEY=A,B,...",
+            help="Values of a key; of several, every combination.",
+        ),
+    ] = None,
+    settings: Annotated[
+        Path | None,
+        typer.Option(
+            "--settings", metavar="FILE", help="A YAML file, {name: {key: value, ...}, ...}."
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Folder; runs/CONFIG_sweep by default.")
+    ] = None,
+    only: Annotated[
+        list[str] | None, typer.Option("--only", metavar="NAME", help="Only this setting.")
+    ] = None,
+    cores: Cores = None,
+    jobs: Annotated[
+        str | None,
+        typer.Option(
+            metavar="N|slurm",
+            help="What shares no program as jobs: N processes here at a time, or jobs of SLURM.",
+        ),
+    ] = None,
+    job_option: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--job-option",
+            metavar="KEY=VALUE",
+            help="With --jobs slurm, a parameter of submitit, such as slurm_partition=long, "
+            "timeout_min=600, cpus_per_task=8 or mem_gb=4.",
+        ),
+    ] = None,
+) -> None:
+    """Evolve under many settings and compare what comes of them."""
+    from evo_cpg.api.sweep import claim, members_of, new_plan, read_plan
+    from evo_cpg.cli.jobs import claimed, read_jobs
+    from evo_cpg.cli.progress import working
+    from evo_cpg.system import as_utf8, named
+    from evo_cpg.training.devices import use_cores
 
-    Returns:
-        Whether all came to their ends; a job may have failed.
-    """
-    asked = read_jobs(jobs, job_options)
-    overrides, grid = [as_utf8(word) for word in overrides], [as_utf8(word) for word in grid]
-    folder, plan = path, read_plan(path)
+    asked = read_jobs(jobs, job_option or [])
+    overrides, grid = (
+        [as_utf8(word) for word in overrides or []],
+        [as_utf8(word) for word in grid or []],
+    )
+    folder, plan = config, read_plan(config)
     if plan is None:
-        folder = out or Path("runs") / f"{path.stem}_sweep"
-        plan = new_plan(path, overrides, _varied(grid, settings))
+        folder = out or Path("runs") / f"{config.stem}_sweep"
+        plan = new_plan(config, overrides, _varied(grid, settings))
     elif overrides or grid or settings or out:
         raise UsageError(
-            f"sweep: {path} is a sweep, which is gone on with as it is; give no other settings"
+            f"sweep: {config} is a sweep, which is gone on with as it is; give no other settings"
         )
     devices = use_cores(cores)
     with working("building every setting"):
         members = members_of(folder, plan)
-    chosen = _chosen(members, only)
+    chosen = _chosen(members, only or [])
     with claimed(folder, asked):
         claim(folder, plan)
         failed = _evolve(folder, named(plan["config"]), chosen, devices, asked, cores)
@@ -78,10 +111,12 @@ def run_sweep(
             f"{', '.join(failed)}; go on with `evo-cpg sweep {folder}`",
             file=sys.stderr,
         )
-    return not failed
+        raise typer.Exit(ExitCode.FAULT)
 
 
-def _varied(grid: Sequence[str], settings: Path | None) -> list[Setting]:
+def _varied(grid: Sequence[str], settings: Path | None) -> "list[Setting]":
+    from evo_cpg.config.settings import combine, read_settings
+
     axes = dict(_axis(word) for word in grid)
     if not axes and settings is None:
         raise UsageError(
@@ -97,6 +132,10 @@ def _varied(grid: Sequence[str], settings: Path | None) -> list[Setting]:
 
 def _axis(word: str) -> tuple[str, list[Any]]:
     """A key and its values, of ``key=a,b,c``."""
+    import yaml
+
+    from evo_cpg.config.yaml_text import parse_yaml
+
     key, equals, text = word.partition("=")
     if not (key and equals and text):
         raise UsageError(f"--grid: {word!r} is not KEY=VALUE,VALUE,...")
@@ -110,7 +149,7 @@ def _axis(word: str) -> tuple[str, list[Any]]:
     return key, values
 
 
-def _chosen(members: Sequence[Member], only: Sequence[str]) -> list[Member]:
+def _chosen(members: "Sequence[Member]", only: Sequence[str]) -> "list[Member]":
     known = {member.setting.name: member for member in members}
     for name in only:
         if name not in known:
@@ -121,12 +160,16 @@ def _chosen(members: Sequence[Member], only: Sequence[str]) -> list[Member]:
 def _evolve(
     folder: Path,
     source: Path,
-    members: Sequence[Member],
+    members: "Sequence[Member]",
     devices: int,
-    jobs: Jobs | None,
+    jobs: "Jobs | None",
     cores: int | None,
 ) -> list[str]:
     """Names of settings that did not come to their ends."""
+    from evo_cpg.api.sweep import groups, run_group
+    from evo_cpg.cli.jobs import run_jobs
+    from evo_cpg.cli.progress import progress
+
     found = groups(members)
     if jobs is not None:
         try:
@@ -146,15 +189,11 @@ def _evolve(
         with progress(folder.name, "generations", total, done, "compiling") as show:
             watch = _Watch(show, done)
             try:
-                run_group(group, source, devices, watch.tell, _warn)
+                run_group(group, source, devices, watch.tell, warn)
             except KeyboardInterrupt:
                 _say_interrupted(folder)
                 raise
     return []
-
-
-def _warn(words: str) -> None:
-    print(f"evo-cpg: warning: {words}", file=sys.stderr)
 
 
 def _say_interrupted(folder: Path) -> None:
@@ -173,54 +212,56 @@ class _Watch:
         self._show, self._done, self._clock = show, done, time.perf_counter()
         self._latest: dict[str, float] = {}
 
-    def tell(self, member: Member, rows: list[dict[str, float]]) -> None:
+    def tell(self, member: "Member", rows: list[dict[str, float]]) -> None:
         """A generation of a setting is done."""
+        import numpy as np
+
         self._latest[member.setting.name] = float(np.median([row["champion"] for row in rows]))
         before, self._clock = self._clock, time.perf_counter()
         self._show(self._done, self._standing(), self._clock - before)
         self._done += 1
 
     def _standing(self) -> str:
-        known = {name: value for name, value in self._latest.items() if np.isfinite(value)}
+        known = {name: value for name, value in self._latest.items() if math.isfinite(value)}
         if not known:
             return "nobody lives yet"
         best = max(known, key=lambda name: known[name])
         return f"ahead: {best}, median champion {known[best]:.4f}"
 
 
-def _tell(folder: Path, members: Sequence[Member]) -> None:
+def _tell(folder: Path, members: "Sequence[Member]") -> None:
+    from evo_cpg.api.sweep import summarise
+    from evo_cpg.cli.progress import working
+    from evo_cpg.cli.tables import show_table
+
     with working("tables and figure"):
         found = summarise(folder, members)
-    console = Console()
-    console.print(_spreads(found.spreads))
-    if found.comparisons:
-        console.print(_tests(found.comparisons))
+    spreads = [
+        (
+            one.name,
+            str(one.runs),
+            f"{one.median:.4g}",
+            f"{one.low:.4g} to {one.high:.4g}",
+            f"{one.worst:.4g}",
+            f"{one.best:.4g}",
+        )
+        for one in found.spreads[:_MOST_ROWS]
+    ]
+    heads = "setting", "runs", "median", "quartiles", "worst", "best"
+    show_table(heads, spreads, title="fitness of the champions")
+    tests = [
+        (
+            one.first,
+            one.second,
+            f"{one.wins:.0%}",
+            f"{one.p_value:.3g}",
+            f"{one.adjusted:.3g}" + (" *" if one.adjusted < _SURE else ""),
+        )
+        for one in sorted(found.comparisons, key=lambda one: one.adjusted)[:_MOST_ROWS]
+    ]
+    if tests:
+        heads = "setting", "against", "wins", "p", "p of all tests"
+        title = "who wins (Mann and Whitney's test, Holm's correction)"
+        show_table(heads, tests, left=2, title=title)
     print(found.figure)
     print(folder)
-
-
-def _spreads(spreads: Sequence[Spread]) -> Table:
-    table = Table(title="fitness of the champions", title_justify="left")
-    table.add_column("setting", overflow="fold")
-    for head in ("runs", "median", "quartiles", "worst", "best"):
-        table.add_column(head, justify="right")
-    for one in spreads[:_MOST_ROWS]:
-        quartiles = f"{one.low:.4g} to {one.high:.4g}"
-        ends = f"{one.worst:.4g}", f"{one.best:.4g}"
-        table.add_row(one.name, str(one.runs), f"{one.median:.4g}", quartiles, *ends)
-    return table
-
-
-def _tests(comparisons: Sequence[Comparison]) -> Table:
-    table = Table(
-        title="who wins (Mann and Whitney's test, Holm's correction)", title_justify="left"
-    )
-    for head in ("setting", "against"):
-        table.add_column(head, overflow="fold")
-    for head in ("wins", "p", "p of all tests"):
-        table.add_column(head, justify="right")
-    shown = sorted(comparisons, key=lambda one: one.adjusted)[:_MOST_ROWS]
-    for one in shown:
-        sure = f"{one.adjusted:.3g}" + (" *" if one.adjusted < _SURE else "")
-        table.add_row(one.first, one.second, f"{one.wins:.0%}", f"{one.p_value:.3g}", sure)
-    return table

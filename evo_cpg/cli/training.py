@@ -1,9 +1,8 @@
-"""The commands that evolve: train and resume."""
+"""What the commands `train` and `resume` share: a run that evolves."""
 
 import contextlib
 import math
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,29 +11,23 @@ import numpy as np
 from evo_cpg.analysis.verdict import Check, shown
 from evo_cpg.api.training import (
     Recorder,
-    begin_run,
     evolve,
     first_look_asked,
     follow,
     reopen_run,
     require_configured,
 )
-from evo_cpg.api.warm_start import What, warm_start
-from evo_cpg.cli.building import build, read_config
-from evo_cpg.cli.champions import open_run, use_cores_of
-from evo_cpg.cli.costs import animal_digest, expected_to_compile, warn_of_cost
-from evo_cpg.cli.distributed import BY_ITSELF, Distribution, require_same, together
-from evo_cpg.cli.errors import UsageError
+from evo_cpg.cli.champions import open_run
+from evo_cpg.cli.costs import animal_digest, expected_to_compile
+from evo_cpg.cli.distributed import Distribution, require_same, together
+from evo_cpg.cli.errors import UsageError, warn
 from evo_cpg.cli.interrupts import wait_for_no_thread
-from evo_cpg.cli.oscillators import warn_of_oscillators
 from evo_cpg.cli.progress import progress, working
 from evo_cpg.config.fingerprint import changes, fingerprint
 from evo_cpg.config.load import load_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.simulation.task import term_names
-from evo_cpg.system import named
 from evo_cpg.training.checkpoint import Champion, Checkpoint, genes_digest
-from evo_cpg.training.devices import use_cores
 from evo_cpg.training.experiment import TABLE_COLUMNS, Experiment
 from evo_cpg.training.reevaluation import is_finished
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
@@ -44,71 +37,18 @@ if TYPE_CHECKING:
     from evo_cpg.training.processes import Team
 
 
-def start_run(
-    path: Path,
-    overrides: Sequence[str],
-    out: Path | None,
-    cores: int | None,
-    strict: bool = False,
-    earlier: Path | None = None,
-    what: What = "champion",
-    asked: Distribution = BY_ITSELF,
-    tensorboard: bool = False,
-) -> None:
-    """`evo-cpg train`."""
-    if tensorboard:
-        require_scalars()
-    config = read_config(path, overrides, strict, asked.leads)
-    folder = RunFolder(out or Path("runs") / named(config.name))
-    # Finding a place to stand on uneven ground starts JAX.
-    devices = use_cores(cores)
-    with together(asked, folder.path) as team, contextlib.ExitStack() as lock:
-        experiment = build(config, path)
-        require_same(team, fingerprint(config))
-        if team.leads:
-            lock.enter_context(folder.locked(new=True))
-            start = None
-            if earlier is not None:
-                with working("reading the earlier run"):
-                    start = warm_start(experiment, earlier, what)
-            begin_run(folder, config, experiment, devices, path, start, team.count)
-            warn_of_oscillators(path, experiment.simulation)
-            warn_of_cost(path, experiment.simulation)
-        animal = animal_digest(config)
-        _evolve(experiment, folder, first_look_asked(config), team, tensorboard, animal)
-
-
 def resume_run(
-    run: Path,
-    generations: int | None,
-    cores: int | None,
-    asked: Distribution = BY_ITSELF,
-    tensorboard: bool = False,
-) -> None:
-    """`evo-cpg resume`."""
-    tensorboard = goes_on_with_scalars(run, tensorboard)
-    # Several processes need not be on the machine that the run was last on.
-    devices = use_cores(cores) if asked.wanted else use_cores_of(run, cores)
-    with contextlib.ExitStack() as lock:
-        if asked.leads:
-            lock.enter_context(RunFolder(run).locked())
-            # What was interrupted is put in order here, before the others come to read it.
-            RunFolder(run).require()
-        _resume(run, generations, devices, asked, tensorboard)
-
-
-def _resume(
     run: Path, generations: int | None, devices: int, asked: Distribution, tensorboard: bool
 ) -> None:
+    """Continue a run, as one of the processes that were requested."""
     with together(asked, run) as team:
         folder, config, experiment = open_run(run)
         require_configured(folder)
         changed = changes(folder.read_meta().get("fingerprint"), fingerprint(config))
         if changed and team.leads:
-            print(
-                f"evo-cpg: warning: {run}: changed since the run was last started: "
-                f"{', '.join(changed)}; what is evolved from here on is evolved under the new one",
-                file=sys.stderr,
+            warn(
+                f"{run}: changed since the run was last started: "
+                f"{', '.join(changed)}; what is evolved from here on is evolved under the new one"
             )
         if generations is not None:
             config = load_config(folder.config, [f"evolution.generations={generations}"])
@@ -122,9 +62,9 @@ def _resume(
                 _say_finished(folder, experiment.generations)
                 return
             for words in reopen_run(folder, config, experiment, devices, team.count):
-                print(f"evo-cpg: warning: {words}", file=sys.stderr)
+                warn(words)
         animal = animal_digest(config)
-        _evolve(experiment, folder, first_look_asked(config), team, tensorboard, animal)
+        evolve_run(experiment, folder, first_look_asked(config), team, tensorboard, animal)
 
 
 def require_scalars() -> None:
@@ -149,7 +89,7 @@ def goes_on_with_scalars(run: Path, asked: bool) -> bool:
     try:
         require_writer()
     except MissingWriterError as error:
-        print(f"evo-cpg: warning: {run}: no more scalars for TensorBoard: {error}", file=sys.stderr)
+        warn(f"{run}: no more scalars for TensorBoard: {error}")
         return False
     return True
 
@@ -167,7 +107,7 @@ def _require_alike(
         )
     if done is not None:
         runs, population = experiment.runs, experiment.strategy.population
-        asked = experiment.simulation.controller.gene_count, runs * population, runs
+        asked = experiment.simulation.genome.count, runs * population, runs
         found = *done.genes.shape, len(done.champions)
         if asked != found:
             raise RunFolderError(
@@ -230,7 +170,7 @@ def _say_finished(folder: RunFolder, done: int) -> None:
     print(folder.path)
 
 
-def _evolve(
+def evolve_run(
     experiment: Experiment,
     folder: RunFolder,
     least: float | None,
@@ -238,6 +178,16 @@ def _evolve(
     tensorboard: bool = False,
     animal: str | None = None,
 ) -> None:
+    """Evolve, show how it goes, record the champion and report it.
+
+    Args:
+        experiment: what evolves.
+        folder: of the run.
+        least: smallest way of a champion that is tried at half the step; None for no trial.
+        team: of processes; None for this one alone.
+        tensorboard: write scalars.
+        animal: digest of the program of a trial, see `animal_digest`.
+    """
     if team is not None and not team.leads:
         follow(experiment, folder, team)
         return

@@ -1,32 +1,39 @@
-"""`evo-cpg validate`: whether configurations can be built, and what they come to."""
+"""`evo-cpg validate`: build configurations and report their sizes, or what is wrong."""
 
 import sys
-from collections.abc import Sequence
 from pathlib import Path
+from typing import Annotated
 
-from evo_cpg.cli.building import build, read_config
-from evo_cpg.cli.costs import warn_of_cost
+import typer
+
+from evo_cpg.cli.completion import complete_config
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.exit_codes import ExitCode
-from evo_cpg.cli.oscillators import warn_of_oscillators
-from evo_cpg.config.build import require_genes
-from evo_cpg.config.errors import ConfigError
-from evo_cpg.config.shipped import find_config
+from evo_cpg.cli.options import Strict
 
 
-def validate_configs(words: Sequence[str], strict: bool = False) -> None:
-    """`evo-cpg validate`.
+def validate(
+    configs: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="CONFIG... [KEY=VALUE]...",
+            help="YAML configuration files or names of shipped ones, and settings to change in "
+            "all of them.",
+            autocompletion=complete_config,
+        ),
+    ],
+    strict: Strict = False,
+) -> None:
+    """Check configuration files without running them."""
+    from evo_cpg.cli.building import build, read_config
+    from evo_cpg.cli.costs import warn_of_cost
+    from evo_cpg.cli.oscillators import warn_of_oscillators
+    from evo_cpg.config.build import require_genes
+    from evo_cpg.config.errors import ConfigError
+    from evo_cpg.config.shipped import find_config
 
-    Args:
-        words: files, and settings that hold for all of them.
-        strict: refuse what is hardly meant.
-
-    Raises:
-        UsageError: there is no file among the words.
-        SystemExit: with `ExitCode.WRONG_INPUT`, where a file is wrong.
-    """
-    overrides = [word for word in words if "=" in word and not _exists(word)]
-    paths = [Path(word) for word in words if word not in overrides]
+    overrides = [word for word in configs if "=" in word and not _exists(word)]
+    paths = [Path(word) for word in configs if word not in overrides]
     if not paths:
         raise UsageError(f"validate: {overrides[0]} is a setting; name a configuration file, too")
     wrong = 0
@@ -44,7 +51,7 @@ def validate_configs(words: Sequence[str], strict: bool = False) -> None:
             print(
                 f"{given}: {tree.body_count} bodies, {tree.dof_count} joint axes, "
                 f"{experiment.creature.mass:.3g} kg, "
-                f"{experiment.simulation.controller.gene_count} genes"
+                f"{experiment.simulation.genome.count} genes"
             )
             warn_of_oscillators(given, experiment.simulation)
             warn_of_cost(given, experiment.simulation)

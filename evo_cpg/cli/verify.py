@@ -1,21 +1,23 @@
-"""`evo-cpg verify`: whether a champion is what it was, and comes out as recorded."""
+"""`evo-cpg verify`: check that a champion is unchanged and replays as recorded."""
 
 import sys
 from pathlib import Path
 
-import numpy as np
-
-from evo_cpg.api.load import changed_config, misfit
-from evo_cpg.api.surroundings import differences as changed_surroundings
-from evo_cpg.api.surroundings import surroundings
-from evo_cpg.api.training import require_configured
-from evo_cpg.cli.champions import REPLAY_TOLERANCE, live_again, open_run, use_cores_of
 from evo_cpg.cli.exit_codes import ExitCode
-from evo_cpg.training.checkpoint import genes_digest, outcome_digest
+from evo_cpg.cli.options import Cores, Run
 
 
-def verify_run(run: Path, cores: int | None) -> None:
-    """`evo-cpg verify`."""
+def verify(run: Run, cores: Cores = None) -> None:
+    """Replay the champion and compare it with what was recorded."""
+    import numpy as np
+
+    from evo_cpg.api.load import changed_config
+    from evo_cpg.api.surroundings import differences as changed_surroundings
+    from evo_cpg.api.surroundings import surroundings
+    from evo_cpg.api.training import require_configured
+    from evo_cpg.cli.champions import REPLAY_TOLERANCE, live_again, open_run, use_cores_of
+    from evo_cpg.training.checkpoint import genes_digest, outcome_digest
+
     use_cores_of(run, cores)
     folder, _, experiment = open_run(run)
     require_configured(folder)
@@ -35,7 +37,7 @@ def verify_run(run: Path, cores: int | None) -> None:
             differences.append("champion.npz: the genome is not that of the newest checkpoint")
         if outcome_digest(kept) != outcome_digest(champion):
             differences.append("champion.npz: the newest checkpoint records other fitness or terms")
-    wrong = misfit(experiment, champion)
+    wrong = experiment.simulation.genome.misfit(champion.genes)
     if wrong:
         _report(run, [*differences, wrong])
     devices = folder.read_meta().get("devices", 1)

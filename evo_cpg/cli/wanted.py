@@ -6,9 +6,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from rich import box
-from rich.console import Console
-from rich.table import Table
 
 from evo_cpg.analysis.chains import Chain, chains
 from evo_cpg.analysis.lag_survey import UnreachableRhythmError
@@ -17,6 +14,7 @@ from evo_cpg.analysis.wanted_rhythm import Rhythm, rhythm, wanted_rhythm
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.exit_codes import ExitCode
 from evo_cpg.cli.rhythm import hertz, read_oscillators, stability
+from evo_cpg.cli.tables import show_table
 from evo_cpg.config.errors import nearest
 from evo_cpg.control.matsuoka import CpgSettings
 from evo_cpg.creature.tree import Tree
@@ -43,8 +41,8 @@ def find_rhythm(
     """
     _check(frequency, lag, gain, tonic_input)
     keep_compiled_programs()
-    simulation, controller = read_oscillators(path, overrides)
-    tree, settings = simulation.world.tree, controller.settings.cpg
+    simulation, (settings, *_) = read_oscillators(path, overrides)
+    tree = simulation.world.tree
     if frequency is not None and 2 * frequency >= simulation.control_rate:
         raise UsageError(
             f"--frequency {frequency:g}: must be less than half of the {simulation.control_rate:g} "
@@ -71,7 +69,7 @@ def find_rhythm(
     except RhythmSearchError as error:
         print(f"evo-cpg: {path}: {chain.name}: {error}", file=sys.stderr)
         raise SystemExit(ExitCode.FAULT) from None
-    Console().print(_table(chain, settings, b, before, found))
+    _show(chain, settings, b, before, found)
     changes = _changes(settings, found)
     if not changes:
         print("The settings give it as they are.")
@@ -131,19 +129,18 @@ def _changes(settings: CpgSettings, found: Rhythm) -> dict[str, float]:
     }
 
 
-def _table(
+def _show(
     chain: Chain, settings: CpgSettings, gain: float, before: Rhythm | str, found: Rhythm
-) -> Table:
-    table = Table(title=chain.name, box=box.SIMPLE_HEAD, pad_edge=False)
-    table.add_column("")
-    table.add_column("now", justify="right")
-    table.add_column("then", justify="right")
-    table.add_row("b", f"{gain:g}", f"{found.adaptation_gain:g}")
-    for key in _WEIGHTS:
-        table.add_row(key, f"{getattr(settings, key):g}", f"{getattr(found.settings, key):g}")
-    for rows in zip(_NAMES, _words(before), _words(found), strict=True):
-        table.add_row(*rows)
-    return table
+) -> None:
+    rows = [
+        ("b", f"{gain:g}", f"{found.adaptation_gain:g}"),
+        *(
+            (key, f"{getattr(settings, key):g}", f"{getattr(found.settings, key):g}")
+            for key in _WEIGHTS
+        ),
+        *zip(_NAMES, _words(before), _words(found), strict=True),
+    ]
+    show_table(("", "now", "then"), rows, title=chain.name)
 
 
 _NAMES = (

@@ -1,31 +1,28 @@
-"""The command that looks on while a run evolves: watch.
+"""`evo-cpg watch`: follow a run while it evolves.
 
-It reads what the trainer leaves after every generation, and asks nothing of the trainer. Of the run
-folder it writes one file, the picture of the newest champion; what that takes is computed by a
-process that gives way to all others.
+It reads what the trainer writes after every generation, and requests nothing of the trainer. It
+writes one file to the run folder, the picture of the newest champion, at the lowest priority.
 """
 
 import contextlib
 import math
 import os
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
-import numpy as np
-from rich.console import Console, Group, RenderableType
-from rich.live import Live
-from rich.panel import Panel
-from rich.table import Table
-from rich.text import Text
+import typer
 
-from evo_cpg.cli.curve import curve
-from evo_cpg.cli.errors import told
+from evo_cpg.cli.errors import told, warn
+from evo_cpg.cli.options import Run
 from evo_cpg.cli.streams import is_read
-from evo_cpg.training.checkpoint import Champion, Checkpoint
-from evo_cpg.training.run_folder import RunFolder, RunFolderError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from evo_cpg.training.checkpoint import Champion, Checkpoint
+    from evo_cpg.training.run_folder import RunFolder
 
 PICTURE = "watch.png"
 # Between two looks at the folder, s.
@@ -34,8 +31,6 @@ LOOK = 1.0
 _SELDOM, _SHARE = 10.0, 0.2
 # The trainer has the first claim on the cores.
 _NICE = 15
-_HEIGHT, _MARGIN = 9, 16
-_COLORS = (("champion", "bright_blue"), ("mean", "grey58"))
 
 
 class Standing(NamedTuple):
@@ -48,7 +43,7 @@ class Standing(NamedTuple):
         changed: when the checkpoint was written, s since the epoch; None without one.
     """
 
-    checkpoint: Checkpoint | None
+    checkpoint: "Checkpoint | None"
     generations: int
     choosing: bool
     changed: float | None
@@ -61,17 +56,20 @@ class Standing(NamedTuple):
         return not self.choosing or bool(self.checkpoint.chosen)
 
 
-def watch_run(run: Path, once: bool, picture: bool) -> None:
-    """`evo-cpg watch`.
+def watch(
+    run: Run,
+    once: Annotated[bool, typer.Option("--once", help="Look once, and end.")] = False,
+    picture: Annotated[
+        bool, typer.Option(help="Draw the newest champion into RUN/watch.png.")
+    ] = True,
+) -> None:
+    """Look on while a run evolves: curves, and a picture of the newest champion."""
+    from rich.console import Console
+    from rich.live import Live
 
-    Args:
-        run: the run folder.
-        once: look once, and end.
-        picture: draw the newest champion.
+    from evo_cpg.cli.watched import panel
+    from evo_cpg.training.run_folder import RunFolder, RunFolderError
 
-    Raises:
-        RunFolderError: there is no run.
-    """
     folder = RunFolder(run)
     # `require` would put in order what was interrupted, which is for the trainer to do.
     if not folder.config.is_file():
@@ -87,12 +85,12 @@ def watch_run(run: Path, once: bool, picture: bool) -> None:
         while True:
             now = standing(folder, seen)
             if now is not seen:
-                live.update(_panel(folder, now, console.width), refresh=True)
+                live.update(panel(folder, now, console.width), refresh=True)
                 seen = now
             _newest(now, draw)
             if now.finished:
                 return
-            live.update(_panel(folder, now, console.width))
+            live.update(panel(folder, now, console.width))
             time.sleep(LOOK)
 
 
@@ -109,7 +107,7 @@ def give_way() -> None:
             os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
 
 
-def standing(folder: RunFolder, before: Standing | None = None) -> Standing:
+def standing(folder: "RunFolder", before: Standing | None = None) -> Standing:
     """How the run stands; what was read before where nothing is new.
 
     Args:
@@ -131,7 +129,7 @@ def standing(folder: RunFolder, before: Standing | None = None) -> Standing:
     return Standing(checkpoint, *_plan(folder), changed)
 
 
-def _plan(folder: RunFolder) -> tuple[int, bool]:
+def _plan(folder: "RunFolder") -> tuple[int, bool]:
     """Generations, as the configuration has them (`resume` writes it anew); is there chance?"""
     from evo_cpg.config.load import load_config
 
@@ -140,7 +138,7 @@ def _plan(folder: RunFolder) -> tuple[int, bool]:
 
 
 def _in_lines(
-    folder: RunFolder, console: Console, draw: Callable[[Champion, Standing], Any], once: bool
+    folder: "RunFolder", console: "Console", draw: "Callable[[Champion, Standing], Any]", once: bool
 ) -> None:
     """Elsewhere than on a terminal: a line for every generation."""
     seen: Standing | None = None
@@ -173,87 +171,9 @@ def _line(row: dict[str, float], now: Standing) -> str:
     )
 
 
-def _newest(now: Standing, draw: Callable[[Champion, Standing], Any]) -> Path | None:
+def _newest(now: Standing, draw: "Callable[[Champion, Standing], Any]") -> Path | None:
     champion = now.checkpoint.champion if now.checkpoint else None
     return None if champion is None else draw(champion, now)
-
-
-def _panel(folder: RunFolder, now: Standing, width: int) -> RenderableType:
-    """Numbers and curves."""
-    checkpoint = now.checkpoint
-    name = Text(str(folder.path))
-    if checkpoint is None or not checkpoint.history:
-        return Panel(Text("not one generation is finished yet"), title=name, title_align="left")
-    columns = _over_generations(checkpoint.history)
-    plots = [
-        part for key, color in _COLORS for part in _plot(key, columns[key], width - _MARGIN, color)
-    ]
-    inner = Group(_table(now), Text(), *plots)
-    return Panel(inner, title=name, title_align="left", subtitle="Ctrl-C ends the watching only")
-
-
-def _over_generations(history: list[dict[str, float]]) -> dict[str, np.ndarray]:
-    """Of several runs the best champion and the mean of the means of every generation."""
-    instants = np.array([row["generation"] for row in history])
-    found = {}
-    for key, over in (("champion", np.nanmax), ("mean", np.nanmean)):
-        values = np.array([row[key] for row in history], float)
-        found[key] = np.array(
-            [
-                over(own) if np.isfinite(own := values[instants == g]).any() else math.nan
-                for g in np.unique(instants)
-            ]
-        )
-    return found
-
-
-def _plot(key: str, values: np.ndarray, width: int, color: str) -> list[Text]:
-    """A curve with its highest and lowest value beside it."""
-    lines = curve(values.tolist(), max(width, 10), _HEIGHT // (1 if key == "champion" else 2))
-    finite = values[np.isfinite(values)]
-    marks = [""] * len(lines)
-    if len(finite):
-        marks[0], marks[-1] = f"{finite.max():.4g}", f"{finite.min():.4g}"
-    made = [Text(key, style="bold")]
-    for mark, line in zip(marks, lines, strict=True):
-        made.append(Text.assemble((f"{mark:>10} ", "dim"), (line, color)))
-    return made
-
-
-def _table(now: Standing) -> Table:
-    assert now.checkpoint is not None
-    history, champion = now.checkpoint.history, now.checkpoint.champion
-    rows = [row for row in history if row["generation"] == history[-1]["generation"]]
-    table = Table.grid(padding=(0, 3))
-    done, left = now.checkpoint.generation, now.generations - now.checkpoint.generation
-    seconds = float(np.median([row["seconds"] for row in history[-20:]]))
-    when = "finished" if not left else f"about {_duration(left * seconds)} to go"
-    table.add_row(
-        Text(f"{done}/{now.generations} generations", style="bold"), f"{seconds:.3g} s each", when
-    )
-    if now.changed is not None and left:
-        quiet = time.time() - now.changed
-        if quiet > max(60.0, 10 * seconds):
-            table.add_row(Text(f"nothing new for {_duration(quiet)}", style="yellow"), "", "")
-    if champion is not None:
-        whose = f" of run {champion.run}" if len(now.checkpoint.champions) > 1 else ""
-        table.add_row(
-            f"champion {champion.worth:.4f}",
-            f"of generation {champion.generation}{whose}",
-            ", ".join(f"{name} {value:.3g}" for name, value in champion.terms.items()),
-        )
-    mean = np.mean([row["mean"] for row in rows])
-    diverged = int(sum(row["diverged"] for row in rows))
-    table.add_row(f"mean {mean:.4f}", f"diverged {diverged}", "")
-    return table
-
-
-def _duration(seconds: float) -> str:
-    if seconds < 100:
-        return f"{seconds:.0f} s"
-    if seconds < 6000:
-        return f"{seconds / 60:.0f} min"
-    return f"{seconds / 3600:.1f} h"
 
 
 class _Pictures:
@@ -263,13 +183,13 @@ class _Pictures:
         folder: of the run.
     """
 
-    def __init__(self, folder: RunFolder):
+    def __init__(self, folder: "RunFolder"):
         self._folder = folder
         self._drawn: tuple[float, ...] | None = None
         self._next = -math.inf
         self._built: Any = None
 
-    def draw(self, champion: Champion, now: Standing) -> Path | None:
+    def draw(self, champion: "Champion", now: Standing) -> Path | None:
         """Draw a champion that was not drawn before, if it is time; the picture's path."""
         which = (champion.run, champion.generation, champion.fitness)
         began = time.monotonic()
@@ -280,14 +200,14 @@ class _Pictures:
             made = self._make(champion, now)
         except OSError as error:
             # Who looks on may have no permission to write there.
-            print(f"evo-cpg: warning: no picture: {told(error)}", file=sys.stderr)
+            warn(f"no picture: {told(error)}")
             self._next = math.inf
             return None
         took = time.monotonic() - began
         self._next = time.monotonic() + max(_SELDOM, took / _SHARE)
         return made
 
-    def _make(self, champion: Champion, now: Standing) -> Path:
+    def _make(self, champion: "Champion", now: Standing) -> Path:
         if self._built is None:
             self._built = self._build()
         experiment, live = self._built

@@ -1,32 +1,51 @@
-"""Commands that leave what they make in a run folder keep others off it meanwhile."""
+"""Keep other processes off a run folder while a command writes to it."""
 
 import contextlib
+import functools
+import inspect
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from evo_cpg.locks import LockedError
-from evo_cpg.training.run_folder import RunFolder
+
+def writes_to_run(parameter: str = "", option: str = "") -> Callable[[Callable], Callable]:
+    """Return a decorator that locks `run` for as long as a command lasts, if it writes there.
+
+    Args:
+        parameter: of the command: another place to write to, unless it is None.
+        option: of the command line for that parameter, for messages.
+    """
+
+    def decorate(command: Callable[..., None]) -> Callable[..., None]:
+        signature = inspect.signature(command)
+
+        @functools.wraps(command)
+        def locked(*values: object, **options: object) -> None:
+            given = signature.bind(*values, **options).arguments
+            with _locked(given["run"], given.get(parameter), option):
+                command(*values, **options)
+
+        return locked
+
+    return decorate
 
 
 @contextlib.contextmanager
-def writing(run: Path, output: Path | None = None, option: str = "") -> Iterator[None]:
-    """Lock a run folder for as long as the block lasts, if the command writes into it.
-
-    Args:
-        run: the run folder.
-        output: file or folder that the command writes; None for a place in the run folder.
-        option: of the command line, which chooses another place; empty where there is none.
+def _locked(run: Path, output: Path | None, option: str) -> Iterator[None]:
+    """Lock a run folder unless the output goes elsewhere.
 
     Raises:
-        LockedError: another process writes into the folder.
-        OutputError: nobody can write into it.
+        LockedError: another process writes to the folder.
+        OutputError: the folder is read-only.
     """
+    from evo_cpg.locks import LockedError
+    from evo_cpg.training.run_folder import RunFolder
+
     folder = RunFolder(run)
     elsewhere = output is not None and not Path(os.path.abspath(output)).is_relative_to(
         os.path.abspath(run)
     )
-    # That there is no run the command says, after what is wrong with its options.
+    # If there is no run, the command reports it, after what is wrong with its options.
     if elsewhere or not folder.config.is_file():
         yield
         return

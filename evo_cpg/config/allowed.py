@@ -1,5 +1,6 @@
 """What a place of a configuration takes, in words, from its JSON Schema."""
 
+import copy
 import difflib
 import functools
 from typing import Any, cast
@@ -8,6 +9,9 @@ import pydantic
 
 Schema = dict[str, Any]
 Place = tuple[str | int, ...]
+
+# The last part of pydantic's location of a key that is not of the right kind.
+_OF_KEY = "[key]"
 
 _SIMPLE = {
     "string": ("text", "texts"),
@@ -28,7 +32,8 @@ class Allowed:
     """
 
     def __init__(self, model: type[pydantic.BaseModel], data: Any, tags: frozenset[str]):
-        self._root, self._data, self._tags = _schema_of(model), data, tags
+        self._model, self._root = model, _schema_of(model)
+        self._data, self._tags = data, tags
 
     def keys(self, place: Place) -> list[str]:
         """Return the keys that are valid in the section at a place."""
@@ -42,17 +47,16 @@ class Allowed:
     def hint(self, place: Place, given: Any) -> str:
         """Return how to write what was probably meant; empty if that is unknown."""
         options = self._at(place)
-        last = place[-1] if place else None
-        if isinstance(last, int) and not isinstance(given, (list, dict)):
+        if place and isinstance(place[-1], int) and not isinstance(given, (list, dict)):
             # A flat list where a list of lists is expected.
-            whole = self._value(place[:-1])
-            if isinstance(whole, list) and self._fits([whole], self._at(place[:-1])):
+            whole = value_at(self._data, place[:-1])
+            if isinstance(whole, list) and self._fits(place[:-1], [whole]):
                 return f"write {as_written([whole])}"
         if given is None:
             return "the key has no value: leave it out, or give it one"
-        for item in _readings(given):
-            if self._fits(item, options):
-                return f"write {as_written(item)}"
+        for reading in _readings(given):
+            if self._fits(place, reading):
+                return f"write {as_written(reading)}"
         if isinstance(given, dict) and any(option.get("type") == "array" for option in options):
             return "begin each entry with '- '"
         if isinstance(given, str) and given in map(self._kind, options):
@@ -62,9 +66,18 @@ class Allowed:
             return f"did you mean {close[0]!r}?"
         for option in options:
             (only, *more) = option.get("required", []) or ["", ""]
-            if not more and self._fits({only: given}, [option]):
+            if not more and self._fits(place, {only: given}):
                 return f"write {as_written({only: given})}"
         return ""
+
+    def _fits(self, place: Place, value: Any) -> bool:
+        """Return whether a place takes a value, whatever is wrong elsewhere."""
+        data = _replaced(self._data, place, value)
+        try:
+            self._model.model_validate(data)
+        except pydantic.ValidationError as error:
+            return all(key_of(each, data)[: len(place)] != place for each in error.errors())
+        return True
 
     def _at(self, place: Place) -> list[Schema]:
         """Return the schemas that a place may follow, references resolved."""
@@ -78,12 +91,6 @@ class Allowed:
                 for each in self._options(inner, here)
             ]
         return options
-
-    def _value(self, place: Place) -> Any:
-        here = self._data
-        for part in place:
-            here = _inside(here, part)
-        return here
 
     def _options(self, schema: Schema, given: Any) -> list[Schema]:
         """Return the alternatives of a schema that the given ``type`` chooses, or all of them."""
@@ -147,41 +154,6 @@ class Allowed:
         if kind == "object":
             return f"{count}sections {self._keys(options[0])}"
         return f"{count}{_SIMPLE[kind][1]}" if kind in _SIMPLE else f"{count}entries"
-
-    def _fits(self, value: Any, options: list[Schema]) -> bool:
-        """Return whether a value has the kind that one of the schemas asks for."""
-        return any(self._fits_one(value, option) for option in options)
-
-    def _fits_one(self, value: Any, schema: Schema) -> bool:
-        if "enum" in schema or "const" in schema:
-            return value in schema.get("enum", [schema.get("const")])
-        kind, number = schema.get("type"), isinstance(value, (int, float))
-        if isinstance(value, bool) or value is None:
-            return kind == ("null" if value is None else "boolean")
-        if isinstance(value, str):
-            return kind == "string"
-        if number:
-            return kind == "number" or (kind == "integer" and value == round(value))
-        if isinstance(value, list):
-            least, most = schema.get("minItems", 0), schema.get("maxItems", len(value))
-            return (
-                kind == "array"
-                and least <= len(value) <= most
-                and all(
-                    self._fits(
-                        each, [o for s in _entries(schema, i) for o in self._options(s, each)]
-                    )
-                    for i, each in enumerate(value)
-                )
-            )
-        return (
-            kind == "object"
-            and set(schema.get("required", [])) <= set(value)
-            and all(
-                self._fits(each, [o for s in _entries(schema, key) for o in self._options(s, each)])
-                for key, each in value.items()
-            )
-        )
 
 
 @functools.cache
@@ -260,3 +232,46 @@ def _inside(here: Any, part: str | int) -> Any:
 def _listed(words: list[str]) -> str:
     """Return words as a list with ``or`` before the last one."""
     return " or ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))
+
+
+def key_of(problem: Any, data: Any) -> tuple[str | int, ...]:
+    """Return the key of a problem.
+
+    A pydantic location also has the names of union members, which are no keys of the file.
+    """
+    location, missing = problem["loc"], problem["type"] == "missing"
+    if is_of_key(problem):
+        # Without the key itself, which pydantic has as text.
+        location = location[: -2 if location[-1] == _OF_KEY else -1]
+    key: list[str | int] = []
+    place: Any = data
+    for i, part in enumerate(location):
+        of_dict = isinstance(place, dict) and part in place
+        of_list = isinstance(place, list) and isinstance(part, int) and part < len(place)
+        if of_dict or of_list:
+            key.append(part)
+            place = cast(Any, place)[part]
+        elif missing and i == len(location) - 1 and isinstance(place, dict):
+            key.append(part)
+    return tuple(key)
+
+
+def is_of_key(problem: Any) -> bool:
+    """Return whether it is about a key, and not its value."""
+    return problem["type"] == "invalid_key" or problem["loc"][-1:] == (_OF_KEY,)
+
+
+def value_at(data: Any, place: Place) -> Any:
+    """Return the value at a place; None if there is none."""
+    for part in place:
+        data = _inside(data, part)
+    return data
+
+
+def _replaced(data: Any, place: Place, value: Any) -> Any:
+    """Return a copy with another value at a place."""
+    if not place:
+        return value
+    changed = copy.copy(data)
+    changed[place[0]] = _replaced(data[place[0]], place[1:], value)
+    return changed

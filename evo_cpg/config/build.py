@@ -15,7 +15,6 @@ from evo_cpg.config.own_returns import check_own_forces, check_own_returns, chec
 from evo_cpg.config.schema.choice import CustomConfig
 from evo_cpg.config.schema.evolution import RealEvolutionConfig
 from evo_cpg.config.schema.experiment import ExperimentConfig
-from evo_cpg.config.schema.task import DistanceConfig, WalkConfig
 from evo_cpg.config.schema.world import WaterConfig
 from evo_cpg.config.situations import build_situations, require_light
 from evo_cpg.config.strategy import build_strategy
@@ -32,7 +31,7 @@ from evo_cpg.creature.surface import outer_surfaces, random_surfaces
 from evo_cpg.creature.tree import Tree, build_tree
 from evo_cpg.fusion.engine import Engine, target, using
 from evo_cpg.fusion.unsupported import Unsupported
-from evo_cpg.physics.added_mass import AddedMass, Slamming, added_inertia
+from evo_cpg.physics.added_mass import AddedMass, added_inertia
 from evo_cpg.physics.buoyancy import make_cells
 from evo_cpg.physics.fluid import Drag, Patch, make_patches
 from evo_cpg.physics.footing import make_footing
@@ -42,14 +41,11 @@ from evo_cpg.physics.water import Current, Vortex, Water
 from evo_cpg.physics.world import World
 from evo_cpg.simulation.measures import GROUND_MEASURES, MEASURES, Measures, measures
 from evo_cpg.simulation.noise import Noise
-from evo_cpg.simulation.reach_light import ReachLight
 from evo_cpg.simulation.rules import Rules
 from evo_cpg.simulation.sensor import Sensor
 from evo_cpg.simulation.sensors import place_sensors
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.task import Task, term_names
-from evo_cpg.simulation.velocity_sensor import VelocitySensor
-from evo_cpg.simulation.walk import Distance, Walk
 from evo_cpg.spatial.choices import chosen
 from evo_cpg.spatial.numerics import Triple, xp
 from evo_cpg.system import resolved, with_working_folder
@@ -142,7 +138,7 @@ def require_genes(experiment: Experiment, source: Path | str) -> None:
         ConfigError: the controller has no genes.
     """
     controller = experiment.simulation.controller
-    if controller.gene_count == 0:
+    if experiment.simulation.genome.count == 0:
         raise ConfigError(
             source,
             ("controller",),
@@ -342,10 +338,7 @@ def _water_laws(
     patches = _surface_points(water, creature, tree, apart)
     yield Drag(water.form_drag, water.skin_drag, patches, water.law)
     if water.added_mass:
-        carried = added_inertia(creature, tree, water.density)
-        yield AddedMass(carried)
-        if water.surface is not None:
-            yield Slamming(carried)
+        yield AddedMass(added_inertia(creature, tree, water.density))
 
 
 def _own_laws(
@@ -379,7 +372,7 @@ def _build_sensors(config: ExperimentConfig, tree: Tree, source: Path | str) -> 
     return tuple(
         build_own(given, Sensor, ("creature", "sensors", i), source, tree=tree, control_step=step)
         if isinstance(given, CustomConfig)
-        else VelocitySensor(given.body, given.full_scale)
+        else given.build()
         for i, given in enumerate(config.creature.sensors)
     )
 
@@ -427,21 +420,4 @@ def _build_task(
     given = config.task
     if isinstance(given, CustomConfig):
         return build_own(given, Task, ("task",), source)
-    if isinstance(given, DistanceConfig):
-        return Distance(heading=given.heading)
-    if isinstance(given, WalkConfig):
-        torso = next(body for body in creature.bodies if body.joint is None)
-        weights = dict(given)
-        del weights["type"]
-        return Walk(torso_length=2 * torso.shape.half_extents[0], **weights)
-    assert light is not None
-    return ReachLight(
-        light=light,
-        distance_weight=given.distance_weight,
-        energy_weight=given.energy_weight,
-        energy_max=given.energy_max,
-        light_weight=given.light_weight,
-        final_steps=chosen(
-            lambda: max(1, round(given.final_seconds * config.simulation.control_rate_hz))
-        ),
-    )
+    return given.build(creature, light, config.simulation.control_rate_hz)

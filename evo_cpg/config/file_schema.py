@@ -13,6 +13,9 @@ from typing import Any
 from evo_cpg.analysis.verdict import Limits
 from evo_cpg.config.schema.evolution import MapSection
 from evo_cpg.config.schema.experiment import ExperimentConfig
+from evo_cpg.config.schema.ground import ReliefFileConfig
+from evo_cpg.config.schema.section import Section
+from evo_cpg.config.schema.shape import MeshFileConfig
 
 Schema = dict[str, Any]
 
@@ -24,41 +27,6 @@ _INHERITED = (MapSection, Limits)
 _CREATURE_FILE = {
     "type": "string",
     "description": "path of the creature's own file, seen from this one.",
-}
-_MESH_FILE: Schema = {
-    "file": {
-        "type": "string",
-        "description": "file (.stl, .obj) that vertices and faces are read from.",
-    },
-    "scale": {
-        "anyOf": [
-            {"type": "number", "exclusiveMinimum": 0},
-            {
-                "type": "array",
-                "items": {"type": "number", "exclusiveMinimum": 0},
-                "minItems": 3,
-                "maxItems": 3,
-            },
-        ],
-        "default": 1,
-        "description": "by which places in the file are multiplied, all alike or along x, y and z.",
-    },
-}
-_RELIEF_FILE: Schema = {
-    "file": {
-        "type": "string",
-        "description": "array (.npy), table (.csv, .txt) or image that the heights are read from.",
-    },
-    "lowest": {
-        "type": "number",
-        "default": 0,
-        "description": "height of an image's black, m.",
-    },
-    "highest": {
-        "type": "number",
-        "default": 1,
-        "description": "height of an image's white, m.",
-    },
 }
 
 
@@ -72,8 +40,8 @@ def file_schema() -> Schema:
     for kind in (schema, *kinds.values()):
         for value in kind["properties"].values():
             _tell_apart(value, kinds)
-    _read_from_file(kinds["MeshConfig"], _MESH_FILE, ("vertices", "faces"))
-    _read_from_file(kinds["ReliefConfig"], _RELIEF_FILE, ("heights",))
+    _read_from_file(kinds["MeshConfig"], MeshFileConfig, ("vertices", "faces"))
+    _read_from_file(kinds["ReliefConfig"], ReliefFileConfig, ("heights",))
     whole = kinds["CreatureConfig"]
     kinds["CreatureFile"] = {
         **whole,
@@ -131,8 +99,10 @@ def _tell_apart(value: Schema, kinds: Schema) -> None:
             kind["required"] = list(dict.fromkeys(("type", *kind.get("required", ()))))
 
 
-def _read_from_file(kind: Schema, keys: Schema, instead_of: tuple[str, ...]) -> None:
+def _read_from_file(kind: Schema, file: type[Section], instead_of: tuple[str, ...]) -> None:
     """Let keys that name a file stand in the place of those that are read from it."""
-    kind["properties"] |= keys
+    named = file.model_json_schema()
+    _describe(named)
+    kind["properties"] = named["properties"] | kind["properties"]
     kind["required"] = [name for name in kind["required"] if name not in instead_of]
     kind["anyOf"] = [{"required": ["file"]}, {"required": list(instead_of)}]

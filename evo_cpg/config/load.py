@@ -163,7 +163,7 @@ def _read_files(data: dict[str, Any], path: Path) -> None:
         floor = floor.get(key) if isinstance(floor, dict) else None
     if isinstance(floor, dict) and floor.get("type") == "relief" and "file" in floor:
         given = {key: floor.pop(key) for key in ("file", "lowest", "highest") if key in floor}
-        floor["heights"] = read_heights(path, **given)
+        floor["heights"] = read_heights(path, given)
 
 
 def _read_meshes(data: dict[str, Any], path: Path) -> None:

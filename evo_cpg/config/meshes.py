@@ -5,15 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from evo_cpg.config.errors import ConfigError, Key, nearest
-from evo_cpg.config.files import require_small
-from evo_cpg.config.trust import beside
+from evo_cpg.config.errors import ConfigError, Key
+from evo_cpg.config.schema.shape import MeshFileConfig
+from evo_cpg.config.trust import named_file
+from evo_cpg.config.wording import check_section
 from evo_cpg.creature.mesh import MeshError, convex_mesh
-
-_KINDS = (".obj", ".stl")
-_KEYS = ("file", "scale", "type")
-# Of no unit that anything is drawn in.
-_LARGEST_SCALE = 1e9
 
 
 def read_mesh(source: Path, where: Key, given: dict[str, Any]) -> dict[str, Any]:
@@ -22,36 +18,15 @@ def read_mesh(source: Path, where: Key, given: dict[str, Any]) -> dict[str, Any]
     Args:
         source: the configuration file, beside which the file is looked for.
         where: key of the shape.
-        given: what stands there; it should be ``file`` and, if need be, ``scale``.
+        given: keys and values of the shape.
 
     Raises:
-        ConfigError: no file is named, there is no such file, it does not hold a mesh, the mesh
-            cannot be a body, or the scale is none.
+        ConfigError: a key is wrong, there is no such file, it does not hold a mesh, or the mesh
+            cannot be a body.
     """
-    for key in given:
-        if key not in _KEYS:
-            raise ConfigError(source, (*where, key), f"unknown key; {nearest(key, _KEYS)}")
-    if "file" not in given:
-        raise ConfigError(source, (*where, "file"), "is missing and has no default")
-    scale = _scale(source, (*where, "scale"), given.get("scale", 1.0))
-    file, where = given["file"], (*where, "file")
-    if not isinstance(file, str):
-        raise ConfigError(source, where, f"{file!r}: must be the name of a file")
-    path = beside(source, file, where)
-    suffix = path.suffix.lower()
-    if suffix not in _KINDS:
-        raise ConfigError(
-            source, where, f"{file}: {path.suffix!r} is not known; allowed: {', '.join(_KINDS)}"
-        )
-    try:
-        require_small(path)
-    except FileNotFoundError:
-        raise ConfigError(source, where, f"{file}: no such file") from None
-    except (OSError, ValueError) as error:
-        problem = getattr(error, "strerror", None) or error
-        raise ConfigError(source, where, f"{file[:60]}: cannot be read ({problem})") from None
-    if path.is_dir():
-        raise ConfigError(source, where, f"{file}: is a folder")
+    checked = check_section(MeshFileConfig, given, source, where)
+    file, where = checked.file, (*where, "file")
+    path = named_file(source, file, where, (".obj", ".stl"))
     try:
         vertices, faces = _read(path)
     except Exception as error:
@@ -59,7 +34,7 @@ def read_mesh(source: Path, where: Key, given: dict[str, Any]) -> dict[str, Any]
         problem = " ".join(str(error).split()) or type(error).__name__
         raise ConfigError(source, where, f"{file}: cannot be read as a mesh ({problem})") from None
     with np.errstate(over="ignore"):
-        vertices = vertices * scale
+        vertices = vertices * np.array(checked.scale)
     try:
         convex_mesh(vertices, faces)
     except MeshError as error:
@@ -80,18 +55,3 @@ def _read(path: Path) -> tuple[np.ndarray, np.ndarray]:
     if not len(mesh.faces):
         raise ValueError("it has no faces")
     return np.array(mesh.vertices, float).reshape(-1, 3), np.array(mesh.faces, int).reshape(-1, 3)
-
-
-def _scale(source: Path, where: Key, value: Any) -> np.ndarray:
-    """One number, or one for each axis."""
-    parts: list[Any] = value if isinstance(value, list) and len(value) == 3 else [value]
-    for part in parts:
-        number = isinstance(part, int | float) and not isinstance(part, bool)
-        if not number or not 0 < part < _LARGEST_SCALE:
-            raise ConfigError(
-                source,
-                where,
-                f"{value!r}: must be a number greater than 0 and less than {_LARGEST_SCALE:g}, or "
-                "three of them",
-            )
-    return np.array(parts, float)

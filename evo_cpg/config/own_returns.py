@@ -62,7 +62,7 @@ def check_own_returns(config: ExperimentConfig, simulation: Simulation, source: 
             read = checked(key, sensor, "sense", lambda method, s=snapshot: method(s, forces))
             _expect_array(checked.where("sense"), read, (sensor.count, _INDIVIDUALS))
         observation = sense(simulation, life, animal)
-        given = life.decoded, animal.nerves, observation
+        given = life.phenotype.controller, animal.nerves, observation
         found = checked(("controller",), simulation.controller, "act", lambda act: act(*given))
         if not (isinstance(found, tuple) and len(found) == 2 and isinstance(found[1], Command)):
             checked.where("act").fail("must return a pair of the next state and a Command")
@@ -76,7 +76,7 @@ def check_own_returns(config: ExperimentConfig, simulation: Simulation, source: 
         effects = Effects(animal.state, animal.state, observation, command, forces, energy, energy)
         _check_task(checked, simulation, transition(simulation, life, effects, jnp.int32(0)))
 
-    shape = simulation.controller.gene_count, _INDIVIDUALS
+    shape = simulation.genome.count, _INDIVIDUALS
     with using(Engine("jax")):
         jax.eval_shape(go, jax.ShapeDtypeStruct(shape, jnp.float32))
 
@@ -128,7 +128,7 @@ def check_own_strategy(
         else:
             map_metrics = METRICS
         strategy = strategy.strategy
-    shape = simulation.controller.gene_count, strategy.population
+    shape = simulation.genome.count, strategy.population
     names = (*term_names(simulation.task), *simulation.measures.names)
     taken = {*TABLE_COLUMNS, *map_metrics, *(f"best_{name}" for name in names)}
     checked = _Checked([key], source)

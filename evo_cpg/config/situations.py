@@ -11,7 +11,7 @@ from jaxtyping import Array
 
 from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.schema.experiment import ExperimentConfig
-from evo_cpg.config.schema.task import DEFAULT_LIGHT, ReachLightConfig
+from evo_cpg.config.schema.task import DEFAULT_LIGHT
 from evo_cpg.config.schema.trial import SituationConfig
 from evo_cpg.creature.creature import Creature, lowest_along, lowest_height, neutral_pose
 from evo_cpg.fusion.jax_internals import quick_jit
@@ -44,8 +44,7 @@ def build_situations(
         ConfigError: there is no place to stand or no rest, or a light that cannot be reached.
     """
     settings = config.simulation
-    task = config.task
-    common = task.light if isinstance(task, ReachLightConfig) else None
+    common = config.task.goal
     h = 1.0 / (settings.control_rate_hz * settings.substeps)
     settling = functools.cache(lambda: Settling(world, h))
     situations: list[Situation] = []

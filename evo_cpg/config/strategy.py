@@ -3,8 +3,6 @@
 import functools
 from pathlib import Path
 
-import jax.numpy as jnp
-
 from evo_cpg.config.errors import ConfigError, nearest
 from evo_cpg.config.own_classes import build_own
 from evo_cpg.config.schema.evolution import (
@@ -16,7 +14,6 @@ from evo_cpg.config.schema.evolution import (
     RandomSearchConfig,
 )
 from evo_cpg.config.schema.experiment import ExperimentConfig
-from evo_cpg.control.controller import Controller
 from evo_cpg.evolution import from_evosax
 from evo_cpg.evolution.from_pyribs import Ribs
 from evo_cpg.evolution.islands import Islands
@@ -25,6 +22,7 @@ from evo_cpg.evolution.pyribs_state import UnknownPyribsError
 from evo_cpg.evolution.random_search import RandomSearch
 from evo_cpg.evolution.strategy import Strategy
 from evo_cpg.installation import command_for
+from evo_cpg.simulation.genome import Genome
 from evo_cpg.simulation.simulation import Simulation
 
 _KEY = ("evolution",)
@@ -38,10 +36,10 @@ def build_strategy(
     Raises:
         ConfigError: it cannot be had, or not for these genomes.
     """
-    given, controller = config.evolution, simulation.controller
+    given, genome = config.evolution, simulation.genome
     islands = getattr(given, "islands", None)
     population = given.population // (islands.count if islands else 1)
-    strategy = _on_an_island(config, controller, population, source)
+    strategy = _on_an_island(config, genome, population, source)
     if islands:
         strategy = Islands(
             given.population, strategy, islands.count, islands.every, islands.migrants
@@ -52,23 +50,23 @@ def build_strategy(
 
 
 def _on_an_island(
-    config: ExperimentConfig, controller: Controller, population: int, source: Path | str
+    config: ExperimentConfig, genome: Genome, population: int, source: Path | str
 ) -> Strategy:
-    given, genes = config.evolution, controller.gene_count
+    given, genes = config.evolution, genome.count
     if isinstance(given, CustomEvolutionConfig):
-        about = {"population": population, "gene_count": genes, "binary": controller.binary}
+        about = {"population": population, "gene_count": genes, "binary": genome.binary}
         return build_own(given, Strategy, _KEY, source, **about)
     if isinstance(given, EvosaxConfig):
-        return _build_evosax(given, controller, population, source)
+        return _build_evosax(given, genome, population, source)
     if isinstance(given, PyribsConfig):
-        return _build_pyribs(given, controller, population, source)
+        return _build_pyribs(given, genome, population, source)
     if isinstance(given, MapElitesConfig):
-        if controller.binary and given.mutated_genes[1] > genes:
+        if genome.binary and given.mutated_genes[1] > genes:
             raise _too_many_mutated(given.mutated_genes[1], genes, source)
-        vary = given.of_bits() if controller.binary else given.of_numbers()
+        vary = given.of_bits() if genome.binary else given.of_numbers()
         return MapElites(population, given.build_axes(), vary)
     if isinstance(given, RandomSearchConfig):
-        draw = functools.partial(controller.random_genes, batch=(population,), dtype=jnp.float32)
+        draw = functools.partial(genome.random, batch=(population,))
         return RandomSearch(population, draw)
     if isinstance(given, BitEvolutionConfig) and given.mutated_genes[1] > genes:
         raise _too_many_mutated(given.mutated_genes[1], genes, source)
@@ -84,7 +82,7 @@ def _too_many_mutated(most: int, genes: int, source: Path | str) -> ConfigError:
 
 
 def _build_evosax(
-    given: EvosaxConfig, controller: Controller, population: int, source: Path | str
+    given: EvosaxConfig, genome: Genome, population: int, source: Path | str
 ) -> Strategy:
     try:
         known = from_evosax.algorithms()
@@ -100,10 +98,10 @@ def _build_evosax(
         return from_evosax.Evosax(
             algorithm=given.algorithm,
             population=population,
-            gene_count=controller.gene_count,
-            binary=controller.binary,
+            gene_count=genome.count,
+            binary=genome.binary,
             sigma=given.sigma,
-            gene_bound=None if controller.binary else given.gene_bound,
+            gene_bound=genome.bound(given.gene_bound),
             learning_rate=given.learning_rate,
             params=tuple(sorted(given.params.items())),
             options=tuple(sorted(given.options.items())),
@@ -116,20 +114,20 @@ def _build_evosax(
 
 
 def _build_pyribs(
-    given: PyribsConfig, controller: Controller, population: int, source: Path | str
+    given: PyribsConfig, genome: Genome, population: int, source: Path | str
 ) -> Strategy:
     try:
         return Ribs(
             population=population,
-            gene_count=controller.gene_count,
+            gene_count=genome.count,
             axes=given.build_axes(),
-            binary=controller.binary,
+            binary=genome.binary,
             emitters=given.emitters,
             es=given.es,
             sigma=given.sigma,
             learning_rate=given.learning_rate,
             threshold_min=given.threshold_min,
-            gene_bound=None if controller.binary else given.gene_bound,
+            gene_bound=genome.bound(given.gene_bound),
             options=tuple(sorted(given.options.items())),
         )
     except ImportError as error:

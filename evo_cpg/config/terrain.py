@@ -1,11 +1,11 @@
 """From the configuration of the ground to the ground."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from evo_cpg.config.errors import ConfigError
-from evo_cpg.config.files import require_small
 from evo_cpg.config.schema.ground import (
     MOST_HEIGHTS,
     BlockConfig,
@@ -14,9 +14,11 @@ from evo_cpg.config.schema.ground import (
     HillsConfig,
     PlaneConfig,
     ReliefConfig,
+    ReliefFileConfig,
     ShoreConfig,
 )
-from evo_cpg.config.trust import beside
+from evo_cpg.config.trust import named_file
+from evo_cpg.config.wording import check_section
 from evo_cpg.physics.footing import Ground
 from evo_cpg.physics.terrain import Block, Boulder, Obstacle, Part, Plane, Relief, Shore
 from evo_cpg.spatial.numerics import xp
@@ -74,46 +76,29 @@ def _hills(config: HillsConfig) -> np.ndarray:
     return heights * (1 - np.exp(-0.5 * (away / max(config.clearing, config.spacing)) ** 2))
 
 
-def read_heights(
-    source: Path, file: object, lowest: object = 0.0, highest: object = 1.0
-) -> list[list[float]]:
+def read_heights(source: Path, given: dict[str, Any]) -> list[list[float]]:
     """Heights from an array (.npy), a table (.csv, .txt) or an image, m.
 
     Args:
         source: the configuration file, beside which the file is looked for.
-        file: its name, as it stands in the configuration. The first axis of an array, and a line of
-            a table, is x; an image is seen from above, its right edge straight ahead.
-        lowest: height of black, m; only for images.
-        highest: height of white, m.
+        given: keys of `ReliefFileConfig`. The first axis of an array, and a line of a table, is x;
+            an image is seen from above, its right edge straight ahead.
 
     Raises:
-        ConfigError: there is no such file, it does not hold a grid of numbers, or a limit is none.
+        ConfigError: a key is wrong, there is no such file, or it does not hold a grid of numbers.
     """
-    black, white = (
-        _number(source, (*_FLOOR, key), value)
-        for key, value in (("lowest", lowest), ("highest", highest))
-    )
-    where = (*_FLOOR, "file")
-    if not isinstance(file, str):
-        raise ConfigError(source, where, f"{file!r}: must be the name of a file")
-    path = beside(source, file, where)
+    checked = check_section(ReliefFileConfig, given, source, _FLOOR)
+    file, where = checked.file, (*_FLOOR, "file")
+    path = named_file(source, file, where, (*_ARRAYS, *_TABLES, *_IMAGES))
     suffix = path.suffix.lower()
-    known = (*_ARRAYS, *_TABLES, *_IMAGES)
-    if suffix not in known:
-        raise ConfigError(
-            source, where, f"{file}: {path.suffix!r} is not known; allowed: {', '.join(known)}"
-        )
-    if not path.is_file():
-        raise ConfigError(source, where, f"{file}: no such file")
     try:
-        require_small(path)
         if suffix in _ARRAYS:
             # Mapped, so that a header that promises more than the file holds is found out.
             heights = np.load(path, mmap_mode="r", allow_pickle=False)
         elif suffix in _TABLES:
             heights = np.loadtxt(path, delimiter="," if suffix == ".csv" else None)
         else:
-            heights = _image(path, black, white)
+            heights = _image(path, checked.lowest, checked.highest)
         if heights.ndim == 2 and max(heights.shape) <= MOST_HEIGHTS:
             heights = np.asarray(heights, float)
     except Exception as error:
@@ -129,12 +114,6 @@ def read_heights(
             source, where, f"{file}: {size} heights; allowed: 2 to {MOST_HEIGHTS} each way"
         )
     return heights.tolist()
-
-
-def _number(source: Path, where: tuple[str, ...], value: object) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not np.isfinite(value):
-        raise ConfigError(source, where, f"{value!r}: must be a finite number")
-    return float(value)
 
 
 def _image(path: Path, lowest: float, highest: float) -> np.ndarray:

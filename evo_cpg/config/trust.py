@@ -7,10 +7,11 @@ its own folder, and no code but what Python finds without it: in the working fol
 import contextlib
 import contextvars
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 from evo_cpg.config.errors import ConfigError, Key
+from evo_cpg.config.files import require_small
 from evo_cpg.system import named, resolved, working_folder
 
 # Says in the environment what `--trust` says on the command line; for clusters and scripts.
@@ -81,6 +82,34 @@ def beside(source: Path, name: str, where: Key) -> Path:
             f"{name[:200]!r} lies outside of the configuration's folder; if the configuration is "
             "yours, say so: evo-cpg --trust ...",
         )
+    return path
+
+
+def named_file(source: Path, name: str, where: Key, suffixes: Sequence[str]) -> Path:
+    """Return the file of this name beside a configuration file, if it can be read.
+
+    Args:
+        source: the configuration file.
+        name: as it stands there.
+        where: its key, for messages.
+        suffixes: that are known.
+
+    Raises:
+        ConfigError: the file has another suffix, is missing, too large, a folder or not trusted.
+    """
+    path = beside(source, name, where)
+    if path.suffix.lower() not in suffixes:
+        problem = f"{path.suffix!r} is not known; allowed: {', '.join(suffixes)}"
+        raise ConfigError(source, where, f"{name}: {problem}")
+    try:
+        require_small(path)
+    except FileNotFoundError:
+        raise ConfigError(source, where, f"{name}: no such file") from None
+    except (OSError, ValueError) as error:
+        problem = getattr(error, "strerror", None) or error
+        raise ConfigError(source, where, f"{name[:60]}: cannot be read ({problem})") from None
+    if path.is_dir():
+        raise ConfigError(source, where, f"{name}: is a folder")
     return path
 
 

@@ -1,12 +1,14 @@
 """What pydantic finds wrong with a configuration, in words: key, value, what is allowed."""
 
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, TypeVar
 
 import pydantic
 
-from evo_cpg.config.allowed import Allowed
+from evo_cpg.config.allowed import Allowed, is_of_key, key_of, value_at
 from evo_cpg.config.errors import ConfigError, Key, nearest
+
+_Section = TypeVar("_Section", bound=pydantic.BaseModel)
 
 # What pydantic calls an unknown key, in models and in dataclasses.
 _UNKNOWN_KEY = ("extra_forbidden", "unexpected_keyword_argument")
@@ -32,9 +34,6 @@ _WRONG_KIND = (
     "tuple_type",
 )
 
-# The last part of pydantic's location of a key that is not of the right kind.
-_OF_KEY = "[key]"
-
 _TRUTHS = "YAML reads yes, no, on, off, true and false as truth values; in quotes they are text"
 
 
@@ -54,16 +53,14 @@ def worded(
         data: the given configuration.
         source: file it came from, for messages.
     """
-    problems = sorted(
-        error.errors(), key=lambda p: not (_is_of_key(p) or p["type"] in _UNKNOWN_KEY)
-    )
+    problems = sorted(error.errors(), key=lambda p: not (is_of_key(p) or p["type"] in _UNKNOWN_KEY))
     problem = _closest(problems, data)
-    key = _key_of(problem, data)
+    key = key_of(problem, data)
     kind, given = problem["type"], problem.get("input")
     tags = frozenset(part for part in problem["loc"] if isinstance(part, str))
     allowed = Allowed(model, data, tags)
-    if _is_of_key(problem):
-        return ConfigError(source, key, _about_key(given, _value_at(data, (*key, given))))
+    if is_of_key(problem):
+        return ConfigError(source, key, _about_key(given, value_at(data, (*key, given))))
     if kind in _UNKNOWN_KEY:
         return ConfigError(source, key, f"unknown key; {_near_key(allowed, key)}")
     if kind == "missing":
@@ -92,9 +89,22 @@ def worded(
         return ConfigError(source, key, f"{short(given)}: must have {words}, has {count}")
     if kind in _WRONG_KIND or kind.startswith("union_tag"):
         return ConfigError(source, key, f"{short(given)}: {_about_kind(allowed, key, given)}")
-    keys = {_key_of(each, data) for each in problems}
+    keys = {key_of(each, data) for each in problems}
     more = f" ({len(keys)} problems in all)" if len(keys) > 1 else ""
     return ConfigError(source, key, f"{short(given)}: {message[:1].lower()}{message[1:]}{more}")
+
+
+def check_section(model: type[_Section], data: Any, source: Path | str, where: Key) -> _Section:
+    """Return a section that stands at a key of a configuration.
+
+    Raises:
+        ConfigError: something in it is wrong.
+    """
+    try:
+        return model.model_validate(data)
+    except pydantic.ValidationError as error:
+        found = worded(error, model, data, source)
+    raise ConfigError(source, (*where, *found.key), found.problem)
 
 
 def short(value: Any) -> str:
@@ -139,39 +149,6 @@ def _closest(problems: list[Any], data: dict[str, Any]) -> Any:
     first = problems[0]
     if first["type"] not in _WRONG_KIND or not isinstance(first.get("input"), (dict, list)):
         return first
-    key = _key_of(first, data)
-    inner = [each for each in problems if _key_of(each, data)[: len(key)] == key]
-    return max(inner, key=lambda each: len(_key_of(each, data)))
-
-
-def _key_of(problem: Any, data: Any) -> tuple[str | int, ...]:
-    """Return the key of a problem.
-
-    A pydantic location also has the names of union members, which are no keys of the file.
-    """
-    location, missing = problem["loc"], problem["type"] == "missing"
-    if _is_of_key(problem):
-        # Without the key itself, which pydantic has as text.
-        location = location[: -2 if location[-1] == _OF_KEY else -1]
-    key: list[str | int] = []
-    place: Any = data
-    for i, part in enumerate(location):
-        of_dict = isinstance(place, dict) and part in place
-        of_list = isinstance(place, list) and isinstance(part, int) and part < len(place)
-        if of_dict or of_list:
-            key.append(part)
-            place = cast(Any, place)[part]
-        elif missing and i == len(location) - 1 and isinstance(place, dict):
-            key.append(part)
-    return tuple(key)
-
-
-def _is_of_key(problem: Any) -> bool:
-    """Return whether it is about a key, and not its value."""
-    return problem["type"] == "invalid_key" or problem["loc"][-1:] == (_OF_KEY,)
-
-
-def _value_at(data: Any, key: Key) -> Any:
-    for part in key:
-        data = data[part]
-    return data
+    key = key_of(first, data)
+    inner = [each for each in problems if key_of(each, data)[: len(key)] == key]
+    return max(inner, key=lambda each: len(key_of(each, data)))

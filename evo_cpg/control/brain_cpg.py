@@ -49,12 +49,21 @@ from evo_cpg.control.brain import (
 )
 from evo_cpg.control.controller import Command, Controller, Observation, Origin
 from evo_cpg.control.couplings import UnfitError, axis_names, matching_bodies
-from evo_cpg.control.matsuoka import CpgSettings, MatsuokaNetwork, MatsuokaState, build_network
+from evo_cpg.control.matsuoka import (
+    CpgSettings,
+    MatsuokaNetwork,
+    MatsuokaState,
+    Oscillators,
+    build_network,
+)
 from evo_cpg.creature.tree import Tree
 from evo_cpg.errors import nearest
 from evo_cpg.spatial.choices import chosen
 from evo_cpg.spatial.linear import expand_dims_like
 from evo_cpg.spatial.numerics import Number, Numbers, xp
+
+# A bias that lets an output of the brain be 0.
+_SILENT = -60.0
 
 CONTROL_STEP = 1 / 60  # s: Iwadate 2010, 2000 steps in 33.3 s.
 
@@ -165,10 +174,17 @@ class BrainCpg(Controller):
     centring: Float[Numbers, " d"]
     control_step: float = eqx.field(static=True)
 
+    signal_label = "CPG output (no unit)"
+
     @property
     def settings(self) -> BrainCpgSettings:
         """What it was built from."""
         return self.origin.settings
+
+    @property
+    def rhythm_generator(self) -> Oscillators:
+        """The spinal cord."""
+        return Oscillators(self.settings.cpg, self.network, self.rate_gain)
 
     def random_genes(
         self, key: Array, batch: tuple[int, ...], dtype: jnp.dtype | type
@@ -319,6 +335,16 @@ def build_brain_cpg(
         centring=xp.array([_or(axis.centring, settings.centring) for axis in own]),
         control_step=control_step,
     )
+
+
+def silent_genes(controller: Controller) -> Float[np.ndarray, " g"]:
+    """Return a genome whose brain sets no drive, so that the animal stays still."""
+    assert isinstance(controller, BrainCpg)
+    *_, hidden, outputs = controller.brain.sizes
+    genes = np.zeros(controller.gene_count, np.float32)
+    # The last layer's biases, each behind its weights.
+    genes[-outputs * (hidden + 1) :].reshape(outputs, -1)[:, -1] = _SILENT
+    return genes
 
 
 def max_amplitude(settings: BrainCpgSettings) -> Number:

@@ -7,6 +7,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
 
+from evo_cpg.control.matsuoka import Oscillators
+
 
 class Observation(NamedTuple):
     """What an animal senses at one instant (Iwadate 2010, Table 2).
@@ -106,14 +108,24 @@ class Controller(eqx.Module):
 
     Attributes:
         gene_count: numbers in the genome of one individual.
+        uses_senses: False if commands do not depend on the senses.
+        signal_label: what `Command.signal` is, with its unit, for plots.
     """
 
     gene_count: eqx.AbstractVar[int]
+
+    uses_senses = True
+    signal_label = "controller's signal"
 
     @property
     def binary(self) -> bool:
         """Whether genes are bits, 0 or 1; no, unless overridden."""
         return False
+
+    @property
+    def rhythm_generator(self) -> Oscillators | None:
+        """The oscillators that make the rhythm; None unless overridden."""
+        return None
 
     @abc.abstractmethod
     def random_genes(

@@ -40,7 +40,7 @@ individuals takes 10 us on one core in float32.
 import dataclasses
 import itertools
 import math
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
 import jax
@@ -187,6 +187,20 @@ class MatsuokaNetwork(eqx.Module):
     def _substeps(self, h: float) -> int:
         longest = SUBSTEP_SHARE * min(self.rise_time, self.adaptation_time)
         return max(1, math.ceil(h / longest))
+
+
+class Oscillators(NamedTuple):
+    """The oscillators of a controller.
+
+    Attributes:
+        settings: from which they were built.
+        network: one oscillator per degree of freedom.
+        rate_gain: joint rate per unit of output of each, rad/s.
+    """
+
+    settings: CpgSettings
+    network: MatsuokaNetwork
+    rate_gain: Float[Numbers, " d"]
 
 
 class MatsuokaState(eqx.Module):

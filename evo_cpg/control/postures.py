@@ -120,6 +120,9 @@ class PostureController(Controller):
     angle_step: Number
     steps_per_posture: Fraction = eqx.field(static=True)
 
+    uses_senses = False
+    signal_label = "angle of the posture (rad)"
+
     @property
     def settings(self) -> PostureSettings:
         """What it was built from."""
@@ -203,6 +206,15 @@ def build_posture_controller(
         angle_step=settings.angle_step,
         steps_per_posture=chosen(lambda: _steps_per_posture(ratio)),
     )
+
+
+def one_posture(controller: Controller, angle: float) -> Float[np.ndarray, " g"]:
+    """Return the genome in whose every posture all joints have one angle (degrees)."""
+    assert isinstance(controller, PostureController)
+    settings = controller.settings
+    number = round((angle - settings.lowest_angle) / settings.angle_step)
+    bits = [number >> place & 1 for place in reversed(range(settings.bits_per_joint))]
+    return np.tile(np.array(bits, np.float32), controller.gene_count // settings.bits_per_joint)
 
 
 def _check_limits(tree: Tree, settings: PostureSettings) -> None:

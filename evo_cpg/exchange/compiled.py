@@ -4,6 +4,7 @@ import importlib
 import os
 import re
 import stat
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 from xml.etree import ElementTree
@@ -137,15 +138,25 @@ class Compiled(NamedTuple):
             self.refusals.check()
 
     def _require_finite(self, field: str, kind: str, word: str) -> None:
-        model = self.model
-        values = np.asarray(getattr(model, field))
+        values = np.asarray(getattr(self.model, field))
         wrong = np.isnan(values) if field in _LIMITS else ~np.isfinite(values)
         allowed = "numbers" if field in _LIMITS else "finite numbers"
-        for number, *place in np.argwhere(wrong).tolist():
-            if kind == "geom" and model.geom_bodyid[number] == WORLD:
-                continue
-            owner = ("joint", int(model.dof_jntid[number])) if kind == "dof" else (kind, number)
-            self.refuse(*owner, f"its {word} holds {values[number, *place]:g}", allowed)
+        for owner, number, place in self.owners(kind, wrong):
+            self.refuse(owner, number, f"its {word} holds {values[place]:g}", allowed)
+
+    def owners(self, kind: str, wrong: Any) -> Iterator[tuple[str, int, tuple[int, ...]]]:
+        """Yield kind and number of the elements with wrong values, and the place of each value.
+
+        Args:
+            kind: of the elements; ``dof`` for degrees of freedom of joints.
+            wrong: which of their values are wrong.
+        """
+        for place in np.argwhere(wrong).tolist():
+            number = place[0]
+            if kind == "dof":
+                yield "joint", int(self.model.dof_jntid[number]), tuple(place)
+            elif kind != "geom" or self.model.geom_bodyid[number] != WORLD:
+                yield kind, number, tuple(place)
 
     def checked(
         self,

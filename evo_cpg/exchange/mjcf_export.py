@@ -14,9 +14,9 @@
 | a start in another pose than the neutral one | a ``key`` named ``start`` |
 
 Masses, inertias, springs, dampers, rotors, motors, gravity and buoyancy are the same on both sides.
-What MJCF has no words for stays behind: drag and added mass, the surface of the water, restitution,
-static friction other than dynamic, sensors. How soft joint limits and contacts are is MuJoCo's own
-affair, with its defaults.
+What MJCF has no words for stays behind: drag, added mass and other force laws, the surface of the
+water, restitution, static friction other than dynamic, sensors. How soft joint limits and contacts
+are is MuJoCo's own affair, with its defaults.
 """
 
 import itertools
@@ -30,8 +30,7 @@ from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, topologic
 from evo_cpg.creature.mesh import ConvexMesh
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Sphere
 from evo_cpg.exchange.errors import ExchangeError
-from evo_cpg.exchange.mjcf_ground import add_ground
-from evo_cpg.exchange.mjcf_numbers import number_text, place_text
+from evo_cpg.exchange.mjcf_ground import add_ground, number_text, place_text
 from evo_cpg.physics.footing import Ground, combine
 from evo_cpg.physics.water import Water
 

@@ -10,13 +10,26 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 
 from evo_cpg.exchange.errors import ExchangeError
-from evo_cpg.exchange.mjcf_numbers import number_text, place_text
 from evo_cpg.physics.footing import Ground
 from evo_cpg.physics.terrain import Block, Boulder, Part, Plane, Relief, Shore
 
 # How far slabs reach, and how thick they and height fields are, m: more than an animal walks in a
 # trial or sinks in a step.
 _FAR, _THICK = 100.0, 1.0
+
+# Decimal places of coordinates: m and directions.
+_PLACES = 15
+
+
+def number_text(*values: float) -> str:
+    """Numbers as short as they can be read back exactly."""
+    # Adding 0 leaves no -0.
+    return " ".join(np.format_float_positional(float(v) + 0.0, trim="-") for v in values)
+
+
+def place_text(values: np.ndarray) -> str:
+    """Coordinates, without the digits that sines and cosines leave of a zero."""
+    return number_text(*np.round(values, _PLACES))
 
 
 def add_ground(root: Element, place: Element, ground: Ground, taken: list[str]) -> list[str]:

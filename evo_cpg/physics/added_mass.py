@@ -13,7 +13,6 @@ its principal axes in the proportions of its second moments; bodies do not shelt
 A body that crosses the surface carries M in proportion to its share under water. On the way in
 the body sets more water in motion, which takes the momentum ``dM V_r`` in a step (von Karman 1929);
 what it leaves behind on the way out moves on by itself. So the surface only ever takes energy.
-That impact is a law of its own, `Slamming`.
 """
 
 import functools
@@ -27,7 +26,7 @@ from evo_cpg.creature.creature import Creature
 from evo_cpg.creature.shapes import Shape
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.buoyancy import displacement
-from evo_cpg.physics.force_law import Bodies, ForceLaw, Linearized, blocks
+from evo_cpg.physics.force_law import Bodies, ForceLaw, Part, blocks
 from evo_cpg.spatial.choices import chosen
 from evo_cpg.spatial.linear import cross, expand_dims_like, matvec
 from evo_cpg.spatial.numerics import Number, Numbers, xp
@@ -53,15 +52,28 @@ class AddedMass(ForceLaw):
     carried: Float[Numbers, "6 6 b"]
 
     def wrench(self, bodies: Bodies) -> Float[Array, "6 b *n"]:
-        """See `ForceLaw.wrench`: that on bodies that do not accelerate."""
+        """See `ForceLaw.wrench`: that on bodies that neither accelerate nor get under water."""
         return carried_water(self.inertia(bodies), bodies.velocity, bodies.stream)
 
-    def linearized(self, bodies: Bodies) -> Linearized:
-        """See `ForceLaw.linearized`; nothing is lost, a step takes the mean."""
-        return Linearized(self.wrench(bodies), None)
+    def parts(self, bodies: Bodies) -> tuple[Part, ...]:
+        """See `ForceLaw.parts`: the carried water, and the impact of what a step sets in motion.
+
+        The impact has no bounce: the water gets the velocity after it.
+        """
+        own, pose, displaced = self.inertia(bodies), bodies.pose, bodies.displaced
+        steady = carried_water(own, bodies.velocity, bodies.stream)
+        if pose is None or displaced is None:
+            return (Part(steady, None, own),)
+        sinking = bodies.h * jnp.concatenate(
+            [cross(pose[:3], bodies.velocity[:3]), bodies.kin.linear[2:]]
+        )
+        ahead = displacement(bodies.cells, pose + sinking).volume
+        entering = self._entering(bodies, ahead - displaced.volume)
+        impact = -(matvec(entering, bodies.relative) / bodies.h)
+        return Part(steady, None, own), Part(impact, blocks(entering))
 
     def averaged(self, start: Bodies, moving: Bodies) -> Float[Array, "6 b *n"]:
-        """See `ForceLaw.averaged`."""
+        """See `ForceLaw.averaged`: velocity products, as those of the bodies."""
         del start
         return self.wrench(moving)
 
@@ -79,43 +91,12 @@ class AddedMass(ForceLaw):
         # The stream turns in body axes, which `carried_water` has as the acceleration of bodies
         # that do not accelerate: it is in the change of the velocity relative to it.
         turning = cross(velocity[:3], jnp.broadcast_to(middle.stream, velocity[3:].shape))
-        return self.wrench(middle) + matvec(added[:, 3:], turning) - matvec(added, change)
-
-
-class Slamming(ForceLaw):
-    """The impact, without bounce, of bodies on the water that they set in motion on their way in.
-
-    Attributes:
-        carried: M of each body in deep water, in its working frame.
-    """
-
-    of_water: ClassVar[bool] = True
-    needs_acceleration: ClassVar[bool] = True
-
-    carried: Float[Numbers, "6 6 b"]
-
-    def wrench(self, bodies: Bodies) -> Float[Array, "6 b *n"]:
-        """See `ForceLaw.wrench`."""
-        return self.linearized(bodies).wrench
-
-    def linearized(self, bodies: Bodies) -> Linearized:
-        """See `ForceLaw.linearized`: the momentum that the water gets is that after the impact."""
-        assert bodies.pose is not None and bodies.displaced is not None
-        spin = bodies.velocity[:3]
-        sinking = bodies.h * jnp.concatenate([cross(bodies.pose[:3], spin), bodies.kin.linear[2:]])
-        ahead = displacement(bodies.cells, bodies.pose + sinking).volume
-        entering = self._entering(bodies, ahead - bodies.displaced.volume)
-        return Linearized(-matvec(entering, bodies.relative) / bodies.h, blocks(entering))
-
-    def averaged(self, start: Bodies, moving: Bodies) -> None:
-        """See `ForceLaw.averaged`: none."""
-        del start, moving
-
-    def over_step(self, first: Bodies, middle: Bodies, last: Bodies) -> Float[Array, "6 b *n"]:
-        """See `ForceLaw.over_step`."""
-        assert first.displaced is not None and last.displaced is not None
+        steady = carried_water(added, velocity, middle.stream) + matvec(added[:, 3:], turning)
+        wrench = steady - matvec(added, change)
+        if first.displaced is None or last.displaced is None:
+            return wrench
         entering = self._entering(middle, last.displaced.volume - first.displaced.volume)
-        return -matvec(entering, middle.relative) / middle.h
+        return wrench - matvec(entering, middle.relative) / middle.h
 
     def _entering(self, bodies: Bodies, gained: Float[Array, "b *n"]) -> Float[Array, "6 6 b *n"]:
         """Return the inertia of the water that volumes set in motion as they get under water."""

@@ -34,14 +34,13 @@ def body_equations(world: World, kin: Kinematics, h: float) -> tuple[Inertia, Wr
     wrench = weight(bodies) - matvec(constant, accelerations)
     matrix = blocks(constant)
     for law in world.forces:
-        own, resistance = law.linearized(bodies)
-        wrench = wrench + own
-        inertia = law.inertia(bodies)
-        if inertia is not None:
-            wrench = wrench - matvec(inertia, accelerations)
-            matrix = matrix + blocks(inertia)
-        if resistance is not None:
-            matrix = matrix + resistance
+        for part in law.parts(bodies):
+            wrench = wrench + part.wrench
+            if part.inertia is not None:
+                wrench = wrench - matvec(part.inertia, accelerations)
+                matrix = matrix + blocks(part.inertia)
+            if part.resistance is not None:
+                matrix = matrix + part.resistance
     needed = _gyration(world, velocity) - wrench
     moment, force = needed[:3], needed[3:]
     if not world.submerged:
@@ -71,9 +70,10 @@ def bias_of_mean(world: World, kin: Kinematics, moving: Motion, h: float) -> Wre
     needed = _gyration(world, other) - _gyration(world, velocity)
     needed = needed + matvec(constant, accelerations)
     for law in world.forces:
-        before, after = law.averaged(start, start), law.averaged(start, end)
-        if before is not None and after is not None:
-            needed = needed + before - after
+        for sign, bodies in ((1.0, start), (-1.0, end)):
+            wrench = law.averaged(start, bodies)
+            if wrench is not None:
+                needed = needed + sign * wrench
         inertia = law.inertia(start)
         if inertia is not None:
             needed = needed + matvec(inertia, accelerations)

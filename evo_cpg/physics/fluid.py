@@ -36,7 +36,7 @@ from jaxtyping import Array, Float
 
 from evo_cpg.creature.shapes import Surface
 from evo_cpg.creature.tree import Tree
-from evo_cpg.physics.force_law import Bodies, ForceLaw, Linearized
+from evo_cpg.physics.force_law import Bodies, ForceLaw, Part
 from evo_cpg.spatial.choices import chosen
 from evo_cpg.spatial.numerics import Number, Numbers, xp
 from evo_cpg.spatial.partly import PartlyTraced
@@ -117,14 +117,14 @@ class Drag(ForceLaw):
 
     def wrench(self, bodies: Bodies) -> Float[Array, "6 b *n"]:
         """See `ForceLaw.wrench`."""
-        return self.linearized(bodies).wrench
+        return self.parts(bodies)[0].wrench
 
-    def linearized(self, bodies: Bodies) -> Linearized:
-        """See `ForceLaw.linearized`; D is that of the module's docstring."""
+    def parts(self, bodies: Bodies) -> tuple[Part]:
+        """See `ForceLaw.parts`; D is that of the module's docstring."""
         assert bodies.water is not None
         density = bodies.water.density
         wrench, derivative = drag(self, density, bodies.relative, bodies.pose)
-        return Linearized(wrench, bodies.h * derivative)
+        return (Part(wrench, bodies.h * derivative),)
 
     def averaged(self, start: Bodies, moving: Bodies) -> None:
         """See `ForceLaw.averaged`: none, since D says it all."""

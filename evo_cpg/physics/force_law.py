@@ -119,7 +119,7 @@ class Bodies:
             about_origin = about_origin + moment
         own = jnp.concatenate([about_origin, force])
         here = np.arange(self.tree.body_count) == i
-        return own[:, None] * expand_dims_like(here, own[0])[None]
+        return own[:, None] * expand_dims_like(here, own)[None]
 
     def moving(self, velocity: Float[Array, "6 b *n"]) -> "Bodies":
         """Return the bodies in the same pose with other velocities."""
@@ -164,17 +164,18 @@ def blocks(m: Float[Array, "6 6 *rest"]) -> Float[Array, "3 3 3 *rest"]:
     return jnp.stack([m[:3, :3], m[:3, 3:], m[3:, 3:]])
 
 
-class Linearized(NamedTuple):
-    """A wrench, and how much of it a change of velocity takes away within a step.
+class Part(NamedTuple):
+    """A part of a law as the implicit step takes it: ``wrench - D (V_1 - V_0) - M A``.
 
     Attributes:
-        wrench: at the start of the step.
-        resistance: ``h D``, as `blocks`, where the wrench within the step is
-            ``wrench - D (V_1 - V_0)``. None for 0.
+        wrench: at the start of the step, on bodies that do not accelerate.
+        resistance: ``h D``, as `blocks`; None for 0.
+        inertia: M, which joins the bodies' own about their origins; None for 0.
     """
 
     wrench: Float[Array, "6 b *n"]
-    resistance: Float[Array, "3 3 3 b *n"] | None
+    resistance: Float[Array, "3 3 3 b *n"] | None = None
+    inertia: Float[Array, "6 6 b *n"] | None = None
 
 
 class ForceLaw(eqx.Module):
@@ -232,8 +233,8 @@ class ForceLaw(eqx.Module):
 
         return jax.vmap(along, out_axes=1)(jnp.asarray(np.eye(6), velocity.dtype))
 
-    def linearized(self, bodies: Bodies) -> Linearized:
-        """Return the wrench with the D of the step: by default ``-1/2 S_sym``."""
+    def parts(self, bodies: Bodies) -> tuple[Part, ...]:
+        """Return the law as the step takes it: by default one part, with ``D = -1/2 S_sym``."""
 
         def whole(kin: Kinematics) -> tuple[Array, Array]:
             now = bodies_in(bodies.tree, bodies.gravity, bodies.water, bodies.cells, bodies.h, kin)
@@ -242,7 +243,8 @@ class ForceLaw(eqx.Module):
 
         # A program of its own, so that a message names the law that native code cannot take.
         name = f"{type(self).__name__}.wrench"
-        return Linearized(*fuse(whole, bodies.kin, batch_ndim=bodies.velocity.ndim - 2, name=name))
+        found = fuse(whole, bodies.kin, batch_ndim=bodies.velocity.ndim - 2, name=name)
+        return (Part(*found),)
 
     def averaged(self, start: Bodies, moving: Bodies) -> Float[Array, "6 b *n"] | None:
         """Return the part of the wrench of which a step takes the mean of its start and its end.
@@ -257,7 +259,7 @@ class ForceLaw(eqx.Module):
         return matvec(0.5 * (slope - transpose(slope)), moving.velocity)
 
     def inertia(self, bodies: Bodies) -> Float[Array, "6 6 b *n"] | None:
-        """Return what joins the bodies' own inertia about their origins; None for nothing."""
+        """Return the M of all parts together; None for 0."""
         del bodies
         return None
 

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
 
 from evo_cpg.control.controller import Command, Observation
 from evo_cpg.fusion.fuse import fuse
@@ -16,6 +16,7 @@ from evo_cpg.physics.equations import Residual, Warmstart
 from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import State
 from evo_cpg.physics.step import Effort, first_warmstart, step
+from evo_cpg.simulation.genome import Phenotype
 from evo_cpg.simulation.noise import disturb_motion, disturb_start, grip_of
 from evo_cpg.simulation.sensors import fathom, feel, see
 from evo_cpg.simulation.simulation import Simulation
@@ -47,14 +48,14 @@ class Life(NamedTuple):
     """What stays the same throughout a trial.
 
     Attributes:
-        decoded: the genes, as the controller made them its own.
+        phenotype: what the genes became.
         keys: of the trial's noise.
         light: where it is for each individual; None where it is the same for all.
         common_light: where it is for all; None where each has its own, or there is none.
         grip: by which the ground's friction is multiplied; None for 1.
     """
 
-    decoded: PyTree[Array]
+    phenotype: Phenotype
     keys: Array | None
     light: Array | None
     common_light: np.ndarray | Array | None
@@ -111,12 +112,12 @@ def begin_life(
         light = light_places(simulation.lights, trial, genes.dtype) if own else None
         animal = starting_animal(simulation, keys, trial, genes.shape[1:], genes.dtype)
         grip = grip_of(simulation.noise, keys)
-        return simulation.controller.decode(genes), light, grip, animal
+        return simulation.genome.decode(genes), light, grip, animal
 
     name = f"{type(simulation.controller).__name__}.decode"
-    decoded, light, grip, animal = fuse(begin, genes, keys, trial, batch_ndim=ndim, name=name)
+    phenotype, light, grip, animal = fuse(begin, genes, keys, trial, batch_ndim=ndim, name=name)
     common = None if own else light_places(simulation.lights, None, genes.dtype)
-    return Life(decoded, keys, light, common, grip), animal
+    return Life(phenotype, keys, light, common, grip), animal
 
 
 def starting_animal(
@@ -206,7 +207,7 @@ def act(
     """The controller's next state, and what it asks of the motors."""
     controller, ndim = simulation.controller, animal.state.position.ndim - 1
     name = f"{type(controller).__name__}.act"
-    given = life.decoded, animal.nerves, observation
+    given = life.phenotype.controller, animal.nerves, observation
     return fuse(controller.act, *given, batch_ndim=ndim, name=name)
 
 

@@ -45,17 +45,15 @@ class Observer:
     """Follows a trial and returns what it kept; subclasses override what they need.
 
     All methods are pure JAX functions of arrays whose trailing axes are individuals.
+
+    Attributes:
+        every_step: whether `of_step` keeps anything. If not, a whole trial is one native program.
+        physics: whether `Effects.physics` is needed. If so, physics steps are programs of their
+            own.
     """
 
-    @property
-    def every_step(self) -> bool:
-        """Whether `of_step` keeps anything. If not, a whole trial is one native program."""
-        return False
-
-    @property
-    def physics(self) -> bool:
-        """Whether `Effects.physics` is needed. If so, physics steps are programs of their own."""
-        return False
+    every_step = False
+    physics = False
 
     def begin(self, simulation: Simulation, animal: Animal) -> PyTree[Array]:
         """Return the tally before the first control step."""
@@ -78,52 +76,10 @@ class Observer:
 
 
 @dataclasses.dataclass(frozen=True)
-class Together(Observer):
-    """Several observers of one trial; the result is a tuple of theirs.
-
-    Attributes:
-        observers: in the order of the results.
-    """
-
-    observers: tuple[Observer, ...]
-
-    @property
-    def every_step(self) -> bool:
-        """See `Observer.every_step`."""
-        return any(each.every_step for each in self.observers)
-
-    @property
-    def physics(self) -> bool:
-        """See `Observer.physics`."""
-        return any(each.physics for each in self.observers)
-
-    def begin(self, simulation: Simulation, animal: Animal) -> tuple:
-        """See `Observer.begin`."""
-        return tuple(each.begin(simulation, animal) for each in self.observers)
-
-    def update(self, tally: tuple, seen: Seen) -> tuple:
-        """See `Observer.update`."""
-        both = zip(self.observers, tally, strict=True)
-        return tuple(each.update(own, seen) for each, own in both)
-
-    def of_step(self, seen: Seen) -> tuple:
-        """See `Observer.of_step`."""
-        return tuple(each.of_step(seen) for each in self.observers)
-
-    def finish(self, simulation: Simulation, tally: tuple, steps: tuple) -> tuple:
-        """See `Observer.finish`."""
-        each = zip(self.observers, tally, steps, strict=True)
-        return tuple(one.finish(simulation, *own) for one, *own in each)
-
-
-@dataclasses.dataclass(frozen=True)
 class States(Observer):
     """Keeps the states of the body: at the start and after every control step, stacked."""
 
-    @property
-    def every_step(self) -> bool:
-        """See `Observer.every_step`."""
-        return True
+    every_step = True
 
     def begin(self, simulation: Simulation, animal: Animal) -> State:
         """Return the state at the start."""

@@ -52,15 +52,8 @@ class EachPhysicsStep(Observer):
     Neighbours make the numbers come out as in training.
     """
 
-    @property
-    def every_step(self) -> bool:
-        """See `Observer.every_step`."""
-        return True
-
-    @property
-    def physics(self) -> bool:
-        """See `Observer.physics`."""
-        return True
+    every_step = True
+    physics = True
 
     def of_step(self, seen: Seen) -> PhysicsSteps:
         """Return the physics steps of a control step, along the first axis."""

@@ -87,6 +87,17 @@ class ReachLight(Task):
         top = jnp.nanpercentile(energy, _ENERGY_PERCENTILE)
         return {"energy": jnp.where(top > 0, top, 1.0)}
 
+    def final_control_steps(self, control_rate: float) -> int:
+        """See `Task.final_control_steps`."""
+        del control_rate
+        return self.final_steps
+
+    def beyond_scales(
+        self, terms: Mapping[str, float], scales: Mapping[str, float]
+    ) -> dict[str, float]:
+        """See `Task.beyond_scales`."""
+        return {"energy": max(0.0, terms["energy"] / scales["energy"] - 1.0)}
+
     def fitness(
         self, terms: Mapping[str, Float[Array, " *n"]], scales: Mapping[str, Float[Array, ""]]
     ) -> Float[Array, " *n"]:

@@ -125,14 +125,10 @@ class Recorder(Observer):
         full: with velocities, senses and the state of the controller.
     """
 
+    every_step = True
     count: int = 1
     first: int = 0
     full: bool = False
-
-    @property
-    def every_step(self) -> bool:
-        """See `Observer.every_step`."""
-        return True
 
     def of_step(self, seen: Seen) -> dict[str, Array]:
         """Return the frames of a control step."""

@@ -9,7 +9,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int, UInt32
+from jaxtyping import Array, Float, Int, PyTree, UInt32
 
 from evo_cpg.fusion.engine import using
 from evo_cpg.fusion.fuse import fuse
@@ -20,13 +20,16 @@ from evo_cpg.simulation.judge import JUDGE
 from evo_cpg.simulation.observer import Observer, Seen
 from evo_cpg.simulation.simulation import Simulation
 
+# Leaves are observers.
+Observers = PyTree[Observer]
+
 
 def rollout(
     simulation: Simulation,
     genes: Float[Array, "g *n"],
     keys: UInt32[Array, "w *n"] | None = None,
     trial: Int[Array, " *n"] | None = None,
-    observer: Observer = JUDGE,
+    observers: Observers = JUDGE,
     *,
     backward: Backward | None = None,
     begin: Callable[[State], State] | None = None,
@@ -38,23 +41,23 @@ def rollout(
         genes: one genome per individual, on the trailing axes.
         keys: a raw random key for each trial's noise; None lets all live without noise.
         trial: number of the situation in each lane; None puts all into the first.
-        observer: says what is kept of the trial.
+        observers: say what is kept of the trial: one, or a tuple or dict of several.
         backward: how to differentiate it, where it will be; not for observers of every step.
         begin: makes another state of the one that the trial starts with.
 
     Returns:
-        The result of the observer: for `JUDGE` an `evo_cpg.simulation.judge.Outcome`.
+        The result of each observer: of `JUDGE` an `evo_cpg.simulation.judge.Outcome`.
     """
     # What makes no difference is no argument of the program.
     keys = None if simulation.noise.silent else keys
     trial = None if len(simulation.situations) == 1 else trial
 
     def live(genes: Array, keys: Array | None, trial: Array | None) -> Any:
-        return _live(simulation, genes, keys, trial, observer, backward, begin)
+        return _live(simulation, genes, keys, trial, observers, backward, begin)
 
     with using(simulation.engine):
         # What is stacked along time cannot become native code, the control steps can.
-        if observer.every_step or backward is not None:
+        if any(one.every_step for one in jax.tree.leaves(observers)) or backward is not None:
             return live(genes, keys, trial)
         return fuse(live, genes, keys, trial, batch_ndim=genes.ndim - 1, name="a trial")
 
@@ -64,11 +67,12 @@ def _live(
     genes: Array,
     keys: Array | None,
     trial: Array | None,
-    observer: Observer,
+    observers: Observers,
     backward: Backward | None,
     begin: Callable[[State], State] | None,
 ) -> Any:
     """One trial: its control steps are programs of their own, or parts of one."""
+    physics = any(one.physics for one in jax.tree.leaves(observers))
     life, animal = begin_life(simulation, genes, keys, trial)
     if begin is not None:
         animal = animal._replace(state=begin(animal.state))
@@ -79,13 +83,16 @@ def _live(
             inner = animal.nerves, animal.warmstart
             state, (nerves, warmstart) = backward.forget(animal.state, inner)
             animal = animal._replace(state=state, nerves=nerves, warmstart=warmstart)
-        animal, effects = control_step(simulation, life, animal, index, observer.physics)
+        animal, effects = control_step(simulation, life, animal, index, physics)
         seen = Seen(simulation, life, index, animal, effects)
-        return (animal, observer.update(tally, seen)), observer.of_step(seen)
+        tally = jax.tree.map(lambda one, own: one.update(own, seen), observers, tally)
+        return (animal, tally), jax.tree.map(lambda one: one.of_step(seen), observers)
 
-    carry, steps = (animal, observer.begin(simulation, animal)), simulation.steps
+    tally = jax.tree.map(lambda one: one.begin(simulation, animal), observers)
+    carry, steps = (animal, tally), simulation.steps
     if backward is None:
         (_, tally), kept = jax.lax.scan(advance, carry, jnp.arange(steps))
     else:
-        (_, tally), kept = backward.scan(advance, carry, steps), ()
-    return observer.finish(simulation, tally, kept)
+        _, tally = backward.scan(advance, carry, steps)
+        kept = jax.tree.map(lambda one: (), observers)
+    return jax.tree.map(lambda one, *own: one.finish(simulation, *own), observers, tally, kept)

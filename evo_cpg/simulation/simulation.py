@@ -5,6 +5,7 @@ import equinox as eqx
 from evo_cpg.control.controller import Controller
 from evo_cpg.fusion.engine import Engine
 from evo_cpg.physics.world import World
+from evo_cpg.simulation.genome import Genome
 from evo_cpg.simulation.measures import Measures
 from evo_cpg.simulation.noise import Noise
 from evo_cpg.simulation.rules import Rules
@@ -47,6 +48,11 @@ class Simulation(eqx.Module):
     extra_sensors: tuple[Sensor, ...] = ()
     rules: Rules | None = None
     measures: Measures = Measures()
+
+    @property
+    def genome(self) -> Genome:
+        """Meaning of the genes."""
+        return Genome(self.controller)
 
     @property
     def duration(self) -> float:

@@ -55,6 +55,7 @@ class Task(eqx.Module):
     Attributes:
         light: place of the point light, m, where a situation does not have its own; None for a
             task in the dark. `Snapshot.light_position` is where it is.
+        heading: ``forward`` where only the way along the world's x counts, else ``any``.
 
     Example:
         A race along x::
@@ -76,6 +77,8 @@ class Task(eqx.Module):
     """
 
     light: eqx.AbstractVar[tuple[float, float, float] | None]
+
+    heading = "any"
 
     @abc.abstractmethod
     def begin(self, batch: tuple[int, ...], dtype: jnp.dtype, steps: int) -> PyTree:
@@ -103,6 +106,31 @@ class Task(eqx.Module):
         They are for searches that look for variety; none unless overridden.
         """
         del terms
+        return {}
+
+    def final_control_steps(self, control_rate: float) -> int:
+        """Return the control steps at the end over which a distance to a light is averaged.
+
+        Those of the last second unless overridden.
+
+        Args:
+            control_rate: control steps per second, 1/s.
+        """
+        return max(1, round(control_rate))
+
+    def beyond_scales(
+        self, terms: Mapping[str, float], scales: Mapping[str, float]
+    ) -> dict[str, float]:
+        """Return terms that are larger than their scale, of which the excess is not judged.
+
+        Args:
+            terms: of one individual.
+            scales: as `scales` measured them.
+
+        Returns:
+            The excess relative to the scale, at least 0; for all terms that have such a limit.
+        """
+        del terms, scales
         return {}
 
     @abc.abstractmethod

@@ -71,7 +71,7 @@ def track(
                 velocity = velocity.at[i].add(value)
         return State(state.position, state.orientation, velocity, q, qd)
 
-    states = rollout(simulation, genes, observer=States(), begin=begin)
+    states = rollout(simulation, genes, observers=States(), begin=begin)
     length = 1.0 / float(simulation.control_rate)
     place = np.clip(times / length, 0.0, simulation.steps)
     first = np.minimum(place.astype(int), simulation.steps - 1)

@@ -11,8 +11,7 @@ import jax
 import numpy as np
 from scipy import stats
 
-from evo_cpg.control.controller import Controller
-from evo_cpg.control.postures import PostureController
+from evo_cpg.control.postures import one_posture
 from evo_cpg.studies.audits import audit_part
 from evo_cpg.studies.halving import kept, ways
 from evo_cpg.studies.stills import pictures_part
@@ -287,15 +286,6 @@ def _collapse(workshop: Workshop, names: dict[str, str], first: str | None = Non
     head = ["", "best ever, m", "best of a generation, last tenth, m", "falls per run, median",
             "generations fallen", *against]  # fmt: skip
     return Table("", head, rows)
-
-
-def one_posture(controller: Controller, angle: float) -> np.ndarray:
-    """The genome in whose every posture all joints have one angle (degrees)."""
-    assert isinstance(controller, PostureController)
-    settings = controller.settings
-    number = round((angle - settings.lowest_angle) / settings.angle_step)
-    bits = [number >> place & 1 for place in reversed(range(settings.bits_per_joint))]
-    return np.tile(np.array(bits, np.float32), controller.gene_count // settings.bits_per_joint)
 
 
 def _held(workshop: Workshop, model: str) -> float:

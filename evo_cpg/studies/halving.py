@@ -48,7 +48,7 @@ def ways(simulation: Simulation, genes: Float[np.ndarray, "n g"]) -> Ways:
             return dataclasses.replace(state, q=state.q + turned)
 
         trial = finer(simulation, times)
-        states = jax.jit(lambda g: rollout(trial, g, observer=States(), begin=begin))(genes.T)
+        states = jax.jit(lambda g: rollout(trial, g, observers=States(), begin=begin))(genes.T)
         place = np.asarray(states.position)
         return np.linalg.norm(place[-1, :2] - place[0, :2], axis=0)
 

@@ -3,7 +3,7 @@
 import jax
 import numpy as np
 
-from evo_cpg.analysis.chains import axis_signs, joint_rows, rhythm_of
+from evo_cpg.analysis.chains import axis_signs, joint_rows
 from evo_cpg.analysis.gait import Gait, gait
 from evo_cpg.simulation.recording import Recorder, Recording, as_recording
 from evo_cpg.simulation.rollout import rollout
@@ -85,7 +85,7 @@ def drives(workshop: Workshop) -> list[Table]:
             rows.append(
                 [
                     f"`{name}`",
-                    str(experiment.simulation.controller.gene_count),
+                    str(experiment.simulation.genome.count),
                     str(experiment.seed + champion.run),
                     f"{champion.worth:.3f}",
                     percent(champion.terms["distance"]),
@@ -122,7 +122,7 @@ def _untrained(workshop: Workshop) -> dict[str, int]:
     genes = first_population(experiment)[:, :_UNTRAINED]
     count = genes.shape[1]
     recorder = Recorder(count)
-    frames = jax.jit(lambda genes: rollout(simulation, genes, observer=recorder))(genes)
+    frames = jax.jit(lambda genes: rollout(simulation, genes, observers=recorder))(genes)
     names = [body.name for body in experiment.creature.bodies]
     recordings = (as_recording(simulation, frames, names, i) for i in range(count))
     waves = sum(_gait(simulation, recording).has_wave() for recording in recordings)
@@ -130,9 +130,8 @@ def _untrained(workshop: Workshop) -> dict[str, int]:
 
 
 def _gait(simulation: Simulation, recording: Recording) -> Gait:
-    tree = simulation.world.tree
-    rows = joint_rows(tree, rhythm_of(simulation.controller)[0])
-    return gait(recording, signs=axis_signs(tree, rows))
+    signs = axis_signs(simulation.world.tree, joint_rows(simulation))
+    return gait(recording, signs=signs)
 
 
 STUDY = Study(

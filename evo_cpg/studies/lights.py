@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import jax.numpy as jnp
 import numpy as np
 
-from evo_cpg.control.brain_cpg import BrainCpg
+from evo_cpg.control.brain_cpg import silent_genes
 from evo_cpg.simulation.noise import Noise
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.studies.study import Table, beside, middle, percent
@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 # "Near the light": this share of the distance at the start is left.
 NEAR = 0.1
 
-# A bias that lets an output of the brain be 0.
-_SILENT = -60.0
 
 HEAD = ["", "seed", "fitness", "distance left", "light seen", "energy (J)",
         "under 10 % after generation"]  # fmt: skip
@@ -71,7 +69,10 @@ def still(workshop: "Workshop", name: str) -> list[str]:
     Its fitness is by the yardsticks of the first run.
     """
     simulation = workshop.experiment(name).simulation
-    terms = {key: x.mean() for key, x in lived(simulation, _still(simulation)).items()}
+    terms = {
+        key: x.mean()
+        for key, x in lived(simulation, silent_genes(simulation.controller)[:, None]).items()
+    }
     scales = {key: jnp.asarray(x) for key, x in workshop.champions(name)[0].scales.items()}
     fitness = simulation.task.fitness({key: jnp.asarray(x) for key, x in terms.items()}, scales)
     shown = f"{float(fitness):.3f}", percent(terms["distance"]), f"{terms['light']:.2f}"
@@ -91,13 +92,3 @@ def lived(simulation: Simulation, genes: np.ndarray) -> dict[str, np.ndarray]:
         key: np.where(outcome.alive, x, np.nan).reshape(-1, count)
         for key, x in outcome.terms.items()
     }
-
-
-def _still(simulation: Simulation) -> np.ndarray:
-    controller = simulation.controller
-    assert isinstance(controller, BrainCpg)
-    *_, hidden, outputs = controller.brain.sizes
-    genes = np.zeros(controller.gene_count, np.float32)
-    # The last layer's biases, each behind its weights.
-    genes[-outputs * (hidden + 1) :].reshape(outputs, -1)[:, -1] = _SILENT
-    return genes[:, None]

@@ -5,7 +5,6 @@ import itertools
 import numpy as np
 
 from evo_cpg.analysis.gait import ring_lags
-from evo_cpg.control.brain_cpg import BrainCpg
 from evo_cpg.control.couplings import ring_members
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.studies.audits import audit_part
@@ -24,10 +23,10 @@ def lags(workshop: Workshop) -> list[Table]:
     rows, head = [], []
     for name in RUNS:
         simulation = workshop.experiment(name).simulation
-        controller, tree = simulation.controller, simulation.world.tree
-        assert isinstance(controller, BrainCpg)
+        oscillators, tree = simulation.controller.rhythm_generator, simulation.world.tree
+        assert oscillators is not None
         for champion, recording in workshop.recordings(name):
-            for number, ring in enumerate(controller.settings.cpg.rings):
+            for number, ring in enumerate(oscillators.settings.rings):
                 joints = [tree.dof_names[i] for i in ring_members(tree, ring, number)]
                 whole = ring_lags(recording, joints)
                 pieces = [ring_lags(part, joints, last=1.0) for part in _parts(recording)]

@@ -239,7 +239,7 @@ def compile_ascent(
         yardsticks and, where there is noise, the keys of every individual's trials; individuals on
         the last axis.
     """
-    simulation, gene_count = experiment.simulation, experiment.simulation.controller.gene_count
+    simulation, gene_count = experiment.simulation, experiment.simulation.genome.count
     numbers: Any = situation_numbers(experiment)
     width = max(1, LANES // experiment.trials)
     rough = _is_rough(simulation)

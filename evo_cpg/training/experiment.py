@@ -17,12 +17,10 @@ from jax.sharding import Mesh
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int, PyTree, Shaped, UInt32
 
-from evo_cpg.control.controller import Controller
 from evo_cpg.creature.creature import Creature
 from evo_cpg.evolution.strategy import Evaluation, Strategy
 from evo_cpg.simulation.batched import Inputs, rollout_batched
 from evo_cpg.simulation.judge import JUDGE, Outcome, score
-from evo_cpg.simulation.observer import Together
 from evo_cpg.simulation.recording import Recorder
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.simulation import Simulation
@@ -127,12 +125,12 @@ def begin(
         experiment: what is evolved.
         start: genomes to begin with instead of random ones.
     """
-    controller, strategy = experiment.simulation.controller, experiment.strategy
+    genome, strategy = experiment.simulation.genome, experiment.strategy
     size = (strategy.population,)
 
     def of_run(seed: Array, given: Array | None) -> tuple[Float[Array, "g n"], PyTree[ArrayLike]]:
         if given is None:
-            given = random_genes(controller, _stream(seed, _FIRST_POPULATION), size)
+            given = genome.random(_stream(seed, _FIRST_POPULATION), size)
         state = strategy.init(_stream(seed, _STRATEGY), given)
         asked, state = strategy.ask(_ask_key(seed, 0), state)
         return jnp.asarray(asked, given.dtype), state
@@ -140,13 +138,6 @@ def begin(
     given = None if start is None else start.reshape(len(start), experiment.runs, -1)
     genes, state = jax.vmap(of_run, in_axes=(0, 1), out_axes=(1, 0))(_seeds(experiment), given)
     return genes.reshape(len(genes), -1), state
-
-
-def random_genes(
-    controller: Controller, key: Array, batch: tuple[int, ...]
-) -> Float[Array, "g *n"]:
-    """Genes of a first generation, which a controller may draw as integers or truth values."""
-    return jnp.asarray(controller.random_genes(key, batch, jnp.float32), jnp.float32)
 
 
 def first_population(experiment: Experiment) -> Float[Array, "g n"]:
@@ -397,8 +388,8 @@ def replay(
     parts, frames = [], {}
     for start in range(0, trials, lanes):
         if start <= recorded < start + lanes:
-            observer = Together((JUDGE, Recorder(first=recorded - start, full=full)))
-            outcome, frames = rollout(simulation, crowd, *beginning_with(start), observer)
+            observers = JUDGE, Recorder(first=recorded - start, full=full)
+            outcome, frames = rollout(simulation, crowd, *beginning_with(start), observers)
         else:
             outcome = rollout(simulation, crowd, *beginning_with(start))
         parts.append(outcome)

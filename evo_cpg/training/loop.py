@@ -327,7 +327,7 @@ def compile_life(
 
     With ``full`` that is all of it, see `evo_cpg.simulation.recording.Recorder`.
     """
-    simulation, genes = experiment.simulation, experiment.simulation.controller.gene_count
+    simulation, genes = experiment.simulation, experiment.simulation.genome.count
     numbers = situation_numbers(experiment)
     somebody = Champion(np.zeros(genes, np.float32), 0.0, 0, {}, {}, 0, 0)
     keys = jax.eval_shape(lambda: champion_keys(experiment, somebody))

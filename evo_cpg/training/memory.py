@@ -36,7 +36,7 @@ class TooLargeError(UserError):
 
 def needed(experiment: Experiment) -> int:
     """Bytes that training will need at most."""
-    genes = experiment.simulation.controller.gene_count
+    genes = experiment.simulation.genome.count
     genomes = _GENE * genes * experiment.runs * experiment.strategy.population
     return _REST + _COPIES * (genomes + remembered(experiment))
 
@@ -71,7 +71,7 @@ def require_memory(experiment: Experiment) -> None:
     asked, there = needed(experiment), available()
     if there is None or asked <= there:
         return
-    genes = experiment.simulation.controller.gene_count
+    genes = experiment.simulation.genome.count
     individuals = experiment.runs * experiment.strategy.population
     state = remembered(experiment)
     most = (there - _REST - _COPIES * state) // (_COPIES * _GENE * genes) // experiment.runs

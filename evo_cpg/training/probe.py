@@ -63,10 +63,8 @@ def probe(
         genes: of the animal.
         situations: to put it into; each with a light.
     """
-    task = simulation.task
-    if not isinstance(task, ReachLight):
-        last_second = max(1, round(simulation.control_rate))
-        task = ReachLight(_light(situations[0]), final_steps=last_second)
+    final_steps = simulation.task.final_control_steps(simulation.control_rate)
+    task = ReachLight(_light(situations[0]), final_steps=final_steps)
     simulation = dataclasses.replace(simulation, task=task, situations=situations, noise=Noise())
     count, mesh = len(situations), population_mesh()
     alone, trial = genes[:, None], np.arange(count)

@@ -84,7 +84,7 @@ def compile_lives(experiment: Experiment, variation: Variation) -> Callable[[Cha
     # Lives are neighbours, trial by trial; so are their simulations.
     owners = np.repeat(np.arange(len(sims)), variation.draws * trials)
     dtype = np.float64 if variation.double else np.float32
-    gene_count = experiment.simulation.controller.gene_count
+    gene_count = experiment.simulation.genome.count
     nobody = Champion(np.zeros(gene_count), 0.0, 0, {}, {}, 0, 0)
     with jax.enable_x64(variation.double):
         keys = jax.eval_shape(lambda: _keys(experiment, nobody, variation))

@@ -133,7 +133,7 @@ def test_what_is_left_over_vanishes_with_the_step(swimming):
             steps = jax.device_get(
                 quick_jit(
                     lambda g, simulation=simulation: rollout(
-                        simulation, g, observer=EachPhysicsStep()
+                        simulation, g, observers=EachPhysicsStep()
                     )
                 )(genes)
             )

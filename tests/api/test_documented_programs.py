@@ -77,8 +77,8 @@ def test_the_readme_runs(here, capsys):
 
 
 def test_an_animal_of_ones_own_trains(here, monkeypatch):
-    classes, program = programs("docs/own.md")
-    config, _ = configs("docs/own.md")
+    classes, program, _ = programs("docs/own.md")
+    config, *_ = configs("docs/own.md")
     (here / "wriggler.py").write_text(classes)
     (here / "wriggler.yaml").write_text(config)
     monkeypatch.delitem(sys.modules, "wriggler", raising=False)
@@ -95,7 +95,7 @@ def test_an_animal_of_ones_own_trains(here, monkeypatch):
 
 def test_an_animal_with_limbs_swings_without_a_warning(here, monkeypatch):
     """All of its oscillators: the couplings of the page are those that it needs."""
-    _, config = configs("docs/own.md")
+    *_, config = configs("docs/own.md")
     (here / "rower.yaml").write_text(config)
     # As short and as few as a test can afford; the body is that of the page.
     short = {"simulation.steps": 30, "evolution.generations": 1, "evolution.population": 8}

@@ -16,7 +16,6 @@ import pytest
 
 import evo_cpg as evo
 from evo_cpg.api import fitness
-from evo_cpg.cli import champions, training
 from evo_cpg.cli.main import main
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
 from shared_programs import programs_of_its_own, remember_programs
@@ -129,8 +128,8 @@ def shell(*arguments: object) -> object:
     """
     devices = len(jax.devices())
     with pytest.MonkeyPatch.context() as patch, pytest.raises(SystemExit) as stopped:
-        for module in (champions, training):
-            patch.setattr(module, "use_cores", lambda count=None: devices)
+        for module in ("cli.champions", "training.devices"):
+            patch.setattr(f"evo_cpg.{module}.use_cores", lambda count=None: devices)
         patch.setattr(sys, "argv", ["evo-cpg", *map(str, arguments)])
         main()
     return stopped.value.code
@@ -281,7 +280,7 @@ def test_slopes_on_the_ground_are_exact_where_that_is_asked(
 ):
     """That exact ones equal differences is shown in `simulation/test_fitness_gradients.py`."""
     experiment, asked = evo.load(REPOSITORY / "configs" / f"{config}.yaml"), []
-    monkeypatch.setattr(fitness, "rollout", lambda *given: asked.append(given[-1]))
+    monkeypatch.setattr(fitness, "rollout", lambda *_, backward: asked.append(backward))
     monkeypatch.setattr(fitness, "judge", lambda *_: [jnp.zeros(())])
     of_genome = fitness.fitness_function(experiment.parts, {}, None, horizon, None, None)
     of_genome(np.zeros(experiment.gene_count))

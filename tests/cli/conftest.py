@@ -11,8 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from evo_cpg.cli import champions, progress, training
+from evo_cpg.cli import champions, progress
 from evo_cpg.cli.main import main
+from evo_cpg.training import devices
 from shared_programs import programs_of_its_own, remember_programs
 from tiny_run import CONFIG, GENERATIONS, LONG, program
 
@@ -36,7 +37,7 @@ def called(*arguments: object, folder: Path | None = None) -> Called:
     """
     out, err = io.StringIO(), io.StringIO()
     with pytest.MonkeyPatch.context() as patch:
-        for module in (champions, training):
+        for module in (champions, devices):
             patch.setattr(module, "use_cores", lambda count=None: 2)
         # How long anything takes on a busy machine says nothing.
         patch.setattr(progress, "FIRST", math.inf)

@@ -11,7 +11,7 @@ import pytest
 from evo_cpg.analysis.verdict import Check, Limits, Verdict, limits_from, shown
 from evo_cpg.api import audit
 from evo_cpg.api.audit import Audit
-from evo_cpg.cli import audit as audit_command
+from evo_cpg.cli.audited import say_verdict
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import load_config
@@ -202,13 +202,13 @@ def test_who_does_without_its_eyes_is_told(capsys):
             (0.004, {}),
         )
     )
-    audit_command._say(Path("run"), [champion], [sees], "the champion")
+    say_verdict(Path("run"), [champion], [sees], "the champion")
     assert capsys.readouterr() == ("run: the champion passes its audit\n", "")
-    audit_command._say(Path("run"), [champion], [blind], "the champion")
+    say_verdict(Path("run"), [champion], [blind], "the champion")
     assert capsys.readouterr().err == (
         "run: note: the champion does not use its eyes: blind it keeps 83% of its displacement\n"
     )
-    audit_command._say(Path("run"), [champion, champion._replace(run=1)], [sees, still], "")
+    say_verdict(Path("run"), [champion, champion._replace(run=1)], [sees, still], "")
     assert capsys.readouterr().err == (
         "run: run 1: displacement 0.004 m: too little to try what is kept of it\n"
     )

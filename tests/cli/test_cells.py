@@ -72,7 +72,7 @@ def test_an_elite_is_audited_and_not_the_champion(cli, mapped, monkeypatch):
         return [Audit(Verdict((check,)), (), 0.01, missing="a test")]
 
     monkeypatch.setattr(audit, "audits", audits)
-    monkeypatch.setattr("evo_cpg.cli.audit._draw", lambda *_: None)
+    monkeypatch.setattr("evo_cpg.cli.audited.draw_audit", lambda *_: None)
     code, out, err = cli("audit", run, "--cell", name)
     assert code == 3 and f"the elite of cell {name} does not pass its audit" in out, err
     place = np.ravel_multi_index(cell, found.fitness.shape)

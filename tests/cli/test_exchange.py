@@ -11,7 +11,7 @@ import trimesh
 import yaml
 from scipy.spatial.transform import Rotation
 
-from evo_cpg.cli import exchange as command
+from evo_cpg.cli import building
 from evo_cpg.cli.measured_motion import read_motion
 from evo_cpg.config.load import load_config
 from evo_cpg.simulation.situation import Situation, starting_pose
@@ -41,7 +41,7 @@ def test_a_config_goes_out_and_its_animal_comes_back(cli, tmp_path):
 
 def test_a_settled_start_goes_out_as_a_keyframe(cli, tmp_path, monkeypatch):
     """Leaning and bent as `simulation.start_pose` leaves it, and every body where ours has it."""
-    built, lean = command.build, Rotation.from_euler("xyz", (0.1, -0.2, 0.7))
+    built, lean = building.build, Rotation.from_euler("xyz", (0.1, -0.2, 0.7))
     orientation = tuple(lean.as_quat(scalar_first=True).tolist())
     angles = tuple(np.linspace(-0.3, 0.3, 12).tolist())
     rest = Situation((1.0, 2.0, 0.2), 0.7, None, orientation, angles)
@@ -51,7 +51,7 @@ def test_a_settled_start_goes_out_as_a_keyframe(cli, tmp_path, monkeypatch):
         simulation = eqx.tree_at(lambda s: s.situations, experiment.simulation, (rest,))
         return experiment._replace(simulation=simulation)
 
-    monkeypatch.setattr(command, "build", settled)
+    monkeypatch.setattr(building, "build", settled)
     assert cli("export", WALKER, tmp_path / "hexapod.xml")[0] == 0
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "hexapod.xml"))
     data = mujoco.MjData(model)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import yaml
 
-from evo_cpg.cli.probe import _missed, _unseeing
+from evo_cpg.cli.probed import missed, unseeing
 from evo_cpg.simulation.situation import Situation
 from evo_cpg.training.probe import Probe, around
 from evo_cpg.training.run_folder import RunFolder
@@ -112,7 +112,7 @@ def made_of(bearings: list[float], left: list[float]) -> Probe:
     ],
 )
 def test_who_misses_most_lights_is_told(left, words):
-    assert _missed(made_of([-60, -20, 20, 60], left), 0.2) == words
+    assert missed(made_of([-60, -20, 20, 60], left), 0.2) == words
 
 
 @pytest.mark.parametrize(
@@ -125,13 +125,13 @@ def test_who_misses_most_lights_is_told(left, words):
     ],
 )
 def test_who_does_without_its_eyes_is_told(left, words):
-    found = _unseeing(made_of([-30, 30], [0.1, 0.1]), made_of([-30, 30], left))
+    found = unseeing(made_of([-30, 30], [0.1, 0.1]), made_of([-30, 30], left))
     assert found.startswith(words) and bool(found) == bool(words)
 
 
 def test_who_gets_nowhere_cannot_be_compared():
     lost = made_of([-30, 30], [1.0, 1.1])
-    assert "nothing to compare" in _unseeing(lost, lost)
+    assert "nothing to compare" in unseeing(lost, lost)
 
 
 @pytest.mark.parametrize(

@@ -4,12 +4,13 @@ import io
 import itertools
 import threading
 import time
+from typing import Any
 
 import pytest
 from rich.console import Console
 
 from evo_cpg.cli import progress as module
-from evo_cpg.cli.progress import BETWEEN, FIRST, LONGEST_SILENCE, Heartbeat, beating
+from evo_cpg.cli.progress import BETWEEN, FIRST, LONGEST_SILENCE, Heartbeat
 
 
 @pytest.fixture
@@ -19,23 +20,42 @@ def impatient(monkeypatch):
     monkeypatch.setattr(module, "FIRST", 0.25)
 
 
-def lines_of(heartbeat: Heartbeat, seconds: float, step: float = 0.25) -> list[tuple[float, str]]:
+class Clock:
+    """A clock that the test sets."""
+
+    def __init__(self, now: float = 0.0):
+        self.now = now
+
+    def __call__(self) -> float:
+        return self.now
+
+
+class Timed(Heartbeat):
+    """A heartbeat by a clock that the test sets."""
+
+    def __init__(self, what: str, now: float = 0.0, **given: Any):
+        self.clock = Clock(now)
+        super().__init__(what, clock=self.clock, **given)
+
+    def due_at(self, now: float) -> str | None:
+        self.clock.now = now
+        return self.due()
+
+
+def lines_of(heartbeat: Timed, seconds: float, step: float = 0.25) -> list[tuple[float, str]]:
     """What is said, and when, by who looks at the clock every ``step``."""
-    said = []
-    for tick in range(int(seconds / step) + 1):
-        line = heartbeat.due(tick * step)
-        if line is not None:
-            said.append((tick * step, line))
-    return said
+    instants = [tick * step for tick in range(int(seconds / step) + 1)]
+    said = [(instant, heartbeat.due_at(instant)) for instant in instants]
+    return [(instant, line) for instant, line in said if line is not None]
 
 
 def test_short_work_says_nothing():
-    assert lines_of(Heartbeat("compiling", 0.0), FIRST - 0.3) == []
+    assert lines_of(Timed("compiling"), FIRST - 0.3) == []
 
 
 def test_long_work_is_never_silent_for_longer_than_that():
     """The thread may come late by as much as lies between the two limits."""
-    said = lines_of(Heartbeat("compiling", 0.0), 100.0)
+    said = lines_of(Timed("compiling"), 100.0)
     instants = [0.0, *(instant for instant, _ in said), 100.0]
     assert max(b - a for a, b in itertools.pairwise(instants)) <= BETWEEN + 0.25
     assert BETWEEN + 0.25 < LONGEST_SILENCE
@@ -46,40 +66,45 @@ def test_long_work_is_never_silent_for_longer_than_that():
 
 def test_work_that_follows_other_work_adds_to_its_silence():
     """What was said last counts, not when this work began."""
-    assert Heartbeat("b", 7.0, said=1.0).due(1.0 + BETWEEN) == f"b: {BETWEEN - 6:.0f} s so far"
-    assert Heartbeat("b", 7.0, said=6.0).due(7.0 + FIRST - 0.1) is None
+    assert Timed("b", 7.0, said=1.0).due_at(1.0 + BETWEEN) == f"b: {BETWEEN - 6:.0f} s so far"
+    assert Timed("b", 7.0, said=6.0).due_at(7.0 + FIRST - 0.1) is None
 
 
 def test_a_line_says_how_far_it_is_and_how_long_it_will_take():
-    heartbeat = Heartbeat("rendering", 0.0)
+    heartbeat = Timed("rendering")
     heartbeat.reached(50, 200)
-    assert heartbeat.due(20.0) == "rendering: 50/200, 20 s, about 60 s to go"
+    assert heartbeat.due_at(20.0) == "rendering: 50/200, 20 s, about 60 s to go"
     heartbeat.reached(1, 200)
-    assert heartbeat.due(40.0) == "rendering: 1/200, 40 s"
+    assert heartbeat.due_at(40.0) == "rendering: 1/200, 40 s"
     heartbeat.reached(200, 200)
-    assert heartbeat.due(60.0) == "rendering: 200/200, 60 s"
-    heartbeat.doing("writing", 65.0)
-    assert heartbeat.due(80.0) == "writing: 15 s so far"
+    assert heartbeat.due_at(60.0) == "rendering: 200/200, 60 s"
+    heartbeat.clock.now = 65.0
+    heartbeat.doing("writing")
+    assert heartbeat.due_at(80.0) == "writing: 15 s so far"
 
 
 def test_a_line_says_how_long_is_left_where_it_was_measured():
     """Beyond what was expected nothing is promised any more."""
-    heartbeat = Heartbeat("compiling", 0.0, expected=30.0)
-    assert heartbeat.due(10.0) == "compiling: 10 s, about 20 s to go"
-    assert heartbeat.due(29.5) == "compiling: 30 s so far"
-    heartbeat.doing("recording", 40.0, 20.0)
-    assert heartbeat.due(50.0) == "recording: 10 s, about 10 s to go"
-    heartbeat.doing("drawing", 60.0)
-    assert heartbeat.due(70.0) == "drawing: 10 s so far"
+    heartbeat = Timed("compiling", expected=30.0)
+    assert heartbeat.due_at(10.0) == "compiling: 10 s, about 20 s to go"
+    assert heartbeat.due_at(29.5) == "compiling: 30 s so far"
+    heartbeat.clock.now = 40.0
+    heartbeat.doing("recording", 20.0)
+    assert heartbeat.due_at(50.0) == "recording: 10 s, about 10 s to go"
+    heartbeat.clock.now = 60.0
+    heartbeat.doing("drawing")
+    assert heartbeat.due_at(70.0) == "drawing: 10 s so far"
 
 
 def test_what_somebody_else_says_counts():
     """A generation that was reported is no silence, and the next one begins with it."""
-    heartbeat = Heartbeat("generation 1", 0.0)
-    heartbeat.heard(4.9)
-    heartbeat.doing("generation 2", 4.9)
-    assert heartbeat.due(4.9 + BETWEEN - 0.01) is None
-    assert heartbeat.due(4.9 + BETWEEN) == f"generation 2: {BETWEEN:.0f} s so far"
+    heartbeat = Timed("generation 1")
+    heartbeat.clock.now = 4.9
+    heartbeat.say("generation 1")
+    heartbeat.clock.now = 4.9
+    heartbeat.doing("generation 2")
+    assert heartbeat.due_at(4.9 + BETWEEN - 0.01) is None
+    assert heartbeat.due_at(4.9 + BETWEEN) == f"generation 2: {BETWEEN:.0f} s so far"
 
 
 def test_the_thread_says_what_is_due_and_ends_with_the_work(impatient):
@@ -95,7 +120,7 @@ def test_the_thread_says_what_is_due_and_ends_with_the_work(impatient):
         said.append(line)
         spoken.set()
 
-    with beating(Heartbeat("compiling", 0.0), say, clock):
+    with Heartbeat("compiling", clock=clock).beating(say):
         assert spoken.wait(10)
     assert said[0].startswith("compiling: ")
     count = len(said)
@@ -105,7 +130,7 @@ def test_the_thread_says_what_is_due_and_ends_with_the_work(impatient):
 
 
 def test_the_thread_ends_where_the_work_fails():
-    with pytest.raises(ValueError, match="no"), beating(Heartbeat("x", 0.0), print):
+    with pytest.raises(ValueError, match="no"), Heartbeat("x").beating(print):
         raise ValueError("no")
     assert "heartbeat" not in {thread.name for thread in threading.enumerate()}
 

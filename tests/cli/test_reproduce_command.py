@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from evo_cpg.api import commit
 from evo_cpg.cli import reproduce
 from evo_cpg.cli.errors import UsageError
-from evo_cpg.cli.reproduce import default_folder, make, reproduce_study
+from evo_cpg.cli.reproduce import default_folder, make
 from evo_cpg.files import OutputError
 from evo_cpg.studies import provenance, workshop
 from evo_cpg.studies.catalogue import NAMES, study
@@ -217,7 +218,7 @@ def test_what_was_measured_is_kept_until_champions_or_the_program_change(
 
 def test_wrong_studies_and_parts_are_named_with_the_nearest(tmp_path):
     def call(name, parts=(), listed=False):
-        reproduce_study(name, parts, tmp_path, True, listed, False, 2)
+        reproduce.reproduce(name, parts, tmp_path, True, listed, False, 2)
 
     with pytest.raises(UsageError, match=r"there is no study 'fukui'; did you mean 'fukui2003'"):
         call("fukui")
@@ -233,7 +234,7 @@ def test_wrong_studies_and_parts_are_named_with_the_nearest(tmp_path):
 
 
 def test_the_list_tells_how_each_part_was_made(capsys):
-    reproduce_study(None, [], None, False, True, False, None)
+    reproduce.reproduce(None, [], None, False, True, False, None)
     shown = capsys.readouterr().out
     assert all(name in shown for name in NAMES)
     for part in study("fukui2003").parts:
@@ -241,10 +242,10 @@ def test_the_list_tells_how_each_part_was_made(capsys):
 
 
 def test_files_go_beside_the_pages_of_a_clone(monkeypatch, tmp_path):
-    monkeypatch.setattr(reproduce, "checkout", lambda: tmp_path)
+    monkeypatch.setattr(commit, "checkout", lambda: tmp_path)
     assert default_folder("starfish", False) == tmp_path / "docs" / "reproduction" / "starfish"
     assert default_folder("starfish", True).parts == ("reproduction", "starfish_quick")
-    monkeypatch.setattr(reproduce, "checkout", lambda: None)
+    monkeypatch.setattr(commit, "checkout", lambda: None)
     assert default_folder("starfish", False).parts == ("reproduction", "starfish")
 
 

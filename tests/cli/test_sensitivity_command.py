@@ -6,6 +6,7 @@ import pytest
 
 from evo_cpg.analysis.sensitivity import Sensitivity
 from evo_cpg.cli import sensitivity
+from evo_cpg.config import load
 from evo_cpg.config.schema.controller import PosturesConfig
 from pictures import ink
 
@@ -51,12 +52,12 @@ def test_wrong_keys_and_times_are_refused(finished_run, cli, arguments, words):
 
 def test_bits_have_no_sensitivity(finished_run, cli, monkeypatch):
     """1 % more of a bit is the same bit, which is no reason to call the genes unimportant."""
-    real = sensitivity.load_config
+    real = load.load_config
 
     def with_postures(path):
         return real(path).model_copy(update={"controller": PosturesConfig(type="postures")})
 
-    monkeypatch.setattr(sensitivity, "load_config", with_postures)
+    monkeypatch.setattr(load, "load_config", with_postures)
     code, _, complaint = cli("sensitivity", finished_run, "genes")
     assert code == 2
     assert "genes: bits count as 0 or 1" in complaint and "controller.graded: true" in complaint
@@ -65,8 +66,5 @@ def test_bits_have_no_sensitivity(finished_run, cli, monkeypatch):
 def test_of_nothing_the_table_has_a_dash():
     speed = Sensitivity("p", 2.0, 3.0, 0.12, 0.04, 6.0)
     nothing = Sensitivity("p", 2.0, 1e-17, 0.0, 0.04, 1e-17)
-    table = sensitivity._table([sensitivity._row(speed, nothing)])
-    assert [list(column.cells) for column in table.columns[2:]] == [
-        ["+1 %/%"],
-        ["? \N{EN DASH}"],
-    ]
+    cells = sensitivity._cells(sensitivity._row(speed, nothing))
+    assert cells[2:] == ("+1 %/%", "? \N{EN DASH}")

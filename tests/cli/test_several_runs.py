@@ -5,7 +5,7 @@ import shutil
 
 import pytest
 
-from evo_cpg.cli import pictures
+from evo_cpg.cli import champions
 from evo_cpg.cli.champions import champion_motion
 from evo_cpg.training.run_folder import RunFolder
 from pictures import ink
@@ -84,7 +84,7 @@ def test_the_champion_of_any_run_is_plotted(noisy_run, cli, tmp_path, monkeypatc
         whose.append(champion.run)
         return experiment, champion, recording, folder
 
-    monkeypatch.setattr(pictures, "champion_motion", seen)
+    monkeypatch.setattr(champions, "champion_motion", seen)
     code, out, err = cli("plot", noisy_run, "--run", other, "-o", tmp_path)
     drawn = [f"joint_signals_run{other}.png", f"path_run{other}.png"]
     assert code == 0 and whose == [other], err

@@ -286,8 +286,8 @@ def test_training_finishes_where_nothing_can_be_printed(which, tmp_path, finishe
     folder = tmp_path / "run"
     with open(FULL, "wb", buffering=0) as full, pytest.MonkeyPatch.context() as patch:
         # The devices that this process has.
-        for module in ("champions", "training"):
-            patch.setattr(f"evo_cpg.cli.{module}.use_cores", lambda count=None: 2)
+        for module in ("cli.champions", "training.devices"):
+            patch.setattr(f"evo_cpg.{module}.use_cores", lambda count=None: 2)
         patch.setattr(streams, "protect", lambda: None)
         patch.setattr(sys, "argv", ["evo-cpg", "train", str(CONFIG), *SMALL, "--out", str(folder)])
         lost, kept = streams.opened(full.fileno(), None), io.StringIO()

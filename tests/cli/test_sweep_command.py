@@ -10,14 +10,13 @@ import pytest
 import evo_cpg as evo
 from evo_cpg.api import sweep as sweeps
 from evo_cpg.api.sweep import new_plan, read_plan
-from evo_cpg.cli import sweep as command
-from evo_cpg.cli import training
+from evo_cpg.cli import champions
 from evo_cpg.cli.errors import UsageError
-from evo_cpg.cli.sweep import run_sweep
-from evo_cpg.cli.verify import verify_run
+from evo_cpg.cli.sweep import sweep as run_sweep
+from evo_cpg.cli.verify import verify
 from evo_cpg.config.load import as_overrides
 from evo_cpg.config.settings import combine
-from evo_cpg.training import together
+from evo_cpg.training import devices, together
 from evo_cpg.training.loop import TIMING_COLUMNS
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
 from evo_cpg.view import search_plots
@@ -32,13 +31,13 @@ GRID = ("evolution.mutation_rate=0.02,0.3",)
 def two_devices():
     """JAX has them already."""
     with pytest.MonkeyPatch.context() as patch:
-        for module in (command, training):
-            patch.setattr(module, "use_cores", lambda count=None: 2)
+        patch.setattr(devices, "use_cores", lambda count=None: 2)
+        patch.setattr(champions, "use_cores", lambda count=None: 2)
         yield
 
 
 def sweep(folder, *, grid=GRID, settings=None, given=SHORT, only=()):
-    run_sweep(CONFIG, given, grid, settings, folder, None, only)
+    run_sweep(CONFIG, given, grid, settings, folder, only=only)
 
 
 def table(path):
@@ -164,7 +163,7 @@ def test_a_stopped_sweep_goes_on_to_the_same_bits(tmp_path, monkeypatch):
     assert stopped == [2, 1]
     lost = tmp_path / "stopped" / "mutation_rate=0.3" / "meta.json"
     lost.unlink()
-    run_sweep(tmp_path / "stopped", (), (), None, None, None)
+    run_sweep(tmp_path / "stopped")
     for name in ("mutation_rate=0.02", "mutation_rate=0.3"):
         whole, again = (RunFolder(tmp_path / which / name).load() for which in ("whole", "stopped"))
         np.testing.assert_array_equal(whole.genes, again.genes)
@@ -173,12 +172,12 @@ def test_a_stopped_sweep_goes_on_to_the_same_bits(tmp_path, monkeypatch):
     assert {"seed", "devices", "fingerprint", "config"} <= json.loads(lost.read_text()).keys()
     # Once more there is nothing left to do.
     before = (tmp_path / "stopped" / "runs.csv").read_text()
-    run_sweep(tmp_path / "stopped", (), (), None, None, None)
+    run_sweep(tmp_path / "stopped")
     assert (tmp_path / "stopped" / "runs.csv").read_text() == before
 
 
 def test_the_runs_are_run_folders_like_others(swept, capsys):
-    verify_run(swept / "heavy", None)
+    verify(swept / "heavy")
     assert "(exactly)" in capsys.readouterr().out
     meta = json.loads((swept / "random" / "meta.json").read_text())
     assert meta["name"] == "iwadate2010_swimmer random"
@@ -216,7 +215,7 @@ def test_another_sweep_or_a_used_folder_is_refused(swept, tmp_path):
     with pytest.raises(RunFolderError, match=r"holds another sweep \(its settings differ\)"):
         sweep(swept)
     with pytest.raises(UsageError, match="is a sweep, which is gone on with as it is"):
-        run_sweep(swept, (), GRID, None, None, None)
+        run_sweep(swept, grid=GRID)
     (tmp_path / "notes.txt").write_text("mine")
     with pytest.raises(RunFolderError, match="is not empty and holds no sweep"):
         sweep(tmp_path)
@@ -224,10 +223,10 @@ def test_another_sweep_or_a_used_folder_is_refused(swept, tmp_path):
 
 def test_a_changed_configuration_is_said(tmp_path):
     own = shutil.copytree(CONFIG.parent, tmp_path / "configs") / CONFIG.name
-    run_sweep(own, SHORT, GRID, None, tmp_path / "sweep", None, ("mutation_rate=0.02",))
+    run_sweep(own, SHORT, GRID, out=tmp_path / "sweep", only=["mutation_rate=0.02"])
     own.write_text(own.read_text().replace("seed: 0", "seed: 5"))
     with pytest.raises(RunFolderError, match="has changed since the sweep began"):
-        run_sweep(tmp_path / "sweep", (), (), None, None, None)
+        run_sweep(tmp_path / "sweep")
 
 
 @pytest.mark.parametrize(
@@ -250,5 +249,5 @@ def test_a_damaged_plan_is_said(tmp_path, change, words):
     assert read_plan(folder) == plan
     (folder / "sweep.json").write_text(json.dumps(plan | change))
     with pytest.raises(RunFolderError, match=rf"sweep\.json is damaged \(.*{words}"):
-        run_sweep(folder, (), (), None, None, None)
+        run_sweep(folder)
     assert list(tmp_path.rglob("*")) == [folder, folder / "sweep.json"]

@@ -9,12 +9,13 @@ import time
 
 import numpy as np
 import pytest
+import typer
 
 from evo_cpg.api.sweep import claim, new_plan
 from evo_cpg.cli import jobs as sweep_jobs
-from evo_cpg.cli import sweep as sweep_command
 from evo_cpg.cli.errors import UsageError
-from evo_cpg.cli.sweep import run_sweep
+from evo_cpg.cli.exit_codes import ExitCode
+from evo_cpg.cli.sweep import sweep as run_sweep
 from evo_cpg.config.settings import Setting
 from evo_cpg.locks import LockedError
 from evo_cpg.training.devices import available_cores
@@ -35,7 +36,7 @@ NAMES = ("density=1000", "density=1200")
 @pytest.fixture(autouse=True)
 def devices(monkeypatch):
     """JAX has its two already."""
-    monkeypatch.setattr(sweep_command, "use_cores", lambda count=None: 2)
+    monkeypatch.setattr("evo_cpg.training.devices.use_cores", lambda count=None: 2)
 
 
 @pytest.fixture
@@ -46,11 +47,20 @@ def quick(monkeypatch, compiled):
 
 
 def sweep(folder, jobs=None, options=(), *, given=SHORT, grid=GRID):
-    return run_sweep(CONFIG, given, grid, None, folder, None, (), jobs, options)
+    return succeeded(CONFIG, given, grid, out=folder, jobs=jobs, job_option=options)
 
 
 def go_on(folder, jobs=None):
-    return run_sweep(folder, (), (), None, None, None, (), jobs)
+    return succeeded(folder, jobs=jobs)
+
+
+def succeeded(*arguments, **options):
+    try:
+        run_sweep(*arguments, **options)
+    except typer.Exit as stop:
+        assert stop.exit_code == ExitCode.FAULT
+        return False
+    return True
 
 
 def sweep_of(folder):
@@ -335,7 +345,7 @@ def test_a_setting_is_not_given_to_two_jobs(tmp_path, monkeypatch):
     with pytest.raises(
         UsageError, match=f"job 7 evolves {NAMES[0]} already, with others; .*scancel 7"
     ):
-        run_sweep(folder, (), (), None, None, None, (NAMES[0],), "slurm")
+        run_sweep(folder, only=[NAMES[0]], jobs="slurm")
 
 
 class Alive:

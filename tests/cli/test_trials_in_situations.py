@@ -6,7 +6,7 @@ import yaml
 
 from evo_cpg.cli import champions
 from evo_cpg.cli.options import View
-from evo_cpg.cli.pictures import plot_run
+from evo_cpg.cli.plot import plot
 from evo_cpg.training import loop
 from evo_cpg.training.run_folder import RunFolder
 from evo_cpg.view.camera import CAMERAS
@@ -72,7 +72,7 @@ def test_the_first_trial_is_shown_from_the_folder_and_others_are_replayed(
     monkeypatch.setattr(loop, "replay_champion", replay)
     monkeypatch.setattr(champions, "use_cores", lambda count=None: 2)
     for trial in (0, 2):
-        plot_run(situated_run, tmp_path, None, trial)
+        plot(situated_run, tmp_path, None, trial)
     assert asked == [(champion.fitness, 2)]
 
 

@@ -12,7 +12,7 @@ from PIL import Image
 from rich.console import Console
 
 from evo_cpg.cli import watch
-from evo_cpg.cli.curve import curve
+from evo_cpg.cli.watched import _over_generations, curve, panel
 from evo_cpg.training import devices
 from evo_cpg.training.run_folder import RunFolder
 from tiny_run import CONFIG, LONG, PAIR
@@ -91,7 +91,7 @@ def test_what_was_interrupted_is_left_to_the_trainer(run, tmp_path):
     shutil.copytree(run, folder)
     (folder / ".decided").mkdir()
     (folder / ".decided" / "config.yaml").write_text((run / "config.yaml").read_text())
-    watch.watch_run(folder, once=True, picture=False)
+    watch.watch(folder, once=True, picture=False)
     assert (folder / ".decided" / "config.yaml").is_file()
 
 
@@ -100,7 +100,7 @@ def test_a_terminal_sees_numbers_and_curves(run):
     seen = watch.standing(folder)
     assert seen.finished and watch.standing(folder, seen) is seen
     screen = Console(file=io.StringIO(), width=100, force_terminal=False)
-    screen.print(watch._panel(folder, seen, 100))
+    screen.print(panel(folder, seen, 100))
     told = screen.file.getvalue()
     champion = RunFolder(run).load_champion()[0]
     for words in ("3/3 generations", "finished", f"champion {champion.fitness:.4f}", "diverged"):
@@ -108,7 +108,7 @@ def test_a_terminal_sees_numbers_and_curves(run):
     # Braille dots.
     assert any(0x2800 < ord(letter) < 0x2900 for letter in told)
     waiting = seen._replace(generations=100, changed=time.time() - 7200)
-    screen.print(watch._panel(folder, waiting, 100))
+    screen.print(panel(folder, waiting, 100))
     assert "nothing new for 2.0 h" in screen.file.getvalue() or "120 min" in screen.file.getvalue()
 
 
@@ -118,7 +118,7 @@ def test_of_several_runs_the_best_counts():
         for g, r, c, m in ((0, 0, 1.0, 0.0), (0, 1, 3.0, 2.0), (1, 0, math.nan, 1.0),
                            (1, 1, 4.0, 3.0))
     ]  # fmt: skip
-    found = watch._over_generations(history)
+    found = _over_generations(history)
     assert found["champion"].tolist() == [3.0, 4.0] and found["mean"].tolist() == [1.0, 2.0]
 
 

@@ -123,7 +123,8 @@ def test_the_reference_says_values_units_and_defaults():
         "| `type` | `real` |  | `real` |",
         "| `surface` | number | m | none | height of its surface; `null` for water everywhere |",
         "### `simulation.trials.N.light`, `task.light`",
-        "### `creature.sensors.N`, `controller`, `task`: `type: my_module:MyClass`",
+        "### `creature.sensors.N`, `world.forces.N`, `controller`, `task`: "
+        "`type: my_module:MyClass`",
     ):
         assert row in text, row
     assert "1000000000000" not in text and "Config" not in text.replace("(config-", "")

@@ -124,10 +124,10 @@ def test_a_light_is_where_the_animal_sees_it():
         ("floor={type: relief, heights: [[0, 1]]}", "1 x 2 heights"),
         ("floor={type: relief, file: nowhere.npy}", "no such file"),
         ("floor={type: relief, file: heights.obj}", "'.obj' is not known; allowed: .npy"),
-        ("floor={type: relief, file: 3}", "file: 3: must be the name of a file"),
+        ("floor={type: relief, file: 3}", "file: 3: must be text"),
         (
             "floor={type: relief, file: a.png, lowest: low}",
-            "lowest: 'low': must be a finite number",
+            "lowest: 'low': must be a number",
         ),
         ("floor={type: shore, stop: 1, stop_height: 0, file: a.png}", "unknown key"),
         ("obstacles=[{type: boulder, centre: [0, 0, 0], radius: 0}]", "greater than 0"),

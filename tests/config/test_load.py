@@ -14,7 +14,7 @@ from evo_cpg.config.errors import ConfigError, nearest
 from evo_cpg.config.load import check_config, dump_config, load_config
 from evo_cpg.creature.creature import neutral_pose
 from evo_cpg.evolution.bits import BitGenetics
-from evo_cpg.physics.added_mass import AddedMass, Slamming
+from evo_cpg.physics.added_mass import AddedMass
 from evo_cpg.physics.fluid import Drag
 from evo_cpg.simulation.reach_light import ReachLight
 from evo_cpg.simulation.walk import Distance, Walk
@@ -549,7 +549,7 @@ def test_water_with_a_surface_is_built():
     assert world.water.surface == 0.5
     current, vortex = world.water.streams
     assert current.gradient[0] == (0, 0, 0.5) and vortex.core == 0.2
-    assert [type(law) for law in world.forces] == [Drag, AddedMass, Slamming]
+    assert [type(law) for law in world.forces] == [Drag, AddedMass]
     assert world.law(AddedMass).carried.shape == (6, 6, 2)
     assert [cells.bodies for cells in world.cells] == [(0, 1)]
     everywhere = build_experiment(check_config(small(), "x.yaml"), "x.yaml").simulation.world

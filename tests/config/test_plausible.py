@@ -34,7 +34,7 @@ MISTAKES = {
         CONFIG,
         ["creature.materials.body.density=1e6"],
         "creature.materials.body.density",
-        "did you mean 1000?",
+        "in g/m^3 it would be 1000 kg/m^3",
     ),
     "water in g/cm^3": (
         CONFIG,
@@ -182,7 +182,7 @@ MISTAKES = {
         CONFIG,
         ["creature.light_sensors.0.field_of_view_deg=3.1416"],
         "creature.light_sensors.0.field_of_view_deg",
-        "as radians it would be 180 degrees",
+        "in radians it would be 180 degrees",
     ),
     "step of postures in rad": (
         LEGS,
@@ -200,7 +200,7 @@ MISTAKES = {
         CONFIG,
         ["controller.max_rate=286"],
         "controller.max_rate",
-        "as degrees per second it would be 4.99 rad/s",
+        "in degrees per second it would be 4.992 rad/s",
     ),
     "joint beyond its parent": (
         CONFIG,

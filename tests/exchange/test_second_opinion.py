@@ -25,7 +25,7 @@ def lived(path, *overrides):
     simulation = experiment.simulation
     genes = simulation.controller.random_genes(jax.random.key(1), (1,), np.float32)
     steps = jax.device_get(
-        jax.jit(lambda g: rollout(simulation, g, observer=EachPhysicsStep()))(genes)
+        jax.jit(lambda g: rollout(simulation, g, observers=EachPhysicsStep()))(genes)
     )
     return experiment, np.asarray(genes[:, 0]), steps
 
@@ -107,7 +107,7 @@ def test_on_the_ground_hard_contacts_bear_the_weight_in_the_end():
     genes = np.zeros((simulation.controller.gene_count, 1), np.float32)
     genes[1::2] = 1.0  # every joint at 170 degrees
     steps = jax.device_get(
-        jax.jit(lambda g: rollout(simulation, g, observer=EachPhysicsStep()))(genes)
+        jax.jit(lambda g: rollout(simulation, g, observers=EachPhysicsStep()))(genes)
     )
     own = own_opinion(simulation, steps)
     hard = second_opinion(simulation, experiment.creature, steps, hard=True)

@@ -18,7 +18,6 @@ from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import load_config
 from evo_cpg.simulation.judge import JUDGE
 from evo_cpg.simulation.noise import Noise
-from evo_cpg.simulation.observer import Together
 from evo_cpg.simulation.recording import Recorder
 from evo_cpg.simulation.rollout import rollout
 
@@ -46,8 +45,8 @@ def trial(name, overrides, engine):
     simulation = dataclasses.replace(simulation, steps=STEPS, noise=Noise())
     keys = jax.random.key_data(jax.random.split(jax.random.key(1), INDIVIDUALS)).T
     genes = simulation.controller.random_genes(jax.random.key(0), (INDIVIDUALS,), jnp.float64)
-    both = Together((JUDGE, Recorder(full=True)))
-    live = jax.jit(lambda genes, keys: rollout(simulation, genes, keys, observer=both))
+    both = JUDGE, Recorder(full=True)
+    live = jax.jit(lambda genes, keys: rollout(simulation, genes, keys, observers=both))
     outcome, frames = jax.device_get(live(genes, keys))
     assert outcome.alive.all()
     return {**outcome.terms, **frames}

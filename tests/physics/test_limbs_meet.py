@@ -189,7 +189,7 @@ def test_a_record_has_the_mean_push_of_every_pair(x64):
         situations=(place,),
     )
     genes = np.array([[4.0], [1.0]])
-    frames = quick_jit(lambda g: rollout(trial, g, observer=Recorder(full=True)))(genes)
+    frames = quick_jit(lambda g: rollout(trial, g, observers=Recorder(full=True)))(genes)
     found = as_record(trial, frames, as_recording(trial, frames, [*world.tree.names]))
 
     def advance(carry, k):

@@ -79,7 +79,7 @@ def test_time_on_the_ground(lived):
         return
     simulation = experiment.parts.simulation
     genes = experiment.random_genomes(3, 4).T
-    frames = jax.jit(lambda genes: rollout(simulation, genes, observer=Recorder(4)))(genes)
+    frames = jax.jit(lambda genes: rollout(simulation, genes, observers=Recorder(4)))(genes)
     force = np.linalg.norm(np.asarray(frames["contact_force"]), axis=1)
     owners = np.array(simulation.world.footing.bodies)
     for i in range(4):

@@ -19,7 +19,6 @@ from evo_cpg.physics.terrain import Plane
 from evo_cpg.physics.world import World
 from evo_cpg.simulation.judge import JUDGE
 from evo_cpg.simulation.noise import Noise, disturb_motion, disturb_start, grip_of
-from evo_cpg.simulation.observer import Together
 from evo_cpg.simulation.recording import Recorder
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.situation import Situation
@@ -145,7 +144,7 @@ def test_a_trial_on_rougher_ground_is_one_with_more_friction(engine):
     found = quick_jit(lambda g, k: rollout(noisy, g, k, None, Recorder(3)))(genes, keys)["position"]
     for i, factor in enumerate(np.asarray(grip_of(noisy.noise, keys))):
         rough = dataclasses.replace(crawling, world=crawling.world.with_friction(float(factor)))
-        alone = quick_jit(lambda g, rough=rough: rollout(rough, g, observer=Recorder()))(genes)[
+        alone = quick_jit(lambda g, rough=rough: rollout(rough, g, observers=Recorder()))(genes)[
             "position"
         ]
         np.testing.assert_allclose(found[..., i], alone[..., 0], atol=1e-6)
@@ -155,8 +154,8 @@ def test_a_trial_on_rougher_ground_is_one_with_more_friction(engine):
 def test_a_noisy_trial_and_its_recording_are_the_same_trial(simulation):
     noisy = dataclasses.replace(simulation, noise=Noise(0.1, 0.1, 0.5))
     genes, keys = np.full((2, 4), 2.0, np.float32), KEYS[:, [0, 1, 2, 0]]
-    both = Together((JUDGE, Recorder(4)))
-    outcome, frames = quick_jit(lambda g, k: rollout(noisy, g, k, observer=both))(genes, keys)
+    both = JUDGE, Recorder(4)
+    outcome, frames = quick_jit(lambda g, k: rollout(noisy, g, k, observers=both))(genes, keys)
     distance = np.asarray(outcome.terms["distance"])
     assert len(np.unique(distance[:3])) == 3 and distance[3] == distance[0]
     place = np.asarray(frames["position"])[:, :, simulation.world.tree.names.index("head")]

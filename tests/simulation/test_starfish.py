@@ -23,7 +23,7 @@ def constant_drive(*changes):
     simulation = experiment.simulation
     genes = jnp.zeros((simulation.controller.gene_count, 1), jnp.float32)
     with using(simulation.engine):
-        frames = jax.jit(lambda genes: rollout(simulation, genes, observer=Recorder()))(genes)
+        frames = jax.jit(lambda genes: rollout(simulation, genes, observers=Recorder()))(genes)
     return as_recording(simulation, frames, [body.name for body in experiment.creature.bodies])
 
 

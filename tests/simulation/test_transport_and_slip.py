@@ -126,7 +126,7 @@ def trial():
 
     short, long = simulation(STEPS), simulation(STEPS + 1)
     outcome, frames = quick_jit(
-        lambda g: (rollout(short, g), rollout(long, g, observer=Recorder(len(g[0]))))
+        lambda g: (rollout(short, g), rollout(long, g, observers=Recorder(len(g[0]))))
     )(GENES)
     assert outcome.alive.all()
     names = [body.name for body in WALKER.bodies]

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 from creatures import quick_jit
 from evo_cpg.simulation.judge import Outcome, score
-from evo_cpg.simulation.observer import Together
 from evo_cpg.simulation.physics_steps import EachPhysicsStep
 from evo_cpg.simulation.reach_light import ReachLight
 from evo_cpg.simulation.recording import Recorder, as_recording
@@ -30,7 +29,7 @@ def trial():
     """Outcome and recordings of one step more, which tells the last rates."""
     short, long = experiment(STEPS).simulation, experiment(STEPS + 1).simulation
     outcome, frames = quick_jit(
-        lambda g: (rollout(short, g), rollout(long, g, observer=Recorder(LIVING)))
+        lambda g: (rollout(short, g), rollout(long, g, observers=Recorder(LIVING)))
     )(GENES)
     names = ["tail", "head"]
     return outcome, [as_recording(long, frames, names, i) for i in range(LIVING)]
@@ -167,8 +166,8 @@ def test_forces_and_energy_of_a_control_step_are_those_of_its_physics_steps():
     """Forces are means over them, energy is their sum."""
     finer = dataclasses.replace(experiment(20).simulation, substeps=3)
     genes = GENES[:, :1]
-    both = Together((EachPhysicsStep(), Recorder()))
-    steps, frames = quick_jit(lambda g: rollout(finer, g, observer=both))(genes)
+    both = EachPhysicsStep(), Recorder()
+    steps, frames = quick_jit(lambda g: rollout(finer, g, observers=both))(genes)
     each = np.asarray(steps.torque, float).reshape(1, 20, 3)
     np.testing.assert_allclose(frames["torque"][:, 0, 0], each.mean(2)[0], rtol=1e-4, atol=1e-5)
     assert np.ptp(each, axis=2).max() > 0.1 * np.abs(each).max()

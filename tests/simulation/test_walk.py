@@ -123,7 +123,7 @@ def test_a_trial_in_the_dark_has_no_goal_and_its_distance_is_from_the_start():
     dark = dataclasses.replace(lit, task=Distance(), situations=(Situation((0.0, 0.0, 0.75)),))
     by_light, in_dark, outcome = quick_jit(
         lambda genes: (
-            *(rollout(each, genes, observer=Recorder()) for each in (lit, dark)),
+            *(rollout(each, genes, observers=Recorder()) for each in (lit, dark)),
             rollout(dark, genes),
         )
     )(GENES)

@@ -10,11 +10,11 @@ from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import load_config
 from evo_cpg.config.shipped import shipped
 from evo_cpg.control.brain import think
-from evo_cpg.control.brain_cpg import BrainCpg
-from evo_cpg.control.postures import PostureController
+from evo_cpg.control.brain_cpg import BrainCpg, silent_genes
+from evo_cpg.control.postures import PostureController, one_posture
 from evo_cpg.studies import fukui2003, search
 from evo_cpg.studies.audits import audit_table, kept_table
-from evo_cpg.studies.lights import _still, lived
+from evo_cpg.studies.lights import lived
 from evo_cpg.studies.study import Table
 from evo_cpg.studies.workshop import Workshop, markdown
 from evo_cpg.training.checkpoint import Champion
@@ -34,7 +34,7 @@ def test_an_animal_that_holds_one_posture_has_one_angle_everywhere():
     path = shipped("fukui2003_model1").path
     controller = build_experiment(load_config(path), path).simulation.controller
     assert isinstance(controller, PostureController)
-    genes = fukui2003.one_posture(controller, 170.0)
+    genes = one_posture(controller, 170.0)
     # Of 110, 130, 150, 170 the fourth, number 3: 011.
     np.testing.assert_array_equal(genes.reshape(-1, 3), np.tile([0, 1, 1], (64, 1)))
 
@@ -60,7 +60,8 @@ def test_springs_and_legs_change_in_all_eight_boxes():
 def test_an_animal_without_drive_stays_where_it_is():
     config = load_config(CONFIG, [*PAIR, "simulation.steps=120", "noise.push=0.02"])
     simulation = build_experiment(config, CONFIG).simulation
-    genes, controller = _still(simulation), simulation.controller
+    controller = simulation.controller
+    genes = silent_genes(controller)[:, None]
     assert isinstance(controller, BrainCpg)
     assert np.abs(lived(simulation, genes)["distance"] - 1).item() < 1e-3
     inputs = np.linspace(-1, 1, controller.brain.sizes[0], dtype=np.float32)[:, None]

@@ -64,7 +64,7 @@ def test_each_situation_comes_out_as_it_does_alone(simulation, found):
         outcome = compile_trials(alone, population_mesh(1))(GENES[:, None])
         assert found.distance[i] == pytest.approx(float(outcome.terms["distance"][0]), rel=1e-5)
         assert found.light[i] == pytest.approx(float(outcome.terms["light"][0]), rel=1e-5)
-        frames = quick_jit(lambda g, alone=alone: rollout(alone, g, observer=Recorder()))(
+        frames = quick_jit(lambda g, alone=alone: rollout(alone, g, observers=Recorder()))(
             GENES[:, None]
         )
         path = np.asarray(frames["position"])[:, :, 0, 0]

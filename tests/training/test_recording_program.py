@@ -45,7 +45,7 @@ def folder_of(path, overrides):
 
 def test_nothing_large_is_compiled_after_the_last_generation(tmp_path, lowered, capsys):
     experiment, folder = folder_of(tmp_path / "run", (*TINY, "seed=76"))
-    training._evolve(experiment, folder, None)
+    training.evolve_run(experiment, folder, None)
     who = {name: thread for name, thread in lowered if "replay" in name}
     assert who and all(thread.startswith("recording") for thread in who.values()), lowered
     mine = [name for name, thread in lowered if thread == threading.main_thread().name]

@@ -7,9 +7,9 @@ import numpy as np
 
 from evo_cpg.config.errors import Key
 from evo_cpg.config.schema.copies import copies_named
-from evo_cpg.config.schema.creature import BodyConfig, DepthSensorConfig, LightSensorConfig
+from evo_cpg.config.schema.creature import BodyConfig
 from evo_cpg.config.schema.experiment import ExperimentConfig
-from evo_cpg.creature.creature import Body, Creature, DepthSensor, LightSensor, neutral_pose
+from evo_cpg.creature.creature import Body, Creature, neutral_pose
 
 
 class Doubt(NamedTuple):
@@ -52,17 +52,14 @@ class Case(NamedTuple):
         copies = self.config.creature.copies()
         return [copy.name for copy in copies_named(name, copies)]
 
-    def eyes(self) -> Iterator[tuple[int, LightSensorConfig, LightSensor]]:
-        """Every eye with the number of its entry in the configuration, and that."""
-        built = iter(self.creature.light_sensors)
-        for i, entry in enumerate(self.config.creature.light_sensors):
-            for _ in self.named(entry.body):
-                yield i, entry, next(built)
+    def sensors(self, kind: str) -> Iterator[tuple[int, Any, Any]]:
+        """Yield every sensor, with the number of its entry in the configuration and the entry.
 
-    def gauges(self) -> Iterator[tuple[int, DepthSensorConfig, DepthSensor]]:
-        """Every depth gauge with the number of its entry in the configuration, and that."""
-        built = iter(self.creature.depth_sensors)
-        for i, entry in enumerate(self.config.creature.depth_sensors):
+        Args:
+            kind: ``light_sensors`` or ``depth_sensors``.
+        """
+        built = iter(getattr(self.creature, kind))
+        for i, entry in enumerate(getattr(self.config.creature, kind)):
             for _ in self.named(entry.body):
                 yield i, entry, next(built)
 

@@ -78,8 +78,8 @@ def joint_anchor(case: Case) -> Iterator[Doubt]:
 def sensor_place(case: Case) -> Iterator[Doubt]:
     """An eye or a gauge that is nowhere near its body."""
     creature = case.creature
-    for name, placed in (("light_sensors", case.eyes()), ("depth_sensors", case.gauges())):
-        for i, entry, sensor in placed:
+    for name in ("light_sensors", "depth_sensors"):
+        for i, entry, sensor in case.sensors(name):
             yield from _outside(
                 ("creature", name, i, "position"),
                 entry.position,

@@ -67,7 +67,7 @@ def light_never_in_view(case: Case) -> Iterator[Doubt]:
     if lights is None:
         return
     _, turns = neutral_pose(case.creature)
-    for i, given, eye in case.eyes():
+    for i, given, eye in case.sensors("light_sensors"):
         axis = turns[case.creature.body_index(eye.body)] @ np.array(eye.axis)
         high = float(np.rad2deg(np.arcsin(np.clip(axis[2], -1, 1))))
         nearest = min(abs(high - light) for light in lights)

@@ -1,4 +1,4 @@
-"""Densities and lengths that look like those of another unit, and what float32 does not resolve."""
+"""Lengths that look like those of another unit, and what float32 does not resolve."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -10,10 +10,6 @@ from evo_cpg.config.plausible.doubt import Case, Doubt
 from evo_cpg.config.schema.ground import BoulderConfig, HillsConfig, ReliefConfig
 from evo_cpg.config.schema.shape import SolidConfig
 from evo_cpg.creature.shapes import Box
-
-# Of solids, from foam to osmium, and of liquids, from petrol to the Dead Sea, kg/m^3.
-_SOLIDS, _LIQUIDS = (20.0, 23_000.0), (500.0, 2000.0)
-_WATER = 1000.0
 
 # The longest edge of a body: from the limb of a small insect to a whale, m.
 _BODIES = (0.001, 30.0)
@@ -36,31 +32,6 @@ _OBSTACLE = 100.0
 
 # Of a body's length: so much may the floor rise between its ends.
 _BUMP = 0.1
-
-# The strongest gravity of a planet of the sun is 24.8 m/s^2.
-_GRAVITY = 30.0
-
-
-def density(case: Case) -> Iterator[Doubt]:
-    """Of materials and of the water."""
-    for name, material in case.config.creature.materials.items():
-        key = "creature", "materials", name, "density"
-        yield from _density(key, material.density, _SOLIDS, "bodies")
-    water = case.config.world.water
-    if water is not None:
-        yield from _density(("world", "water", "density"), water.density, _LIQUIDS, "water")
-
-
-def _density(key: Key, value: float, plausible: tuple[float, float], what: str) -> Iterator[Doubt]:
-    low, high = plausible
-    if low <= value <= high:
-        return
-    likely = f"water has {_WATER:g}"
-    if low <= 1000 * value <= high:
-        likely = f"in g/cm^3 it would be {1000 * value:g} kg/m^3: write that"
-    elif low <= value / 1000 <= high:
-        likely = f"did you mean {value / 1000:g}?"
-    yield Doubt(key, value, f"densities of {what} are {low:g} to {high:g} kg/m^3; {likely}")
 
 
 def body_size(case: Case) -> Iterator[Doubt]:
@@ -196,18 +167,6 @@ def _bump(heights: np.ndarray, reach: int) -> float:
     return highest
 
 
-def gravity(case: Case) -> Iterator[Doubt]:
-    """No planet is that heavy."""
-    value = case.config.world.gravity
-    if value > _GRAVITY:
-        likely = f"in cm/s^2 it would be {value / 100:g} m/s^2" if value < 3000 else "is it m/s^2?"
-        yield Doubt(
-            ("world", "gravity"),
-            value,
-            f"plausible are 0 to {_GRAVITY:g} m/s^2, the earth has 9.81; {likely}",
-        )
-
-
 def friction(case: Case) -> Iterator[Doubt]:
     """Nothing that slides is held more than what rests."""
     of_bodies = case.config.creature.materials.items()
@@ -224,4 +183,4 @@ def friction(case: Case) -> Iterator[Doubt]:
             )
 
 
-RULES = (density, body_size, masses, step_length, obstacle_size, floor_bumps, gravity, friction)
+RULES = (body_size, masses, step_length, obstacle_size, floor_bumps, friction)

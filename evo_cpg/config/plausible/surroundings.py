@@ -57,9 +57,9 @@ def lowest_ground(case: Case) -> float | None:
 
 
 def nothing_to_hold_it(case: Case) -> Iterator[Doubt]:
-    """Gravity, but neither water nor ground: the animal falls for ever."""
+    """Gravity, but neither water, ground nor a force law: the animal falls for ever."""
     world = case.config.world
-    if world.gravity and world.water is None and world.ground is None:
+    if world.gravity and world.water is None and world.ground is None and not world.forces:
         yield Doubt(
             ("world", "gravity"),
             world.gravity,

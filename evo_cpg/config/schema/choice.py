@@ -1,6 +1,6 @@
 """Sections of which there are several kinds, told apart by their ``type``."""
 
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 from pydantic import AfterValidator, Discriminator, Field
 
@@ -53,6 +53,11 @@ class CustomConfig(Section):
         str, *pattern(r"^[\w.]+:\w+$", "must be a module and a class, such as my_module:MyClass")
     ]
     options: Options = Field(default_factory=dict)
+
+    # A configuration cannot tell what a class of one's own needs.
+    goal: ClassVar[None] = None
+    needs_ground: ClassVar[bool] = False
+    body_keys: ClassVar[tuple[str, ...]] = ()
 
 
 def by_type(default: str | None) -> Discriminator:

@@ -7,9 +7,13 @@ from typing import Annotated, Any, Literal, TypeAlias
 from pydantic import Tag, create_model
 
 from evo_cpg.config.schema.choice import CustomConfig, by_type
+from evo_cpg.config.schema.plausible import RATE
 from evo_cpg.config.schema.section import Section
 from evo_cpg.control.brain_cpg import BrainCpgSettings
 from evo_cpg.control.postures import PostureSettings
+
+# Plausible values of settings, which know of no configuration.
+_PLAUSIBLE = {"max_rate": RATE, "rate_gain": RATE}
 
 
 def _section_of(settings: type, name: str, kind: str) -> type[Section]:
@@ -21,7 +25,10 @@ def _section_of(settings: type, name: str, kind: str) -> type[Section]:
         if default is dataclasses.MISSING:
             assert field.default_factory is not dataclasses.MISSING
             default = field.default_factory()
-        fields[field.name] = (hints[field.name], default)
+        hint = hints[field.name]
+        if field.name in _PLAUSIBLE:
+            hint = Annotated[hint, _PLAUSIBLE[field.name]]
+        fields[field.name] = (hint, default)
     return create_model(name, __base__=Section, __doc__=settings.__doc__, **fields)
 
 

@@ -9,8 +9,9 @@ from pydantic import AfterValidator, Field, model_validator
 from evo_cpg.config.schema.copies import SIDES, Copy, Entry, MirrorAxis, copies, copies_named
 from evo_cpg.config.schema.frames import moved, reflected, unit
 from evo_cpg.config.schema.joint import JointConfig
+from evo_cpg.config.schema.plausible import SOLID, VIEW
 from evo_cpg.config.schema.section import NotNegative, Positive, Section, Share, Vector, pattern
-from evo_cpg.config.schema.sensor import SensorConfig, VelocitySensorConfig
+from evo_cpg.config.schema.sensor import SensorConfig
 from evo_cpg.config.schema.shape import MeshConfig, ShapeConfig
 from evo_cpg.creature.creature import (
     Body,
@@ -58,7 +59,7 @@ class MaterialConfig(Section):
         dynamic_friction: coefficient of friction while it slides.
     """
 
-    density: Positive
+    density: Annotated[Positive, SOLID]
     restitution: Share = 0.1
     static_friction: NotNegative = 0.5
     dynamic_friction: NotNegative = 0.4
@@ -125,7 +126,7 @@ class LightSensorConfig(Section):
     body: str
     position: Vector = (0.0, 0.0, 0.0)
     axis: Vector = (1.0, 0.0, 0.0)
-    field_of_view_deg: Annotated[float, Field(gt=0, le=360)] = 180.0
+    field_of_view_deg: Annotated[float, Field(gt=0, le=360), VIEW] = 180.0
 
     @model_validator(mode="after")
     def _check(self) -> "LightSensorConfig":
@@ -295,8 +296,8 @@ class CreatureConfig(Section):
         for i, gauge in enumerate(self.depth_sensors):
             refer(("depth_sensors", i, "body"), gauge.body)
         for i, sensor in enumerate(self.sensors):
-            if isinstance(sensor, VelocitySensorConfig):
-                refer(("sensors", i, "body"), sensor.body)
+            for key in sensor.body_keys:
+                refer(("sensors", i, key), getattr(sensor, key))
         if self.pressure_sensors != "all":
             for i, name in enumerate(self.pressure_sensors):
                 refer(("pressure_sensors", i), name)

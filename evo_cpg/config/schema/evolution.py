@@ -1,5 +1,6 @@
 """The search: a genetic algorithm, or another strategy."""
 
+import math
 from typing import Annotated, Literal
 
 from pydantic import Field, Tag, model_validator
@@ -89,11 +90,17 @@ class MapSection(Section):
         names = [axis.name for axis in self.axes]
         if len(set(names)) < len(names):
             raise ValueError(f"axes: each must have a name of its own, got {', '.join(names)}")
-        cells = 1
-        for axis in self.axes:
-            cells *= axis.cells
+        cells = math.prod(axis.cells for axis in self.axes)
         if cells > _MOST_CELLS:
             raise ValueError(f"axes: a map has at most {_MOST_CELLS} cells, got {cells}")
+        return self
+
+    @model_validator(mode="after")
+    def _check_islands(self) -> "MapSection":
+        """Check that the population can live on its islands, where the search has some."""
+        islands: IslandsConfig | None = getattr(self, "islands", None)
+        if islands:
+            islands.require_room(getattr(self, "population", 0), getattr(self, "elites", 0))
         return self
 
     def require_axes(self) -> None:
@@ -187,10 +194,8 @@ class RealEvolutionConfig(MapSection):
                 f"learning.elites: at least one and at most all {self.elites} elites can learn, "
                 f"got {self.learning.elites or 1}"
             )
-        if self.islands:
-            self.islands.require_room(self.population, self.elites)
-            if self.learning:
-                raise ValueError("learning: the elites of islands cannot learn; leave out one")
+        if self.islands and self.learning:
+            raise ValueError("learning: the elites of islands cannot learn; leave out one")
         return self
 
 
@@ -244,8 +249,6 @@ class BitEvolutionConfig(MapSection):
 
     @model_validator(mode="after")
     def _check(self) -> "BitEvolutionConfig":
-        if self.islands:
-            self.islands.require_room(self.population, self.elites)
         self.build(self.population // (self.islands.count if self.islands else 1))
         return self
 
@@ -368,12 +371,6 @@ class EvosaxConfig(MapSection):
     options: Options = Field(default_factory=dict)
     islands: IslandsConfig | None = None
 
-    @model_validator(mode="after")
-    def _check(self) -> "EvosaxConfig":
-        if self.islands:
-            self.islands.require_room(self.population)
-        return self
-
 
 class RandomSearchConfig(MapSection):
     """Random search, which any other search has to beat.
@@ -403,12 +400,6 @@ class CustomEvolutionConfig(CustomConfig, MapSection):
     generations: Count = 50
     population: Population = 200
     islands: IslandsConfig | None = None
-
-    @model_validator(mode="after")
-    def _check(self) -> "CustomEvolutionConfig":
-        if self.islands:
-            self.islands.require_room(self.population)
-        return self
 
 
 EvolutionConfig = Annotated[

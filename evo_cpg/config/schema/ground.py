@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
 from evo_cpg.config.schema.choice import by_type
+from evo_cpg.config.schema.plausible import Direction
 from evo_cpg.config.schema.section import Finite, NotNegative, Positive, Section, Share, Vector
 from evo_cpg.physics.footing import Combination
 from evo_cpg.physics.terrain import Axis
@@ -26,8 +27,8 @@ class PlaneConfig(Section):
     """
 
     type: Literal["plane"] = "plane"
-    slope_deg: Annotated[float, Field(ge=0, lt=90)] = 0.0
-    downhill_deg: Finite = 0.0
+    slope_deg: Annotated[float, Field(ge=0, lt=90), Direction()] = 0.0
+    downhill_deg: Annotated[Finite, Direction()] = 0.0
     height: Finite = 0.0
 
 
@@ -117,6 +118,20 @@ class ReliefConfig(Section):
         return heights
 
 
+class ReliefFileConfig(Section):
+    """Keys that name a file in the place of the heights of a relief.
+
+    Attributes:
+        file: array (.npy), table (.csv, .txt) or image that the heights are read from.
+        lowest: height of an image's black, m.
+        highest: height of an image's white, m.
+    """
+
+    file: str
+    lowest: Finite = 0.0
+    highest: Finite = 1.0
+
+
 FloorConfig = Annotated[
     Annotated[PlaneConfig, Tag("plane")]
     | Annotated[ShoreConfig, Tag("shore")]
@@ -153,7 +168,7 @@ class BlockConfig(Section):
     type: Literal["block"]
     centre: Vector
     size: tuple[Positive, Positive, Positive]
-    heading_deg: Finite = 0.0
+    heading_deg: Annotated[Finite, Direction()] = 0.0
 
 
 ObstacleConfig = Annotated[

@@ -7,6 +7,7 @@ from pydantic import Field, model_validator
 
 from evo_cpg.config.schema.copies import MirrorAxis
 from evo_cpg.config.schema.frames import moved, opposed, reflected, unit
+from evo_cpg.config.schema.plausible import Direction
 from evo_cpg.config.schema.section import Finite, NotNegative, Positive, Section, Vector
 from evo_cpg.creature.creature import Actuator, Joint
 from evo_cpg.spatial.numerics import as_vector, xp
@@ -98,7 +99,7 @@ class JointConfig(Section):
     child_at: Vector
     axes: Annotated[list[AxisName | Vector], Field(min_length=1, max_length=3)]
     limits_deg: tuple[Finite, Finite] | list[tuple[Finite, Finite]] = (-60.0, 60.0)
-    rotation_deg: Vector = (0.0, 0.0, 0.0)
+    rotation_deg: Annotated[Vector, Direction()] = (0.0, 0.0, 0.0)
     stiffness: NotNegative = 0.0
     damping: NotNegative = 0.0
     armature: NotNegative = 0.0

@@ -1,11 +1,13 @@
 """Sensors beside eyes, pressure sensors and depth gauges."""
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Tag
 
 from evo_cpg.config.schema.choice import CustomConfig, by_type
 from evo_cpg.config.schema.section import Positive, Section
+from evo_cpg.simulation.sensor import Sensor
+from evo_cpg.simulation.velocity_sensor import VelocitySensor
 
 
 class VelocitySensorConfig(Section):
@@ -20,6 +22,13 @@ class VelocitySensorConfig(Section):
     type: Literal["velocity"] = "velocity"
     body: str
     full_scale: Positive = 1.0
+
+    # Keys whose values are names of bodies.
+    body_keys: ClassVar[tuple[str, ...]] = ("body",)
+
+    def build(self) -> Sensor:
+        """Build the sensor."""
+        return VelocitySensor(self.body, self.full_scale)
 
 
 SensorConfig = Annotated[

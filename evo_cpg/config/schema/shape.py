@@ -130,6 +130,24 @@ class MeshConfig(SolidConfig):
         return convex_mesh(np.array(self.vertices).reshape(-1, 3), faces)
 
 
+# Larger ones belong to no unit that anything is drawn in.
+Scale = Annotated[float, Field(gt=0, lt=1e9, strict=True)]
+
+
+class MeshFileConfig(Section):
+    """Keys that name a file in the place of the vertices and faces of a mesh.
+
+    Attributes:
+        type: ``mesh``.
+        file: file (.stl, .obj) that vertices and faces are read from.
+        scale: by which places in the file are multiplied, all alike or along x, y and z.
+    """
+
+    type: Literal["mesh"]
+    file: str
+    scale: Scale | tuple[Scale, Scale, Scale] = 1.0
+
+
 ShapeConfig = Annotated[
     BoxConfig | SphereConfig | EllipsoidConfig | CapsuleConfig | MeshConfig,
     Field(discriminator="type"),

@@ -1,11 +1,12 @@
 """What the animals are judged by."""
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field, Tag, field_validator, model_validator
 
 from evo_cpg.config.schema.choice import CustomConfig, by_type
+from evo_cpg.config.schema.plausible import Direction
 from evo_cpg.config.schema.section import (
     Finite,
     NotNegative,
@@ -14,7 +15,11 @@ from evo_cpg.config.schema.section import (
     Section,
     Vector,
 )
-from evo_cpg.simulation.walk import Heading
+from evo_cpg.creature.creature import Creature
+from evo_cpg.simulation.reach_light import ReachLight
+from evo_cpg.simulation.task import Task
+from evo_cpg.simulation.walk import Distance, Heading, Walk
+from evo_cpg.spatial.choices import chosen
 from evo_cpg.spatial.numerics import Number, Triple, xp
 
 
@@ -29,8 +34,8 @@ class LightConfig(OpenSection):
     """
 
     distance: Positive | None = None
-    bearing_deg: Finite | None = None
-    elevation_deg: Annotated[float, Field(ge=-90, le=90)] | None = None
+    bearing_deg: Annotated[Finite | None, Direction()] = None
+    elevation_deg: Annotated[Annotated[float, Field(ge=-90, le=90)] | None, Direction()] = None
     at: Vector | None = None
 
     @model_validator(mode="after")
@@ -75,7 +80,17 @@ class LightConfig(OpenSection):
 DEFAULT_LIGHT = LightConfig(distance=8.0, bearing_deg=30.0, elevation_deg=0.0)
 
 
-class ReachLightConfig(Section):
+class _TaskSection(Section):
+    # What others need to know of a task.
+    needs_ground: ClassVar[bool] = False
+
+    @property
+    def goal(self) -> LightConfig | None:
+        """The light that the task is about, where a trial does not have its own; None for none."""
+        return None
+
+
+class ReachLightConfig(_TaskSection):
     """Iwadate 2010, eqs. 9 and 10, on normalised terms: a > c > b.
 
     Attributes:
@@ -111,8 +126,32 @@ class ReachLightConfig(Section):
             )
         return self
 
+    @property
+    def goal(self) -> LightConfig:
+        """The light."""
+        return self.light
 
-class DistanceConfig(Section):
+    def build(self, creature: Creature, light: Triple | None, control_rate: float) -> Task:
+        """Build the task.
+
+        Args:
+            creature: the animal.
+            light: its place, m.
+            control_rate: control steps per second, 1/s.
+        """
+        del creature
+        assert light is not None
+        return ReachLight(
+            light=light,
+            distance_weight=self.distance_weight,
+            energy_weight=self.energy_weight,
+            energy_max=self.energy_max,
+            light_weight=self.light_weight,
+            final_steps=chosen(lambda: max(1, round(self.final_seconds * control_rate))),
+        )
+
+
+class DistanceConfig(_TaskSection):
     """Fukui 2003: distance moved, whatever the posture.
 
     Attributes:
@@ -123,8 +162,13 @@ class DistanceConfig(Section):
     type: Literal["distance"] = "distance"
     heading: Heading = "any"
 
+    def build(self, creature: Creature, light: Triple | None, control_rate: float) -> Task:
+        """Build the task; see `ReachLightConfig.build`."""
+        del creature, light, control_rate
+        return Distance(heading=self.heading)
 
-class WalkConfig(Section):
+
+class WalkConfig(_TaskSection):
     """Distance, less what running has and walking has not; weights in torso lengths of way.
 
     Attributes:
@@ -142,6 +186,16 @@ class WalkConfig(Section):
     tilt_weight: NotNegative = 20.0
     bounce_weight: NotNegative = 20.0
     airborne_weight: NotNegative = 10.0
+
+    needs_ground: ClassVar[bool] = True
+
+    def build(self, creature: Creature, light: Triple | None, control_rate: float) -> Task:
+        """Build the task; see `ReachLightConfig.build`."""
+        del light, control_rate
+        torso = next(body for body in creature.bodies if body.joint is None)
+        weights = dict(self)
+        del weights["type"]
+        return Walk(torso_length=2 * torso.shape.half_extents[0], **weights)
 
 
 TaskConfig = Annotated[

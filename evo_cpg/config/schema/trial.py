@@ -4,6 +4,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag, field_validator
 
+from evo_cpg.config.schema.plausible import Direction
 from evo_cpg.config.schema.section import (
     Count,
     Finite,
@@ -27,7 +28,7 @@ class SituationConfig(OpenSection):
     """
 
     start: tuple[Finite, Finite] | None = None
-    start_heading_deg: Finite | None = None
+    start_heading_deg: Annotated[Finite | None, Direction()] = None
     light: LightConfig | None = None
 
 
@@ -61,7 +62,7 @@ class SimulationConfig(Section):
     substeps: Count = 2
     steps: Count = 2000
     start: tuple[Finite, Finite] = (0.0, 0.0)
-    start_heading_deg: Finite = 0.0
+    start_heading_deg: Annotated[Finite, Direction()] = 0.0
     start_clearance: NotNegative = 0.0
     start_pose: Literal["neutral", "settled"] = "neutral"
     trials: TrialsConfig = 1

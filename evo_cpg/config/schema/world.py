@@ -6,6 +6,7 @@ from pydantic import Field, field_validator
 
 from evo_cpg.config.schema.choice import CustomConfig
 from evo_cpg.config.schema.ground import GroundConfig
+from evo_cpg.config.schema.plausible import GRAVITY, LIQUID
 from evo_cpg.config.schema.section import Finite, NotNegative, Positive, Section, Vector
 from evo_cpg.physics.fluid import DragLaw
 
@@ -49,7 +50,7 @@ class WaterConfig(Section):
         points_seed: seed of random points.
     """
 
-    density: Positive = 1000.0
+    density: Annotated[Positive, LIQUID] = 1000.0
     form_drag: NotNegative = 1.0
     skin_drag: NotNegative = 0.02
     surface: Finite | None = None
@@ -88,7 +89,7 @@ class WorldConfig(Section):
         forces: force laws of your own, which act beside those of the water.
     """
 
-    gravity: NotNegative = 9.81
+    gravity: Annotated[NotNegative, GRAVITY] = 9.81
     water: WaterConfig | None = WaterConfig()
     ground: GroundConfig | None = None
     forces: tuple[CustomConfig, ...] = ()

@@ -1,0 +1,116 @@
+"""`evo-cpg export`: a creature as a MuJoCo model, or a motion for other programs."""
+
+import os
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from evo_cpg.cli.completion import complete_config
+from evo_cpg.cli.errors import UsageError, require_free
+from evo_cpg.cli.options import Cell, Number, Overwrite, Trial, find_config_or_folder
+
+
+def export(
+    source: Annotated[
+        Path,
+        typer.Argument(
+            metavar="CONFIG_OR_RUN",
+            help="A configuration file, the name of a shipped one, or a run folder.",
+            callback=find_config_or_folder,
+            autocompletion=complete_config,
+        ),
+    ],
+    output: Annotated[
+        Path,
+        typer.Argument(
+            metavar="OUT",
+            help="A .xml file for a MuJoCo model; of a run also a .glb, .csv or .npz file for the "
+            "motion.",
+        ),
+    ],
+    number: Number = None,
+    trial: Trial = 0,
+    cell: Cell = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Write a creature as a MuJoCo model, or a run's motion as a 3D scene or a table."""
+    from evo_cpg.view.output import output_path
+
+    require_free(output, overwrite)
+    suffix = output_path(output, (".xml", ".glb", ".csv", ".npz")).suffix.lower()
+    if suffix == ".xml":
+        if number is not None or trial or cell is not None:
+            raise UsageError(f"{output}: has no motion; leave out --run, --trial, --cell")
+        _export_model(source, output)
+    elif not os.path.isdir(source):
+        raise UsageError(f"{source} is no run folder: only a run has a motion for {output.name}")
+    elif suffix == ".glb":
+        _export_scene(source, output, number, trial, cell)
+    else:
+        from evo_cpg.cli.champions import champion_record
+
+        record = champion_record(source, number, trial, cell)
+        record.to_csv(output) if suffix == ".csv" else record.to_npz(output)
+    print(output)
+
+
+def _export_scene(
+    run: Path, output: Path, number: int | None, trial: int, cell: str | None
+) -> None:
+    """Write an animated scene."""
+    from evo_cpg.cli.champions import champion_motion
+    from evo_cpg.cli.progress import working
+    from evo_cpg.files import write_whole
+
+    experiment, _, recording, _ = champion_motion(run, number, trial, cell)
+    with working("writing the scene"):
+        from evo_cpg.exchange.gltf_film import gltf_film
+
+        world = experiment.simulation.world
+        scene = gltf_film(
+            experiment.creature,
+            recording,
+            title=experiment.name,
+            world="land" if world.water is None else "water",
+            ground=world.ground,
+            surface=None if world.water is None else world.water.surface,
+        )
+        write_whole(output, lambda file: file.write(scene))
+
+
+def _export_model(source: Path, output: Path) -> None:
+    """Write a MuJoCo model."""
+    from evo_cpg.cli.building import build
+    from evo_cpg.cli.champions import open_run
+    from evo_cpg.config.load import load_config
+    from evo_cpg.exchange.mjcf_export import mjcf_model, mjcf_text
+    from evo_cpg.files import write_text
+
+    if os.path.isdir(source):
+        _, _, experiment = open_run(source)
+    else:
+        experiment = build(load_config(source), source)
+    simulation = experiment.simulation
+    world, situation = simulation.world, simulation.situations[0]
+    model = mjcf_model(
+        experiment.creature,
+        world.gravity,
+        world.ground,
+        world.water,
+        situation.start_position,
+        situation.start_heading,
+        simulation.step_length,
+        world.pair_names,
+        situation.start_orientation,
+        situation.start_angles,
+    )
+    write_text(output, mjcf_text(model))
+    if world.water is not None:
+        carried = world.water.surface is None
+        what = "all of it but buoyancy" if carried else "all of it, since it has a surface"
+        print(f"left out: the water, {what}", file=sys.stderr)
+    own = [type(law).__name__ for law in world.forces if not law.of_water]
+    if own:
+        print(f"left out: force laws of your own, {', '.join(own)}", file=sys.stderr)

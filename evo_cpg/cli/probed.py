@@ -1,0 +1,118 @@
+"""What a champion did in new situations, in rows and words, for the command `probe`."""
+
+import numpy as np
+
+from evo_cpg.cli.errors import UsageError
+from evo_cpg.cli.tables import show_table
+from evo_cpg.config.situations import out_of_reach
+from evo_cpg.simulation.situation import Situation
+from evo_cpg.training.experiment import Experiment
+from evo_cpg.training.probe import UNSEEING, Probe, seen_from_start
+from evo_cpg.training.run_folder import RunFolder
+
+
+def missed(found: Probe, reach: float) -> str:
+    """Return what to say of an animal that misses most of its lights; empty if it does not."""
+    reached, turned = found.reached(reach), [seen_from_start(s)[1] for s in found.situations]
+    count, sides = int(reached.sum()), np.sign(np.round(turned, 9))
+    if count >= len(reached) / 2:
+        return ""
+    side = ""
+    for sign, name in ((1, "left"), (-1, "right")):
+        if count and (sides[reached] == sign).all() and (sides[~reached] == -sign).any():
+            side = f", all of them on the {name}"
+    return f"it misses most lights: it reaches {count} of {len(reached)}{side}"
+
+
+def unseeing(seeing: Probe, blind: Probe) -> str:
+    """Return what to say of an animal that does without its eyes; empty if it does not."""
+    if not seeing.displacement > 0:
+        return "it comes no nearer to the lights with its eyes, so there is nothing to compare"
+    kept = max(0.0, blind.displacement) / seeing.displacement
+    if kept < UNSEEING:
+        return ""
+    return f"it does not use its eyes: blind it keeps {kept:.0%} of its displacement to the lights"
+
+
+def probe_rows(found: Probe, reach: float) -> list[dict[str, float | int]]:
+    """The rows of probe.csv, one for each situation.
+
+    Args:
+        found: what became of the animal.
+        reach: share of the distance that may be left where a light counts as reached.
+    """
+    reached = found.reached(reach)
+    rows = []
+    for i, situation in enumerate(found.situations):
+        distance, bearing, elevation = seen_from_start(situation)
+        x, y, _ = situation.start_position
+        rows.append(
+            {
+                "start_x": x,
+                "start_y": y,
+                "start_heading_deg": _degrees(situation.start_heading),
+                "bearing_deg": _degrees(bearing),
+                "elevation_deg": _degrees(elevation),
+                "start_distance": distance,
+                "distance": float(found.distance[i]),
+                "distance_left": float(found.distance[i]) * distance,
+                "light": float(found.light[i]),
+                "reached": int(reached[i]),
+                "diverged": int(not found.alive[i]),
+            }
+        )
+    return rows
+
+
+def own_situations(experiment: Experiment, folder: RunFolder) -> tuple[Situation, ...]:
+    """Those that the animal evolved in, with their lights."""
+    simulation = experiment.simulation
+    if None in simulation.lights:
+        raise UsageError(f"{folder.path}: its task has no light, so there is none to look for")
+    return tuple(
+        situation._replace(light=light)
+        for situation, light in zip(simulation.situations, simulation.lights, strict=True)
+    )
+
+
+def require_reachable(experiment: Experiment, situations: tuple[Situation, ...]) -> None:
+    """Check that every light can be reached.
+
+    Raises:
+        UsageError: one cannot.
+    """
+    world = experiment.simulation.world
+    for situation in situations:
+        assert situation.light is not None
+        problem = out_of_reach(
+            experiment.creature, world, situation.start_position, situation.light
+        )
+        if problem:
+            distance, bearing, _ = seen_from_start(situation)
+            raise UsageError(
+                f"--bearings, --distances: {_degrees(bearing):g} degrees, {distance:g} m: "
+                f"{problem}; choose others, or --trials"
+            )
+
+
+def show_probe(rows: list[dict[str, float | int]]) -> None:
+    """Print the rows of probe.csv for a reader."""
+    cells = []
+    for row in rows:
+        lost = bool(row["diverged"])
+        cells.append(
+            (
+                f"{row['bearing_deg']:+.1f}",
+                f"{row['start_distance']:.2f}",
+                "diverged" if lost else f"{row['distance_left']:.2f}",
+                "" if lost else f"{row['distance']:.1%}",
+                "" if lost else f"{row['light']:.2f}",
+                "yes" if row["reached"] else "no",
+            )
+        )
+    show_table(("bearing", "from (m)", "left (m)", "left", "light seen", "reached"), cells, left=0)
+
+
+def _degrees(angle: float) -> float:
+    """Without the last digits, in which 60 becomes 59.99999999999999; never -0."""
+    return round(float(np.rad2deg(angle)), 9) + 0.0

@@ -1,0 +1,40 @@
+"""Tables on the terminal."""
+
+from collections.abc import Iterable, Sequence
+
+
+def show_table(
+    heads: Sequence[str],
+    rows: Iterable[Sequence[str]],
+    *,
+    left: int = 1,
+    title: str | None = None,
+    width: int = 0,
+) -> None:
+    """Print a table.
+
+    Args:
+        heads: of the columns.
+        rows: cells.
+        left: number of columns with text, which folds; the others hold numbers.
+        title: above the table.
+        width: characters at least, however narrow the terminal is.
+    """
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    for number, head in enumerate(heads):
+        is_text = number < left
+        table.add_column(
+            head,
+            justify="left" if is_text else "right",
+            overflow="fold",
+            no_wrap=not is_text,
+        )
+    for row in rows:
+        table.add_row(*row)
+    console = Console(highlight=False, markup=False)
+    console.width = max(width, console.width)
+    console.print(table)

@@ -1,0 +1,91 @@
+"""Metadata of fields: the values that people mean, which are fewer than those that are allowed.
+
+A field carries it in its annotation, as ``gravity: Annotated[NotNegative, Plausible(0, 30, ...)]``.
+`evo_cpg.config.plausible` reads it and warns of other values.
+"""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+# A full turn, degrees; what is farther was converted once too often.
+TURN = 360.0
+
+# Angles that people choose are multiples of this, degrees. In radians they are crooked numbers,
+# of which at least two decimals are written.
+_COMMON, ROUNDING = 15.0, 0.006
+
+
+class Plausible(NamedTuple):
+    """Plausible range of a number.
+
+    Attributes:
+        low: smallest plausible value.
+        high: largest plausible value.
+        unit: of both.
+        units: other units that may have been meant, and what a number in them is multiplied by.
+        about: a value to compare with; said if no other unit fits.
+    """
+
+    low: float
+    high: float
+    unit: str
+    units: Mapping[str, float] = {}
+    about: str = ""
+
+    def problem(self, value: float) -> str | None:
+        """Return what is wrong with a value; None if it is plausible."""
+        if self.low <= value <= self.high:
+            return None
+        likely = self.about
+        for unit, factor in self.units.items():
+            if self.low <= value * factor <= self.high:
+                likely = (
+                    f"in {unit} it would be {round(value * factor, 3):g} {self.unit}: write that"
+                )
+                break
+        return f"plausible are {self.low:.3g} to {self.high:g} {self.unit}; {likely}"
+
+
+class Direction(NamedTuple):
+    """Mark of angles in degrees that are directions, any of which is allowed."""
+
+    def problem(self, value: float | tuple[float, ...]) -> str | None:
+        """Return what is wrong with angles that all look like radians, or exceed a full turn."""
+        given = np.array([angle for angle in np.ravel(value) if angle])
+        if not len(given):
+            return None
+        meant = np.round(np.rad2deg(given) / _COMMON) * _COMMON
+        off = np.abs(given - np.deg2rad(meant))
+        crooked = given != np.round(given)
+        if (np.abs(given) <= 2 * np.pi + ROUNDING).all() and (
+            (off < ROUNDING) & (meant != 0) & crooked
+        ).all():
+            words = ", ".join(f"{angle:g}" for angle in meant)
+            return (
+                f"in degrees this is hardly a turn; as radians it would be {words} degrees; "
+                "write degrees"
+            )
+        if np.abs(given).max() > TURN:
+            return f"plausible are -{TURN:g} to {TURN:g} degrees; converted twice? write degrees"
+        return None
+
+
+# Solids from foam to osmium, and liquids from petrol to the Dead Sea.
+_DENSITIES = {"g/cm^3": 1000.0, "g/m^3": 1e-3}
+SOLID = Plausible(20.0, 23_000.0, "kg/m^3", _DENSITIES, "water has 1000")
+LIQUID = Plausible(500.0, 2000.0, "kg/m^3", _DENSITIES, "water has 1000")
+
+# The strongest gravity of a planet of the sun is 24.8 m/s^2.
+GRAVITY = Plausible(0.0, 30.0, "m/s^2", {"cm/s^2": 0.01}, "the earth has 9.81")
+
+# An eye that sees less than this sees a slit of the world.
+VIEW = Plausible(
+    2 * np.pi + ROUNDING, TURN, "degrees", {"radians": np.rad2deg(1.0)}, "a slit sees no light"
+)
+
+# Joints of animals and robots turn at up to 20 rad/s, the fastest servos at 60.
+RATE = Plausible(
+    -60.0, 60.0, "rad/s", {"degrees per second": np.deg2rad(1.0)}, "fast servos reach 60"
+)

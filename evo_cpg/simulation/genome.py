@@ -1,0 +1,62 @@
+"""What the genes of an individual mean: the one place that knows.
+
+A genome is a vector of numbers. Today all of them belong to the controller. Whatever evolves beside
+it is counted, drawn, bounded and decoded here, and gets a field of `Phenotype`. Searches, run
+folders, commands and the API know a genome as a vector of `Genome.count` numbers.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PyTree
+
+from evo_cpg.control.controller import Controller
+
+
+class Phenotype(NamedTuple):
+    """What the genes of every individual became.
+
+    Attributes:
+        controller: what `Controller.act` takes of them, see `Controller.decode`.
+    """
+
+    controller: PyTree[Array]
+
+
+class Genome(NamedTuple):
+    """The genes of all individuals of an experiment.
+
+    Attributes:
+        controller: whose genes they are.
+    """
+
+    controller: Controller
+
+    @property
+    def count(self) -> int:
+        """Number of genes."""
+        return self.controller.gene_count
+
+    @property
+    def binary(self) -> bool:
+        """Whether genes are bits, 0 or 1."""
+        return self.controller.binary
+
+    def random(self, key: Array, batch: tuple[int, ...]) -> Float[Array, "g *n"]:
+        """Return genes of a first generation, which a controller may draw as integers or bits."""
+        return jnp.asarray(self.controller.random_genes(key, batch, jnp.float32), jnp.float32)
+
+    def decode(self, genes: Float[Array, "g *n"]) -> Phenotype:
+        """Return what the genes become; called once per trial."""
+        return Phenotype(self.controller.decode(genes))
+
+    def bound(self, largest: float) -> float | None:
+        """Return the largest magnitude of a gene, given that of real numbers; None for bits."""
+        return None if self.binary else largest
+
+    def misfit(self, genes: Float[np.ndarray, " _"]) -> str | None:
+        """Say what is wrong with the genes of one individual; None if they fit."""
+        if genes.shape == (self.count,):
+            return None
+        return f"the genome has {genes.size} genes, not {self.count}"
