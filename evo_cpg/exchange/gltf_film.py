@@ -19,11 +19,11 @@ from evo_cpg.simulation.recording import Recording, require_whole
 from evo_cpg.view.camera import course
 from evo_cpg.view.clip import sample
 from evo_cpg.view.ground import grid_spacing, mark_spacing
-from evo_cpg.view.look import LOOKS, SHORE, Look
+from evo_cpg.view.look import Look
 from evo_cpg.view.meshes import body_colors, eye_meshes, shape_mesh
 from evo_cpg.view.obstacles import obstacle_mesh
-from evo_cpg.view.sky import sun_direction
-from evo_cpg.view.stage import FLOOR_DEPTH, animal_radius, animal_reach, surface_is_seen
+from evo_cpg.view.scenery import sun_direction
+from evo_cpg.view.stage import FLOOR_DEPTH, animal_radius, animal_reach, seen_world
 from evo_cpg.view.terrain import Terrain, make_terrain
 from evo_cpg.view.textures import CELLS, floor_texture
 
@@ -65,9 +65,8 @@ def gltf_film(
     """
     require_whole(recording, creature)
     clip = sample(recording, _FPS)
-    if surface is not None and not surface_is_seen(creature, clip, ground, surface):
-        surface = None
-    look, radius = LOOKS[world] if surface is None else SHORE, animal_radius(creature, clip)
+    look, surface = seen_world(creature, clip, world, ground, surface)
+    radius = animal_radius(creature, clip)
     glb = Glb(f"evo-cpg {version_of('evo-cpg')}", title)
     root = glb.node(_apart(creature, "world"), rotation=list(Z_UP))
     _add_animal(glb, root, creature, recording)

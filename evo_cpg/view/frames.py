@@ -12,12 +12,11 @@ import numpy as np
 
 from evo_cpg.view.captions import heading
 from evo_cpg.view.clip import Clip, sample
-from evo_cpg.view.look import LOOKS, SHORE
 from evo_cpg.view.offscreen import canvas
 from evo_cpg.view.output import GUTTER, SettingError, oversampling
 from evo_cpg.view.panel import Panel
 from evo_cpg.view.signals import LOWEST, SHARE, Strip
-from evo_cpg.view.stage import Stage, set_scene, surface_is_seen
+from evo_cpg.view.stage import Stage, seen_world, set_scene
 
 # Pixels rendered per pixel of the result, a side. On one core of a software renderer a frame of
 # 1280 x 720 costs 46 ms at 1.25, 58 ms at 1.5, which looks hardly better, and 100 ms at 2.
@@ -146,10 +145,8 @@ class Frames:
     @contextlib.contextmanager
     def _panel(self, panel: Panel, clip: Clip) -> Iterator[Callable[[int], np.ndarray]]:
         """An animal's picture, instant by instant: ``(height, width, 3)``, bottom row first."""
-        creature, surface, size, scale = panel.creature, panel.surface, self._one, self._scale
-        if surface is not None and not surface_is_seen(creature, clip, panel.ground, surface):
-            surface = None
-        look = LOOKS[panel.world] if surface is None else SHORE
+        creature, size, scale = panel.creature, self._one, self._scale
+        look, surface = seen_world(creature, clip, panel.world, panel.ground, panel.surface)
         rendered = round(size[0] * scale), round(size[1] * scale)
         strip, above = None, size[1]
         if panel.signals is not None:

@@ -18,15 +18,26 @@ from evo_cpg.simulation.recording import Recording
 from evo_cpg.view.camera import CameraPath, aspect_of, course, follow, hidden
 from evo_cpg.view.captions import captions
 from evo_cpg.view.clip import Clip
-from evo_cpg.view.ground import Marks, add_floor, add_numbers, grid_spacing, mark_spacing
-from evo_cpg.view.look import Look
+from evo_cpg.view.ground import (
+    Marks,
+    add_floor,
+    add_numbers,
+    add_relief,
+    grid_spacing,
+    mark_spacing,
+)
+from evo_cpg.view.look import LOOKS, SHORE, Look
 from evo_cpg.view.meshes import add_bodies, head_index, shape_mesh
 from evo_cpg.view.obstacles import add_obstacles, obstacle_mesh, obstacle_top
 from evo_cpg.view.offscreen import pixels, placed
-from evo_cpg.view.relief import add_relief
-from evo_cpg.view.scenery import add_goal_light, add_particles, add_trail
+from evo_cpg.view.scenery import (
+    add_goal_light,
+    add_particles,
+    add_sky,
+    add_trail,
+    sun_direction,
+)
 from evo_cpg.view.shadows import LIFT, add_contacts, add_shadows, add_sun_shadows
-from evo_cpg.view.sky import add_sky, sun_direction
 from evo_cpg.view.terrain import Level, Terrain, heights, make_terrain
 from evo_cpg.view.textures import CELLS
 from evo_cpg.view.water import add_water, add_waterlines
@@ -260,6 +271,15 @@ def _add_stones(
         add_sun_shadows(plotter, look, meshes, ground, sun, radius),
     ):
         lay(np.array(places), np.array(turns))
+
+
+def seen_world(
+    creature: Creature, clip: Clip, world: str, ground: Ground | None, surface: float | None
+) -> tuple[Look, float | None]:
+    """Return the look of a world, and the height of the water's surface if it is seen, m."""
+    if surface is None or not surface_is_seen(creature, clip, ground, surface):
+        return LOOKS[world], None
+    return SHORE, surface
 
 
 def surface_is_seen(creature: Creature, clip: Clip, ground: Ground | None, surface: float) -> bool:

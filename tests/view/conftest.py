@@ -4,7 +4,7 @@ import functools
 
 import pytest
 
-from evo_cpg.view import frames, ground, relief
+from evo_cpg.view import frames, ground
 from evo_cpg.view.textures import floor_texture
 
 # Of a still's sides; users have 3, which only makes edges smoother.
@@ -16,7 +16,6 @@ def quick_pictures():
     """The floor's texture is made once for each look, and stills are painted less finely."""
     shared = functools.cache(floor_texture)
     with pytest.MonkeyPatch.context() as patch:
-        for module in (ground, relief):
-            patch.setattr(module, "floor_texture", shared)
+        patch.setattr(ground, "floor_texture", shared)
         patch.setattr(frames, "_STILL_OVERSAMPLING", _OVERSAMPLING)
         yield

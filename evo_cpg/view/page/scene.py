@@ -18,10 +18,9 @@ from evo_cpg.simulation.recording import Recording
 from evo_cpg.view.camera import course, smooth
 from evo_cpg.view.clip import sample
 from evo_cpg.view.ground import grid_spacing, mark_spacing
-from evo_cpg.view.look import LOOKS, SHORE
 from evo_cpg.view.meshes import body_colors, eye_meshes, head_index, shape_mesh
 from evo_cpg.view.obstacles import obstacle_mesh
-from evo_cpg.view.stage import animal_radius, surface_is_seen
+from evo_cpg.view.stage import animal_radius, seen_world
 from evo_cpg.view.terrain import make_terrain
 from evo_cpg.view.textures import CELLS
 
@@ -37,6 +36,11 @@ _SHORT = 32767
 # Corners of a stone that are enough for a page.
 _FINE = 1500
 _STONE = "#999188"
+# What the viewer needs to know of a look.
+_LOOK = (
+    "distance", "floor", "grid", "sun", "fill", "trail", "light", "halo", "zenith", "checkered",
+    "text", "particles",
+)  # fmt: skip
 _WHITE, _PUPIL = "#fdfdf8", "#10151c"
 
 
@@ -74,23 +78,18 @@ def scene(
     clip = sample(recording, RATE)
     arrays = _Arrays()
     radius = animal_radius(creature, clip)
-    if surface is not None and not surface_is_seen(creature, clip, ground, surface):
-        surface = None
-    look = LOOKS["water" if in_water else "land"] if surface is None else SHORE
+    look, surface = seen_world(creature, clip, "water" if in_water else "land", ground, surface)
     lit = bool(np.isfinite(recording.goal).all())
     level = ground.level if ground is not None else None
     lowest = clip.position[..., 2].min() - max(body.shape.reach for body in creature.bodies)
     if lit:
         lowest = min(lowest, recording.goal[2])
     floor = float(level) if level is not None else float(lowest - _DEPTH * radius)
-    terrain = None
-    if ground is not None and level is None:
+    terrain, shape = None, Plane(height=floor) if ground is None else ground.floor
+    uneven = surface is not None if ground is None else level is None
+    if uneven:
         way = clip.position.reshape(-1, 3)[:, :2]
-        terrain = make_terrain(ground.floor, way, radius, _FAR * radius)
-    elif ground is None and surface is not None:
-        terrain = make_terrain(
-            Plane(height=floor), clip.position.reshape(-1, 3)[:, :2], radius, _FAR * radius
-        )
+        terrain = make_terrain(shape, way, radius, _FAR * radius)
     focus = smooth(clip.position.mean(1), _CALM * RATE)
     bearing = course(clip.position[:, head_index(creature)], recording.goal, radius / 10)
     spacing = grid_spacing(2 * radius) if ground is None else mark_spacing(2 * radius) / CELLS
@@ -115,28 +114,12 @@ def scene(
         "goal": [float(x) for x in recording.goal] if lit else None,
         "surface": None if surface is None else float(surface),
         "water": in_water and surface is None,
-        "look": {
-            "distance": look.distance,
-            "floor": look.floor,
-            "grid": look.grid,
-            "sun": look.sun,
-            "fill": look.fill,
-            "trail": look.trail,
-            "light": look.light,
-            "halo": look.halo,
-            "zenith": look.zenith,
-            "checkered": look.checkered,
-            "text": look.text,
-            "particles": look.particles,
-        },
+        "look": {name: getattr(look, name) for name in _LOOK},
     }
     if terrain is not None:
         made["terrain"] = {
-            "x": arrays.add(terrain.x, "<f4"),
-            "y": arrays.add(terrain.y, "<f4"),
-            "z": arrays.add(terrain.z, "<f4"),
-            "normals": arrays.add(terrain.normals() * 127, "i1"),
-        }
+            name: arrays.add(values, "<f4") for name, values in terrain._asdict().items()
+        } | {"normals": arrays.add(terrain.normals() * 127, "i1")}
     for obstacle in ground.obstacles if ground is not None else ():
         mesh, place, turn = obstacle_mesh(obstacle)
         coarse = mesh.triangulate()

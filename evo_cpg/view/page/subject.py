@@ -63,7 +63,7 @@ class Subject(NamedTuple):
         run: which of several runs; None where there is one.
         trial: which of several trials; None where there is one.
         seed: of the experiment.
-        chains: degrees of freedom in rows, as `plot_joint_signals` has them.
+        chains: degrees of freedom in rows, as `joint_signals_figure` has them.
         signal: what the controller's signal is, with its unit.
         config: the resolved configuration, as a file.
         meta: contents of meta.json.
