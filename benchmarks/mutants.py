@@ -229,8 +229,8 @@ MUTANTS = (
     ),
     Mutant(
         "creature/surface.py",
-        "apart |= (np.abs(gap) < _SAME_SKIN)",
-        "apart &= (np.abs(gap) < _SAME_SKIN)",
+        "apart = apart | (xp.abs(gap) < _SAME_SKIN)",
+        "apart = apart & (xp.abs(gap) < _SAME_SKIN)",
         "creature/test_surface.py",
     ),
     Mutant(
@@ -403,8 +403,8 @@ MUTANTS = (
     ),
     Mutant(
         "simulation/rules.py",
-        "separations(rules.pairs, kin).gap >= -rules.overlap).all(0)",
-        "separations(rules.pairs, kin).gap >= -rules.overlap).any(0)",
+        "kept &= ((gap >= -rules.overlap) | passes).all(0)",
+        "kept &= ((gap >= -rules.overlap) | passes).any(0)",
         "simulation/test_rules.py",
     ),
     Mutant(

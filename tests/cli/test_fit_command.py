@@ -268,7 +268,7 @@ def test_the_champion_of_another_animal_is_refused(cli, finished_run, tmp_path):
     key = "controller.cpg.time_scale"
     code, _, complaint = cli("fit", land, table, key, "--run", finished_run)
     assert code == 2 and "Traceback" not in complaint
-    assert f"--run: the champion of {finished_run} has" in complaint
+    assert f"--run: the champion of {finished_run} does not fit {land}: " in complaint
 
 
 def test_an_export_without_all_of_its_columns_is_named(cli, config, tmp_path):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from evo_cpg.api import commit
+from evo_cpg.api import version
 from evo_cpg.cli import reproduce
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.reproduce import default_folder, make
@@ -242,10 +242,10 @@ def test_the_list_tells_how_each_part_was_made(capsys):
 
 
 def test_files_go_beside_the_pages_of_a_clone(monkeypatch, tmp_path):
-    monkeypatch.setattr(commit, "checkout", lambda: tmp_path)
+    monkeypatch.setattr(version, "checkout", lambda: tmp_path)
     assert default_folder("starfish", False) == tmp_path / "docs" / "reproduction" / "starfish"
     assert default_folder("starfish", True).parts == ("reproduction", "starfish_quick")
-    monkeypatch.setattr(commit, "checkout", lambda: None)
+    monkeypatch.setattr(version, "checkout", lambda: None)
     assert default_folder("starfish", False).parts == ("reproduction", "starfish")
 
 

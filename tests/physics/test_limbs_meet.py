@@ -277,5 +277,5 @@ def test_boxes_that_turn_beside_each_other_do_not_push(yaw):
         )
         bodies.append(Body(name, Box((0.03, 0.03, 0.2)), FLESH, joint))
     creature = Creature("legs", tuple(bodies))
-    pairs = make_pairs(creature, build_tree(creature), SelfCollision(only=(("left", "right"),)))
+    pairs = make_pairs(creature, build_tree(creature), SelfCollision(include=(("left", "right"),)))
     assert pairs is None

@@ -13,7 +13,7 @@ def build(x, y):
     """The area of the larger one of two squares, and a root of z^2 = x near by."""
     largest = chosen(lambda: int(np.argmax([x, y])))
     area = xp.array([x, y])[largest] ** 2
-    root = searched(lambda: float(np.sqrt(x)))
+    root = searched(lambda: float(np.sqrt(x)), lambda root: abs(root * root - x) < 1)
     return area, root - (root * root - x) / (2 * root)
 
 

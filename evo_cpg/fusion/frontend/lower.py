@@ -138,7 +138,9 @@ def trace_closed(
 
 
 def constants(graph: Builder, values: np.ndarray) -> np.ndarray:
-    """An array of constant nodes."""
+    """Return an array of constant nodes; tangents of integers (float0) are False, as in JAX."""
+    if values.dtype == jax.dtypes.float0:
+        values = np.zeros(values.shape, bool)
     result = np.empty(values.size, object)
     result[:] = [graph.constant(value, values.dtype) for value in values.flat]
     return result.reshape(values.shape)
