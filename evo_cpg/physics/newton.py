@@ -1,8 +1,8 @@
-"""Newton's iteration on a step problem with fixed friction cones.
+"""Newton's iteration on a step problem with fixed cones, restitution and pair bias.
 
 One iteration linearises the force laws at the iterate, solves for the accelerations, and searches
 the line to that solution for the least potential. The problem is strictly convex
-(`evo_cpg.physics.step_problem`), so the iteration ends at its only solution.
+(`evo_cpg.physics.step_problem`), so the iteration converges to its only solution.
 """
 
 import jax.numpy as jnp

@@ -36,7 +36,7 @@ class Cone(NamedTuple):
 
     @classmethod
     def first(cls, radius: Float[Array, "p *n"]) -> "Cone":
-        """Return the cones of the first round."""
+        """Return the cones of the first round; the other two fields are not used in it."""
         return cls(radius, radius, radius, jnp.zeros(radius.shape[1:], jnp.int32))
 
     def updated(self, allowed: Float[Array, "p *n"]) -> "Cone":

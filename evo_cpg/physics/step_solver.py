@@ -5,24 +5,27 @@ friction-cone radii L, the restitution e and the velocity-product bias b of touc
 fixed. Whenever Newton's iteration has solved it, the first of these updates that is needed changes
 the problem, and the iteration goes on (`outer_updates`):
 
-            warm start: y, L of the step before; e = 1; b at the start of the step
+            free motion: fixes the velocity products
                  |
-      +--------> Newton iteration: linearise, solve, line search
-      |          |
-      +<-- no -- solved?
-      |          | yes
-      +<-- L ---- friction cone: L differs from mu f_n?      L <- mu f_n (Anderson)
+            first iterate: full Newton step at the warm start; e = 1, b at the start of the step
+                 |
+      +--------> solved? ------ no ------> Newton iteration: linearise, solve, line search
+      |          | yes                     (60 in all, then y is returned as it is)
+      +<-- L --- friction cone: Coulomb error > 1e-2?        L <- mu f_n (Anderson)
       |          | no, or the last round
-      +<-- e ---- restitution: contact injects energy?       e <- e / 2, then 0
-      |          | no
-      +<-- b ---- pair bias: touching limbs drift > 0.2 mm?  b <- b at the end of the step
+      +<-- e --- restitution: contact injects energy?        e <- 1/2, 1/4, then 0
+      |          | no, or e = 0
+      +<-- b --- pair bias: touching limbs drift > 0.2 mm?   b <- b at the end of the step
                  | no, or the last update
                  y is the step's solution
+
+The arrows on the left lead through a Newton iteration, too. float64 takes all rounds of cones.
 
 The error that remains in Coulomb's law is reported (`Residual.coulomb`).
 
 Derivatives use the implicit function theorem: at a solution, one more Newton step changes nothing,
-and its derivative is that of the solution. `_replay` takes that step under every L and b.
+and its derivative is that of the solution. `_replay` takes that step in every round of cones, and
+under every further pair bias.
 """
 
 import functools
@@ -81,7 +84,7 @@ class _Search(NamedTuple):
         iterations: number of Newton iterations.
         done: whether y is the solution.
         visited: solutions on the way.
-        first_rounds: rounds of cones under the first pair bias.
+        last_round_of_first_bias: number of the last round of cones under the first pair bias.
     """
 
     y: Float[Array, "v *n"]
@@ -91,7 +94,7 @@ class _Search(NamedTuple):
     iterations: Int[Array, "*n"]
     done: Bool[Array, "*n"]
     visited: _Visited
-    first_rounds: Int[Array, "*n"]
+    last_round_of_first_bias: Int[Array, "*n"]
 
 
 class _Answer(NamedTuple):
@@ -136,19 +139,22 @@ def solve_step(
     one = jnp.ones(batch, state.q.dtype)
     radius, start = warmstart.radius, problem.with_restitution(one)
     first = start.motion(start.linearized(radius, warmstart.qdd, warmstart.velocity))
-    like = _Notes(_none_visited(problem, first), one, jnp.zeros(batch, jnp.int32))
+    template = _Notes(_none_visited(problem, first), one, jnp.zeros(batch, jnp.int32))
     answer = implicit(
         functools.partial(_solve, problem, radius),
         functools.partial(_replay, problem, radius),
         first,
-        like,
+        template,
     )
     end = problem.with_restitution(answer.restitution).with_pair_bias(answer.bias)
     return _solution(end, answer.radius, answer.y)
 
 
 def free_motion(problem: StepProblem) -> Float[Array, "v *n"]:
-    """Return the accelerations without contact, with motors at their limits held there.
+    """Return the accelerations without contact.
+
+    Motors that exceed their torque limit at zero acceleration stay at that limit.
+
 
     They say little where something is touched or a motor leaves its limit: a light limb turns at
     1000 rad/s under a torque that its motor stops giving at 50.
@@ -214,7 +220,7 @@ def _solve(
         iterations=none,
         done=jnp.zeros(first.shape[1:], bool),
         visited=_none_visited(problem, first),
-        first_rounds=none,
+        last_round_of_first_bias=none,
     )
     start = problem.with_restitution(begin.restitution)
     begin = _updated(start, begin, first, start.velocity(first))
@@ -228,7 +234,7 @@ def _solve(
     cones = [end.visited.cones[0]]
     for k, one in enumerate(end.visited.cones[1:], 1):
         # The last round stands for those that were not needed.
-        cones.append(where_each(end.first_rounds < k, cones[-1], one))
+        cones.append(where_each(end.last_round_of_first_bias < k, cones[-1], one))
     visited = end.visited._replace(cones=tuple(cones))
     answer = _Answer(end.y, end.cone.radius, end.restitution, end.bias.value)
     return answer, _Notes(visited, end.restitution, end.bias.updates)
@@ -262,15 +268,15 @@ def _updated(
     allowed = now.cone_radius(velocity)
     coulomb = now.coulomb_error(cone.radius, allowed, velocity, linear) <= _COULOMB
     early = (y.dtype != jnp.float64) & coulomb & (residual <= tolerance)
-    cone_holds = (solved & last_round) | early
-    change_cone = solved & ~cone_holds
+    cone_done = (solved & last_round) | early
+    change_cone = solved & ~cone_done
 
     # Restitution.
     injects = now.injects_energy(y, linear) & (search.restitution > 0)
-    reduce_restitution = cone_holds & injects
+    reduce_restitution = cone_done & injects
 
     # Pair bias.
-    finished, change_bias, new_bias = cone_holds & ~injects, jnp.zeros(injects.shape, bool), None
+    finished, change_bias, new_bias = cone_done & ~injects, jnp.zeros(injects.shape, bool), None
     if biases > 1:
         new_bias = now.pair_bias_at(qdd)
         change_bias = finished & (bias.updates + 1 < biases) & now.drifts(qdd, new_bias)
@@ -283,7 +289,9 @@ def _updated(
         iterations=search.iterations,
         done=(finished & ~change_bias) | (search.iterations >= _ITERATIONS),
         visited=_visit(search, y),
-        first_rounds=jnp.where(bias.updates > 0, search.first_rounds, cone.rounds + change_cone),
+        last_round_of_first_bias=jnp.where(
+            bias.updates > 0, search.last_round_of_first_bias, cone.rounds + change_cone
+        ),
     )
 
 
