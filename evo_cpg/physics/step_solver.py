@@ -122,7 +122,9 @@ def solve_step(
     target_angle: Float[Array, "d *n"] | None,
     warmstart: Warmstart | None = None,
 ) -> StepSolution:
-    """Solve a step with contact, joint limits or motors that have a largest torque.
+    """Solve a step with contact or motors that have a largest torque.
+
+    Steps with neither are solved at once, joint limits included (`equations.solve_at_once`).
 
     Args:
         world: the creature and its surroundings.
