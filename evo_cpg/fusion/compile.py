@@ -7,14 +7,16 @@
 | contract multiply-adds | graph | graph | `passes.contract` |
 | verify | graph | the same graph | `ir.verify`, in the tests |
 | eliminate dead code | graph | graph | `passes.dead_code` |
+| check size | graph | the same graph | here |
 | schedule | graph | graph | `passes.schedule` |
 | allocate | graph | code with registers and places | `backend.allocate` |
 | print | code | LLVM IR | `backend.llvm`, `backend.handler` |
 | compile | LLVM IR | machine code in memory | `backend.machine` |
 
-Rules of `simplify` and passes from graph to graph may be left out (`PASSES`, `RULES`): the program
-then costs more and means the same. With the environment variable ``EVO_CPG_SHOW_PASSES`` the graph
-is printed to standard error after each pass.
+Rules of `simplify` and passes from graph to graph may be left out (`PASSES`, `RULES`). The program
+then costs more and computes the same, except that sums without multiply-adds round otherwise. With
+the environment variable ``EVO_CPG_SHOW_PASSES`` the graph is printed to standard error after each
+pass.
 """
 
 import contextlib

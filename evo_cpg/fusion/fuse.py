@@ -3,7 +3,7 @@
 XLA:CPU gives every small matrix product of an articulated body a kernel of its own: reading and
 writing memory and starting hundreds of kernels then costs several times the arithmetic. Here the
 program is traced for one individual down to scalars (`frontend.lower`), and every scalar
-becomes one instruction on a vector of individuals (`backend.emit`).
+becomes one instruction on a vector of individuals (`backend.allocate`).
 
 Functions that are fused may call others that are: a trial is one program, of which a control step
 is a part that is a program as well. What cannot become native code is then the smallest part that

@@ -256,21 +256,24 @@ def test_verifier_finds_what_is_wrong_with_loops():
     verify(graph)
     (loop, *_) = [node for node in graph.nodes if node.op == "loop"]
     place = graph.nodes.index(loop)
-    inner = [node for node in graph.nodes if node.block is loop.detail.body][-1]
+    inner_nodes = [node for node in graph.nodes if node.block is loop.detail.body]
+    inner = inner_nodes[-1]
     detail = loop.detail
+    carried = graph.kept[loop][0]
+    other = next(node for node in inner_nodes if node.dtype != loop.operands[carried].dtype)
+    following = [*detail.following]
+    following[carried] = other
     for changes, message in (
         ({"count": None}, "number of rounds or a condition"),
         ({"test": detail.body}, "in another block"),
-        ({"following": loop.operands[::-1]}, None),
-        ({"following": (None, *detail.following[1:])}, "."),
+        ({"following": tuple(following)}, "several types"),
     ):
         one = dataclasses.replace(loop, detail=detail._replace(**changes))
         nodes = [*graph.nodes[:place], one, *graph.nodes[place + 1 :]]
         loops = {block: one if each is loop else each for block, each in graph.loops.items()}
         wrong = dataclasses.replace(graph, nodes=nodes, loops=loops, kept={one: graph.kept[loop]})
-        if message is not None:
-            with pytest.raises((InvalidGraph, AttributeError), match=message):
-                verify(wrong)
+        with pytest.raises(InvalidGraph, match=message):
+            verify(wrong)
     outside = Node("neg", (inner,), inner.dtype, graph.top, False, graph.nodes[-1].number + 1)
     with pytest.raises(InvalidGraph, match="computed in another block"):
         verify(dataclasses.replace(graph, nodes=[*graph.nodes, outside]))

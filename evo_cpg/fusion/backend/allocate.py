@@ -405,7 +405,7 @@ class _Allocator:
             self._pack(node, loop)
             return
         before, self.alone = self.alone, self.alone or alone
-        outside, self.items, number = self.items, [], 0
+        outside, self.items = self.items, []
         self.count += 1
         number = self.count
         if loop.condition is not None:

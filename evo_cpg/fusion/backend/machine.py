@@ -109,8 +109,7 @@ def host(wanted: str | None = None) -> Target:
     if wanted is not None and wanted not in names:
         raise Unsupported(f"this processor has no {wanted}; it has {', '.join(names)}")
     name = wanted or names[0]
-    dropped = _LARGER.get(name, ())
-    kept = {each for each in has if not each.startswith(dropped or ("\0",))}
+    kept = {each for each in has if not each.startswith(_LARGER.get(name, ()))}
     flags = [f"{'+' if each in kept else '-'}{each}" for each in sorted(has - {"neon", "fma"})]
     if "fma" in has and name not in ("neon",):
         flags.append(f"{'+' if 'fma' in kept else '-'}fma")

@@ -55,7 +55,7 @@ class Selector:
         self.masked = variant.masked
         self._w = Writer(variant.width, variant.fma)
         self.declared = self._w.declared
-        self.literal, self.type_of = self._w.literal, self._w.type_of
+        self.literal = self._w.literal
         self._known: dict[tuple, Template] = {}
 
     def operation(self, node: Node) -> Template:
