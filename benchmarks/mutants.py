@@ -63,7 +63,7 @@ MUTANTS = (
         "view/plots.py",
         "swing = level(angle)",
         "swing = angle - angle.mean(0)",
-        "view/test_pictures.py",
+        "view/test_figures.py",
     ),
     Mutant(
         "physics/fluid.py",
