@@ -56,6 +56,7 @@ bench: $(DEV) ## run the benchmark suite
 	$(BIN)/evo-cpg bench
 
 docs: $(DEV) ## build the documentation into docs/_build/html
+	$(BIN)/python docs/tools/generate.py
 	$(BIN)/sphinx-build --quiet --fresh-env --fail-on-warning --keep-going -b html docs docs/_build/html
 
 format: $(DEV) ## format the code and mend what ruff can

@@ -1,6 +1,6 @@
 """Shows Jupyter notebooks as pages, with what their cells printed and drew, and runs them anew.
 
-    python docs/extensions/notebook_pages.py docs/notebooks/*.ipynb
+    python docs/tools/notebook_pages.py docs/notebooks/*.ipynb
 
 runs the cells of each notebook in order and writes what they print and draw into it. Cells are
 plain Python: no magic, and pictures are those of matplotlib.

@@ -1,17 +1,12 @@
-"""Puts every key of a configuration file into the page that asks for them.
-
-A line `<!-- every key of the configuration -->` becomes a section with a table for each part of
-the file, made of `evo_cpg.config.file_schema` whenever the docs are built.
-"""
+"""Write the configuration reference: a table of keys for each part of the file, from the schema."""
 
 import json
 import re
 from collections.abc import Iterator
+from functools import cache
 from typing import Any, NamedTuple
 
 from evo_cpg.config.file_schema import Schema, file_schema
-
-MARK = "<!-- every key of the configuration -->"
 
 # Longer ones first: "m" ends many of them.
 _UNITS = (
@@ -61,7 +56,7 @@ def every_key() -> str:
         if part.kind and top != section and "." not in part.paths[0]:
             pieces.append(f"## `{top}`\n")
         section = top
-        pieces += [f"({anchor(part.name)})=", f"{_heading(part)}\n"]
+        pieces.append(f"{heading(part)}\n")
         if part.name:
             pieces.append(f"{_sentence(definition['description'])}\n")
         pieces.append(_table(definition))
@@ -93,8 +88,16 @@ def parts(schema: Schema) -> list[Part]:
 
 
 def anchor(name: str) -> str:
-    """What a table is linked by."""
-    return f"config-{name or 'file'}".lower()
+    """Return the anchor of a table: its heading as GitHub and MyST shorten it."""
+    return _anchors()[name]
+
+
+@cache
+def _anchors() -> dict[str, str]:
+    return {
+        part.name: re.sub(r"[^\w\- ]", "", heading(part).lstrip("# ").lower()).replace(" ", "-")
+        for part in parts(file_schema())
+    }
 
 
 def _inner(value: Schema, step: str = "") -> Iterator[tuple[str, str]]:
@@ -110,7 +113,8 @@ def _inner(value: Schema, step: str = "") -> Iterator[tuple[str, str]]:
         yield from _inner(value["additionalProperties"], f"{step}.NAME")
 
 
-def _heading(part: Part) -> str:
+def heading(part: Part) -> str:
+    """Return the heading of the table of a part."""
     if not part.name:
         return "## The whole file"
     level = "##" if "." not in part.paths[0] and part.kind is None else "###"
@@ -253,14 +257,3 @@ def _range(value: Schema) -> str:
         return f"from {low} to {high}"
     bounds = (("of at least", low), ("above", above), ("up to", high), ("below", below))
     return ", ".join(f"{word} {bound}" for word, bound in bounds if bound is not None)
-
-
-def _fill(app: Any, docname: str, source: list[str]) -> None:
-    if MARK in source[0]:
-        source[0] = source[0].replace(MARK, every_key())
-
-
-def setup(app: Any) -> dict[str, bool]:
-    """Called by Sphinx."""
-    app.connect("source-read", _fill)
-    return {"parallel_read_safe": True}

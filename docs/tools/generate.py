@@ -1,0 +1,63 @@
+"""Write the generated parts of the pages, so that they can be read as files.
+
+    python docs/tools/generate.py            writes them
+    python docs/tools/generate.py --check    lists pages that are out of date, and returns 1
+
+A generated part stands between `<!-- begin KIND ARGUMENTS -->` and `<!-- end -->`:
+
+- `begin table FILE`: a table that `evo-cpg reproduce` made; FILE is relative to the page.
+- `begin configuration`: all keys of a configuration file.
+- `begin api NAME ...`: public names with their docstrings, see `api_pages.reference`.
+"""
+
+import re
+import sys
+from pathlib import Path
+
+import api_pages
+import configuration_tables
+
+DOCS = Path(__file__).parents[1]
+_PART = re.compile(r"(<!-- begin (\w+) ?(.*?) -->\n)(.*?)(<!-- end -->)", re.S)
+
+
+def filled(page: Path) -> str:
+    """Return the text of a page with its generated parts made anew.
+
+    Raises:
+        ValueError: a part of an unknown kind.
+        OSError: a table does not exist.
+    """
+
+    def part(match: re.Match[str]) -> str:
+        begin, kind, arguments, _, end = match.groups()
+        return f"{begin}\n{_made(page, kind, arguments.split()).strip()}\n\n{end}"
+
+    return _PART.sub(part, page.read_text(encoding="utf-8"))
+
+
+def _made(page: Path, kind: str, arguments: list[str]) -> str:
+    if kind == "table":
+        return (page.parent / arguments[0]).read_text(encoding="utf-8")
+    if kind == "configuration":
+        return configuration_tables.every_key()
+    if kind == "api":
+        return api_pages.reference(arguments)
+    raise ValueError(f"{page}: no generated part is called {kind!r}")
+
+
+def main(check: bool) -> int:
+    """Fill all pages; return 1 if `check` and a page was out of date."""
+    stale = 0
+    for page in sorted(DOCS.rglob("*.md")):
+        text = filled(page)
+        if text != page.read_text(encoding="utf-8"):
+            stale += 1
+            print(f"{page.relative_to(DOCS)}: {'out of date' if check else 'written'}")
+            if not check:
+                page.write_text(text, encoding="utf-8")
+    return int(check and stale > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main("--check" in sys.argv[1:]))
