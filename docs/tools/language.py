@@ -18,9 +18,42 @@ WIDTH = 100
 
 # The field's word for each is in CONTRIBUTING.
 PRIVATE_WORDS = frozenset(
-    "asked begun coasting crowd crowds departures doubt doubts footing gang gangs grip lives looks "
-    "noting partly people plausible repeating seat seats share shares spoke spokes strays "
-    "surroundings told wanted way ways who yardstick yardsticks".split()
+    [
+        "asked",
+        "begun",
+        "coasting",
+        "crowd",
+        "crowds",
+        "departures",
+        "doubt",
+        "doubts",
+        "footing",
+        "gang",
+        "gangs",
+        "grip",
+        "lives",
+        "looks",
+        "noting",
+        "partly",
+        "people",
+        "plausible",
+        "repeating",
+        "seat",
+        "seats",
+        "share",
+        "shares",
+        "spoke",
+        "spokes",
+        "strays",
+        "surroundings",
+        "told",
+        "wanted",
+        "way",
+        "ways",
+        "who",
+        "yardstick",
+        "yardsticks",
+    ]
 )
 # Public names of 1.0, and names of other projects.
 EXCEPTIONS: frozenset[str] = frozenset()
