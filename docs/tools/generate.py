@@ -38,7 +38,9 @@ def filled(page: Path) -> str:
 
 def _made(page: Path, kind: str, arguments: list[str]) -> str:
     if kind == "table":
-        return (page.parent / arguments[0]).read_text(encoding="utf-8")
+        table = (page.parent / arguments[0]).read_text(encoding="utf-8")
+        # The commit is in provenance.json beside it.
+        return re.sub(r" at commit \w+", "", table)
     if kind == "configuration":
         return configuration_tables.every_key()
     if kind == "api":
