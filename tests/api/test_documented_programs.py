@@ -85,10 +85,10 @@ def test_an_animal_of_ones_own_trains(here, monkeypatch):
     names: dict = {}
     run(program, names)
     trained = names["trained"]
-    way, cost = trained.terms["way"], trained.terms["cost"]
+    displacement, cost = trained.terms["displacement"], trained.terms["cost"]
     assert cost == pytest.approx(0.01 * trained.terms["energy"], rel=1e-5) and cost > 0
     # It has to beat standing still, which costs nothing and is worth nothing.
-    assert trained.fitness == pytest.approx(way - cost, rel=1e-4) and trained.fitness > 0
+    assert trained.fitness == pytest.approx(displacement - cost, rel=1e-4) and trained.fitness > 0
     assert set(names["experiment"].evaluate(0, trained.genome[None]).descriptors) == {"energy"}
     assert evo.load(trained.folder).gene_count == 3
 
