@@ -18,7 +18,7 @@ from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.experiment import Experiment
 from evo_cpg.training.lineage import champion_at, telling
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
-from evo_cpg.view.panel import Panel, panel_of
+from evo_cpg.view.scene import Panel, panel_of
 from evo_cpg.view.signals import Signals, signals_of
 from evo_cpg.view.units import told
 

@@ -203,6 +203,12 @@ def turned_about_vertical(vector: Float[np.ndarray, "3"], angle: float) -> Float
     return np.array([c * vector[0] - s * vector[1], s * vector[0] + c * vector[1], vector[2]])
 
 
+def level_axes(sight: Float[np.ndarray, "3"]) -> tuple[np.ndarray, np.ndarray]:
+    """Return level unit vectors to the right and ahead in the picture ``(3,)``."""
+    ahead = np.array([sight[0], sight[1], 0.0]) / np.hypot(*sight[:2])
+    return np.cross(ahead, [0.0, 0.0, 1.0]), ahead
+
+
 def smooth(path: Float[np.ndarray, "frames 3"], width: float) -> Float[np.ndarray, "frames 3"]:
     """Gaussian average of a path ``(frames, 3)`` without lag.
 

@@ -17,20 +17,22 @@ _QUARTER = 6
 # Edge radius of a box and radius of an eye, relative to the body's smallest half size.
 _ROUNDING = 0.28
 _EYE = 0.44
+# Colours of an eye.
+WHITE, PUPIL = "#fdfdf8", "#10151c"
 # Brightness of bodies on the left (y > 0), the far side where there is no light to walk to, and how
 # far off the middle they begin, relative to the one furthest out.
 _LEFT, _ASIDE = 0.72, 0.1
 
 
 def head_index(creature: Creature) -> int:
-    """The body that carries the eyes, or the root of a blind animal."""
+    """Return the number of the body that carries the eyes, or of a blind animal's root."""
     if creature.light_sensors:
         return creature.body_index(creature.light_sensors[0].body)
     return next(i for i, body in enumerate(creature.bodies) if body.joint is None)
 
 
 def body_colors(creature: Creature) -> np.ndarray:
-    """Colours ``(bodies, 3)``, red, green and blue from 0 to 1.
+    """Return colours ``(bodies, 3)``: red, green and blue from 0 to 1.
 
     A body without a colour of its own takes one from the palette by how many joints lie between
     it and the head; on the animal's left it is darker, so that legs are told apart.
@@ -59,7 +61,7 @@ def body_colors(creature: Creature) -> np.ndarray:
 
 
 def shape_mesh(shape: Shape) -> pv.PolyData:
-    """Surface of a shape in its own frame, in m, with a ``Normals`` array for smooth shading.
+    """Return the surface of a shape in its own frame, m, with normals for smooth shading.
 
     A mesh's edges stay sharp: every triangle has corners of its own. One without area, which has no
     normal, is left out.
@@ -94,7 +96,7 @@ def shape_mesh(shape: Shape) -> pv.PolyData:
 
 
 def eye_meshes(creature: Creature, sensor: LightSensor) -> tuple[pv.PolyData, pv.PolyData]:
-    """White and pupil of an eye, in the frame of the body that carries it.
+    """Return white and pupil of an eye, in the frame of the body that carries it.
 
     A sensor inside the body is drawn where its line of sight leaves it.
     """
@@ -118,7 +120,7 @@ def add_bodies(plotter: pv.Plotter, creature: Creature, ambient: float) -> list[
     Args:
         plotter: draws them.
         creature: the animal.
-        ambient: share of light that comes from everywhere.
+        ambient: fraction of light that comes from everywhere.
 
     Returns:
         The actors of each body, to be moved together.
@@ -140,7 +142,7 @@ def add_bodies(plotter: pv.Plotter, creature: Creature, ambient: float) -> list[
     ]
     for sensor in creature.light_sensors:
         carrier = bodies[creature.body_index(sensor.body)]
-        for mesh, color in zip(eye_meshes(creature, sensor), ("#fdfdf8", "#10151c"), strict=True):
+        for mesh, color in zip(eye_meshes(creature, sensor), (WHITE, PUPIL), strict=True):
             carrier.append(
                 plotter.add_mesh(
                     mesh,
