@@ -1,19 +1,41 @@
-"""Motors of a compiled model: position and velocity servos, and what passes for one."""
+"""Motors of joints as actuators of MJCF, and back.
+
+| here | in MJCF |
+|---|---|
+| motor with a spring | ``position``: ``kp`` is its stiffness, ``kv`` its gain |
+| motor without | ``velocity``: ``kv`` is its gain |
+| torque limit | ``forcerange`` |
+| velocity servo of a gain that the caller chooses | ``motor`` with limits, when it is read |
+"""
 
 from collections.abc import Container
+from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
 from evo_cpg.config.schema.joint import ActuatorConfig
 from evo_cpg.config.schema.section import LARGEST
+from evo_cpg.creature.creature import Actuator
 from evo_cpg.exchange.compiled import TOLERANCE, Compiled, tidy
+from evo_cpg.exchange.mjcf_ground import number_text
 
 # Those that can be disabled.
 _GROUPS = 31
 
 
+def add_motor(actuator: Element, joint: str, motor: Actuator) -> None:
+    """Add the motor of a hinge."""
+    kind = "position" if motor.stiffness else "velocity"
+    element = SubElement(actuator, kind, name=joint, joint=joint)
+    if motor.stiffness:
+        element.set("kp", number_text(motor.stiffness))
+    element.set("kv", number_text(motor.gain))
+    if np.isfinite(motor.torque_limit):
+        element.set("forcerange", number_text(-motor.torque_limit, motor.torque_limit))
+
+
 def read_motors(compiled: Compiled, motor_gain: float | None) -> dict[int, ActuatorConfig | None]:
-    """The motor of every joint that has one; None for one that is refused, which is remembered."""
+    """Return the motor of every driven joint; None for a refused one, which is remembered."""
     motors: dict[int, ActuatorConfig | None] = {}
     for number in range(len(compiled.model.actuator_trnid)):
         with compiled.refusals.collecting():
@@ -24,7 +46,7 @@ def read_motors(compiled: Compiled, motor_gain: float | None) -> dict[int, Actua
 
 
 def _driven_joint(compiled: Compiled, number: int, driven: Container[int]) -> int:
-    """The hinge that an actuator drives."""
+    """Return the hinge that an actuator drives."""
     model = compiled.model
     joint, group = int(model.actuator_trnid[number, 0]), int(model.actuator_group[number])
     if 0 <= group < _GROUPS and model.opt.disableactuator >> group & 1:
@@ -46,7 +68,7 @@ def _driven_joint(compiled: Compiled, number: int, driven: Container[int]) -> in
 def _read_motor(
     compiled: Compiled, number: int, joint: int, motor_gain: float | None
 ) -> ActuatorConfig:
-    """One motor; the gear stretches the angle and multiplies the force."""
+    """Read one motor; the gear stretches the angle and multiplies the force."""
     mujoco, model = compiled.mujoco, compiled.model
     gear = float(model.actuator_gear[_place(compiled, "out", number), 0])
     strength = float(model.actuator_gainprm[number, 0])
@@ -100,12 +122,11 @@ def _read_motor(
         "stiffness": tidy(stiffness),
         "torque_limit": tidy(min(abs(float(upper)) for _, upper in torques)) if torques else None,
     }
-    what, at = compiled.named("actuator", number), ("actuator", number)
-    return compiled.checked(what, ActuatorConfig, values, at)
+    return compiled.checked(("actuator", number), ActuatorConfig, values)
 
 
 def command_ranges(compiled: Compiled) -> list[int]:
-    """Servos whose commands have limits, which ours have not: their numbers."""
+    """Return the numbers of servos whose commands have limits, which ours have not."""
     model = compiled.model
     affine = model.actuator_biastype == compiled.mujoco.mjtBias.mjBIAS_AFFINE
     return [i for i in range(len(affine)) if affine[i] and _limits_commands(compiled, i)]
@@ -117,11 +138,11 @@ def _limits_commands(compiled: Compiled, number: int) -> bool:
 
 
 def _place(compiled: Compiled, what: str, number: int) -> int:
-    """Where an actuator's first command or output stands; older versions have one of each."""
+    """Return the place of an actuator's first command or output; once there was one of each."""
     places = getattr(compiled.model, f"actuator_{what}adr", None)
     return number if places is None else int(places[number])
 
 
 def _boundless(torque: np.ndarray) -> bool:
-    """Whether limits are larger both ways than any that a creature can have."""
+    """Return whether limits are larger both ways than any that a creature can have."""
     return bool(torque.min() < -LARGEST and torque.max() > LARGEST)

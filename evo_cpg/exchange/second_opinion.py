@@ -26,9 +26,9 @@ from jaxtyping import Array, Bool, Float
 from evo_cpg.analysis.excursions import in_water
 from evo_cpg.control.controller import Command
 from evo_cpg.creature.creature import Creature
-from evo_cpg.exchange.errors import ExchangeError
 from evo_cpg.exchange.mjcf_export import mjcf_model, mjcf_text
 from evo_cpg.exchange.mujoco_state import dof_order, load_state, motor_order, root_rotation
+from evo_cpg.exchange.refusals import ExchangeError
 from evo_cpg.fusion.engine import using
 from evo_cpg.installation import command_for
 from evo_cpg.physics.kinematics import kinematics
