@@ -207,29 +207,17 @@ def _require_mjcf(path: Path) -> None:
 
 
 def rotation(compiled: Compiled, quaternion: np.ndarray) -> np.ndarray:
-    """Rotation matrix ``(3, 3)`` of one of the model's quaternions."""
+    """Return the rotation matrix ``(3, 3)`` of one of the model's quaternions."""
     matrix = np.zeros(9)
     compiled.mujoco.mju_quat2Mat(matrix, quaternion)
     return matrix.reshape(3, 3)
 
 
 def tidy(value: float) -> float:
-    """A number without the digits that rounding in the compiler leaves; 0 has no sign."""
+    """Return a number without the digits that rounding in the compiler leaves; 0 has no sign."""
     return float(f"{value:.{_DIGITS}g}") + 0.0
 
 
-def tidy_difference(value: float) -> float:
-    """As `tidy`, and 0 for what rounding leaves where numbers cancel."""
-    return 0.0 if abs(value) <= 10.0**-_DIGITS else tidy(value)
-
-
-def tidy_vector(values: np.ndarray) -> tuple[float, float, float]:
-    """Three numbers as `tidy_difference` has them."""
-    x, y, z = (tidy_difference(value) for value in values)
-    return x, y, z
-
-
-def tidy_size(values: np.ndarray) -> tuple[float, float, float]:
-    """Three numbers as `tidy` has them."""
-    x, y, z = (tidy(value) for value in values)
-    return x, y, z
+def tidy_vector(values: np.ndarray) -> tuple[float, ...]:
+    """Return coordinates as `tidy` does, and 0 for what rounding leaves where numbers cancel."""
+    return tuple(0.0 if abs(value) <= 10.0**-_DIGITS else tidy(value) for value in values)

@@ -17,7 +17,7 @@ from evo_cpg.physics.terrain import Plane
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.view.clip import sample
 from evo_cpg.view.look import Look, sun_direction
-from evo_cpg.view.meshes import body_colors, eye_meshes, shape_mesh
+from evo_cpg.view.meshes import pieces
 from evo_cpg.view.obstacles import obstacle_mesh
 from evo_cpg.view.scene import Panel, Scene, check_panel, scene_of
 from evo_cpg.view.terrain import Terrain
@@ -80,22 +80,19 @@ def _apart(creature: Creature, name: str) -> str:
 
 def _add_animal(glb: Glb, root: Node, creature: Creature, recording: Recording) -> None:
     times = glb.times(recording.time - recording.time[0])
-    nodes = {}
-    for i, (body, color) in enumerate(zip(creature.bodies, body_colors(creature), strict=True)):
-        mesh = _add_mesh(glb, body.name, shape_mesh(body.shape), glb.material(body.name, color))
-        nodes[body.name] = node = glb.node(body.name, root, mesh=mesh)
+    for i, (body, own) in enumerate(zip(creature.bodies, pieces(creature), strict=True)):
+        meshes = []
+        for mesh, color, eye in own:
+            name = _apart(creature, f"{body.name}.{eye}") if eye else body.name
+            rgb = np.array(pv.Color(color).float_rgb)
+            material = glb.material(name, rgb, roughness=0.25 if eye else 0.7)
+            meshes.append((name, _add_mesh(glb, name, mesh, material)))
+        (_, surface), *eyes = meshes
+        node = glb.node(body.name, root, mesh=surface)
+        for name, mesh in eyes:
+            glb.node(name, node, mesh=mesh)
         glb.animate(node, "translation", times, recording.position[:, i])
         glb.animate(node, "rotation", times, quaternions(recording.rotation[:, i]))
-    if not creature.light_sensors:
-        return
-    white = glb.material("eye", np.array([0.99, 0.99, 0.97]), roughness=0.3)
-    black = glb.material("pupil", np.array([0.06, 0.08, 0.11]), roughness=0.2)
-    for i, sensor in enumerate(creature.light_sensors):
-        for part, mesh, material in zip(
-            ("eye", "pupil"), eye_meshes(creature, sensor), (white, black), strict=True
-        ):
-            name = _apart(creature, f"{sensor.body}.{part}{i + 1}")
-            glb.node(name, nodes[sensor.body], mesh=_add_mesh(glb, name, mesh, material))
 
 
 def _add_ground(glb: Glb, root: Node, scene: Scene) -> None:

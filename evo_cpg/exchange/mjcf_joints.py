@@ -23,7 +23,6 @@ from evo_cpg.exchange.compiled import (
     Compiled,
     rotation,
     tidy,
-    tidy_difference,
     tidy_vector,
 )
 from evo_cpg.exchange.mjcf_ground import number_text, place_text
@@ -132,8 +131,7 @@ def read_joint(
     for joint in joints:
         # MuJoCo counts angles from where the model file says, we from the neutral pose.
         neutral = model.qpos0[model.jnt_qposadr[joint]]
-        turns = np.rad2deg(model.jnt_range[joint] - neutral)
-        limits.append(tuple(tidy_difference(turn) for turn in turns))
+        limits.append(tidy_vector(np.rad2deg(model.jnt_range[joint] - neutral)))
     place, dof = np.array(model.jnt_pos[first]), int(model.jnt_dofadr[first])
     turn = rotation(compiled, model.body_quat[body])
     at = np.array(model.body_pos[body]) + turn @ place
@@ -154,7 +152,7 @@ def read_joint(
     return compiled.checked(("body", body), JointConfig, values, what)
 
 
-def _axis(direction: np.ndarray) -> str | tuple[float, float, float]:
+def _axis(direction: np.ndarray) -> str | tuple[float, ...]:
     vector = tidy_vector(direction)
     for name, unit in zip("xyz", np.eye(3), strict=True):
         if np.array_equal(vector, unit):

@@ -25,7 +25,7 @@ from evo_cpg.config.schema.shape import (
 from evo_cpg.creature.creature import Body, Creature
 from evo_cpg.creature.mesh import ConvexMesh, MeshError, convex_mesh
 from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Sphere
-from evo_cpg.exchange.compiled import TOLERANCE, Compiled, rotation, tidy, tidy_size, tidy_vector
+from evo_cpg.exchange.compiled import TOLERANCE, Compiled, rotation, tidy, tidy_vector
 from evo_cpg.exchange.mjcf_ground import number_text
 from evo_cpg.exchange.refusals import ExchangeError
 
@@ -117,10 +117,10 @@ def place_body(compiled: Compiled, body: int, geom: int, is_root: bool) -> Place
         best = max(_TURNS, key=lambda own: np.trace(turn @ own))
         turn, size = turn @ best, np.abs(best.T @ size)
         if kind == kinds.mjGEOM_BOX:
-            values = {"type": "box", "size": tidy_size(2 * size)}
+            values = {"type": "box", "size": tuple(map(tidy, 2 * size))}
             shape = compiled.checked(at, BoxConfig, values)
         else:
-            values = {"type": "ellipsoid", "radii": tidy_size(size)}
+            values = {"type": "ellipsoid", "radii": tuple(map(tidy, size))}
             shape = compiled.checked(at, EllipsoidConfig, values)
     elif kind == kinds.mjGEOM_MESH:
         # MuJoCo has turned it to its principal axes.

@@ -71,8 +71,8 @@ class Opinion(NamedTuple):
     joint_angle: Float[np.ndarray, "d t"]
 
     @property
-    def way(self) -> float:
-        """From start to end over the ground, m."""
+    def displacement(self) -> float:
+        """Distance from start to end over the ground, m."""
         return float(np.linalg.norm((self.path[:, -1] - self.path[:, 0])[:2]))
 
     @property
@@ -201,8 +201,8 @@ def second_opinion(
     for index in range(steps.torque.shape[-1]):
         player.push(jumps[:, index])
         if brain is not None and index % substeps == 0:
-            told = player.signals(*brain.think(player.state(), player.weight_borne()))
-            signals[index : index + substeps] = told
+            commands = player.signals(*brain.think(player.state(), player.weight_borne()))
+            signals[index : index + substeps] = commands
         player.advance(signals[index], finer)
         if not np.isfinite(player.data.qpos).all():
             raise ExchangeError("MuJoCo's animal diverged")
@@ -248,15 +248,15 @@ class _Player:
     def signals(
         self, target_rate: Float[np.ndarray, "d t"], target_angle: Float[np.ndarray, "d t"]
     ) -> Float[np.ndarray, "t motors"]:
-        """What the motors are told in each step: their laws are ours."""
+        """Return the commands of the motors in each step: their laws are ours."""
         tree = self.tree
         gain, stiffness = (
             np.asarray(x, float)[:, None] for x in (tree.servo_gain, tree.servo_stiffness)
         )
         springy = stiffness > 0
         along = gain / np.where(springy, stiffness, 1.0) * target_rate
-        told = np.where(springy, target_angle + along, target_rate)
-        return np.asarray(told[self._motors].T, float)
+        command = np.where(springy, target_angle + along, target_rate)
+        return np.asarray(command[self._motors].T, float)
 
     def push(self, jump: Float[np.ndarray, "3"]) -> None:
         """A push of chance, m/s."""

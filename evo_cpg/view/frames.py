@@ -18,7 +18,7 @@ from evo_cpg.view.meshes import add_bodies
 from evo_cpg.view.offscreen import canvas
 from evo_cpg.view.output import SettingError, oversampling
 from evo_cpg.view.scene import Panel, scene_of
-from evo_cpg.view.signals import LOWEST, SHARE, Strip
+from evo_cpg.view.signals import FRACTION, LOWEST, Strip
 from evo_cpg.view.stage import Stage, camera_path
 
 # Pixels rendered per pixel of the result, a side. On one core of a software renderer a frame of
@@ -162,7 +162,7 @@ class Frames:
         (width, height), above = self._one, self._one[1]
         strip, strip_height = None, 0
         if panel.signals is not None:
-            above -= max(round(SHARE * height), LOWEST)
+            above -= max(round(FRACTION * height), LOWEST)
             strip = Strip(panel.signals, scene.look, (width, height - above), scale)
             strip_height = strip.height
         title = panel.creature.name if panel.title is None else panel.title

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import ConnectionPatch
 from matplotlib.ticker import MaxNLocator
 
-from evo_cpg.analysis.gait import bending_axis, level
+from evo_cpg.analysis.gait import bending_axis, dominant_frequency, fourier_component
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.view.figure import (
     BLUE,
@@ -33,6 +33,8 @@ _WINDOW = 5.0
 # Title of a row of joint signals.
 _NAME: dict[str, Any] = {"fontsize": 9, "fontweight": "bold", "pad": 2}
 _SNAPSHOTS = 7
+# Fewer periods than this in the window are no rhythm. The spectrum of a drift has its peak at 2.
+_PERIODS = 2.1
 
 
 @framed
@@ -189,7 +191,7 @@ def joint_signals_figure(
 
 
 def _in_chains(rows: list[int], chains: Sequence[Sequence[int]]) -> list[list[int]]:
-    """The rows chain by chain, each where it comes first; what is in no chain is one of its own."""
+    """Return the rows chain by chain; rows of no chain form the last one."""
     if not chains:
         return [rows]
     groups, left = [], list(rows)
@@ -209,13 +211,13 @@ def path_figure(recording: Recording) -> Figure:
     above, later = figure.subplots(1, 2, width_ratios=(1.45, 1))
     root = recording.position[:, 0, :2]
     steps = np.stack([root[:-1], root[1:]], 1)
-    way = LineCollection(list(steps), cmap="viridis", lw=2.2)
-    way.set_array(recording.time[:-1])
-    above.add_collection(way)
+    trace = LineCollection(list(steps), cmap="viridis", lw=2.2)
+    trace.set_array(recording.time[:-1])
+    above.add_collection(trace)
     chosen = np.linspace(0, len(recording.time) - 1, _SNAPSHOTS).astype(int)
     bodies = recording.position[chosen]
     instant = np.repeat(recording.time[chosen], bodies.shape[1])
-    dots = above.scatter(bodies[..., 0], bodies[..., 1], s=14, c=instant, norm=way.norm, lw=0)
+    dots = above.scatter(bodies[..., 0], bodies[..., 1], s=14, c=instant, norm=trace.norm, lw=0)
     every = (recording.time[-1] - recording.time[0]) / (_SNAPSHOTS - 1)
     dots.set(alpha=0.6, label=f"its bodies, every {every:.3g} s")
     above.plot(*root[0], "o", color=INK, ms=6, label="start of its root", zorder=3)
@@ -228,10 +230,10 @@ def path_figure(recording: Recording) -> Figure:
     above.set_xlabel("x (m)")
     above.set_ylabel("y (m)")
     above.legend()
-    figure.colorbar(way, ax=above, label="time (s)", shrink=0.85, pad=0.02)
+    figure.colorbar(trace, ax=above, label="time (s)", shrink=0.85, pad=0.02)
     later.plot(recording.time, recording.distance, color=BLUE, lw=2)
     later.set_xlabel("time (s)")
-    later.set_ylabel("distance to the light (m)" if lit else "way made (m)")
+    later.set_ylabel("distance to the light (m)" if lit else "distance from the start (m)")
     later.set_ylim(0, 1.08 * np.nanmax(recording.distance, initial=1e-3))
     later.set_xlim(recording.time[0], recording.time[-1])
     return figure
@@ -240,31 +242,22 @@ def path_figure(recording: Recording) -> Figure:
 def _crests(
     time: np.ndarray, angle: np.ndarray
 ) -> tuple[float, np.ndarray, list[np.ndarray]] | None:
-    """Common frequency (Hz), lag of each joint behind its neighbour (rad), and crest times (s).
+    """Return frequency (Hz), lag of each joint behind its neighbour (rad), and crest times (s).
 
-    Returns None where there is no oscillation: what has fewer than two periods is drift.
+    The frequency is that of the joint that swings most. None without a rhythm.
     """
-    swing = level(angle)
-    span = time[-1] - time[0]
-    slowest, fastest = 2 / span, min(0.5 * (len(time) - 1) / span, 10.0)
-    if slowest >= fastest:
+    step, span = float(time[1] - time[0]), float(time[-1] - time[0])
+    frequency = float(dominant_frequency(angle, step)[angle.std(0).argmax()])
+    if frequency * span < _PERIODS:
         return None
-    trial = np.linspace(slowest, fastest, 2000)
-    window = np.hanning(len(time))[:, None]
-    spectrum = np.exp(-2j * np.pi * np.outer(trial, time)) @ (window * swing)
-    total = np.square(np.abs(spectrum)).sum(1)
-    if not total.max() > 1e-9 or total.argmax() == 0:
-        return None
-    frequency = float(trial[total.argmax()])
-    phase = np.angle(spectrum[total.argmax()])
-    lag = np.angle(np.exp(1j * (phase[:-1] - phase[1:])))
+    component = fourier_component(angle, step, frequency)
+    lag = np.angle(component[:-1] / component[1:])
     behind = np.concatenate([[0.0], np.cumsum(lag)])
-    first = -phase[0] / (2 * np.pi * frequency)
+    turn = 2 * np.pi
     # A wave that runs along the body may have begun, or may end, outside the shown time.
-    margin = np.ceil(np.abs(behind).max() / (2 * np.pi)) + 1
-    beats = np.floor((time[0] - first) * frequency) + np.arange(-margin, span * frequency + margin)
-    crests = [first + (beat + behind / (2 * np.pi)) / frequency for beat in beats]
-    return frequency, lag, crests
+    margin = np.ceil(np.abs(behind).max() / turn) + 1
+    beats = np.arange(-margin, span * frequency + margin) - np.angle(component[0]) / turn
+    return frequency, lag, [time[0] + (beat + behind / turn) / frequency for beat in beats]
 
 
 def _join_crests(

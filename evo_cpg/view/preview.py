@@ -107,36 +107,17 @@ def preview(
         SettingError: the size is too small, or too large.
     """
     path = preview_path(path, size)
-    centres, rotations = neutral_pose(creature) if pose is None else pose
-    if ground is True:
-        ground = Ground(floor=Plane(height=float(lowest_height(creature, (centres, rotations)))))
-    none, start = np.zeros((1, 0)), np.zeros(1)
-    rest = Recording(
-        start, centres[None], rotations[None], none, none, none, none, start, np.full(3, np.nan), ()
-    )
-    flooded = surface is not None
-    panel = Panel(
-        creature,
-        rest,
-        world="water" if flooded else "land",
-        ground=ground or None,
-        surface=surface if flooded and math.isfinite(surface) else None,
-    )
-    scene = scene_of(panel, sample(rest, 1.0))
+    scene = _at_rest(creature, ground, pose, surface)
     hull = np.concatenate(
         [
             np.asarray(shape_mesh(body.shape).points) @ turn.T + centre
-            for body, centre, turn in zip(creature.bodies, centres, rotations, strict=True)
+            for body, centre, turn in _posed(scene)
         ]
     )
     stones, far = obstacles_near(scene.ground, hull)
     shown = np.concatenate([hull, stones])
     middle = (shown.min(0) + shown.max(0)) / 2
-    look = _SHORE if scene.surface is not None else _SUNK if flooded else _DRY
-    scene = scene._replace(
-        look=look,
-        radius=float(np.linalg.norm(shown - middle, axis=1).max()),
-    )
+    scene = scene._replace(radius=float(np.linalg.norm(shown - middle, axis=1).max()))
     camera, half_height = _camera(shown, size)
     scale = oversampling(size, _OVERSAMPLING)
     rendered = round(size[0] * scale), round(size[1] * scale)
@@ -146,19 +127,41 @@ def preview(
         plotter.camera.parallel_projection = True
         plotter.camera.parallel_scale = half_height
         legend = _add_joints(plotter, scene) | _add_sensors(plotter, scene)
-        picture = _OPACITY * show(0)
+        opaque = show(0)
         for body, *_ in bodies:
             body.visibility = False
-        picture = (picture + (1 - _OPACITY) * show(0)).astype(np.uint8)
+        picture = (_OPACITY * opaque + (1 - _OPACITY) * show(0)).astype(np.uint8)
     notes = [f"{far} obstacle{'s' if far > 1 else ''} farther away"] if far else []
-    if flooded:
+    if surface is not None:
         notes.append(water_note(surface, hull))
     if size[0] >= _ROOM[0] and size[1] >= _ROOM[1]:
         unit = scale * max(min(size[0] / _SCREEN[0], size[1] / _SCREEN[1]), 0.5)
-        places = _places(camera, centres, half_height, rendered)
+        places = _places(camera, scene.clip.position[0], half_height, rendered)
         _write(picture, creature, places, rendered[1] / 2 / half_height, legend, notes, unit)
     save_picture(picture_of(picture, size), path)
     return path
+
+
+def _at_rest(
+    creature: Creature,
+    ground: Ground | bool,
+    pose: tuple[np.ndarray, np.ndarray] | None,
+    surface: float | None,
+) -> Scene:
+    """Return the scene of one instant, in pale colours; see `preview`."""
+    centres, rotations = neutral_pose(creature) if pose is None else pose
+    if ground is True:
+        ground = Ground(floor=Plane(height=float(lowest_height(creature, (centres, rotations)))))
+    none, start, nowhere = np.zeros((1, 0)), np.zeros(1), np.full(3, np.nan)
+    rest = Recording(
+        start, centres[None], rotations[None], none, none, none, none, start, nowhere, ()
+    )
+    world = "land" if surface is None else "water"
+    seen = surface if surface is not None and math.isfinite(surface) else None
+    panel = Panel(creature, rest, world=world, ground=ground or None, surface=seen)
+    scene = scene_of(panel, sample(rest, 1.0))
+    dry = _DRY if surface is None else _SUNK
+    return scene._replace(look=dry if scene.surface is None else _SHORE)
 
 
 def obstacles_near(ground: Ground, hull: np.ndarray) -> tuple[np.ndarray, int]:
@@ -231,8 +234,8 @@ def _add_sensors(plotter: pv.Plotter, scene: Scene) -> dict[str, str]:
         meaning["depth gauge"] = _DEPTH
     for name in creature.pressure_sensors if scene.stands else ():
         body, centre, turn = posed[name]
-        for way in (*np.eye(3)[1:], *-np.eye(3)[1:]):
-            add_ball(centre + turn @ body.shape.support(way), 0.22 * scale, _PRESSURE)
+        for outward in (*np.eye(3)[1:], *-np.eye(3)[1:]):
+            add_ball(centre + turn @ body.shape.support(outward), 0.22 * scale, _PRESSURE)
         meaning["feels contact"] = _PRESSURE
     return meaning
 

@@ -152,7 +152,7 @@ class Scene(NamedTuple):
     @property
     def measured(self) -> str:
         """What the clip's distance is, in words."""
-        return "way made" if self.goal is None else "to the light"
+        return "from the start" if self.goal is None else "to the light"
 
     @property
     def half_extents(self) -> np.ndarray:

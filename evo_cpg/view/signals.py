@@ -21,20 +21,20 @@ from evo_cpg.view.legible import legible
 from evo_cpg.view.look import Look
 
 # Of a picture's height, but no less than so many pixels; the smallest picture that leaves room.
-SHARE, LOWEST, SMALLEST = 0.3, 44, (160, 110)
+FRACTION, LOWEST, SMALLEST = 0.3, 44, (160, 110)
 # The least, in pixels, of what is written and of a row of each kind.
 _LETTER, _ROW, _FOOT = 9.0, 16.0, 11.0
 # Of a letter, of its height.
 _WIDTH = 0.58
-# Letters in shares of the strip's height, where that is more.
+# Letters in fractions of the strip's height, where that is more.
 _LETTERS = 0.062
 # A page shows about so much time for every hundred pixels of width, and no more than this, s.
 _PACE, _LONGEST = 0.75, 8.0
-# Joints that swing by less than this share of the one that swings most are still.
+# Joints that swing by less than this fraction of the one that swings most are still.
 _STILL = 0.05
-# Curves are as high as their rows where they are larger than in this share of the time.
+# Curves are as high as their rows where they are larger than in this fraction of the time.
 _TYPICAL = 0.99
-# Feet that come down in less than this share of the steps of the busiest one are left out.
+# Feet that come down in less than this fraction of the steps of the busiest one are left out.
 _SELDOM = 0.2
 # Angle, signal and feet in a dark look and in a bright one.
 _DARK, _BRIGHT = ("#8fe3ff", "#ffb454", "#8fe3a8"), ("#0067a8", "#c2410c", "#2f7d4f")
@@ -143,8 +143,8 @@ class Strip:
             self._drawn = page
         picture = self._picture.copy()
         left, right, bottom, top = self._box
-        share = (time - first - page * self._length) / self._length
-        place = left + round(min(max(share, 0.0), 1.0) * (right - left))
+        fraction = (time - first - page * self._length) / self._length
+        place = left + round(min(max(fraction, 0.0), 1.0) * (right - left))
         half = max(round(0.75 * self._scale), 1)
         picture[bottom:top, max(place - half, 0) : place + half] = self._ink
         return picture
@@ -222,11 +222,11 @@ class Strip:
             words.append(("on the ground", colours[2]))
         # Smaller where they would run out of the picture.
         per_letter = self._letter / self._size[0]
-        wanted = sum(_WIDTH * len(word) + 2 for word, _ in words) * per_letter
-        share = min(1.0, (1.0 - left) / max(wanted, 1e-9))
+        needed = sum(_WIDTH * len(word) + 2 for word, _ in words) * per_letter
+        smaller = min(1.0, (1.0 - left) / max(needed, 1e-9))
         for word, colour in words:
-            figure.text(left, top, legible(word), color=colour, va="top", fontsize=points * share)
-            left += (_WIDTH * len(word) + 2) * per_letter * share
+            figure.text(left, top, legible(word), color=colour, va="top", fontsize=points * smaller)
+            left += (_WIDTH * len(word) + 2) * per_letter * smaller
 
 
 def _rows(signals: Signals, height: float, larger: float) -> tuple[list[int], list[int]]:

@@ -1,6 +1,6 @@
 """Ground as it is drawn: level, or a mesh of its heights.
 
-The mesh is a grid whose lines are close together along the animal's way and ever further apart
+The mesh is a grid whose lines are close together along the animal's path and ever further apart
 towards the horizon; they run along the creases of the ground, where it has any.
 """
 
@@ -13,12 +13,12 @@ from jaxtyping import Array, Float
 
 from evo_cpg.physics.terrain import Part, Plane, Relief, Shore
 
-# Distance of the grid's lines near the way and how far to both sides they are as close, in radii of
-# the animal; most lines of that kind; growth of their distance further out. A frame of 960 x 540
+# Distance of the grid's lines near the path and how far to both sides they are as close, in radii
+# of the animal; most lines of that kind; growth of their distance further out. A frame of 960 x 540
 # with 100,000 crossings took 126 ms on one core of a software renderer.
 _STEP, _NEAR, _LINES, _GROWTH = 0.08, 5.0, 100, 1.18
 
-# Places whose heights are asked for at once: a mesh has tens of thousands, the camera's way some
+# Places whose heights are asked for at once: a mesh has tens of thousands, the camera's path some
 # hundreds, and each number of them would be a program of its own to compile.
 _BLOCK = 4096
 
@@ -108,13 +108,13 @@ def heights(floor: Part, place: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, 
 
 
 def make_terrain(floor: Part, path: Float[np.ndarray, "n 2"], radius: float, far: float) -> Terrain:
-    """Mesh the ground around a way.
+    """Mesh the ground around a path.
 
     Args:
         floor: its shape.
         path: x and y of what is filmed, m.
         radius: of the animal, m.
-        far: how far beyond the way the mesh reaches, m.
+        far: how far beyond the path the mesh reaches, m.
     """
     low, high = path.min(0) - _NEAR * radius, path.max(0) + _NEAR * radius
     step = max(_STEP * radius, float((high - low).max()) / _LINES)

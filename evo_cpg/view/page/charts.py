@@ -55,14 +55,14 @@ def chart(figure: Figure, words: str, timed: bool = False) -> Html:
     svg = re.sub(rf"#(?:000000|000)\b|{INK}", "currentColor", svg)
     svg = re.sub(r"#(?:ffffff|fff)\b", "var(--paper)", svg)
     svg = svg.replace(BLUE.lower(), "var(--blue)")
-    told = {}
+    instants = {}
     if timed:
         axes = figure.axes[0]
         box = axes.get_position()
         # Where the axes show which time, for a cursor that moves with the animal.
-        told = dict(zip(_TIMED, (box.x0, box.x1, *axes.get_xlim()), strict=True))
-        told = {name: f"{value:.6g}" for name, value in told.items()}
-    sheet = tag("div", Html(svg), class_="sheet timed" if timed else "sheet", **told)
+        instants = dict(zip(_TIMED, (box.x0, box.x1, *axes.get_xlim()), strict=True))
+        instants = {name: f"{value:.6g}" for name, value in instants.items()}
+    sheet = tag("div", Html(svg), class_="sheet timed" if timed else "sheet", **instants)
     drawing = tag("div", sheet, class_="drawing")
     return tag("figure", drawing, tag("figcaption", words), class_="chart")
 

@@ -22,7 +22,7 @@ _PLACES = 400
 
 
 def gait(motion: Motion) -> Html:
-    """Footfalls, the wave along the body, and the way."""
+    """Footfalls, the wave along the body, and the path."""
     numbers, recording = motion.numbers, motion.recording
     window = _window(recording, numbers.frequency)
     parts: list[Any] = []
@@ -65,7 +65,7 @@ def gait(motion: Motion) -> Html:
             )
     places = max(1, len(recording.time) // _PLACES)
     parts += [
-        tag("h3", "Its way"),
+        tag("h3", "Its path"),
         charts.chart(
             path_figure(_every(recording, places)), "From above, and the distance over time."
         ),

@@ -9,7 +9,7 @@ from evo_cpg.training.run_folder import refinements
 from evo_cpg.view.page import charts
 from evo_cpg.view.page.html import Html, join, long_table, table, tag
 from evo_cpg.view.page.subject import Motion, Subject
-from evo_cpg.view.page.words import cell, listed, number, share, without_folders
+from evo_cpg.view.page.words import cell, listed, number, quantity, without_folders
 from evo_cpg.view.plots import fitness_figure
 
 
@@ -41,9 +41,8 @@ def audit(subject: Subject) -> Html:
     found, command = subject.audit, tag("code", "evo-cpg audit RUN")
     look: Any = None
     if subject.half_step is not None:
-        look = tag(
-            "p", f"At half the physics step it keeps {100 * subject.half_step:.3g} % of its way."
-        )
+        kept = f"{100 * subject.half_step:.3g} % of its displacement"
+        look = tag("p", f"At half the physics step it keeps {kept}.")
     if found is None:
         return join(
             look, tag("p", "It was not audited. ", command, " looks closer, and this page tells "
@@ -62,10 +61,10 @@ def audit(subject: Subject) -> Html:
         if isinstance(check, Mapping):
             passed = check.get("passed")
             word = {True: "passed", False: "failed"}.get(passed) if passed is not None else ""
-            limit = share(check.get("limit"), check.get("unit"))
+            limit = quantity(check.get("limit"), check.get("unit"))
             if limit:
                 limit = f"{'at least' if check.get('least') else 'at most'} {limit}"
-            measured = share(check.get("measured"), check.get("unit"))
+            measured = quantity(check.get("measured"), check.get("unit"))
             rows.append([check.get("question", ""), measured or "diverged", limit,
                          tag("span", word, class_=word)])  # fmt: skip
     return join(

@@ -1,4 +1,4 @@
-"""What a page is about: who evolved, and how it moves."""
+"""What a page is about: the animal that evolved, and how it moves."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -69,8 +69,8 @@ class Subject(NamedTuple):
         meta: contents of meta.json.
         audit: contents of audit.json; None where no audit was made.
         stale: whether that audit was of another champion.
-        half_step: share of its way that it kept at half the physics step when training ended; None
-            where that was not looked at.
+        half_step: fraction of its displacement that it kept at half the physics step when training
+            ended; None if unknown.
         departures: from the shipped configuration and the paper; None where there is none of the
             name.
         program: that made the page, with its version.

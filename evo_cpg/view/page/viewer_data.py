@@ -15,7 +15,7 @@ from evo_cpg.creature.creature import Creature
 from evo_cpg.physics.terrain import Part
 from evo_cpg.view.camera import smooth
 from evo_cpg.view.clip import sample
-from evo_cpg.view.meshes import PUPIL, WHITE, body_colors, eye_meshes, head_index, shape_mesh
+from evo_cpg.view.meshes import head_index, pieces
 from evo_cpg.view.obstacles import obstacle_mesh
 from evo_cpg.view.scene import Panel, Scene, scene_of
 
@@ -101,15 +101,13 @@ def _obstacle(obstacle: Part, arrays: _Arrays) -> dict[str, Any]:
 
 
 def _bodies(creature: Creature, arrays: _Arrays) -> list[dict[str, Any]]:
-    colors = [pv.Color(color).hex_rgb for color in body_colors(creature)]
-    found = [
-        {"name": body.name, "parts": [_mesh(shape_mesh(body.shape), color, arrays)]}
-        for body, color in zip(creature.bodies, colors, strict=True)
-    ]
-    for sensor in creature.light_sensors:
-        parts = found[creature.body_index(sensor.body)]["parts"]
-        for mesh, color in zip(eye_meshes(creature, sensor), (WHITE, PUPIL), strict=True):
-            parts.append(_mesh(cast(pv.PolyData, mesh.decimate(0.7)), color, arrays))
+    found = []
+    for body, own in zip(creature.bodies, pieces(creature), strict=True):
+        parts = []
+        for mesh, color, eye in own:
+            coarse = cast(pv.PolyData, mesh.decimate(0.7)) if eye else mesh
+            parts.append(_mesh(coarse, color, arrays))
+        found.append({"name": body.name, "parts": parts})
     return found
 
 

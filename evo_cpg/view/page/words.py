@@ -27,8 +27,8 @@ def with_unit(each: Quantity) -> str:
     return f"{number(each.value)} {each.unit}".rstrip()
 
 
-def share(value: Any, unit: Any) -> str:
-    """A number from a file with its unit; nothing where it is none."""
+def quantity(value: Any, unit: Any) -> str:
+    """Return a number from a file with its unit; nothing for any other value."""
     if not _is_number(value):
         return ""
     return f"{100 * value:.3g} %" if unit == "%" else f"{value:.3g} {unit}".rstrip()
