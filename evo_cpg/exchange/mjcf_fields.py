@@ -1,4 +1,4 @@
-"""What becomes of every field of MuJoCo's compiled model, in tables.
+"""Tables of all fields of MuJoCo's compiled model, by what the import does with them.
 
 | table | a field is |
 |---|---|

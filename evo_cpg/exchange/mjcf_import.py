@@ -47,7 +47,7 @@ _OF_ROOT = {"dof_damping": "damping", "dof_armature": "armature", "jnt_stiffness
 
 
 class Imported(NamedTuple):
-    """What a file gave.
+    """Result of reading a file.
 
     Attributes:
         creature: in the user's terms.
@@ -111,7 +111,7 @@ def read_mjcf(path: Path | str, motor_gain: float | None = None) -> Imported:
 def _read_shapes(
     compiled: Compiled, bodies: list[int]
 ) -> tuple[dict[int, Placed], dict[int, MaterialConfig]]:
-    """Shapes and materials of those bodies that can have them; the others are refused."""
+    """Return shapes and materials of the bodies, except refused ones."""
     placed: dict[int, Placed] = {}
     made_of: dict[int, MaterialConfig] = {}
     for body in bodies:
@@ -124,7 +124,7 @@ def _read_shapes(
 
 
 def _find_root(compiled: Compiled) -> int:
-    """The body that all others hang on."""
+    """Return the body that all others hang on."""
     model = compiled.model
     tops = [i for i in range(1, model.nbody) if model.body_parentid[i] == WORLD]
     if not tops:
@@ -175,7 +175,7 @@ def _material(compiled: Compiled, geom: int, density: float) -> MaterialConfig:
 
 
 def _left_out(compiled: Compiled, fluid: float) -> tuple[str, ...]:
-    """What belongs to the world, or has no part in the motion.
+    """Name what belongs to the world, or has no part in the motion.
 
     Args:
         compiled: the model.
@@ -205,7 +205,7 @@ def _left_out(compiled: Compiled, fluid: float) -> tuple[str, ...]:
 
 
 def _collisions(compiled: Compiled) -> list[str]:
-    """What says which bodies touch: in a creature, `self_collision` and the world do."""
+    """Name settings of contacts; a creature has `self_collision` in their place."""
     model = compiled.model
     own = model.geom_bodyid != WORLD
     bits = np.stack([model.geom_contype, model.geom_conaffinity], 1)
@@ -230,7 +230,7 @@ def _has_weight(compiled: Compiled) -> bool:
 
 
 def _buoyancy(compiled: Compiled, placed: dict[int, Placed]) -> float:
-    """Density of the fluid that carries all bodies, kg/m^3; 0 for none."""
+    """Return the density of the fluid that carries all bodies, kg/m^3; 0 for none."""
     if not _has_weight(compiled):
         return 0.0
     model = compiled.model

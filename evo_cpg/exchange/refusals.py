@@ -1,4 +1,4 @@
-"""What cannot be part of a creature: collected while a file is read, and reported all at once."""
+"""Refused elements: collected while a file is read, and reported all at once."""
 
 import contextlib
 import dataclasses

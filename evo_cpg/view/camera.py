@@ -46,7 +46,7 @@ _SAMPLES, _LOOKS = 24, 60
 
 
 class CameraPath(NamedTuple):
-    """Where the camera is and looks in every frame.
+    """Place and direction of the camera in every frame.
 
     Attributes:
         position: of the eye ``(frames, 3)``, m.

@@ -1,4 +1,4 @@
-"""What stands on the ground, as stone."""
+"""Obstacles on the ground, drawn as stone."""
 
 from collections.abc import Callable, Sequence
 from typing import cast
@@ -26,7 +26,7 @@ _SUNK = 0.02
 def obstacle_mesh(
     obstacle: Part, *, shade: bool = False
 ) -> tuple[pv.PolyData, np.ndarray, np.ndarray]:
-    """Surface of an obstacle in its own frame, its place ``(3,)`` and rotation ``(3, 3)``, m.
+    """Return an obstacle's surface in its frame, its place ``(3,)``, m, and rotation ``(3, 3)``.
 
     Args:
         obstacle: of the ground.
@@ -52,7 +52,7 @@ def obstacle_mesh(
 
 
 def obstacle_top(obstacle: Part, place: np.ndarray) -> np.ndarray:
-    """Height of an obstacle's upper side, m; -inf beside it.
+    """Return the height of an obstacle's upper side, m; -inf beside it.
 
     Args:
         obstacle: of the ground.
@@ -125,7 +125,7 @@ def add_obstacles(
 
 
 def _heading(block: Block) -> np.ndarray:
-    """From a block's axes to the world's ``(3, 3)``."""
+    """Return the rotation ``(3, 3)`` from a block's axes to the world's."""
     c, s = np.cos(block.heading), np.sin(block.heading)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 

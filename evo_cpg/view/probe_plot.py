@@ -1,4 +1,4 @@
-"""A picture of how an animal does in many situations: its paths, seen from above."""
+"""Picture of an animal's paths in many situations, seen from above."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -71,7 +71,7 @@ def probe_figure(probe: Probe, fraction: float, title: str) -> Figure:
 
 
 def _size(probe: Probe, lights: np.ndarray) -> tuple[float, float]:
-    """Of a picture that is as wide and as high as what it shows, inches."""
+    """Return width and height of a picture that fits what it shows, inches."""
     places = np.concatenate([lights, probe.paths[np.isfinite(probe.paths).all(-1)]])
     extent = np.ptp(places[:, :2], axis=0) + 1e-9
     width, height = np.maximum(_LONG * extent / extent.max(), _SHORT)
@@ -80,13 +80,13 @@ def _size(probe: Probe, lights: np.ndarray) -> tuple[float, float]:
 
 
 def _bearing(angle: float) -> str:
-    """In degrees, with a sign; none for straight ahead."""
+    """Return an angle in degrees with a sign; no sign for straight ahead."""
     text = f"{np.rad2deg(angle):+.0f}".replace("-", "\N{MINUS SIGN}")
     return f"{text if text[1:] != '0' else '0'}\N{DEGREE SIGN}"
 
 
 def _draw_starts(axes: Axes, probe: Probe) -> None:
-    """A wedge at every start, which points where the animal looks."""
+    """Draw a wedge at every start, which points where the animal looks."""
     for (x, y, _), heading in {s[:2] for s in probe.situations}:
         marker = MarkerStyle(">", transform=Affine2D().rotate(heading))
         axes.plot(x, y, marker=marker, color=INK, mec="white", mew=0.8, ms=12, zorder=6)

@@ -141,7 +141,7 @@ class Scene(NamedTuple):
 
     @property
     def walks(self) -> bool:
-        """Whether the ground carries a moving animal, whose path is measured on it."""
+        """True if the ground carries a moving animal, whose path is measured on it."""
         return self.stands and len(self.clip.time) > 1
 
     @property
@@ -151,7 +151,7 @@ class Scene(NamedTuple):
 
     @property
     def measured(self) -> str:
-        """What the clip's distance is, in words."""
+        """Meaning of the clip's distance, in words."""
         return "from the start" if self.goal is None else "to the light"
 
     @property

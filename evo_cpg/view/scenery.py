@@ -1,4 +1,4 @@
-"""What a scene shows besides the animal and the ground: light, trail, specks, sun and sky."""
+"""Light, trail, specks, sun and sky of a scene."""
 
 from typing import cast
 

@@ -1,7 +1,7 @@
 """A strip under a film: the joints' angles, what drives them, and the feet on the ground.
 
-It shows a page of some seconds, over which a cursor moves; then it turns to the next. A page is
-drawn once.
+It shows a page of some seconds, over which a cursor moves. Then it turns to the next page. A page
+is drawn once.
 """
 
 from typing import NamedTuple
@@ -41,7 +41,7 @@ _DARK, _BRIGHT = ("#8fe3ff", "#ffb454", "#8fe3a8"), ("#0067a8", "#c2410c", "#2f7
 
 
 class Signals(NamedTuple):
-    """What a strip shows.
+    """Contents of a strip.
 
     Attributes:
         names: of the joints' axes.
@@ -71,9 +71,10 @@ def signals_of(
     feet: tuple[str, ...] = (),
     touched: Bool[np.ndarray, "t f"] | None = None,
 ) -> Signals:
-    """The signals of a recording: of every joint the axis about which the animal bends, y or z.
+    """Return the signals of a recording, with one axis of every joint.
 
-    A joint that has no such axis is shown with the one about which it turns most.
+    It is the axis about which the animal bends, y or z. A joint without this axis is shown with the
+    axis about which it turns most.
 
     Args:
         recording: the motion.
@@ -131,11 +132,11 @@ class Strip:
 
     @property
     def height(self) -> int:
-        """Of the strip as it is drawn, pixels."""
+        """Height of the strip as it is drawn, pixels."""
         return self._size[1]
 
     def at(self, time: float) -> np.ndarray:
-        """The strip at an instant of the recording, s: ``(height, width, 3)``, bottom row first."""
+        """Draw the strip at a time, s: ``(height, width, 3)`` bytes, bottom row first."""
         first = float(self._signals.time[0])
         page = int(np.clip((time - first) / self._length, 0, self._pages - 1))
         if page != self._drawn:
@@ -151,7 +152,7 @@ class Strip:
 
     @framed
     def _page(self, start: float) -> tuple[np.ndarray, tuple[int, int, int, int]]:
-        """A page from an instant on, and the edges of its axes: left, right, bottom, top."""
+        """Draw a page; return it and the edges of its axes: left, right, bottom, top."""
         signals, look, (width, height) = self._signals, self._look, self._size
         figure = Figure(figsize=(width / 100, height / 100), dpi=100, facecolor=look.distance)
         canvas = FigureCanvasAgg(figure)
@@ -178,7 +179,7 @@ class Strip:
         return picture, (left, right, bottom, height - top)
 
     def _curves(self, axes: Axes, start: float, end: float) -> None:
-        """Rows of joints, then of feet, from the top down; a foot's row is lower."""
+        """Draw rows of joints, then of feet, from the top down; a foot's row is lower."""
         signals, joints, feet = self._signals, self._joints, self._feet
         inside = (signals.time >= start) & (signals.time <= end)
         time = signals.time[inside]
@@ -209,7 +210,7 @@ class Strip:
         axes.set_ylim(len(joints) + len(feet) * high, 0.0)
 
     def _legend(self, figure: Figure, left: float, top: float, points: float) -> None:
-        """What the lines and bars are, in a line above them."""
+        """Write in a line above them what the lines and bars are."""
         signals = self._signals
         colours = _DARK if self._look.zenith is None else _BRIGHT
         degrees = np.degrees(_largest(signals)[0])
@@ -230,7 +231,7 @@ class Strip:
 
 
 def _rows(signals: Signals, height: float, larger: float) -> tuple[list[int], list[int]]:
-    """Which joints and which feet have room.
+    """Return the joints and the feet that have room.
 
     Args:
         signals: all of them.
@@ -248,16 +249,16 @@ def _rows(signals: Signals, height: float, larger: float) -> tuple[list[int], li
 
 
 def _most_stepping(signals: Signals, most: int) -> list[int]:
-    """The feet that come down most often, in their order."""
+    """Return the feet that come down most often, in their order."""
     assert signals.touched is not None
     steps = [len(footfalls.touch_downs(foot, 1.0)) for foot in signals.touched.T]
-    # Who hardly ever comes down leaves its row empty.
+    # A foot that hardly ever comes down would leave its row empty.
     often = [i for i, count in enumerate(steps) if count >= _SELDOM * max(steps)]
     return sorted(sorted(often, key=lambda i: -steps[i])[:most])
 
 
 def _largest(signals: Signals) -> tuple[float, float]:
-    """What a curve is drawn as high as its row for: an angle and a signal."""
+    """Return the angle and the signal whose curves are as high as their rows."""
     if not signals.names:
         return 1.0, 1.0
     angle = max(float(np.quantile(np.abs(signals.angle), _TYPICAL)), 1e-3)

@@ -57,7 +57,7 @@ class Ripples:
         self._start *= _STEEPNESS / steepness
 
     def slopes(self, time: float) -> np.ndarray:
-        """Slopes along x and y ``(2, n, n)`` at a time, s; the first axis of the tile is x."""
+        """Return slopes along x and y ``(2, n, n)`` at a time, s; the tile's first axis is x."""
         now = self._start * np.exp(1j * self._rate * time)
         shape = (_TEXELS, _TEXELS)
         return np.stack([np.fft.irfft2(1j * k * now, shape) for k in self._number])

@@ -69,7 +69,7 @@ def chart(figure: Figure, words: str, timed: bool = False) -> Html:
 
 @framed
 def footfall_figure(feet: Feet, step: float, window: tuple[float, float]) -> Figure:
-    """A bar for every stance, a row for every foot (Hildebrand 1965).
+    """Draw a bar for every stance, a row for every foot (Hildebrand 1965).
 
     Args:
         feet: what touches the ground.
@@ -93,7 +93,7 @@ def wave_figure(
     window: tuple[float, float],
     names: Sequence[str],
 ) -> Figure:
-    """Bending along the body over time: a wave that runs is a slanting stripe.
+    """Draw bending along the body over time: a wave that runs is a slanting stripe.
 
     Args:
         bending: of every joint along the body, rad.
@@ -125,7 +125,7 @@ def wave_figure(
 
 @framed
 def lag_figure(wave: BodyWave, place: Float[np.ndarray, " j"]) -> Figure:
-    """Phase and amplitude along the body.
+    """Draw phase and amplitude along the body.
 
     Args:
         wave: along the body.
@@ -149,7 +149,7 @@ def effort_figure(
     instant: Float[np.ndarray, " f"],
     speed: Float[np.ndarray, " f"],
 ) -> Figure:
-    """Power and speed over the whole trial.
+    """Draw power and speed over the whole trial.
 
     Args:
         time: of the control steps, s.

@@ -19,7 +19,7 @@ from evo_cpg.view.page.words import number, with_unit
 
 
 def document(subject: Subject, motion: Motion) -> str:
-    """The whole page."""
+    """Return the whole page."""
     sections = [
         ("gait", "How it moves", movement.gait(motion)),
         ("signals", "Signals", movement.signals(subject, motion)),
@@ -65,7 +65,7 @@ def document(subject: Subject, motion: Motion) -> str:
 
 
 def _changed(subject: Subject) -> Html | None:
-    """That numbers are those of another animal or world than the champion evolved in."""
+    """Return a warning that the configuration changed after training; None if it did not."""
     if subject.changed is None:
         return None
     words = f"{subject.changed}: all that is measured here is of its trial as it comes out now."
@@ -113,7 +113,7 @@ def _viewer(motion: Motion) -> Html:
 
 
 def _cards(subject: Subject, numbers: GaitNumbers) -> Html:
-    """The numbers that matter first."""
+    """Return the most important numbers."""
     found = [("fitness", number(subject.champion["fitness"]))]
     for key in ("speed", "speed_in_lengths", "stride_frequency", "strouhal", "duty_factor",
                 "cost_of_transport", "power"):  # fmt: skip
