@@ -174,6 +174,36 @@ def second_opinion(
         ExchangeError: MuJoCo is missing or refuses the model, MJCF cannot hold the world, or its
             animal diverged.
     """
+    mujoco, model, finer = _compile(simulation, creature, hard)
+    world, substeps = simulation.world, simulation.substeps
+    player = _Player(mujoco, model, world, simulation.step_length)
+    player.begin(jax.tree.map(lambda x: np.asarray(x[..., 0], float), steps.before))
+    pushes = _pushes(steps)
+    commands = player.commands(*map(np.asarray, (steps.target_rate, steps.target_angle)))
+    poses, held = [player.data.qpos.copy()], []
+    for index in range(steps.torque.shape[-1]):
+        player.data.qvel[:3] += pushes[:, index]
+        if brain is not None and index % substeps == 0:
+            own = player.commands(*brain.think(player.state(), player.weight_borne()))
+            commands[index : index + substeps] = own
+        player.advance(commands[index], finer)
+        if not np.isfinite(player.data.qpos).all():
+            raise ExchangeError("MuJoCo's animal diverged")
+        if (index + 1) % substeps == 0:
+            poses.append(player.data.qpos.copy())
+            held.append(player.is_held())
+    poses = np.array(poses).T
+    return Opinion(
+        "MuJoCo" + ", hard contacts" * hard + ", own senses" * (brain is not None),
+        poses[:3],
+        _upright_fraction(poses[3:7, 1:]),
+        _airborne(world, np.array(held)),
+        poses[7 + player.dofs, 1:],
+    )
+
+
+def _compile(simulation: Simulation, creature: Creature, hard: bool) -> tuple[Any, Any, int]:
+    """Return MuJoCo, its model of the animal and its world, and its steps in one of ours."""
     try:
         mujoco = importlib.import_module("mujoco")
     except ModuleNotFoundError:
@@ -197,32 +227,7 @@ def second_opinion(
         model.opt.impratio = _IMPEDANCE_RATIO
         model.pair_solref[:] = h, 1.0
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
-    player = _Player(mujoco, model, world, h)
-    player.begin(jax.tree.map(lambda x: np.asarray(x[..., 0], float), steps.before))
-    jumps = _jumps(steps)
-    signals = player.signals(*map(np.asarray, (steps.target_rate, steps.target_angle)))
-    substeps, path, turns, angles, held = simulation.substeps, [], [], [], []
-    path.append(player.data.qpos[:3].copy())
-    for index in range(steps.torque.shape[-1]):
-        player.push(jumps[:, index])
-        if brain is not None and index % substeps == 0:
-            commands = player.signals(*brain.think(player.state(), player.weight_borne()))
-            signals[index : index + substeps] = commands
-        player.advance(signals[index], finer)
-        if not np.isfinite(player.data.qpos).all():
-            raise ExchangeError("MuJoCo's animal diverged")
-        if (index + 1) % substeps == 0:
-            path.append(player.data.qpos[:3].copy())
-            turns.append(player.data.qpos[3:7].copy())
-            angles.append(player.angles())
-            held.append(player.touches() or player.swims())
-    return Opinion(
-        "MuJoCo" + ", hard contacts" * hard + ", own senses" * (brain is not None),
-        np.array(path).T,
-        _upright_fraction(np.array(turns).T),
-        _airborne(simulation.world, np.array(held)),
-        np.array(angles).T,
-    )
+    return mujoco, model, finer
 
 
 class _Player:
@@ -238,7 +243,7 @@ class _Player:
     def __init__(self, mujoco: Any, model: Any, world: World, h: float):
         self.mujoco, self.model, self.tree = mujoco, model, world.tree
         self.data = mujoco.MjData(model)
-        self._dofs, self._motors = dof_order(model, world.tree), motor_order(model, world.tree)
+        self.dofs, self._motors = dof_order(model, world.tree), motor_order(model, world.tree)
         self._bodies = np.array([model.body(name).id for name in world.tree.names])
         self._animal = np.isin(model.geom_bodyid, self._bodies)
         self._structure = jax.tree.structure(resting_state(world.tree))
@@ -250,7 +255,7 @@ class _Player:
         load_state(self.model, self.data, self.tree, state)
         self.mujoco.mj_forward(self.model, self.data)
 
-    def signals(
+    def commands(
         self, target_rate: Float[np.ndarray, "d t"], target_angle: Float[np.ndarray, "d t"]
     ) -> Float[np.ndarray, "t motors"]:
         """Return the commands of the motors in each step: their laws are ours."""
@@ -263,32 +268,24 @@ class _Player:
         command = np.where(springy, target_angle + along, target_rate)
         return np.asarray(command[self._motors].T, float)
 
-    def push(self, jump: Float[np.ndarray, "3"]) -> None:
-        """Change the root's velocity by a random push, m/s."""
-        self.data.qvel[:3] += jump
-
-    def advance(self, signal: Float[np.ndarray, " motors"], count: int) -> None:
+    def advance(self, command: Float[np.ndarray, " motors"], count: int) -> None:
         """Make some of MuJoCo's steps with the same command."""
-        self.data.ctrl[:] = signal
+        self.data.ctrl[:] = command
         for _ in range(count):
             if self._laws is not None:
                 self.data.xfrc_applied[self._bodies] = self._laws(self.state()).T
             self.mujoco.mj_step(self.model, self.data)
 
-    def angles(self) -> Float[np.ndarray, " d"]:
-        """Return the angles of the joints, in our order, rad."""
-        return self.data.qpos[7 + self._dofs].copy()
+    def is_held(self) -> bool:
+        """Return whether the animal touches something other than itself, or swims.
 
-    def touches(self) -> bool:
-        """Return whether the animal touches something other than itself."""
-        return any(
+        It swims if a body's centre is under water.
+        """
+        touches = any(
             self._animal[contact.geom1] != self._animal[contact.geom2]
             for contact in self.data.contact
         )
-
-    def swims(self) -> bool:
-        """Return whether a body's centre is under water."""
-        return bool((self.data.xipos[self._bodies, 2] < self._surface).any())
+        return touches or bool((self.data.xipos[self._bodies, 2] < self._surface).any())
 
     def weight_borne(self) -> Float[np.ndarray, " b"]:
         """Return the normal force of the surroundings on each of our bodies, N."""
@@ -308,8 +305,8 @@ class _Player:
             data.qpos[:3].copy(),
             data.qpos[3:7].copy(),
             np.concatenate([spin, data.qvel[:3]]),
-            data.qpos[7 + self._dofs],
-            data.qvel[6 + self._dofs],
+            data.qpos[7 + self.dofs],
+            data.qvel[6 + self.dofs],
         )
         # In double precision, as `jax.device_get` leaves states on the host.
         return jax.tree.unflatten(self._structure, parts)
@@ -345,7 +342,7 @@ def _law_forces(world: World, h: float) -> Callable[[State], np.ndarray]:
     return compute
 
 
-def _jumps(steps: PhysicsSteps) -> Float[np.ndarray, "3 t"]:
+def _pushes(steps: PhysicsSteps) -> Float[np.ndarray, "3 t"]:
     """Return the random change of the root's velocity before each step, m/s."""
     linear = np.asarray(steps.before.velocity[3:], float)
     came = np.concatenate([linear[:, :1], np.asarray(steps.after.velocity[3:, :-1], float)], 1)

@@ -6,6 +6,7 @@ import os
 import re
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 
 import imageio_ffmpeg
 import numpy as np
@@ -22,8 +23,8 @@ from evo_cpg.view.camera import follow, project, smooth
 from evo_cpg.view.captions import fitted, heading
 from evo_cpg.view.clip import sample
 from evo_cpg.view.film import side_by_side
-from evo_cpg.view.frame_processes import DrawingError, drawn_frames
-from evo_cpg.view.frames import Film, Frames
+from evo_cpg.view.frame_processes import DrawingError
+from evo_cpg.view.frames import Film
 from evo_cpg.view.legible import font
 from evo_cpg.view.meshes import body_colors
 from evo_cpg.view.scene import Panel, scene_of
@@ -237,13 +238,13 @@ def test_several_processes_draw_the_same_film(movie, creature, recording, tmp_pa
     np.testing.assert_array_equal(together, alone)
 
 
-def test_a_process_that_cannot_draw_is_told_of(creature, recording):
-    panels, made = [Panel(creature, recording)], Film(SMALL, 10, 0.5, camera="nowhere")
-    with (
-        pytest.raises(DrawingError, match="draws frames failed: camera is 'nowhere'"),
-        drawn_frames(panels, made, Frames(panels, made), 2) as drawn,
-    ):
-        next(drawn)
+def test_a_process_that_cannot_draw_is_told_of(creature, recording, monkeypatch):
+    """A thread stands for the process."""
+    made = Film(SMALL, 10, 0.5, camera="nowhere")
+    monkeypatch.setattr(frame_processes, "_films", [([Panel(creature, recording)], made)])
+    words = "draws frames failed: camera is 'nowhere'"
+    with ThreadPoolExecutor(1) as pool, pytest.raises(DrawingError, match=words):
+        next(frame_processes._in_order(pool, 5, 2))
 
 
 @pytest.mark.parametrize(
