@@ -26,9 +26,6 @@ _DIGITS = 12
 # Number of the body that the world's elements belong to.
 WORLD = 0
 
-# A kind of element and its number in the compiled model.
-At = tuple[str, int]
-
 
 class Compiled(NamedTuple):
     """MuJoCo, and what it made of a file.
@@ -38,44 +35,18 @@ class Compiled(NamedTuple):
         model: the compiled model.
         source: the file, for messages.
         refusals: what was found that no creature can have.
-        lines: of the elements in the file, as far as they are known.
+        lines: of the elements in the file, by kind and number, as far as they are known.
     """
 
     mujoco: Any
     model: Any
     source: Path
     refusals: Refusals
-    lines: Mapping[At, int]
+    lines: Mapping[tuple[str, int], int]
 
-    def named(self, kind: str, number: int) -> str:
-        """Return the name of an element in messages."""
-        name = self._name(kind, number)
-        if name:
-            return f"{kind} {name!r}"
-        owner = {"joint": "jnt_bodyid", "geom": "geom_bodyid"}.get(kind)
-        if owner is None:
-            return f"{kind} number {number} (unnamed)"
-        return f"unnamed {kind} of {self.named('body', int(getattr(self.model, owner)[number]))}"
-
-    def refusal(self, kind: str, number: int, problem: str, allowed: str) -> RefusedError:
-        """Return an error that ends the reading of an element that no creature can have."""
-        return RefusedError(self._refused(kind, number, problem, allowed))
-
-    def refuse(self, kind: str, number: int, problem: str, allowed: str) -> None:
-        """Remember an element that no creature can have, and go on."""
-        self.refusals.add(self._refused(kind, number, problem, allowed))
-
-    def refuse_as(self, what: str, problem: str) -> None:
-        """Remember a fault that belongs to no single element."""
-        self.refusals.add(Refusal(what, problem))
-
-    def _refused(self, kind: str, number: int, problem: str, allowed: str) -> Refusal:
-        said = f"{problem}; allowed: {allowed}"
-        return Refusal(self.named(kind, number), said, self.lines.get((kind, number)))
-
-    def _name(self, kind: str, number: int) -> str | None:
-        code = getattr(self.mujoco.mjtObj, f"mjOBJ_{kind.upper()}", None)
-        return None if code is None else self.mujoco.mj_id2name(self.model, code, number)
+    def item(self, kind: str, number: int) -> "Item":
+        """Return an element by its kind and number."""
+        return Item(self, kind, number)
 
     def enabled(self, flag: str) -> bool:
         """Return whether a flag of the option element is enabled that is not by default."""
@@ -87,8 +58,8 @@ class Compiled(NamedTuple):
         bit = getattr(self.mujoco.mjtDisableBit, f"mjDSBL_{flag.upper()}", 0)
         return bool(self.model.opt.disableflags & int(bit))
 
-    def owners(self, kind: str, wrong: Any) -> Iterator[tuple[str, int, tuple[int, ...]]]:
-        """Yield kind and number of the elements with wrong values, and the place of each value.
+    def owners(self, kind: str, wrong: Any) -> Iterator[tuple["Item", tuple[int, ...]]]:
+        """Yield the elements with wrong values, and the place of each value.
 
         Args:
             kind: of the elements; ``dof`` for degrees of freedom of joints.
@@ -97,35 +68,77 @@ class Compiled(NamedTuple):
         for place in np.argwhere(wrong).tolist():
             number = place[0]
             if kind == "dof":
-                yield "joint", int(self.model.dof_jntid[number]), tuple(place)
+                yield self.item("joint", int(self.model.dof_jntid[number])), tuple(place)
             elif kind != "geom" or self.model.geom_bodyid[number] != WORLD:
-                yield kind, number, tuple(place)
+                yield self.item(kind, number), tuple(place)
 
-    def checked(
-        self, at: At | None, section: type[_Section], values: dict[str, Any], what: str = ""
-    ) -> _Section:
-        """Return a section of the creature, made of an element.
+
+class Item(NamedTuple):
+    """An element of a compiled model.
+
+    Attributes:
+        compiled: the model.
+        kind: of the element.
+        number: in the compiled model.
+    """
+
+    compiled: Compiled
+    kind: str
+    number: int
+
+    def __str__(self) -> str:
+        """Return the name of the element in messages."""
+        mujoco, model = self.compiled.mujoco, self.compiled.model
+        code = getattr(mujoco.mjtObj, f"mjOBJ_{self.kind.upper()}", None)
+        name = None if code is None else mujoco.mj_id2name(model, code, self.number)
+        if name:
+            return f"{self.kind} {name!r}"
+        owner = {"joint": "jnt_bodyid", "geom": "geom_bodyid"}.get(self.kind)
+        if owner is None:
+            return f"{self.kind} number {self.number} (unnamed)"
+        body = self.compiled.item("body", int(getattr(model, owner)[self.number]))
+        return f"unnamed {self.kind} of {body}"
+
+    @property
+    def line(self) -> int | None:
+        """Line of the element in the file; None if it is unknown."""
+        return self.compiled.lines.get((self.kind, self.number))
+
+    def refuse(self, problem: str, allowed: str) -> None:
+        """Remember that no creature can have the element, and go on."""
+        self.compiled.refusals.add(self.refusal(problem, allowed).refusal)
+
+    def refusal(self, problem: str, allowed: str) -> RefusedError:
+        """Return an error that ends the reading of the element."""
+        return RefusedError(Refusal(str(self), f"{problem}; allowed: {allowed}", self.line))
+
+    def section(self, section: type[_Section], values: dict[str, Any], what: str = "") -> _Section:
+        """Return a section of the creature, made of the element.
 
         Args:
-            at: the element; None for the model.
-            section: to be made of it.
+            section: to be made.
             values: of its keys; None for what is left open.
-            what: name of the element in messages, if it is not that of `named`.
+            what: name of the element in messages, if it has another one.
 
         Raises:
             RefusedError: the values break the section's rules.
         """
-        try:
-            return section(**{key: value for key, value in values.items() if value is not None})
-        except pydantic.ValidationError as error:
-            problem = error.errors()[0]
-        said = problem["msg"].removeprefix("Value error, ")
-        if problem["type"] != "value_error":
-            said = f"{problem['input']}: {said[:1].lower()}{said[1:]}"
-        key = ".".join(map(str, problem["loc"]))
-        said = f"{key}: {said}" if key else said
-        what = what or (self.named(*at) if at else "")
-        raise RefusedError(Refusal(what, said, self.lines.get(at) if at else None))
+        return make_section(section, values, what or str(self), self.line)
+
+
+def make_section(
+    section: type[_Section], values: dict[str, Any], what: str, line: int | None = None
+) -> _Section:
+    """Return a section of the creature; see `Item.section`."""
+    try:
+        return section(**{key: value for key, value in values.items() if value is not None})
+    except pydantic.ValidationError as error:
+        problem = error.errors()[0]
+    said = problem["msg"].removeprefix("Value error, ")
+    if problem["type"] != "value_error":
+        said = f"{problem['input']}: {said[:1].lower()}{said[1:]}"
+    key = ".".join(map(str, problem["loc"]))
+    raise RefusedError(Refusal(what, f"{key}: {said}" if key else said, line))
 
 
 def compile_model(path: Path) -> Compiled:
@@ -160,7 +173,7 @@ def compile_model(path: Path) -> Compiled:
     return Compiled(mujoco, model, path, Refusals(path), _lines(spec, path))
 
 
-def _lines(spec: Any, path: Path) -> dict[At, int]:
+def _lines(spec: Any, path: Path) -> dict[tuple[str, int], int]:
     """Return the lines of elements; none for a file of a single line.
 
     An included element has the line of the included file, so it is left out: its name does not

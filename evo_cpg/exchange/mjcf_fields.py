@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from evo_cpg.exchange.compiled import TOLERANCE, Compiled
+from evo_cpg.exchange.refusals import Refusal
 
 # By field of the compiled model: kind of the elements and their attribute in MJCF.
 READ = {
@@ -154,8 +155,8 @@ def require_numbers(compiled: Compiled) -> None:
             limits = field in READ_LIMITS
             wrong = np.isnan(values) if limits else ~np.isfinite(values)
             allowed = "numbers" if limits else "finite numbers"
-            for owner, number, place in compiled.owners(kind, wrong):
-                compiled.refuse(owner, number, f"its {word} holds {values[place]:g}", allowed)
+            for item, place in compiled.owners(kind, wrong):
+                item.refuse(f"its {word} holds {values[place]:g}", allowed)
         compiled.refusals.check()
 
 
@@ -167,26 +168,24 @@ def refuse_fields(compiled: Compiled) -> None:
         if found is None or not len(found):
             continue
         wrong = ~np.isclose(found, values, rtol=TOLERANCE, atol=0)
-        for owner, number, place in compiled.owners(kind, wrong.reshape(len(wrong), -1).any(1)):
+        for item, place in compiled.owners(kind, wrong.reshape(len(wrong), -1).any(1)):
             if np.any(values) and np.min(values) >= 0:
                 problem = f"its {word} is {_text(np.ravel(found[place]))}"
                 allowed = _text(np.ravel(values))
             else:
                 problem, allowed = f"it has {word}", f"no {word}"
-            compiled.refuse(owner, number, problem, allowed)
+            item.refuse(problem, allowed)
 
 
 def refuse_elements(compiled: Compiled) -> None:
     """Refuse elements and flags that no creature has."""
     for count, kind in REFUSED_COUNTS.items():
         for number in range(int(getattr(compiled.model, count, 0))):
-            compiled.refuse(kind, number, "no creature has such a thing", f"no {kind}")
-    for flag in ENABLED_FLAGS:
-        if compiled.disabled(flag):
-            compiled.refuse_as(f"flag {flag!r}", "it is disabled; allowed: enable")
-    for flag in DISABLED_FLAGS:
-        if compiled.enabled(flag):
-            compiled.refuse_as(f"flag {flag!r}", "it is enabled; allowed: disable")
+            compiled.item(kind, number).refuse("no creature has such a thing", f"no {kind}")
+    for flag in filter(compiled.disabled, ENABLED_FLAGS):
+        compiled.refusals.add(Refusal(f"flag {flag!r}", "it is disabled; allowed: enable"))
+    for flag in filter(compiled.enabled, DISABLED_FLAGS):
+        compiled.refusals.add(Refusal(f"flag {flag!r}", "it is enabled; allowed: disable"))
 
 
 def left_out_options(compiled: Compiled) -> list[str]:

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from evo_cpg.config.schema.creature import BodyConfig, CreatureConfig, MaterialConfig
-from evo_cpg.exchange.compiled import TOLERANCE, WORLD, Compiled, compile_model, tidy
+from evo_cpg.exchange.compiled import TOLERANCE, WORLD, Compiled, compile_model, make_section, tidy
 from evo_cpg.exchange.mjcf_fields import (
     PLAIN_PAIR,
     counted,
@@ -96,13 +96,13 @@ def read_mjcf(path: Path | str, motor_gain: float | None = None) -> Imported:
         with compiled.refusals.collecting():
             if body != root:
                 entry["joint"] = read_joint(compiled, body, placed, names, motors)
-            entries.append(compiled.checked(("body", body), BodyConfig, entry))
+            entries.append(compiled.item("body", body).section(BodyConfig, entry))
     compiled.refusals.check()
     name = _model_name(compiled)
     made = {name: made_of for made_of, name in materials.items()}
     whole = {"name": name, "materials": made, "bodies": entries}
     with compiled.refusals.collecting():
-        creature = compiled.checked(None, CreatureConfig, whole, f"model {name!r}")
+        creature = make_section(CreatureConfig, whole, f"model {name!r}")
         return Imported(creature, _left_out(compiled, fluid))
     compiled.refusals.check()
     raise AssertionError("unreachable")
@@ -131,22 +131,18 @@ def _find_root(compiled: Compiled) -> int:
         raise ExchangeError(f"{compiled.source}: the worldbody holds no body; allowed: one")
     root = tops[0]
     for other in tops[1:]:
-        compiled.refuse(
-            "body",
-            other,
-            f"it stands in the worldbody beside {compiled.named('body', root)}",
-            "one body there, the root",
-        )
+        problem = f"it stands in the worldbody beside {compiled.item('body', root)}"
+        compiled.item("body", other).refuse(problem, "one body there, the root")
     joints = joints_of(model, root)
     free = compiled.mujoco.mjtJoint.mjJNT_FREE
     if [int(model.jnt_type[joint]) for joint in joints] != [free]:
-        compiled.refuse("body", root, "the root does not float freely", "a freejoint")
+        compiled.item("body", root).refuse("the root does not float freely", "a freejoint")
         return root
     dofs = slice(int(model.jnt_dofadr[joints[0]]), int(model.jnt_dofadr[joints[0]]) + 6)
     for field, word in _OF_ROOT.items():
         places = dofs if field.startswith("dof") else joints[0]
         if np.any(getattr(model, field)[places]):
-            compiled.refuse("joint", joints[0], f"it has {word}", f"no {word}")
+            compiled.item("joint", joints[0]).refuse(f"it has {word}", f"no {word}")
     return root
 
 
@@ -156,7 +152,8 @@ def _body_names(compiled: Compiled) -> dict[int, str]:
     names = {}
     for i, name in enumerate(given):
         if name and "{i}" in name:
-            compiled.refuse("body", i, "{i} stands for a number in our names", "a name without it")
+            problem = "{i} stands for a number in our names"
+            compiled.item("body", i).refuse(problem, "a name without it")
         invented = f"body{i}"
         while invented in given:
             invented += "_"
@@ -171,7 +168,7 @@ def _material(compiled: Compiled, geom: int, density: float) -> MaterialConfig:
         "static_friction": friction,
         "dynamic_friction": friction,
     }
-    return compiled.checked(("geom", geom), MaterialConfig, values)
+    return compiled.item("geom", geom).section(MaterialConfig, values)
 
 
 def _left_out(compiled: Compiled, fluid: float) -> tuple[str, ...]:
@@ -188,7 +185,7 @@ def _left_out(compiled: Compiled, fluid: float) -> tuple[str, ...]:
         gravity = ", ".join(f"{value:g}" for value in model.opt.gravity)
         found.append(f"gravity ({gravity}) m/s^2")
     ground = [i for i in range(model.ngeom) if model.geom_bodyid[i] == WORLD]
-    found += [compiled.named("geom", geom) for geom in ground]
+    found += [str(compiled.item("geom", geom)) for geom in ground]
     if fluid:
         found.append(f"the buoyancy of a fluid of {fluid:g} kg/m^3")
     medium = [name for name in ("density", "viscosity") if name in options]
@@ -198,7 +195,7 @@ def _left_out(compiled: Compiled, fluid: float) -> tuple[str, ...]:
     found += _collisions(compiled)
     ranges = command_ranges(compiled)
     if len(ranges) == 1:
-        found.append(f"the ctrlrange of {compiled.named('actuator', ranges[0])}")
+        found.append(f"the ctrlrange of {compiled.item('actuator', ranges[0])}")
     elif ranges:
         found.append(f"the ctrlrange of {len(ranges)} actuators")
     return (*found, *left_out_counts(compiled))
@@ -240,9 +237,7 @@ def _buoyancy(compiled: Compiled, placed: dict[int, Placed]) -> float:
     alike = np.isclose(fluid, fluid[0], rtol=TOLERANCE, atol=0)
     wrong = np.flatnonzero(~alike | (fluid < 0))
     if wrong.size:
-        raise compiled.refusal(
-            "body",
-            bodies[int(wrong[0])],
+        raise compiled.item("body", bodies[int(wrong[0])]).refusal(
             "its gravcomp is not the buoyancy of a fluid around all bodies",
             "gravcomp in inverse proportion to the density, or none",
         )

@@ -65,7 +65,7 @@ def check_joints(
     joints = joints_of(model, body)
     if not 1 <= len(joints) <= 3:
         problem = f"it has {len(joints)} joints" if joints else "it is welded to its parent"
-        compiled.refuse("body", body, problem, "one to three hinges")
+        compiled.item("body", body).refuse(problem, "one to three hinges")
     if not all(_is_plain_hinge(compiled, joint) for joint in joints):
         return
     alike = {
@@ -85,25 +85,25 @@ def check_joints(
         if np.abs(model.jnt_pos[joint] - model.jnt_pos[first]).max() > TOLERANCE:
             unlike.append("pos")
         for word in unlike:
-            problem = f"its {word} is not that of {compiled.named('joint', first)}"
-            compiled.refuse("joint", joint, problem, f"the same {word} for all hinges of a body")
+            problem = f"its {word} is not that of {compiled.item('joint', first)}"
+            allowed = f"the same {word} for all hinges of a body"
+            compiled.item("joint", joint).refuse(problem, allowed)
 
 
 def _is_plain_hinge(compiled: Compiled, joint: int) -> bool:
     """Return whether a joint is a hinge, and refuse what else is wrong with it."""
-    model, kinds = compiled.model, compiled.mujoco.mjtJoint
+    model, kinds, item = compiled.model, compiled.mujoco.mjtJoint, compiled.item("joint", joint)
     kind = int(model.jnt_type[joint])
     if kind != kinds.mjJNT_HINGE:
         word = str(kinds(kind).name).removeprefix("mjJNT_").lower()
         allowed = "one to three hinges at one place, which turn one after the other"
-        compiled.refuse("joint", joint, f"it is a {word} joint", allowed)
+        item.refuse(f"it is a {word} joint", allowed)
         return False
     if not model.jnt_limited[joint]:
-        compiled.refuse("joint", joint, "it has no limits", "a range")
+        item.refuse("it has no limits", "a range")
     address = model.jnt_qposadr[joint]
     if model.jnt_stiffness[joint] and model.qpos_spring[address] != model.qpos0[address]:
-        problem = "its springref is not its ref"
-        compiled.refuse("joint", joint, problem, "a spring to the neutral pose")
+        item.refuse("its springref is not its ref", "a spring to the neutral pose")
     return True
 
 
@@ -148,8 +148,8 @@ def read_joint(
         "armature": tidy(model.dof_armature[dof]),
         "actuator": motors.get(first),
     }
-    what = f"joint of {compiled.named('body', body)}"
-    return compiled.checked(("body", body), JointConfig, values, what)
+    item = compiled.item("body", body)
+    return item.section(JointConfig, values, f"joint of {item}")
 
 
 def _axis(direction: np.ndarray) -> str | tuple[float, ...]:

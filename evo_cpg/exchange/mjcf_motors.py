@@ -47,21 +47,17 @@ def read_motors(compiled: Compiled, motor_gain: float | None) -> dict[int, Actua
 
 def _driven_joint(compiled: Compiled, number: int, driven: Container[int]) -> int:
     """Return the hinge that an actuator drives."""
-    model = compiled.model
+    model, item = compiled.model, compiled.item("actuator", number)
     joint, group = int(model.actuator_trnid[number, 0]), int(model.actuator_group[number])
     if 0 <= group < _GROUPS and model.opt.disableactuator >> group & 1:
-        raise compiled.refusal(
-            "actuator",
-            number,
-            f"actuatorgroupdisable disables its group, {group}",
-            "an enabled group",
-        )
+        problem = f"actuatorgroupdisable disables its group, {group}"
+        raise item.refusal(problem, "an enabled group")
     on_joint = int(model.actuator_trntype[number]) == compiled.mujoco.mjtTrn.mjTRN_JOINT
     if not on_joint or int(model.jnt_type[joint]) != compiled.mujoco.mjtJoint.mjJNT_HINGE:
-        raise compiled.refusal("actuator", number, "it drives no hinge", "joint=, a hinge")
+        raise item.refusal("it drives no hinge", "joint=, a hinge")
     if joint in driven:
-        first = compiled.named("joint", joint)
-        raise compiled.refusal("actuator", number, f"it is the second that drives {first}", "one")
+        driven_one = compiled.item("joint", joint)
+        raise item.refusal(f"it is the second that drives {driven_one}", "one")
     return joint
 
 
@@ -69,7 +65,7 @@ def _read_motor(
     compiled: Compiled, number: int, joint: int, motor_gain: float | None
 ) -> ActuatorConfig:
     """Read one motor; the gear stretches the angle and multiplies the force."""
-    mujoco, model = compiled.mujoco, compiled.model
+    mujoco, model, item = compiled.mujoco, compiled.model, compiled.item("actuator", number)
     gear = float(model.actuator_gear[_place(compiled, "out", number), 0])
     strength = float(model.actuator_gainprm[number, 0])
     offset, stiffness, damping = (-model.actuator_biasprm[number, :3]).tolist()
@@ -82,9 +78,7 @@ def _read_motor(
     )
     follows = offset == 0 and stiffness >= 0 and strength == (stiffness or damping)
     if not simple or (affine and not follows):
-        raise compiled.refusal(
-            "actuator",
-            number,
+        raise item.refusal(
             "its law is not that of a servo",
             "position, velocity, motor without dynamics of their own",
         )
@@ -94,9 +88,7 @@ def _read_motor(
     ]
     if not affine:
         if motor_gain is None:
-            raise compiled.refusal(
-                "actuator",
-                number,
+            raise item.refusal(
                 "it gives a torque, and our motors are servos",
                 "position, velocity, or --motor-gain, which makes velocity servos of torque motors",
             )
@@ -105,24 +97,22 @@ def _read_motor(
         limits.append((command, _limits_commands(compiled, number)))
         gain, stiffness = motor_gain, 0.0
     elif not damping > 0:
-        raise compiled.refusal("actuator", number, "it is undamped", "a kv of more than 0")
+        raise item.refusal("it is undamped", "a kv of more than 0")
     else:
         # Not the square of the gear, which may be too large for a number.
         gain, stiffness = (gear * (gear * value) for value in (damping, stiffness))
     torques = [torque for torque, given in limits if given and not _boundless(torque)]
     if not affine and not torques:
-        raise compiled.refusal("actuator", number, "it has no limits", "ctrlrange or forcerange")
+        raise item.refusal("it has no limits", "ctrlrange or forcerange")
     for lower, upper in torques:
         if not np.isclose(-lower, upper, rtol=TOLERANCE):
-            raise compiled.refusal(
-                "actuator", number, f"its limits {lower:g} and {upper:g} differ", "equal limits"
-            )
+            raise item.refusal(f"its limits {lower:g} and {upper:g} differ", "equal limits")
     values = {
         "gain": tidy(gain),
         "stiffness": tidy(stiffness),
         "torque_limit": tidy(min(abs(float(upper)) for _, upper in torques)) if torques else None,
     }
-    return compiled.checked(("actuator", number), ActuatorConfig, values)
+    return item.section(ActuatorConfig, values)
 
 
 def command_ranges(compiled: Compiled) -> list[int]:

@@ -90,7 +90,7 @@ def only_geom(compiled: Compiled, body: int) -> int:
     model = compiled.model
     count = int(model.body_geomnum[body])
     if count != 1:
-        raise compiled.refusal("body", body, f"it has {count} geoms", "one, its shape")
+        raise compiled.item("body", body).refusal(f"it has {count} geoms", "one, its shape")
     return int(model.body_geomadr[body])
 
 
@@ -104,36 +104,32 @@ def place_body(compiled: Compiled, body: int, geom: int, is_root: bool) -> Place
     outer = rotation(compiled, model.body_quat[body]) if is_root else np.eye(3)
     turn = outer @ rotation(compiled, model.geom_quat[geom])
     kind = int(model.geom_type[geom])
-    at = ("geom", geom)
+    item = compiled.item("geom", geom)
     if kind == kinds.mjGEOM_SPHERE:
         values = {"type": "sphere", "radius": tidy(size[0])}
-        shape, turn = compiled.checked(at, SphereConfig, values), np.eye(3)
+        shape, turn = item.section(SphereConfig, values), np.eye(3)
     elif kind == kinds.mjGEOM_CAPSULE:
         # MuJoCo's capsules lie along z, ours along x; either end may be the front.
         turn = _shortest_turn(turn[:, 2] if turn[0, 2] >= 0 else -turn[:, 2])
         values = {"type": "capsule", "radius": tidy(size[0]), "length": tidy(2 * size[1])}
-        shape = compiled.checked(at, CapsuleConfig, values)
+        shape = item.section(CapsuleConfig, values)
     elif kind in (kinds.mjGEOM_BOX, kinds.mjGEOM_ELLIPSOID):
         best = max(_TURNS, key=lambda own: np.trace(turn @ own))
         turn, size = turn @ best, np.abs(best.T @ size)
         if kind == kinds.mjGEOM_BOX:
             values = {"type": "box", "size": tuple(map(tidy, 2 * size))}
-            shape = compiled.checked(at, BoxConfig, values)
+            shape = item.section(BoxConfig, values)
         else:
             values = {"type": "ellipsoid", "radii": tuple(map(tidy, size))}
-            shape = compiled.checked(at, EllipsoidConfig, values)
+            shape = item.section(EllipsoidConfig, values)
     elif kind == kinds.mjGEOM_MESH:
         # MuJoCo has turned it to its principal axes.
         shape, turn = _read_mesh(compiled, geom, turn), np.eye(3)
     else:
         word = str(kinds(kind).name).removeprefix("mjGEOM_").lower()
-        raise compiled.refusal(
-            "geom", geom, f"it is a {word}", "box, sphere, ellipsoid, capsule, mesh"
-        )
+        raise item.refusal(f"it is a {word}", "box, sphere, ellipsoid, capsule, mesh")
     if is_root and not np.allclose(turn, np.eye(3), rtol=0, atol=TOLERANCE):
-        raise compiled.refusal(
-            "geom",
-            geom,
+        raise item.refusal(
             f"the root's {shape.type} stands askew in the world",
             "edges and axes along x, y and z, a capsule's along x",
         )
@@ -156,9 +152,7 @@ def uniform_density(compiled: Compiled, body: int, geom: int, own: Placed) -> fl
     rounding = TOLERANCE if own.shape.type == "mesh" else _ROUNDING
     within = np.maximum(TOLERANCE * np.sqrt(np.outer(moments, moments)), rounding * moments.max())
     if off_centre or (off > within).any():
-        raise compiled.refusal(
-            "body",
-            body,
+        raise compiled.item("body", body).refusal(
             f"its centre of mass or inertia is not that of its {own.shape.type}",
             "uniform density, without an inertial of its own",
         )
@@ -167,7 +161,7 @@ def uniform_density(compiled: Compiled, body: int, geom: int, own: Placed) -> fl
 
 def _read_mesh(compiled: Compiled, geom: int, turn: np.ndarray) -> MeshConfig:
     """Return the mesh of a geom about its centre of mass, in axes turned to the geom's."""
-    model = compiled.model
+    model, item = compiled.model, compiled.item("geom", geom)
     mesh = int(model.geom_dataid[geom])
     first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
     vertices = np.array(model.mesh_vert[first : first + count], float) @ turn.T
@@ -176,11 +170,11 @@ def _read_mesh(compiled: Compiled, geom: int, turn: np.ndarray) -> MeshConfig:
     try:
         _, centre = convex_mesh(vertices, faces)
     except MeshError as error:
-        raise compiled.refusal("geom", geom, f"its mesh: {error}", "a closed convex mesh") from None
+        raise item.refusal(f"its mesh: {error}", "a closed convex mesh") from None
     # MuJoCo keeps vertices in single precision.
     vertices = tuple(tidy_vector(vertex) for vertex in vertices - centre)
     values = {"type": "mesh", "vertices": vertices, "faces": faces.tolist()}
-    return compiled.checked(("geom", geom), MeshConfig, values)
+    return item.section(MeshConfig, values)
 
 
 def _shortest_turn(direction: np.ndarray) -> np.ndarray:
