@@ -7,7 +7,6 @@ the file says of the bodies are the trajectory's own numbers in our axes (z upwa
 
 import numpy as np
 import pyvista as pv
-from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from evo_cpg.creature.creature import Creature
@@ -15,7 +14,7 @@ from evo_cpg.exchange.glb import Glb, Node
 from evo_cpg.installation import version_of
 from evo_cpg.physics.terrain import Plane
 from evo_cpg.simulation.recording import Recording
-from evo_cpg.view.clip import sample
+from evo_cpg.view.clip import quaternions, sample
 from evo_cpg.view.look import Look, sun_direction
 from evo_cpg.view.meshes import pieces
 from evo_cpg.view.obstacles import obstacle_mesh
@@ -60,14 +59,6 @@ def gltf_film(panel: Panel) -> bytes:
     shone = glb.light(name, "directional", np.array(pv.Color(scene.look.sun).float_rgb), _SUN)
     glb.node(name, root, rotation=turn.as_quat().tolist(), extensions=shone)
     return glb.to_bytes()
-
-
-def quaternions(rotation: Float[np.ndarray, "t 3 3"]) -> Float[np.ndarray, "t 4"]:
-    """Unit quaternions x, y, z, w, of which neighbours lie on the same side: none jumps to -q."""
-    found = Rotation.from_matrix(rotation).as_quat()
-    flips = np.where((found[1:] * found[:-1]).sum(1) < 0, -1.0, 1.0)
-    found[1:] *= np.cumprod(flips)[:, None]
-    return found
 
 
 def _apart(creature: Creature, name: str) -> str:
@@ -119,7 +110,7 @@ def _add_ground(glb: Glb, root: Node, scene: Scene) -> None:
             root,
             mesh=_add_mesh(glb, name, mesh, stone),
             translation=place.tolist(),
-            rotation=Rotation.from_matrix(turn).as_quat().tolist(),
+            rotation=quaternions(turn[None])[0].tolist(),
         )
     if scene.surface is not None:
         blue = np.array(pv.Color(_WATER).float_rgb)

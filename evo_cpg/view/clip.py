@@ -1,4 +1,4 @@
-"""A recording sampled at the frames of a film."""
+"""A recording sampled at the frames of a film, and its rotations as quaternions."""
 
 from typing import NamedTuple
 
@@ -71,3 +71,18 @@ def sample(
         np.linalg.norm(velocity, axis=-1),
         fps / speed,
     )
+
+
+def quaternions(rotation: Float[np.ndarray, "t *b 3 3"]) -> Float[np.ndarray, "t *b 4"]:
+    """Return unit quaternions x, y, z, w of rotation matrices.
+
+    Neighbours in time lie on the same side: none jumps to its negative.
+    """
+    # SciPy takes long to import.
+    from scipy.spatial.transform import Rotation
+
+    found = Rotation.from_matrix(rotation.reshape(-1, 3, 3)).as_quat()
+    found = found.reshape(*rotation.shape[:-2], 4)
+    flips = np.where((found[1:] * found[:-1]).sum(-1) < 0, -1.0, 1.0)
+    found[1:] *= np.cumprod(flips, axis=0)[..., None]
+    return found

@@ -9,12 +9,11 @@ from typing import Any, cast
 
 import numpy as np
 import pyvista as pv
-from jaxtyping import Float
 
 from evo_cpg.creature.creature import Creature
 from evo_cpg.physics.terrain import Part
 from evo_cpg.view.camera import smooth
-from evo_cpg.view.clip import sample
+from evo_cpg.view.clip import quaternions, sample
 from evo_cpg.view.meshes import head_index, pieces
 from evo_cpg.view.obstacles import obstacle_mesh
 from evo_cpg.view.scene import Panel, Scene, scene_of
@@ -63,7 +62,7 @@ def viewer_data(panel: Panel) -> dict[str, Any]:
         "count": len(clip.time),
         "bodies": _bodies(scene.creature, arrays),
         "position": arrays.add(clip.position, "<f4"),
-        "rotation": arrays.add(_quaternions(clip.rotation) * _SHORT, "<i2"),
+        "rotation": arrays.add(quaternions(clip.rotation) * _SHORT, "<i2"),
         "focus": arrays.add(smooth(clip.position.mean(1), _CALM * RATE), "<f4"),
         "head": head,
         "speed": arrays.add(clip.speed, "<f4"),
@@ -95,7 +94,7 @@ def _obstacle(obstacle: Part, arrays: _Arrays) -> dict[str, Any]:
     coarse = mesh.triangulate()
     if coarse.n_points > _FINE:
         coarse = coarse.decimate(1 - _FINE / coarse.n_points)
-    turned = _quaternions(turn[None])[0].tolist()
+    turned = quaternions(turn[None])[0].tolist()
     made = _mesh(cast(pv.PolyData, coarse), _STONE, arrays)
     return made | {"place": place.tolist(), "turn": turned}
 
@@ -122,12 +121,3 @@ def _mesh(mesh: pv.PolyData, color: str, arrays: _Arrays) -> dict[str, Any]:
         "triangles": arrays.add(mesh.regular_faces, "<u4"),
         "color": color,
     }
-
-
-def _quaternions(rotation: Float[np.ndarray, "*n 3 3"]) -> Float[np.ndarray, "*n 4"]:
-    """Return ``x, y, z, w`` of rotation matrices."""
-    # SciPy takes long to import.
-    from scipy.spatial.transform import Rotation
-
-    flat = np.asarray(rotation, float).reshape(-1, 3, 3)
-    return Rotation.from_matrix(flat).as_quat().reshape(*rotation.shape[:-2], 4)
