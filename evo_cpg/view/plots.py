@@ -4,9 +4,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.patches import ConnectionPatch
 from matplotlib.ticker import MaxNLocator
 
@@ -133,14 +134,7 @@ def joint_signals_figure(
     axis = bending_axis(recording) if axis is None else axis
     if axis not in available:
         raise ValueError(f"no joint turns about axis {axis!r}; axes are {', '.join(available)}")
-    end = recording.time[-1]
-    start, stop = window or (max(0.0, 0.75 * end - _WINDOW / 2), 0.75 * end + _WINDOW / 2)
-    shown = (recording.time >= start) & (recording.time <= stop)
-    if shown.sum() < 2:
-        raise ValueError(
-            f"the window from {start:g} s to {stop:g} s holds {shown.sum()} instants; the "
-            f"recording runs from {recording.time[0]:g} s to {end:g} s"
-        )
+    shown = _in_window(recording, window)
     groups = _in_chains([i for i, name in enumerate(names) if name[2] == axis], chains)
     rows = [row for group in groups for row in group]
     time = recording.time[shown]
@@ -150,25 +144,10 @@ def joint_signals_figure(
 
     figure = new_figure(8.0, 1.3 + 0.86 * len(rows))
     panels = figure.subplots(len(rows), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
-    tallest = max(float(np.abs(angle).max()), 1e-3) * 1.25
-    loudest = max(float(np.abs(output).max()), 1e-3) * 1.25
-    for i, (panel, dof) in enumerate(zip(panels, rows, strict=True)):
-        panel.axhline(0, color=GREY, lw=0.5, alpha=0.6)
-        (angle_line,) = panel.plot(time, angle[:, i], color=BLUE, lw=1.8)
-        right = right_axis(panel)
-        (output_line,) = right.plot(time, output[:, i], color=RED, lw=1.2, ls=(0, (4, 2)))
-        panel.set_ylim(-tallest, tallest)
-        right.set_ylim(-loudest, loudest)
-        panel.set_xlim(time[0], time[-1])
-        panel.yaxis.set_major_locator(MaxNLocator(3, symmetric=True))
-        right.yaxis.set_major_locator(MaxNLocator(3, symmetric=True))
-        if i == len(rows) // 2:
-            panel.set_ylabel("joint angle (deg)", color=BLUE)
-            right.set_ylabel(signal, color=RED)
-        right.tick_params(labelsize=8)
-        panel.tick_params(labelsize=8)
+    lines = _draw_rows(panels, time, {"joint angle (deg)": angle, signal: output})
+    for panel, row in zip(panels, rows, strict=True):
         # Above the row, where no curve is.
-        panel.set_title(legible(names[dof][0]), loc="left", **_NAME)
+        panel.set_title(legible(names[row][0]), loc="left", **_NAME)
     caption = f"{legible(title)}: joint signals about {axis}" if title else f"rotation about {axis}"
     first = 0
     for group in groups:
@@ -185,9 +164,51 @@ def joint_signals_figure(
         first += len(group)
     panels[-1].set_xlabel("time (s)")
     figure.suptitle(caption, fontsize=11)
-    drawn = {"joint angle": angle_line, signal.partition(" (")[0]: output_line}
-    figure.legend(drawn.values(), drawn.keys(), loc="outside lower center", ncols=2)
+    words = ["joint angle", signal.partition(" (")[0]]
+    figure.legend(lines, words, loc="outside lower center", ncols=2)
     return figure
+
+
+def _in_window(recording: Recording, window: tuple[float, float] | None) -> Bool[np.ndarray, " t"]:
+    """Return which instants of a recording are shown; see `joint_signals_figure`."""
+    end = recording.time[-1]
+    start, stop = window or (max(0.0, 0.75 * end - _WINDOW / 2), 0.75 * end + _WINDOW / 2)
+    shown = (recording.time >= start) & (recording.time <= stop)
+    if shown.sum() < 2:
+        raise ValueError(
+            f"the window from {start:g} s to {stop:g} s holds {shown.sum()} instants; the "
+            f"recording runs from {recording.time[0]:g} s to {end:g} s"
+        )
+    return shown
+
+
+def _draw_rows(
+    panels: np.ndarray, time: np.ndarray, signals: Mapping[str, np.ndarray]
+) -> list[Line2D]:
+    """Draw a row for each joint, with a scale on the left and on the right; return two lines.
+
+    Args:
+        panels: axes of the rows.
+        time: s.
+        signals: of the joints ``(t, d)``, by their label: a line, and a dashed line.
+    """
+    looks = ((BLUE, 1.8, "solid"), (RED, 1.2, (0, (4, 2))))
+    tops = [1.25 * max(float(np.abs(values).max()), 1e-3) for values in signals.values()]
+    lines = []
+    for i, panel in enumerate(panels):
+        panel.axhline(0, color=GREY, lw=0.5, alpha=0.6)
+        panel.set_xlim(time[0], time[-1])
+        scales = panel, right_axis(panel)
+        for axes, (label, values), (color, width, style), top in zip(
+            scales, signals.items(), looks, tops, strict=True
+        ):
+            lines += axes.plot(time, values[:, i], color=color, lw=width, ls=style)
+            axes.set_ylim(-top, top)
+            axes.yaxis.set_major_locator(MaxNLocator(3, symmetric=True))
+            axes.tick_params(labelsize=8)
+            if i == len(panels) // 2:
+                axes.set_ylabel(label, color=color)
+    return lines[:2]
 
 
 def _in_chains(rows: list[int], chains: Sequence[Sequence[int]]) -> list[list[int]]:
