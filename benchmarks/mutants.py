@@ -61,8 +61,8 @@ MUTANTS = (
     ),
     Mutant(
         "view/plots.py",
-        "swing = level(angle)",
-        "swing = angle - angle.mean(0)",
+        "if frequency * span < _PERIODS:",
+        "if frequency < 0.0:",
         "view/test_figures.py",
     ),
     Mutant(

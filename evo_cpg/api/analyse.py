@@ -95,29 +95,25 @@ def page(
     """
     from evo_cpg.analysis.gait_numbers import chain_places, gait_numbers
     from evo_cpg.view.clip import sample
-    from evo_cpg.view.page import scene
+    from evo_cpg.view.film import picture
+    from evo_cpg.view.frames import Film
     from evo_cpg.view.page.document import document
     from evo_cpg.view.page.subject import Motion, Subject
-    from evo_cpg.view.watch_picture import still
+    from evo_cpg.view.page.viewer_data import RATE, viewer_data
+    from evo_cpg.view.scene import panel_of
 
     config, simulation = load_config(folder.config), experiment.simulation
     ((_, frames, recording),) = lives_again(experiment, [champion], folder, trial)
     doing("measuring the gait")
     numbers = gait_numbers(simulation, experiment.creature, frames, recording)
     doing("drawing")
-    water = simulation.world.water
+    panel = panel_of(experiment, recording, experiment.name)
     motion = Motion(
         recording=recording,
-        clip=sample(recording, scene.RATE),
+        clip=sample(recording, RATE),
         numbers=numbers,
-        scene=scene.scene(
-            experiment.creature,
-            recording,
-            simulation.world.ground,
-            None if water is None else water.surface,
-            water is not None,
-        ),
-        still=_jpeg(still(experiment, recording, _STILL, experiment.name)),
+        scene=viewer_data(panel),
+        still=_jpeg(picture([panel], Film(_STILL))),
         history=folder.history(),
         chain_places=chain_places(simulation, experiment.creature, numbers.chain),
     )

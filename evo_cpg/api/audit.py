@@ -18,7 +18,7 @@ from evo_cpg.config.build import build_experiment
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.creature.creature import Creature, length_of
 from evo_cpg.creature.self_collision import pairs_that_touch_at_rest
-from evo_cpg.exchange.errors import ExchangeError
+from evo_cpg.exchange.refusals import ExchangeError
 from evo_cpg.exchange.second_opinion import Brain, Opinion, own_opinion, second_opinion
 from evo_cpg.fusion.engine import Engine, described
 from evo_cpg.physics.pairs import make_pairs

@@ -12,8 +12,8 @@ import pytest
 from creatures import quick_jit
 from evo_cpg.creature.tree import Tree, build_tree
 from evo_cpg.exchange import mjcf_fields
-from evo_cpg.exchange.errors import ExchangeError
 from evo_cpg.exchange.mjcf_import import Imported, read_mjcf
+from evo_cpg.exchange.refusals import ExchangeError
 from evo_cpg.physics.articulated import solve
 from evo_cpg.physics.body_equations import body_equations
 from evo_cpg.physics.joints import passive_torque

@@ -13,9 +13,9 @@ from creatures import STRUCTURES, in_water, quick_jit, random_creature, random_s
 from evo_cpg.creature.creature import Actuator, Body, Creature, CreatureError, Joint, Material
 from evo_cpg.creature.shapes import Box, Shape, Sphere
 from evo_cpg.creature.tree import build_tree
-from evo_cpg.exchange.errors import ExchangeError
 from evo_cpg.exchange.mjcf_export import mjcf_model, mjcf_text
 from evo_cpg.exchange.mujoco_state import dof_order, load_state, motor_order
+from evo_cpg.exchange.refusals import ExchangeError
 from evo_cpg.physics.articulated import solve
 from evo_cpg.physics.body_equations import body_equations
 from evo_cpg.physics.footing import Ground

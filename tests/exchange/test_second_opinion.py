@@ -11,7 +11,7 @@ import pytest
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import load_config
 from evo_cpg.control.postures import PostureController
-from evo_cpg.exchange.errors import ExchangeError
+from evo_cpg.exchange.refusals import ExchangeError
 from evo_cpg.exchange.second_opinion import Brain, own_opinion, second_opinion
 from evo_cpg.physics.footing import Ground, make_footing
 from evo_cpg.simulation.physics_steps import EachPhysicsStep
