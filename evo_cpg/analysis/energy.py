@@ -30,7 +30,7 @@ from jaxtyping import Array, Float
 from evo_cpg.analysis.along_time import along_time
 from evo_cpg.physics.contact import find_contacts
 from evo_cpg.physics.force_law import Bodies, body_velocity
-from evo_cpg.physics.joints import expected_limit_torque, limit_torque
+from evo_cpg.physics.joint_torque import expected_limit_torque, limit_torque
 from evo_cpg.physics.kinematics import Kinematics, kinematics
 from evo_cpg.physics.pair_contacts import find_pair_contacts
 from evo_cpg.physics.per_body import take
@@ -41,7 +41,6 @@ from evo_cpg.physics.world import World
 from evo_cpg.simulation.physics_steps import PhysicsSteps
 from evo_cpg.simulation.snapshot import Snapshot
 from evo_cpg.spatial.linear import cross, dot, expand_dims_like, matvec
-from evo_cpg.spatial.rotation import integrate_quaternion
 
 
 class Ledger(NamedTuple):
@@ -114,8 +113,9 @@ def ledger(world: World, steps: PhysicsSteps, h: float) -> Ledger:
 def _entries(world: World, steps: PhysicsSteps, previous: State, h: float) -> tuple[Array, ...]:
     """The fields of `Ledger`."""
     tree, before, after = world.tree, steps.before, steps.after
+    # Velocities are half a step behind the poses.
     earlier, first, last = (
-        Snapshot(world, h, _halfway(state, h)) for state in (previous, before, after)
+        Snapshot(world, h, state.moved(-0.5 * h)) for state in (previous, before, after)
     )
     rate = (before.qd + after.qd) / 2
     velocity = (before.velocity + after.velocity) / 2
@@ -143,17 +143,6 @@ def _entries(world: World, steps: PhysicsSteps, previous: State, h: float) -> tu
         push_out,
         mass * (last.centre_of_mass_velocity - first.centre_of_mass_velocity) - explained,
         given,
-    )
-
-
-def _halfway(state: State, h: float) -> State:
-    """The pose that goes with the velocities, which are half a step behind."""
-    return State(
-        state.position - 0.5 * h * state.velocity[3:],
-        integrate_quaternion(state.orientation, state.velocity[:3], -0.5 * h),
-        state.velocity,
-        state.q - 0.5 * h * state.qd,
-        state.qd,
     )
 
 

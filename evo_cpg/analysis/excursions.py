@@ -117,7 +117,7 @@ def excursions(
         peak_power=float(np.abs(power).sum(0).max()),
         mean_power=float(np.abs(power).sum(0).mean()),
         peak_rate=float(np.abs(steps.after.qd).max(initial=0.0)),
-        peak_speed=float(np.linalg.norm(steps.after.velocity[3:], axis=0).max()),
+        peak_speed=float(np.linalg.norm(steps.after.linear_velocity, axis=0).max()),
         seen_through_ground=_seen_through_ground(simulation, steps, light),
     )
 
@@ -249,7 +249,7 @@ def _airborne_way(
     length = np.linalg.norm(towards)
     if length == 0:
         return 0.0
-    forward = h * (towards / length) @ np.asarray(steps.after.velocity[3:], float)
+    forward = h * (towards / length) @ np.asarray(steps.after.linear_velocity, float)
     total = forward.sum()
     return float(np.clip(forward[~touching].sum() / total, 0.0, 1.0)) if total > 0 else 0.0
 

@@ -9,8 +9,8 @@ from jaxtyping import Array, Bool, Float
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.force_law import blocks, in_body_axes
 from evo_cpg.physics.gyroscopic import central_inertia, gyroscopic_change
-from evo_cpg.physics.kinematics import Kinematics, Motion
-from evo_cpg.physics.spatial_algebra import Inertia, Wrench, make_inertia
+from evo_cpg.physics.kinematics import Kinematics
+from evo_cpg.physics.spatial_algebra import BodyMotion, Inertia, Wrench, make_inertia
 from evo_cpg.physics.weight import weight
 from evo_cpg.physics.world import World
 from evo_cpg.spatial.linear import cross, expand_dims_like, matmul, matmul_t, matvec
@@ -51,7 +51,7 @@ def body_equations(world: World, kin: Kinematics, h: float) -> tuple[Inertia, Wr
     return make_inertia(angular, mixed, linear), bias
 
 
-def bias_of_mean(world: World, kin: Kinematics, moving: Motion, h: float) -> Wrench:
+def bias_of_mean(world: World, kin: Kinematics, moving: BodyMotion, h: float) -> Wrench:
     """Return what the mean of two motions' velocity products adds to the bias wrench, world axes.
 
     Args:

@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 from evo_cpg.physics.articulated import Accelerations, solve
 from evo_cpg.physics.body_equations import bias_of_mean, body_equations
 from evo_cpg.physics.contact import Contacts, find_contacts
-from evo_cpg.physics.joints import (
+from evo_cpg.physics.joint_torque import (
     expected_limit_torque,
     passive_torque,
     servo_slope,

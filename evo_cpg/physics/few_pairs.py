@@ -12,10 +12,12 @@ from jaxtyping import Array, Bool, Float
 
 from evo_cpg.creature.reach import chain_to_root
 from evo_cpg.creature.tree import Tree
-from evo_cpg.physics.kinematics import Kinematics, Motion, motion_of_bodies
+from evo_cpg.physics import joints, root
+from evo_cpg.physics.kinematics import Kinematics, motion_of_bodies
 from evo_cpg.physics.pairs import LARGEST_DRIFT, Pairs, rest_velocity, separations
 from evo_cpg.physics.per_body import take
 from evo_cpg.physics.separation import Separation
+from evo_cpg.physics.spatial_algebra import BodyMotion
 from evo_cpg.spatial.linear import cross, dot, expand_dims_like, matvec, skew, t_matmul
 
 
@@ -73,8 +75,7 @@ class FewPairContacts(NamedTuple):
         """Return the velocity-product bias at the joint rates after the step, m/s^2."""
         rates = self.qd + self.h * qdd
         # As if the root lay still.
-        still = jnp.zeros((6, *rates.shape[1:]), rates.dtype)
-        motion = motion_of_bodies(self.tree, self.kin, still, rates)
+        motion = motion_of_bodies(self.tree, self.kin, root.at_rest(rates), rates)
         return _bias(self.pairs, self.kin.origin, motion, self.where)
 
     def change(self, turn: Float[Array, "d *n"]) -> Float[Array, "p *n"]:
@@ -148,7 +149,7 @@ class FewPairForces(NamedTuple):
         return (self.contacts.jacobian * force[:, None]).sum(0)
 
 
-def _bias(pairs: Pairs, origin: Array, motion: Kinematics | Motion, where: Separation) -> Array:
+def _bias(pairs: Pairs, origin: Array, motion: Kinematics | BodyMotion, where: Separation) -> Array:
     """Acceleration along the normals at constant joint rates.
 
     Args:
@@ -180,13 +181,10 @@ def _jacobian(
 ) -> Float[Array, "p d *n"]:
     """J of `FewPairContacts`."""
     _, normal, *points, _ = where
-    joints = take(kin.origin, np.array(tree.dof_bodies, int))
+    origins = take(kin.origin, np.array(tree.dof_bodies, int))
     ways = []
     for point in points:
-        arm = point[:, :, None] - joints[:, None]
-        ways.append(
-            dot(kin.axes[:, None], cross(arm, jnp.broadcast_to(normal[:, :, None], arm.shape)))
-        )
+        ways.append(joints.speed_along(kin.axes, point[:, :, None] - origins[:, None], normal))
     between = [_between(tree, *pair) for pair in zip(*pairs.owners, strict=True)]
     of_first, of_second = (
         expand_dims_like(np.array([sides[k] for sides in between], float), ways[0])

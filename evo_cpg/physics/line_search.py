@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from evo_cpg.fusion.converge import while_each
-from evo_cpg.physics.generalized import ROOT_DOFS
+from evo_cpg.physics.root import joint_part
 from evo_cpg.physics.step_problem import StepProblem
 from evo_cpg.spatial.linear import dot, matvec
 
@@ -38,7 +38,7 @@ def line_search(
             at its start, all of it is gone.
     """
     way, h = end - start, problem.h
-    turn, pairs = way[ROOT_DOFS:], problem.equations.pairs
+    turn, pairs = joint_part(way), problem.equations.pairs
     change = None if velocity is None else problem.change_of_velocity(way)
     parting = None if pairs is None else pairs.change(turn)
     rest, bend = dot(way, problem.resistance(start)), dot(way, matvec(problem.mass, way))
@@ -51,7 +51,7 @@ def line_search(
 
     def slope(share: Array) -> Array:
         y, now = at(share)
-        there = problem.linearized(radius, y[ROOT_DOFS:], now)
+        there = problem.linearized(radius, joint_part(y), now)
         total = h * (rest + share * bend - dot(turn, problem.torque(y, there)))
         if change is not None and there.contact is not None:
             total = total - (change * there.contact.force).sum((0, 1))

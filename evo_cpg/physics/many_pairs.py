@@ -28,8 +28,10 @@ from jaxtyping import Array, Bool, Float
 
 from evo_cpg.creature.reach import chain_to_root
 from evo_cpg.creature.tree import Tree
-from evo_cpg.physics.kinematics import Kinematics, Motion, motion_of_bodies
+from evo_cpg.physics import joints, root
+from evo_cpg.physics.kinematics import Kinematics, motion_of_bodies
 from evo_cpg.physics.pairs import KINDS, LARGEST_DRIFT, Alike, Pairs, placed_boxes, rest_velocity
+from evo_cpg.physics.spatial_algebra import BodyMotion
 from evo_cpg.spatial.linear import cross, dot, expand_dims_like, matvec, skew
 
 # Steps at present joint rates within which a point is watched.
@@ -207,15 +209,14 @@ class ManyPairContacts:
         base = motion.bias_linear + cross(spin, motion.linear) - matvec(A, self.places)
         return spin, linear, base, A
 
-    def motion(self, rates: Float[Array, "d *n"]) -> Motion:
+    def motion(self, rates: Float[Array, "d *n"]) -> BodyMotion:
         """Return how all bodies move at joint rates, as if the root lay still."""
-        still = jnp.zeros((6, *rates.shape[1:]), rates.dtype)
-        return motion_of_bodies(self.tree, self.kin, still, rates)
+        return motion_of_bodies(self.tree, self.kin, root.at_rest(rates), rates)
 
     def axes(self) -> tuple[Array, Array]:
         """Return joint axes a and ``a x o``, with one more that is zero: ``(3, d + 1, *n)``."""
-        a = self.kin.axes
-        moments = cross(a, self.places[:, np.array(self.tree.dof_bodies, int)])
+        origins = self.places[:, np.array(self.tree.dof_bodies, int)]
+        a, moments = joints.about(self.kin.axes, origins)
         none = jnp.zeros_like(a[:, :1])
         return jnp.concatenate([a, none], 1), jnp.concatenate([moments, none], 1)
 

@@ -8,8 +8,8 @@ the line to that solution for the least potential. The problem is strictly conve
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from evo_cpg.physics.generalized import ROOT_DOFS
 from evo_cpg.physics.line_search import line_search
+from evo_cpg.physics.root import joint_part
 from evo_cpg.physics.step_problem import StepProblem
 
 # Largest residual (`StepProblem.residual`) of a solution. The second serves while the friction
@@ -32,7 +32,7 @@ def full_step(
         radius: of the friction cones, N.
         y: the iterate.
     """
-    return problem.motion(problem.linearized(radius, y[ROOT_DOFS:], problem.velocity(y)))
+    return problem.motion(problem.linearized(radius, joint_part(y), problem.velocity(y)))
 
 
 def damped_step(
@@ -46,7 +46,7 @@ def damped_step(
         y: the iterate.
     """
     velocity = problem.velocity(y)
-    linear = problem.linearized(radius, y[ROOT_DOFS:], velocity)
+    linear = problem.linearized(radius, joint_part(y), velocity)
     # Below this slope rounding would decide the length of the step.
     tolerance, _ = tolerances(y)
     least = problem.h * tolerance**2 * problem.square_of_forces(y, linear)

@@ -28,17 +28,18 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.tree import Tree
+from evo_cpg.physics import joints
 from evo_cpg.physics.contact import resting_stiffness
 from evo_cpg.physics.contact_points import contact_points
 from evo_cpg.physics.footing import Footing
-from evo_cpg.physics.joints import clamp_torque, limit_torque, passive_torque, servo_torque
+from evo_cpg.physics.joint_torque import clamp_torque, limit_torque, passive_torque, servo_torque
 from evo_cpg.physics.kinematics import Kinematics, kinematics
 from evo_cpg.physics.per_body import take
-from evo_cpg.physics.state import State
+from evo_cpg.physics.spatial_algebra import Wrench
+from evo_cpg.physics.state import State, resting_state
 from evo_cpg.physics.weight import weight
 from evo_cpg.physics.world import World
 from evo_cpg.spatial.linear import cross, dot, expand_dims_like, matvec, matvec_t
-from evo_cpg.spatial.rotation import integrate_quaternion
 
 # A point that slides less far than this keeps the direction of its friction, m.
 _LEAST_WAY = 1e-12
@@ -80,17 +81,6 @@ class Touch(NamedTuple):
     way: Float[Array, "3 p"]
 
 
-def moved(base: State, x: Float[Array, " k"]) -> State:
-    """The pose with the coordinates x about another one."""
-    return State(
-        base.position + x[:3],
-        integrate_quaternion(base.orientation, x[3:6], 1.0),
-        base.velocity,
-        base.q + x[6:],
-        base.qd,
-    )
-
-
 def static_forces(
     world: World, h: float, base: State, grip: Grip, x: Float[Array, " k"]
 ) -> tuple[Float[Array, " k"], Touch]:
@@ -106,7 +96,7 @@ def static_forces(
     Returns:
         Forces (N) and torques (N m), and what the ground does.
     """
-    tree, state = world.tree, moved(base, x)
+    tree, state = world.tree, base.displaced(x)
     kin = kinematics(tree, state)
     bodies = world.bodies(kin, h)
     wrench = weight(bodies)
@@ -126,10 +116,11 @@ def static_forces(
     about = moment + cross(kin.origin, force)
     carried = _carried(tree)
     joint = take(kin.origin, np.array(tree.dof_bodies, int))
-    on_joints = dot(kin.axes, about @ carried - cross(joint, force @ carried))
+    beyond = Wrench(about @ carried - cross(joint, force @ carried), force @ carried)
+    on_joints = joints.torque_on_each(kin.axes, beyond)
     total, whole = force.sum(1), about.sum(1)
-    root = whole - cross(state.position, total)
-    return jnp.concatenate([total, root, on_joints + joint_torque(tree, state.q)]), touch
+    on_root = total, whole - cross(state.position, total)
+    return jnp.concatenate([*on_root, on_joints + joint_torque(tree, state.q)]), touch
 
 
 def _carried(tree: Tree) -> Float[np.ndarray, "b d"]:
@@ -174,7 +165,7 @@ def next_grip(footing: Footing, h: float, grip: Grip, touch: Touch) -> Grip:
 def joint_torque(tree: Tree, q: Float[Array, " d"]) -> Float[Array, " d"]:
     """Of springs, soft limits and motors that hold the neutral angle, at rest, N m."""
     zero = jnp.zeros_like(q)
-    state = State(jnp.zeros(3), jnp.array([1.0, 0.0, 0.0, 0.0]), jnp.zeros(6), q, zero)
+    state = resting_state(tree, (), q.dtype, angles=q)
     motor = clamp_torque(tree, servo_torque(tree, state, zero, None, 0.0))
     return passive_torque(tree, state, 0.0)[0] + limit_torque(tree, q, zero, 0.0)[0] + motor
 

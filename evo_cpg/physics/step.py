@@ -25,11 +25,10 @@ from evo_cpg.physics.equations import (
     solve_at_once,
     with_mean_products,
 )
-from evo_cpg.physics.joints import servo_slope
-from evo_cpg.physics.state import State
+from evo_cpg.physics.joint_torque import servo_slope
+from evo_cpg.physics.state import State, integrate
 from evo_cpg.physics.step_solver import coldstart, solve_step
 from evo_cpg.physics.world import World
-from evo_cpg.spatial.rotation import integrate_quaternion
 
 
 class Effort(NamedTuple):
@@ -138,17 +137,3 @@ def _can_overload(tree: Tree) -> bool:
         return bool((np.isfinite(tree.torque_limit) & (tree.torque_limit > 0)).any())
     driven = (gains[0] > 0) | (gains[1] > 0)
     return bool(np.isfinite(tree.torque_limit[driven]).any())
-
-
-def integrate(
-    state: State, root: Float[Array, "6 *n"], qdd: Float[Array, "d *n"], h: float
-) -> State:
-    """Semi-implicit Euler: new velocities first, and they move the positions."""
-    velocity, qd = state.velocity + h * root, state.qd + h * qdd
-    return State(
-        position=state.position + h * velocity[3:],
-        orientation=integrate_quaternion(state.orientation, velocity[:3], h),
-        velocity=velocity,
-        q=state.q + h * qd,
-        qd=qd,
-    )

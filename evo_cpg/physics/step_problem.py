@@ -42,14 +42,15 @@ from evo_cpg.physics.contact import (
     linearized_force,
 )
 from evo_cpg.physics.equations import Equations
-from evo_cpg.physics.generalized import (
-    ROOT_DOFS,
-    body_accelerations,
-    generalized_force,
-    mass_matrix,
-)
-from evo_cpg.physics.joints import clamp_torque, limit_torque, overloaded, servo_slope
+from evo_cpg.physics.generalized import body_accelerations, generalized_force, mass_matrix
+from evo_cpg.physics.joint_torque import clamp_torque, limit_torque, overloaded, servo_slope
 from evo_cpg.physics.pair_contacts import PairForces
+from evo_cpg.physics.root import (
+    joint_part,
+    plus_joint_block,
+    plus_joint_diagonal,
+    plus_torque,
+)
 from evo_cpg.physics.spatial_algebra import Wrench
 from evo_cpg.physics.world import World
 from evo_cpg.spatial.linear import dot, expand_dims_like, matvec, where_each
@@ -111,9 +112,9 @@ class StepProblem(NamedTuple):
     def of(cls, world: World, h: float, equations: Equations) -> "StepProblem":
         """That of a step."""
         tree, kin, bias = world.tree, equations.kin, equations.bias
-        mass = _plus_joint_diagonal(mass_matrix(tree, kin, equations.inertia), equations.derivative)
+        mass = plus_joint_diagonal(mass_matrix(tree, kin, equations.inertia), equations.derivative)
         force = generalized_force(tree, kin, Wrench(-bias.moment, -bias.force))
-        force = _plus_torque(force, equations.passive)
+        force = plus_torque(force, equations.passive)
         return cls(world, h, equations, mass, force)
 
     def with_restitution(self, restitution: Float[Array, "*n"]) -> "StepProblem":
@@ -198,11 +199,11 @@ class StepProblem(NamedTuple):
             blocks = contact_inertia(footing, contacts, linear.contact, equations.inertia, h)
             matrix = matrix + mass_matrix(tree, equations.kin, blocks)
             force = force + self._ground(linearized_force(linear.contact, contacts.coasting))
-        matrix = _plus_joint_diagonal(matrix, h * linear.slope)
+        matrix = plus_joint_diagonal(matrix, h * linear.slope)
         if linear.pairs is not None:
             pushes, stiffening = linear.pairs.newton()
-            torque, matrix = torque + pushes, _plus_joints(matrix, stiffening)
-        return solve_symmetric(matrix, _plus_torque(force, torque))
+            torque, matrix = torque + pushes, plus_joint_block(matrix, stiffening)
+        return solve_symmetric(matrix, plus_torque(force, torque))
 
     def _body_by_body(self, linear: Linearization) -> Float[Array, "v *n"]:
         """The accelerations without pairs, by the articulated-body algorithm."""
@@ -217,7 +218,7 @@ class StepProblem(NamedTuple):
             bias = jax.tree.map(jnp.subtract, bias, wrench)
         torque, slope = equations.passive + linear.torque, equations.derivative + h * linear.slope
         found = solve(self.world.tree, equations.kin, inertia, bias, torque, slope)
-        return jnp.concatenate([found.root, found.qdd])
+        return jnp.concatenate(found)
 
     def residual(self, y: Float[Array, "v *n"], linear: Linearization) -> Float[Array, "*n"]:
         """What the forces at a motion miss the laws by, as a share of the forces that there are.
@@ -229,11 +230,11 @@ class StepProblem(NamedTuple):
             y: a motion.
             linear: the laws linearized there.
         """
-        law = _plus_torque(jnp.zeros_like(self.force), self.torque(y, linear))
+        law = plus_torque(jnp.zeros_like(self.force), self.torque(y, linear))
         if linear.contact is not None:
             law = law + self._ground(linear.contact.force)
         if linear.pairs is not None:
-            law = _plus_torque(law, linear.pairs.torque)
+            law = plus_torque(law, linear.pairs.torque)
         missed = self._square(self.resistance(y) - law)
         return jnp.sqrt(missed / self.square_of_forces(y, linear))
 
@@ -245,7 +246,7 @@ class StepProblem(NamedTuple):
         The weight, or what ground and pairs carry if that is more, as if it lifted the whole
         creature; torques; and a thousandth of the forces that no law is about.
         """
-        torque = _plus_torque(jnp.zeros_like(self.force), self.torque(y, linear))
+        torque = plus_torque(jnp.zeros_like(self.force), self.torque(y, linear))
         total = self.load(linear) ** 2 / self._total_mass() + self._square(torque)
         return total + _OTHERS**2 * self._square(self.force)
 
@@ -255,7 +256,7 @@ class StepProblem(NamedTuple):
 
     def torque(self, y: Float[Array, "v *n"], linear: Linearization) -> Float[Array, "d *n"]:
         """Of motors and limits of joints under linearized laws, N m."""
-        return linear.torque - self.h * linear.slope * y[ROOT_DOFS:]
+        return linear.torque - self.h * linear.slope * joint_part(y)
 
     def coulomb_error(
         self,
@@ -306,9 +307,9 @@ class StepProblem(NamedTuple):
         if contacts is None or linear.contact is None:
             return jnp.zeros(linear.torque.shape[1:], bool)
         force = linear.contact.force
-        mean = jnp.concatenate([state.velocity, state.qd]) + 0.5 * self.h * y
+        mean = state.rates + 0.5 * self.h * y
         power = dot(mean, self._ground(force)) - lifting_power(contacts, force)
-        whirls = (self.h * jnp.abs(state.qd + self.h * y[ROOT_DOFS:]) > _WHIRL).any(0)
+        whirls = (self.h * jnp.abs(state.qd + self.h * joint_part(y)) > _WHIRL).any(0)
         return ((power > 0) | whirls) & (contacts.bounce > 0).any(0)
 
     def touches(self, y: Float[Array, "v *n"]) -> Bool[Array, "*n"]:
@@ -318,7 +319,7 @@ class StepProblem(NamedTuple):
         if contacts is not None and velocity is not None:
             found = found | (contacts.wanted > velocity[2]).any(0)
         if pairs is not None:
-            found = found | pairs.touches(y[ROOT_DOFS:])
+            found = found | pairs.touches(joint_part(y))
         return found
 
     def changes_overload(self, y: Float[Array, "v *n"]) -> Bool[Array, "*n"]:
@@ -329,7 +330,7 @@ class StepProblem(NamedTuple):
         tree, without, commanded = (
             self.world.tree,
             self.equations.wanted,
-            self.commanded_torque(y[ROOT_DOFS:]),
+            self.commanded_torque(joint_part(y)),
         )
         given = clamp_torque(tree, commanded)
         stays = jnp.where(overloaded(tree, without), clamp_torque(tree, without), commanded)
@@ -382,16 +383,3 @@ def _is_long(tree: Tree) -> bool:
         if parent >= 0:
             depth[body] = depth[parent] + axes[body]
     return bool(depth.max() > _LONGEST_ELIMINATED)
-
-
-def _plus_torque(force: Float[Array, "v *n"], torque: Float[Array, "d *n"]) -> Array:
-    return force.at[ROOT_DOFS:].add(torque)
-
-
-def _plus_joints(matrix: Float[Array, "v v *n"], block: Float[Array, "d d *n"]) -> Array:
-    return matrix.at[ROOT_DOFS:, ROOT_DOFS:].add(block)
-
-
-def _plus_joint_diagonal(matrix: Float[Array, "v v *n"], diagonal: Float[Array, "d *#n"]) -> Array:
-    joints = np.arange(ROOT_DOFS, len(matrix))
-    return matrix.at[joints, joints].add(diagonal)

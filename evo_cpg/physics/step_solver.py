@@ -45,10 +45,10 @@ from evo_cpg.physics.equations import (
     prepare,
     with_mean_products,
 )
-from evo_cpg.physics.generalized import ROOT_DOFS
-from evo_cpg.physics.joints import clamp_torque
+from evo_cpg.physics.joint_torque import clamp_torque
 from evo_cpg.physics.newton import damped_step, full_step, tolerances
 from evo_cpg.physics.outer_updates import Cone, PairBias, reduced
+from evo_cpg.physics.root import joint_part, root_part
 from evo_cpg.physics.state import State
 from evo_cpg.physics.step_problem import StepProblem
 from evo_cpg.physics.world import World
@@ -161,7 +161,7 @@ def free_motion(problem: StepProblem) -> Float[Array, "v *n"]:
     They say little where something is touched or a motor leaves its limit: a light limb turns at
     1000 rad/s under a torque that its motor stops giving at 50.
     """
-    still = jnp.zeros_like(problem.force[ROOT_DOFS:])
+    still = jnp.zeros_like(joint_part(problem.force))
     linear = problem.linearized(problem.force[:0], still, None)
     return problem.motion(linear._replace(pairs=None))
 
@@ -189,7 +189,7 @@ def _with_velocity_products(
     equations = prepare(world, h, state, target_rate, target_angle)
     problem = StepProblem.of(world, h, equations)
     free = free_motion(problem)
-    later = with_mean_products(world, h, equations, free[:ROOT_DOFS], free[ROOT_DOFS:])
+    later = with_mean_products(world, h, equations, root_part(free), joint_part(free))
     unlike = problem.touches(free) | problem.changes_overload(free)
     bias = where_each(unlike, equations.bias, later.bias)
     return StepProblem.of(world, h, equations._replace(bias=bias))
@@ -256,7 +256,7 @@ def _updated(
         y: the new iterate.
         velocity: of the contact points in it, m/s.
     """
-    rounds, biases, qdd = _cone_rounds(now), _pair_biases(now), y[ROOT_DOFS:]
+    rounds, biases, qdd = _cone_rounds(now), _pair_biases(now), joint_part(y)
     cone, bias = search.cone, search.bias
     linear = now.linearized(cone.radius, qdd, velocity)
 
@@ -321,7 +321,7 @@ def _replay(problem: StepProblem, radius: Float[Array, "p *n"], notes: _Notes) -
         y = full_step(end if k == len(further) else start, cone.radius, point)
     bias = problem.pair_bias
     for k, point in enumerate(notes.visited.biases, 1):
-        new = problem.pair_bias_at(y[ROOT_DOFS:])
+        new = problem.pair_bias_at(joint_part(y))
         there = full_step(end.with_pair_bias(new), cone.radius, point)
         y, bias = where_each(notes.bias_updates >= k, (there, new), (y, bias))
     return _Answer(y, cone.radius, notes.restitution, bias)
@@ -331,7 +331,7 @@ def _solution(
     problem: StepProblem, radius: Float[Array, "p *n"], y: Float[Array, "v *n"]
 ) -> StepSolution:
     """Return accelerations with the forces that the laws give at them."""
-    qdd, velocity = y[ROOT_DOFS:], problem.velocity(y)
+    qdd, velocity = joint_part(y), problem.velocity(y)
     linear, allowed = problem.linearized(radius, qdd, velocity), problem.cone_radius(velocity)
     contacts, forces = problem.equations.contacts, None
     if contacts is not None and linear.contact is not None:
@@ -343,4 +343,4 @@ def _solution(
     push = None if linear.pairs is None else linear.pairs.force
     warmstart = Warmstart(qdd, velocity, allowed)
     residual = Residual(solved, solved + friction)
-    return StepSolution(y[:ROOT_DOFS], qdd, motor, forces, push, residual, warmstart)
+    return StepSolution(root_part(y), qdd, motor, forces, push, residual, warmstart)

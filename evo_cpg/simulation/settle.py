@@ -28,8 +28,9 @@ from jaxtyping import Array, Float, Int
 
 from evo_cpg.creature.tree import Tree
 from evo_cpg.fusion.jax_internals import quick_jit
+from evo_cpg.physics import root
 from evo_cpg.physics.state import State, resting_state
-from evo_cpg.physics.statics import Grip, Touch, moved, next_grip, radius_of_gyration, static_forces
+from evo_cpg.physics.statics import Grip, Touch, next_grip, radius_of_gyration, static_forces
 from evo_cpg.physics.world import World
 from evo_cpg.simulation.plans import Plan, Programs
 from evo_cpg.simulation.situation import Situation
@@ -140,12 +141,14 @@ class Settling:
         tree = world.tree
         self.world, self.h = world, h
         # Coordinates are scaled to lengths, forces to the creature's weight.
-        self.free = np.flatnonzero(np.concatenate([np.ones(6, bool), _gives_way(tree)]))
+        self.free = np.flatnonzero(
+            np.concatenate([np.ones(root.ROOT_DOFS, bool), _gives_way(tree)])
+        )
         self.size = radius_of_gyration(tree)
         # Without gravity nothing acts but springs that are at rest already.
         self.weight = float(tree.mass.sum() * abs(world.gravity)) or 1.0
-        self.scale = np.where(self.free < 3, self.size, 1.0)
-        self.stay = np.where(np.isin(self.free, (0, 1, 5)), _STAY, 0.0)
+        self.scale = np.where(self.free < root.LENGTHS, self.size, 1.0)
+        self.stay = np.where(np.isin(self.free, root.SYMMETRIES), _STAY, 0.0)
         self.farthest = _FARTHEST if world.footing is None else _FARTHEST_ON_GROUND
         moment = self.weight * self.size
         search, numbers = _searches.of(world, self.free, h)
@@ -170,7 +173,7 @@ class Settling:
                 self.world.tree, (), jnp.float64, situation.start_position, situation.orientation
             )
             found = self.rest(start)
-            scale = np.zeros((6 + self.world.tree.dof_count, len(self.free)))
+            scale = np.zeros((root.size_of(self.world.tree.dof_count), len(self.free)))
             scale[self.free, np.arange(len(self.free))] = self.scale
             give = scale @ found.give @ scale.T / (self.weight * self.size)
             grip = jax.tree.map(np.asarray, found.grip)
@@ -253,7 +256,7 @@ class Settling:
             stiff = np.maximum(np.abs(values), largest)
             stay = np.diag(largest * self.stay)
             y = np.linalg.solve((ways * stiff) @ ways.T + stay, here.force)
-            far = np.abs(y) / np.where(self.free < 3, self.farthest, _LARGEST_TURN)
+            far = np.abs(y) / np.where(self.free < root.LENGTHS, self.farthest, _LARGEST_TURN)
             y = y / max(1.0, far.max())
             y = y * self._share(y, here, state, grip)
             state, grip = self._move(y, state, grip)
@@ -284,7 +287,7 @@ class Settling:
     def _require_hold(self, total: np.ndarray) -> None:
         """Check that motors without a spring can hold their joints."""
         tree = self.world.tree
-        torque = np.abs(total[6:])
+        torque = np.abs(total[root.JOINTS])
         for i in np.flatnonzero(~_gives_way(tree) & (torque > tree.torque_limit)):
             raise NoRestError(
                 f"the motor of {tree.dof_names[i]} would have to hold {torque[i]:.3g} N m, and its "
@@ -307,7 +310,7 @@ class _Search:
         ) -> tuple[Array, tuple[Array, Array, Touch]]:
             numbers, length, moment = given
             world = plan.world(numbers)
-            x = jnp.zeros(6 + world.tree.dof_count).at[free].set(length * y)
+            x = jnp.zeros(root.size_of(world.tree.dof_count)).at[free].set(length * y)
             total, touch = static_forces(world, h, base, grip, x)
             scaled = total[free] * length / moment
             return scaled, (scaled, total, touch)
@@ -320,8 +323,8 @@ class _Search:
             world = plan.world(numbers)
             if world.footing is not None:
                 grip = next_grip(world.footing, h, grip, touch)
-            x = jnp.zeros(6 + world.tree.dof_count).at[free].set(length * y)
-            return moved(base, x), grip
+            x = jnp.zeros(root.size_of(world.tree.dof_count)).at[free].set(length * y)
+            return base.displaced(x), grip
 
         def chord(given: tuple, base: State, grip: Grip, give: Array) -> Array:
             return optimistix.fixed_point(
@@ -366,7 +369,7 @@ def settled(
         base, grip = _carried(base, grip, way, turn)
         still = jnp.zeros(len(found.give), way.dtype)
         force, _ = static_forces(world, h, base, grip, still)
-        state = moved(base, jnp.asarray(found.give, way.dtype) @ force)
+        state = base.displaced(jnp.asarray(found.give, way.dtype) @ force)
         if alike_everywhere:
             state, _ = _put_back(base, state, grip)
     position, orientation, angles = (

@@ -19,8 +19,8 @@ from evo_cpg.physics.contact import find_contacts
 from evo_cpg.physics.contact_points import clearance
 from evo_cpg.physics.footing import Ground, make_footing
 from evo_cpg.physics.kinematics import kinematics
-from evo_cpg.physics.state import State, resting_state
-from evo_cpg.physics.step import Effort, integrate, step
+from evo_cpg.physics.state import State, integrate, resting_state
+from evo_cpg.physics.step import Effort, step
 from evo_cpg.physics.step_solver import solve_step
 from evo_cpg.physics.world import World
 
