@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from evo_cpg.analysis.along_time import along_time
-from evo_cpg.analysis.overlap import fills_its_rounded_box, gaps
+from evo_cpg.analysis.overlap import gaps
 from evo_cpg.creature.creature import Creature
 from evo_cpg.creature.shapes import Shape
 from evo_cpg.physics.contact_points import contact_points
@@ -185,7 +185,7 @@ def _deepest_overlap(
     shapes = [creature.bodies[creature.body_index(name)].shape for name in world.tree.names]
     poses = functools.cache(lambda: along_time(functools.partial(_poses, world), steps))
     for own, gap in least.items():
-        if all(fills_its_rounded_box(shapes[i]) for i in own):
+        if all(shapes[i].fills_rounded_box for i in own):
             found = -float(gap.min())
         else:
             found = _true_overlap([shapes[i] for i in own], own, poses, gap, deepest)

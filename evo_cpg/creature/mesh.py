@@ -19,7 +19,16 @@ from typing import NamedTuple
 import numpy as np
 from typing_extensions import override
 
-from evo_cpg.creature.shapes import Cell, RoundedBox, Shape, Surface
+from evo_cpg.creature.shapes import (
+    Cell,
+    FloorPart,
+    Geom,
+    ObstaclePart,
+    RoundedBox,
+    Shape,
+    Skin,
+    Surface,
+)
 from evo_cpg.spatial.choices import chosen
 from evo_cpg.spatial.numerics import Number, Numbers, xp
 
@@ -166,6 +175,38 @@ class ConvexMesh(Shape):
     def _farthest(self, direction: Numbers) -> Numbers:
         reach = self.points @ direction
         return reach.max() - reach <= _EQUALLY_FAR * xp.ptp(reach)
+
+    @property
+    @override
+    def fills_rounded_box(self) -> bool:
+        return False
+
+    @override
+    def height(self, directions: np.ndarray) -> np.ndarray:
+        return (directions @ self.points.T).max(-1)
+
+    @override
+    def floor_parts(self) -> tuple[FloorPart, ...]:
+        return (FloorPart("mesh", self.corners),)
+
+    @override
+    def obstacle_parts(self) -> tuple[ObstaclePart, ...]:
+        """One: an ellipsoid within it, and the corners."""
+        half, axes = self.inner_ellipsoid
+        return (ObstaclePart("ellipsoid", np.zeros(3), half, 0.0, axes, self.corners @ axes),)
+
+    @override
+    def skin(self) -> Skin:
+        """Of sharp edges: each triangle has points of its own; one without area is left out."""
+        normals, areas = _planes(self.triangles)
+        points = self.triangles[areas > 0].reshape(-1, 3)
+        faces = np.arange(len(points)).reshape(-1, 3)
+        return Skin(points, np.repeat(normals[areas > 0], 3, 0), faces)
+
+    @property
+    @override
+    def geom(self) -> Geom:
+        return Geom("mesh", mesh=(self.points, np.array(self.faces)))
 
     @functools.cached_property
     def corners(self) -> np.ndarray:

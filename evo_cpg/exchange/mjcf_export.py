@@ -27,8 +27,6 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 
 from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, topological_order
-from evo_cpg.creature.mesh import ConvexMesh
-from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Sphere
 from evo_cpg.exchange.errors import ExchangeError
 from evo_cpg.exchange.mjcf_ground import add_ground, number_text, place_text
 from evo_cpg.physics.footing import Ground, combine
@@ -126,17 +124,13 @@ def mjcf_text(model: Element) -> str:
 
 
 def _add_meshes(root: Element, creature: Creature) -> None:
-    solid = [body for body in creature.bodies if isinstance(body.shape, ConvexMesh)]
-    asset = SubElement(root, "asset") if solid else None
-    for body in solid:
-        assert asset is not None and isinstance(body.shape, ConvexMesh)
-        SubElement(
-            asset,
-            "mesh",
-            name=body.name,
-            vertex=number_text(*body.shape.points.ravel()),
-            face=" ".join(str(corner) for face in body.shape.faces for corner in face),
-        )
+    geoms = {body.name: body.shape.geom for body in creature.bodies}
+    meshes = {name: geom.mesh for name, geom in geoms.items() if geom and geom.mesh}
+    asset = SubElement(root, "asset") if meshes else None
+    for name, (points, faces) in meshes.items():
+        assert asset is not None
+        mesh = SubElement(asset, "mesh", name=name, vertex=number_text(*points.ravel()))
+        mesh.set("face", " ".join(map(str, faces.ravel())))
 
 
 def _joint_names(body: Body) -> list[str]:
@@ -210,22 +204,17 @@ def _add_geom(element: Element, body: Body, anchor: tuple[float, float, float]) 
 
 
 def _solid(body: Body) -> dict[str, str]:
-    shape = body.shape
-    if isinstance(shape, Box):
-        return {"type": "box", "size": number_text(*shape.half_extents)}
-    if isinstance(shape, Sphere):
-        return {"type": "sphere", "size": number_text(shape.radius)}
-    if isinstance(shape, Ellipsoid):
-        return {"type": "ellipsoid", "size": number_text(*shape.half_extents)}
-    if isinstance(shape, Capsule):
-        size = number_text(shape.radius, shape.length / 2)
-        return {"type": "capsule", "size": size, "zaxis": number_text(1.0, 0.0, 0.0)}
-    if isinstance(shape, ConvexMesh):
-        return {"type": "mesh", "mesh": body.name}
-    raise ExchangeError(
-        f"a {type(shape).__name__} cannot be written as MJCF; "
-        "allowed: Box, Sphere, Ellipsoid, Capsule, ConvexMesh"
-    )
+    geom = body.shape.geom
+    if geom is None:
+        raise ExchangeError(f"a {type(body.shape).__name__} cannot be written as MJCF")
+    found = {"type": geom.type}
+    if geom.mesh:
+        found["mesh"] = body.name
+    else:
+        found["size"] = number_text(*geom.size)
+    if geom.along_x:
+        found["zaxis"] = number_text(1.0, 0.0, 0.0)
+    return found
 
 
 def _add_motor(actuator: Element, joint: str, motor: Actuator) -> None:

@@ -11,8 +11,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.creature import Creature
-from evo_cpg.creature.mesh import ConvexMesh
-from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Sphere
+from evo_cpg.creature.shapes import ObstaclePart
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.terrain import Block, Boulder, Obstacle, Part, Plane
 from evo_cpg.spatial.choices import chosen
@@ -187,27 +186,14 @@ class ContactPoints(NamedTuple):
 
 
 def make_footing(creature: Creature, tree: Tree, ground: Ground) -> Footing:
-    """Find the contact points of a creature.
-
-    Raises:
-        TypeError: a body has a shape without contact points.
-    """
-    boxes, meshes, balls, ellipsoids = [], [], [], []
+    """Find the contact points of a creature."""
+    found: dict[str, list] = {"box": [], "mesh": [], "ball": [], "ellipsoid": []}
     for i, name in enumerate(tree.names):
         shape, centre = creature.bodies[creature.body_index(name)].shape, tree.com[:, i]
-        if isinstance(shape, Box):
-            boxes.append((i, centre, shape.half_extents))
-        elif isinstance(shape, ConvexMesh):
-            meshes.append((i, centre, shape.corners))
-        elif isinstance(shape, Capsule):
-            end = xp.array([shape.length / 2, 0.0, 0.0])
-            balls += [(i, centre - end, shape.radius), (i, centre + end, shape.radius)]
-        elif isinstance(shape, Sphere):
-            balls.append((i, centre, shape.radius))
-        elif isinstance(shape, Ellipsoid):
-            ellipsoids.append((i, centre, shape.half_extents))
-        else:
-            raise TypeError(f"no contact points for a {type(shape).__name__}")
+        for part in shape.floor_parts():
+            place = centre if part.centre is None else centre + part.centre
+            found[part.kind].append((i, place, part.size))
+    boxes, meshes, balls, ellipsoids = found.values()
     corners = [i for i, *_ in boxes for _ in range(CORNERS)]
     of_meshes = [i for i, *_ in meshes for _ in range(CORNERS)]
     bodies = corners + of_meshes + [i for i, *_ in balls + ellipsoids]
@@ -252,29 +238,22 @@ def combine(rule: Combination, first: Number, second: Number) -> Number:
 
 
 def _make_solids(creature: Creature, tree: Tree, obstacles: tuple[Obstacle, ...]) -> Solids:
-    boxes, lines, balls, ellipsoids, outlines = [], [], [], [], []
+    own: dict[str, list] = {"box": [], "line": [], "ball": [], "ellipsoid": []}
     for i, name in enumerate(tree.names):
-        shape = creature.bodies[creature.body_index(name)].shape
-        box, none = shape.rounded_box, np.zeros(3)
-        if isinstance(shape, ConvexMesh):
-            semi_axes, axes = shape.inner_ellipsoid
-            ellipsoids.append((i, none, axes, semi_axes, 0.0))
-            outlines.append(shape.corners @ axes)
-        elif isinstance(shape, Ellipsoid) and not isinstance(shape, Sphere):
-            ellipsoids.append((i, none, None, shape.half_extents, 0.0))
-            outlines.append(np.zeros((1, 3)))
-        else:
-            kind = {Box: boxes, Capsule: lines}.get(type(shape), balls)
-            kind.append((i, box.centre, None, box.half_extents, box.radius))
+        for part in creature.bodies[creature.body_index(name)].shape.obstacle_parts():
+            own[part.kind].append((i, part))
 
-    def parts(found: list) -> Parts:
-        bodies, centre, axes, half, radius = zip(*found, strict=True) if found else ((),) * 5
+    def parts(found: list[tuple[int, ObstaclePart]]) -> Parts:
+        bodies = tuple(body for body, _ in found)
+        centre = xp.array([part.centre for _, part in found], float).reshape(-1, 3).T
+        turned = any(part.axes is not None for _, part in found)
+        axes = [np.eye(3) if part.axes is None else part.axes for _, part in found]
         return Parts(
             bodies,
-            tree.com[:, np.array(bodies, int)] + xp.array(centre, float).reshape(-1, 3).T,
-            None if all(x is None for x in axes) else np.stack([*map(_turned, axes)], -1),
-            xp.array(half, float).reshape(-1, 3).T,
-            xp.array(radius, float),
+            tree.com[:, np.array(bodies, int)] + centre,
+            np.stack(axes, -1) if turned else None,
+            xp.array([part.half_extents for _, part in found], float).reshape(-1, 3).T,
+            xp.array([part.radius for _, part in found], float),
         )
 
     blocks, boulders = (
@@ -284,14 +263,13 @@ def _make_solids(creature: Creature, tree: Tree, obstacles: tuple[Obstacle, ...]
         min(most, blocks * each + boulders) for most, each in zip(_POINTS, _ON_BLOCK, strict=True)
     )
     points = of_box, of_line, of_ball, of_ellipsoid
-    round_ones = parts(ellipsoids)
-    if any(outline.any() for outline in outlines):
-        round_ones = round_ones._replace(corners=_equally_many(outlines))
-    return Solids(parts(boxes), parts(lines), parts(balls), round_ones, points)
-
-
-def _turned(axes: np.ndarray | None) -> np.ndarray:
-    return np.eye(3) if axes is None else axes
+    boxes, lines, balls, ellipsoids = map(parts, own.values())
+    outlines = [part.corners for _, part in own["ellipsoid"]]
+    if any(outline is not None for outline in outlines):
+        none = np.zeros((1, 3))
+        corners = _equally_many([none if outline is None else outline for outline in outlines])
+        ellipsoids = ellipsoids._replace(corners=corners)
+    return Solids(boxes, lines, balls, ellipsoids, points)
 
 
 def _equally_many(corners: list[np.ndarray]) -> np.ndarray:
