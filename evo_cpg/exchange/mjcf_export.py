@@ -135,7 +135,7 @@ def _add_meshes(root: Element, creature: Creature) -> None:
 
 def _joint_names(body: Body) -> list[str]:
     """Names of the hinges of a body, in the order of its axes."""
-    count = len(body.joint.axes) if body.joint else 0
+    count = len(body.joint.dofs) if body.joint else 0
     return [f"{body.name}.{i + 1}" for i in range(count)]
 
 
@@ -178,17 +178,14 @@ def _add_bodies(
 
 
 def _add_hinges(element: Element, body: Body, joint: Joint) -> None:
-    springs = {"stiffness": joint.stiffness, "damping": joint.damping, "armature": joint.armature}
-    for name, axis, lower, upper in zip(
-        _joint_names(body), joint.axes, joint.lower, joint.upper, strict=True
-    ):
+    for name, dof in zip(_joint_names(body), joint.dofs, strict=True):
         hinge = SubElement(
-            element, "joint", name=name, type="hinge", axis=place_text(np.array(axis))
+            element, "joint", name=name, type="hinge", axis=place_text(np.array(dof.axis))
         )
         hinge.set("limited", "true")
-        hinge.set("range", number_text(lower, upper))
-        for key, value in springs.items():
-            if value:
+        hinge.set("range", number_text(dof.lower, dof.upper))
+        for key in ("stiffness", "damping", "armature"):
+            if value := getattr(dof, key):
                 hinge.set(key, number_text(value))
 
 
