@@ -35,6 +35,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.creature.shapes import Surface
+from evo_cpg.creature.surface import PointLayout
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.force_law import Bodies, ForceLaw, Part
 from evo_cpg.spatial.choices import Condition, all_hold, chosen
@@ -162,7 +163,7 @@ def make_patches(
     skin: dict[str, Surface],
     law: DragLaw = "normal",
     surfacing: bool = False,
-    apart: bool = False,
+    layout: PointLayout = "merged",
 ) -> tuple[Patch, ...]:
     """Group bodies with the same surface and prepare their constant matrices.
 
@@ -172,7 +173,7 @@ def make_patches(
         skin: points for skin friction; the isotropic law takes the form points for both.
         law: see `Drag`.
         surfacing: the water has a surface.
-        apart: leave bodies and points ungrouped, though they be alike.
+        layout: whether bodies and points that are alike are merged.
     """
     if law == "isotropic":
         skin = form
@@ -185,12 +186,12 @@ def make_patches(
         for i, name in enumerate(tree.names)
     ]
     groups = (
-        [(i,) for i in range(len(placed))]
-        if apart
-        else chosen(lambda: _alike(placed), lambda groups: _still_alike(placed, groups))
+        chosen(lambda: _alike(placed), lambda groups: _still_alike(placed, groups))
+        if layout == "merged"
+        else [(i,) for i in range(len(placed))]
     )
     return tuple(
-        _patch(bodies, *placed[bodies[0]], law == "normal" and not apart, surfacing)
+        _patch(bodies, *placed[bodies[0]], law == "normal" and layout == "merged", surfacing)
         for bodies in groups
         if len(placed[bodies[0]][0].areas)
     )
@@ -337,7 +338,9 @@ def _still_alike(
 
 
 def _places(surface: Surface) -> Places:
-    return Places(surface.points, surface.normals, xp.sqrt(surface.areas) / 2)
+    # Points without area are dry: any extent will do.
+    areas = xp.where(surface.areas > 0, surface.areas, 1.0)
+    return Places(surface.points, surface.normals, xp.sqrt(areas) / 2)
 
 
 def _velocity_rows(surface: Surface) -> list[Numbers]:
