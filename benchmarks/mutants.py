@@ -91,7 +91,7 @@ MUTANTS = (
     ),
     Mutant(
         "physics/fluid.py",
-        "speed = speed * _wet_share(patch.normal_places, pose)",
+        "speed = speed * _wet_fraction(patch.normal_places, pose)",
         "speed = speed * 1.0",
         "physics/test_water_surface.py",
     ),
@@ -145,8 +145,8 @@ MUTANTS = (
     ),
     Mutant(
         "physics/buoyancy.py",
-        "return share, -(lever / reach)[None] * stretched",
-        "return share, (lever / reach)[None] * stretched",
+        "return fraction, -(lever / reach)[None] * stretched",
+        "return fraction, (lever / reach)[None] * stretched",
         "physics/test_water_surface.py",
     ),
     Mutant(
@@ -193,14 +193,14 @@ MUTANTS = (
     ),
     Mutant(
         "physics/contact.py",
-        "(dynamic + more * (1.0 / (1.0 + share)))",
-        "(dynamic + more * (1.0 - 1.0 / (1.0 + share)))",
+        "(dynamic + more * (1.0 / (1.0 + fraction)))",
+        "(dynamic + more * (1.0 - 1.0 / (1.0 + fraction)))",
         "physics/test_contact.py",
     ),
     Mutant(
         "physics/contact.py",
-        "bounce = expand_dims_like(footing.restitution, approach) * share * approach",
-        "bounce = expand_dims_like(footing.restitution, approach) * share * approach**2",
+        "bounce = expand_dims_like(footing.restitution, approach) * fraction * approach",
+        "bounce = expand_dims_like(footing.restitution, approach) * fraction * approach**2",
         "physics/test_contact.py",
     ),
     Mutant(

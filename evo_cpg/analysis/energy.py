@@ -35,7 +35,7 @@ from evo_cpg.physics.kinematics import Kinematics, kinematics
 from evo_cpg.physics.pair_contacts import find_pair_contacts
 from evo_cpg.physics.per_body import take
 from evo_cpg.physics.state import State
-from evo_cpg.physics.step import searches
+from evo_cpg.physics.step import needs_iteration
 from evo_cpg.physics.weight import buoyancy_alone
 from evo_cpg.physics.world import World
 from evo_cpg.simulation.physics_steps import PhysicsSteps
@@ -161,7 +161,7 @@ def mechanical_energy(snapshot: Snapshot) -> Float[Array, " *n"]:
 
 def _limit_torques(world: World, before: State, after: State, h: float) -> Float[Array, "d t"]:
     """As the solver has them."""
-    if searches(world):
+    if needs_iteration(world):
         return limit_torque(world.tree, before.q, after.qd, h)[0]
     torque, slope = expected_limit_torque(world.tree, before, h)
     return torque - slope * (after.qd - before.qd)
@@ -176,7 +176,7 @@ def _ground_work(
         return none, none, none, force
     contacts = find_contacts(world.footing, first, h)
     bodies = np.array(world.footing.bodies)
-    velocity = take(middle.linear, bodies) + cross(take(middle.angular, bodies), contacts.arm)
+    velocity = take(middle.linear, bodies) + cross(take(middle.angular, bodies), contacts.offset)
     local, moving = matvec(contacts.frame, force), matvec(contacts.frame, velocity)
     lift, friction = local[2] * moving[2], dot(local[:2], moving[:2])
     # Of a point that rests the law wants `rest`, with which it does not move.

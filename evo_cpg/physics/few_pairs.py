@@ -35,10 +35,10 @@ class FewPairContacts(NamedTuple):
         h: s.
         gap: m.
         jacobian: J; zeros of joints that are not between the bodies, m.
-        coasting: velocity if all joint accelerations were zero, mean over the step, m/s.
-        wanted: v*.
+        unconstrained_velocity: mean over the step, if all joint accelerations were zero, m/s.
+        target_velocity: v*.
         bias: velocity-product bias, the acceleration along the normal at constant joint rates; it
-            is part of `coasting`, m/s^2.
+            is part of `unconstrained_velocity`, m/s^2.
         where: the nearest points.
     """
 
@@ -49,8 +49,8 @@ class FewPairContacts(NamedTuple):
     h: float
     gap: Float[Array, "p *n"]
     jacobian: Float[Array, "p d *n"]
-    coasting: Float[Array, "p *n"]
-    wanted: Float[Array, "p *n"]
+    unconstrained_velocity: Float[Array, "p *n"]
+    target_velocity: Float[Array, "p *n"]
     bias: Float[Array, "p *n"]
     where: Separation
 
@@ -60,16 +60,28 @@ class FewPairContacts(NamedTuple):
     ) -> "FewPairContacts":
         """Return the contacts of a step; see `evo_cpg.physics.pair_contacts.find_pair_contacts`."""
         where = separations(pairs, kin)
-        wanted = rest_velocity(where.gap, h)
+        target_velocity = rest_velocity(where.gap, h)
         bias = _bias(pairs, kin.origin, kin, where)
         jacobian = _jacobian(tree, pairs, kin, where)
-        coasting = (jacobian * qd[None]).sum(1) + 0.5 * h * bias
-        return cls(tree, pairs, kin, qd, h, where.gap, jacobian, coasting, wanted, bias, where)
+        unconstrained_velocity = (jacobian * qd[None]).sum(1) + 0.5 * h * bias
+        return cls(
+            tree,
+            pairs,
+            kin,
+            qd,
+            h,
+            where.gap,
+            jacobian,
+            unconstrained_velocity,
+            target_velocity,
+            bias,
+            where,
+        )
 
     def with_bias(self, bias: Float[Array, "p *n"]) -> "FewPairContacts":
         """Return the contacts with another velocity-product bias, m/s^2."""
-        coasting = self.coasting + 0.5 * self.h * (bias - self.bias)
-        return self._replace(coasting=coasting, bias=bias)
+        unconstrained_velocity = self.unconstrained_velocity + 0.5 * self.h * (bias - self.bias)
+        return self._replace(unconstrained_velocity=unconstrained_velocity, bias=bias)
 
     def bias_at(self, qdd: Float[Array, "d *n"]) -> Float[Array, "p *n"]:
         """Return the velocity-product bias at the joint rates after the step, m/s^2."""
@@ -84,7 +96,7 @@ class FewPairContacts(NamedTuple):
 
     def velocity(self, qdd: Float[Array, "d *n"]) -> Float[Array, "p *n"]:
         """Return the velocities at which points part at the end of the step, m/s."""
-        return self.coasting + self.change(qdd)
+        return self.unconstrained_velocity + self.change(qdd)
 
     def parting(self, rates: Float[Array, "d *n"]) -> Float[Array, "p *n"]:
         """Return ``J rates``, m/s."""
@@ -94,19 +106,19 @@ class FewPairContacts(NamedTuple):
         """Return the forces at joint accelerations, and how they change."""
         velocity = self.velocity(qdd)
         stiffness = expand_dims_like(self.pairs.stiffness / self.h, velocity)
-        short = self.wanted - velocity
+        short = self.target_velocity - velocity
         touches = short > 0
         force = stiffness * jnp.maximum(short, 0.0)
         return FewPairForces(self, velocity, force, jnp.where(touches, stiffness, 0.0))
 
     def touches(self, qdd: Float[Array, "d *n"]) -> Bool[Array, "*n"]:
         """Return where any pair pushes at joint accelerations."""
-        return (self.wanted > self.velocity(qdd)).any(0)
+        return (self.target_velocity > self.velocity(qdd)).any(0)
 
     def drifts(self, qdd: Float[Array, "d *n"], bias: Float[Array, "p *n"]) -> Bool[Array, "*n"]:
         """Return where another bias would move a touching pair by more than `LARGEST_DRIFT`."""
         velocity, other = self.velocity(qdd), self.with_bias(bias).velocity(qdd)
-        touches = (self.wanted > velocity) | (self.wanted > other)
+        touches = (self.target_velocity > velocity) | (self.target_velocity > other)
         return (touches & (self.h * jnp.abs(other - velocity) > LARGEST_DRIFT)).any(0)
 
 
@@ -142,8 +154,12 @@ class FewPairForces(NamedTuple):
     def newton(self) -> tuple[Float[Array, "d *n"], Float[Array, "d d *n"]]:
         """Torques of the linearized forces without joint accelerations, and ``h J^T K J``."""
         J, slope = self.contacts.jacobian, self.slope
-        coasting = self.force + slope * (self.velocity - self.contacts.coasting)
-        return self._pushing(coasting), t_matmul(self.contacts.h * slope[:, None] * J, J)
+        unconstrained_velocity = self.force + slope * (
+            self.velocity - self.contacts.unconstrained_velocity
+        )
+        return self._pushing(unconstrained_velocity), t_matmul(
+            self.contacts.h * slope[:, None] * J, J
+        )
 
     def _pushing(self, force: Float[Array, "p *n"]) -> Float[Array, "d *n"]:
         return (self.contacts.jacobian * force[:, None]).sum(0)
@@ -165,12 +181,12 @@ def _bias(pairs: Pairs, origin: Array, motion: Kinematics | BodyMotion, where: S
     A = skew(motion.bias_angular) + spin[:, None] * spin[None]
     A = A - square[None, None] * expand_dims_like(np.eye(3), A)
     velocity, drift, turning = [], [], jnp.zeros_like(normal)
-    for bodies, point, share in zip(pairs.owners, points, carried, strict=True):
+    for bodies, point, fraction in zip(pairs.owners, points, carried, strict=True):
         own = np.array(bodies)
-        arm, angular = point - take(origin, own), take(spin, own)
-        velocity.append(take(motion.linear, own) + cross(angular, arm))
-        drift.append(take(a, own) + matvec(take(A, own, 2), arm))
-        turning = turning + share[None] * angular
+        offset, angular = point - take(origin, own), take(spin, own)
+        velocity.append(take(motion.linear, own) + cross(angular, offset))
+        drift.append(take(a, own) + matvec(take(A, own, 2), offset))
+        turning = turning + fraction[None] * angular
     parting = velocity[1] - velocity[0]
     # A normal that turns meets another part of what slides past it.
     return dot(normal, drift[1] - drift[0]) - 2.0 * dot(cross(normal, turning), parting)

@@ -262,8 +262,8 @@ def _patch_drag(
         )
         along = speed
     if pose is not None:
-        speed = speed * _wet_share(patch.normal_places, pose)
-        along = along * _wet_share(patch.tangential_places, pose)
+        speed = speed * _wet_fraction(patch.normal_places, pose)
+        along = along * _wet_fraction(patch.tangential_places, pose)
     friction = jnp.concatenate([along * first, along * second])
     wrench = -product(patch.normal.T * normal_factor[None], speed * normal)
     wrench = wrench - product(
@@ -274,7 +274,7 @@ def _patch_drag(
     return wrench.reshape(velocity.shape), derivative.reshape(3, 3, 3, *velocity.shape[1:])
 
 
-def _wet_share(places: Places | None, pose: Float[Array, "4 k *n"]) -> Float[Array, "p kn"]:
+def _wet_fraction(places: Places | None, pose: Float[Array, "4 k *n"]) -> Float[Array, "p kn"]:
     """Share of the patch around each point that is under water: a cubic in the point's depth.
 
     Raises:
@@ -288,8 +288,8 @@ def _wet_share(places: Places | None, pose: Float[Array, "4 k *n"]) -> Float[Arr
     steepness = normals @ up
     spread = extents[:, None] * jnp.sqrt(1.0 - (1.0 - _LEAST_SLOPE**2) * steepness * steepness)
     # Points with the same normal and area share the quotient.
-    share = jnp.clip(0.5 - (height + points @ up) * (0.5 / spread), 0.0, 1.0)
-    return share * share * (3.0 - 2.0 * share)
+    fraction = jnp.clip(0.5 - (height + points @ up) * (0.5 / spread), 0.0, 1.0)
+    return fraction * fraction * (3.0 - 2.0 * fraction)
 
 
 def _patch(

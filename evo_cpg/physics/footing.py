@@ -167,21 +167,21 @@ class ContactPoints(NamedTuple):
     """Where the contact points are now: what is nearest to the ground, or deepest in it.
 
     Attributes:
-        arm: from the body's origin to the point, world axes, m.
-        spoke: from the body's origin to what turns with the body there: a ball's lowest point
-            keeps below its centre, all others' are points of the body.
+        offset: from the body's origin to the point, world axes, m.
+        material_offset: from the body's origin to what turns with the body there. The lowest point
+            of a ball stays below its centre; all others are points of the body.
         gap: the point's distance from the ground, m.
         normal: of the ground, or of the body where its face meets an edge; away from the ground.
-        bend: normal acceleration of the point because it moves along the surface, m/s^2.
+        curvature_acceleration: along the normal, because the point moves along the surface, m/s^2.
         ahead: time (s) within the step at which all of this is so: 0 but for what moves fast
             (`evo_cpg.physics.sweep`); None where it is 0 of all points.
     """
 
-    arm: Float[Array, "3 p *n"]
-    spoke: Float[Array, "3 p *n"]
+    offset: Float[Array, "3 p *n"]
+    material_offset: Float[Array, "3 p *n"]
     gap: Float[Array, "p *n"]
     normal: Float[Array, "3 p *n"]
-    bend: Float[Array, "p *n"]
+    curvature_acceleration: Float[Array, "p *n"]
     ahead: Float[Array, "p *n"] | None = None
 
 

@@ -1,21 +1,50 @@
-"""How far to go along a Newton step: where the potential of a step's motion is least.
+"""Length of a Newton step: where the potential of a step problem is least along a line.
 
-Along the way d from the accelerations y, with the share a of it, everything is linear but the laws
-F of the points, whose velocities change by dv, and those tau of the motors:
+On the line ``y + a d``, with the length a in [0, 1], everything is linear but the force laws: F of
+the contact points, whose velocities change by a dv, tau of motors and limits, and those of pairs.
+The derivative of the potential along the line is
 
-    phi'(a) = h d . (M (y + a d) - M y_free - tau) - sum dv . F(v + a dv)
+    phi'(a) = h d . (M (y + a d) - M y_free - tau) - sum dv . F(v + a dv).
+
+Its root is found by regula falsi with the Illinois rule.
 """
 
+from typing import NamedTuple
+
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from evo_cpg.fusion.converge import while_each
 from evo_cpg.physics.root import joint_part
 from evo_cpg.physics.step_problem import StepProblem
 from evo_cpg.spatial.linear import dot, matvec
 
-# Slope at which a line search ends, as a share of that at its start; evaluations at most.
+# Derivative at which the search ends, as a fraction of that at the start; evaluations at most.
 _FLAT, _EVALUATIONS = 0.3, 30
+
+
+class _Bracket(NamedTuple):
+    """Interval of lengths that holds the root, and the latest evaluation.
+
+    Attributes:
+        low: a length at which the potential falls.
+        low_slope: derivative there; halved if the upper end has stayed.
+        high: a length at which the potential rises.
+        high_slope: derivative there; halved if the lower end has stayed.
+        length: the latest length.
+        slope: derivative there.
+        moved: end that moved last: 1 the upper, -1 the lower, 0 none.
+        evaluations: number of evaluations.
+    """
+
+    low: Float[Array, "*n"]
+    low_slope: Float[Array, "*n"]
+    high: Float[Array, "*n"]
+    high_slope: Float[Array, "*n"]
+    length: Float[Array, "*n"]
+    slope: Float[Array, "*n"]
+    moved: Int[Array, "*n"]
+    evaluations: Int[Array, "*n"]
 
 
 def line_search(
@@ -26,60 +55,64 @@ def line_search(
     end: Float[Array, "v *n"],
     least: Float[Array, "*n"],
 ) -> tuple[Float[Array, "v *n"], Float[Array, "3 p *n"] | None]:
-    """The motion with the least potential between two others, and the contact points' velocity.
+    """Return the accelerations with the least potential on a line, and the points' velocities.
 
     Args:
         problem: whose potential it is.
-        radius: of the friction cones.
-        start: a motion.
-        velocity: of the contact points in it.
-        end: the motion under the laws linearized there.
-        least: slope (W) from which on the way is searched: where the potential falls less steeply
-            at its start, all of it is gone.
+        radius: of the friction cones, N.
+        start: accelerations at the start of the line.
+        velocity: of the contact points there, m/s.
+        end: accelerations at its end, under the laws linearised at the start.
+        least: steepness (W) below which nothing is searched: the end is returned.
     """
-    way, h = end - start, problem.h
-    turn, pairs = joint_part(way), problem.equations.pairs
-    change = None if velocity is None else problem.change_of_velocity(way)
-    parting = None if pairs is None else pairs.change(turn)
-    rest, bend = dot(way, problem.resistance(start)), dot(way, matvec(problem.mass, way))
+    direction, h = end - start, problem.h
+    turning, pairs = joint_part(direction), problem.equations.pairs
+    change = None if velocity is None else problem.change_of_velocity(direction)
+    parting = None if pairs is None else pairs.change(turning)
+    linear_slope = dot(direction, problem.resistance(start))
+    curvature = dot(direction, matvec(problem.mass, direction))
 
-    def at(share: Array) -> tuple[Array, Array | None]:
-        now = start + share[None] * way
+    def at(length: Array) -> tuple[Array, Array | None]:
+        """Return the accelerations and the points' velocities at a length."""
+        y = start + length[None] * direction
         if velocity is None or change is None:
-            return now, None
-        return now, velocity + share[None, None] * change
+            return y, None
+        return y, velocity + length[None, None] * change
 
-    def slope(share: Array) -> Array:
-        y, now = at(share)
-        there = problem.linearized(radius, joint_part(y), now)
-        total = h * (rest + share * bend - dot(turn, problem.torque(y, there)))
-        if change is not None and there.contact is not None:
-            total = total - (change * there.contact.force).sum((0, 1))
-        if parting is not None and there.pairs is not None:
-            total = total - there.pairs.power(parting)
+    def slope(length: Array) -> Array:
+        """Return phi' at a length, W."""
+        y, point_velocity = at(length)
+        laws = problem.linearized(radius, joint_part(y), point_velocity)
+        total = h * (linear_slope + length * curvature - dot(turning, problem.torque(y, laws)))
+        if change is not None and laws.contact is not None:
+            total = total - (change * laws.contact.force).sum((0, 1))
+        if parting is not None and laws.pairs is not None:
+            total = total - laws.pairs.power(parting)
         return total
 
-    one = jnp.ones_like(bend)
-    at_start, at_end = slope(0 * one), slope(one)
+    one = jnp.ones_like(curvature)
+    start_slope, end_slope = slope(0 * one), slope(one)
 
-    def goes_on(given: tuple) -> Bool[Array, "*n"]:
-        *_, here, _, count = given
-        return (jnp.abs(here) > _FLAT * jnp.abs(at_start)) & (count < _EVALUATIONS)
+    def unfinished(bracket: _Bracket) -> Bool[Array, "*n"]:
+        steep = jnp.abs(bracket.slope) > _FLAT * jnp.abs(start_slope)
+        return steep & (bracket.evaluations < _EVALUATIONS)
 
-    def closer(given: tuple) -> tuple:
-        # Regula falsi; a bound that stays twice counts half (Illinois).
-        low, below, high, above, share, here, side, count = given
+    def narrowed(bracket: _Bracket) -> _Bracket:
+        low, low_slope, high, high_slope, length, here, moved, evaluations = bracket
         rises = here > 0
-        now = jnp.where(rises, 1, -1).astype(jnp.int32)
-        again = side == now
-        low, high = jnp.where(rises, low, share), jnp.where(rises, share, high)
-        below = jnp.where(rises, jnp.where(again, 0.5 * below, below), here)
-        above = jnp.where(rises, here, jnp.where(again, 0.5 * above, above))
-        share = low - below * (high - low) / (above - below)
-        return low, below, high, above, share, slope(share), now, count + 1
+        end_to_move = jnp.where(rises, 1, -1).astype(jnp.int32)
+        again = moved == end_to_move
+        low, high = jnp.where(rises, low, length), jnp.where(rises, length, high)
+        # Illinois: the derivative at an end that stays twice counts half.
+        low_slope = jnp.where(rises, jnp.where(again, 0.5 * low_slope, low_slope), here)
+        high_slope = jnp.where(rises, here, jnp.where(again, 0.5 * high_slope, high_slope))
+        length = low - low_slope * (high - low) / (high_slope - low_slope)
+        slopes = low, low_slope, high, high_slope, length, slope(length)
+        return _Bracket(*slopes, end_to_move, evaluations + 1)
 
-    none = jnp.zeros(at_start.shape, jnp.int32)
-    # Where it no longer falls, but for rounding, the whole way is gone.
-    rises = (at_start < -least) & (at_end > 0)
-    begin = 0 * one, at_start, one, at_end, one, jnp.where(rises, at_end, 0.0), none, none
-    return at(while_each(goes_on, closer, begin)[4])
+    none = jnp.zeros(start_slope.shape, jnp.int32)
+    # A line along which the potential falls to its end needs no search.
+    overshoots = (start_slope < -least) & (end_slope > 0)
+    slope_now = jnp.where(overshoots, end_slope, 0.0)
+    first = _Bracket(0 * one, start_slope, one, end_slope, one, slope_now, none, none)
+    return at(while_each(unfinished, narrowed, first).length)

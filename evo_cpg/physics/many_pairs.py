@@ -237,11 +237,13 @@ class ManyPairContacts:
         spin, linear, base, A = accelerations
         bodies, n = _bodies(run, q), point.normal
         moving, drift, turning = [], [], jnp.zeros_like(n)
-        for body, p, share in zip(bodies, (point.first, point.second), point.carried, strict=True):
+        for body, p, fraction in zip(
+            bodies, (point.first, point.second), point.carried, strict=True
+        ):
             own = _row(spin, body)
             moving.append(_row(linear, body) + cross(own, p))
             drift.append(_row(base, body) + matvec(_row(A, body, 2), p))
-            turning = turning + share[None] * own
+            turning = turning + fraction[None] * own
         # A normal that turns meets another part of what slides past it.
         bias = dot(n, drift[1] - drift[0])
         bias = bias - 2.0 * dot(cross(n, turning), moving[1] - moving[0])
@@ -332,12 +334,12 @@ class ManyPairForces:
             J, dofs = contacts.jacobian(run, point, q, axes)
             slope = jnp.where(push > 0, self._stiffness(run, q, push), 0.0)
             own = jnp.take(rates, dofs, axis=0, mode="clip")
-            whole = push + slope * h * (J * own).sum(0)
+            force = push + slope * h * (J * own).sum(0)
             rows = jnp.asarray(run.paths.rows)[q % run.kind.count]
             i, j = np.tril_indices(len(dofs))
             values = (h * slope)[None] * J[i] * J[j]
             return (
-                _plus(torque, dofs, J * whole[None]),
+                _plus(torque, dofs, J * force[None]),
                 _plus(matrix, rows[i] + dofs[j], values),
             )
 
@@ -439,8 +441,8 @@ def _find(contacts: ManyPairContacts) -> tuple[_Run, ...]:
     centre, half, radius = placed_boxes(pairs, kin)
     own = contacts.motion(contacts.qd)
     size = jnp.sqrt((half * half).sum(0)) + radius
-    arm = centre - contacts.places
-    passing = own.linear + cross(own.angular, arm)
+    offset = centre - contacts.places
+    passing = own.linear + cross(own.angular, offset)
     speed = jnp.sqrt(dot(passing, passing)) + jnp.sqrt(dot(own.angular, own.angular)) * size
     slack = _STEPS_AHEAD * h * speed + _MARGIN * (half.min(0) + radius)
     found, start, points = [], 0, 0

@@ -31,7 +31,7 @@ from evo_cpg.creature.self_collision import (
 from evo_cpg.creature.shapes import RoundedBox
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics.box_separation import separation_of_boxes
-from evo_cpg.physics.contact import BAUMGARTE_SHARE, BAUMGARTE_SPEED
+from evo_cpg.physics.contact import BAUMGARTE_FRACTION, BAUMGARTE_SPEED
 from evo_cpg.physics.flat_separation import separation_of_flat
 from evo_cpg.physics.kinematics import Kinematics
 from evo_cpg.physics.per_body import take
@@ -130,7 +130,7 @@ class Pairs(eqx.Module):
         return len(self.first) > _MOST_WRITTEN_OUT
 
 
-def make_pairs(creature: Creature, tree: Tree, wanted: SelfCollision) -> Pairs | None:
+def make_pairs(creature: Creature, tree: Tree, settings: SelfCollision) -> Pairs | None:
     """The pairs of a creature that may touch; None where there are none.
 
     Of the pairs of a whole plan (``wanted.only``) those that this creature lets pass have no
@@ -144,17 +144,29 @@ def make_pairs(creature: Creature, tree: Tree, wanted: SelfCollision) -> Pairs |
         return (second, first) if _is_line(boxes[second]) else pair
 
     def choose() -> tuple[tuple[int, ...], tuple[int, ...], tuple[Alike, ...]]:
-        found = colliding_pairs(creature, tree, wanted)
-        ways = sorted((*_way(tree, turned, boxes, *pair), pair) for pair in map(in_order, found))
-        if wanted.only is None:
-            ways = [way for way in ways if not _passes(way, turned, centres, boxes)]
-        first, second = zip(*(pair for *_, pair in ways), strict=True) if ways else ((), ())
-        groups = itertools.groupby(ways, lambda way: way[:2])
-        return first, second, tuple(Alike(*way, len(list(same))) for way, same in groups)
+        found = colliding_pairs(creature, tree, settings)
+        treatments = sorted(
+            (*_treatment(tree, turned, boxes, *pair), pair) for pair in map(in_order, found)
+        )
+        if settings.only is None:
+            treatments = [
+                treatment
+                for treatment in treatments
+                if not _passes(treatment, turned, centres, boxes)
+            ]
+        first, second = (
+            zip(*(pair for *_, pair in treatments), strict=True) if treatments else ((), ())
+        )
+        groups = itertools.groupby(treatments, lambda treatment: treatment[:2])
+        return (
+            first,
+            second,
+            tuple(Alike(*treatment, len(list(same))) for treatment, same in groups),
+        )
 
     def still(made: tuple[tuple[int, ...], tuple[int, ...], tuple[Alike, ...]]) -> Condition:
         """Whether each pair is treated as it has to be."""
-        if wanted.only is None and is_traced(tree, boxes):
+        if settings.only is None and is_traced(tree, boxes):
             raise Undecidable("which limbs can meet")
         kinds = [run for run in made[2] for _ in range(run.count)]
         treated = zip(kinds, *made[:2], strict=True)
@@ -162,16 +174,20 @@ def make_pairs(creature: Creature, tree: Tree, wanted: SelfCollision) -> Pairs |
 
     def why() -> tuple[LeftOut, list]:
         """Return why the other pairs never meet."""
-        left = left_out(creature, tree, wanted)
-        ways = [(*_way(tree, turned, boxes, *in_order(pair)), pair) for pair in left.others]
-        return left, [way for way in ways if _passes(way, turned, centres, boxes)]
+        left = left_out(creature, tree, settings)
+        treatments = [
+            (*_treatment(tree, turned, boxes, *in_order(pair)), pair) for pair in left.others
+        ]
+        return left, [
+            treatment for treatment in treatments if _passes(treatment, turned, centres, boxes)
+        ]
 
     def stay_left_out(reasons: tuple[LeftOut, list]) -> Condition:
         left, beside = reasons
         passing = [pair for pair in left.others if pair not in [pair for *_, pair in beside]]
-        holds = [_passes(way, turned, centres, boxes) for way in beside]
+        holds = [_passes(treatment, turned, centres, boxes) for treatment in beside]
         if passing:
-            holds.append(passing_at_rest(creature, tree, wanted, passing).all())
+            holds.append(passing_at_rest(creature, tree, settings, passing).all())
         return all_hold([still_apart(creature, tree, left), *holds])
 
     order = np.array([creature.body_index(name) for name in tree.names])
@@ -180,15 +196,15 @@ def make_pairs(creature: Creature, tree: Tree, wanted: SelfCollision) -> Pairs |
         place + turn @ box.centre for place, turn, box in zip(places, turned, boxes, strict=True)
     ]
     first, second, runs = chosen(choose, still)
-    if wanted.only is not None:
+    if settings.only is not None:
         chosen(why, stay_left_out)
     if not first:
         return None
     one, two = (tree.mass[np.array(bodies)] for bodies in _owners(first, second, runs))
     stiffness = _STIFFNESS * xp.sqrt(one * two)
-    if wanted.only is not None:
+    if settings.only is not None:
         pairs = list(zip(first, second, strict=True))
-        passing = passing_at_rest(creature, tree, wanted, pairs)
+        passing = passing_at_rest(creature, tree, settings, pairs)
         of_pair, _ = _owners(tuple(range(len(pairs))), second, runs)
         stiffness = xp.where(passing[np.array(of_pair)], 0.0, stiffness)
     return Pairs(
@@ -222,7 +238,7 @@ def _is_line(box: RoundedBox) -> bool:
     return not box.half_extents[1:].any()
 
 
-def _way(
+def _treatment(
     tree: Tree, turned: np.ndarray, boxes: list[RoundedBox], first: int, second: int
 ) -> tuple[str, tuple[tuple[int, int, int], tuple[int, int, int]]]:
     """How a pair is treated.
@@ -260,10 +276,10 @@ def _way(
 def _still(
     tree: Tree, turned: Numbers, boxes: list[RoundedBox], run: Alike, first: int, second: int
 ) -> Condition:
-    """Whether a pair may be treated in some way; see `_way`."""
+    """Whether a pair may be treated in some way; see `_treatment`."""
     both = boxes[first], boxes[second]
     if run.kind in ("flat", "boxes"):
-        return _way(tree, turned, boxes, first, second) == run[:2]
+        return _treatment(tree, turned, boxes, first, second) == run[:2]
     if run.kind == "rounded":
         # The axis that comes first is the longest.
         halves = zip(both, run.turned, strict=True)
@@ -275,7 +291,7 @@ def _still(
 
 
 def _passes(
-    way: tuple[str, tuple[tuple[int, int, int], ...], tuple[int, int]],
+    treatment: tuple[str, tuple[tuple[int, int, int], ...], tuple[int, int]],
     turned: Numbers,
     centres: list[Numbers],
     boxes: list[RoundedBox],
@@ -283,12 +299,12 @@ def _passes(
     """Whether two boxes turn beside each other, apart along their common axis for ever.
 
     Args:
-        way: how they are treated, and the pair.
+        treatment: how they are treated, and the pair.
         turned: rotations ``(b, 3, 3)`` of the bodies in the neutral pose.
         centres: of their boxes there, m.
         boxes: of the bodies.
     """
-    kind, (order, other_order), (first, second) = way
+    kind, (order, other_order), (first, second) = treatment
     if kind != "flat":
         return False
     aside = turned[first][:, order[2]] @ (centres[second] - centres[first])
@@ -305,7 +321,7 @@ def placed_boxes(pairs: Pairs, kin: Kinematics) -> tuple[Array, Array, Array]:
 
 def rest_velocity(gap: Array, h: float) -> Array:
     """v* of points that are so far apart, m/s."""
-    push = jnp.clip(-BAUMGARTE_SHARE / h * gap, 0.0, BAUMGARTE_SPEED)
+    push = jnp.clip(-BAUMGARTE_FRACTION / h * gap, 0.0, BAUMGARTE_SPEED)
     return jnp.where(gap > 0, (-1.0 / h) * gap, push)
 
 

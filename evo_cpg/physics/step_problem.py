@@ -56,15 +56,15 @@ from evo_cpg.physics.world import World
 from evo_cpg.spatial.linear import dot, expand_dims_like, matvec, where_each
 from evo_cpg.spatial.numerics import Number, xp
 
-# Where there is neither weight nor load nor torque, this share of the other forces (drag, springs,
-# what spins need) stands for the forces that there are.
-_OTHERS = 1e-3
+# Fraction of the other forces (drag, springs, velocity products) that counts in the norm of all
+# forces. It matters if there is neither weight nor load nor torque.
+_OTHER_FORCES = 1e-3
 
-# Torques that differ by more than this share of the motor's limit are not the same.
-_OTHERWISE = 1e-3
+# Torques are the same if they differ by less than this fraction of the motor's limit.
+_SAME_TORQUE = 1e-3
 
 # Turn of a joint in a step (rad) beyond which the mass matrix at its start says little of its end.
-_WHIRL = 0.3
+_LARGEST_TURN = 0.3
 
 # Joint axes in a row beyond which equations are solved body by body. Measured in float32 on a chain
 # of boxes on the ground: with 10 joints a step misses the laws by less than 1e-3, with 20 by 1e-3
@@ -136,7 +136,9 @@ class StepProblem(NamedTuple):
     def velocity(self, y: Float[Array, "v *n"]) -> Float[Array, "3 p *n"] | None:
         """Of the contact points at the end of the step, contact frame, m/s; None without ground."""
         contacts = self.equations.contacts
-        return None if contacts is None else contacts.coasting + self.change_of_velocity(y)
+        if contacts is None:
+            return None
+        return contacts.unconstrained_velocity + self.change_of_velocity(y)
 
     def change_of_velocity(self, y: Float[Array, "v *n"]) -> Float[Array, "3 p *n"]:
         """Of the contact points because of accelerations, m/s."""
@@ -158,11 +160,12 @@ class StepProblem(NamedTuple):
             qdd: joint accelerations, rad/s^2.
             velocity: of the contact points, m/s; None without ground.
         """
-        tree, state, wanted = self.world.tree, self.equations.state, self.equations.wanted
+        tree, equations = self.world.tree, self.equations
+        state, start_torque = equations.state, equations.start_torque
         commanded = self.commanded_torque(qdd)
         over = overloaded(tree, commanded)
-        torque = jnp.where(over, clamp_torque(tree, commanded), wanted)
-        slope = jnp.where(over, 0.0, servo_slope(tree, wanted, self.h))
+        torque = jnp.where(over, clamp_torque(tree, commanded), start_torque)
+        slope = jnp.where(over, 0.0, servo_slope(tree, start_torque, self.h))
         change = self.h * qdd
         stop, stop_slope = limit_torque(tree, state.q, state.qd + change, self.h)
         torque, slope = torque + stop + stop_slope * change, slope + stop_slope
@@ -198,7 +201,9 @@ class StepProblem(NamedTuple):
         if footing is not None and contacts is not None and linear.contact is not None:
             blocks = contact_inertia(footing, contacts, linear.contact, equations.inertia, h)
             matrix = matrix + mass_matrix(tree, equations.kin, blocks)
-            force = force + self._ground(linearized_force(linear.contact, contacts.coasting))
+            force = force + self._ground(
+                linearized_force(linear.contact, contacts.unconstrained_velocity)
+            )
         matrix = plus_joint_diagonal(matrix, h * linear.slope)
         if linear.pairs is not None:
             pushes, stiffening = linear.pairs.newton()
@@ -213,7 +218,7 @@ class StepProblem(NamedTuple):
         if footing is not None and contacts is not None and linear.contact is not None:
             blocks = contact_inertia(footing, contacts, linear.contact, inertia, h)
             inertia = jax.tree.map(jnp.add, inertia, blocks)
-            force = linearized_force(linear.contact, contacts.coasting)
+            force = linearized_force(linear.contact, contacts.unconstrained_velocity)
             wrench = contact_wrench(footing, contacts, force, bias)
             bias = jax.tree.map(jnp.subtract, bias, wrench)
         torque, slope = equations.passive + linear.torque, equations.derivative + h * linear.slope
@@ -248,7 +253,7 @@ class StepProblem(NamedTuple):
         """
         torque = plus_torque(jnp.zeros_like(self.force), self.torque(y, linear))
         total = self.load(linear) ** 2 / self._total_mass() + self._square(torque)
-        return total + _OTHERS**2 * self._square(self.force)
+        return total + _OTHER_FORCES**2 * self._square(self.force)
 
     def resistance(self, y: Float[Array, "v *n"]) -> Float[Array, "v *n"]:
         """What it takes of the laws to have the accelerations: M y less the other forces."""
@@ -296,12 +301,14 @@ class StepProblem(NamedTuple):
             return self.force[:0]
         return cone_radius(footing, contacts, velocity, self.h)
 
-    def injects_energy(self, y: Float[Array, "v *n"], linear: Linearization) -> Bool[Array, "*n"]:
-        """Return where bouncing contacts do positive work on the creature.
+    def must_reduce_restitution(
+        self, y: Float[Array, "v *n"], linear: Linearization
+    ) -> Bool[Array, "*n"]:
+        """Return where bouncing contacts do positive work on the creature, or a limb whirls.
 
         The work is that of the mean of the velocities before and after the step. Lifting points
-        out of the ground does not count. A limb that whirls counts as if it gained energy, because
-        the mass matrix at the start of the step says little of its end.
+        out of the ground does not count. A whirling limb turns by more than `_LARGEST_TURN` in the
+        step: the mass matrix at its start is wrong at its end.
         """
         contacts, state = self.equations.contacts, self.equations.state
         if contacts is None or linear.contact is None:
@@ -309,7 +316,7 @@ class StepProblem(NamedTuple):
         force = linear.contact.force
         mean = state.rates + 0.5 * self.h * y
         power = dot(mean, self._ground(force)) - lifting_power(contacts, force)
-        whirls = (self.h * jnp.abs(state.qd + self.h * joint_part(y)) > _WHIRL).any(0)
+        whirls = (self.h * jnp.abs(state.qd + self.h * joint_part(y)) > _LARGEST_TURN).any(0)
         return ((power > 0) | whirls) & (contacts.bounce > 0).any(0)
 
     def touches(self, y: Float[Array, "v *n"]) -> Bool[Array, "*n"]:
@@ -317,7 +324,7 @@ class StepProblem(NamedTuple):
         contacts, pairs, velocity = self.equations.contacts, self.equations.pairs, self.velocity(y)
         found = jnp.zeros(y.shape[1:], bool)
         if contacts is not None and velocity is not None:
-            found = found | (contacts.wanted > velocity[2]).any(0)
+            found = found | (contacts.target_velocity > velocity[2]).any(0)
         if pairs is not None:
             found = found | pairs.touches(joint_part(y))
         return found
@@ -327,20 +334,17 @@ class StepProblem(NamedTuple):
 
         `step_solver.free_motion` holds motors at their limits, so it gives them wrong torques.
         """
-        tree, without, commanded = (
-            self.world.tree,
-            self.equations.wanted,
-            self.commanded_torque(joint_part(y)),
-        )
+        tree, without = self.world.tree, self.equations.start_torque
+        commanded = self.commanded_torque(joint_part(y))
         given = clamp_torque(tree, commanded)
         stays = jnp.where(overloaded(tree, without), clamp_torque(tree, without), commanded)
-        least = _OTHERWISE * expand_dims_like(tree.torque_limit, given) + _NONE
+        least = _SAME_TORQUE * expand_dims_like(tree.torque_limit, given) + _NONE
         return (jnp.abs(given - stays) > least).any(0)
 
     def commanded_torque(self, qdd: Float[Array, "d *n"]) -> Float[Array, "d *n"]:
         """Return the torques that the servos command at the end of the step, N m."""
-        wanted = self.equations.wanted
-        return wanted - self.h * servo_slope(self.world.tree, wanted, self.h) * qdd
+        start_torque = self.equations.start_torque
+        return start_torque - self.h * servo_slope(self.world.tree, start_torque, self.h) * qdd
 
     @property
     def pair_bias(self) -> Float[Array, "k *n"]:
