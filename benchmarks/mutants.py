@@ -476,7 +476,7 @@ MUTANTS = (
     Mutant(
         "analysis/energy.py",
         "push_out = h * (local[2] * risen).sum(0)",
-        "push_out = h * (local[2] * jnp.maximum(contacts.rest, 0.0)).sum(0)",
+        "push_out = h * (local[2] * jnp.maximum(contacts.rest_velocity, 0.0)).sum(0)",
         "api/test_audit.py",
     ),
     Mutant(

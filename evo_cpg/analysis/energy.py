@@ -180,7 +180,7 @@ def _ground_work(
     local, moving = matvec(contacts.frame, force), matvec(contacts.frame, velocity)
     lift, friction = local[2] * moving[2], dot(local[:2], moving[:2])
     # Of a point that rests the law wants `rest`, with which it does not move.
-    risen = jnp.clip(moving[2], 0.0, jnp.maximum(contacts.rest, 0.0))
+    risen = jnp.clip(moving[2], 0.0, jnp.maximum(contacts.rest_velocity, 0.0))
     push_out = h * (local[2] * risen).sum(0)
     return h * lift.sum(0), h * friction.sum(0), push_out, force
 

@@ -70,7 +70,8 @@ class Building:
         pairs: PlanPairs | None = None,
         task: Task | None = None,
     ):
-        self.source, self.layout, self.pairs, self.task = source, layout, pairs, task
+        self.source, self.pairs, self.task = source, pairs, task
+        self.layout: PointLayout = layout
         self.own = self.known(config)
 
     def known(self, config: ExperimentConfig) -> Built:

@@ -14,11 +14,19 @@ from evo_cpg.creature.reach import chain_to_root
 from evo_cpg.creature.tree import Tree
 from evo_cpg.physics import joints, root
 from evo_cpg.physics.kinematics import Kinematics, motion_of_bodies
-from evo_cpg.physics.pairs import LARGEST_DRIFT, Pairs, rest_velocity, separations
+from evo_cpg.physics.pairs import (
+    LARGEST_DRIFT,
+    Pairs,
+    PointMotion,
+    acceleration_field,
+    parting_acceleration,
+    rest_velocity,
+    separations,
+)
 from evo_cpg.physics.per_body import take
 from evo_cpg.physics.separation import Separation
 from evo_cpg.physics.spatial_algebra import BodyMotion
-from evo_cpg.spatial.linear import cross, dot, expand_dims_like, matvec, skew, t_matmul
+from evo_cpg.spatial.linear import cross, dot, expand_dims_like, matvec, t_matmul
 
 
 class FewPairContacts(NamedTuple):
@@ -166,7 +174,7 @@ class FewPairForces(NamedTuple):
 
 
 def _bias(pairs: Pairs, origin: Array, motion: Kinematics | BodyMotion, where: Separation) -> Array:
-    """Acceleration along the normals at constant joint rates.
+    """Return the acceleration along the normals at constant joint rates.
 
     Args:
         pairs: of a creature.
@@ -175,21 +183,15 @@ def _bias(pairs: Pairs, origin: Array, motion: Kinematics | BodyMotion, where: S
         where: the nearest points.
     """
     _, normal, *points, carried = where
-    # Of a body's point at the arm r: velocity v + w x r, acceleration a + A r.
-    spin, square = motion.angular, dot(motion.angular, motion.angular)
-    a = motion.bias_linear + cross(spin, motion.linear)
-    A = skew(motion.bias_angular) + spin[:, None] * spin[None]
-    A = A - square[None, None] * expand_dims_like(np.eye(3), A)
-    velocity, drift, turning = [], [], jnp.zeros_like(normal)
-    for bodies, point, fraction in zip(pairs.owners, points, carried, strict=True):
+    a, A = acceleration_field(motion)
+
+    def moving(bodies: tuple[int, ...], point: Array) -> PointMotion:
         own = np.array(bodies)
-        offset, angular = point - take(origin, own), take(spin, own)
-        velocity.append(take(motion.linear, own) + cross(angular, offset))
-        drift.append(take(a, own) + matvec(take(A, own, 2), offset))
-        turning = turning + fraction[None] * angular
-    parting = velocity[1] - velocity[0]
-    # A normal that turns meets another part of what slides past it.
-    return dot(normal, drift[1] - drift[0]) - 2.0 * dot(cross(normal, turning), parting)
+        offset, angular = point - take(origin, own), take(motion.angular, own)
+        velocity = take(motion.linear, own) + cross(angular, offset)
+        return PointMotion(angular, velocity, take(a, own) + matvec(take(A, own, 2), offset))
+
+    return parting_acceleration(normal, carried, map(moving, pairs.owners, points))
 
 
 def _jacobian(

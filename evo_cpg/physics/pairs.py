@@ -10,6 +10,7 @@ Few pairs are written out one by one (`evo_cpg.physics.few_pairs`). For many the
 """
 
 import itertools
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -42,8 +43,9 @@ from evo_cpg.physics.separation import (
     separation_of_lines,
     separation_of_rounded,
 )
+from evo_cpg.physics.spatial_algebra import BodyMotion
 from evo_cpg.spatial.choices import Condition, Undecidable, all_hold, chosen
-from evo_cpg.spatial.linear import expand_dims_like, matvec
+from evo_cpg.spatial.linear import cross, dot, expand_dims_like, matvec, skew
 from evo_cpg.spatial.numerics import Numbers, is_traced, xp
 
 # c h of a pair: so many times the geometric mean of the two masses.
@@ -323,6 +325,53 @@ def rest_velocity(gap: Array, h: float) -> Array:
     """v* of points that are so far apart, m/s."""
     push = jnp.clip(-BAUMGARTE_FRACTION / h * gap, 0.0, BAUMGARTE_SPEED)
     return jnp.where(gap > 0, (-1.0 / h) * gap, push)
+
+
+def acceleration_field(
+    motion: Kinematics | BodyMotion,
+) -> tuple[Float[Array, "3 b *n"], Float[Array, "3 3 b *n"]]:
+    """Return a and A of all bodies at constant joint rates.
+
+    The point of a body at the offset r from its origin has the acceleration ``a + A r``.
+    """
+    spin = motion.angular
+    square = dot(spin, spin)
+    a = motion.bias_linear + cross(spin, motion.linear)
+    A = skew(motion.bias_angular) + spin[:, None] * spin[None]
+    return a, A - square[None, None] * expand_dims_like(np.eye(3), A)
+
+
+class PointMotion(NamedTuple):
+    """Motion of a body's point of a pair at constant joint rates, ``(3, p, *n)``.
+
+    Attributes:
+        angular: velocity of the body, rad/s.
+        velocity: of the point, m/s.
+        acceleration: of the point, m/s^2.
+    """
+
+    angular: Array
+    velocity: Array
+    acceleration: Array
+
+
+def parting_acceleration(normal: Array, carried: Array, points: Iterable[PointMotion]) -> Array:
+    """Return the acceleration at which points part along their normals, m/s^2.
+
+    Args:
+        normal: from the first body to the second.
+        carried: fractions of the normal that turn with each body.
+        points: of the first body and of the second.
+    """
+    turning, both = jnp.zeros_like(normal), []
+    for fraction, point in zip(carried, points, strict=True):
+        turning = turning + fraction[None] * point.angular
+        both.append(point)
+    first, second = both
+    parting = second.velocity - first.velocity
+    # A normal that turns meets another part of what slides past it.
+    along = dot(normal, second.acceleration - first.acceleration)
+    return along - 2.0 * dot(cross(normal, turning), parting)
 
 
 def separations(pairs: Pairs, kin: Kinematics) -> Separation:
