@@ -193,8 +193,8 @@ MUTANTS = (
     ),
     Mutant(
         "physics/contact.py",
-        "(dynamic + more * (1.0 / (1.0 + fraction)))",
-        "(dynamic + more * (1.0 - 1.0 / (1.0 + fraction)))",
+        "(dynamic + more * (1.0 / (1.0 + ratio)))",
+        "(dynamic + more * (1.0 - 1.0 / (1.0 + ratio)))",
         "physics/test_contact.py",
     ),
     Mutant(

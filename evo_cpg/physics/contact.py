@@ -116,22 +116,14 @@ def find_contacts(footing: Footing, kin: Kinematics, h: float) -> Contacts:
     """
     bodies = np.array(footing.bodies)
     ground = footing.ground
-    offset, material_offset, gap, normal, curvature_acceleration, ahead = contact_points(
-        footing, kin, h
-    )
+    offset, material, gap, normal, curvature, ahead = contact_points(footing, kin, h)
     frame = _frame(normal)
     angular, linear = take(kin.angular, bodies), take(kin.linear, bodies)
     velocity = linear + cross(angular, offset)
-    turning = (
-        cross(angular, linear + cross(angular, material_offset))
-        + curvature_acceleration[None] * normal
-    )
+    turning = cross(angular, linear + cross(angular, material)) + curvature[None] * normal
     drift = take(kin.bias_linear, bodies) + cross(take(kin.bias_angular, bodies), offset) + turning
 
-    approach, unconstrained_velocity = (
-        -dot(normal, velocity),
-        matvec(frame, velocity + 0.5 * h * drift),
-    )
+    approach, unconstrained = -dot(normal, velocity), matvec(frame, velocity + 0.5 * h * drift)
     place, left = gap, h
     if ahead is not None:
         # The gap is that of later on; until then the point comes nearer.
@@ -140,27 +132,24 @@ def find_contacts(footing: Footing, kin: Kinematics, h: float) -> Contacts:
     fraction = jnp.clip((1.0 / _RESTITUTION_THRESHOLD) * approach - 1.0, 0.0, 1.0)
     bounce = expand_dims_like(footing.restitution, approach) * fraction * approach
     # Times a reciprocal: to divide takes a processor many times as long.
-    rest_velocity = jnp.where(gap > 0, (-1.0 / h) * gap, push)
+    rest = jnp.where(gap > 0, (-1.0 / h) * gap, push)
     # The law gives way by a share of the speed, and a point that moves farther in a step than the
     # margin would sink in by millimetres.
     hit = jnp.clip((h / ground.margin) * approach - 1.0, 0.0, 1.0)
-    rest_velocity = rest_velocity + hit * (1.0 / STIFFNESS) * jnp.maximum(
-        rest_velocity + approach, 0.0
-    )
+    rest = rest + hit * (1.0 / STIFFNESS) * jnp.maximum(rest + approach, 0.0)
     # What comes from far within the step is near, too.
     near = place < jnp.maximum(ground.margin, left * approach)
     bounce = jnp.where(near & (gap <= h * approach), bounce, 0.0)
-    rest_velocity = jnp.where(near, rest_velocity, _OUT_OF_REACH)
-    return Contacts(offset, unconstrained_velocity, rest_velocity, rest_velocity, bounce, frame)
+    rest = jnp.where(near, rest, _OUT_OF_REACH)
+    return Contacts(offset, unconstrained, rest, rest, bounce, frame)
 
 
 def bounded(contacts: Contacts, fraction: Float[Array, "*n"]) -> Contacts:
     """Return the contacts with a fraction (0 to 1) of the restitution for each individual."""
     bounce = jnp.expand_dims(fraction, 0) * contacts.bounce
-    target_velocity = jnp.where(
-        bounce > 0, jnp.maximum(contacts.rest_velocity, bounce), contacts.rest_velocity
-    )
-    return contacts._replace(target_velocity=target_velocity)
+    rest = contacts.rest_velocity
+    target = jnp.where(bounce > 0, jnp.maximum(rest, bounce), rest)
+    return contacts._replace(target_velocity=target)
 
 
 def lifting_power(contacts: Contacts, force: Float[Array, "3 p *n"]) -> Float[Array, "*n"]:
@@ -186,8 +175,8 @@ def cone_radius(
         expand_dims_like(mu, normal_force)
         for mu in (footing.dynamic_friction, footing.static_friction - footing.dynamic_friction)
     )
-    fraction = _square(velocity) * (1.0 / footing.ground.stribeck_speed**2)
-    return (dynamic + more * (1.0 / (1.0 + fraction))) * normal_force
+    ratio = _square(velocity) * (1.0 / footing.ground.stribeck_speed**2)
+    return (dynamic + more * (1.0 / (1.0 + ratio))) * normal_force
 
 
 def linearize_contacts(
@@ -210,13 +199,13 @@ def linearize_contacts(
     square, short = _square(velocity), contacts.target_velocity - velocity[2]
     inverse = 1.0 / jnp.sqrt(square)
     sticks = stiffness * square * inverse <= radius
-    fraction = jnp.where(sticks, stiffness, radius * inverse)
+    secant = jnp.where(sticks, stiffness, radius * inverse)
     normal_force = stiffness * jnp.maximum(short, 0.0)
-    force = jnp.stack([-fraction * velocity[0], -fraction * velocity[1], normal_force])
+    force = jnp.stack([-secant * velocity[0], -secant * velocity[1], normal_force])
     # Sliding friction keeps its size and turns with the velocity.
-    along = jnp.where(sticks, 0.0, fraction * inverse * inverse)
+    along = jnp.where(sticks, 0.0, secant * inverse * inverse)
     x, y, _ = velocity
-    tangential = jnp.stack([fraction - along * x * x, -along * x * y, fraction - along * y * y])
+    tangential = jnp.stack([secant - along * x * x, -along * x * y, secant - along * y * y])
     return ContactLinearization(velocity, force, tangential, jnp.where(short > 0, stiffness, 0.0))
 
 

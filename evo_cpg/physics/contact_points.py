@@ -44,17 +44,17 @@ def contact_points(footing: Footing, kin: Kinematics, h: float = 0.0) -> Contact
         # A mesh meets them with its corners and with an ellipsoid within it.
         found += _corners_on_obstacles(footing, kin, h)
         found += obstacle_points(footing.solids, ground, kin, h)
-    offset, material_offset, gap, normal, curvature_acceleration, times = zip(*found, strict=True)
+    offset, material, gap, normal, curvature, times = zip(*found, strict=True)
     ahead = None
     if any(time is not None for time in times):
         each = zip(times, gap, strict=True)
         ahead = jnp.concatenate([jnp.zeros_like(g) if t is None else t for t, g in each])
     return ContactPoints(
         jnp.concatenate(offset, 1),
-        jnp.concatenate(material_offset, 1),
+        jnp.concatenate(material, 1),
         jnp.concatenate(gap),
         jnp.concatenate(normal, 1),
-        jnp.concatenate(curvature_acceleration),
+        jnp.concatenate(curvature),
         ahead,
     )
 
@@ -103,7 +103,7 @@ def _lowest(footing: Footing, kin: Kinematics, h: float) -> list[ContactPoints]:
         found.append(_material(offset, *on_floor(own, offset)))
     if meshes:
         own = slice(boxes, angular)
-        offset = _arms_of_meshes(footing, rotation[:, :, own], centre[:, own], later[:, own])
+        offset = _offsets_of_meshes(footing, rotation[:, :, own], centre[:, own], later[:, own])
         found.append(_material(offset, *on_floor(own, offset)))
     if balls:
         own = slice(angular, angular + balls)
@@ -116,12 +116,10 @@ def _lowest(footing: Footing, kin: Kinematics, h: float) -> list[ContactPoints]:
     if ellipsoids:
         own = slice(angular + balls, None)
         turned, radii = rotation[:, :, own], expand_dims_like(footing.semi_axes, centre)
-        material_offset, curvature_acceleration = tangent_point(
-            turned, radii, up[:, own], spin[:, own]
-        )
-        offset = centre[:, own] + material_offset
+        touching, curvature = tangent_point(turned, radii, up[:, own], spin[:, own])
+        offset = centre[:, own] + touching
         gap, normal, time = on_floor(own, offset)
-        found.append(ContactPoints(offset, offset, gap, normal, curvature_acceleration, time))
+        found.append(ContactPoints(offset, offset, gap, normal, curvature, time))
     return found
 
 
@@ -144,7 +142,7 @@ def _corners_on_obstacles(footing: Footing, kin: Kinematics, h: float) -> list[C
         rotation, origin, centre = now.at.axes, now.origin, now.at.centre - now.origin
         time = jnp.repeat(time, CORNERS, 0)
     _, up = _surface(ground.obstacles, origin + centre)
-    offset = _arms_of_meshes(footing, rotation, centre, up + h * cross(up, spin))
+    offset = _offsets_of_meshes(footing, rotation, centre, up + h * cross(up, spin))
     corner = jnp.repeat(origin, CORNERS, 1) + offset
     return [_material(offset, *_surface(ground.obstacles, corner), time)]
 
@@ -162,24 +160,19 @@ def _sizes(footing: Footing) -> Numbers:
     return xp.concatenate([boxes, *ends])
 
 
-def _arms_of_meshes(footing: Footing, turned: Array, centre: Array, later: Array) -> Array:
+def _offsets_of_meshes(footing: Footing, turned: Array, centre: Array, later: Array) -> Array:
     """From the origins of their bodies to the corners of meshes that are lowest."""
     lowest = _lowest_of_meshes(footing.meshes, matvec_t(turned, later))
     return jnp.repeat(centre, CORNERS, 1) + matvec(jnp.repeat(turned, CORNERS, 2), lowest)
 
 
 def _material(
-    offset: Array,
-    gap: Array,
-    normal: Array,
-    time: Array | None,
-    material_offset: Array | None = None,
+    offset: Array, gap: Array, normal: Array, time: Array | None, material: Array | None = None
 ) -> ContactPoints:
     """Corners and balls: what is lowest there moves with the body, or with its centre."""
     none = jnp.zeros_like(gap)
-    return ContactPoints(
-        offset, offset if material_offset is None else material_offset, gap, normal, none, time
-    )
+    material = offset if material is None else material
+    return ContactPoints(offset, material, gap, normal, none, time)
 
 
 def clearance(footing: Footing, kin: Kinematics) -> Float[Array, "p *n"]:
@@ -242,13 +235,11 @@ def _lowest_of_meshes(meshes: np.ndarray, up: Float[Array, "3 m *n"]) -> Float[A
         return jnp.moveaxis(table[mesh, jnp.argmax(score, 0)], -1, 0)
 
     first = best(-rise)
-    from_first = corners - first[:, None]
-    second = best(
-        jnp.sqrt(jnp.maximum(dot(from_first, from_first) - (_TILT * rise) ** 2, 0.0)) - rise
-    )
+    edges = corners - first[:, None]
+    second = best(jnp.sqrt(jnp.maximum(dot(edges, edges) - (_TILT * rise) ** 2, 0.0)) - rise)
     edge = second - first
     across = cross(up, edge)
     across = across / jnp.sqrt(dot(across, across) + _FLOOR)[None]
-    aside = (from_first * across[:, None]).sum(0)
+    aside = (edges * across[:, None]).sum(0)
     four = jnp.stack([first, second, best(aside - rise), best(-aside - rise)], 2)
     return jax.lax.stop_gradient(four).reshape(3, -1, *up.shape[2:])

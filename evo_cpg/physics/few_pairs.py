@@ -162,12 +162,8 @@ class FewPairForces(NamedTuple):
     def newton(self) -> tuple[Float[Array, "d *n"], Float[Array, "d d *n"]]:
         """Torques of the linearized forces without joint accelerations, and ``h J^T K J``."""
         J, slope = self.contacts.jacobian, self.slope
-        unconstrained_velocity = self.force + slope * (
-            self.velocity - self.contacts.unconstrained_velocity
-        )
-        return self._pushing(unconstrained_velocity), t_matmul(
-            self.contacts.h * slope[:, None] * J, J
-        )
+        force = self.force + slope * (self.velocity - self.contacts.unconstrained_velocity)
+        return self._pushing(force), t_matmul(self.contacts.h * slope[:, None] * J, J)
 
     def _pushing(self, force: Float[Array, "p *n"]) -> Float[Array, "d *n"]:
         return (self.contacts.jacobian * force[:, None]).sum(0)

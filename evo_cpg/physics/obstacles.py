@@ -188,10 +188,10 @@ def _apart(parts: RoundedBoxes, box: RoundedBoxes) -> Float[Array, "p *n"]:
 
     first = nearest(box, parts.centre)
     own = nearest(parts, first)
-    distance = nearest(box, own) - own
+    separation = nearest(box, own) - own
     sunk = first - parts.centre
     # Of those that it overlaps with the ones that reach nearer to its middle.
-    gap = jnp.sqrt(dot(distance, distance) + _FLOOR) - parts.radius - box.radius
+    gap = jnp.sqrt(dot(separation, separation) + _FLOOR) - parts.radius - box.radius
     return gap + _BEHIND * jnp.sqrt(dot(sunk, sunk) + _FLOOR)
 
 
@@ -276,18 +276,16 @@ def _point(parts: Moving, found: Separation, carried: float | None = None) -> Co
     velocity = parts.linear + cross(parts.angular, offset)
     turning = fraction[None] * parts.angular
     # A normal that turns meets another part of what slides past it.
-    curvature_acceleration = -2.0 * dot(cross(found.normal, turning), velocity)
-    material_offset = offset + parts.at.radius[None] * found.normal
-    return ContactPoints(offset, material_offset, found.gap, found.normal, curvature_acceleration)
+    curvature = -2.0 * dot(cross(found.normal, turning), velocity)
+    material = offset + parts.at.radius[None] * found.normal
+    return ContactPoints(offset, material, found.gap, found.normal, curvature)
 
 
 def _on_ellipsoid(parts: Moving, gap: Array, normal: Array) -> ContactPoints:
     at = parts.at
-    material_offset, curvature_acceleration = tangent_point(
-        at.axes, at.half_extents, normal, parts.angular
-    )
-    offset = at.centre + material_offset - parts.origin
-    return ContactPoints(offset, offset, gap, normal, curvature_acceleration)
+    touching, curvature = tangent_point(at.axes, at.half_extents, normal, parts.angular)
+    offset = at.centre + touching - parts.origin
+    return ContactPoints(offset, offset, gap, normal, curvature)
 
 
 def tangent_point(
@@ -306,10 +304,10 @@ def tangent_point(
     """
     stretched = semi_axes * matvec_t(axes, normal)
     length = jnp.sqrt(dot(stretched, stretched) + _FLOOR)
-    material_offset = -matvec(axes, semi_axes * stretched / length[None])
+    touching = -matvec(axes, semi_axes * stretched / length[None])
     # The centre's height over the plane is s = |A R^T n|, and s'' that of a point of the body and
     # k . B k - s'^2, over s, with k = n x w and B = R A^2 R^T.
     slide = cross(normal, angular)
     across = semi_axes * matvec_t(axes, slide)
-    rate = dot(slide, material_offset)
-    return material_offset, (rate * rate - dot(across, across)) / length
+    rate = dot(slide, touching)
+    return touching, (rate * rate - dot(across, across)) / length

@@ -147,24 +147,12 @@ def make_pairs(creature: Creature, tree: Tree, settings: SelfCollision) -> Pairs
 
     def choose() -> tuple[tuple[int, ...], tuple[int, ...], tuple[Alike, ...]]:
         found = colliding_pairs(creature, tree, settings)
-        treatments = sorted(
-            (*_treatment(tree, turned, boxes, *pair), pair) for pair in map(in_order, found)
-        )
+        cases = sorted((*_case(tree, turned, boxes, *pair), pair) for pair in map(in_order, found))
         if settings.only is None:
-            treatments = [
-                treatment
-                for treatment in treatments
-                if not _passes(treatment, turned, centres, boxes)
-            ]
-        first, second = (
-            zip(*(pair for *_, pair in treatments), strict=True) if treatments else ((), ())
-        )
-        groups = itertools.groupby(treatments, lambda treatment: treatment[:2])
-        return (
-            first,
-            second,
-            tuple(Alike(*treatment, len(list(same))) for treatment, same in groups),
-        )
+            cases = [case for case in cases if not _passes(case, turned, centres, boxes)]
+        first, second = zip(*(pair for *_, pair in cases), strict=True) if cases else ((), ())
+        groups = itertools.groupby(cases, lambda case: case[:2])
+        return first, second, tuple(Alike(*case, len(list(same))) for case, same in groups)
 
     def still(made: tuple[tuple[int, ...], tuple[int, ...], tuple[Alike, ...]]) -> Condition:
         """Whether each pair is treated as it has to be."""
@@ -177,17 +165,13 @@ def make_pairs(creature: Creature, tree: Tree, settings: SelfCollision) -> Pairs
     def why() -> tuple[LeftOut, list]:
         """Return why the other pairs never meet."""
         left = left_out(creature, tree, settings)
-        treatments = [
-            (*_treatment(tree, turned, boxes, *in_order(pair)), pair) for pair in left.others
-        ]
-        return left, [
-            treatment for treatment in treatments if _passes(treatment, turned, centres, boxes)
-        ]
+        cases = [(*_case(tree, turned, boxes, *in_order(pair)), pair) for pair in left.others]
+        return left, [case for case in cases if _passes(case, turned, centres, boxes)]
 
     def stay_left_out(reasons: tuple[LeftOut, list]) -> Condition:
         left, beside = reasons
         passing = [pair for pair in left.others if pair not in [pair for *_, pair in beside]]
-        holds = [_passes(treatment, turned, centres, boxes) for treatment in beside]
+        holds = [_passes(case, turned, centres, boxes) for case in beside]
         if passing:
             holds.append(passing_at_rest(creature, tree, settings, passing).all())
         return all_hold([still_apart(creature, tree, left), *holds])
@@ -240,7 +224,7 @@ def _is_line(box: RoundedBox) -> bool:
     return not box.half_extents[1:].any()
 
 
-def _treatment(
+def _case(
     tree: Tree, turned: np.ndarray, boxes: list[RoundedBox], first: int, second: int
 ) -> tuple[str, tuple[tuple[int, int, int], tuple[int, int, int]]]:
     """How a pair is treated.
@@ -278,10 +262,10 @@ def _treatment(
 def _still(
     tree: Tree, turned: Numbers, boxes: list[RoundedBox], run: Alike, first: int, second: int
 ) -> Condition:
-    """Whether a pair may be treated in some way; see `_treatment`."""
+    """Whether a pair may be treated in some way; see `_case`."""
     both = boxes[first], boxes[second]
     if run.kind in ("flat", "boxes"):
-        return _treatment(tree, turned, boxes, first, second) == run[:2]
+        return _case(tree, turned, boxes, first, second) == run[:2]
     if run.kind == "rounded":
         # The axis that comes first is the longest.
         halves = zip(both, run.turned, strict=True)
@@ -293,7 +277,7 @@ def _still(
 
 
 def _passes(
-    treatment: tuple[str, tuple[tuple[int, int, int], ...], tuple[int, int]],
+    case: tuple[str, tuple[tuple[int, int, int], ...], tuple[int, int]],
     turned: Numbers,
     centres: list[Numbers],
     boxes: list[RoundedBox],
@@ -301,12 +285,12 @@ def _passes(
     """Whether two boxes turn beside each other, apart along their common axis for ever.
 
     Args:
-        treatment: how they are treated, and the pair.
+        case: how they are treated, and the pair.
         turned: rotations ``(b, 3, 3)`` of the bodies in the neutral pose.
         centres: of their boxes there, m.
         boxes: of the bodies.
     """
-    kind, (order, other_order), (first, second) = treatment
+    kind, (order, other_order), (first, second) = case
     if kind != "flat":
         return False
     aside = turned[first][:, order[2]] @ (centres[second] - centres[first])
