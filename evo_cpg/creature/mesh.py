@@ -22,7 +22,6 @@ from typing_extensions import override
 from evo_cpg.creature.shapes import (
     Cell,
     FloorPart,
-    Geom,
     ObstaclePart,
     RoundedBox,
     Shape,
@@ -202,11 +201,6 @@ class ConvexMesh(Shape):
         points = self.triangles[areas > 0].reshape(-1, 3)
         faces = np.arange(len(points)).reshape(-1, 3)
         return Skin(points, np.repeat(normals[areas > 0], 3, 0), faces)
-
-    @property
-    @override
-    def geom(self) -> Geom:
-        return Geom("mesh", mesh=(self.points, np.array(self.faces)))
 
     @functools.cached_property
     def corners(self) -> np.ndarray:

@@ -1,8 +1,8 @@
 """Rigid shapes, and all that the rest of the package asks of a shape.
 
 Mass and water: volume, inertia, cells, and a quadrature over the surface. Contact: parts that touch
-the floor, parts that meet obstacles, and a rounded box for other limbs. Pictures and model files:
-the skin, and the geom. A new kind of shape is a class here; nothing else asks for its type.
+the floor, parts that meet obstacles, and a rounded box for other limbs. Pictures: the skin. A new
+kind of shape is a class here. Only the exchange with MuJoCo asks for its type.
 
 Every shape is centred on its own frame. Elongated shapes point along their x axis, which is the
 direction an animal faces. ``surface(resolution)`` returns points ``(n, 3)`` in m, unit outward
@@ -112,22 +112,6 @@ class Skin(NamedTuple):
     faces: np.ndarray
 
 
-class Geom(NamedTuple):
-    """A shape as MuJoCo's models describe it.
-
-    Attributes:
-        type: of the geom.
-        size: its sizes, m.
-        along_x: whether MuJoCo's z axis of the geom is the shape's x axis.
-        mesh: points ``(v, 3)`` and faces ``(f, 3)`` of a mesh.
-    """
-
-    type: str
-    size: tuple[Number, ...] = ()
-    along_x: bool = False
-    mesh: tuple[np.ndarray, np.ndarray] | None = None
-
-
 class RoundedBox(NamedTuple):
     """All points within some distance of a box, which may be a rectangle, a line or a point.
 
@@ -231,11 +215,6 @@ class Shape(abc.ABC):
     def skin(self) -> Skin:
         """Return the triangles of its picture."""
 
-    @property
-    def geom(self) -> Geom | None:
-        """The shape in a model of MuJoCo; None where MuJoCo has no such shape."""
-        return None
-
 
 @dataclasses.dataclass(frozen=True)
 class Box(Shape):
@@ -303,11 +282,6 @@ class Box(Shape):
         directions, signs, faces = _split_sphere()
         radius = _ROUNDING * self.half_extents.min()
         return Skin(signs * (self.half_extents - radius) + radius * directions, directions, faces)
-
-    @property
-    @override
-    def geom(self) -> Geom:
-        return Geom("box", tuple(self.half_extents))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -391,11 +365,6 @@ class Ellipsoid(Shape):
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
         return Skin(directions * self.half_extents, normals, faces)
 
-    @property
-    @override
-    def geom(self) -> Geom:
-        return Geom("ellipsoid", tuple(self.half_extents))
-
 
 class Sphere(Ellipsoid):
     """Sphere of the given ``radius`` (m)."""
@@ -415,11 +384,6 @@ class Sphere(Ellipsoid):
     @override
     def obstacle_parts(self) -> tuple[ObstaclePart, ...]:
         return (ObstaclePart("ball", *self.rounded_box),)
-
-    @property
-    @override
-    def geom(self) -> Geom:
-        return Geom("sphere", (self.radius,))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -538,11 +502,6 @@ class Capsule(Shape):
         directions, signs, faces = _split_sphere()
         points = signs * [self.length / 2, 0, 0] + self.radius * directions
         return Skin(points, directions, faces)
-
-    @property
-    @override
-    def geom(self) -> Geom:
-        return Geom("capsule", (self.radius, self.length / 2), along_x=True)
 
 
 def _ring(resolution: int) -> Numbers:

@@ -27,6 +27,8 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 
 from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, topological_order
+from evo_cpg.creature.mesh import ConvexMesh
+from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Sphere
 from evo_cpg.exchange.errors import ExchangeError
 from evo_cpg.exchange.mjcf_ground import add_ground, number_text, place_text
 from evo_cpg.physics.footing import Ground, combine
@@ -124,18 +126,22 @@ def mjcf_text(model: Element) -> str:
 
 
 def _add_meshes(root: Element, creature: Creature) -> None:
-    geoms = {body.name: body.shape.geom for body in creature.bodies}
-    meshes = {name: geom.mesh for name, geom in geoms.items() if geom and geom.mesh}
-    asset = SubElement(root, "asset") if meshes else None
-    for name, (points, faces) in meshes.items():
-        assert asset is not None
-        mesh = SubElement(asset, "mesh", name=name, vertex=number_text(*points.ravel()))
-        mesh.set("face", " ".join(map(str, faces.ravel())))
+    solid = [body for body in creature.bodies if isinstance(body.shape, ConvexMesh)]
+    asset = SubElement(root, "asset") if solid else None
+    for body in solid:
+        assert asset is not None and isinstance(body.shape, ConvexMesh)
+        SubElement(
+            asset,
+            "mesh",
+            name=body.name,
+            vertex=number_text(*body.shape.points.ravel()),
+            face=" ".join(str(corner) for face in body.shape.faces for corner in face),
+        )
 
 
 def _joint_names(body: Body) -> list[str]:
     """Names of the hinges of a body, in the order of its axes."""
-    count = len(body.joint.dofs) if body.joint else 0
+    count = len(body.joint.axes) if body.joint else 0
     return [f"{body.name}.{i + 1}" for i in range(count)]
 
 
@@ -178,14 +184,17 @@ def _add_bodies(
 
 
 def _add_hinges(element: Element, body: Body, joint: Joint) -> None:
-    for name, dof in zip(_joint_names(body), joint.dofs, strict=True):
+    springs = {"stiffness": joint.stiffness, "damping": joint.damping, "armature": joint.armature}
+    for name, axis, lower, upper in zip(
+        _joint_names(body), joint.axes, joint.lower, joint.upper, strict=True
+    ):
         hinge = SubElement(
-            element, "joint", name=name, type="hinge", axis=place_text(np.array(dof.axis))
+            element, "joint", name=name, type="hinge", axis=place_text(np.array(axis))
         )
         hinge.set("limited", "true")
-        hinge.set("range", number_text(dof.lower, dof.upper))
-        for key in ("stiffness", "damping", "armature"):
-            if value := getattr(dof, key):
+        hinge.set("range", number_text(lower, upper))
+        for key, value in springs.items():
+            if value:
                 hinge.set(key, number_text(value))
 
 
@@ -201,17 +210,22 @@ def _add_geom(element: Element, body: Body, anchor: tuple[float, float, float]) 
 
 
 def _solid(body: Body) -> dict[str, str]:
-    geom = body.shape.geom
-    if geom is None:
-        raise ExchangeError(f"a {type(body.shape).__name__} cannot be written as MJCF")
-    found = {"type": geom.type}
-    if geom.mesh:
-        found["mesh"] = body.name
-    else:
-        found["size"] = number_text(*geom.size)
-    if geom.along_x:
-        found["zaxis"] = number_text(1.0, 0.0, 0.0)
-    return found
+    shape = body.shape
+    if isinstance(shape, Box):
+        return {"type": "box", "size": number_text(*shape.half_extents)}
+    if isinstance(shape, Sphere):
+        return {"type": "sphere", "size": number_text(shape.radius)}
+    if isinstance(shape, Ellipsoid):
+        return {"type": "ellipsoid", "size": number_text(*shape.half_extents)}
+    if isinstance(shape, Capsule):
+        size = number_text(shape.radius, shape.length / 2)
+        return {"type": "capsule", "size": size, "zaxis": number_text(1.0, 0.0, 0.0)}
+    if isinstance(shape, ConvexMesh):
+        return {"type": "mesh", "mesh": body.name}
+    raise ExchangeError(
+        f"a {type(shape).__name__} cannot be written as MJCF; "
+        "allowed: Box, Sphere, Ellipsoid, Capsule, ConvexMesh"
+    )
 
 
 def _add_motor(actuator: Element, joint: str, motor: Actuator) -> None:

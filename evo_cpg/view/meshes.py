@@ -55,7 +55,7 @@ def body_colors(creature: Creature) -> np.ndarray:
 
 
 def shape_mesh(shape: Shape) -> pv.PolyData:
-    """Surface of a shape in its own frame, in m, with a ``Normals`` array for smooth shading.
+    """Return the surface of a shape in its own frame, m, with normals for smooth shading.
 
     A mesh's edges stay sharp: every triangle has corners of its own. One without area, which has no
     normal, is left out.
