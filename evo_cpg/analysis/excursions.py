@@ -182,7 +182,7 @@ def _deepest_overlap(
     for own, gap in zip(zip(*pairs.owners, strict=True), apart, strict=True):
         least[own] = np.minimum(least.get(own, np.inf), gap)
     # In the order of the tree, as they are in `kinematics`.
-    shapes = [creature.bodies[creature.body_index(name)].shape for name in world.tree.names]
+    shapes = [body.shape for body in creature.bodies_of(world.tree.names)]
     poses = functools.cache(lambda: along_time(functools.partial(_poses, world), steps))
     for own, gap in least.items():
         if all(shapes[i].fills_rounded_box for i in own):

@@ -154,6 +154,11 @@ class Body:
     joint: Joint | None = None
     color: str | None = None
 
+    @property
+    def mass(self) -> Number:
+        """Mass, kg."""
+        return self.shape.volume * self.material.density
+
 
 @dataclasses.dataclass(frozen=True)
 class LightSensor:
@@ -217,10 +222,14 @@ class Creature:
         """Position of a body in ``bodies``."""
         return [body.name for body in self.bodies].index(name)
 
+    def bodies_of(self, names: Sequence[str]) -> list[Body]:
+        """Return the bodies with some names, such as a tree's, in their order."""
+        return [self.bodies[self.body_index(name)] for name in names]
+
     @property
     def mass(self) -> Number:
         """Mass of the whole creature, kg."""
-        return sum(body.shape.volume * body.material.density for body in self.bodies)
+        return sum(body.mass for body in self.bodies)
 
 
 def neutral_pose(creature: Creature) -> tuple[Numbers, Numbers]:

@@ -342,6 +342,9 @@ def _sensible_length(vertices: np.ndarray) -> float:
 
 
 def _require_one_closed_surface(faces: np.ndarray) -> None:
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
     directed = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     edges, counts = np.unique(np.sort(directed, 1), axis=0, return_counts=True)
     wrong = int((counts != 2).sum())
@@ -350,15 +353,9 @@ def _require_one_closed_surface(faces: np.ndarray) -> None:
             f"it is open: {wrong} of {len(edges)} edges do not join two faces; close its holes "
             "and remove what lies inside"
         )
-    label = np.arange(faces.max() + 1)
-    while True:
-        before = label.copy()
-        np.minimum.at(label, edges[:, 0], before[edges[:, 1]])
-        np.minimum.at(label, edges[:, 1], before[edges[:, 0]])
-        label = label[label]
-        if np.array_equal(before, label):
-            break
-    pieces = len(np.unique(label))
+    count = faces.max() + 1
+    joined = coo_array((np.ones(len(edges)), edges.T), shape=(count, count))
+    pieces, _ = connected_components(joined, directed=False)
     if pieces > 1:
         raise MeshError(
             f"it consists of {pieces} separate pieces; allowed: one; give each its file"

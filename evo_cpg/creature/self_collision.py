@@ -163,7 +163,7 @@ def _ruled(tree: Tree, settings: SelfCollision) -> list[tuple[int, int]]:
 
 def _boxes(creature: Creature, tree: Tree) -> tuple[Numbers, Numbers]:
     """Centres and half edges ``(3, b)`` of boxes around all bodies, in their working frames, m."""
-    boxes = [creature.bodies[creature.body_index(name)].shape.rounded_box for name in tree.names]
+    boxes = [body.shape.rounded_box for body in creature.bodies_of(tree.names)]
     centre = tree.com + xp.array([box.centre for box in boxes]).T
     return centre, xp.array([box.half_extents + box.radius for box in boxes]).T
 

@@ -135,7 +135,7 @@ def build_tree(creature: Creature) -> Tree:
     orientation = xp.stack(
         [xp.array(body.joint.orientation) if body.joint else np.eye(3) for body in bodies], axis=-1
     )
-    mass = xp.array([body.shape.volume * body.material.density for body in bodies])
+    mass = xp.array([body.mass for body in bodies])
     com = -child_anchor
     inertia = xp.stack(
         [
@@ -223,7 +223,7 @@ def _effective_inertia(creature: Creature, order: list[int]) -> Float[Numbers, "
     anchors = xp.array([joint.child_anchor for _, joint in jointed for _ in joint.dofs], float)
     directions = xp.einsum("dij,dj->di", rotations[moved], axes)
     places = centres[moved] + xp.einsum("dij,dj->di", rotations[moved], anchors.reshape(-1, 3))
-    mass = xp.array([body.shape.volume * body.material.density for body in creature.bodies])
+    mass = xp.array([body.mass for body in creature.bodies])
     own = xp.stack(
         [body.shape.inertia_tensor(m) for m, body in zip(mass, creature.bodies, strict=True)]
     )

@@ -188,9 +188,10 @@ class ContactPoints(NamedTuple):
 def make_footing(creature: Creature, tree: Tree, ground: Ground) -> Footing:
     """Find the contact points of a creature."""
     found: dict[str, list] = {"box": [], "mesh": [], "ball": [], "ellipsoid": []}
-    for i, name in enumerate(tree.names):
-        shape, centre = creature.bodies[creature.body_index(name)].shape, tree.com[:, i]
-        for part in shape.floor_parts():
+    every = creature.bodies_of(tree.names)
+    for i, body in enumerate(every):
+        for part in body.shape.floor_parts():
+            centre = tree.com[:, i]
             place = centre if part.centre is None else centre + part.centre
             found[part.kind].append((i, place, part.size))
     boxes, meshes, balls, ellipsoids = found.values()
@@ -201,7 +202,7 @@ def make_footing(creature: Creature, tree: Tree, ground: Ground) -> Footing:
     if ground.obstacles:
         solids = _make_solids(creature, tree, ground.obstacles)
         bodies += [*of_meshes, *solids.bodies]
-    materials = [creature.bodies[creature.body_index(tree.names[i])].material for i in bodies]
+    materials = [every[i].material for i in bodies]
 
     def pairs(rule: Combination, name: str) -> Numbers:
         theirs = getattr(ground, name)
@@ -239,8 +240,8 @@ def combine(rule: Combination, first: Number, second: Number) -> Number:
 
 def _make_solids(creature: Creature, tree: Tree, obstacles: tuple[Obstacle, ...]) -> Solids:
     own: dict[str, list] = {"box": [], "line": [], "ball": [], "ellipsoid": []}
-    for i, name in enumerate(tree.names):
-        for part in creature.bodies[creature.body_index(name)].shape.obstacle_parts():
+    for i, body in enumerate(creature.bodies_of(tree.names)):
+        for part in body.shape.obstacle_parts():
             own[part.kind].append((i, part))
 
     def parts(found: list[tuple[int, ObstaclePart]]) -> Parts:

@@ -85,8 +85,8 @@ def _joint_elements(
         Rows and columns, ``(m, 2)``, and the elements.
     """
     body = np.array(tree.dof_bodies, int)
-    f = joints.momentum(jax.tree.map(lambda x: take(x, body, 2), composite), kin.axes[:, None])
-    f, dofs = Wrench(f.moment[:, 0], f.force[:, 0]), np.arange(tree.dof_count)
+    f = joints.momentum_of_each(jax.tree.map(lambda x: take(x, body, 2), composite), kin.axes)
+    dofs = np.arange(tree.dof_count)
     places, values = [], []
     while len(dofs):
         met = [

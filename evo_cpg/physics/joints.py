@@ -162,6 +162,12 @@ def momentum(inertia: Inertia, axes: Float[Array, "3 k *rest"]) -> Wrench:
     return Wrench(matmul(inertia.angular, axes), t_matmul(inertia.mixed, axes))
 
 
+def momentum_of_each(inertia: Inertia, axes: Float[Array, "3 d *n"]) -> Wrench:
+    """Return ``I S``, with an inertia for each degree of freedom: d wrenches."""
+    found = momentum(inertia, axes[:, None])
+    return Wrench(found.moment[:, 0], found.force[:, 0])
+
+
 def speed_along(
     axes: Float[Array, "3 d *n"], offset: Float[Array, "3 p d *n"], normal: Float[Array, "3 p *n"]
 ) -> Float[Array, "p d *n"]:

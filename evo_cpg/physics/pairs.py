@@ -138,7 +138,7 @@ def make_pairs(creature: Creature, tree: Tree, settings: SelfCollision) -> Pairs
     Of the pairs of a whole plan (``wanted.only``) those that this creature lets pass have no
     stiffness, and so no force.
     """
-    boxes = [creature.bodies[creature.body_index(name)].shape.rounded_box for name in tree.names]
+    boxes = [body.shape.rounded_box for body in creature.bodies_of(tree.names)]
 
     def in_order(pair: tuple[int, int]) -> tuple[int, int]:
         """Lines first."""
