@@ -164,7 +164,7 @@ def _build(
     ]
     problem, pairs = "", None
     # Bodies with surfaces that are alike may come to differ, and others may cover other points.
-    layouts: tuple[PointLayout, ...] = "merged", "apart", "all"
+    layouts: tuple[PointLayout, ...] = "merged", "separate", "complete"
     for layout in layouts:
 
         def build(pairs: PlanPairs | None, layout: PointLayout = layout) -> list[Simulation]:

@@ -180,9 +180,9 @@ def parametrise(
         changes = found()
     except ConfigError:
         # Grouped surfaces may part, and their points change places.
-        building = Building(config, source, "apart")
+        building = Building(config, source, "separate")
         changes = found()
-        experiment = build_experiment(config, source, folders, "apart")
+        experiment = build_experiment(config, source, folders, "separate")
     _require_followed(building, config, changes)
     every = changes.values()
     places = sorted({place for change in every for place in change})
@@ -210,7 +210,7 @@ def all_parameters(
     experiment = build_experiment(config, source, folders)
     paths = jax.tree_util.tree_flatten_with_path(experiment.simulation)[0]
     wet = {i for i, (path, _) in enumerate(paths) if _PATCHES in path}
-    layouts: tuple[PointLayout, ...] = ("merged", "apart") if surfaces else ("merged",)
+    layouts: tuple[PointLayout, ...] = ("merged", "separate") if surfaces else ("merged",)
     for layout in layouts:
         building = Building(config, source, layout)
         changes = {}

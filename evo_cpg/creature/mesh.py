@@ -278,8 +278,8 @@ class ConvexMesh(Shape):
             mean = area[own] @ normal[own]
             place = np.average(middle[own], 0, area[own])
             parts.append((place, mean / np.linalg.norm(mean), area[own].sum()))
-        places, directions, shares = zip(*parts, strict=True)
-        return Surface(np.array(places), np.array(directions), np.array(shares))
+        places, directions, sizes = zip(*parts, strict=True)
+        return Surface(np.array(places), np.array(directions), np.array(sizes))
 
 
 def convex_mesh(vertices: np.ndarray, faces: np.ndarray) -> tuple[ConvexMesh, np.ndarray]:
@@ -465,14 +465,14 @@ def _moments(triangles: np.ndarray) -> _Moments:
     centre = np.average(triangles.mean(1), 0, weights)
     # Of a triangle: a twelfth of the sum over its corners, and nine twelfths from its middle.
     nodes = np.concatenate([triangles.reshape(-1, 3), triangles.mean(1)]) - centre
-    shares = np.concatenate([np.repeat(weights, 3) / 12, weights * 9 / 12]) / weights.sum()
+    parts = np.concatenate([np.repeat(weights, 3) / 12, weights * 9 / 12]) / weights.sum()
     # Where a square leaves the axes open they are as near to the frame's as they can be.
     first = np.eye(3)[np.abs(normal).argmin()]
     first = first - (first @ normal) * normal
     first /= np.linalg.norm(first)
     basis = np.array([first, np.cross(normal, first)])
     flat = nodes @ basis.T
-    covariance = (shares * flat.T) @ flat
+    covariance = (parts * flat.T) @ flat
     spread, axes = np.linalg.eigh(covariance)
     if np.ptp(spread) < _ROUND * spread.max():
         axes = np.eye(2)
@@ -494,8 +494,8 @@ def _halves(triangles: np.ndarray) -> list[np.ndarray]:
                 if heights[here] >= 0:
                     polygon.append(corners[here])
                 if heights[here] * heights[there] < 0:
-                    share = heights[here] / (heights[here] - heights[there])
-                    polygon.append(corners[here] + share * (corners[there] - corners[here]))
+                    fraction = heights[here] / (heights[here] - heights[there])
+                    polygon.append(corners[here] + fraction * (corners[there] - corners[here]))
             kept += [[polygon[0], polygon[n], polygon[n + 1]] for n in range(1, len(polygon) - 1)]
         halves.append(np.array(kept))
     return halves

@@ -450,9 +450,9 @@ class Capsule(Shape):
         ring_area = 2 * xp.pi * self.radius * self.length / len(around)
         side = Surface(points, normals, xp.repeat(weights / 2 * ring_area, len(around)))
         # A rule on either half: one across both would not see the step between them.
-        half, share = (nodes + 1) / 2, weights / 2
+        half, part = (nodes + 1) / 2, weights / 2
         directions, solid_angles = _around_x(
-            xp.concatenate([-half[::-1], half]), xp.concatenate([share[::-1], share]), around
+            xp.concatenate([-half[::-1], half]), xp.concatenate([part[::-1], part]), around
         )
         shift = xp.sign(directions[:, :1]) * xp.array([[self.length / 2, 0.0, 0.0]])
         ends = Surface(self.radius * directions + shift, directions, solid_angles * self.radius**2)

@@ -16,9 +16,9 @@ from evo_cpg.spatial.choices import Condition, all_hold, chosen
 from evo_cpg.spatial.numerics import Number, Numbers, xp
 
 # Layout of the surface points of a model. Usually sheltered points are left out, and those that
-# feel the same water are merged. Bodies of a batch need one layout: "apart" merges nothing, and
-# "all" also keeps the sheltered points, with no area.
-PointLayout = Literal["merged", "apart", "all"]
+# feel the same water are merged. Bodies of a batch need one layout: "separate" merges nothing,
+# and "complete" also keeps the sheltered points, with no area.
+PointLayout = Literal["merged", "separate", "complete"]
 
 # A point is sheltered when a step of this many joint gaps along its normal ends in another body.
 _SHELTER_GAPS = 1.5
@@ -27,8 +27,8 @@ _SHELTER_GAPS = 1.5
 _PROBES = (0.0, 0.25, 0.5, 0.75, 1.0)
 
 # Pairs of bodies are checked for cover up to this multiple of the distance at which they can cover
-# each other, because other bodies of a plan are larger. The second is for the layout "all".
-_NEAR, _NEAR_OF_ALL = 1 / 0.8, 3.0
+# each other, because other bodies of a plan are larger. The second is for the layout "complete".
+_NEAR, _NEAR_IN_COMPLETE = 1 / 0.8, 3.0
 
 # Two bodies have the same skin where it is no farther apart (m), and so far outside of it (m)
 # neither is.
@@ -45,7 +45,7 @@ def outer_surfaces(
         resolution: see `Shape.surface`.
         sheltered: drop the points that another body covers in the neutral pose; False counts
             every face, as a literal reading of Iwadate 2010 would.
-        layout: with "all", sheltered points remain and their area is 0.
+        layout: with "complete", sheltered points remain and their area is 0.
 
     Returns:
         One surface per body, in the order of ``creature.bodies``.
@@ -62,8 +62,8 @@ def outer_surfaces(
     def still_near(near: np.ndarray) -> Condition:
         return (near | (_nearness(creature, pose, reach) > 1)).all()
 
-    if layout == "all":
-        near = chosen(lambda: find_near(_NEAR_OF_ALL), still_near)
+    if layout == "complete":
+        near = chosen(lambda: find_near(_NEAR_IN_COMPLETE), still_near)
         exposed = _exposed(creature, pose, reach, surfaces, near)
         return tuple(
             surface._replace(areas=xp.where(outside, surface.areas, 0.0))

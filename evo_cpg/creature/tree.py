@@ -228,8 +228,10 @@ def _effective_inertia(creature: Creature, order: list[int]) -> Float[Numbers, "
         [body.shape.inertia_tensor(m) for m, body in zip(mass, creature.bodies, strict=True)]
     )
     spin = rotations @ own @ xp.swapaxes(rotations, 1, 2)
-    arm = xp.cross(directions[:, None], centres[None] - places[:, None])
-    about = xp.einsum("di,bij,dj->db", directions, spin, directions) + mass * (arm * arm).sum(-1)
+    lever = xp.cross(directions[:, None], centres[None] - places[:, None])
+    about = xp.einsum("di,bij,dj->db", directions, spin, directions) + mass * (lever * lever).sum(
+        -1
+    )
     beyond = np.array(distal, bool).reshape(len(moved), len(names))
     outer, inner = xp.where(beyond, about, 0.0).sum(1), xp.where(beyond, 0.0, about).sum(1)
     return outer * inner / (outer + inner)

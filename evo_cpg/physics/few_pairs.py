@@ -196,15 +196,15 @@ def _jacobian(
     """J of `FewPairContacts`."""
     _, normal, *points, _ = where
     origins = take(kin.origin, np.array(tree.dof_bodies, int))
-    ways = []
+    speeds = []
     for point in points:
-        ways.append(joints.speed_along(kin.axes, point[:, :, None] - origins[:, None], normal))
+        speeds.append(joints.speed_along(kin.axes, point[:, :, None] - origins[:, None], normal))
     between = [_between(tree, *pair) for pair in zip(*pairs.owners, strict=True)]
     of_first, of_second = (
-        expand_dims_like(np.array([sides[k] for sides in between], float), ways[0])
+        expand_dims_like(np.array([sides[k] for sides in between], float), speeds[0])
         for k in range(2)
     )
-    return of_second * ways[1] - of_first * ways[0]
+    return of_second * speeds[1] - of_first * speeds[0]
 
 
 def _between(tree: Tree, first: int, second: int) -> tuple[list[bool], list[bool]]:

@@ -62,12 +62,12 @@ def separation_of_flat(a: RoundedBoxes, b: RoundedBoxes) -> list[Separation]:
 
     def fraction(end: Array) -> Array:
         """How far along the edge it lies over the side, towards one of its ends."""
-        wanted = jnp.clip(lowest + end * edge, -reach, reach)
-        return jnp.clip((wanted - lowest) / edge, 0.0, 1.0)
+        place = jnp.clip(lowest + end * edge, -reach, reach)
+        return jnp.clip((place - lowest) / edge, 0.0, 1.0)
 
     x_axis, y_axis, z_axis = (here.box.axes[:, k] for k in range(3))
     normal, tangent = (
-        jnp.where(second[None], *ways) for ways in ((y_axis, x_axis), (x_axis, y_axis))
+        jnp.where(second[None], *axes) for axes in ((y_axis, x_axis), (x_axis, y_axis))
     )
     normal = sign[None] * normal
     # In the middle of what they have side by side along z.
