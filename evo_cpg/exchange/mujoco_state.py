@@ -39,7 +39,7 @@ def load_state(model: Any, data: Any, tree: Tree, state: State) -> Float[np.ndar
     rotation = root_rotation(np.asarray(state.orientation, float))
     data.qpos[:3], data.qpos[3:7] = state.position, state.orientation
     data.qpos[7 + order] = state.q
-    data.qvel[:3], data.qvel[3:6] = state.velocity[3:], rotation.T @ state.velocity[:3]
+    data.qvel[:3], data.qvel[3:6] = state.linear_velocity, rotation.T @ state.angular_velocity
     data.qvel[6 + order] = state.qd
     return rotation
 

@@ -344,8 +344,10 @@ def _law_forces(world: World, h: float) -> Callable[[State], np.ndarray]:
 
 def _pushes(steps: PhysicsSteps) -> Float[np.ndarray, "3 t"]:
     """Return the random change of the root's velocity before each step, m/s."""
-    linear = np.asarray(steps.before.velocity[3:], float)
-    came = np.concatenate([linear[:, :1], np.asarray(steps.after.velocity[3:, :-1], float)], 1)
+    linear = np.asarray(steps.before.linear_velocity, float)
+    came = np.concatenate(
+        [linear[:, :1], np.asarray(steps.after.linear_velocity[:, :-1], float)], 1
+    )
     return linear - came
 
 

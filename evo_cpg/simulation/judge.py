@@ -117,8 +117,8 @@ def finish_tally(simulation: Simulation, tally: tuple[PyTree, PyTree]) -> dict[s
 
 def is_sane(state: State) -> Bool[Array, " *n"]:
     """False where the motion has blown up, NaN included."""
-    speed = jnp.abs(state.velocity[3:]).max(0)
-    rate = jnp.abs(state.velocity[:3]).max(0)
+    speed = jnp.abs(state.linear_velocity).max(0)
+    rate = jnp.abs(state.angular_velocity).max(0)
     if state.qd.shape[0]:
         rate = jnp.maximum(rate, jnp.abs(state.qd).max(0))
     return (speed < _WILDEST_SPEED) & (rate < _WILDEST_RATE)

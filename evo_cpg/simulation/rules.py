@@ -49,7 +49,7 @@ def keeps(
     """
     kept = jnp.ones(energy.shape, bool)
     if rules.speed is not None:
-        linear = state.velocity[3:]
+        linear = state.linear_velocity
         kept &= (linear * linear).sum(0) <= rules.speed**2
     if rules.power is not None:
         kept &= energy <= rules.power * duration

@@ -11,14 +11,10 @@ import numpy as np
 import pyvista as pv
 
 from evo_cpg.creature.creature import Creature, LightSensor, neutral_pose
-from evo_cpg.creature.mesh import ConvexMesh
-from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape
+from evo_cpg.creature.shapes import Shape
 
 _HEAD_TO_TAIL = ("#f4601f", "#f99b4f", "#f7e3b5", "#8fc7ee", "#4a78e0")
-# Vertices along a quarter circle; 6 looks round on a body that fills a third of a frame.
-_QUARTER = 6
-# Edge radius of a box and radius of an eye, relative to the body's smallest half size.
-_ROUNDING = 0.28
+# Radius of an eye, relative to the body's smallest half size.
 _EYE = 0.44
 # Colours of an eye.
 _WHITE, _PUPIL = "#fdfdf8", "#10151c"
@@ -68,31 +64,8 @@ def shape_mesh(shape: Shape) -> pv.PolyData:
 
     A mesh's edges stay sharp: every triangle has corners of its own. One without area, which has no
     normal, is left out.
-
-    Raises:
-        TypeError: a shape that this module does not know.
     """
-    directions, signs, faces = _split_sphere()
-    if isinstance(shape, ConvexMesh):
-        points = shape.triangles.reshape(-1, 3)
-        faces = np.arange(len(points)).reshape(-1, 3)
-        normals = np.asarray(pv.PolyData.from_regular_faces(points, faces).face_normals)
-        seen = np.linalg.norm(normals, axis=1) > 0
-        points, normals = shape.triangles[seen].reshape(-1, 3), np.repeat(normals[seen], 3, 0)
-        faces = faces[: seen.sum()]
-    elif isinstance(shape, Box):
-        radius = _ROUNDING * shape.half_extents.min()
-        points = signs * (shape.half_extents - radius) + radius * directions
-        normals = directions
-    elif isinstance(shape, Ellipsoid):
-        points = directions * shape.half_extents
-        normals = directions / shape.half_extents
-        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    elif isinstance(shape, Capsule):
-        points = signs * [shape.length / 2, 0, 0] + shape.radius * directions
-        normals = directions
-    else:
-        raise TypeError(f"no picture for a {type(shape).__name__}; add it to shape_mesh")
+    points, normals, faces = shape.skin()
     mesh = pv.PolyData.from_regular_faces(points, faces)
     mesh.point_data.active_normals = normals
     return mesh
@@ -165,33 +138,3 @@ def add_bodies(plotter: pv.Plotter, creature: Creature, ambient: float) -> list[
         [draw(piece.mesh, color=piece.color, **finish[bool(piece.name)]) for piece in own]
         for own in pieces(creature)
     ]
-
-
-def _split_sphere() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A cube blown up to a sphere, cut along the three coordinate planes.
-
-    Moving each octant outwards turns it into a rounded box or a capsule.
-
-    Returns:
-        Unit vectors ``(n, 3)``, the octant's signs ``(n, 3)``, and triangles ``(m, 3)``.
-    """
-    half = np.linspace(0, np.pi / 4, _QUARTER)
-    along = np.tan(np.concatenate([-half[::-1], half]))
-    side = np.repeat([-1.0, 1.0], _QUARTER)
-    u, v = (grid.ravel() for grid in np.meshgrid(along, along, indexing="ij"))
-    sign_u, sign_v = (grid.ravel() for grid in np.meshgrid(side, side, indexing="ij"))
-    count = 2 * _QUARTER
-    corner = (np.arange(count - 1)[:, None] * count + np.arange(count - 1)).ravel()
-    quads = corner[:, None] + np.array([0, count, count + 1, 0, count + 1, 1])
-    triangles = quads.reshape(-1, 3)
-    points, signs, faces = [], [], []
-    for axis in range(3):
-        for outward in (1.0, -1.0):
-            cube, octant = np.zeros((u.size, 3)), np.zeros((u.size, 3))
-            order = [axis, (axis + 1) % 3, (axis + 2) % 3]
-            cube[:, order] = np.column_stack([np.full(u.size, outward), u, v])
-            octant[:, order] = np.column_stack([np.full(u.size, outward), sign_u, sign_v])
-            faces.append(triangles[:, :: int(outward)] + u.size * len(points))
-            points.append(cube / np.linalg.norm(cube, axis=1, keepdims=True))
-            signs.append(octant)
-    return np.concatenate(points), np.concatenate(signs), np.concatenate(faces)

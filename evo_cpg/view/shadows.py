@@ -5,9 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 import pyvista as pv
 
-from evo_cpg.creature.mesh import ConvexMesh
-from evo_cpg.creature.shapes import Box, Shape
-from evo_cpg.view.meshes import shape_mesh
+from evo_cpg.creature.shapes import Shape
 from evo_cpg.view.offscreen import add_faded, write_depth
 from evo_cpg.view.stage import Shot, Stage, Update
 from evo_cpg.view.terrain import Level, Terrain
@@ -163,12 +161,7 @@ def patch_under(turn: np.ndarray, half: np.ndarray, gap: float) -> np.ndarray:
 def soles(shape: Shape) -> np.ndarray:
     """Return points of a body that may touch the ground ``(n, 3)``, in its own frame, m."""
     # Meshes of boxes are rounded, the physics' boxes are not.
-    if isinstance(shape, Box):
-        corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-        return corners * shape.half_extents
-    if isinstance(shape, ConvexMesh):
-        return shape.corners
-    return np.asarray(shape_mesh(shape).points)
+    return shape.skin().points if shape.corners is None else shape.corners
 
 
 def spot_under(

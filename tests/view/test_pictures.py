@@ -7,7 +7,7 @@ import pytest
 import synthetic
 
 from evo_cpg.creature.creature import DepthSensor, LightSensor, neutral_pose
-from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Shape, Sphere
+from evo_cpg.creature.shapes import Box, Capsule, Ellipsoid, Sphere
 from evo_cpg.files import OutputError
 from evo_cpg.physics.footing import Ground
 from evo_cpg.physics.terrain import Block, Boulder, Plane
@@ -36,24 +36,6 @@ def test_a_mesh_is_closed_and_has_the_size_of_its_shape(shape):
     a, b, c = np.moveaxis(np.asarray(mesh.points, float)[mesh.regular_faces], 1, 0)
     volumes = np.einsum("ij,ij->i", np.cross(b - a, c - a), a + b + c) / 18
     assert volumes.min() > -1e-12 and volumes.sum() == pytest.approx(mesh.volume)
-
-
-def test_an_unknown_shape_is_refused():
-    class Cone(Box):
-        pass
-
-    class Blob(Shape):
-        volume = half_extents = None
-
-        def inertia(self, mass): ...
-        def distance(self, points): ...
-        def support(self, direction): ...
-        def surface(self, resolution): ...
-        def cells(self): ...
-
-    assert shape_mesh(Cone((1, 1, 1))).n_points
-    with pytest.raises(TypeError, match="no picture for a Blob"):
-        shape_mesh(Blob())
 
 
 def test_eyes_sit_on_the_surface_where_the_sensor_looks():
