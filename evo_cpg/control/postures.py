@@ -209,7 +209,7 @@ def build_posture_controller(
 
 
 def one_posture(controller: Controller, angle: float) -> Float[np.ndarray, " g"]:
-    """Return the genome in whose every posture all joints have one angle (degrees)."""
+    """Return genes that turn all joints to one angle (degrees) in every posture."""
     assert isinstance(controller, PostureController)
     settings = controller.settings
     number = round((angle - settings.lowest_angle) / settings.angle_step)

@@ -43,8 +43,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PyTree
 
+from evo_cpg.evolution.archive import Archive, Axis
 from evo_cpg.evolution.latent import Latent
-from evo_cpg.evolution.map_elites import Archive, Axis, Beginning, MapStrategy
+from evo_cpg.evolution.map_elites import Beginning, MapStrategy
 from evo_cpg.evolution.pyribs_host import (
     ALGORITHMS,
     SAMPLE,

@@ -29,9 +29,12 @@ class Genetics(Strategy):
 
     Attributes:
         population: number of individuals.
+        checks_genes: no, because it only varies the genes that the controller drew.
     """
 
     population: eqx.AbstractVar[int]
+
+    checks_genes = False
 
     def init(self, key: Array, genes: Float[Array, "g n"]) -> Float[Array, "g n"]:
         """The first population."""

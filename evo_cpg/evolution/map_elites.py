@@ -22,57 +22,15 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float, Int, PyTree
 
+from evo_cpg.evolution.archive import Archive, Axis
 from evo_cpg.evolution.bits import bit_mutation
 from evo_cpg.evolution.strategy import Evaluation, Strategy, descriptor_rows
 from evo_cpg.evolution.variation import one_point_crossover
 
 # What every map says of itself.
 METRICS = ("coverage", "mean_elite")
-
-
-class Axis(NamedTuple):
-    """A descriptor, and how its range is cut.
-
-    Attributes:
-        name: of the descriptor.
-        low: where the first cell begins.
-        high: where the last one ends.
-        cells: how many.
-    """
-
-    name: str
-    low: float
-    high: float
-    cells: int
-
-    @property
-    def edges(self) -> Float[np.ndarray, " edges"]:
-        """Of all cells."""
-        return np.linspace(self.low, self.high, self.cells + 1)
-
-
-class Archive(NamedTuple):
-    """The map: of each cell its elite.
-
-    Attributes:
-        genes: its genome.
-        fitness: -inf where there is none.
-        descriptors: in the order of the axes.
-        generation: in which it was found, from 0.
-        index: its place in the population then; with the generation it selects the random numbers
-            of its trials.
-        told: number of generations that were told of.
-    """
-
-    genes: Float[Array, "g cells"]
-    fitness: Float[Array, " cells"]
-    descriptors: Float[Array, "k cells"]
-    generation: Int[Array, " cells"]
-    index: Int[Array, " cells"]
-    told: Int[Array, ""]
 
 
 class Beginning(NamedTuple):
@@ -180,8 +138,13 @@ class MapStrategy(Strategy):
         """The map in a state that `ask` gave."""
 
     @property
+    def map_axes(self) -> tuple[Axis, ...]:
+        """See `Strategy.map_axes`."""
+        return self.axes
+
+    @property
     def cells(self) -> int:
-        """In the whole map."""
+        """Number of cells of the map."""
         return math.prod(self.shape)
 
     @property

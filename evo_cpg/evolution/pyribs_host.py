@@ -25,7 +25,7 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, PyTree
 
-from evo_cpg.evolution.map_elites import Axis
+from evo_cpg.evolution.archive import Axis
 
 ALGORITHMS = {
     "sep_cma_es": "SeparableCMAEvolutionStrategy",

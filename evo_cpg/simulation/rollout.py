@@ -15,6 +15,7 @@ from evo_cpg.fusion.engine import using
 from evo_cpg.fusion.fuse import fuse
 from evo_cpg.physics.state import State
 from evo_cpg.simulation.backward import Backward
+from evo_cpg.simulation.batched import BatchedSimulation
 from evo_cpg.simulation.control_step import begin_life, control_step
 from evo_cpg.simulation.judge import JUDGE
 from evo_cpg.simulation.observer import Observer, Seen
@@ -25,7 +26,7 @@ Observers = PyTree[Observer]
 
 
 def rollout(
-    simulation: Simulation,
+    simulation: Simulation | BatchedSimulation,
     genes: Float[Array, "g *n"],
     keys: UInt32[Array, "w *n"] | None = None,
     trial: Int[Array, " *n"] | None = None,
@@ -37,7 +38,8 @@ def rollout(
     """Let every individual live through one trial.
 
     Args:
-        simulation: the trial.
+        simulation: the trial; or one trial for each individual, which then have one axis, the last
+            of every result.
         genes: one genome per individual, on the trailing axes.
         keys: a raw random key for each trial's noise; None lets all live without noise.
         trial: number of the situation in each lane; None puts all into the first.
@@ -48,6 +50,17 @@ def rollout(
     Returns:
         The result of each observer: of `JUDGE` an `evo_cpg.simulation.judge.Outcome`.
     """
+    if isinstance(simulation, BatchedSimulation):
+        common, inputs, values = simulation
+
+        def alone(
+            values: list[Array], genes: Array, keys: Array | None, trial: Array | None
+        ) -> Any:
+            own = inputs.put(common, values)
+            return rollout(own, genes, keys, trial, observers, backward=backward, begin=begin)
+
+        own = [jnp.asarray(value, genes.dtype) for value in values]
+        return jax.vmap(alone, in_axes=-1, out_axes=-1)(own, genes, keys, trial)
     # What makes no difference is no argument of the program.
     keys = None if simulation.noise.silent else keys
     trial = None if len(simulation.situations) == 1 else trial

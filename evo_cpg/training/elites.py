@@ -6,7 +6,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from evo_cpg.evolution.map_elites import Archive, Axis, MapStrategy
+from evo_cpg.evolution.archive import Archive, Axis
 from evo_cpg.training.checkpoint import Champion, Checkpoint
 from evo_cpg.training.experiment import Experiment, begin
 from evo_cpg.training.strategy_state import StrategyError, state_from
@@ -38,13 +38,15 @@ def gait_map(experiment: Experiment, checkpoint: Checkpoint, run: int) -> GaitMa
         StrategyError: the checkpoint is that of another strategy.
     """
     strategy = experiment.strategy
-    if not isinstance(strategy, MapStrategy) or not checkpoint.state:
+    axes = strategy.map_axes
+    if not axes or not checkpoint.state:
         return None
     like = jax.eval_shape(lambda: begin(experiment))[1]
     state = jax.tree.map(lambda x: x[run], state_from(checkpoint.state, like))
     archive = strategy.archive(state)
+    assert archive is not None
     fitness = np.where(np.isfinite(archive.fitness), archive.fitness, np.nan)
-    return GaitMap(strategy.axes, fitness.reshape(strategy.shape), archive)
+    return GaitMap(axes, fitness.reshape([axis.cells for axis in axes]), archive)
 
 
 def elite(

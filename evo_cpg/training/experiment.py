@@ -19,7 +19,7 @@ from jaxtyping import Array, Bool, Float, Int, PyTree, Shaped, UInt32
 
 from evo_cpg.creature.creature import Creature
 from evo_cpg.evolution.strategy import Evaluation, Strategy
-from evo_cpg.simulation.batched import Inputs, rollout_batched
+from evo_cpg.simulation.batched import BatchedSimulation, Inputs
 from evo_cpg.simulation.judge import JUDGE, Outcome, score
 from evo_cpg.simulation.recording import Recorder
 from evo_cpg.simulation.rollout import rollout
@@ -220,9 +220,8 @@ def compile_trials(
     """
 
     def rollouts(values: Any, genes: Array, keys: Array | None, trial: Array | None) -> Outcome:
-        if inputs is None:
-            return rollout(simulation, genes, keys, trial)
-        return rollout_batched(simulation, inputs, values, genes, keys, trial)
+        own = BatchedSimulation(simulation, inputs, values) if inputs else simulation
+        return rollout(own, genes, keys, trial)
 
     @functools.cache
     def program(busy: Mesh) -> Callable[..., Outcome]:

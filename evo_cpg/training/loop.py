@@ -11,7 +11,6 @@ import numpy as np
 from jax.sharding import Mesh
 from jaxtyping import Array, Float, Int, PyTree, UInt32
 
-from evo_cpg.evolution.generation import Genetics
 from evo_cpg.simulation.judge import Outcome, no_terms
 from evo_cpg.simulation.recording import Recording, as_recording
 from evo_cpg.training.checkpoint import Champion, Checkpoint
@@ -375,8 +374,7 @@ def _require_numbers(experiment: Experiment, genes: Float[np.ndarray, "g all"], 
         StrategyError: not all are numbers.
     """
     wrong = int((~np.isfinite(genes)).any(0).sum())
-    # A genetic algorithm makes numbers of numbers; its first ones are the controller's affair.
-    if wrong and not isinstance(experiment.strategy, Genetics):
+    if wrong and experiment.strategy.checks_genes:
         raise StrategyError(
             f"evolution.type: {type(experiment.strategy).__name__} asked for genomes that are not "
             f"finite for generation {done} ({wrong} of {genes.shape[1]}); what was done before "

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from evo_cpg.fusion.engine import Engine
-from evo_cpg.simulation.batched import batch, rollout_batched
+from evo_cpg.simulation.batched import batch
 from evo_cpg.simulation.judge import Outcome
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.simulation import Simulation
@@ -160,13 +160,11 @@ def on_engine(simulation: Simulation, engine: Engine) -> Simulation:
 
 def _program(sims: Sequence[Simulation], owners: np.ndarray) -> Callable[..., Outcome]:
     """All lives in one program."""
-    if len(sims) == 1:
-        return lambda genes, keys, numbers: rollout(sims[0], genes, keys, numbers)
-    together = batch(sims[0], sims)
-    values = tuple(jnp.asarray(value[:, owners]) for value in together.values)
-    return lambda genes, keys, numbers: rollout_batched(
-        together.common, together.inputs, values, genes, keys, numbers
-    )
+    every = sims[0]
+    if len(sims) > 1:
+        every = batch(sims[0], sims)
+        every = every._replace(values=[jnp.asarray(value[:, owners]) for value in every.values])
+    return lambda genes, keys, numbers: rollout(every, genes, keys, numbers)
 
 
 def _keys(experiment: Experiment, champion: Champion, variation: Variation) -> Array | None:

@@ -42,7 +42,7 @@ class Trial:
         path = CONFIGS / f"{name}.yaml"
         simulation = build_experiment(load_config(path, list(overrides)), path).simulation
         self.rate = simulation.control_rate
-        genes = simulation.controller.random_genes(jax.random.key(0), (INDIVIDUALS,), jnp.float32)
+        genes = simulation.genome.random(jax.random.key(0), (INDIVIDUALS,), jnp.float32)
         keys = None
         if not simulation.noise.silent:
             keys = jax.random.key_data(jax.random.split(jax.random.key(1), INDIVIDUALS)).T

@@ -9,9 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from evo_cpg.evolution.archive import Axis
 from evo_cpg.evolution.generation import RealGenetics
 from evo_cpg.evolution.islands import Islands
-from evo_cpg.evolution.map_elites import AlongTheLine, Axis, MapElites
+from evo_cpg.evolution.map_elites import AlongTheLine, MapElites
 from evo_cpg.evolution.strategy import Strategy
 from evo_cpg.training.elites import elite, gait_map
 from evo_cpg.training.loop import TIMING_COLUMNS, replay_champion, train
