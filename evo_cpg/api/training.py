@@ -290,7 +290,7 @@ class Recorder:
             spent: on the code of the trials, which takes about as long as each of these programs;
                 None where it is not known.
         """
-        from evo_cpg.training.loop import compile_replay
+        from evo_cpg.training.replay import compile_replay
 
         took = spent.seconds if spent is not None and spent.seconds > 0 else None
         if spent is not None and self._animal is not None:

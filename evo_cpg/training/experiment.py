@@ -20,13 +20,12 @@ from jaxtyping import Array, Bool, Float, Int, PyTree, Shaped, UInt32
 from evo_cpg.creature.creature import Creature
 from evo_cpg.evolution.strategy import Evaluation, Strategy
 from evo_cpg.simulation.batched import BatchedSimulation, Inputs
-from evo_cpg.simulation.judge import JUDGE, Outcome, score
-from evo_cpg.simulation.recording import Recorder
+from evo_cpg.simulation.judge import Outcome, no_terms, score
 from evo_cpg.simulation.rollout import rollout
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.task import Task
 from evo_cpg.training.checkpoint import Champion
-from evo_cpg.training.devices import Layout, chunk_width, layout, run_in_blocks, sharded
+from evo_cpg.training.devices import Layout, layout, run_in_blocks, sharded
 
 # Tags that keep the random streams of one seed apart.
 _FIRST_POPULATION, _GENERATIONS, _TRIALS = 0, 1, 2
@@ -193,6 +192,13 @@ def situation_numbers(experiment: Experiment) -> Int[np.ndarray, " trials"] | No
     return np.arange(experiment.trials) if several else None
 
 
+def placeholder_scales(experiment: Experiment) -> dict[str, tuple[float, ...]]:
+    """Return ones for the scales of each run, which generation 0 will measure."""
+    simulation = experiment.simulation
+    shapes = jax.eval_shape(lambda: simulation.task.scales(no_terms(simulation)))
+    return dict.fromkeys(shapes, (1.0,) * experiment.runs)
+
+
 def compile_trials(
     simulation: Simulation, mesh: Mesh, width: int | None = None, inputs: Inputs | None = None
 ) -> Callable[..., Outcome]:
@@ -344,55 +350,6 @@ def judge_each(
 ) -> Float[Array, "trials *n"]:
     """Fitness in each of the trials that `judge` takes together; -inf where it diverged."""
     return jax.vmap(lambda trial: score(task, trial, scales), in_axes=-1)(outcome)
-
-
-def replay(
-    experiment: Experiment,
-    devices: int,
-    genes: Float[Array, " g"],
-    keys: UInt32[Array, "w trials"] | None = None,
-    numbers: Int[Array, " trials"] | None = None,
-    recorded: int = 0,
-    full: bool = False,
-) -> tuple[Outcome, dict[str, Array]]:
-    """One individual's trials, on one device, in chunks as wide as those of training.
-
-    Compiled code may round differently for different array lengths, and where an array is a
-    constant of it; with equal lengths and the same arguments the numbers are those of the training
-    run.
-
-    Args:
-        experiment: that the individual was evolved in.
-        devices: how many shared the population in training.
-        genes: of the individual.
-        keys: of its trials; None without noise.
-        numbers: of its trials, see `situation_numbers`.
-        recorded: which of its trials is recorded.
-        full: see `evo_cpg.simulation.recording.Recorder`.
-
-    Returns:
-        What each of its trials amounted to, and one of them step by step.
-    """
-    simulation, trials = experiment.simulation, experiment.trials
-    count = experiment.runs * experiment.strategy.population * trials
-    lanes = chunk_width(count, devices)
-    crowd = jnp.broadcast_to(genes[:, None], (genes.shape[0], lanes))
-
-    def beginning_with(first: int) -> tuple[Array | None, Array | None]:
-        """Keys and numbers of the trials in all lanes."""
-        order = (np.arange(lanes) + first) % trials
-        return jax.tree.map(lambda x: x[..., order], (keys, numbers))
-
-    # A chunk may hold fewer trials than an individual has.
-    parts, frames = [], {}
-    for start in range(0, trials, lanes):
-        if start <= recorded < start + lanes:
-            observers = JUDGE, Recorder(first=recorded - start, full=full)
-            outcome, frames = rollout(simulation, crowd, *beginning_with(start), observers)
-        else:
-            outcome = rollout(simulation, crowd, *beginning_with(start))
-        parts.append(outcome)
-    return jax.tree.map(lambda *x: jnp.concatenate(x)[:trials], *parts), frames
 
 
 def _seeds(experiment: Experiment) -> Int[Array, " runs"]:

@@ -20,8 +20,9 @@ from evo_cpg.training.checkpoint import (
     read_champion,
 )
 from evo_cpg.training.experiment import generation_keys, trial_keys
-from evo_cpg.training.loop import replay_champion, train
+from evo_cpg.training.loop import train
 from evo_cpg.training.reevaluation import FIRST_ROUND, LIVES, Choice, Contest
+from evo_cpg.training.replay import replay_champion
 from evo_cpg.training.run_folder import RunFolder
 from trials import experiment
 

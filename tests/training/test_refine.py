@@ -7,7 +7,7 @@ import pytest
 from evo_cpg.physics.fluid import Drag
 from evo_cpg.training.ascent import Free
 from evo_cpg.training.devices import population_mesh
-from evo_cpg.training.loop import replay_champion, train
+from evo_cpg.training.loop import train
 from evo_cpg.training.refine import (
     Refinement,
     _Parent,
@@ -15,6 +15,7 @@ from evo_cpg.training.refine import (
     compile_evaluation,
     compile_refinement,
 )
+from evo_cpg.training.replay import replay_champion
 from evo_cpg.training.run_folder import RunFolder
 from trials import experiment
 

@@ -15,7 +15,8 @@ from evo_cpg.evolution.islands import Islands
 from evo_cpg.evolution.map_elites import AlongTheLine, MapElites
 from evo_cpg.evolution.strategy import Strategy
 from evo_cpg.training.elites import elite, gait_map
-from evo_cpg.training.loop import TIMING_COLUMNS, replay_champion, train
+from evo_cpg.training.loop import TIMING_COLUMNS, train
+from evo_cpg.training.replay import replay_champion
 from evo_cpg.training.run_folder import RunFolder
 from evo_cpg.training.strategy_state import StrategyError, state_arrays
 from trials import experiment
