@@ -152,12 +152,12 @@ def measured(
     Args:
         simulation: the trial, without `followed`.
         genes: of the animal.
-        scales: the task's yardsticks.
+        scales: the task's scales.
         keys: of the trial's noise, see `rollout`.
     """
     outcome = rollout(followed(simulation), genes, keys)
-    yardsticks = {name: jnp.asarray(value, genes.dtype) for name, value in scales.items()}
-    return jnp.stack([outcome.terms[_SPEED], score(simulation.task, outcome, yardsticks)])
+    own_scales = {name: jnp.asarray(value, genes.dtype) for name, value in scales.items()}
+    return jnp.stack([outcome.terms[_SPEED], score(simulation.task, outcome, own_scales)])
 
 
 def changed(

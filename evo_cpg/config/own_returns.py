@@ -19,7 +19,7 @@ from evo_cpg.physics.state import resting_state
 from evo_cpg.physics.world import World
 from evo_cpg.simulation.control_step import (
     Effects,
-    begin_life,
+    begin_episode,
     no_forces,
     sense,
     snapshot_of,
@@ -55,15 +55,15 @@ def check_own_returns(config: ExperimentConfig, simulation: Simulation, source: 
         _expect_array(checked.where("random_genes"), numbers, shape)
         own_genes = jnp.asarray(numbers, genes.dtype)
         checked(("controller",), simulation.controller, "decode", lambda method: method(own_genes))
-        life, animal = begin_life(simulation, genes, None, None)
+        constants, animal = begin_episode(simulation, genes, None, None)
         forces = no_forces(simulation, animal.state)
         for i, sensor in enumerate(simulation.extra_sensors):
-            snapshot = snapshot_of(simulation, life, animal.state)
+            snapshot = snapshot_of(simulation, constants, animal.state)
             key = "creature", "sensors", i
             read = checked(key, sensor, "sense", lambda method, s=snapshot: method(s, forces))
             _expect_array(checked.where("sense"), read, (sensor.count, _INDIVIDUALS))
-        observation = sense(simulation, life, animal)
-        given = life.phenotype.controller, animal.nerves, observation
+        observation = sense(simulation, constants, animal)
+        given = constants.phenotype.controller, animal.nerves, observation
         found = checked(("controller",), simulation.controller, "act", lambda act: act(*given))
         if not (isinstance(found, tuple) and len(found) == 2 and isinstance(found[1], Command)):
             checked.where("act").fail("must return a pair of the next state and a Command")
@@ -75,7 +75,7 @@ def check_own_returns(config: ExperimentConfig, simulation: Simulation, source: 
                 _expect_array(checked.where("act"), value, dofs, f"its {name}")
         energy = jnp.zeros(_INDIVIDUALS, genes.dtype)
         effects = Effects(animal.state, animal.state, observation, command, forces, energy, energy)
-        _check_task(checked, simulation, transition(simulation, life, effects, jnp.int32(0)))
+        _check_task(checked, simulation, transition(simulation, constants, effects, jnp.int32(0)))
 
     shape = simulation.genome.count, _INDIVIDUALS
     with using(Engine("jax")):

@@ -6,7 +6,7 @@ fitness changes its sign; an individual that diverged gets the worst fitness of 
 for many of its algorithms compute with it. Where a genome is bits the algorithm searches real
 numbers, and a gene is 1 where its number is positive.
 
-Like any other search it begins with the random genomes of the controller, on which yardsticks are
+Like any other search it begins with the random genomes of the controller, on which scales are
 measured. A distribution then starts about the mean of the better half of them, a population with
 all of them.
 

@@ -1,6 +1,6 @@
 """CMA-MAE of pyribs (Tjanaka et al. 2023; Fontaine and Nikolaidis 2023) as a strategy.
 
-Like any other search it begins with the random genomes of the controller, on which yardsticks are
+Like any other search it begins with the random genomes of the controller, on which scales are
 measured. From then on several evolution strategies, the *emitters*, each adapt a normal
 distribution, first about the mean of the better half of those, and put what they draw into one map.
 A cell of it has a threshold, the fitness that has to be exceeded to enter, and with each that

@@ -92,7 +92,7 @@ class Strategy(eqx.Module):
         Args:
             key: random key.
             genes: random genomes as the controller draws them, or those that a run begins with
-                (a warm start). A task's yardsticks are measured on what is asked for first, so
+                (a warm start). A task's scales are measured on what is asked for first, so
                 whoever asks for these first has the same ones as other searches.
         """
 

@@ -236,7 +236,7 @@ def compile_ascent(
 
     Returns:
         A function of host arrays, compiled at its first call: of the genes, the ways, the task's
-        yardsticks and, where there is noise, the keys of every individual's trials; individuals on
+        scales and, where there is noise, the keys of every individual's trials; individuals on
         the last axis.
     """
     simulation, gene_count = experiment.simulation, experiment.simulation.genome.count

@@ -23,7 +23,7 @@ class Champion(NamedTuple):
         fitness: as evaluated in training.
         generation: in which it was found.
         terms: the task's terms.
-        scales: the task's yardsticks.
+        scales: the task's scales.
         run: number of its run.
         index: its place in its run's population; with the run and the generation it selects the
             random numbers of its trials.
@@ -63,7 +63,7 @@ class Checkpoint(NamedTuple):
         genes: the populations of the next generation, run by run.
         records: the best individual that each run has evaluated so far.
         history: rows of metrics.csv.
-        scales: the task's yardsticks in each run; empty before the first generation.
+        scales: the task's scales in each run; empty before the first generation.
         state: what the strategy remembers, by `state_arrays`.
         chosen: of each run the best in fresh draws of chance, where there is any and all
             generations are done.

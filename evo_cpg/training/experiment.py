@@ -96,7 +96,7 @@ class Generation(NamedTuple):
         fitness: of every individual, the mean over its trials; -inf where it diverged in any.
         terms: the task's terms, likewise averaged.
         alive: False where an individual diverged.
-        scales: the task's yardsticks.
+        scales: the task's scales.
         best: index of the fittest within its run.
         best_genes: its genome.
         next_genes: the population of the next generation, all runs side by side.
@@ -270,7 +270,7 @@ def breed(
         outcome: of their trials.
         index: number of the generation, from 0; it alone selects the random stream, so a resumed
             run draws the same numbers as one that was never stopped.
-        scales: the task's yardsticks; measured anew, and these ignored, in generation 0.
+        scales: the task's scales; measured anew, and these ignored, in generation 0.
         state: what the strategy remembers.
     """
     simulation, strategy = experiment.simulation, experiment.strategy
@@ -326,7 +326,7 @@ def judge(
     Args:
         task: what they are judged by.
         outcome: of all trials; the last axis is the trials of one individual.
-        scales: the task's yardsticks.
+        scales: the task's scales.
 
     Returns:
         The mean fitness, -inf for an individual that diverged in any trial, and the mean outcome.

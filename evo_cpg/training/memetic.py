@@ -25,7 +25,7 @@ def compile_learning(
 
     Returns:
         A function of a population whose runs begin with their elites, the number of the generation
-        that will live with it, and the task's yardsticks in each run; compiled at its first call.
+        that will live with it, and the task's scales in each run; compiled at its first call.
         It gives the population with the elites as they are afterwards. Each run draws from its own
         seed.
     """
@@ -48,10 +48,10 @@ def compile_learning(
             for run in range(runs)
         ]
         ways = jax.tree.map(lambda *x: np.concatenate(x), *draws)
-        yardsticks = {
+        own_scales = {
             name: np.repeat(np.array(values, np.float32), elites) for name, values in scales.items()
         }
-        climbed = climb(genes[:, places], ways, yardsticks, _keys(experiment, generation))
+        climbed = climb(genes[:, places], ways, own_scales, _keys(experiment, generation))
         genes = genes.copy()
         genes[:, places] = climbed.genes
         return genes

@@ -164,7 +164,7 @@ def compile_refinement(
 def compile_evaluation(
     experiment: Experiment, mesh: Mesh, devices: int
 ) -> Callable[[Float[np.ndarray, "g n"], Champion], list[Champion]]:
-    """Trials of any genomes as the champion's were: in its place, with its noise and yardsticks.
+    """Trials of any genomes as the champion's were: in its place, with its noise and scales.
 
     Args:
         experiment: in which they live.

@@ -207,7 +207,7 @@ def test_who_stands_is_not_lifted():
     """A point that rests presses as hard as the law wants it out, and does not move."""
     made = walker()
     still = champion()._replace(genes=np.zeros(2, np.float32))
-    (trial,) = lived_trials(made, still)
+    (trial,) = compile_audited_trials(made)(still)
     weight = 9.81 * made.creature.mass
     assert trial.steps.contact_force[2].sum(0).mean() == pytest.approx(weight, rel=0.05)
     # By less than a hundredth of a millimetre in all.
@@ -409,7 +409,7 @@ def test_who_swims_above_a_floor_does_not_fly():
         world = made.simulation.world
         water = Water(1000.0, surface)
         world = dataclasses.replace(world, water=water)
-        trial = lived_trials(walker(height=0.5), champion())[0]
+        trial = compile_audited_trials(walker(height=0.5))(champion())[0]
         steps = trial.steps._replace(contact_force=0 * trial.steps.contact_force)
         wet = made._replace(simulation=dataclasses.replace(made.simulation, world=world))
         (found,) = judged(wet, (trial._replace(steps=steps),))

@@ -15,7 +15,7 @@ import pytest
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import load_config
 from evo_cpg.fusion.engine import Engine, using
-from evo_cpg.simulation.control_step import begin_life, control_step
+from evo_cpg.simulation.control_step import begin_episode, control_step
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 INDIVIDUALS, TIMES, APART, NUDGES = 10, 10, 20, 8
@@ -48,7 +48,7 @@ class Trial:
             keys = jax.random.key_data(jax.random.split(jax.random.key(1), INDIVIDUALS)).T
 
         def begin():
-            return begin_life(simulation, genes, keys, None)
+            return begin_episode(simulation, genes, keys, None)
 
         def made(engine):
             def step(animal, index):
