@@ -345,7 +345,7 @@ def _feet(
         duty_factor=footfalls.duty_factors(touched),
         phases=footfalls.phases(steady[first:], step),
         slip=footfalls.slip_speeds(position, rotation, lowest, touched, step),
-        airborne=footfalls.airborne_share((force != 0).any(1)),
+        airborne=footfalls.airborne_fraction((force != 0).any(1)),
     )
 
 

@@ -72,14 +72,14 @@ class Sensitivity(NamedTuple):
 
         NaN where the measure is nothing, which has no per cent.
         """
-        return self._share(self.slope)
+        return self._relative(self.slope)
 
     @property
     def finite(self) -> float:
         """The same from the finite change."""
-        return self._share(self.change / self.step if self.step else math.nan)
+        return self._relative(self.change / self.step if self.step else math.nan)
 
-    def _share(self, slope: float) -> float:
+    def _relative(self, slope: float) -> float:
         size = abs(self.measure)
         return slope * (self.value or 1.0) / size if size > _NOTHING else math.nan
 

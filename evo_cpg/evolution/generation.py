@@ -149,7 +149,7 @@ def keep_elites(
     if elite_count == 0:
         return children
     places = np.arange(elite_count)
-    kept = rank_order(fitness)[np.maximum(places - (best_copies - 1), 0)]
-    alive = jnp.isfinite(fitness[kept])[None]
-    elites = jnp.where(alive, genes[:, kept], children[:, :elite_count])
+    best = rank_order(fitness)[np.maximum(places - (best_copies - 1), 0)]
+    alive = jnp.isfinite(fitness[best])[None]
+    elites = jnp.where(alive, genes[:, best], children[:, :elite_count])
     return children.at[:, :elite_count].set(elites)

@@ -181,13 +181,13 @@ class MapStrategy(Strategy):
 
     def empty(self, genes: Float[Array, "g n"]) -> Archive:
         """A map without anybody, for genomes like these."""
-        nobody = jnp.full(self.cells, -1, jnp.int32)
+        none = jnp.full(self.cells, -1, jnp.int32)
         return Archive(
             jnp.zeros((len(genes), self.cells), genes.dtype),
             jnp.full(self.cells, -jnp.inf, genes.dtype),
             jnp.zeros((len(self.axes), self.cells), genes.dtype),
-            nobody,
-            nobody,
+            none,
+            none,
             jnp.int32(0),
         )
 
@@ -204,17 +204,17 @@ class MapStrategy(Strategy):
         count = len(fitness)
         places = jnp.where(wins, jnp.arange(count), count)
         first = jnp.full(self.cells, count).at[cell].min(places)
-        taken, who = first < count, jnp.minimum(first, count - 1)
+        taken, winner = first < count, jnp.minimum(first, count - 1)
 
         def put(old: Array, new: Array) -> Array:
-            return jnp.where(taken, new[..., who], old)
+            return jnp.where(taken, new[..., winner], old)
 
         return Archive(
             put(archive.genes, genes),
             put(archive.fitness, fitness),
             put(archive.descriptors, found),
             jnp.where(taken, archive.told, archive.generation),
-            jnp.where(taken, who, archive.index),
+            jnp.where(taken, winner, archive.index),
             archive.told + 1,
         )
 

@@ -75,8 +75,8 @@ class Backward(NamedTuple):
         # The least memory for the states between segments and for one segment together.
         length = max(1, math.isqrt(steps * _bytes(jax.tree.leaves(carry)) // kept))
         count, rest = divmod(steps, length)
-        whole = jax.checkpoint(segment(length), prevent_cse=False)
-        carry, _ = jax.lax.scan(whole, carry, length * jnp.arange(count))
+        whole_segment = jax.checkpoint(segment(length), prevent_cse=False)
+        carry, _ = jax.lax.scan(whole_segment, carry, length * jnp.arange(count))
         return segment(rest)(carry, count * length)[0] if rest else carry
 
     def forget(self, state: State, nerves: Any) -> tuple[State, Any]:
@@ -161,11 +161,11 @@ def _cut_backward(_: None, slope: State) -> tuple[State]:
     size = jnp.sqrt(sum((x * x).sum(0) for x in (height, *moving.values())))
     said = jnp.sqrt((place * place).sum(0))
     most = jnp.where(said > 0, _STEEPEST * said, jnp.inf)
-    share = jnp.minimum(1.0, most / jnp.maximum(size, jnp.finfo(size.dtype).tiny))
-    share = jnp.where(jnp.isfinite(size), share, 0.0)
+    fraction = jnp.minimum(1.0, most / jnp.maximum(size, jnp.finfo(size.dtype).tiny))
+    fraction = jnp.where(jnp.isfinite(size), fraction, 0.0)
 
     def shrink(x: Array) -> Array:
-        return jnp.where(share[None] > 0, share[None] * x, 0.0)
+        return jnp.where(fraction[None] > 0, fraction[None] * x, 0.0)
 
     place = jnp.where(jnp.isfinite(place), place, 0.0)
     cut = {name: shrink(x) for name, x in moving.items()}

@@ -31,7 +31,7 @@ from evo_cpg.fusion.jax_internals import quick_jit
 from evo_cpg.physics.state import State, resting_state
 from evo_cpg.physics.statics import Grip, Touch, moved, next_grip, radius_of_gyration, static_forces
 from evo_cpg.physics.world import World
-from evo_cpg.simulation.plans import Plan, Programs
+from evo_cpg.simulation.plans import Programs, WorldPlan
 from evo_cpg.simulation.situation import Situation
 from evo_cpg.spatial.choices import Undecidable, chosen, searched
 from evo_cpg.spatial.numerics import is_traced
@@ -192,16 +192,16 @@ class Settling:
         for _ in range(_SADDLES):
             state, grip = self._root(state, grip)
             here = self._at(np.zeros(len(self.free)), state, grip)
-            values, ways = np.linalg.eigh(here.stiffness)
+            values, modes = np.linalg.eigh(here.stiffness)
             if values[0] > -_UNSTABLE:
                 break
-            way = ways[:, 0] * np.sign(ways[np.abs(ways[:, 0]).argmax(), 0])
-            state, grip = self._move(_KICK * way, state, grip)
+            direction = modes[:, 0] * np.sign(modes[np.abs(modes[:, 0]).argmax(), 0])
+            state, grip = self._move(_KICK * direction, state, grip)
         else:
             raise NoRestError(f"it is balanced {_SADDLES} times, but never in a stable pose")
         self._require_hold(here.total)
         stiff = np.abs(values) > _SOFTEST
-        give = (ways[:, stiff] / values[stiff]) @ ways[:, stiff].T
+        give = (modes[:, stiff] / values[stiff]) @ modes[:, stiff].T
         if _is_alike_everywhere(self.world):
             state, grip = _put_back(start, state, grip)
         tilt = _tilt(start, state)
@@ -247,38 +247,38 @@ class Settling:
                 break
             if np.abs(here.force).max() < _NEARLY:
                 return state, grip
-            values, ways = np.linalg.eigh(here.stiffness)
+            values, modes = np.linalg.eigh(here.stiffness)
             # What is soft follows the force, no farther than the size of the creature.
             largest = np.abs(here.force).max()
             stiff = np.maximum(np.abs(values), largest)
             stay = np.diag(largest * self.stay)
-            y = np.linalg.solve((ways * stiff) @ ways.T + stay, here.force)
+            y = np.linalg.solve((modes * stiff) @ modes.T + stay, here.force)
             far = np.abs(y) / np.where(self.free < 3, self.farthest, _LARGEST_TURN)
             y = y / max(1.0, far.max())
-            y = y * self._share(y, here, state, grip)
+            y = y * self._step_length(y, here, state, grip)
             state, grip = self._move(y, state, grip)
         raise NoRestError(f"it slides, rolls or drifts away: no rest within {_STEPS} steps")
 
-    def _share(self, y: np.ndarray, here: _Here, state: State, grip: Grip) -> float:
+    def _step_length(self, y: np.ndarray, here: _Here, state: State, grip: Grip) -> float:
         """Of a step, at which the energy changes at most half as steeply as at first."""
-        low, high, share, steepest = 0.0, 1.0, 1.0, 0.5 * float(here.force @ y)
+        low, high, fraction, steepest = 0.0, 1.0, 1.0, 0.5 * float(here.force @ y)
         for _ in range(_HALVINGS):
-            ahead = float(self._at(share * y, state, grip).force @ y)
+            ahead = float(self._at(fraction * y, state, grip).force @ y)
             if ahead < -steepest:
-                high = share
-            elif ahead > steepest and share < 1.0:
-                low = share
+                high = fraction
+            elif ahead > steepest and fraction < 1.0:
+                low = fraction
             else:
                 break
-            share = (low + high) / 2
-        return share
+            fraction = (low + high) / 2
+        return fraction
 
     def _polish(self, state: State, grip: Grip) -> tuple[State, Grip]:
         """The root near by, as exactly as the numbers allow."""
         stiffness = self._at(np.zeros(len(self.free)), state, grip).stiffness
-        values, ways = np.linalg.eigh(stiffness)
+        values, modes = np.linalg.eigh(stiffness)
         values = np.where(values < 0, -1.0, 1.0) * np.maximum(np.abs(values), _SOFTEST)
-        y = self._chord(state, grip, jnp.asarray((ways / values) @ ways.T))
+        y = self._chord(state, grip, jnp.asarray((modes / values) @ modes.T))
         return self._move(np.asarray(y), state, grip)
 
     def _require_hold(self, total: np.ndarray) -> None:
@@ -301,7 +301,7 @@ class _Search:
         h: step of the simulation, s.
     """
 
-    def __init__(self, plan: Plan, free: Int[np.ndarray, " k"], h: float):
+    def __init__(self, plan: WorldPlan, free: Int[np.ndarray, " k"], h: float):
         def force(
             y: Array, given: tuple, base: State, grip: Grip
         ) -> tuple[Array, tuple[Array, Array, Touch]]:
@@ -360,13 +360,15 @@ def settled(
     state = found.state
     if is_traced(world, situation):
         x, y, heading = found.start
-        way = jnp.stack([situation.start_position[0] - x, situation.start_position[1] - y])
-        base, grip = jax.tree.map(lambda leaf: jnp.asarray(leaf, way.dtype), (state, found.grip))
-        turn = jnp.asarray(situation.start_heading - heading, way.dtype)
-        base, grip = _carried(base, grip, way, turn)
-        still = jnp.zeros(len(found.give), way.dtype)
+        displacement = jnp.stack([situation.start_position[0] - x, situation.start_position[1] - y])
+        base, grip = jax.tree.map(
+            lambda leaf: jnp.asarray(leaf, displacement.dtype), (state, found.grip)
+        )
+        turn = jnp.asarray(situation.start_heading - heading, displacement.dtype)
+        base, grip = _carried(base, grip, displacement, turn)
+        still = jnp.zeros(len(found.give), displacement.dtype)
         force, _ = static_forces(world, h, base, grip, still)
-        state = moved(base, jnp.asarray(found.give, way.dtype) @ force)
+        state = moved(base, jnp.asarray(found.give, displacement.dtype) @ force)
         if alike_everywhere:
             state, _ = _put_back(base, state, grip)
     position, orientation, angles = (
@@ -429,18 +431,18 @@ def _put_back(start: State, state: State, grip: Grip) -> tuple[State, Grip]:
     return _carried(state, grip, start.position[:2] - state.position[:2], turn)
 
 
-def _carried(state: State, grip: Grip, way: Array, turn: Array) -> tuple[State, Grip]:
+def _carried(state: State, grip: Grip, displacement: Array, turn: Array) -> tuple[State, Grip]:
     """A pose, and what friction remembers, elsewhere on level ground.
 
     Args:
         state: the pose.
         grip: what friction remembers.
-        way: in the plane ``(2,)``, m.
+        displacement: displacement in the plane ``(2,)``, m.
         turn: about the upright axis through the root's centre, rad.
     """
     about_z = jnp.stack([jnp.zeros_like(turn), jnp.zeros_like(turn), turn])
     rotation = axis_rotation(np.array([0.0, 0.0, 1.0]), jnp.sin(turn), jnp.cos(turn))
-    position = state.position + jnp.concatenate([way, jnp.zeros_like(way[:1])])
+    position = state.position + jnp.concatenate([displacement, jnp.zeros_like(displacement[:1])])
     place = position[:, None] + rotation @ (grip.place - state.position[:, None])
     carried = dataclasses.replace(
         state,

@@ -96,8 +96,8 @@ def genes_digest(genes: np.ndarray) -> str:
 
 def outcome_digest(champion: Champion) -> str:
     """SHA-256 of what is recorded about a champion beside its genome."""
-    told = (champion.fitness, champion.generation, champion.terms, champion.scales)
-    return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()
+    content = (champion.fitness, champion.generation, champion.terms, champion.scales)
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def history_columns(
@@ -123,7 +123,7 @@ def history_columns(
 
 def champion_arrays(champion: Champion) -> dict[str, Any]:
     """A champion as named arrays, with the digests that `verify` compares."""
-    told = {} if champion.expected is None else {"expected": champion.expected}
+    content = {} if champion.expected is None else {"expected": champion.expected}
     return {
         "genes": champion.genes,
         "genes_sha256": genes_digest(champion.genes),
@@ -134,7 +134,7 @@ def champion_arrays(champion: Champion) -> dict[str, Any]:
         "index": champion.index,
         "lives": champion.lives,
         "ended_early": champion.ended_early,
-        **told,
+        **content,
         **{TERM_PREFIX + name: value for name, value in champion.terms.items()},
         **{SCALE_PREFIX + name: value for name, value in champion.scales.items()},
     }
@@ -188,8 +188,8 @@ def checkpoint_arrays(
         for run, champion in enumerate(champions):
             if champion is not None:
                 prefix = _prefix(kind, run)
-                told = champion_arrays(champion)
-                arrays |= {prefix + name: value for name, value in told.items()}
+                content = champion_arrays(champion)
+                arrays |= {prefix + name: value for name, value in content.items()}
     if checkpoint.chosen:
         arrays["chose"] = True
     return arrays

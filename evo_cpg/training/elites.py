@@ -68,8 +68,8 @@ def elite(
         raise StrategyError("there is no map: evolution.type is not one that fills cells")
     axes, shape = found.axes, found.fitness.shape
     if len(cell) != len(shape) or not all(0 <= i < n for i, n in zip(cell, shape, strict=True)):
-        asked = ", ".join(f"{axis.name} 0 to {axis.cells - 1}" for axis in axes)
-        raise StrategyError(f"there is no cell {','.join(map(str, cell))}; a cell is {asked}")
+        allowed = ", ".join(f"{axis.name} 0 to {axis.cells - 1}" for axis in axes)
+        raise StrategyError(f"there is no cell {','.join(map(str, cell))}; a cell is {allowed}")
     number = int(np.ravel_multi_index(cell, shape))
     archive = found.archive
     if not np.isfinite(archive.fitness[number]):

@@ -131,8 +131,8 @@ def begin(
         if given is None:
             given = genome.random(_stream(seed, _FIRST_POPULATION), size)
         state = strategy.init(_stream(seed, _STRATEGY), given)
-        asked, state = strategy.ask(_ask_key(seed, 0), state)
-        return jnp.asarray(asked, given.dtype), state
+        next_genes, state = strategy.ask(_ask_key(seed, 0), state)
+        return jnp.asarray(next_genes, given.dtype), state
 
     given = None if start is None else start.reshape(len(start), experiment.runs, -1)
     genes, state = jax.vmap(of_run, in_axes=(0, 1), out_axes=(1, 0))(_seeds(experiment), given)
@@ -290,12 +290,12 @@ def breed(
         key = jax.random.fold_in(_stream(seed, _GENERATIONS), index)
         about = mean.terms, descriptors(simulation, mean.terms)
         worth = Evaluation(fitness, *about, judge_each(task, outcome, scales))
-        told = strategy.tell(key, state, genes, worth)
-        asked, state = strategy.ask(_ask_key(seed, index + 1), told)
+        updated = strategy.tell(key, state, genes, worth)
+        next_genes, state = strategy.ask(_ask_key(seed, index + 1), updated)
         best = jnp.argmax(fitness)
         found = fitness, mean.terms, mean.alive, scales, best, genes[:, best]
-        asked = jnp.asarray(asked, genes.dtype)
-        return Generation(*found, asked, state, strategy.metrics(state))
+        next_genes = jnp.asarray(next_genes, genes.dtype)
+        return Generation(*found, next_genes, state, strategy.metrics(state))
 
     runs, gene_count = experiment.runs, len(genes)
     places = (runs, experiment.strategy.population, experiment.trials)

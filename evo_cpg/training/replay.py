@@ -74,8 +74,8 @@ def compile_frames(
     """
     simulation, genes = experiment.simulation, experiment.simulation.genome.count
     numbers = situation_numbers(experiment)
-    somebody = Champion(np.zeros(genes, np.float32), 0.0, 0, {}, {}, 0, 0)
-    keys = jax.eval_shape(lambda: champion_keys(experiment, somebody))
+    placeholder = Champion(np.zeros(genes, np.float32), 0.0, 0, {}, {}, 0, 0)
+    keys = jax.eval_shape(lambda: champion_keys(experiment, placeholder))
     live = jax.jit(functools.partial(replay, experiment, devices, recorded=recorded, full=full))
     lived = live.lower(jax.ShapeDtypeStruct((genes,), jnp.float32), keys, numbers)
     # Compiled as in training: a multiplication and an addition may become one operation, with one
@@ -126,7 +126,7 @@ def replay(
     simulation, trials = experiment.simulation, experiment.trials
     count = experiment.runs * experiment.strategy.population * trials
     lanes = chunk_width(count, devices)
-    crowd = jnp.broadcast_to(genes[:, None], (genes.shape[0], lanes))
+    replicas = jnp.broadcast_to(genes[:, None], (genes.shape[0], lanes))
 
     def beginning_with(first: int) -> tuple[Array | None, Array | None]:
         """Keys and numbers of the trials in all lanes."""
@@ -138,8 +138,8 @@ def replay(
     for start in range(0, trials, lanes):
         if start <= recorded < start + lanes:
             observers = JUDGE, Recorder(first=recorded - start, full=full)
-            outcome, frames = rollout(simulation, crowd, *beginning_with(start), observers)
+            outcome, frames = rollout(simulation, replicas, *beginning_with(start), observers)
         else:
-            outcome = rollout(simulation, crowd, *beginning_with(start))
+            outcome = rollout(simulation, replicas, *beginning_with(start))
         parts.append(outcome)
     return jax.tree.map(lambda *x: jnp.concatenate(x)[:trials], *parts), frames

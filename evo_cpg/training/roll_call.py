@@ -62,7 +62,7 @@ class Place(NamedTuple):
 
 class _Present(NamedTuple):
     connection: socket.socket
-    told: dict[str, Any]
+    hello: dict[str, Any]
 
 
 def call_roll(place: Place, common: Mapping[str, str], timeout: float) -> dict[int, socket.socket]:
@@ -95,15 +95,15 @@ def _lead(place: Place, common: Mapping[str, str], timeout: float) -> dict[int, 
             except TimeoutError:
                 _refuse(present, _missing(place, present, timeout))
             open_connections.enter_context(connection)
-            told = _read(connection, _SILENCE)
-            if not _is_hello(told):
+            hello = _read(connection, _SILENCE)
+            if not _is_hello(hello):
                 connection.close()
                 continue
-            new = _Present(connection, told)
-            wrong = _misfit(place, common, present, told)
+            new = _Present(connection, hello)
+            wrong = _misfit(place, common, present, hello)
             if wrong:
                 _refuse({**present, -1: new}, wrong)
-            present[told["index"]] = new
+            present[hello["index"]] = new
         for one in present.values():
             _send(one.connection, {"error": None})
         open_connections.pop_all()
@@ -178,28 +178,28 @@ def _misfit(
     place: Place,
     common: Mapping[str, str],
     present: Mapping[int, _Present],
-    told: Mapping[str, Any],
+    hello: Mapping[str, Any],
 ) -> str | None:
     """What is wrong with somebody who came."""
-    index, who = told["index"], f"the one of {told['host']} (process id {told['id']})"
-    if told["count"] != place.count:
+    index, sender = hello["index"], f"the one of {hello['host']} (process id {hello['id']})"
+    if hello["count"] != place.count:
         return (
             f"the processes do not agree on how many they are: {place.count} says process 0, "
-            f"{told['count']} says process {index}, {who}"
+            f"{hello['count']} says process {index}, {sender}"
         )
     if not 0 < index < place.count:
-        return f"there is no process {index} among {place.count}, counted from 0: {who}"
+        return f"there is no process {index} among {place.count}, counted from 0: {sender}"
     if index in present:
-        other = present[index].told
+        other = present[index].hello
         return (
-            f"two processes have the number {index}: {who} and the one of {other['host']} "
+            f"two processes have the number {index}: {sender} and the one of {other['host']} "
             f"(process id {other['id']})"
         )
     for name, value in common.items():
-        if told["common"].get(name) != value:
+        if hello["common"].get(name) != value:
             return (
                 f"{name} differs between the processes: {value} in process 0, "
-                f"{told['common'].get(name)} in process {index}, {who}"
+                f"{hello['common'].get(name)} in process {index}, {sender}"
             )
     return None
 
@@ -211,15 +211,15 @@ def _refuse(present: Mapping[int, _Present], why: str) -> None:
     raise JoinError(why)
 
 
-def _is_hello(told: Mapping[str, Any]) -> bool:
+def _is_hello(hello: Mapping[str, Any]) -> bool:
     kinds = {"index": int, "count": int, "host": str, "id": int, "common": dict}
-    return all(isinstance(told.get(name), kind) for name, kind in kinds.items())
+    return all(isinstance(hello.get(name), kind) for name, kind in kinds.items())
 
 
-def _send(connection: socket.socket, told: Mapping[str, Any]) -> None:
+def _send(connection: socket.socket, message: Mapping[str, Any]) -> None:
     """Send a line. A process that has ended meanwhile is reported later, by its link."""
     with contextlib.suppress(OSError):
-        connection.sendall(json.dumps(told).encode() + b"\n")
+        connection.sendall(json.dumps(message).encode() + b"\n")
 
 
 def _read(connection: socket.socket, timeout: float) -> dict[str, Any]:
@@ -235,10 +235,10 @@ def _read(connection: socket.socket, timeout: float) -> dict[str, Any]:
             if not byte:
                 break
             line += byte
-        told = json.loads(line)
+        message = json.loads(line)
     except (OSError, ValueError):
         return {}
-    return told if isinstance(told, dict) else {}
+    return message if isinstance(message, dict) else {}
 
 
 def _reason(error: OSError) -> str:

@@ -92,8 +92,8 @@ class Running:
             start = team.broadcast({} if start is None else {"genes": start}).get("genes")
             genes, self._state = jax.device_get(self._programs.begin(start))
             _require_finite(experiment, genes, 0)
-            nobody = (None,) * experiment.runs
-            checkpoint = Checkpoint(0, genes, nobody, [], placeholder_scales(experiment))
+            none = (None,) * experiment.runs
+            checkpoint = Checkpoint(0, genes, none, [], placeholder_scales(experiment))
         else:
             like = jax.eval_shape(lambda: begin(experiment))[1]
             self._state = state_from(checkpoint.state, like)

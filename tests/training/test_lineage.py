@@ -12,7 +12,7 @@ from evo_cpg.training.lineage import (
     landmarks,
     lineage_arrays,
     read_lineage,
-    telling,
+    representatives,
     until,
 )
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
@@ -111,9 +111,9 @@ def test_a_champion_that_was_refined_takes_its_place():
 
 def test_who_is_shown():
     lineage = grown((0, 1, 2, 3, 5, 9, 20, 33))
-    assert [each.generation for each in telling(lineage, 4)] == [0, 2, 9, 33]
-    assert telling(lineage, 9) == lineage
-    assert [each.generation for each in telling(lineage, 1)] == [33]
+    assert [each.generation for each in representatives(lineage, 4)] == [0, 2, 9, 33]
+    assert representatives(lineage, 9) == lineage
+    assert [each.generation for each in representatives(lineage, 1)] == [33]
     assert champion_at(lineage, 8).generation == 5
     assert champion_at(lineage[1:], 0) is None
 
