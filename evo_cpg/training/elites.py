@@ -1,4 +1,4 @@
-"""Individuals from the map of a run: anybody who is the best of his kind."""
+"""Elites: individuals from the map of behaviour of a run."""
 
 from typing import NamedTuple
 
@@ -13,29 +13,24 @@ from evo_cpg.training.strategy_state import StrategyError, state_from
 
 
 class GaitMap(NamedTuple):
-    """The map of one run.
+    """The map of behaviour of one run.
 
     Attributes:
-        axes: of it.
-        fitness: of the elites, NaN where there is none; one axis for each of those.
-        archive: the same, cells along the last axis.
+        axes: axes of the map.
+        fitness: fitness of the elites, NaN in empty cells; one array axis for each axis.
+        archive: the elites, with cells along the last axis.
     """
 
     axes: tuple[Axis, ...]
     fitness: Float[np.ndarray, "..."]
     archive: Archive
 
-    @property
-    def coverage(self) -> float:
-        """Share of cells that are filled."""
-        return float(np.isfinite(self.fitness).mean())
-
 
 def gait_map(experiment: Experiment, checkpoint: Checkpoint, run: int) -> GaitMap | None:
-    """The map of a run; None where its strategy has none.
+    """Return the map of a run; None if its strategy has none.
 
     Raises:
-        StrategyError: the checkpoint is that of another strategy.
+        StrategyError: the checkpoint comes from another strategy.
     """
     strategy = experiment.strategy
     axes = strategy.map_axes
@@ -52,16 +47,16 @@ def gait_map(experiment: Experiment, checkpoint: Checkpoint, run: int) -> GaitMa
 def elite(
     experiment: Experiment, checkpoint: Checkpoint, cell: tuple[int, ...], run: int
 ) -> Champion:
-    """The individual of a cell, with what it takes to let it live again.
+    """Return the individual of a cell, ready to be replayed.
 
     Args:
-        experiment: that it was evolved in.
-        checkpoint: of the run.
+        experiment: the experiment that it was evolved in.
+        checkpoint: checkpoint of the run.
         cell: a number for each axis, from 0.
         run: number of the run.
 
     Raises:
-        StrategyError: there is no map, no such cell, or nobody in it.
+        StrategyError: there is no map, no such cell, or the cell is empty.
     """
     found = gait_map(experiment, checkpoint, run)
     if found is None:

@@ -44,7 +44,7 @@ from jaxtyping import Float
 
 from evo_cpg import locks
 from evo_cpg.errors import UserError
-from evo_cpg.files import cannot_write, write_table, write_text, write_whole
+from evo_cpg.files import cannot_write, read_json, write_table, write_text, write_whole
 from evo_cpg.simulation.recording import Recording, require_shapes
 from evo_cpg.training.array_files import DAMAGED, read_arrays
 from evo_cpg.training.checkpoint import (
@@ -224,12 +224,10 @@ class RunFolder:
     def read_meta(self) -> dict[str, Any]:
         """The contents of meta.json; empty where it is missing or broken."""
         try:
-            meta = json.loads(self.meta.read_text(encoding="utf-8"))
-        except (OSError, RecursionError, ValueError):
+            meta = read_json(self.meta, dict[str, Any])
+        except (OSError, ValueError):
             return {}
-        sound = isinstance(meta, dict) and all(
-            isinstance(meta[key], kind) for key, kind in _META.items() if key in meta
-        )
+        sound = all(isinstance(meta[key], kind) for key, kind in _META.items() if key in meta)
         # So many devices would take the machine's memory, whoever wrote the file.
         return meta if sound and 0 < meta.get("devices", 1) <= _MOST_DEVICES else {}
 

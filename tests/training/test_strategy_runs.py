@@ -158,7 +158,7 @@ def test_anybody_on_the_map_lives_again(name, tmp_path):
     done = train(several, folder_at(tmp_path))
     found = gait_map(several, done, 1)
     assert found is not None and found.fitness.shape == (5, 3)
-    assert pytest.approx(done.history[-1]["coverage"]) == found.coverage > 0.2
+    assert pytest.approx(done.history[-1]["coverage"]) == np.isfinite(found.fitness).mean() > 0.2
     for cell in np.argwhere(np.isfinite(found.fitness)):
         one = elite(several, done, tuple(cell.tolist()), 1)
         fitness, terms, _ = replay_champion(several, one, len(jax.devices()))
