@@ -162,8 +162,8 @@ def gait_numbers(
         rms_torque=np.sqrt(np.square(recording.torque).mean(0)),
     )
     found = _quantities(simulation, creature, recording, numbers)
-    told = [each if math.isnan(each.value) else each._replace(missing="") for each in found]
-    return numbers._replace(quantities=tuple(told))
+    present = [each if math.isnan(each.value) else each._replace(missing="") for each in found]
+    return numbers._replace(quantities=tuple(present))
 
 
 def _quantities(

@@ -20,7 +20,7 @@ _NODES = (np.geomspace(*GAINS, 5), np.geomspace(*STRONGER, 3), np.geomspace(*RAT
 
 # Of the survey: Runge-Kutta steps in the shorter time constant, and how long it lets the networks
 # settle and then looks at them, in units of the longer. Its lags are within 0.05 degrees.
-_SHARE, _SETTLING, _WATCHED, _EVERY = 8, 200, 100, 2
+_STEPS_PER_TIME_CONSTANT, _SETTLING, _WATCHED, _EVERY = 8, 200, 100, 2
 
 # Largest step times the rate at which a potential changes: Runge-Kutta steps are stable to 2.8.
 _STABLE = 1.0
@@ -52,7 +52,7 @@ def survey(problem: Problem) -> tuple[tuple[np.ndarray, ...], Float[np.ndarray, 
     times = problem.template.rise_time, problem.template.adaptation_time
     # A potential changes at the rate of all that inhibits it. Strong weights need smaller steps.
     strongest = 1 + max(_inhibition(problem, x) for x in points.reshape(-1, 3))
-    h = min(min(times) / _SHARE, _STABLE * problem.template.rise_time / strongest)
+    h = min(min(times) / _STEPS_PER_TIME_CONSTANT, _STABLE * problem.template.rise_time / strongest)
     signals = np.asarray(_watch(problem, jnp.asarray(points.reshape(-1, 3)), h, max(times)))
     lags = np.array(
         [

@@ -210,7 +210,7 @@ class Flow:
         """
         return np.concatenate([np.ravel(potential), np.ravel(adaptation)]) / self.scale
 
-    def slope(self, state: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
+    def derivative(self, state: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
         """Derivative of a state with respect to time."""
         generator = self._piece(self._pattern(state)).generator
         return generator[:-1, :-1] @ state + generator[:-1, -1]
@@ -302,7 +302,7 @@ class Flow:
 
     def stands_still(self, state: Float[np.ndarray, " k"]) -> bool:
         """Whether a state changes by rounding only."""
-        return bool(np.abs(self.slope(state)).max() < _STILL)
+        return bool(np.abs(self.derivative(state)).max() < _STILL)
 
     def rest(self, state: Float[np.ndarray, " k"]) -> Rest | None:
         """The equilibrium that a state is certain to decay to; None where that is not certain.
@@ -462,13 +462,13 @@ class Flow:
         series = [float(term[neuron, 0]) for term in terms]
         reach, moment = float(self._lengths[-1]), left
         for _ in range(_REFINEMENTS):
-            value = slope = 0.0
+            value = derivative = 0.0
             for coefficient in reversed(series):
-                slope = slope * moment + value
+                derivative = derivative * moment + value
                 value = value * moment + coefficient
-            if slope == 0:
+            if derivative == 0:
                 break
-            moment = min(max(moment - value / slope, -reach), 2 * reach)
+            moment = min(max(moment - value / derivative, -reach), 2 * reach)
         return _sum(terms, moment), about - left + moment
 
 

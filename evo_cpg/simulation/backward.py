@@ -137,9 +137,9 @@ def _faded(x: Array, factor: Array) -> Array:
 
 @_faded.defjvp
 def _faded_jvp(primals: tuple[Array, Array], tangents: tuple[Array, Array]) -> tuple[Array, Array]:
-    (x, factor), (slope, _) = primals, tangents
+    (x, factor), (gradient, _) = primals, tangents
     rows = (1,) * (x.ndim - factor.ndim)
-    return x, factor.reshape(*rows, *factor.shape) * slope
+    return x, factor.reshape(*rows, *factor.shape) * gradient
 
 
 @jax.custom_vjp
@@ -155,9 +155,9 @@ def _cut_forward(state: State) -> tuple[State, None]:
     return state, None
 
 
-def _cut_backward(_: None, slope: State) -> tuple[State]:
-    place, height = slope.position[:2], slope.position[2:]
-    moving = {name: getattr(slope, name) for name in _FADING}
+def _cut_backward(_: None, gradient: State) -> tuple[State]:
+    place, height = gradient.position[:2], gradient.position[2:]
+    moving = {name: getattr(gradient, name) for name in _FADING}
     size = jnp.sqrt(sum((x * x).sum(0) for x in (height, *moving.values())))
     said = jnp.sqrt((place * place).sum(0))
     most = jnp.where(said > 0, _STEEPEST * said, jnp.inf)

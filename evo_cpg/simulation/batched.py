@@ -76,9 +76,9 @@ class BatchedSimulation(NamedTuple):
         leaves, structure = jax.tree.flatten(self.common)
         parts = zip(self.inputs.places, self.inputs.elements, own, strict=True)
         for place, elements, value in parts:
-            whole = np.array(leaves[place], float, order="C")
-            whole.reshape(-1)[elements] = value
-            leaves[place] = whole if whole.ndim else float(whole)
+            array = np.array(leaves[place], float, order="C")
+            array.reshape(-1)[elements] = value
+            leaves[place] = array if array.ndim else float(array)
         return jax.tree.unflatten(structure, leaves)
 
     @property

@@ -191,7 +191,7 @@ def sense(simulation: Simulation, constants: EpisodeConstants, animal: AnimalSta
     """Return the observation of the controller."""
     world, state = simulation.world, animal.state
 
-    def look(state: State, light: Array | None) -> tuple[Array, Array, Array, Array]:
+    def read_built_in(state: State, light: Array | None) -> tuple[Array, Array, Array, Array]:
         kin = kinematics(world.tree, state)
         place = _light_of(constants, light, state.position)
         return *light_readings(simulation.sensors, kin, place), depth_readings(
@@ -204,7 +204,7 @@ def sense(simulation: Simulation, constants: EpisodeConstants, animal: AnimalSta
 
     ndim = state.position.ndim - 1
     strength, cosine, sine, depth = fuse(
-        look, state, constants.light, batch_ndim=ndim, name="sensors"
+        read_built_in, state, constants.light, batch_ndim=ndim, name="sensors"
     )
     custom = None
     if simulation.extra_sensors:

@@ -150,7 +150,7 @@ class Settling:
         moment = self.weight * self.size
         search, numbers = _searches.of(world, self.free, h)
         given = numbers, self.scale, moment
-        self._look = functools.partial(search.look, given)
+        self._evaluate = functools.partial(search.evaluate, given)
         self._go = functools.partial(search.go, given)
         self._chord = functools.partial(search.chord, given)
 
@@ -213,9 +213,9 @@ class Settling:
 
     def _at(self, y: np.ndarray, state: State, grip: Grip) -> _Here:
         """All about the pose with the coordinates y."""
-        slope, (force, total, touch) = self._look(jnp.asarray(y), state, grip)
-        slope = np.asarray(slope)
-        return _Here(np.asarray(force), np.asarray(total), touch, -(slope + slope.T) / 2)
+        derivative, (force, total, touch) = self._evaluate(jnp.asarray(y), state, grip)
+        derivative = np.asarray(derivative)
+        return _Here(np.asarray(force), np.asarray(total), touch, -(derivative + derivative.T) / 2)
 
     def _first_grip(self, start: State) -> Grip:
         """Of an animal none of whose places has touched anything yet."""
@@ -312,7 +312,7 @@ class _Search:
             scaled = total[free] * length / moment
             return scaled, (scaled, total, touch)
 
-        def look(given: tuple, y: Array, base: State, grip: Grip) -> tuple:
+        def evaluate(given: tuple, y: Array, base: State, grip: Grip) -> tuple:
             return jax.jacfwd(force, has_aux=True)(y, given, base, grip)
 
         def go(given: tuple, y: Array, base: State, grip: Grip, touch: Touch) -> tuple[State, Grip]:
@@ -332,7 +332,7 @@ class _Search:
                 throw=False,
             ).value
 
-        self.look, self.go, self.chord = quick_jit(look), quick_jit(go), quick_jit(chord)
+        self.evaluate, self.go, self.chord = quick_jit(evaluate), quick_jit(go), quick_jit(chord)
 
 
 _searches = Programs(_Search)

@@ -165,9 +165,9 @@ def draw_settings(
         count: individuals.
         stretched: factor on the shortest horizon.
     """
-    whole = simulation.duration
+    duration = simulation.duration
     shortest = stretched * (_SHORTEST_ON_GROUND if _is_rough(simulation) else _SHORTEST_HORIZON)
-    horizons = log_uniform(rng, min(shortest, whole), 10 * whole, count)
+    horizons = log_uniform(rng, min(shortest, duration), 10 * duration, count)
     horizons[rng.random(count) < _EXACT] = np.inf
     sizes = reach(simulation) * log_uniform(rng, *_STEP_SIZES, count)
     return ClimbSettings(sizes, retention(horizons, simulation.control_rate))

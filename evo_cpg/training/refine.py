@@ -176,7 +176,7 @@ def compile_evaluation(
     """
     count = experiment.runs * experiment.strategy.population * experiment.trials
     width = chunk_width(count, devices)
-    live = compile_trials(experiment.simulation, mesh, width)
+    run_trials = compile_trials(experiment.simulation, mesh, width)
     assess = jax.jit(lambda *given: judge(experiment.simulation.task, *given))
 
     def evaluate(genes: Float[np.ndarray, "g n"], champion: Champion) -> list[Champion]:
@@ -185,7 +185,7 @@ def compile_evaluation(
             lambda x: np.tile(x, count),
             (jax.device_get(champion_keys(experiment, champion)), situation_numbers(experiment)),
         )
-        outcome = live(genes, keys, numbers, trials)
+        outcome = run_trials(genes, keys, numbers, trials)
         outcome = jax.tree.map(lambda x: x.reshape(count, trials), outcome)
         scales = {name: np.float32(value) for name, value in champion.scales.items()}
         fitness, mean = jax.device_get(assess(outcome, scales))

@@ -54,11 +54,11 @@ def compile_replay(
     native code whose results are what the trial amounted to, and the frames of all its individuals
     would take hundreds of megabytes. A recording takes a trial step by step.
     """
-    live = compile_frames(experiment, devices, recorded)
+    program = compile_frames(experiment, devices, recorded)
     names = [body.name for body in experiment.creature.bodies]
 
     def of(champion: Champion) -> Replayed:
-        fitness, terms, frames = live(champion)
+        fitness, terms, frames = program(champion)
         motion = as_recording(experiment.simulation, frames, names, trial=recorded)
         return fitness, terms, motion
 
@@ -76,14 +76,14 @@ def compile_frames(
     numbers = situation_numbers(experiment)
     placeholder = Champion(np.zeros(genes, np.float32), 0.0, 0, {}, {}, 0, 0)
     keys = jax.eval_shape(lambda: champion_keys(experiment, placeholder))
-    live = jax.jit(functools.partial(replay, experiment, devices, recorded=recorded, full=full))
-    lived = live.lower(jax.ShapeDtypeStruct((genes,), jnp.float32), keys, numbers)
+    program = jax.jit(functools.partial(replay, experiment, devices, recorded=recorded, full=full))
+    lowered = program.lower(jax.ShapeDtypeStruct((genes,), jnp.float32), keys, numbers)
     # Compiled as in training: a multiplication and an addition may become one operation, with one
     # rounding.
     scales = {name: jnp.float32(1.0) for name in placeholder_scales(experiment)}
     assess = jax.jit(functools.partial(judge, simulation.task))
-    assessed = assess.lower(lived.out_info[0], scales).compile()
-    run = lived.compile()
+    assessed = assess.lower(lowered.out_info[0], scales).compile()
+    run = lowered.compile()
 
     def of(champion: Champion) -> Frames:
         given = np.asarray(champion.genes, np.float32), champion_keys(experiment, champion)

@@ -139,7 +139,7 @@ class RunFolder:
             if self.path.exists() and not self.path.is_dir():
                 raise RunFolderError(f"{self.path} is a file; choose another --out")
             if self.config.exists():
-                raise RunFolderError(f"{self.path} already holds a run; {self._way_on()}")
+                raise RunFolderError(f"{self.path} already holds a run; {self._how_to_continue()}")
             leftover = (
                 locks.FILE,
                 f".{self.config.name}.",
@@ -162,7 +162,7 @@ class RunFolder:
         self.reopen(config_text)
         self.update_meta(**meta)
 
-    def _way_on(self) -> str:
+    def _how_to_continue(self) -> str:
         """How one may go on with the run that is here."""
         if self.read_meta().get("replaced"):
             return (
