@@ -132,7 +132,7 @@ class Ribs(MapStrategy):
         optimiser(self._settings)
         layout(self._settings)
 
-    def archive(self, state: State) -> Archive:
+    def map_of(self, state: State) -> Archive:
         """Everybody's map."""
         return state.archive
 

@@ -134,7 +134,7 @@ class MapStrategy(Strategy):
     axes: eqx.AbstractVar[tuple[Axis, ...]]
 
     @abc.abstractmethod
-    def archive(self, state: PyTree[Array]) -> Archive:
+    def map_of(self, state: PyTree[Array]) -> Archive:
         """The map in a state that `ask` gave."""
 
     @property
@@ -163,7 +163,7 @@ class MapStrategy(Strategy):
 
     def metrics(self, state: PyTree[Array]) -> dict[str, Float[Array, ""]]:
         """``coverage``, the share of cells that are filled, and ``mean_elite``, their fitness."""
-        fitness = self.archive(state).fitness
+        fitness = self.map_of(state).fitness
         filled = jnp.isfinite(fitness)
         count = filled.sum()
         total = jnp.where(filled, fitness, 0.0).sum()
@@ -237,7 +237,7 @@ class MapElites(MapStrategy):
         """Largest magnitude of a gene; None of bits."""
         return self.vary.gene_bound
 
-    def archive(self, state: Archive) -> Archive:
+    def map_of(self, state: Archive) -> Archive:
         """It is the state."""
         return state
 
@@ -295,8 +295,8 @@ class Mapped(MapStrategy):
         """Largest magnitude of a gene, where the strategy has one."""
         return getattr(self.strategy, "gene_bound", None)
 
-    def archive(self, state: Charted) -> Archive:
-        """See `MapStrategy.archive`."""
+    def map_of(self, state: Charted) -> Archive:
+        """See `MapStrategy.map_of`."""
         return state.archive
 
     def init(self, key: Array, genes: Float[Array, "g n"]) -> Charted:

@@ -140,7 +140,7 @@ class Strategy(eqx.Module):
         """Axes of the map of behaviour that the search fills; none unless overridden."""
         return ()
 
-    def archive(self, state: PyTree[Array]) -> Archive | None:
+    def map_of(self, state: PyTree[Array]) -> Archive | None:
         """Return the map of behaviour in a state that `ask` left; None without `map_axes`."""
         del state
         return None

@@ -38,7 +38,7 @@ def gait_map(experiment: Experiment, checkpoint: Checkpoint, run: int) -> GaitMa
         return None
     like = jax.eval_shape(lambda: begin(experiment))[1]
     state = jax.tree.map(lambda x: x[run], state_from(checkpoint.state, like))
-    archive = strategy.archive(state)
+    archive = strategy.map_of(state)
     assert archive is not None
     fitness = np.where(np.isfinite(archive.fitness), archive.fitness, np.nan)
     return GaitMap(axes, fitness.reshape([axis.cells for axis in axes]), archive)
