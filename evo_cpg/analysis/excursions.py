@@ -264,7 +264,7 @@ def _seen_through_ground(
         return 0.0
     floor = world.footing.ground.floor
     # From just beside the eye to just beside the light.
-    shares = np.linspace(0.0, 1.0, _POINTS + 2)[1:-1]
+    fractions = np.linspace(0.0, 1.0, _POINTS + 2)[1:-1]
 
     def lowest(steps: PhysicsSteps) -> Float[Array, "e t"]:
         kin = kinematics(world.tree, steps.before)
@@ -273,7 +273,7 @@ def _seen_through_ground(
             rotation, expand_dims_like(sensors.eye_positions, kin.origin)
         )
         to_light = jnp.asarray(light)[:, None, None] - eye
-        line = eye[:, None] + shares[None, :, None, None] * to_light[:, None]
+        line = eye[:, None] + fractions[None, :, None, None] * to_light[:, None]
         return floor.distance(line)[0].min(0)
 
     sampled = jax.tree.map(lambda x: x[..., :: simulation.substeps], steps)

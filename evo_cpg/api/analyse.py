@@ -1,7 +1,6 @@
 """A page of a run, as `evo-cpg analyse` makes it: the champion in 3D, its gait in numbers."""
 
 import io
-import json
 import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -16,7 +15,7 @@ from evo_cpg.api.training import now, require_configured
 from evo_cpg.api.version import version
 from evo_cpg.config.load import load_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
-from evo_cpg.files import write_text
+from evo_cpg.files import read_json, write_text
 from evo_cpg.system import resolved
 from evo_cpg.training.checkpoint import Champion, genes_digest
 from evo_cpg.training.experiment import Experiment
@@ -185,11 +184,9 @@ def _audit(folder: RunFolder, champion: Champion) -> dict[str, Any] | None:
     found = []
     for name in (f"audit_run{champion.run}.json", "audit.json"):
         try:
-            told = json.loads((folder.path / name).read_text(encoding="utf-8"))
-        except (OSError, RecursionError, ValueError):
+            found.append(read_json(folder.path / name, dict[str, Any]))
+        except (OSError, ValueError):
             continue
-        if isinstance(told, dict):
-            found.append(told)
     return next((told for told in found if _is_of(told, champion)), found[0] if found else None)
 
 

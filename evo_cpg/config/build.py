@@ -11,7 +11,7 @@ from evo_cpg.config.errors import ConfigError, nearest
 from evo_cpg.config.lines import with_line
 from evo_cpg.config.numbers import unchecked
 from evo_cpg.config.own_classes import build_own, require_code
-from evo_cpg.config.own_returns import check_own_forces, check_own_returns, check_own_strategy
+from evo_cpg.config.own_returns import check_own_forces, check_own_returns
 from evo_cpg.config.schema.choice import CustomConfig
 from evo_cpg.config.schema.evolution import RealEvolutionConfig
 from evo_cpg.config.schema.experiment import ExperimentConfig
@@ -112,8 +112,7 @@ def _build_experiment(
         # One trial is as good as many.
         trials = 1
     check_own_returns(config, simulation, source)
-    strategy = build_strategy(config, simulation, source)
-    check_own_strategy(config, strategy, simulation, trials, source)
+    strategy = build_strategy(config, simulation, trials, source)
     return Experiment(
         name=config.name,
         creature=creature,

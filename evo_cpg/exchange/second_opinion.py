@@ -40,9 +40,9 @@ from evo_cpg.physics.kinematics import kinematics
 from evo_cpg.physics.state import State, resting_state
 from evo_cpg.physics.weight import buoyancy_alone
 from evo_cpg.physics.world import World
-from evo_cpg.simulation.control_step import act, begin_life, sense
+from evo_cpg.simulation.control_step import act, begin_episode, sense
 from evo_cpg.simulation.physics_steps import PhysicsSteps
-from evo_cpg.simulation.sensors import feel
+from evo_cpg.simulation.sensors import pressure_readings
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.spatial.linear import cross, expand_dims_like, matvec
 
@@ -106,7 +106,7 @@ class Brain:
     ):
         with using(simulation.engine):
             alone = jnp.asarray(genes, jnp.float32)[:, None]
-            life, animal = begin_life(simulation, alone, keys, number)
+            constants, animal = begin_episode(simulation, alone, keys, number)
         footing = simulation.world.footing
         owners = np.array([] if footing is None else footing.bodies, int)
         # A body's first contact point stands for all of them: the skin adds them up.
@@ -116,9 +116,9 @@ class Brain:
         def think(state: State, nerves: Any, force: Array) -> tuple[Any, Command]:
             with using(simulation.engine):
                 kin = kinematics(simulation.world.tree, state)
-                felt = feel(simulation.sensors, simulation.world, kin, force)
+                felt = pressure_readings(simulation.sensors, simulation.world, kin, force)
                 there = animal._replace(state=state, nerves=nerves, pressure=felt)
-                return act(simulation, life, there, sense(simulation, life, there))
+                return act(simulation, constants, there, sense(simulation, constants, there))
 
         self._think = jax.jit(think)
 

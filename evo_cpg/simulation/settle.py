@@ -38,7 +38,7 @@ from evo_cpg.physics.statics import (
     static_forces,
 )
 from evo_cpg.physics.world import World
-from evo_cpg.simulation.plans import Plan, Programs
+from evo_cpg.simulation.plans import Programs, WorldPlan
 from evo_cpg.simulation.situation import Situation
 from evo_cpg.spatial.choices import Undecidable, chosen, searched
 from evo_cpg.spatial.numerics import is_traced
@@ -159,7 +159,7 @@ class Settling:
         moment = self.weight * self.size
         search, numbers = _searches.of(world, self.free, h)
         given = numbers, self.scale, moment
-        self._look = functools.partial(search.look, given)
+        self._evaluate = functools.partial(search.evaluate, given)
         self._go = functools.partial(search.go, given)
         self._chord = functools.partial(search.chord, given)
 
@@ -201,16 +201,16 @@ class Settling:
         for _ in range(_SADDLES):
             state, friction = self._root(state, friction)
             here = self._at(np.zeros(len(self.free)), state, friction)
-            values, ways = np.linalg.eigh(here.stiffness)
+            values, modes = np.linalg.eigh(here.stiffness)
             if values[0] > -_UNSTABLE:
                 break
-            way = ways[:, 0] * np.sign(ways[np.abs(ways[:, 0]).argmax(), 0])
-            state, friction = self._move(_KICK * way, state, friction)
+            direction = modes[:, 0] * np.sign(modes[np.abs(modes[:, 0]).argmax(), 0])
+            state, friction = self._move(_KICK * direction, state, friction)
         else:
             raise NoRestError(f"it is balanced {_SADDLES} times, but never in a stable pose")
         self._require_hold(here.total)
         stiff = np.abs(values) > _SOFTEST
-        give = (ways[:, stiff] / values[stiff]) @ ways[:, stiff].T
+        give = (modes[:, stiff] / values[stiff]) @ modes[:, stiff].T
         if _is_alike_everywhere(self.world):
             state, friction = _put_back(start, state, friction)
         tilt = _tilt(start, state)
@@ -222,9 +222,9 @@ class Settling:
 
     def _at(self, y: np.ndarray, state: State, friction: FrictionState) -> _Here:
         """All about the pose with the coordinates y."""
-        slope, (force, total, touch) = self._look(jnp.asarray(y), state, friction)
-        slope = np.asarray(slope)
-        return _Here(np.asarray(force), np.asarray(total), touch, -(slope + slope.T) / 2)
+        derivative, (force, total, touch) = self._evaluate(jnp.asarray(y), state, friction)
+        derivative = np.asarray(derivative)
+        return _Here(np.asarray(force), np.asarray(total), touch, -(derivative + derivative.T) / 2)
 
     def _first_friction(self, start: State) -> FrictionState:
         """Of an animal none of whose places has touched anything yet."""
@@ -258,38 +258,40 @@ class Settling:
                 break
             if np.abs(here.force).max() < _NEARLY:
                 return state, friction
-            values, ways = np.linalg.eigh(here.stiffness)
+            values, modes = np.linalg.eigh(here.stiffness)
             # What is soft follows the force, no farther than the size of the creature.
             largest = np.abs(here.force).max()
             stiff = np.maximum(np.abs(values), largest)
             stay = np.diag(largest * self.stay)
-            y = np.linalg.solve((ways * stiff) @ ways.T + stay, here.force)
+            y = np.linalg.solve((modes * stiff) @ modes.T + stay, here.force)
             far = np.abs(y) / np.where(self.free < root.LENGTHS, self.farthest, _LARGEST_TURN)
             y = y / max(1.0, far.max())
-            y = y * self._share(y, here, state, friction)
+            y = y * self._step_length(y, here, state, friction)
             state, friction = self._move(y, state, friction)
         raise NoRestError(f"it slides, rolls or drifts away: no rest within {_STEPS} steps")
 
-    def _share(self, y: np.ndarray, here: _Here, state: State, friction: FrictionState) -> float:
+    def _step_length(
+        self, y: np.ndarray, here: _Here, state: State, friction: FrictionState
+    ) -> float:
         """Of a step, at which the energy changes at most half as steeply as at first."""
-        low, high, share, steepest = 0.0, 1.0, 1.0, 0.5 * float(here.force @ y)
+        low, high, fraction, steepest = 0.0, 1.0, 1.0, 0.5 * float(here.force @ y)
         for _ in range(_HALVINGS):
-            ahead = float(self._at(share * y, state, friction).force @ y)
+            ahead = float(self._at(fraction * y, state, friction).force @ y)
             if ahead < -steepest:
-                high = share
-            elif ahead > steepest and share < 1.0:
-                low = share
+                high = fraction
+            elif ahead > steepest and fraction < 1.0:
+                low = fraction
             else:
                 break
-            share = (low + high) / 2
-        return share
+            fraction = (low + high) / 2
+        return fraction
 
     def _polish(self, state: State, friction: FrictionState) -> tuple[State, FrictionState]:
         """The root near by, as exactly as the numbers allow."""
         stiffness = self._at(np.zeros(len(self.free)), state, friction).stiffness
-        values, ways = np.linalg.eigh(stiffness)
+        values, modes = np.linalg.eigh(stiffness)
         values = np.where(values < 0, -1.0, 1.0) * np.maximum(np.abs(values), _SOFTEST)
-        y = self._chord(state, friction, jnp.asarray((ways / values) @ ways.T))
+        y = self._chord(state, friction, jnp.asarray((modes / values) @ modes.T))
         return self._move(np.asarray(y), state, friction)
 
     def _require_hold(self, total: np.ndarray) -> None:
@@ -312,7 +314,7 @@ class _Search:
         h: step of the simulation, s.
     """
 
-    def __init__(self, plan: Plan, free: Int[np.ndarray, " k"], h: float):
+    def __init__(self, plan: WorldPlan, free: Int[np.ndarray, " k"], h: float):
         def force(
             y: Array, given: tuple, base: State, friction: FrictionState
         ) -> tuple[Array, tuple[Array, Array, Touch]]:
@@ -323,7 +325,7 @@ class _Search:
             scaled = total[free] * length / moment
             return scaled, (scaled, total, touch)
 
-        def look(given: tuple, y: Array, base: State, friction: FrictionState) -> tuple:
+        def evaluate(given: tuple, y: Array, base: State, friction: FrictionState) -> tuple:
             return jax.jacfwd(force, has_aux=True)(y, given, base, friction)
 
         def go(
@@ -345,7 +347,7 @@ class _Search:
                 throw=False,
             ).value
 
-        self.look, self.go, self.chord = quick_jit(look), quick_jit(go), quick_jit(chord)
+        self.evaluate, self.go, self.chord = quick_jit(evaluate), quick_jit(go), quick_jit(chord)
 
 
 _searches = Programs(_Search)
@@ -373,15 +375,15 @@ def settled(
     state = found.state
     if is_traced(world, situation):
         x, y, heading = found.start
-        way = jnp.stack([situation.start_position[0] - x, situation.start_position[1] - y])
+        displacement = jnp.stack([situation.start_position[0] - x, situation.start_position[1] - y])
         base, friction = jax.tree.map(
-            lambda leaf: jnp.asarray(leaf, way.dtype), (state, found.friction)
+            lambda leaf: jnp.asarray(leaf, displacement.dtype), (state, found.friction)
         )
-        turn = jnp.asarray(situation.start_heading - heading, way.dtype)
-        base, friction = _carried(base, friction, way, turn)
-        still = jnp.zeros(len(found.give), way.dtype)
+        turn = jnp.asarray(situation.start_heading - heading, displacement.dtype)
+        base, friction = _carried(base, friction, displacement, turn)
+        still = jnp.zeros(len(found.give), displacement.dtype)
         force, _ = static_forces(world, h, base, friction, still)
-        state = base.displaced(jnp.asarray(found.give, way.dtype) @ force)
+        state = base.displaced(jnp.asarray(found.give, displacement.dtype) @ force)
         if alike_everywhere:
             state, _ = _put_back(base, state, friction)
     position, orientation, angles = (
@@ -445,19 +447,19 @@ def _put_back(start: State, state: State, friction: FrictionState) -> tuple[Stat
 
 
 def _carried(
-    state: State, friction: FrictionState, way: Array, turn: Array
+    state: State, friction: FrictionState, displacement: Array, turn: Array
 ) -> tuple[State, FrictionState]:
     """A pose, and what friction remembers, elsewhere on level ground.
 
     Args:
         state: the pose.
         friction: what friction remembers.
-        way: in the plane ``(2,)``, m.
+        displacement: displacement in the plane ``(2,)``, m.
         turn: about the upright axis through the root's centre, rad.
     """
     about_z = jnp.stack([jnp.zeros_like(turn), jnp.zeros_like(turn), turn])
     rotation = axis_rotation(np.array([0.0, 0.0, 1.0]), jnp.sin(turn), jnp.cos(turn))
-    position = state.position + jnp.concatenate([way, jnp.zeros_like(way[:1])])
+    position = state.position + jnp.concatenate([displacement, jnp.zeros_like(displacement[:1])])
     place = position[:, None] + rotation @ (friction.place - state.position[:, None])
     carried = dataclasses.replace(
         state,

@@ -9,7 +9,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
-from evo_cpg.evolution.map_elites import Axis
+from evo_cpg.evolution.archive import Axis
 from evo_cpg.view.figure import RED, framed, new_figure
 from evo_cpg.view.units import UNITS, in_words
 

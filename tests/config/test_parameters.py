@@ -124,7 +124,7 @@ def check_derivatives(config, keys):
     """
     parameters = parametrise(config, CONFIG, keys)
     simulation, inputs = parameters.experiment.simulation, parameters.inputs
-    genes = simulation.controller.random_genes(jax.random.key(5), (), np.float64)
+    genes = simulation.genome.random(jax.random.key(5), (), np.float64)
 
     def terms(simulation):
         return jnp.stack(list(rollout(simulation, genes).terms.values()))

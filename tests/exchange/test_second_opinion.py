@@ -23,7 +23,7 @@ def lived(path, *overrides):
     """A random individual's trial."""
     experiment = build_experiment(load_config(path, overrides), path)
     simulation = experiment.simulation
-    genes = simulation.controller.random_genes(jax.random.key(1), (1,), np.float32)
+    genes = simulation.genome.random(jax.random.key(1), (1,), np.float32)
     steps = jax.device_get(
         jax.jit(lambda g: rollout(simulation, g, observers=EachPhysicsStep()))(genes)
     )
