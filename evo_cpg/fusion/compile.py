@@ -3,7 +3,6 @@
 | pass | from | to | file |
 |---|---|---|---|
 | lower | JAX program | graph of scalars | `frontend.lower` |
-| simplify | each operation, as it is made | an equal one that costs less | `passes.simplify` |
 | contract multiply-adds | graph | graph | `passes.contract` |
 | verify | graph | the same graph | `ir.verify`, in the tests |
 | eliminate dead code | graph | graph | `passes.dead_code` |
@@ -13,8 +12,10 @@
 | print | code | LLVM IR | `backend.llvm`, `backend.handler` |
 | compile | LLVM IR | machine code in memory | `backend.machine` |
 
-Rules of `simplify` and passes from graph to graph may be left out (`PASSES`, `RULES`). The program
-then costs more and computes the same, except that sums without multiply-adds round otherwise. With
+Lowering simplifies each operation as it is made (`frontend.simplify`). It is no pass of its own,
+because lowering itself depends on it: the place of a slice must be a known number.
+
+Passes from graph to graph and rewrite rules may be left out (`PASSES`, `RULES`). The program then costs more and computes the same, except that sums without multiply-adds round otherwise. With
 the environment variable ``EVO_CPG_SHOW_PASSES`` the graph is printed to standard error after each
 pass.
 """
@@ -35,12 +36,12 @@ from evo_cpg.fusion.backend.machine import Target
 from evo_cpg.fusion.frontend.builder import Builder
 from evo_cpg.fusion.frontend.lower import lower
 from evo_cpg.fusion.frontend.primitives import Program
+from evo_cpg.fusion.frontend.simplify import RULES, Rule
 from evo_cpg.fusion.ir.graph import Graph
 from evo_cpg.fusion.ir.show import show
 from evo_cpg.fusion.passes.contract import contract_multiply_adds
 from evo_cpg.fusion.passes.dead_code import eliminate_dead_code
 from evo_cpg.fusion.passes.schedule import schedule
-from evo_cpg.fusion.passes.simplify import RULES, Rule
 from evo_cpg.fusion.unsupported import Unsupported
 
 Pass = Callable[[Graph], Graph]
@@ -118,7 +119,7 @@ def to_llvm(
         graph = optimize(program, passes, rules)
         code = allocate(graph, variant)
         text, scratch = print_llvm(code)
-    entry = handler("handler", code.arguments, code.results, scratch, variant)
+    entry = handler("handler", len(code.arguments), len(code.results))
     size = 8 * target.bytes
     vector = f'"prefer-vector-width"="{size}" "min-legal-vector-width"="{size}"'
     text = f"{text}\n{entry}\nattributes #0 = {{ nounwind {vector} }}\n"

@@ -2,17 +2,19 @@
 
 import time
 import weakref
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from evo_cpg.fusion import engine
+from evo_cpg.fusion import jax_internals as internals
 from evo_cpg.fusion.backend.code import Variant
 from evo_cpg.fusion.backend.machine import Target, load
 from evo_cpg.fusion.compile import to_llvm
-from evo_cpg.fusion.frontend.primitives import RULES, Program, plain
+from evo_cpg.fusion.frontend.derivatives import batch_again, differentiate
+from evo_cpg.fusion.frontend.primitives import Program, fused_p, plain
 from evo_cpg.fusion.stopwatch import Made, counted, record
 
 
@@ -96,4 +98,9 @@ def _make(program: Program, target: Target, variant: Variant) -> Native:
     return Native(engine.register(name, address), module.scratch)
 
 
-RULES["evaluate"] = evaluate
+def shapes_of(*_: Any, program: Program, batch: tuple[int, ...]) -> list[jax.ShapeDtypeStruct]:
+    """Return the shapes of the results of a program for all individuals."""
+    return [jax.ShapeDtypeStruct((*x.shape, *batch), x.dtype) for x in program.outputs]
+
+
+internals.implement(fused_p, shapes_of, evaluate, differentiate, batch_again)

@@ -16,13 +16,13 @@ from evo_cpg.fusion.backend.llvm import print_llvm
 from evo_cpg.fusion.compile import PASSES, check_size, optimize
 from evo_cpg.fusion.frontend.builder import Builder
 from evo_cpg.fusion.frontend.primitives import fused_p
+from evo_cpg.fusion.frontend.simplify import RULES
 from evo_cpg.fusion.fuse import fuse
 from evo_cpg.fusion.ir.graph import Change, Node, rewrite
 from evo_cpg.fusion.ir.show import show
 from evo_cpg.fusion.ir.verify import InvalidGraph, verify
 from evo_cpg.fusion.passes.dead_code import eliminate_dead_code
 from evo_cpg.fusion.passes.schedule import schedule
-from evo_cpg.fusion.passes.simplify import RULES
 from evo_cpg.fusion.unsupported import Unsupported
 
 F32 = np.dtype(np.float32)

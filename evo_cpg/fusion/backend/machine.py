@@ -10,10 +10,10 @@ import hashlib
 import os
 import platform
 import sys
-import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from evo_cpg.files import in_one_piece
 from evo_cpg.fusion import machine_constants
 from evo_cpg.fusion.backend import compiler
 from evo_cpg.fusion.backend.compiler_process import Request
@@ -189,10 +189,6 @@ def _read(name: str) -> bytes | None:
 
 
 def _write(name: str, code: bytes) -> None:
-    if _folder is None:
-        return
-    with contextlib.suppress(OSError):
-        handle, path = tempfile.mkstemp(dir=_folder, prefix=".native-")
-        with os.fdopen(handle, "wb") as file:
-            file.write(code + hashlib.sha256(code).digest())
-        os.replace(path, _folder / f"native-{name}")
+    if _folder is not None:
+        with contextlib.suppress(OSError), in_one_piece(_folder / f"native-{name}") as file:
+            file.write_bytes(code + hashlib.sha256(code).digest())

@@ -1,6 +1,6 @@
 """Make the nodes of a graph, in which equal things are one thing.
 
-Making a node folds constants, applies the rewrite rules (`evo_cpg.fusion.passes.simplify`), and
+Making a node folds constants, applies the rewrite rules (`evo_cpg.fusion.frontend.simplify`), and
 hands out the node that is there already. So a creature's zeros (a centre of mass on the joint, a
 principal axis) cost nothing in the end.
 
@@ -9,14 +9,14 @@ change in a loop is computed before it.
 """
 
 import contextlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
+from evo_cpg.fusion.frontend.simplify import FOLDED, RULES, Rule, saturates
 from evo_cpg.fusion.ir.graph import Block, Buffer, Graph, Loop, Node, Part, Values, row_count
 from evo_cpg.fusion.ir.types import COMMUTATIVE, PREDICATES
-from evo_cpg.fusion.passes.simplify import FOLDED, RULES, Rule, saturates
 
 
 class Sums:
@@ -59,14 +59,13 @@ class Builder:
     def argument(self, shape: Sequence[int], dtype: Any, shared: bool = False) -> np.ndarray:
         """Return the nodes of one more argument; an array without elements is none."""
         dtype, size = np.dtype(dtype), int(np.prod(shape, dtype=int))
-        buffer, nodes = len(self._arguments), np.empty(size, object)
-        nodes[:] = [
-            self._new("input", (), dtype, self.top, shared, detail=(buffer, row))
-            for row in range(size)
-        ]
+        places = [(len(self._arguments), row) for row in range(size)]
         if size:
             self._arguments.append(Buffer(size, dtype, shared))
-        return nodes.reshape(shape)
+        return node_array(
+            [self._new("input", (), dtype, self.top, shared, detail=place) for place in places],
+            shape,
+        )
 
     def graph(self, results: Sequence[np.ndarray]) -> Graph:
         """Return the program whose results are some arrays of nodes."""
@@ -185,10 +184,12 @@ class Builder:
             triangle: the lower triangle of the matrix, row by row.
             b: the other side.
         """
-        table = self.make("solve", (*triangle, *b), b[0].dtype, len(b))
-        answers = np.empty(len(b), object)
-        answers[:] = [self.lookup(table, self.constant(place, np.int32)) for place in range(len(b))]
-        return answers
+        return self.rows(self.make("solve", (*triangle, *b), b[0].dtype, len(b)), b.shape)
+
+    def rows(self, table: Node, shape: Sequence[int]) -> np.ndarray:
+        """Return all numbers of a table or list."""
+        places = [self.constant(place, np.int32) for place in range(row_count(table))]
+        return node_array([self.lookup(table, place) for place in places], shape)
 
     def sums(self, start: np.ndarray) -> Sums:
         """Memory for sums that begin with the given nodes, all of one type."""
@@ -207,10 +208,7 @@ class Builder:
         """What sums have come to after the loop that was made last."""
         operands = (sums.memory, *sums.added)
         table = self._new("totals", operands, sums.memory.dtype, self.block, False)
-        places = [self.constant(place, np.int32) for place in range(row_count(table))]
-        nodes = np.empty(len(places), object)
-        nodes[:] = [self.lookup(table, place) for place in places]
-        return nodes.reshape(sums.shape)
+        return self.rows(table, sums.shape)
 
     def loop(self, start: Sequence[Node], loop: Loop) -> tuple[list[Node], list[Node]]:
         """Put a loop into the current block.
@@ -335,6 +333,18 @@ class Builder:
         node = Node(op, operands, dtype, block, uniform, len(self._made) + 1, value, detail)
         self._made.append(node)
         return node
+
+
+def node_array(nodes: Sequence[Node], shape: Sequence[int]) -> np.ndarray:
+    """Return an array of nodes."""
+    result = np.empty(len(nodes), object)
+    result[:] = nodes
+    return result.reshape(shape)
+
+
+def elementwise(make: Callable[..., Node], *arrays: Any) -> np.ndarray:
+    """Apply a function of nodes element by element, with broadcasting."""
+    return np.asarray(np.frompyfunc(make, len(arrays), 1)(*arrays), object)
 
 
 def _comes_later(a: Node, b: Node) -> bool:

@@ -34,8 +34,7 @@ def _each(names: str, signature: str) -> dict[str, Operation]:
     return dict.fromkeys(names.split(), Operation(signature))
 
 
-OPERATIONS: dict[str, Operation] = {
-    # Arithmetic: one scalar from others.
+ARITHMETIC: dict[str, Operation] = {
     **_each("add sub mul div rem max min", "n n -> n"),
     **_each("eq ne lt le gt ge", "a a -> b"),
     **_each("and or xor", "a a -> a"),
@@ -46,15 +45,24 @@ OPERATIONS: dict[str, Operation] = {
     **_each("not", "a -> a"),
     **_each("select", "b a a -> a"),
     **_each("convert bitcast", "a -> *"),
-    # Multiply-adds: x y + z, x y - z, z - x y.
-    **_each("fma fms fnma", "f f f -> f"),
-    # Functions of the C library.
+}
+"""One scalar from others. Most have the names of JAX's primitives."""
+
+LIBRARY: dict[str, Operation] = {
     **_each(
         "acos acosh asin asinh atan atanh cbrt cos cosh erf erfc exp exp2 expm1 lgamma log log1p"
         " sin sinh tan tanh",
         "f -> f",
     ),
     **_each("atan2 pow", "f f -> f"),
+}
+"""Functions of the C library, by the names of JAX's primitives."""
+
+OPERATIONS: dict[str, Operation] = {
+    **ARITHMETIC,
+    **LIBRARY,
+    # Multiply-adds: x y + z, x y - z, z - x y.
+    **_each("fma fms fnma", "f f f -> f"),
     # What a block is given.
     "constant": Operation("-> *"),
     "input": Operation("-> *", tuple),
@@ -79,5 +87,5 @@ OPERATIONS: dict[str, Operation] = {
 }
 
 COMMUTATIVE = {"add", "mul", "max", "min", "and", "or", "xor", "eq", "ne"}
-PREDICATES = {"eq", "ne", "lt", "le", "gt", "ge", "is_finite"}
+PREDICATES = {op for op, each in ARITHMETIC.items() if each.signature.endswith("-> b")}
 """Operations whose result is a truth value."""
