@@ -11,7 +11,7 @@ import numpy as np
 from evo_cpg.fusion import engine
 from evo_cpg.fusion import jax_internals as internals
 from evo_cpg.fusion.backend.code import Variant
-from evo_cpg.fusion.backend.machine import Target, load
+from evo_cpg.fusion.backend.machine import load
 from evo_cpg.fusion.compile import to_llvm
 from evo_cpg.fusion.frontend.derivatives import batch_again, differentiate
 from evo_cpg.fusion.frontend.primitives import Program, fused_p, plain
@@ -80,19 +80,18 @@ def _native(program: Program, count: int) -> Native:
     kinds = [np.dtype(x.dtype) for x in (*program.inputs, *program.outputs)]
     widest = max([kind.itemsize for kind in kinds if kind.kind == "f"], default=_SINGLE)
     width = 1 if count == 1 else target.bytes // widest
-    key = target, width, count < width
-    if key not in codes:
-        variant = Variant(width, count < width, target.fma, target.registers, target.compresses)
+    variant = Variant(target, width, masked=count < width)
+    if variant not in codes:
         with counted():
-            codes[key] = _make(program, target, variant)
-    return codes[key]
+            codes[variant] = _make(program, variant)
+    return codes[variant]
 
 
-def _make(program: Program, target: Target, variant: Variant) -> Native:
+def _make(program: Program, variant: Variant) -> Native:
     start = time.perf_counter()
-    module = to_llvm(program, target, variant)
+    module = to_llvm(program, variant)
     middle = time.perf_counter()
-    name, address = load(module.text, target)
+    name, address = load(module.text, variant.target)
     taken = middle - start, time.perf_counter() - middle
     record(Made(program.name, module.operations, *taken, module.scratch))
     return Native(engine.register(name, address), module.scratch)

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from evo_cpg.fusion.frontend.builder import Builder
-from evo_cpg.fusion.ir.graph import Node
+from evo_cpg.fusion.ir.graph import Graph, Node
 from evo_cpg.fusion.ir.show import show
 from evo_cpg.fusion.ir.verify import verify
 from evo_cpg.fusion.passes.contract import contract_multiply_adds
@@ -32,14 +32,14 @@ def given_nodes(builder: Builder, count: int) -> list[Node]:
     return list(builder.argument((count,), FLOAT))
 
 
-def contracted(builder: Builder, *roots: Node, reorder: bool = True) -> list[Node]:
-    """Return the roots behind the pass, which changes nothing of the graph that it is given."""
-    builder.end_part(roots, reorder)
+def contracted(builder: Builder, *roots: Node, reorder: bool = True) -> Graph:
+    """Return the graph behind the pass, which changes nothing of the graph that it is given."""
+    builder.end_part((), roots, reorder)
     before = builder.graph([np.array([root], object) for root in roots])
     text = show(before)
     after = verify(contract_multiply_adds(verify(before)))
     assert show(before) == text
-    return after.wanted
+    return after
 
 
 def expression(builder: Builder, draw) -> list[Node]:
@@ -113,13 +113,12 @@ def test_values_stay_and_instructions_do_not_grow(data, reorder):
         if seen
         else nodes[0]
     )
-    builder.end_part([found])
-    inside = builder.opaque(found, given=builder.given([np.array(seen, object)]))
+    inside = builder.opaque(found, part=builder.end_part(seen, [found]))
     wanted = [nodes[-1], *seen]
     before, count = [value(node, {}) for node in wanted], instructions(wanted)
     scales = [magnitude(node) for node in wanted]
-    root, inside = contracted(builder, nodes[-1], inside, reorder=reorder)
-    wanted = [root, *(inside.operands[1].operands if inside.op == "opaque" else [])]
+    after = contracted(builder, nodes[-1], inside, reorder=reorder)
+    wanted = [after.wanted[0], *after.parts[0].arguments]
     for node, old, scale in zip(wanted, before, scales, strict=True):
         assert abs(value(node, {}) - old) <= 1e-12 * scale or not np.isfinite(scale)
     assert instructions(wanted) <= count
@@ -142,7 +141,7 @@ def test_products_are_added_one_by_one():
     a, b, c, d, e, f, x = given_nodes(builder, 7)
     ab, cd, ef = (builder.multiply(*pair) for pair in ((a, b), (c, d), (e, f)))
     root = builder.add(builder.add(ab, cd), builder.add(ef, x))
-    assert counts(contracted(builder, root)) == {"input": 7, "fma": 3}
+    assert counts(contracted(builder, root).wanted) == {"input": 7, "fma": 3}
 
 
 @pytest.mark.parametrize(
@@ -155,7 +154,7 @@ def test_signs_are_kept(signs, made):
     first = builder.add(y, ab) if signs[1] == "+" else builder.subtract(y, ab)
     root = builder.add(x, first) if signs[0] == "+" else builder.subtract(x, first)
     before = value(root, {})
-    (root,) = contracted(builder, root)
+    (root,) = contracted(builder, root).wanted
     assert value(root, {}) == pytest.approx(before, rel=1e-14)
     assert counts([root])["mul"] == 0
     assert made in counts([root]) or signs == "--"
@@ -168,7 +167,7 @@ def test_the_written_order_is_kept_where_it_matters():
     inner = builder.add(builder.add(a, builder.multiply(b, c)), d)
     root = builder.subtract(inner, builder.multiply(e, f))
     other = builder.subtract(builder.multiply(a, d), e)
-    root, other = contracted(builder, root, other, reorder=False)
+    root, other = contracted(builder, root, other, reorder=False).wanted
     inner = root.operands[2]
     assert root.op == "fnma" and root.operands == (e, f, inner)
     assert inner.op == "add" and d in inner.operands
@@ -183,7 +182,7 @@ def test_a_sum_or_product_that_others_use_is_left_whole():
     shared = builder.add(builder.multiply(a, b), builder.multiply(c, d))
     product = builder.multiply(a, c)
     roots = [builder.add(shared, a), builder.multiply(shared, b), builder.add(product, d), product]
-    roots = contracted(builder, *roots)
+    roots = contracted(builder, *roots).wanted
     (shared,) = {node for node in roots[0].operands if node.op != "input"}
     product = roots[3]
     assert all(shared in root.operands for root in roots[:2])
@@ -196,12 +195,11 @@ def test_what_another_program_reads_is_left_as_it_is():
     a, b, c, d, e = given_nodes(builder, 5)
     s = builder.add(builder.multiply(a, b), builder.multiply(c, d))
     found = builder.make("neg", [builder.opaque(s)], FLOAT)
-    builder.end_part([found])
-    elsewhere = builder.opaque(found, given=builder.given([np.array([s], object)]))
+    elsewhere = builder.opaque(found, part=builder.end_part([s], [found]))
     root = builder.add(s, e)
     before = value(s, {})
-    root, elsewhere = contracted(builder, root, elsewhere)
-    (s,) = elsewhere.operands[1].operands
+    after = contracted(builder, root, elsewhere)
+    root, (s,) = after.wanted[0], after.parts[0].arguments
     assert value(s, {}) == pytest.approx(before, rel=1e-15)
     assert s in root.operands and s.op == "fma"
 
@@ -213,4 +211,4 @@ def test_all_orders_of_terms_are_one_chain():
         x = given_nodes(builder, 8)
         terms = [builder.multiply(x[2 * i], x[2 * i + 1]) for i in order]
         root = builder.add(builder.add(terms[0], terms[1]), builder.add(terms[2], terms[3]))
-        assert counts(contracted(builder, root)) == {"input": 8, "mul": 1, "fma": 3}
+        assert counts(contracted(builder, root).wanted) == {"input": 8, "mul": 1, "fma": 3}

@@ -34,7 +34,7 @@ from evo_cpg.fusion.backend.packing import declared
 from evo_cpg.fusion.backend.places import FRAME_ORIGIN, Places
 from evo_cpg.fusion.backend.registers import Registers
 from evo_cpg.fusion.backend.select import FRAME, SCRATCH, Selector
-from evo_cpg.fusion.ir.graph import Block, Graph, Loop, Node, home, resolve, row_count
+from evo_cpg.fusion.ir.graph import Block, Graph, Loop, Node, home, resolve, row_count, table_values
 from evo_cpg.fusion.passes.schedule import runs_of
 
 _FLAG = np.dtype(bool)
@@ -77,7 +77,7 @@ class _Allocator:
             if node.op == "list":
                 self.lists[node.operands[0]].append(node)
         self.select = Selector(variant)
-        self.registers = Registers(variant.registers)
+        self.registers = Registers(variant.target.registers)
         self.places = Places()
         self.tables: dict[Node, int | str] = {}
         self.constants: list[Table] = []
@@ -373,7 +373,7 @@ class _Allocator:
 
     def _constants(self, node: Node) -> None:
         name = self.tables[node] = f"@table{len(self.constants)}"
-        self.constants.append(Table(name, node.detail.values, node.dtype))
+        self.constants.append(Table(name, table_values(node), node.dtype))
 
     def _lookup(self, node: Node) -> str:
         table, place = node.operands
@@ -438,7 +438,7 @@ class _Allocator:
         for table in packed.tables:
             if table not in packed.written:
                 reads += self._rows_of(table)
-        self.select.declared.update(declared(self.width, self.variant.compresses))
+        self.select.declared.update(declared(self.width, self.variant.target.compresses))
         self.items.append(LoopCode(loop, 0, None, test, body, packed=(reads, carries)))
 
     def _place(self, node: Node) -> Place:

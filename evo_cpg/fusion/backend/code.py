@@ -18,22 +18,40 @@ import numpy as np
 from evo_cpg.fusion.ir.graph import Buffer, Loop
 
 
-class Variant(NamedTuple):
-    """What the machine code is made for.
+class Target(NamedTuple):
+    """The machine that code is made for.
 
     Attributes:
-        width: individuals in a vector.
-        masked: fewer individuals than that.
-        fma: whether the processor multiplies and adds in one instruction.
-        registers: for vectors, that it has.
-        compresses: whether it closes up the chosen numbers of a vector in one instruction.
+        name: of its set of instructions.
+        bytes: of a vector.
+        registers: for vectors.
+        fma: whether it multiplies and adds in one instruction.
+        compresses: whether one closes up the chosen numbers of a vector.
+        processor: LLVM's name of it.
+        features: LLVM's list of what it has.
     """
 
+    name: str
+    bytes: int
+    registers: int
+    fma: bool
+    compresses: bool
+    processor: str
+    features: str
+
+
+class Variant(NamedTuple):
+    """The kind of machine code.
+
+    Attributes:
+        target: the machine that it is for.
+        width: individuals in a vector.
+        masked: whether there are fewer individuals than that.
+    """
+
+    target: Target
     width: int
     masked: bool
-    fma: bool
-    registers: int
-    compresses: bool
 
 
 class Template(NamedTuple):

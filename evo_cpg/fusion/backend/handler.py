@@ -37,10 +37,13 @@ def handler(name: str, arguments: int, results: int) -> str:
     """
     buffers = [("arguments", k) for k in range(arguments)]
     buffers += [("results", k) for k in range(results + 1)]
-    pointers = "".join(
-        _load(f"%{which}.{k}", "ptr", f"%{which}", 8 * k)
-        + _load(f"%{which}.{k}.data", "ptr", f"%{which}.{k}", 24)
+    pointers = "\n".join(
+        line
         for which, k in buffers
+        for line in (
+            _load(f"%{which}.{k}", "ptr", f"%{which}", 8 * k),
+            _load(f"%{which}.{k}.data", "ptr", f"%{which}.{k}", 24),
+        )
     )
     given = ", ".join(f"ptr %{which}.{k}.data" for which, k in buffers)
     return f"""
@@ -80,5 +83,5 @@ def _load(name: str, kind: str, base: str, offset: int) -> str:
     """Return lines that read a field of a structure."""
     return (
         f"  {name}.at = getelementptr i8, ptr {base}, i64 {offset}\n"
-        f"  {name} = load {kind}, ptr {name}.at\n"
+        f"  {name} = load {kind}, ptr {name}.at"
     )

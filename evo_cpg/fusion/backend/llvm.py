@@ -40,7 +40,7 @@ class _Printer:
         # An odd number of lines: the same place of different vectors is not in the same set.
         line = machine_constants.CACHE_LINE
         stride = (size // line | 1) * line + line
-        self.gang = Gang(machine_constants.GANG, variant.width, stride, variant.compresses)
+        self.gang = Gang(machine_constants.GANG, variant.width, stride, variant.target.compresses)
         self.own = (self.gang.vectors + 1) * stride if code.ganged else size
         count = len(code.arguments) + len(code.results)
         self.buffers = "".join(f"ptr %b{k}, " for k in range(count))

@@ -53,7 +53,7 @@ class Selector:
 
     def __init__(self, variant: Variant):
         self.masked = variant.masked
-        self._w = Writer(variant.width, variant.fma)
+        self._w = Writer(variant.width, variant.target.fma)
         self.declared = self._w.declared
         self.literal = self._w.literal
         self._known: dict[tuple, Template] = {}

@@ -9,13 +9,13 @@ change in a loop is computed before it.
 """
 
 import contextlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from evo_cpg.fusion.frontend.simplify import FOLDED, RULES, Rule, saturates
-from evo_cpg.fusion.ir.graph import Block, Buffer, Graph, Loop, Node, Part, Values, row_count
+from evo_cpg.fusion.ir.graph import Block, Buffer, Graph, Loop, Node, Part, row_count, table_values
 from evo_cpg.fusion.ir.types import COMMUTATIVE, PREDICATES
 
 
@@ -82,15 +82,22 @@ class Builder:
             },
         )
 
-    def end_part(self, results: Sequence[Node], reorder: bool = True) -> None:
+    def end_part(
+        self, arguments: Iterable[Node], results: Iterable[Node], reorder: bool = True
+    ) -> int:
         """End a program within the program: equal nodes are not the same on both sides of its end.
 
         Args:
+            arguments: the nodes that it starts from.
             results: its last nodes.
             reorder: whether its sums may be added in another order than they are written.
+
+        Returns:
+            The number of the part.
         """
-        self._parts.append(Part(tuple(results), reorder))
+        self._parts.append(Part(tuple(arguments), tuple(results), reorder))
         self._nodes.clear()
+        return len(self._parts) - 1
 
     def constant(self, value: Any, dtype: Any) -> Node:
         """A constant of the given type."""
@@ -106,29 +113,24 @@ class Builder:
         """What a loop gives to its rounds: something carried, or the counter."""
         return self._new(op, (), np.dtype(dtype), block, uniform)
 
-    def opaque(self, node: Node, block: Block | None = None, given: Node | None = None) -> Node:
-        """The same number as a node of which nothing is known but its type.
+    def opaque(self, node: Node, block: Block | None = None, part: int | None = None) -> Node:
+        """Return the same number as a node of which nothing is known but its type.
 
         Args:
             node: which.
             block: where it is seen; None for its own.
-            given: what the program was given (`given`) whose result it is.
+            part: number of the part whose result it is.
         """
         if node.value is not None:
             return node
-        operands = (node,) if given is None else (node, given)
-        return self._new("opaque", operands, node.dtype, block or node.block, node.uniform)
+        block = block or node.block
+        return self._new("opaque", (node,), node.dtype, block, node.uniform, detail=part)
 
     def inside(self, node: Node, block: Block) -> Node:
         """A node as a block sees it, so that what is computed from it is computed in the block."""
         if node.value is not None:
             return node
         return self._new("inside", (node,), node.dtype, block, node.uniform)
-
-    def given(self, arrays: Sequence[np.ndarray]) -> Node:
-        """What a program within the program is given, for those who must know what it uses."""
-        nodes = tuple(node for array in arrays for node in array.flat)
-        return self._new("given", nodes, np.dtype(bool), self.top, False)
 
     def make(self, op: str, operands: Sequence[Node], dtype: Any, detail: Any = None) -> Node:
         """A node as it stands, without simplification; the one that is there already, if any.
@@ -166,7 +168,7 @@ class Builder:
                 return whole
         if all([node.value is not None for node in column]):
             values = np.array([node.value for node in column], dtype)
-            return self.make("constants", (), dtype, Values(values))
+            return self.make("constants", (), dtype, values.tobytes())
         return self.make("rows", column, dtype)
 
     def lookup(self, table: Node, place: Node) -> Node:
@@ -174,7 +176,7 @@ class Builder:
         if place.value is not None and table.op == "rows":
             return table.operands[int(place.value)]
         if place.value is not None and table.op == "constants":
-            return self.constant(table.detail.values[int(place.value)], table.dtype)
+            return self.constant(table_values(table)[int(place.value)], table.dtype)
         return self.make("lookup", (table, place), table.dtype)
 
     def solve(self, triangle: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -340,6 +342,11 @@ def node_array(nodes: Sequence[Node], shape: Sequence[int]) -> np.ndarray:
     result = np.empty(len(nodes), object)
     result[:] = nodes
     return result.reshape(shape)
+
+
+def all_nodes(arrays: Iterable[np.ndarray]) -> tuple[Node, ...]:
+    """Return the nodes of arrays, one after the other."""
+    return tuple([node for array in arrays for node in array.flat])
 
 
 def elementwise(make: Callable[..., Node], *arrays: Any) -> np.ndarray:

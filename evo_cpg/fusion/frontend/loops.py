@@ -16,7 +16,7 @@ from jax.extend.core import ClosedJaxpr, Jaxpr
 
 from evo_cpg.fusion import jax_internals as internals
 from evo_cpg.fusion import machine_constants
-from evo_cpg.fusion.frontend.builder import Builder, Sums, elementwise, node_array
+from evo_cpg.fusion.frontend.builder import Builder, Sums, all_nodes, elementwise, node_array
 from evo_cpg.fusion.frontend.moves import SCATTER_ADD
 from evo_cpg.fusion.frontend.primitives import equations, programs_in
 from evo_cpg.fusion.ir.graph import Block, Loop, Node
@@ -64,10 +64,10 @@ def _scan(builder: Builder, operands: list[Any], params: dict, trace: Trace) -> 
         results = one_round(place, carried)
     following = [results[k] for k in others]
     loop = Loop(
-        length, test, body, counter, _flat(placed), _flat(following), None, place,
-        _flat(results[carry_count:]),
+        length, test, body, counter, all_nodes(placed), all_nodes(following), None, place,
+        all_nodes(results[carry_count:]),
     )  # fmt: skip
-    ends, lists = builder.loop(_flat(begin), loop)
+    ends, lists = builder.loop(all_nodes(begin), loop)
     found = dict(zip(others, _like(ends, begin), strict=True))
     # Sums of a loop around this one go on.
     found |= {k: x if x is start[k] else builder.totals(x) for k, x in sums.items()}
@@ -153,8 +153,8 @@ def _while(
     again = [elementwise(lambda node: builder.opaque(node, body), x) for x in carried]
     with builder.within(body, None if condition.uniform else condition):
         results = trace(builder, params["body_jaxpr"], [*body_consts, *again])
-    loop = Loop(None, test, body, None, _flat(carried), _flat(results), condition, None, ())
-    ends, _ = builder.loop(_flat(start), loop)
+    loop = Loop(None, test, body, None, all_nodes(carried), all_nodes(results), condition, None, ())
+    ends, _ = builder.loop(all_nodes(start), loop)
     return _like(ends, start)
 
 
@@ -212,9 +212,9 @@ def _branch(
     with builder.within(body, condition):
         results = trace(builder, branch, inside)
     following = [x for x in results if not isinstance(x, Sums)]
-    values = _flat(carried), _flat(following)
+    values = all_nodes(carried), all_nodes(following)
     loop = Loop(None, test, body, None, *values, condition, None, (), once=True)
-    ends = iter(_like(builder.loop(_flat(start), loop)[0], start))
+    ends = iter(_like(builder.loop(all_nodes(start), loop)[0], start))
     return [x if isinstance(x, Sums) else next(ends) for x in otherwise]
 
 
@@ -241,10 +241,6 @@ def _row(builder: Builder, x: np.ndarray, place: Node) -> np.ndarray:
 
 def _placeholders(builder: Builder, like: np.ndarray, block: Block) -> np.ndarray:
     return elementwise(lambda node: builder.placeholder("carried", node.dtype, block), like)
-
-
-def _flat(arrays: Sequence[np.ndarray]) -> tuple[Node, ...]:
-    return tuple([node for array in arrays for node in array.flat])
 
 
 def _like(nodes: list[Node], arrays: Sequence[np.ndarray]) -> list[np.ndarray]:

@@ -14,7 +14,7 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
 
 from evo_cpg.fusion import jax_internals as internals
-from evo_cpg.fusion.frontend.builder import Builder, Sums, elementwise, node_array
+from evo_cpg.fusion.frontend.builder import Builder, Sums, all_nodes, elementwise, node_array
 from evo_cpg.fusion.frontend.elementary import FLOAT32
 from evo_cpg.fusion.frontend.loops import LOOPS
 from evo_cpg.fusion.frontend.moves import MOVES, SCATTER_ADD, add_to_sums
@@ -64,8 +64,8 @@ def trace_program(builder: Builder, program: Program, inputs: Sequence[np.ndarra
     given = iter(inside[: program.shared])
     consts = [next(given) if own is None else constants(builder, own) for own in program.constants]
     results = trace(builder, program.jaxpr, [], [*consts, *inside[program.shared :]])
-    builder.end_part([node for array in results for node in array.flat])
-    hide = functools.partial(builder.opaque, given=builder.given(inputs))
+    part = builder.end_part(all_nodes(inputs), all_nodes(results))
+    hide = functools.partial(builder.opaque, part=part)
     return [elementwise(hide, x) for x in results]
 
 
@@ -240,9 +240,8 @@ def _function(builder: Builder, name: str, operands: Arrays) -> np.ndarray:
         inside = [elementwise(builder.opaque, x) for x in np.broadcast_arrays(*operands)]
         (result,) = trace_closed(builder, _in_float32(name, len(operands)), inside)
         # Their sums are ordered so that errors cancel.
-        builder.end_part(list(result.flat), reorder=False)
-        hide = functools.partial(builder.opaque, given=builder.given(operands))
-        return elementwise(hide, result)
+        part = builder.end_part(all_nodes(operands), result.flat, reorder=False)
+        return elementwise(functools.partial(builder.opaque, part=part), result)
     if dtype == np.float64 and name == "logistic":
         return elementwise(functools.partial(_logistic, builder), *operands)
     if dtype != np.float64 or name not in LIBRARY:

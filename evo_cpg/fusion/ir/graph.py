@@ -107,10 +107,12 @@ class Part(NamedTuple):
     """A program within the program, whose sums are put in order by themselves.
 
     Attributes:
+        arguments: the nodes that it starts from.
         results: its last nodes.
         reorder: whether its sums may be added in another order than they are written.
     """
 
+    arguments: tuple[Node, ...]
     results: tuple[Node, ...]
     reorder: bool
 
@@ -127,20 +129,6 @@ class Run(NamedTuple):
     loop: Node | None
 
 
-class Values:
-    """Values of a table of constants, equal where they are the same to the last bit."""
-
-    def __init__(self, values: np.ndarray):
-        self.values = values
-        self._key = values.tobytes()
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Values) and self._key == other._key
-
-    def __hash__(self) -> int:
-        return hash(self._key)
-
-
 @dataclasses.dataclass(frozen=True)
 class Graph:
     """A program for one individual.
@@ -151,7 +139,8 @@ class Graph:
         top: block of the whole program.
         nodes: all nodes in the order of their numbers.
         loops: the loop whose test or body a block is.
-        parts: programs within the program, until multiply-adds are contracted.
+        parts: programs within the program, until dead code is eliminated. The detail of an
+            ``opaque`` node is the number of the part whose result it is; None for an argument.
         kept: for each loop the numbers of the carried values that are needed.
         runs: for each block its runs, once they are scheduled.
     """
@@ -184,21 +173,6 @@ class Graph:
             found.append(self.loops[block])
             block = block.parent
         return found
-
-
-def behind(node: Node, graph: Graph) -> Sequence[Node]:
-    """Return all nodes that must be known before a node is, within its part."""
-    op = node.op
-    if op == "opaque":
-        # A result of a part depends on what the part is given; an argument on nothing within.
-        return node.operands[1:]
-    if op == "accumulate":
-        return (*node.operands, *graph.around(node))
-    if op != "loop":
-        return node.operands
-    loop = node.detail
-    single = [each for each in (loop.condition, loop.place) if each is not None]
-    return (*node.operands, *single, *loop.following, *loop.written)
 
 
 class Change(NamedTuple):
@@ -252,7 +226,7 @@ def rewrite(graph: Graph, changes: Mapping[Node, Change]) -> Graph:
         results=tuple((buffer, mapped(rows)) for buffer, rows in graph.results),
         nodes=nodes,
         loops=dict(zip(graph.loops, mapped(graph.loops.values()), strict=True)),
-        parts=tuple(part._replace(results=mapped(part.results)) for part in graph.parts),
+        parts=tuple(Part(mapped(a), mapped(results), r) for a, results, r in graph.parts),
         kept=dict(zip(mapped(graph.kept), graph.kept.values(), strict=True)),
     )
 
@@ -267,6 +241,11 @@ def resolve(node: Node) -> Node:
 def home(node: Node) -> Node:
     """Return the node whose place in memory holds a value: a carried value for its result."""
     return node.operands[0].detail.carried[node.detail] if node.op == "result" else node
+
+
+def table_values(table: Node) -> np.ndarray:
+    """Return the numbers of a table of constants."""
+    return np.frombuffer(table.detail, table.dtype)
 
 
 def row_count(table: Node) -> int:

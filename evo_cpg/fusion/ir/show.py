@@ -2,10 +2,10 @@
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-from evo_cpg.fusion.ir.graph import Block, Graph, Node, Run, resolve
+from evo_cpg.fusion.ir.graph import Block, Graph, Node, Run, resolve, table_values
 
 # Constants, and other names of nodes.
-_HIDDEN = {"constant", "given", "inside", "opaque"}
+_HIDDEN = {"constant", "inside", "opaque"}
 
 
 def show(graph: Graph) -> str:
@@ -55,7 +55,8 @@ def _block(graph: Graph, runs: Mapping[Block, Sequence[Run]], block: Block) -> I
 
 
 def _line(node: Node) -> str:
-    detail = "" if node.detail is None else f" {node.detail}"
+    shown = table_values(node).tolist() if node.op == "constants" else node.detail
+    detail = "" if shown is None else f" {shown}"
     kind = f"{node.dtype}{' u' if node.uniform else ''}"
     return f"{_name(node)}: {kind} = {node.op} {_names(node.operands)}{detail}".rstrip()
 

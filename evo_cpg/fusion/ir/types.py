@@ -13,9 +13,10 @@ equal types.
 | ... | any number of operands of the type before it |
 """
 
+from types import UnionType
 from typing import NamedTuple
 
-from evo_cpg.fusion.ir.graph import Loop, Values
+from evo_cpg.fusion.ir.graph import Loop
 
 
 class Operation(NamedTuple):
@@ -27,7 +28,7 @@ class Operation(NamedTuple):
     """
 
     signature: str
-    detail: type | None = None
+    detail: "type | UnionType | None" = None
 
 
 def _each(names: str, signature: str) -> dict[str, Operation]:
@@ -69,11 +70,10 @@ OPERATIONS: dict[str, Operation] = {
     "carried": Operation("-> *"),
     "counter": Operation("-> k"),
     # The same number, seen from elsewhere.
-    "opaque": Operation("a b... -> a"),
+    "opaque": Operation("a -> a", int | None),
     "inside": Operation("a -> a"),
-    "given": Operation("*... -> b"),
     # Tables in memory, and the numbers in them.
-    "constants": Operation("-> *", Values),
+    "constants": Operation("-> *", bytes),
     "rows": Operation("a... -> a"),
     "solve": Operation("f... -> f", int),
     "sums": Operation("n... -> n"),
@@ -89,3 +89,6 @@ OPERATIONS: dict[str, Operation] = {
 COMMUTATIVE = {"add", "mul", "max", "min", "and", "or", "xor", "eq", "ne"}
 PREDICATES = {op for op, each in ARITHMETIC.items() if each.signature.endswith("-> b")}
 """Operations whose result is a truth value."""
+
+NO_CODE = {"input", "carried", "counter", "constant", "opaque", "inside"}
+"""Nodes that are known without computing anything, and other names of nodes."""

@@ -8,8 +8,7 @@ import dataclasses
 from collections.abc import Callable, Iterator, Sequence
 
 from evo_cpg.fusion.ir.graph import Block, Graph, Node, Run, resolve
-
-_NO_CODE = {"input", "carried", "counter", "constant", "opaque", "inside", "given"}
+from evo_cpg.fusion.ir.types import NO_CODE
 
 
 def schedule(graph: Graph) -> Graph:
@@ -28,7 +27,7 @@ def runs_of(
     """
     blocks: dict[Block, list[Node]] = {}
     for node in graph.nodes:
-        if node.op not in _NO_CODE:
+        if node.op not in NO_CODE:
             blocks.setdefault(node.block, []).append(node)
     runs = {}
     for block, nodes in blocks.items():
