@@ -30,7 +30,6 @@ from evo_cpg.fusion.backend.code import (
     Variant,
 )
 from evo_cpg.fusion.backend.crossing import crossing
-from evo_cpg.fusion.backend.packing import declared
 from evo_cpg.fusion.backend.places import FRAME_ORIGIN, Places
 from evo_cpg.fusion.backend.registers import Registers
 from evo_cpg.fusion.backend.select import FRAME, SCRATCH, Selector
@@ -121,7 +120,7 @@ class _Allocator:
             self.variant,
             self.items,
             self.constants,
-            self.select.declared,
+            self.select.functions,
             self.places.size,
             self.places.frame,
             self.ganged,
@@ -438,7 +437,6 @@ class _Allocator:
         for table in packed.tables:
             if table not in packed.written:
                 reads += self._rows_of(table)
-        self.select.declared.update(declared(self.width, self.variant.target.compresses))
         self.items.append(LoopCode(loop, 0, None, test, body, packed=(reads, carries)))
 
     def _place(self, node: Node) -> Place:

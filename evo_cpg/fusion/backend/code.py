@@ -188,7 +188,7 @@ class Code:
         variant: what it is made for.
         items: in order.
         tables: constants in memory.
-        declared: functions that are called, by name.
+        functions: those that are called, by name.
         size: bytes of scratch memory for a vector.
         frame: bytes of memory that vectors share.
         ganged: whether several vectors run together.
@@ -199,7 +199,7 @@ class Code:
     variant: Variant
     items: Sequence[Item]
     tables: Sequence[Table]
-    declared: dict[str, str]
+    functions: dict[str, str]
     size: int
     frame: int
     ganged: bool

@@ -68,8 +68,8 @@ class _Printer:
             "}",
         ]
         tables = [_table(each) for each in self.code.tables]
-        declared = self.code.declared.values()
-        text = "\n".join([*tables, *declared, *self.functions, *self.gangs, *driver])
+        called = self.code.functions.values()
+        text = "\n".join([*tables, *called, *self.functions, *self.gangs, *driver])
         return text, self.own + self.code.frame
 
     def _vector_lines(self) -> list[str]:

@@ -16,12 +16,6 @@ from typing import NamedTuple
 
 from evo_cpg.fusion.backend.code import Place
 
-_DECLARED = {
-    "llvm.ctlz.i32": "declare i32 @llvm.ctlz.i32(i32, i1)",
-    "llvm.ctpop.i32": "declare i32 @llvm.ctpop.i32(i32)",
-    "llvm.cttz.i32": "declare i32 @llvm.cttz.i32(i32, i1)",
-}
-
 # A vector goes round by itself with more individuals than this share of it. Fitted: with 1/4 to 1/2
 # quadrupeds and hexapods take at most 1.07 times as long.
 _CROWDED = 3 / 8
@@ -51,27 +45,6 @@ class Gang(NamedTuple):
     width: int
     stride: int
     compresses: bool
-
-
-def declared(width: int, compresses: bool) -> dict[str, str]:
-    """Declarations of what packed loops call, by name.
-
-    Args:
-        width: individuals in a vector.
-        compresses: see `Gang`.
-    """
-    found, flags = dict(_DECLARED), f"<{width} x i1>"
-    if not compresses:
-        return found
-    for size, word in _WORDS.items():
-        if size * width > _VECTOR:
-            continue
-        t, store = f"<{width} x {word}>", f"llvm.masked.store.v{width}{word}.p0"
-        found[store] = f"declare void @{store}({t}, ptr, i32, {flags})"
-        if size >= _NARROWEST:
-            close = f"{_COMPRESS}.v{width}{word}"
-            found[close] = f"declare {t} @{close}({t}, {t}, {flags})"
-    return found
 
 
 def packed_loop(

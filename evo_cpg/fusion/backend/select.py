@@ -48,13 +48,13 @@ class Selector:
     """Templates for a variant of code.
 
     Attributes:
-        declared: functions that templates call, by name.
+        functions: those that templates call, by name.
     """
 
     def __init__(self, variant: Variant):
         self.masked = variant.masked
         self._w = Writer(variant.width, variant.target.fma)
-        self.declared = self._w.declared
+        self.functions = self._w.functions
         self.literal = self._w.literal
         self._known: dict[tuple, Template] = {}
 
@@ -134,7 +134,6 @@ class Selector:
         value, t = self._kept(value, dtype, False)
         mask = self._w.type_of(_BOOL, False)
         name = f"llvm.masked.store.{self._w.suffix(t)}.p0"
-        self._w.declared[name] = f"declare void @{name}({t}, ptr, i32, {mask})"
         self._w.lines.append(
             f"call void @{name}({t} {value}, ptr {pointer}, i32 {dtype.itemsize}, {mask} %valid)"
         )
@@ -182,7 +181,7 @@ class Selector:
         w, t = self._w, self._w.type_of(dtype, False)
         size = dtype.itemsize * w.width
         name = f"fill.{w.suffix(t)}"
-        w.declared[name] = (
+        w.functions[name] = (
             f"define internal void @{name}(ptr %to, {t} %value, i64 %count) noinline #0 {{\n"
             "entry:\nbr label %row\nrow:\n"
             "%i = phi i64 [ 0, %entry ], [ %j, %row ]\n"
@@ -199,13 +198,7 @@ class Selector:
         """Call the function that solves symmetric equations in memory."""
         w, t = self._w, self._w.type_of(dtype, uniform)
         name, size = f"solve.{w.suffix(t)}", dtype.itemsize * (1 if uniform else w.width)
-        if w.fma:
-            fma = f"llvm.fma.{w.suffix(t)}"
-            w.declared[fma] = f"declare {t} @{fma}({t}, {t}, {t})"
-        if w.width > 1:
-            any_of = f"llvm.vector.reduce.or.v{w.width}i1"
-            w.declared[any_of] = f"declare i1 @{any_of}(<{w.width} x i1>)"
-        w.declared[name] = routine(name, t, size, dtype.itemsize, w.fma)
+        w.functions[name] = routine(name, t, size, dtype.itemsize, w.fma)
         w.lines.append(f"call void @{name}(ptr {H}, ptr {b}, i64 {count})")
 
     @_made_once(1)
@@ -217,7 +210,6 @@ class Selector:
     def any_of(self, flags: str) -> str:
         """Return whether a truth value holds for any individual."""
         t, name = self._w.type_of(_BOOL, False), f"llvm.vector.reduce.or.v{self._w.width}i1"
-        self._w.declared[name] = f"declare i1 @{name}({t})"
         return self._w.let(f"call i1 @{name}({t} {flags})")
 
     @_made_once(1)
@@ -242,7 +234,6 @@ class Selector:
             return self._load(dtype, pointer, shared)
         t, mask = self._w.type_of(_kept_as(dtype), False), self._w.type_of(_BOOL, False)
         name = f"llvm.masked.load.{self._w.suffix(t)}.p0"
-        self._w.declared[name] = f"declare {t} @{name}(ptr, i32, {mask}, {t})"
         # Individuals that do not exist are zero.
         value = self._w.let(
             f"call {t} @{name}(ptr {pointer}, i32 {dtype.itemsize}, {mask} %valid, "
