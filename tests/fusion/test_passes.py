@@ -376,7 +376,7 @@ def test_what_loops_carry_has_a_slot():
 
     code = allocate(optimize(traced(loop)), WIDE)
     (item,) = [each for each in code.items if isinstance(each, LoopCode)]
-    assert item.loop.count == 3 and item.packed is None and not code.ganged
+    assert item.loop.count == 3 and item.packed is None and not code.grouped
     # Three carried values and the input that every round reads, in whole lines of the cache.
     assert code.size == 4 * machine_constants.CACHE_LINE
 

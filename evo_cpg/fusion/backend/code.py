@@ -124,7 +124,7 @@ class Copy(NamedTuple):
     buffer: str
 
 
-class Place(NamedTuple):
+class Slot(NamedTuple):
     """A place in scratch memory.
 
     Attributes:
@@ -148,7 +148,7 @@ class LoopCode:
         counter: place of the number of the round; None if it is not read.
         test: code that ends with a stretch whose result says whether there is another round.
         body: code of a round.
-        alone: a branch that each vector of a gang takes by itself.
+        per_vector: a branch that each vector of a group takes by itself.
         packed: places that the loop reads and that it carries, if its individuals are packed.
     """
 
@@ -157,8 +157,8 @@ class LoopCode:
     counter: int | None
     test: "Sequence[Item]"
     body: "Sequence[Item]"
-    alone: bool = False
-    packed: tuple[Sequence[Place], Sequence[Place]] | None = None
+    per_vector: bool = False
+    packed: tuple[Sequence[Slot], Sequence[Slot]] | None = None
 
 
 Item = Stretch | Copy | LoopCode
@@ -191,7 +191,7 @@ class Code:
         functions: those that are called, by name.
         size: bytes of scratch memory for a vector.
         frame: bytes of memory that vectors share.
-        ganged: whether several vectors run together.
+        grouped: whether several vectors run together.
     """
 
     arguments: tuple[Buffer, ...]
@@ -202,4 +202,4 @@ class Code:
     functions: dict[str, str]
     size: int
     frame: int
-    ganged: bool
+    grouped: bool

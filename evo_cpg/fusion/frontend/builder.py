@@ -171,13 +171,13 @@ class Builder:
             return self.make("constants", (), dtype, values.tobytes())
         return self.make("rows", column, dtype)
 
-    def lookup(self, table: Node, place: Node) -> Node:
-        """The number at a place (int32) within a table or list."""
-        if place.value is not None and table.op == "rows":
-            return table.operands[int(place.value)]
-        if place.value is not None and table.op == "constants":
-            return self.constant(table_values(table)[int(place.value)], table.dtype)
-        return self.make("lookup", (table, place), table.dtype)
+    def lookup(self, table: Node, index: Node) -> Node:
+        """Return the number at an index (int32) of a table or list."""
+        if index.value is not None and table.op == "rows":
+            return table.operands[int(index.value)]
+        if index.value is not None and table.op == "constants":
+            return self.constant(table_values(table)[int(index.value)], table.dtype)
+        return self.make("lookup", (table, index), table.dtype)
 
     def solve(self, triangle: np.ndarray, b: np.ndarray) -> np.ndarray:
         """The answers to symmetric equations, by a function that loops.
@@ -199,11 +199,11 @@ class Builder:
         memory = self._new("sums", nodes, nodes[0].dtype, self.block, False)
         return Sums(start.shape, memory)
 
-    def accumulate(self, sums: Sums, place: Node, value: Node) -> None:
-        """Add a number to the one at a place (int32, the same for all individuals)."""
+    def accumulate(self, sums: Sums, index: Node, value: Node) -> None:
+        """Add a number to the one at an index (int32, the same for all individuals)."""
         if self.active is not None and not self.active.uniform:
             value = self.select(self.active, value, self.constant(0, value.dtype))
-        operands = place, value, sums.memory
+        operands = index, value, sums.memory
         sums.added.append(self._new("accumulate", operands, value.dtype, self.block, False))
 
     def totals(self, sums: Sums) -> np.ndarray:

@@ -38,8 +38,8 @@ def _scan(builder: Builder, operands: list[Any], params: dict, trace: Trace) -> 
     if length * sum(aval.size for aval in stacked) > machine_constants.LONGEST_LISTS:
         raise Unsupported(f"a loop of {length} rounds stacks more than native code keeps")
 
-    def one_round(place: Node, carried: list[Any]) -> list[Any]:
-        row = [_row(builder, x, place) for x in read]
+    def one_round(index: Node, carried: list[Any]) -> list[Any]:
+        row = [_row(builder, x, index) for x in read]
         return trace(builder, closed, [*consts, *carried, *row])
 
     if length == 1:
@@ -58,13 +58,13 @@ def _scan(builder: Builder, operands: list[Any], params: dict, trace: Trace) -> 
     placed = [_placeholders(builder, x, body) for x in begin]
     carried = [sums[k] if k in sums else placed[others.index(k)] for k in range(carry_count)]
     with builder.within(body):
-        place = counter
+        index = counter
         if params["reverse"]:
-            place = builder.subtract(builder.constant(length - 1, np.int32), counter)
-        results = one_round(place, carried)
+            index = builder.subtract(builder.constant(length - 1, np.int32), counter)
+        results = one_round(index, carried)
     following = [results[k] for k in others]
     loop = Loop(
-        length, test, body, counter, all_nodes(placed), all_nodes(following), None, place,
+        length, test, body, counter, all_nodes(placed), all_nodes(following), None, index,
         all_nodes(results[carry_count:]),
     )  # fmt: skip
     ends, lists = builder.loop(all_nodes(begin), loop)
@@ -231,11 +231,11 @@ LOOPS: dict[str, Callable[[Builder, list[np.ndarray], dict, Trace], list[np.ndar
 }
 
 
-def _row(builder: Builder, x: np.ndarray, place: Node) -> np.ndarray:
-    """Return one of the rows of an array, at a computed place."""
+def _row(builder: Builder, x: np.ndarray, index: Node) -> np.ndarray:
+    """Return one of the rows of an array, at a computed index."""
     columns = x.reshape(len(x), -1).T
     return node_array(
-        [builder.lookup(builder.table(list(column)), place) for column in columns], x.shape[1:]
+        [builder.lookup(builder.table(list(column)), index) for column in columns], x.shape[1:]
     )
 
 

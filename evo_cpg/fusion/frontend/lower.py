@@ -255,55 +255,45 @@ def _logistic(builder: Builder, x: Node) -> Node:
     return builder.apply("div", one, builder.add(one, power))
 
 
-def _reduction(op: str) -> Rule:
-    def reduce(builder: Builder, operands: Arrays, params: dict) -> Arrays:
-        (x,), axes = operands, params["axes"]
-        kept = [i for i in range(x.ndim) if i not in axes]
-        rows = x.transpose(*kept, *axes).reshape(*(x.shape[i] for i in kept), -1)
+def _reduction(op: str, builder: Builder, operands: Arrays, params: dict) -> Arrays:
+    (x,), axes = operands, params["axes"]
+    kept = [i for i in range(x.ndim) if i not in axes]
+    rows = x.transpose(*kept, *axes).reshape(*(x.shape[i] for i in kept), -1)
+    combine = functools.partial(builder.apply, op)
+    total = rows[..., 0]
+    for k in range(1, rows.shape[-1]):
+        total = elementwise(combine, total, rows[..., k])
+    return [np.asarray(total, object)]
+
+
+def _cumulative(op: str, builder: Builder, operands: Arrays, params: dict) -> Arrays:
+    result = operands[0].copy()
+    rows = np.moveaxis(result, params["axis"], 0)
+    rows = rows[::-1] if params["reverse"] else rows
+    for k in range(1, len(rows)):
         combine = functools.partial(builder.apply, op)
-        total = rows[..., 0]
-        for k in range(1, rows.shape[-1]):
-            total = elementwise(combine, total, rows[..., k])
-        return [np.asarray(total, object)]
-
-    return reduce
+        rows[k, ...] = elementwise(combine, rows[k - 1], rows[k])
+    return [result]
 
 
-def _cumulative(op: str) -> Rule:
-    def accumulate(builder: Builder, operands: Arrays, params: dict) -> Arrays:
-        result = operands[0].copy()
-        rows = np.moveaxis(result, params["axis"], 0)
-        rows = rows[::-1] if params["reverse"] else rows
-        for k in range(1, len(rows)):
-            combine = functools.partial(builder.apply, op)
-            rows[k, ...] = elementwise(combine, rows[k - 1], rows[k])
-        return [result]
-
-    return accumulate
-
-
-def _extreme_place(op: str) -> Rule:
+def _extreme_place(op: str, builder: Builder, operands: Arrays, params: dict) -> Arrays:
     """Index of the first largest or smallest; of the first NaN, if there is one."""
+    (x,), (axis,), dtype = operands, params["axes"], np.dtype(params["index_dtype"])
+    x = np.moveaxis(x, axis, 0)
 
-    def find(builder: Builder, operands: Arrays, params: dict) -> Arrays:
-        (x,), (axis,), dtype = operands, params["axes"], np.dtype(params["index_dtype"])
-        x = np.moveaxis(x, axis, 0)
+    def better(old: Node, new: Node) -> Node:
+        beyond = builder.apply(op, new, old)
+        nan = builder.apply("ne", new, new)
+        good = builder.apply("eq", old, old)
+        return builder.apply("or", beyond, builder.apply("and", nan, good))
 
-        def better(old: Node, new: Node) -> Node:
-            beyond = builder.apply(op, new, old)
-            nan = builder.apply("ne", new, new)
-            good = builder.apply("eq", old, old)
-            return builder.apply("or", beyond, builder.apply("and", nan, good))
-
-        best, place = x[0], np.full(x.shape[1:], builder.constant(0, dtype))
-        for k in range(1, len(x)):
-            number = builder.constant(k, dtype)
-            chosen = elementwise(better, best, x[k])
-            place = elementwise(lambda c, old, k=number: builder.select(c, k, old), chosen, place)
-            best = elementwise(builder.select, chosen, x[k], best)
-        return [np.asarray(place, object)]
-
-    return find
+    best, place = x[0], np.full(x.shape[1:], builder.constant(0, dtype))
+    for k in range(1, len(x)):
+        number = builder.constant(k, dtype)
+        chosen = elementwise(better, best, x[k])
+        place = elementwise(lambda c, old, k=number: builder.select(c, k, old), chosen, place)
+        best = elementwise(builder.select, chosen, x[k], best)
+    return [np.asarray(place, object)]
 
 
 def _dot_general(builder: Builder, operands: Arrays, params: dict) -> Arrays:
@@ -389,12 +379,9 @@ def _power(builder: Builder, operands: Arrays, params: dict) -> Arrays:
     return [elementwise(lambda x: builder.power(x, params["y"]), *operands)]
 
 
-def _conversion(op: str) -> Rule:
-    def convert(builder: Builder, operands: Arrays, params: dict) -> Arrays:
-        dtype = np.dtype(params["new_dtype"])
-        return [elementwise(functools.partial(builder.apply, op, dtype=dtype), *operands)]
-
-    return convert
+def _conversion(op: str, builder: Builder, operands: Arrays, params: dict) -> Arrays:
+    dtype = np.dtype(params["new_dtype"])
+    return [elementwise(functools.partial(builder.apply, op, dtype=dtype), *operands)]
 
 
 _ELEMENTWISE: dict[str, Callable[..., Node]] = {
@@ -411,22 +398,22 @@ _ELEMENTWISE: dict[str, Callable[..., Node]] = {
 
 _RULES: dict[str, Rule] = {
     **MOVES,
-    "argmax": _extreme_place("gt"),
-    "argmin": _extreme_place("lt"),
-    "bitcast_convert_type": _conversion("bitcast"),
-    "convert_element_type": _conversion("convert"),
-    "cummax": _cumulative("max"),
-    "cummin": _cumulative("min"),
-    "cumprod": _cumulative("mul"),
-    "cumsum": _cumulative("add"),
+    "argmax": functools.partial(_extreme_place, "gt"),
+    "argmin": functools.partial(_extreme_place, "lt"),
+    "bitcast_convert_type": functools.partial(_conversion, "bitcast"),
+    "convert_element_type": functools.partial(_conversion, "convert"),
+    "cummax": functools.partial(_cumulative, "max"),
+    "cummin": functools.partial(_cumulative, "min"),
+    "cumprod": functools.partial(_cumulative, "mul"),
+    "cumsum": functools.partial(_cumulative, "add"),
     "dot_general": _dot_general,
     "integer_pow": _power,
-    "reduce_and": _reduction("and"),
-    "reduce_max": _reduction("max"),
-    "reduce_min": _reduction("min"),
-    "reduce_or": _reduction("or"),
-    "reduce_prod": _reduction("mul"),
-    "reduce_sum": _reduction("add"),
+    "reduce_and": functools.partial(_reduction, "and"),
+    "reduce_max": functools.partial(_reduction, "max"),
+    "reduce_min": functools.partial(_reduction, "min"),
+    "reduce_or": functools.partial(_reduction, "or"),
+    "reduce_prod": functools.partial(_reduction, "mul"),
+    "reduce_sum": functools.partial(_reduction, "add"),
     "round": _rounded,
     "select_n": _select_n,
 }

@@ -12,7 +12,7 @@ same for all individuals. Passes read a graph and return a new one. They never c
 """
 
 import dataclasses
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -86,7 +86,7 @@ class Loop(NamedTuple):
         carried: placeholders of the values that are carried into a round.
         following: the values that are carried out of it.
         condition: None for a counted loop.
-        place: where a round's values go in the lists, of a counted loop.
+        index: where a round's values go in the lists, of a counted loop.
         written: what each round adds to lists.
         once: a branch: the condition is asked once, and the block runs once at most.
     """
@@ -98,7 +98,7 @@ class Loop(NamedTuple):
     carried: tuple[Node, ...]
     following: tuple[Node, ...]
     condition: Node | None
-    place: Node | None
+    index: Node | None
     written: tuple[Node, ...]
     once: bool = False
 
@@ -212,7 +212,7 @@ def rewrite(graph: Graph, changes: Mapping[Node, Change]) -> Graph:
             detail, changed = (
                 detail._replace(
                     condition=new.get(detail.condition, detail.condition),
-                    place=new.get(detail.place, detail.place),
+                    index=new.get(detail.index, detail.index),
                     **{name: mapped(getattr(detail, name)) for name in lists},
                 ),
                 True,
@@ -229,6 +229,10 @@ def rewrite(graph: Graph, changes: Mapping[Node, Change]) -> Graph:
         parts=tuple(Part(mapped(a), mapped(results), r) for a, results, r in graph.parts),
         kept=dict(zip(mapped(graph.kept), graph.kept.values(), strict=True)),
     )
+
+
+NO_CODE = {"input", "carried", "counter", "constant", "opaque", "inside"}
+"""Nodes that are known without computing anything, and other names of nodes."""
 
 
 def resolve(node: Node) -> Node:
@@ -255,3 +259,27 @@ def row_count(table: Node) -> int:
     if table.op == "totals":
         return len(table.operands[0].operands)
     return table.detail if table.op == "solve" else len(table.operands)
+
+
+def runs_of(
+    graph: Graph, order: Callable[[list[Node]], Sequence[Node]] = list
+) -> dict[Block, list[Run]]:
+    """Return the operations of each block up to each of its loops, and behind the last.
+
+    Args:
+        graph: the program.
+        order: puts the operations of a run in order; else they stay in the order of their numbers.
+    """
+    blocks: dict[Block, list[Node]] = {}
+    for node in graph.nodes:
+        if node.op not in NO_CODE:
+            blocks.setdefault(node.block, []).append(node)
+    runs = {}
+    for block, nodes in blocks.items():
+        runs[block], start = [], 0
+        for stop, node in enumerate(nodes):
+            if node.op == "loop":
+                runs[block].append(Run(order(nodes[start:stop]), node))
+                start = stop + 1
+        runs[block].append(Run(order(nodes[start:]), None))
+    return runs

@@ -89,6 +89,3 @@ OPERATIONS: dict[str, Operation] = {
 COMMUTATIVE = {"add", "mul", "max", "min", "and", "or", "xor", "eq", "ne"}
 PREDICATES = {op for op, each in ARITHMETIC.items() if each.signature.endswith("-> b")}
 """Operations whose result is a truth value."""
-
-NO_CODE = {"input", "carried", "counter", "constant", "opaque", "inside"}
-"""Nodes that are known without computing anything, and other names of nodes."""

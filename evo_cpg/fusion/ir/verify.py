@@ -5,8 +5,8 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from evo_cpg.fusion.ir.graph import Block, Graph, Node, resolve
-from evo_cpg.fusion.ir.types import NO_CODE, OPERATIONS
+from evo_cpg.fusion.ir.graph import NO_CODE, Block, Graph, Node, resolve
+from evo_cpg.fusion.ir.types import OPERATIONS
 
 # Kinds of NumPy types by the letters of signatures.
 _KINDS = {"f": "f", "i": "iu", "n": "fiu", "b": "b", "k": "i", "a": "fiub", "*": "fiub"}

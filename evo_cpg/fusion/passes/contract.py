@@ -154,5 +154,5 @@ def _used(node: Node, graph: Graph, entered: set[int]) -> Sequence[Node]:
     if node.op != "loop":
         return node.operands
     loop = node.detail
-    single = [each for each in (loop.condition, loop.place) if each is not None]
+    single = [each for each in (loop.condition, loop.index) if each is not None]
     return (*node.operands, *single, *loop.following, *loop.written)

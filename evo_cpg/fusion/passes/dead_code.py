@@ -38,7 +38,7 @@ def eliminate_dead_code(graph: Graph) -> Graph:
         elif node.op == "list":
             (loop,) = node.operands
             open_loop(loop)
-            waiting += [loop, loop.detail.written[node.detail], loop.detail.place]
+            waiting += [loop, loop.detail.written[node.detail], loop.detail.index]
         elif node.op == "carried":
             waiting += keep(*places[node])
         else:
