@@ -24,10 +24,12 @@ class Native(NamedTuple):
     Attributes:
         name: under which XLA finds it.
         scratch: bytes of memory that it works in.
+        width: the least number of individuals.
     """
 
     name: str
     scratch: int
+    width: int
 
 
 # Bytes of a float32.
@@ -53,24 +55,32 @@ def evaluate(*arrays: jax.Array, program: Program, batch: tuple[int, ...]) -> li
     except Exception as error:
         engine.warn_of_fallback(program.name, error)
         return plain(program, batch)(*arrays)
+    # A vector has to be full: copies of the last individual fill the lanes that are left over.
+    lanes = max(count, native.width)
     rows = [int(np.prod(aval.shape, dtype=int)) for aval in outputs]
     shapes = [
-        jax.ShapeDtypeStruct((size, count), aval.dtype)
+        jax.ShapeDtypeStruct((size, lanes), aval.dtype)
         for size, aval in zip(rows, outputs, strict=True)
         if size
     ]
     room = jax.ShapeDtypeStruct((max(native.scratch, 1),), np.uint8)
     given = [
-        x.reshape(-1) if i < program.shared else x.reshape(-1, count)
+        x.reshape(-1) if i < program.shared else _filled(x.reshape(-1, count), lanes)
         for i, x in enumerate(arrays)
         if x.size
     ]
     *found, _ = jax.ffi.ffi_call(native.name, (*shapes, room))(*given)
-    results = iter(found)
+    results = iter(x[:, :count] if lanes > count else x for x in found)
     return [
         (next(results) if size else jnp.zeros(0, aval.dtype)).reshape(*aval.shape, *batch)
         for size, aval in zip(rows, outputs, strict=True)
     ]
+
+
+def _filled(x: jax.Array, lanes: int) -> jax.Array:
+    """Return rows that are as long as wanted; copies of their last number fill them up."""
+    missing = lanes - x.shape[1]
+    return jnp.pad(x, ((0, 0), (0, missing)), mode="edge") if missing else x
 
 
 def _native(program: Program, count: int) -> Native:
@@ -80,7 +90,7 @@ def _native(program: Program, count: int) -> Native:
     kinds = [np.dtype(x.dtype) for x in (*program.inputs, *program.outputs)]
     widest = max([kind.itemsize for kind in kinds if kind.kind == "f"], default=_SINGLE)
     width = 1 if count == 1 else target.bytes // widest
-    variant = Variant(target, width, masked=count < width)
+    variant = Variant(target, width)
     if variant not in codes:
         with counted():
             codes[variant] = _make(program, variant)
@@ -94,7 +104,7 @@ def _make(program: Program, variant: Variant) -> Native:
     name, address = load(module.text, variant.target)
     taken = middle - start, time.perf_counter() - middle
     record(Made(program.name, module.operations, *taken, module.scratch))
-    return Native(engine.register(name, address), module.scratch)
+    return Native(engine.register(name, address), module.scratch, variant.width)
 
 
 def shapes_of(*_: Any, program: Program, batch: tuple[int, ...]) -> list[jax.ShapeDtypeStruct]:

@@ -27,7 +27,7 @@ from evo_cpg.fusion.unsupported import Unsupported
 
 F32 = np.dtype(np.float32)
 TARGET = Target("avx2", 32, 16, fma=True, compresses=False, processor="", features="")
-WIDE = Variant(TARGET, width=8, masked=False)
+WIDE = Variant(TARGET, width=8)
 
 
 def program(x):

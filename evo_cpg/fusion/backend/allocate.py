@@ -93,7 +93,7 @@ class _Allocator:
         self.slots: dict[Node, int] = {}
         self.spilled: dict[Node, int] = {}
         ends = [loop.detail for loop in graph.kept if loop.detail.condition is not None]
-        self.grouped = self.width > 1 and not variant.masked and not all(x.once for x in ends)
+        self.grouped = self.width > 1 and not all(x.once for x in ends)
         self.packed: _Packed | None = None
         self.per_vector = False
         self.pieces: list[Piece] = []
@@ -463,8 +463,7 @@ class _Allocator:
         assert condition is not None
         self._begin()
         self._block(loop.test, [condition])
-        flags = self._ref(condition)
-        return self._let(self.select.existing(), flags) if self.variant.masked else flags
+        return self._ref(condition)
 
     def _round(self, node: Node, loop: Loop) -> list[Item]:
         """Allocate a round of a loop; return its code."""

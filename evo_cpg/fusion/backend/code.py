@@ -46,12 +46,10 @@ class Variant(NamedTuple):
     Attributes:
         target: the machine that it is for.
         width: individuals in a vector.
-        masked: whether there are fewer individuals than that.
     """
 
     target: Target
     width: int
-    masked: bool
 
 
 class Template(NamedTuple):

@@ -3,8 +3,7 @@
 Every stretch becomes a function. A *driver*, the function ``@program``, loops and calls them, for
 one vector, or for several in turn where loops end at different rounds for each individual
 (`evo_cpg.fusion.backend.packing`). The last vector overlaps the one before it where the individuals
-do not come out even; where there are fewer than one vector holds, rows are read and written with a
-mask.
+do not come out even. `evo_cpg.fusion.native` sees to it that one vector at least is full.
 
 No instruction carries a fast-math flag, so the bits of an individual's results do not depend on the
 vector's width.
@@ -77,7 +76,6 @@ class _Printer:
     def _vector_lines(self) -> list[str]:
         width = self.code.variant.width
         return [
-            *self._valid(),
             *self.driver,
             # The last vector ends with the last individual.
             f"%stop = add i64 %first, {width}",
@@ -124,7 +122,7 @@ class _Printer:
         """Write a function of some lines; return its name."""
         name = f"stretch{len(self.functions)}"
         pointers = "".join(f"ptr noalias {buffer}, " for buffer in buffers)
-        body = "\n".join(["entry:", *self._valid(), *lines, f"ret {kind} {result}"])
+        body = "\n".join(["entry:", *lines, f"ret {kind} {result}"])
         # Not inlined: within the driver's loops LLVM would take constants out of them, thousands,
         # and spill each as a whole vector.
         self.functions.append(
@@ -179,19 +177,6 @@ class _Printer:
             self._call_for_group(name, given, given)
         else:
             self.driver.append(_call("", "void", name, f"{given}{_GIVEN}"))
-
-    def _valid(self) -> list[str]:
-        """Return lines that say which individuals of a vector exist."""
-        width = self.code.variant.width
-        if not self.code.variant.masked:
-            return []
-        lanes, wide = ", ".join(f"i64 {i}" for i in range(width)), f"<{width} x i64>"
-        zeros = f"<{width} x i32> zeroinitializer"
-        return [
-            f"%one = insertelement {wide} poison, i64 %n, i32 0",
-            f"%all = shufflevector {wide} %one, {wide} poison, {zeros}",
-            f"%valid = icmp ult {wide} <{lanes}>, %all",
-        ]
 
     # Loops.
 
