@@ -331,11 +331,16 @@ class _Allocator:
 
     def _rows(self, node: Node) -> None:
         """Write a table of computed numbers."""
+        self.tables[node] = self._store_operands(node)
+        self._wrote(node)
+
+    def _store_operands(self, node: Node) -> int:
+        """Write the operands of a node to memory, one behind the other; return where."""
         size = self._row_bytes(node)
-        start = self.tables[node] = self.memory.reserve(size * len(node.operands))
+        start = self.memory.reserve(size * len(node.operands))
         for i, operand in enumerate(node.operands):
             self._store(self._ref(operand, node.uniform), node, start + i * size)
-        self._wrote(node)
+        return start
 
     def _sums(self, node: Node) -> None:
         """Begin sums in memory of their own."""
@@ -356,11 +361,9 @@ class _Allocator:
 
     def _solve(self, node: Node) -> None:
         """Put equations in memory and call the function that solves them."""
-        size = self._row_bytes(node)
-        start = self.memory.reserve(size * len(node.operands))
-        for i, operand in enumerate(node.operands):
-            self._store(self._ref(operand, node.uniform), node, start + i * size)
-        answers = self.tables[node] = start + (len(node.operands) - node.detail) * size
+        start = self._store_operands(node)
+        behind = (len(node.operands) - node.detail) * self._row_bytes(node)
+        answers = self.tables[node] = start + behind
         template = self.select.solve(node.dtype, node.uniform)
         H, b = self._address(start), self._address(answers)
         # Registers do not outlast a call.

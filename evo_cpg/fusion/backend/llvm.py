@@ -149,10 +149,16 @@ class _Printer:
             result = "%result" if result else ""
             lines = [*calls, _call(result, kind, name, f"{given}{_GIVEN}")]
         name = self._function(lines, buffers, result, kind)
+        return self._call_function(name, given, bool(result), kind)
+
+    def _call_function(
+        self, name: str, given: str, has_result: bool = False, kind: str = "void"
+    ) -> str:
+        """Call a function for one vector or for all of a group; return the name of the result."""
         if self.grouped:
             self._call_for_group(name, given, given)
             return ""
-        found = f"%found{len(self.functions)}" if result else ""
+        found = f"%found{len(self.functions)}" if has_result else ""
         self.driver.append(_call(found, kind, name, f"{given}{_GIVEN}"))
         return found
 
@@ -171,12 +177,7 @@ class _Printer:
             "br i1 %more, label %head, label %copied",
             "copied:",
         ]
-        given = f"ptr {copy.buffer}, "
-        name = self._function(lines, [copy.buffer])
-        if self.grouped:
-            self._call_for_group(name, given, given)
-        else:
-            self.driver.append(_call("", "void", name, f"{given}{_GIVEN}"))
+        self._call_function(self._function(lines, [copy.buffer]), f"ptr {copy.buffer}, ")
 
     # Loops.
 
