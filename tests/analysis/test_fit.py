@@ -8,7 +8,7 @@ import pytest
 from scipy import optimize, stats
 
 from creatures import quick_jit
-from evo_cpg.analysis.fit import fit_warnings, fit, student_quantile
+from evo_cpg.analysis.fit import fit, fit_warnings, student_quantile
 from evo_cpg.config.load import check_config, load_config
 from evo_cpg.config.parameters import parametrise
 from evo_cpg.control.commanded import Commanded
