@@ -9,18 +9,18 @@ from typing import TYPE_CHECKING, Any
 
 from evo_cpg.analysis.chains import joint_rows
 from evo_cpg.api.departures import departures
-from evo_cpg.api.load import changed_config, load
+from evo_cpg.api.opened import OpenedChampion, open_run
 from evo_cpg.api.progress import working
-from evo_cpg.api.record import lives_again
-from evo_cpg.api.training import now, require_configured
+from evo_cpg.api.training import now
 from evo_cpg.api.version import version
-from evo_cpg.config.load import load_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
+from evo_cpg.config.trust import trusting
 from evo_cpg.files import write_text
 from evo_cpg.system import resolved
 from evo_cpg.training.checkpoint import Champion, genes_digest
+from evo_cpg.training.devices import use_cores
 from evo_cpg.training.experiment import Experiment
-from evo_cpg.training.run_folder import RunFolder, RunFolderError
+from evo_cpg.training.run_folder import RunFolder
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -49,50 +49,55 @@ def analyse(run: Path | str, trial: int = 0, trust: bool = False) -> Path:
         ValueError: there is no such trial.
     """
     folder = RunFolder(run)
-    with folder.locked():
-        folder.require()
-        require_configured(folder)
-        experiment = load(run, trust=trust).parts
-        champion, _, _ = folder.load_champion()
-        wrong = experiment.simulation.genome.misfit(champion.genes)
-        if wrong:
-            raise RunFolderError(f"{folder.config} was changed after training: {wrong}")
-        if not 0 <= trial < experiment.trials:
-            raise ValueError(f"trial must be 0 to {experiment.trials - 1}, got {trial}")
-        changed = changed_config(folder)
-        if changed:
-            warnings.warn(f"{folder.path}: {changed}", stacklevel=2)
-        path = page_path(folder, trial)
+    with trusting(trust), folder.locked():
+        use_cores(None)
+        with working(f"building {folder.path}"):
+            opened = open_run(run).load_champion()
+        trials = opened.experiment.trials
+        if not 0 <= trial < trials:
+            raise ValueError(f"trial must be 0 to {trials - 1}, got {trial}")
+
+        def warn(words: str) -> None:
+            warnings.warn(words, stacklevel=4)
+
         with working(f"making the page of {folder.path}"):
-            text = page(experiment, champion, folder, trial)
-        write_text(path, text)
+            return write_page(opened, trial, warn=warn)
+
+
+def write_page(
+    opened: OpenedChampion,
+    trial: int = 0,
+    number: int | None = None,
+    output: Path | None = None,
+    doing: Callable[[str], object] = lambda what: None,
+    warn: Callable[[str], object] = lambda words: None,
+) -> Path:
+    """Write the page of a champion and return its path.
+
+    Args:
+        opened: the run and the champion.
+        trial: which of its trials, from 0.
+        number: of several runs the one that was chosen; None for the best.
+        output: the page; None for one in the run folder.
+        doing: called with the name of each step after the replay.
+        warn: called with a sentence if ``config.yaml`` has changed since the run.
+
+    Raises:
+        RunFolderError: the run was begun in Python with a part that only that program has.
+    """
+    opened.require_configured()
+    changed = opened.changed
+    if changed:
+        warn(f"{opened.folder.path}: {changed}")
+    which = "" if number is None else f"_run{number}"
+    name = f"analysis{which}{f'_trial{trial}' if trial else ''}.html"
+    path = output or opened.folder.path / name
+    write_text(path, page(opened, trial, doing))
     return path
 
 
-def page_path(folder: RunFolder, trial: int = 0, number: int | None = None) -> Path:
-    """Where a page goes; see `page`."""
-    which = "" if number is None else f"_run{number}"
-    return folder.path / f"analysis{which}{f'_trial{trial}' if trial else ''}.html"
-
-
-def page(
-    experiment: Experiment,
-    champion: Champion,
-    folder: RunFolder,
-    trial: int = 0,
-    number: int | None = None,
-    doing: Callable[[str], object] = lambda what: None,
-) -> str:
-    """The text of a page.
-
-    Args:
-        experiment: that the champion evolved in.
-        champion: whose page it is.
-        folder: of its run.
-        trial: which of its trials, from 0.
-        number: of several runs the one that was asked for; None where it is the best.
-        doing: is told what is being done, once the champion has lived again.
-    """
+def page(opened: OpenedChampion, trial: int, doing: Callable[[str], object]) -> str:
+    """Return the text of a page."""
     from evo_cpg.analysis.gait_numbers import chain_places, gait_numbers
     from evo_cpg.view.clip import sample
     from evo_cpg.view.page import scene
@@ -100,8 +105,10 @@ def page(
     from evo_cpg.view.page.subject import Motion, Subject
     from evo_cpg.view.watch_picture import still
 
-    config, simulation = load_config(folder.config), experiment.simulation
-    ((_, frames, recording),) = lives_again(experiment, [champion], folder, trial)
+    folder, config, champion = opened.folder, opened.config, opened.champion
+    experiment, meta = opened.experiment, folder.read_meta()
+    simulation = experiment.simulation
+    ((_, frames, recording),) = opened.replay([champion], trial)
     doing("measuring the gait")
     numbers = gait_numbers(simulation, experiment.creature, frames, recording)
     doing("drawing")
@@ -124,7 +131,7 @@ def page(
     audit = _audit(folder, champion)
     subject = Subject(
         name=experiment.name,
-        changed=changed_config(folder),
+        changed=opened.changed,
         folder=resolved(folder.path).name,
         sentence=_sentence(experiment, config),
         champion={"fitness": champion.fitness, **_expected(champion), **champion.terms},
@@ -136,10 +143,10 @@ def page(
         chains=joint_rows(simulation),
         signal=simulation.controller.signal_label,
         config=folder.config.read_text(encoding="utf-8"),
-        meta=folder.read_meta(),
+        meta=meta,
         audit=audit,
         stale=bool(audit) and not _is_of(audit, champion),
-        half_step=_kept_at_half_the_step(folder.read_meta(), champion),
+        half_step=_kept_at_half_the_step(meta, champion),
         departures=departures(config),
         program=version().splitlines()[0],
         made=now(),

@@ -5,7 +5,7 @@ import functools
 import math
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -86,6 +86,38 @@ class Audit:
     step_length: float
     opinions: tuple[Opinion, ...] = ()
     missing: str = ""
+
+    @property
+    def measured(self) -> dict[str, float]:
+        """Results of the checks by their keys."""
+        return {check.key: float(check.measured) for check in self.verdict.checks}
+
+    def as_dict(self, champion: Champion) -> dict[str, Any]:
+        """Return the contents of ``audit.json``."""
+        return {
+            "passed": self.verdict.passed,
+            "reasons": self.verdict.reasons,
+            "run": champion.run,
+            "generation": champion.generation,
+            "fitness": champion.fitness,
+            "expected": champion.expected,
+            "checks": [
+                check._asdict() | {"measured": float(check.measured), "passed": check.passed}
+                for check in self.verdict.checks
+            ],
+            "energy": [_energy(trial.ledger) for trial in self.trials],
+            "second_opinion": [
+                {
+                    "program": one.program,
+                    "way_m": one.way,
+                    "heading_deg": math.degrees(one.heading),
+                    "upright": one.upright,
+                    "nothing_touches": one.airborne,
+                }
+                for one in self.opinions
+            ]
+            or self.missing,
+        }
 
 
 def audits(
@@ -494,6 +526,13 @@ def _effort(one: Ledger) -> float:
     """The motors' work, J; of an animal whose motors do none, all work that is done."""
     done = sum(np.abs(each).sum() for each in one.work.values())
     return one.effort or float(done) or np.inf
+
+
+def _energy(one: Ledger) -> dict[str, float]:
+    """Return the energies of a trial, J."""
+    parts = {name: float(value.sum()) for name, value in one.work.items()}
+    left_over = float(one.left_over.sum())
+    return {"stored": float(one.stored.sum()), **parts, "left_over": left_over}
 
 
 def _ledger_words(one: Ledger) -> str:

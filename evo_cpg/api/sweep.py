@@ -24,6 +24,7 @@ import numpy as np
 
 from evo_cpg import locks
 from evo_cpg.analysis.compare import Comparison, Spread, compare, spread
+from evo_cpg.api.display import progress, say
 from evo_cpg.api.training import begin_run, reopen_run
 from evo_cpg.config.build import build_experiment, require_genes
 from evo_cpg.config.errors import ConfigError
@@ -255,6 +256,54 @@ def run_group(
             [member.folder for member in group],
             lambda number, rows: on_generation(group[number], rows),
         )
+
+
+def evolve(
+    members: Sequence[Member],
+    source: Path,
+    devices: int,
+    title: str,
+    on_generation: Callable[[Member], object] = lambda member: None,
+    warn: Callable[[str], object] = lambda words: None,
+) -> None:
+    """Evolve settings to their ends, group by group, and show how far they are.
+
+    Args:
+        members: the settings.
+        source: see `run_group`.
+        devices: see `run_group`.
+        title: of the progress bar, and before the names of each group.
+        on_generation: called with a setting after each of its generations.
+        warn: see `run_group`.
+    """
+    found = groups(members)
+    for number, group in enumerate(found, 1):
+        if all(member.finished for member in group):
+            continue
+        total = sum(member.experiment.generations for member in group)
+        done = sum(member.generation for member in group)
+        which = f"{number} of {len(found)}: " if len(found) > 1 else ""
+        say(f"{title}: {which}{', '.join(member.setting.name for member in group)}")
+        latest: dict[str, float] = {}
+        with progress(title, "generations", total, done) as show:
+
+            def tell(
+                member: Member, rows: list[dict[str, float]], latest: dict = latest, show=show
+            ) -> None:
+                latest[member.setting.name] = float(np.median([row["champion"] for row in rows]))
+                show(_standing(latest))
+                on_generation(member)
+
+            run_group(group, source, devices, tell, warn)
+
+
+def _standing(latest: Mapping[str, float]) -> str:
+    """Return the setting whose champions are best so far, by their median fitness."""
+    known = {name: value for name, value in latest.items() if math.isfinite(value)}
+    if not known:
+        return "nobody lives yet"
+    best = max(known, key=lambda name: known[name])
+    return f"ahead: {best}, median champion {known[best]:.4f}"
 
 
 def _reopen(

@@ -467,23 +467,6 @@ def follow(experiment: parts.Experiment, folder: RunFolder, team: "Team") -> Non
     train_generations(experiment, folder, team=team)
 
 
-def require_configured(folder: RunFolder) -> None:
-    """Check that the configuration says all of the run.
-
-    Raises:
-        RunFolderError: it was begun in Python with a part that only that program has.
-    """
-    replaced = folder.read_meta().get("replaced")
-    if replaced:
-        raise RunFolderError(
-            f"{folder.path} was begun in Python with another {' and '.join(replaced)} or fitness "
-            "than its config.yaml names, which only that program has; commands can film and plot "
-            "it, but neither try its champion again nor go on with it. In Python "
-            "`Experiment.evaluate` tries genomes again, and `evo.train(..., start=...)` begins a "
-            "new run with them"
-        )
-
-
 def now() -> str:
     """The time of day, with the zone."""
     return time.strftime("%Y-%m-%dT%H:%M:%S%z")

@@ -8,13 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from evo_cpg.api.load import class_folders
-from evo_cpg.config.build import build_experiment
-from evo_cpg.config.load import load_config
+from evo_cpg.api.opened import open_run
 from evo_cpg.system import name_of, resolved
 from evo_cpg.training.checkpoint import Champion, Checkpoint, genes_digest
 from evo_cpg.training.experiment import Experiment
-from evo_cpg.training.run_folder import RunFolder, RunFolderError
+from evo_cpg.training.run_folder import RunFolderError
 
 What = Literal["champion", "population"]
 
@@ -50,11 +48,9 @@ def warm_start(experiment: Experiment, path: Path, what: What) -> Start:
         RunFolderError: there is no such run, or animals of another plan evolved in it.
         ConfigError: its configuration is wrong.
     """
-    folder = RunFolder(path)
-    folder.require()
-    earlier = build_experiment(load_config(folder.config), folder.config, class_folders(folder))
-    _require_same_plan(experiment, earlier, path)
-    checkpoint = folder.load()
+    earlier = open_run(path)
+    _require_same_plan(experiment, earlier.experiment, path)
+    checkpoint = earlier.folder.load()
     if checkpoint is None or checkpoint.champion is None:
         raise RunFolderError(f"{path} has no champion yet; train it first")
     chosen = [_of_run(checkpoint, experiment, run) for run in range(experiment.runs)]
@@ -68,7 +64,7 @@ def warm_start(experiment: Experiment, path: Path, what: What) -> Start:
         "what": what,
         "generation": best.generation if what == "champion" else checkpoint.generation,
         "fitness": best.fitness,
-        "config_sha256": folder.config_digest(),
+        "config_sha256": earlier.folder.config_digest(),
         "genes_sha256": genes_digest(best.genes if what == "champion" else checkpoint.genes),
     }
     return Start(np.concatenate(genes, axis=1), provenance)

@@ -3,8 +3,8 @@
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+from evo_cpg.api.display import working
 from evo_cpg.cli.errors import UsageError, warn
-from evo_cpg.cli.progress import working
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import load_config
 from evo_cpg.config.plausible import doubts

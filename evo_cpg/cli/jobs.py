@@ -22,9 +22,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from evo_cpg.api.display import Work, working
 from evo_cpg.api.sweep import Member, groups, members_of, read_plan, run_group
 from evo_cpg.cli.errors import UsageError
-from evo_cpg.cli.progress import Work, working
 from evo_cpg.config.trust import is_trusted, trusting
 from evo_cpg.files import write_text
 from evo_cpg.installation import command_for

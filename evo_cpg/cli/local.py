@@ -6,7 +6,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 from evo_cpg.training.devices import available_cores
 
@@ -24,7 +24,6 @@ def run_local(
     count: int,
     arguments: Sequence[str],
     cores: int | None,
-    check: Callable[[], object] = lambda: None,
 ) -> int:
     """Start the processes, and wait until they have ended.
 
@@ -32,12 +31,10 @@ def run_local(
         count: of the processes.
         arguments: of this command, without its name.
         cores: of all together; None for all of this machine.
-        check: raises what all the processes would otherwise complain of, one by one.
 
     Returns:
         The exit code: the lead's where that failed, else of the first other that did.
     """
-    check()
     own = max(1, (cores or available_cores()) // count)
     with socket.create_server(("", 0)) as server:
         port = server.getsockname()[1]

@@ -4,9 +4,11 @@ A command is a function of its own name in a file of that name, which declares t
 is imported when the command is called, and JAX and VTK when it runs: `--help` must be quick.
 """
 
+import functools
 import importlib
+import inspect
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Annotated, Any
 
 import typer
@@ -48,6 +50,36 @@ _EVOLVING = frozenset({"train", "resume", "refine", "sweep", "reproduce"})
 _PLAIN: dict[str, Any] = {"pretty_exceptions_enable": False, "rich_markup_mode": None}
 
 
+def with_options(function: Callable[..., None]) -> Callable[..., None]:
+    """Return a command that takes the fields of a group of options in place of the group.
+
+    Args:
+        function: a command. The annotation of a parameter that is a group is a named tuple, whose
+            fields are annotated as options.
+    """
+    signature = inspect.signature(function)
+    groups = {
+        parameter.name: parameter.annotation
+        for parameter in signature.parameters.values()
+        if hasattr(parameter.annotation, "_field_defaults")
+    }
+
+    @functools.wraps(function)
+    def command(**given: Any) -> None:
+        for name, group in groups.items():
+            given[name] = group(**{field: given.pop(field) for field in group._fields})
+        function(**given)
+
+    parameters: list[inspect.Parameter] = []
+    for parameter in signature.parameters.values():
+        group = groups.get(parameter.name)
+        own = inspect.signature(group).parameters.values() if group else [parameter]
+        parameters += own
+    command.__signature__ = signature.replace(parameters=parameters)  # pyright: ignore
+    command.__annotations__ = {each.name: each.annotation for each in parameters}
+    return command
+
+
 class _Files(Mapping[str, Any]):
     """The commands by name; each is imported when it is looked up."""
 
@@ -58,7 +90,7 @@ class _Files(Mapping[str, Any]):
         found = getattr(importlib.import_module(f"evo_cpg.cli.{place}"), place)
         if not isinstance(found, typer.Typer):
             function, found = found, typer.Typer(add_completion=False, **_PLAIN)
-            found.command(name)(function)
+            found.command(name)(with_options(function))
         command = typer.main.get_command(found)
         command.name = name
         return command

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from evo_cpg.cli.errors import UsageError, warn
-from evo_cpg.cli.options import Folder, Number, Run
+from evo_cpg.cli.options import Folder, Number, Run, Which
 from evo_cpg.cli.writing import writes_to_run
 
 _BEARINGS = "-75:75:11"
@@ -46,6 +46,7 @@ def probe(
     """Test the champion in new situations."""
     import numpy as np
 
+    from evo_cpg.api.display import working
     from evo_cpg.cli.champions import open_champion
     from evo_cpg.cli.probed import (
         missed,
@@ -55,7 +56,6 @@ def probe(
         show_probe,
         unseeing,
     )
-    from evo_cpg.cli.progress import working
     from evo_cpg.files import make_folder, write_table
     from evo_cpg.training.probe import around, blinded
     from evo_cpg.training.probe import probe as live
@@ -73,13 +73,14 @@ def probe(
         raise UsageError(f"--bearings, --distances: {lights} lights; allowed: up to {_MOST}")
     if min(away, default=1.0) <= 0:
         raise UsageError(f"--distances: must be greater than 0, got {min(away):g}")
-    experiment, champion, _, folder = open_champion(run, number)
-    situations = own_situations(experiment, folder)
+    which = Which(number)
+    opened = open_champion(run, which)
+    experiment, situations = opened.experiment, own_situations(opened)
     if not trials:
         situations = around(situations[0], turned, away)
         require_reachable(experiment, situations)
-    place = make_folder(out or folder.path)
-    simulation, genes = experiment.simulation, champion.genes
+    place = make_folder(out or run)
+    simulation, genes = experiment.simulation, opened.champion.genes
     with working(f"compiling, and probing {len(situations)} lights") as work:
         start = time.monotonic()
         found = seeing = live(simulation, genes, situations)
@@ -90,8 +91,7 @@ def probe(
     reached = found.reached(reach)
     rows = probe_rows(found, reach)
     result = f"{reached.sum()} of {len(rows)} lights reached"
-    name = "probe" if number is None else f"probe_run{number}"
-    table = place / f"{name}{'_blind' if blind else ''}.csv"
+    table = place / f"probe{which.of_run}{'_blind' if blind else ''}.csv"
     write_table(table, rows)
     who = f"{experiment.name}, blind" if blind else experiment.name
     figure = probe_figure(found, reach, f"{who}: {result}")

@@ -2,13 +2,13 @@
 
 import numpy as np
 
+from evo_cpg.api.opened import Opened
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.tables import show_table
 from evo_cpg.config.situations import out_of_reach
 from evo_cpg.simulation.situation import Situation
 from evo_cpg.training.experiment import Experiment
 from evo_cpg.training.probe import UNSEEING, Probe, seen_from_start
-from evo_cpg.training.run_folder import RunFolder
 
 
 def missed(found: Probe, reach: float) -> str:
@@ -64,11 +64,13 @@ def probe_rows(found: Probe, reach: float) -> list[dict[str, float | int]]:
     return rows
 
 
-def own_situations(experiment: Experiment, folder: RunFolder) -> tuple[Situation, ...]:
-    """Those that the animal evolved in, with their lights."""
-    simulation = experiment.simulation
+def own_situations(opened: Opened) -> tuple[Situation, ...]:
+    """Return the situations that the animal evolved in, with their lights."""
+    simulation = opened.experiment.simulation
     if None in simulation.lights:
-        raise UsageError(f"{folder.path}: its task has no light, so there is none to look for")
+        raise UsageError(
+            f"{opened.folder.path}: its task has no light, so there is none to look for"
+        )
     return tuple(
         situation._replace(light=light)
         for situation, light in zip(simulation.situations, simulation.lights, strict=True)

@@ -1,8 +1,7 @@
 """`evo-cpg reproduce`: the tables and pictures of a study, computed anew."""
 
 import sys
-from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,7 +12,7 @@ from evo_cpg.cli.options import Cores
 
 if TYPE_CHECKING:
     from evo_cpg.studies.study import Study
-    from evo_cpg.studies.workshop import Work, Workshop
+    from evo_cpg.studies.workshop import Workshop
 
 
 def reproduce(
@@ -93,7 +92,7 @@ def _make(workshop: "Workshop", parts: Sequence[str], fresh: bool) -> None:
         if len(parts) > 1:
             print(f"part {number + 1} of {len(parts)}: {part}", file=sys.stderr)
         try:
-            for path in workshop.make(part, _Shown()):
+            for path in workshop.make(part):
                 print(path)
         except KeyboardInterrupt:
             left = f"evo-cpg reproduce {chosen.name} {' '.join(parts[number:])}"
@@ -118,25 +117,6 @@ def default_folder(name: str, quick: bool) -> Path:
     if here is None:
         return Path("reproduction") / name
     return here / "docs" / "reproduction" / name
-
-
-class _Shown:
-    """How far the work is, on the terminal."""
-
-    def evolving(
-        self, title: str, total: int, done: int
-    ) -> AbstractContextManager[Callable[[int, str, float], None]]:
-        """A bar with the time that is left, or lines."""
-        from evo_cpg.cli.progress import progress
-
-        print(title, file=sys.stderr)
-        return progress(title.partition(",")[0], "generations", total, done)
-
-    def measuring(self, title: str) -> "AbstractContextManager[Work]":
-        """A line that moves."""
-        from evo_cpg.cli.progress import working
-
-        return working(title)
 
 
 def _list(names: Sequence[str], out: Path | None) -> None:

@@ -9,20 +9,23 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from evo_cpg.analysis.verdict import Check, shown
+from evo_cpg.api.display import progress, working
 from evo_cpg.api.training import (
     Recorder,
+    begin_run,
     evolve,
     first_look_asked,
     follow,
     reopen_run,
-    require_configured,
 )
-from evo_cpg.cli.champions import open_run
-from evo_cpg.cli.costs import animal_digest, expected_to_compile
+from evo_cpg.api.warm_start import What, warm_start
+from evo_cpg.cli.building import build
+from evo_cpg.cli.champions import open_and_build
+from evo_cpg.cli.costs import animal_digest, expected_to_compile, warn_of_cost
 from evo_cpg.cli.distributed import Distribution, require_same, together
 from evo_cpg.cli.errors import UsageError, warn
 from evo_cpg.cli.interrupts import wait_for_no_thread
-from evo_cpg.cli.progress import progress, working
+from evo_cpg.cli.oscillators import warn_of_oscillators
 from evo_cpg.config.fingerprint import changes, fingerprint
 from evo_cpg.config.load import load_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
@@ -37,13 +40,51 @@ if TYPE_CHECKING:
     from evo_cpg.training.processes import Team
 
 
+def train_run(
+    source: Path,
+    config: ExperimentConfig,
+    run: Path,
+    devices: int,
+    earlier: tuple[Path, What] | None,
+    distribution: Distribution,
+    tensorboard: bool,
+) -> None:
+    """Start a run, as one of the processes that were requested.
+
+    Args:
+        source: file that the configuration came from.
+        config: of the run.
+        run: its folder.
+        devices: of this process.
+        earlier: run folder to start from, and what of it; None for random genomes.
+        distribution: the processes.
+        tensorboard: write scalars.
+    """
+    folder = RunFolder(run)
+    with together(distribution, run) as team, contextlib.ExitStack() as lock:
+        experiment = build(config, source)
+        require_same(team, fingerprint(config))
+        if team.leads:
+            lock.enter_context(folder.locked(new=True))
+            start = None
+            if earlier is not None:
+                with working("reading the earlier run"):
+                    start = warm_start(experiment, *earlier)
+            begin_run(folder, config, experiment, devices, source, start, team.count)
+            warn_of_oscillators(source, experiment.simulation)
+            warn_of_cost(source, experiment.simulation)
+        animal = animal_digest(config)
+        evolve_run(experiment, folder, first_look_asked(config), team, tensorboard, animal)
+
+
 def resume_run(
-    run: Path, generations: int | None, devices: int, asked: Distribution, tensorboard: bool
+    run: Path, generations: int | None, devices: int, distribution: Distribution, tensorboard: bool
 ) -> None:
     """Continue a run, as one of the processes that were requested."""
-    with together(asked, run) as team:
-        folder, config, experiment = open_run(run)
-        require_configured(folder)
+    with together(distribution, run) as team:
+        opened = open_and_build(run)
+        opened.require_configured()
+        folder, config, experiment = opened.folder, opened.config, opened.experiment
         changed = changes(folder.read_meta().get("fingerprint"), fingerprint(config))
         if changed and team.leads:
             warn(
@@ -210,7 +251,7 @@ def evolve_run(
             ) as show:
 
                 def tell(rows: list[dict[str, float]]) -> None:
-                    show(int(rows[0]["generation"]), _standing(rows), rows[0]["seconds"])
+                    show(_standing(rows), rows[0]["seconds"])
                     if scalars is not None:
                         scalars.add(rows)
 

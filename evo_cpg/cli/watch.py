@@ -227,7 +227,7 @@ class _Pictures:
 
     def _build(self) -> tuple[Any, Any]:
         """The experiment and its compiled replay, on one core."""
-        from evo_cpg.api.load import class_folders
+        from evo_cpg.api.opened import class_folders
         from evo_cpg.cli.building import build
         from evo_cpg.config.load import load_config
         from evo_cpg.training.devices import use_cores

@@ -1,11 +1,11 @@
 """The audits of a study's champions, as a table."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from evo_cpg.studies.study import Part, Table, middle, percent
+from evo_cpg.studies.study import Part, Table, middle, percent, tabled
 
 if TYPE_CHECKING:
     from evo_cpg.studies.workshop import Workshop
@@ -54,8 +54,8 @@ def audited(workshop: "Workshop", name: str) -> list[dict[str, Any]]:
                 "passed": done.verdict.passed,
                 "reasons": done.verdict.reasons,
                 "measured": {
-                    each.key: float(each.measured) if np.isfinite(each.measured) else None
-                    for each in done.verdict.checks
+                    key: value if np.isfinite(value) else None
+                    for key, value in done.measured.items()
                 },
                 "opinions": [
                     {"program": one.program, "way": one.way, "upright": one.upright}
@@ -78,21 +78,16 @@ def audit_table(title: str, rows: dict[str, list[dict[str, Any]]]) -> Table:
     every = [row for found in rows.values() for row in found]
     keys = [key for key in _KEPT if any(key in row["measured"] for row in every)]
     programs = list(dict.fromkeys(one["program"] for row in every for one in _others(row)))
-    head = ["", "seed", "way, m", *(_KEPT[key] for key in keys)]
-    head += [*(f"{program}: over ground, m" for program in programs), "passes"]
-    lines = [
-        [
-            name,
-            str(row["seed"]),
-            _number(row["measured"].get("way")),
-            *(_share(row["measured"].get(key)) for key in keys),
-            *(_number(_ways(row).get(program)) for program in programs),
-            "yes" if row["passed"] else "no: " + "; ".join(row["reasons"]),
-        ]
-        for name, found in rows.items()
-        for row in found
-    ]
-    return Table(title, head, lines)
+    lines = []
+    for name, row in ((name, row) for name, found in rows.items() for row in found):
+        measured, ways = row["measured"], {one["program"]: one["way"] for one in _others(row)}
+        lines.append(
+            {"": name, "seed": str(row["seed"]), "way, m": _number(measured.get("way"))}
+            | {_KEPT[key]: _share(measured.get(key)) for key in keys}
+            | {f"{program}: over ground, m": _number(ways.get(program)) for program in programs}
+            | {"passes": "yes" if row["passed"] else "no: " + "; ".join(row["reasons"])}
+        )
+    return tabled(lines, title)
 
 
 def kept_table(title: str, rows: dict[str, list[dict[str, Any]]]) -> Table:
@@ -100,30 +95,30 @@ def kept_table(title: str, rows: dict[str, list[dict[str, Any]]]) -> Table:
 
     In MuJoCo they are asked as nearly as can be what they are asked here: the last of its opinions.
     """
-    head = ["", "way, m", *_KEPT.values(), "in MuJoCo", "pass"]
     lines = []
     for name, found in rows.items():
-        columns = [[row["measured"].get(key) for row in found] for key in ("way", *_KEPT)]
-        columns.append([_second_opinion(row) for row in found])
-        known = [[value for value in column if value is not None] for column in columns]
-        lines.append(
-            [
-                name,
-                middle(known[0]),
-                *(f"{middle(100 * np.array(each), 0)} %" if each else "" for each in known[1:]),
-                f"{sum(row['passed'] for row in found)} of {len(found)}",
-            ]
-        )
-    return Table(title, head, lines)
+        line = {"": name, "way, m": middle(_known(row["measured"].get("way") for row in found))}
+        for key, head in _KEPT.items():
+            line[head] = _shares(row["measured"].get(key) for row in found)
+        line["in MuJoCo"] = _shares(map(_second_opinion, found))
+        line["pass"] = f"{sum(row['passed'] for row in found)} of {len(found)}"
+        lines.append(line)
+    return tabled(lines, title)
+
+
+def _known(values: Iterable[float | None]) -> list[float]:
+    return [value for value in values if value is not None]
+
+
+def _shares(values: Iterable[float | None]) -> str:
+    """Return median and range of shares, in per cent."""
+    known = _known(values)
+    return f"{middle(100 * np.array(known), 0)} %" if known else ""
 
 
 def _others(row: dict[str, Any]) -> list[dict[str, Any]]:
     """Opinions of other programs than ours, which is the first."""
     return row["opinions"][1:]
-
-
-def _ways(row: dict[str, Any]) -> dict[str, float]:
-    return {one["program"]: one["way"] for one in _others(row)}
 
 
 def _second_opinion(row: dict[str, Any]) -> float | None:

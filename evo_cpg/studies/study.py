@@ -39,6 +39,12 @@ class Table(NamedTuple):
     rows: Sequence[Sequence[str]]
 
 
+def tabled(rows: Sequence[Mapping[str, str]], title: str = "") -> Table:
+    """Return a table of rows by the heads of their columns; a cell that a row lacks is empty."""
+    head = list(dict.fromkeys(column for row in rows for column in row))
+    return Table(title, head, [[row.get(column, "") for column in head] for row in rows])
+
+
 class Part(NamedTuple):
     """What can be renewed by itself.
 

@@ -15,15 +15,15 @@ import json
 import shutil
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float
 
+from evo_cpg.api.display import Work, working
 from evo_cpg.api.surroundings import surroundings
-from evo_cpg.api.sweep import Member, groups, run_group
+from evo_cpg.api.sweep import Member, evolve
 from evo_cpg.api.training import now
 from evo_cpg.api.version import program_commit
 from evo_cpg.config.build import build_experiment
@@ -49,34 +49,6 @@ if TYPE_CHECKING:
 _QUICK_RUNS, _QUICK_GENERATIONS, _QUICK_STEPS = 2, 2, 60
 # Five islands of four.
 _QUICK_POPULATION, _QUICK_ELITES = 20, 2
-
-
-@runtime_checkable
-class Work(Protocol):
-    """Making tables and pictures: what may be called to say how far it is."""
-
-    def say(self, line: str) -> None:
-        """A line that stays."""
-        ...
-
-    def doing(self, what: str) -> None:
-        """From now on something else is being done."""
-        ...
-
-
-@runtime_checkable
-class Show(Protocol):
-    """Who shows how far the work is."""
-
-    def evolving(
-        self, title: str, total: int, done: int
-    ) -> AbstractContextManager[Callable[[int, str, float], None]]:
-        """Generations of a group of runs; what is yielded is told of each."""
-        ...
-
-    def measuring(self, title: str) -> AbstractContextManager[Work]:
-        """Tables and pictures are made; what is yielded may be told of it."""
-        ...
 
 
 class Workshop:
@@ -128,7 +100,7 @@ class Workshop:
             self._loaded.pop(name, None)
             shutil.rmtree(self._run(name).path, ignore_errors=True)
 
-    def make(self, part: str, show: Show) -> list[Path]:
+    def make(self, part: str) -> list[Path]:
         """Make a part: evolve what is missing of its runs, and write its files.
 
         Returns:
@@ -139,9 +111,9 @@ class Workshop:
         """
         began = time.perf_counter()
         declared = self.study.parts[part]
-        self._evolve(part, declared, show)
+        self._evolve(part, declared)
         self._pictures, self._part = [], part
-        with show.measuring(f"{self.study.name} {part}: tables and pictures") as self.work:
+        with working(f"{self.study.name} {part}: tables and pictures") as self.work:
             tables = declared.report(self)
         return self._write(part, declared, tables, time.perf_counter() - began)
 
@@ -239,33 +211,21 @@ class Workshop:
     def _run(self, name: str) -> RunFolder:
         return RunFolder(self.folder / "runs" / name)
 
-    def _evolve(self, part: str, declared: Part, show: Show) -> None:
+    def _evolve(self, part: str, declared: Part) -> None:
         members = [self.member(name) for name in declared.runs]
         for member in members:
             _require_same(member)
-        found = groups([member for member in members if not member.finished])
-        for number, group in enumerate(found):
-            total = sum(member.experiment.generations for member in group)
-            done = sum(member.generation for member in group)
-            names = ", ".join(member.setting.name for member in group)
-            title = f"{self.study.name} {part}, {number + 1} of {len(found)}: {names}"
-            with show.evolving(title, total, done) as tell:
-                watch = _Watch(tell, done)
-                self._run_group(group, watch)
+        here = program_commit()
 
-    def _run_group(self, group: Sequence[Member], watch: "_Watch") -> None:
-        # All were built from files of one folder, which is all that is noted of the source.
-        source = self.source(group[0].setting.name)
-        here, noted = program_commit(), set()
+        def note_commit(member: Member) -> None:
+            known = member.folder.read_meta().get("commits", [])
+            if here not in known:
+                member.folder.update_meta(commits=[*known, here])
 
-        def tell(member: Member, rows: list[dict[str, float]]) -> None:
-            if member.setting.name not in noted:
-                noted.add(member.setting.name)
-                known = member.folder.read_meta().get("commits", [])
-                member.folder.update_meta(commits=list(dict.fromkeys([*known, here])))
-            watch.tell(member, rows)
-
-        run_group(group, source, self.devices, tell)
+        if members:
+            # All were built from files of one folder, which is all that is noted of the source.
+            source = self.source(declared.runs[0])
+            evolve(members, source, self.devices, f"{self.study.name} {part}", note_commit)
 
     def _write(self, part: str, declared: Part, tables: list[Table], seconds: float) -> list[Path]:
         runs = declared.runs
@@ -305,20 +265,6 @@ class Workshop:
     def _seconds(self, name: str) -> float:
         """That a run took; every run's row has the time that all of them took."""
         return float(self.column(name, "seconds")[:, 0].sum())
-
-
-class _Watch:
-    """Tells of every generation of a group, with the time since the one before."""
-
-    def __init__(self, tell: Callable[[int, str, float], None], done: int):
-        self._tell, self._done, self._clock = tell, done, time.perf_counter()
-
-    def tell(self, member: Member, rows: list[dict[str, float]]) -> None:
-        before, self._clock = self._clock, time.perf_counter()
-        best = float(np.median([row["champion"] for row in rows]))
-        state = f"{member.setting.name}: median champion {best:.3f}"
-        self._tell(self._done, state, self._clock - before)
-        self._done += 1
 
 
 def markdown(table: Table) -> str:

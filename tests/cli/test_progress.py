@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from evo_cpg.cli import progress as module
-from evo_cpg.cli.progress import BETWEEN, FIRST, LONGEST_SILENCE, Heartbeat
+from evo_cpg.api import display as module
+from evo_cpg.api.display import BETWEEN, FIRST, LONGEST_SILENCE, Heartbeat
 
 
 @pytest.fixture
@@ -147,7 +147,7 @@ def test_work_in_a_pipe_is_lines_on_standard_error(impatient, capsys):
 def test_steps_in_a_pipe_are_lines_with_what_comes_first(impatient, capsys):
     with module.progress("mine", "generations", 3, 1, "compiling") as show:
         time.sleep(0.8)
-        show(1, "best 2", 0.5)
+        show("best 2", 0.5)
     _, err = capsys.readouterr()
     assert err == (
         "   1/3 generations  compiling: 0 s so far\n   2/3 generations  best 2    0.50 s\n"
@@ -168,7 +168,7 @@ def test_on_a_terminal_it_is_one_line_that_moves(monkeypatch):
         time.sleep(0.8)
     assert "drawing" in screen.getvalue()
     with module.progress("mine", "generations", 3) as show:
-        show(0, "best 2", 0.5)
+        show("best 2", 0.5)
         time.sleep(0.8)
     assert "best 2" in screen.getvalue() and "1/3" in screen.getvalue()
     assert "about" not in screen.getvalue()

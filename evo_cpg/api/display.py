@@ -80,7 +80,7 @@ class Heartbeat(Work):
 
     @override
     def say(self, line: str) -> None:
-        _say(line)
+        say(line)
         with self._lock:
             self._next = self._clock() + BETWEEN
 
@@ -105,11 +105,11 @@ class Heartbeat(Work):
             return f"{self._what}: {_standing(now - self._start, self._done, self._expected)}"
 
     @contextlib.contextmanager
-    def beating(self, say: Callable[[str], None] | None = None) -> Iterator["Heartbeat"]:
+    def beating(self, write: Callable[[str], None] | None = None) -> Iterator["Heartbeat"]:
         """Print what is due, in a thread, for as long as the block lasts.
 
         Args:
-            say: writes a line; None for standard error.
+            write: takes a line; None for standard error.
         """
         over = threading.Event()
 
@@ -117,7 +117,7 @@ class Heartbeat(Work):
             while not over.wait(_LOOK):
                 line = self.due()
                 if line is not None:
-                    (say or _say)(line)
+                    (write or say)(line)
 
         thread = threading.Thread(target=watch, name="heartbeat", daemon=True)
         thread.start()
@@ -147,7 +147,7 @@ def _announced(what: str, expected: float | None) -> str:
 
 
 class _Line(Work):
-    """On a terminal."""
+    """Work on a terminal."""
 
     def __init__(self, bars: Progress, bar: TaskID):
         self._bars, self._bar = bars, bar
@@ -197,7 +197,7 @@ def progress(
     first: str = "compiling",
     last: str = "",
     expected: float | None = None,
-) -> Iterator[Callable[[int, str, float], None]]:
+) -> Iterator[Callable[..., None]]:
     """Show every step of some work.
 
     Args:
@@ -212,20 +212,23 @@ def progress(
             was.
 
     Yields:
-        A function to call after every step, with its number (from 0), how things stand, and the
-        seconds that it took.
+        A function to call after every step, with a line about the state and the duration of the
+        step, s; by default the time since the step before.
     """
+    number, since = completed, time.perf_counter()
     console = Console(stderr=True)
     if not console.is_terminal:
         with Heartbeat(
             f"{completed:4d}/{total} {step}  {first}", _said_at, expected
         ).beating() as heartbeat:
 
-            def tell(number: int, state: str, seconds: float) -> None:
-                done = f"{number + 1:4d}/{total} {step}"
-                heartbeat.say(f"{done}  {state}  {seconds:6.2f} s")
-                more = number + 1 < total
-                heartbeat.doing(f"{done}, and the next one" if more else last or done)
+            def tell(state: str, seconds: float | None = None) -> None:
+                nonlocal number, since
+                number, before, since = number + 1, since, time.perf_counter()
+                done = f"{number:4d}/{total} {step}"
+                took = since - before if seconds is None else seconds
+                heartbeat.say(f"{done}  {state}  {took:6.2f} s")
+                heartbeat.doing(f"{done}, and the next one" if number < total else last or done)
 
             yield tell
         return
@@ -241,10 +244,10 @@ def progress(
         begun = _announced(first, expected)
         bar = bars.add_task(title, total=total, completed=completed, state=begun)
 
-        def advance(number: int, state: str, seconds: float) -> None:
+        def advance(state: str, seconds: float | None = None) -> None:
             del seconds
             bars.update(bar, advance=1, state=state)
-            if last and number + 1 == total:
+            if last and bars.tasks[bar].finished:
                 bars.update(bar, description=last)
 
         yield advance
@@ -259,7 +262,8 @@ def _settings(console: Console) -> dict[str, Any]:
 _said_at = -math.inf
 
 
-def _say(line: str) -> None:
+def say(line: str) -> None:
+    """Print a line about work that goes on."""
     global _said_at
     _said_at = time.monotonic()
     print(line, file=sys.stderr, flush=True)
