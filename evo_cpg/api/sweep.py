@@ -13,6 +13,7 @@ are constants of it, which makes an evaluation faster and lets a champion live a
 """
 
 import contextlib
+import dataclasses
 import hashlib
 import json
 import math
@@ -25,20 +26,19 @@ import numpy as np
 from evo_cpg import locks
 from evo_cpg.analysis.compare import Comparison, Spread, compare, spread
 from evo_cpg.api.display import progress, say
+from evo_cpg.api.opened import Opened
 from evo_cpg.api.training import begin_run, reopen_run
 from evo_cpg.config.build import build_experiment, require_genes
 from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.fingerprint import fingerprint
 from evo_cpg.config.load import load_config
-from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.config.settings import Setting, is_folder_name
 from evo_cpg.files import make_folder, write_table, write_text
 from evo_cpg.system import name_of, named, resolved
 from evo_cpg.training.checkpoint import Checkpoint
-from evo_cpg.training.experiment import Experiment
 from evo_cpg.training.memory import require_memory
 from evo_cpg.training.reevaluation import is_finished
-from evo_cpg.training.run_folder import RunFolder, RunFolderError
+from evo_cpg.training.run_folder import RunFolder, RunFolderError, read_json
 
 _PLAN = "sweep.json"
 
@@ -46,20 +46,15 @@ _PLAN = "sweep.json"
 _SEARCH = ("name", "seed", "runs", "evolution", "audit")
 
 
-class Member(NamedTuple):
+@dataclasses.dataclass(frozen=True)
+class Member(Opened):
     """A setting of a sweep.
 
     Attributes:
         setting: its name, and what it sets.
-        config: complete.
-        experiment: built from it.
-        folder: of its runs.
     """
 
     setting: Setting
-    config: ExperimentConfig
-    experiment: Experiment
-    folder: RunFolder
 
     @property
     def checkpoint(self) -> Checkpoint | None:
@@ -151,23 +146,20 @@ def read_plan(folder: Path) -> dict[str, Any] | None:
     Raises:
         RunFolderError: its file is damaged.
     """
-    path = folder / _PLAN
-    if not path.is_file():
-        return None
-    try:
-        plan = json.loads(path.read_text(encoding="utf-8"))
-        kinds = {"config": str, "config_sha256": str, "overrides": list, "settings": dict}
-        sound = all(isinstance(plan[key], kind) for key, kind in kinds.items())
-        sound = sound and all(isinstance(override, str) for override in plan["overrides"])
-        if not sound or not all(isinstance(values, dict) for values in plan["settings"].values()):
-            raise ValueError("something is of another kind")
-        for name in plan["settings"]:
-            # It names a folder beside the file.
-            if not is_folder_name(name):
-                raise ValueError(f"{name[:80]!r} is no name of a setting")
-    except (KeyError, OSError, RecursionError, TypeError, ValueError) as error:
-        raise RunFolderError(f"{path} is damaged ({error})") from None
-    return plan
+    return read_json(folder / _PLAN, _is_plan)
+
+
+def _is_plan(plan: Any) -> bool:
+    for name in plan["settings"]:
+        # It names a folder beside the file.
+        if not is_folder_name(name):
+            raise ValueError(f"{name[:80]!r} is no name of a setting")
+    kinds = {"config": str, "config_sha256": str, "overrides": list, "settings": dict}
+    return (
+        all(isinstance(plan[key], kind) for key, kind in kinds.items())
+        and all(isinstance(override, str) for override in plan["overrides"])
+        and all(isinstance(values, dict) for values in plan["settings"].values())
+    )
 
 
 def members_of(
@@ -201,7 +193,7 @@ def members_of(
         experiment = build_experiment(config, source)
         require_genes(experiment, source)
         require_memory(experiment)
-        members.append(Member(setting, config, experiment, RunFolder(folder / named(name))))
+        members.append(Member(RunFolder(folder / named(name)), config, experiment, setting))
     return members
 
 
@@ -312,12 +304,11 @@ def _reopen(
     """Make the run folders, or put those that are there in order."""
     for member in group:
         if not member.folder.config.is_file():
-            begin_run(member.folder, member.config, member.experiment, devices, source)
+            begin_run(member, devices, source)
             continue
         member.folder.require()
         if not member.finished:
-            run = member.folder, member.config, member.experiment
-            for words in reopen_run(*run, devices, source=source):
+            for words in reopen_run(member, devices, source=source):
                 warn(words)
 
 

@@ -4,7 +4,7 @@ import dataclasses
 import sys
 import time
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +14,7 @@ from jax.typing import ArrayLike
 
 from evo_cpg.analysis.verdict import Check
 from evo_cpg.api.experiment import Experiment
+from evo_cpg.api.opened import Opened
 from evo_cpg.api.progress import Generations, working
 from evo_cpg.api.surroundings import differences as changed_surroundings
 from evo_cpg.api.surroundings import surroundings
@@ -104,7 +105,8 @@ def _train(
     import jax
 
     devices = len(jax.local_devices())
-    begin_run(folder, experiment.config, experiment.parts, devices, experiment.source, given)
+    run = Opened(folder, experiment.config, experiment.parts)
+    begin_run(run, devices, experiment.source, given)
     if experiment.replaced:
         folder.update_meta(replaced=list(experiment.replaced))
     least, seen = first_look_asked(experiment.config), Generations(experiment.parts.generations)
@@ -129,20 +131,12 @@ def _train(
 
 
 def begin_run(
-    folder: RunFolder,
-    config: ExperimentConfig,
-    experiment: parts.Experiment,
-    devices: int,
-    source: Path,
-    start: Start | None = None,
-    processes: int = 1,
+    run: Opened, devices: int, source: Path, start: Start | None = None, processes: int = 1
 ) -> None:
     """Make a run folder, with what there is to know of the run.
 
     Args:
-        folder: to make.
-        config: of the run.
-        experiment: that it describes.
+        run: whose folder is made.
         devices: of this process.
         source: file that the configuration came from.
         start: what it begins with; None for random genomes.
@@ -153,72 +147,61 @@ def begin_run(
         RunFolderError: the folder holds a run or other files, or cannot be written.
         TooLargeError: the machine has not the memory for it.
     """
-    require_genes(experiment, source)
-    require_memory(experiment)
-    meta = _known(config, experiment, devices, source, processes)
+    require_genes(run.experiment, source)
+    require_memory(run.experiment)
+    meta = _known(run, devices, source, processes)
     if start is not None:
         meta["start"] = start.provenance
-    folder.create(dump_config(config), meta, None if start is None else start.genes)
+    run.folder.create(dump_config(run.config), meta, None if start is None else start.genes)
 
 
-def _known(
-    config: ExperimentConfig,
-    experiment: parts.Experiment,
-    devices: int,
-    source: Path,
-    processes: int,
-) -> dict[str, Any]:
-    """What meta.json says of a run that begins."""
+def _known(run: Opened, devices: int, source: Path, processes: int) -> dict[str, Any]:
+    """Return the contents of meta.json for a run that begins."""
     meta: dict[str, Any] = {
-        "name": config.name,
-        "seed": config.seed,
+        "name": run.config.name,
+        "seed": run.config.seed,
         "config": name_of(resolved(source)),
         "command": sys.argv[1:],
-        "fingerprint": fingerprint(config),
+        "fingerprint": fingerprint(run.config),
         "processes": processes,
         "started": now(),
     }
-    meta |= surroundings(experiment.simulation.engine, devices)
+    meta |= surroundings(run.experiment.simulation.engine, devices)
     if name := shipped_name(source):
         meta["shipped_config"] = name
     return meta
 
 
 def reopen_run(
-    folder: RunFolder,
-    config: ExperimentConfig,
-    experiment: parts.Experiment,
-    devices: int,
-    processes: int = 1,
-    source: Path | None = None,
+    run: Opened, devices: int, processes: int = 1, source: Path | None = None
 ) -> list[str]:
-    """Note with what a run is gone on with.
+    """Note with what a run is continued.
 
     Args:
-        folder: of the run.
-        config: with which it goes on.
-        experiment: that it describes.
+        run: with the configuration that it continues with.
         devices: of this process.
         processes: that evolve together.
-        source: file that the configuration came from, where that is known.
+        source: file that the configuration came from, if known.
 
     Returns:
-        What is otherwise than before, in words for the user.
+        Differences from before, in words for the user.
 
     Raises:
         ConfigError: there are no genes to evolve.
         RunFolderError: the folder cannot be written.
         TooLargeError: the machine has not the memory for it.
     """
-    require_genes(experiment, folder.config)
-    require_memory(experiment)
+    folder = run.folder
+    require_genes(run.experiment, folder.config)
+    require_memory(run.experiment)
     # Before anything is written: it starts JAX, which may find no device.
-    here, before = surroundings(experiment.simulation.engine, devices), folder.read_meta()
-    folder.reopen(dump_config(config))
-    noted = {"resumed": now(), "fingerprint": fingerprint(config), "processes": processes} | here
+    here, before = surroundings(run.experiment.simulation.engine, devices), folder.read_meta()
+    folder.reopen(dump_config(run.config))
+    noted = {"resumed": now(), "fingerprint": fingerprint(run.config), "processes": processes}
+    noted |= here
     if not before and source is not None:
         # It was killed before this was written.
-        noted = _known(config, experiment, devices, source, processes)
+        noted = _known(run, devices, source, processes)
     folder.update_meta(**noted)
     found = changed_surroundings(before, here)
     return [f"{folder.path}: {difference}; bits may differ" for difference in found]
@@ -273,8 +256,8 @@ class Recorder:
         self._measures_way = self.looks and experiment.simulation.noise.silent
         self._way: float | None = None
         self._thread = ThreadPoolExecutor(1, "recording")
-        self._program = _Job()
-        self._look = _Job()
+        self._program: _Compilation | None = None
+        self._look: _Compilation | None = None
 
     def __enter__(self) -> "Recorder":
         return self
@@ -300,23 +283,24 @@ class Recorder:
         recorded = self._experiment
         if self._measures_way:
             recorded = recorded._replace(simulation=with_way(recorded.simulation))
-        self._program = _Job(took)
-        self._program.begin(self._thread, compile_replay, recorded, devices)
+        self._program = _Compilation(self._thread, took, compile_replay, recorded, devices)
         if self._least is not None:
             from evo_cpg.api.audit import compile_first_look
 
             # With noise the way at the own step takes another program.
             programs = 1 if self._measures_way else 2
-            self._look = _Job(None if took is None else programs * took)
-            self._look.begin(self._thread, compile_first_look, self._experiment, self._least)
+            expected = None if took is None else programs * took
+            self._look = _Compilation(
+                self._thread, expected, compile_first_look, self._experiment, self._least
+            )
 
     def expected_to_record(self) -> float | None:
         """Estimate how long `record` still compiles, s; None where nothing was measured."""
-        return self._program.left
+        return self._program and self._program.left
 
     def expected_to_look(self) -> float | None:
         """Estimate how long `look` still compiles, s; None where nothing was measured."""
-        return self._look.left
+        return self._look and self._look.left
 
     def keep(self, champion: Champion) -> None:
         """Record the champion, take the first look at it, and finish the run."""
@@ -326,19 +310,19 @@ class Recorder:
 
     def record(self, champion: Champion) -> None:
         """Write the champion and its motion into the run folder."""
-        if not self._program.begun:
+        if self._program is None:
             self.compile()
-        _, terms, motion = self._program.result()(champion)
+        assert self._program is not None
+        _, terms, motion = self._program(champion)
         if self._measures_way:
             self._way = float(np.nan_to_num(terms[WAY]))
         self._folder.save_champion(champion, motion)
 
     def look(self, champion: Champion) -> None:
         """Take the first look at a champion that was recorded, if one is asked for."""
-        if not self.looks:
+        if self._look is None:
             return
-        seen = self._look.result()(champion, self._way)
-        self.seen = seen
+        self.seen = seen = self._look(champion, self._way)
         told: dict[str, Any] | None = None
         if seen.passed is not None:
             told = {"measured": seen.measured, "least": seen.limit, "passed": seen.passed}
@@ -355,45 +339,44 @@ class Recorder:
         self._folder.update_meta(finished=now())
 
 
-class _Job:
-    """Something that compiles in a thread.
+class _Compilation:
+    """A program that a thread compiles when it has done what came before.
 
     Args:
+        thread: that compiles.
         expected: duration, s; None where nothing was measured.
+        compile_it: returns the program.
+        given: arguments of that.
     """
 
-    def __init__(self, expected: float | None = None):
+    def __init__(
+        self,
+        thread: ThreadPoolExecutor,
+        expected: float | None,
+        compile_it: Callable[..., Any],
+        *given: Any,
+    ):
         self._expected = expected
-        self._future: Future | None = None
         self._start: float | None = None
-
-    def begin(self, thread: ThreadPoolExecutor, compile_it: Callable, *args: Any) -> None:
-        """Compile when the thread has done what came before."""
 
         def work() -> Any:
             self._start = time.monotonic()
-            return compile_it(*args)
+            return compile_it(*given)
 
-        self._future = thread.submit(work)
-
-    @property
-    def begun(self) -> bool:
-        """Whether it was begun."""
-        return self._future is not None
+        self._program = thread.submit(work)
 
     @property
     def left(self) -> float | None:
         """Estimate of the time that it still takes, s; None where nothing was measured."""
-        if self._future is not None and self._future.done():
+        if self._program.done():
             return 0.0
         if self._expected is None or self._start is None:
             return self._expected
         return max(0.0, self._expected - (time.monotonic() - self._start))
 
-    def result(self) -> Any:
-        """Return what was compiled."""
-        assert self._future is not None
-        return self._future.result()
+    def __call__(self, *given: Any) -> Any:
+        """Wait for the program, and call it."""
+        return self._program.result()(*given)
 
 
 def first_look_asked(config: ExperimentConfig) -> float | None:

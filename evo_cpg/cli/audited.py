@@ -13,8 +13,7 @@ from evo_cpg.api.audit import Audit
 from evo_cpg.api.display import working
 from evo_cpg.api.training import now
 from evo_cpg.cli.champions import open_champion
-from evo_cpg.cli.errors import UsageError
-from evo_cpg.cli.exit_codes import ExitCode
+from evo_cpg.cli.errors import ExitCode, UsageError
 from evo_cpg.cli.options import Which
 from evo_cpg.cli.tables import show_table
 from evo_cpg.exchange.second_opinion import Opinion

@@ -5,8 +5,7 @@ from typing import Annotated, Any
 
 import typer
 
-from evo_cpg.cli.errors import UsageError
-from evo_cpg.cli.exit_codes import ExitCode
+from evo_cpg.cli.errors import ExitCode, UsageError
 
 # Largest population that fits the memory of common machines.
 _LARGEST = 1_000_000

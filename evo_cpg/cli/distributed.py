@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
-from evo_cpg.cli.errors import UsageError
-from evo_cpg.cli.exit_codes import ExitCode
+from evo_cpg.cli.errors import ExitCode, UsageError
 from evo_cpg.cli.interrupts import leave_at_once
 from evo_cpg.installation import version_of
 

@@ -1,10 +1,30 @@
-"""Errors that are about the command line itself, and what to print of others."""
+"""Errors of the command line itself, what to print of others, and the exit codes."""
 
 import os
 import sys
+from enum import IntEnum
 from pathlib import Path
 
 from evo_cpg.errors import UserError
+
+
+class ExitCode(IntEnum):
+    """Other than 0, which says that all was done."""
+
+    FAULT = 1
+    """Of the program's own; a job of a sweep, or the search for a rhythm, failed."""
+
+    WRONG_INPUT = 2
+    """Of the user's; what is wrong was said."""
+
+    NOT_PASSED = 3
+    """What was to be checked was, and is not so: an audit, a verification, a comparison."""
+
+    LOST = 4
+    """Another process of the same run."""
+
+    INTERRUPTED = 130
+    """By the user, as shells have it."""
 
 
 class UsageError(UserError):

@@ -15,8 +15,7 @@ import typer
 from typer.core import TyperGroup
 
 from evo_cpg.cli import streams
-from evo_cpg.cli.errors import told
-from evo_cpg.cli.exit_codes import ExitCode
+from evo_cpg.cli.errors import ExitCode, told
 from evo_cpg.cli.interrupts import interrupts_delivered, leave_at_once, waits_for_threads
 
 # In the order of the help text; `import` is a keyword, so its file is `import_.py`.

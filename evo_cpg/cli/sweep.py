@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from evo_cpg.cli.completion import complete_config
-from evo_cpg.cli.errors import UsageError, warn
-from evo_cpg.cli.exit_codes import ExitCode
+from evo_cpg.cli.errors import ExitCode, UsageError, warn
 from evo_cpg.cli.options import Cores, Overrides, find_config_or_folder
 
 if TYPE_CHECKING:

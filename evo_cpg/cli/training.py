@@ -10,6 +10,7 @@ import numpy as np
 
 from evo_cpg.analysis.verdict import Check, shown
 from evo_cpg.api.display import progress, working
+from evo_cpg.api.opened import Opened
 from evo_cpg.api.training import (
     Recorder,
     begin_run,
@@ -19,13 +20,12 @@ from evo_cpg.api.training import (
     reopen_run,
 )
 from evo_cpg.api.warm_start import What, warm_start
+from evo_cpg.cli.advice import advise, animal_digest, expected_to_compile
 from evo_cpg.cli.building import build
 from evo_cpg.cli.champions import open_and_build
-from evo_cpg.cli.costs import animal_digest, expected_to_compile, warn_of_cost
 from evo_cpg.cli.distributed import Distribution, require_same, together
 from evo_cpg.cli.errors import UsageError, warn
 from evo_cpg.cli.interrupts import wait_for_no_thread
-from evo_cpg.cli.oscillators import warn_of_oscillators
 from evo_cpg.config.fingerprint import changes, fingerprint
 from evo_cpg.config.load import load_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
@@ -63,6 +63,7 @@ def train_run(
     folder = RunFolder(run)
     with together(distribution, run) as team, contextlib.ExitStack() as lock:
         experiment = build(config, source)
+        opened = Opened(folder, config, experiment)
         require_same(team, fingerprint(config))
         if team.leads:
             lock.enter_context(folder.locked(new=True))
@@ -70,11 +71,9 @@ def train_run(
             if earlier is not None:
                 with working("reading the earlier run"):
                     start = warm_start(experiment, *earlier)
-            begin_run(folder, config, experiment, devices, source, start, team.count)
-            warn_of_oscillators(source, experiment.simulation)
-            warn_of_cost(source, experiment.simulation)
-        animal = animal_digest(config)
-        evolve_run(experiment, folder, first_look_asked(config), team, tensorboard, animal)
+            begin_run(opened, devices, source, start, team.count)
+            advise(source, experiment.simulation)
+        evolve_run(opened, team, tensorboard)
 
 
 def resume_run(
@@ -94,18 +93,18 @@ def resume_run(
         if generations is not None:
             config = load_config(folder.config, [f"evolution.generations={generations}"])
             experiment = experiment._replace(generations=generations)
+            opened = Opened(folder, config, experiment)
         require_same(team, fingerprint(config))
         if team.leads:
-            done = _require_alike(folder, config, experiment)
+            done = _require_alike(opened)
             # Several processes part when all have been through the loop.
             by_itself = team.count == 1 and not tensorboard
             if by_itself and _finished(folder, done, experiment):
                 _say_finished(folder, experiment.generations)
                 return
-            for words in reopen_run(folder, config, experiment, devices, team.count):
+            for words in reopen_run(opened, devices, team.count):
                 warn(words)
-        animal = animal_digest(config)
-        evolve_run(experiment, folder, first_look_asked(config), team, tensorboard, animal)
+        evolve_run(opened, team, tensorboard)
 
 
 def require_scalars() -> None:
@@ -135,12 +134,10 @@ def goes_on_with_scalars(run: Path, asked: bool) -> bool:
     return True
 
 
-def _require_alike(
-    folder: RunFolder, config: ExperimentConfig, experiment: Experiment
-) -> Checkpoint | None:
-    """Check that a run can be gone on with so; its newest checkpoint."""
-    run = folder.path
-    done = folder.load()
+def _require_alike(opened: Opened) -> Checkpoint | None:
+    """Check that a run can be continued so, and return its newest checkpoint."""
+    folder, config, experiment = opened.folder, opened.config, opened.experiment
+    run, done = folder.path, folder.load()
     if done is not None and done.generation > config.evolution.generations:
         raise UsageError(
             f"{run}: {done.generation} generations are done already, "
@@ -211,32 +208,23 @@ def _say_finished(folder: RunFolder, done: int) -> None:
     print(folder.path)
 
 
-def evolve_run(
-    experiment: Experiment,
-    folder: RunFolder,
-    least: float | None,
-    team: "Team | None" = None,
-    tensorboard: bool = False,
-    animal: str | None = None,
-) -> None:
+def evolve_run(opened: Opened, team: "Team | None" = None, tensorboard: bool = False) -> None:
     """Evolve, show how it goes, record the champion and report it.
 
     Args:
-        experiment: what evolves.
-        folder: of the run.
-        least: smallest way of a champion that is tried at half the step; None for no trial.
+        opened: the run.
         team: of processes; None for this one alone.
         tensorboard: write scalars.
-        animal: digest of the program of a trial, see `animal_digest`.
     """
+    experiment, folder = opened.experiment, opened.folder
     if team is not None and not team.leads:
         follow(experiment, folder, team)
         return
     with working("starting JAX"):
         import evo_cpg.training.loop  # noqa: F401
 
-    done = folder.load()
-    start = done.generation if done else 0
+    done, animal = folder.load(), animal_digest(opened.config)
+    least, start = first_look_asked(opened.config), done.generation if done else 0
     scalars = Scalars(folder.path, done.history if done else ()) if tensorboard else None
     try:
         with Recorder(experiment, folder, least, animal) as recorder:

@@ -7,8 +7,7 @@ from typing import Annotated
 import typer
 
 from evo_cpg.cli.completion import complete_config
-from evo_cpg.cli.errors import UsageError
-from evo_cpg.cli.exit_codes import ExitCode
+from evo_cpg.cli.errors import ExitCode, UsageError
 from evo_cpg.cli.options import Strict
 
 
@@ -25,9 +24,8 @@ def validate(
     strict: Strict = False,
 ) -> None:
     """Check configuration files without running them."""
+    from evo_cpg.cli.advice import advise
     from evo_cpg.cli.building import build, read_config
-    from evo_cpg.cli.costs import warn_of_cost
-    from evo_cpg.cli.oscillators import warn_of_oscillators
     from evo_cpg.config.build import require_genes
     from evo_cpg.config.errors import ConfigError
     from evo_cpg.config.shipped import find_config
@@ -53,8 +51,7 @@ def validate(
                 f"{experiment.creature.mass:.3g} kg, "
                 f"{experiment.simulation.genome.count} genes"
             )
-            warn_of_oscillators(given, experiment.simulation)
-            warn_of_cost(given, experiment.simulation)
+            advise(given, experiment.simulation)
     if wrong:
         raise SystemExit(ExitCode.WRONG_INPUT)
 

@@ -3,7 +3,7 @@
 import sys
 from pathlib import Path
 
-from evo_cpg.cli.exit_codes import ExitCode
+from evo_cpg.cli.errors import ExitCode
 from evo_cpg.cli.options import Cores, Run
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from evo_cpg.files import write_text
-from evo_cpg.training.run_folder import RunFolderError
+from evo_cpg.training.run_folder import read_json
 
 FILE = "provenance.json"
 
@@ -23,16 +23,12 @@ def read(folder: Path) -> dict[str, Any]:
     Raises:
         RunFolderError: the file is damaged.
     """
-    path = folder / FILE
-    if not path.is_file():
-        return {}
-    try:
-        parts = json.loads(path.read_text(encoding="utf-8"))["parts"]
-        if not all(isinstance(part["files"], dict) for part in parts.values()):
-            raise ValueError("files are no mapping")
-    except (AttributeError, KeyError, OSError, RecursionError, TypeError, ValueError) as error:
-        raise RunFolderError(f"{path} is damaged ({error})") from None
-    return parts
+    found = read_json(folder / FILE, _is_sound)
+    return found["parts"] if found else {}
+
+
+def _is_sound(content: Any) -> bool:
+    return all(isinstance(part["files"], dict) for part in content["parts"].values())
 
 
 def note(folder: Path, part: str, told: Mapping[str, Any]) -> None:

@@ -128,7 +128,7 @@ class Workshop:
             config = load_config(source, overrides)
             config = config.model_copy(update={"name": name})
             experiment = build_experiment(config, source)
-            self._members[name] = Member(Setting(name, {}), config, experiment, self._run(name))
+            self._members[name] = Member(self._run(name), config, experiment, Setting(name, {}))
         return self._members[name]
 
     def source(self, name: str) -> Path:

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from evo_cpg.cli import distributed, local
-from evo_cpg.cli.exit_codes import ExitCode
+from evo_cpg.cli.errors import ExitCode
 from evo_cpg.training.loop import TIMING_COLUMNS
 from evo_cpg.training.run_folder import RunFolder
 from loopback import free_port, loopback
