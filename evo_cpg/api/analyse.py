@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from evo_cpg.analysis.chains import joint_rows
-from evo_cpg.api.departures import departures
 from evo_cpg.api.opened import OpenedChampion, open_run
+from evo_cpg.api.paper_differences import paper_differences
 from evo_cpg.api.progress import working
 from evo_cpg.api.training import now
 from evo_cpg.api.version import version
@@ -147,7 +147,7 @@ def page(opened: OpenedChampion, trial: int, doing: Callable[[str], object]) -> 
         audit=audit,
         stale=bool(audit) and not _is_of(audit, champion),
         half_step=_kept_at_half_the_step(meta, champion),
-        departures=departures(config),
+        departures=paper_differences(config),
         program=version().splitlines()[0],
         made=now(),
     )
@@ -178,11 +178,11 @@ def _jpeg(picture: "Image.Image") -> bytes:
 
 def _sentence(experiment: Experiment, config: ExperimentConfig) -> str:
     simulation, creature = experiment.simulation, experiment.creature
-    surroundings = (
+    places = (
         ("in water", simulation.world.water is not None),
         ("on the ground", simulation.world.footing is not None),
     )
-    where = " and ".join(words for words, there in surroundings if there) or "in empty space"
+    where = " and ".join(words for words, there in places if there) or "in empty space"
     bodies = f"{len(creature.bodies)} bodies and {simulation.world.tree.dof_count} joint axes"
     return (
         f"An animal of {bodies} ({float(creature.mass):.3g} kg) {where}, driven by the controller "
@@ -192,16 +192,16 @@ def _sentence(experiment: Experiment, config: ExperimentConfig) -> str:
 
 
 def _audit(folder: RunFolder, champion: Champion) -> dict[str, Any] | None:
-    """What `evo-cpg audit` found, of this run's champion where it looked at that."""
-    found = []
+    """Return an audit of the run, that of the champion if there is one."""
+    audits = []
     for name in (f"audit_run{champion.run}.json", "audit.json"):
         try:
-            told = json.loads((folder.path / name).read_text(encoding="utf-8"))
+            found = json.loads((folder.path / name).read_text(encoding="utf-8"))
         except (OSError, RecursionError, ValueError):
             continue
-        if isinstance(told, dict):
-            found.append(told)
-    return next((told for told in found if _is_of(told, champion)), found[0] if found else None)
+        if isinstance(found, dict):
+            audits.append(found)
+    return next((each for each in audits if _is_of(each, champion)), next(iter(audits), None))
 
 
 def _is_of(audit: dict[str, Any] | None, champion: Champion) -> bool:

@@ -163,7 +163,7 @@ def audits(
         opinions, missing = _opinions(experiment, champion, steps[0].steps)
         checks = [
             _replay(champion, alive),
-            *_shares(
+            *_kept(
                 float(np.nanmean(alive.way)),
                 found,
                 limits,
@@ -227,20 +227,22 @@ def compile_first_look(
     if not own.noise.silent:
         simulations.insert(0, own)
     places = [Variation("", (simulation,), draws_of(own)) for simulation in simulations]
-    lives = [variations.compile_lives(experiment, place) for place in places]
+    programs = [variations.compile_lives(experiment, place) for place in places]
     shortest = _SOME_WAY * length_of(experiment.creature)
 
-    def look(champion: Champion, own_way: float | None) -> Check:
-        ways = [
+    def look(champion: Champion, own_displacement: float | None) -> Check:
+        displacements = [
             float(live(champion).mean_ways(place)[0])
-            for live, place in zip(lives, places, strict=True)
+            for live, place in zip(programs, places, strict=True)
         ]
-        way, half = ways if own_way is None else (own_way, *ways)
-        question, detail = "way kept: half the step", f"{half:.3g} of {way:.3g} m"
-        if not way > shortest:
+        if own_displacement is not None:
+            displacements.insert(0, own_displacement)
+        displacement, half = displacements
+        question, detail = "way kept: half the step", f"{half:.3g} of {displacement:.3g} m"
+        if not displacement > shortest:
             return Check("half_step", question, 1.0, detail=detail)
-        share = float(np.clip(half / way, 0.0, 1.0))
-        return Check("half_step", question, share, least, True, "%", detail)
+        fraction = float(np.clip(half / displacement, 0.0, 1.0))
+        return Check("half_step", question, fraction, least, True, "%", detail)
 
     return look
 
@@ -302,7 +304,7 @@ def books(
         check(
             "simulator_momentum",
             "momentum balance off by, of impulses",
-            max(_momentum_share(one) for one in ledgers),
+            max(_momentum_fraction(one) for one in ledgers),
         ),
         check(
             "limit_energy",
@@ -444,7 +446,7 @@ def _replay(champion: Champion, lived: Kept) -> Check:
 def _carried(experiment: Experiment, trials: Sequence[Trial]) -> float:
     """The way that the water would carry the animal from where it starts, mean over trials, m."""
     simulation, numbers = experiment.simulation, situation_numbers(experiment)
-    water, ways = simulation.world.water, []
+    water, displacements = simulation.world.water, []
     if water is None:
         return 0.0
     for i, trial in enumerate(trials):
@@ -454,11 +456,11 @@ def _carried(experiment: Experiment, trials: Sequence[Trial]) -> float:
         if start[2] > simulation.world.water_level:
             flow = 0.0 * flow
         light = simulation.lights[0 if numbers is None else i]
-        ways.append(way(np.hstack([start, start + simulation.duration * flow]), light))
-    return float(np.mean(ways))
+        displacements.append(way(np.hstack([start, start + simulation.duration * flow]), light))
+    return float(np.mean(displacements))
 
 
-def _shares(
+def _kept(
     own: float,
     kept: dict[str, tuple[Variation, Kept]],
     limits: Limits,
@@ -482,26 +484,28 @@ def _shares(
     usual = float(drawn.mean_ways(chance)[0])
     for key, (variation, one) in kept.items():
         of_own = variation.draws == 1 or key == _CHANCE
-        whole = own if of_own else usual
-        ways = one.mean_ways(variation)
-        detail = ", ".join(f"{x:.3g}" for x in ways) + f" of {whole:.3g} m"
+        reference = own if of_own else usual
+        displacements = one.mean_ways(variation)
+        detail = ", ".join(f"{x:.3g}" for x in displacements) + f" of {reference:.3g} m"
         if key == "limp_way":
             # What remains without the water's part. Against a current nobody drifts.
-            swum, limp = whole - carried, float(ways.max()) - max(0.0, carried)
+            swum, limp = reference - carried, float(displacements.max()) - max(0.0, carried)
             if carried > 0 and swum <= _SOME_WAY * length_of(creature):
                 # It is carried, and does no more.
-                share = 1.0
+                fraction = 1.0
             else:
-                share = float(np.clip(limp / swum, 0.0, 1.0)) if swum > 0 else 0.0
+                fraction = float(np.clip(limp / swum, 0.0, 1.0)) if swum > 0 else 0.0
             if carried:
                 detail += f", of which the water makes {carried:.3g}"
             question = f"way with {variation.name}"
-            checks.append(Check(key, question, share, limits.limp_way, unit="%", detail=detail))
+            checks.append(Check(key, question, fraction, limits.limp_way, unit="%", detail=detail))
             continue
-        shares = np.clip(ways / whole, 0.0, 1.0) if whole > 0 else np.zeros_like(ways)
+        fractions = np.zeros_like(displacements)
+        if reference > 0:
+            fractions = np.clip(displacements / reference, 0.0, 1.0)
         question, limit = f"way kept: {variation.name}", getattr(limits, key, None)
         # Of several settings the worst.
-        checks.append(Check(key, question, float(shares.min()), limit, True, "%", detail))
+        checks.append(Check(key, question, float(fractions.min()), limit, True, "%", detail))
     return checks
 
 
@@ -517,7 +521,7 @@ def _given(one: Ledger, work: np.ndarray) -> float:
     return max(0.0, float(work.sum())) / _effort(one)
 
 
-def _momentum_share(one: Ledger) -> float:
+def _momentum_fraction(one: Ledger) -> float:
     given = one.given.sum()
     return float(np.linalg.norm(one.impulse.sum(1)) / given) if given > 0 else 0.0
 

@@ -11,12 +11,10 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from typing import Any
 
 from rich.console import Console
 from rich.progress import (
     BarColumn,
-    MofNCompleteColumn,
     Progress,
     ProgressColumn,
     SpinnerColumn,
@@ -52,6 +50,9 @@ class Work:
 
     def reached(self, done: int, total: int) -> None:
         """Report how much of it is done."""
+
+    def step(self, line: str, onward: str, done: int, total: int) -> None:
+        """Report a step that is done, and what is done from now on."""
 
 
 class Heartbeat(Work):
@@ -94,6 +95,11 @@ class Heartbeat(Work):
     def reached(self, done: int, total: int) -> None:
         with self._lock:
             self._done = done, total
+
+    @override
+    def step(self, line: str, onward: str, done: int, total: int) -> None:
+        self.say(line)
+        self.doing(onward)
 
     def due(self) -> str | None:
         """Return the line that is due, if one is; it counts as printed."""
@@ -161,15 +167,22 @@ class _Line(Work):
     def reached(self, done: int, total: int) -> None:
         self._bars.update(self._bar, completed=done, total=total)
 
+    def step(self, line: str, onward: str, done: int, total: int) -> None:
+        self.doing(line)
+        self.reached(done, total)
+
 
 @contextlib.contextmanager
-def working(what: str, counted: bool = False, expected: float | None = None) -> Iterator[Work]:
+def working(
+    what: str, counted: bool = False, expected: float | None = None, stays: bool = False
+) -> Iterator[Work]:
     """Say what is being done for as long as the block lasts, and for how long it has been.
 
     Args:
         what: is being done.
         counted: whether the work says how far it is.
         expected: duration by what was measured before, s; None where nothing was.
+        stays: whether the line stays on a terminal after the work.
 
     Yields:
         What the work may call.
@@ -180,17 +193,24 @@ def working(what: str, counted: bool = False, expected: float | None = None) -> 
             yield heartbeat
         return
     columns: list[ProgressColumn] = [
-        SpinnerColumn(),
+        SpinnerColumn(finished_text=""),
         TextColumn("{task.description}", markup=False),
     ]
     columns += [BarColumn(bar_width=24), TimeRemainingColumn()] if counted else []
-    with Progress(*columns, TimeElapsedColumn(), **_settings(console), transient=True) as bars:
+    # What is printed meanwhile goes above the line, but stays out of it in a pipe.
+    redirect = sys.stdout.isatty()
+    with Progress(
+        *columns,
+        TimeElapsedColumn(),
+        console=console,
+        redirect_stdout=redirect,
+        transient=not stays,
+    ) as bars:
         yield _Line(bars, bars.add_task(_announced(what, expected), total=None))
 
 
 @contextlib.contextmanager
 def progress(
-    title: str,
     step: str,
     total: int,
     completed: int = 0,
@@ -201,7 +221,6 @@ def progress(
     """Show every step of some work.
 
     Args:
-        title: of the bar.
         step: what several steps are called. How many are done is said, never which one this is:
             generations and the like have numbers of their own, from 0.
         total: steps in all.
@@ -216,46 +235,20 @@ def progress(
         step, s; by default the time since the step before.
     """
     number, since = completed, time.perf_counter()
-    console = Console(stderr=True)
-    if not console.is_terminal:
-        with Heartbeat(
-            f"{completed:4d}/{total} {step}  {first}", _said_at, expected
-        ).beating() as heartbeat:
+    start = f"{completed:4d}/{total} {step}  {first}"
+    with working(start, counted=True, expected=expected, stays=True) as work:
 
-            def tell(state: str, seconds: float | None = None) -> None:
-                nonlocal number, since
-                number, before, since = number + 1, since, time.perf_counter()
-                done = f"{number:4d}/{total} {step}"
-                took = since - before if seconds is None else seconds
-                heartbeat.say(f"{done}  {state}  {took:6.2f} s")
-                heartbeat.doing(f"{done}, and the next one" if number < total else last or done)
+        def show(state: str, seconds: float | None = None) -> None:
+            nonlocal number, since
+            number, before, since = number + 1, since, time.perf_counter()
+            done = f"{number:4d}/{total} {step}"
+            took = since - before if seconds is None else seconds
+            onward = f"{done}, and the next one" if number < total else done
+            work.step(f"{done}  {state}  {took:6.2f} s", onward, number, total)
+            if last and number == total:
+                work.doing(last)
 
-            yield tell
-        return
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(bar_width=24),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-        TextColumn("{task.fields[state]}"),
-    )
-    with Progress(*columns, **_settings(console)) as bars:
-        begun = _announced(first, expected)
-        bar = bars.add_task(title, total=total, completed=completed, state=begun)
-
-        def advance(state: str, seconds: float | None = None) -> None:
-            del seconds
-            bars.update(bar, advance=1, state=state)
-            if last and bars.tasks[bar].finished:
-                bars.update(bar, description=last)
-
-        yield advance
-
-
-def _settings(console: Console) -> dict[str, Any]:
-    """Of a moving line: what is printed meanwhile goes above it, but stays out of it in a pipe."""
-    return {"console": console, "redirect_stdout": sys.stdout.isatty()}
+        yield show
 
 
 # When the last line was said.

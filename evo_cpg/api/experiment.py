@@ -88,7 +88,7 @@ class Experiment:
     def __repr__(self) -> str:
         simulation, strategy = self.parts.simulation, self.parts.strategy
         search = f"{type(strategy).__name__} of {self.population} for {self.parts.generations}"
-        told = {
+        parts_of = {
             "creature": self.creature,
             "world": self.world,
             "genes": self.gene_count,
@@ -96,7 +96,7 @@ class Experiment:
             "trials": f"{self.trials} of {simulation.duration:.4g} s",
             "search": f"{search} generations",
         }
-        parts = [repr(self.name), *(f"{name}={value}" for name, value in told.items())]
+        parts = [repr(self.name), *(f"{name}={value}" for name, value in parts_of.items())]
         return f"Experiment({', '.join(parts)})"
 
     def __getstate__(self) -> dict[str, Any]:

@@ -57,8 +57,8 @@ def fitness_function(
                 raise ValueError(f"values must have the shape {shape}, got {given}")
             trial = parameters.simulation(jnp.asarray(values, genome.dtype))
             trial = dataclasses.replace(trial, task=task) if task else trial
-        crowd = jnp.broadcast_to(genome[:, None], (count, parts.trials))
-        outcome = rollout(trial, crowd, keys, situations, backward=backward)
+        genomes = jnp.broadcast_to(genome[:, None], (count, parts.trials))
+        outcome = rollout(trial, genomes, keys, situations, backward=backward)
         return judge(trial.task, outcome, scales)[0]
 
     return fitness

@@ -17,7 +17,7 @@ from evo_cpg.training.experiment import Experiment
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
 
 
-class Life(NamedTuple):
+class Replay(NamedTuple):
     """A replayed trial.
 
     Attributes:
@@ -106,7 +106,7 @@ class Opened:
             raise RunFolderError(f"{self.folder.config} was changed after training: {wrong}")
         return OpenedChampion(self.folder, self.config, self.experiment, champion, recording)
 
-    def replay(self, champions: Sequence[Champion], trial: int, full: bool = False) -> list[Life]:
+    def replay(self, champions: Sequence[Champion], trial: int, full: bool = False) -> list[Replay]:
         """Replay individuals of the run, one after the other in one program.
 
         Args:
@@ -123,7 +123,7 @@ class Opened:
         for champion in champions:
             fitness, _, frames = live(champion)
             recording = as_recording(self.experiment.simulation, frames, names, trial=trial)
-            found.append(Life(fitness, frames, recording))
+            found.append(Replay(fitness, frames, recording))
         return found
 
 

@@ -38,14 +38,14 @@ def working(what: str) -> Iterator[None]:
     Args:
         what: is being done.
     """
-    if not _wanted():
+    if not _is_shown():
         yield
         return
-    start, done, said = time.monotonic(), threading.Event(), threading.Event()
+    start, done, printed = time.monotonic(), threading.Event(), threading.Event()
 
     def wait() -> None:
         if not done.wait(_SOON):
-            said.set()
+            printed.set()
             _say(f"{what} ...")
 
     waiter = threading.Thread(target=wait, name="progress", daemon=True)
@@ -55,7 +55,7 @@ def working(what: str) -> Iterator[None]:
     finally:
         done.set()
         waiter.join()
-        if said.is_set():
+        if printed.is_set():
             _say(f"{what}: {time.monotonic() - start:.1f} s")
 
 
@@ -76,12 +76,12 @@ class Generations:
             best: fitness so far.
         """
         self._done += 1
-        if time.monotonic() >= self._next and _wanted():
+        if time.monotonic() >= self._next and _is_shown():
             self._next = time.monotonic() + _BETWEEN
             _say(f"{self._done} of {self._total} generations, best fitness {best:.4g}")
 
 
-def _wanted() -> bool:
+def _is_shown() -> bool:
     """Return whether somebody watches, or asked for it."""
     if _shown is not None:
         return _shown

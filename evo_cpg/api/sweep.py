@@ -200,8 +200,8 @@ def members_of(
 def _digest(source: Path, overrides: Sequence[str]) -> str:
     """Of what all settings change something of."""
     config = load_config(source, overrides)
-    told = json.dumps(fingerprint(config)["config"], sort_keys=True)
-    return hashlib.sha256(told.encode()).hexdigest()
+    text = json.dumps(fingerprint(config)["config"], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def groups(members: Sequence[Member]) -> list[list[Member]]:
@@ -264,7 +264,7 @@ def evolve(
         members: the settings.
         source: see `run_group`.
         devices: see `run_group`.
-        title: of the progress bar, and before the names of each group.
+        title: before the names of each group.
         on_generation: called with a setting after each of its generations.
         warn: see `run_group`.
     """
@@ -277,7 +277,7 @@ def evolve(
         which = f"{number} of {len(found)}: " if len(found) > 1 else ""
         say(f"{title}: {which}{', '.join(member.setting.name for member in group)}")
         latest: dict[str, float] = {}
-        with progress(title, "generations", total, done) as show:
+        with progress("generations", total, done) as show:
 
             def tell(
                 member: Member, rows: list[dict[str, float]], latest: dict = latest, show=show
@@ -339,7 +339,7 @@ def summarise(folder: Path, members: Sequence[Member]) -> Summary:
         for run, champion in enumerate(checkpoint.champions):
             found = {} if champion is None else champion.terms
             row = {"setting": name, "run": run, "seed": experiment.seed + run}
-            row |= {key: _told(member.setting.values.get(key)) for key in keys}
+            row |= {key: _cell(member.setting.values.get(key)) for key in keys}
             row |= {
                 "generations": checkpoint.generation,
                 "evaluations": int(evaluated[-1]),
@@ -365,6 +365,6 @@ def summarise(folder: Path, members: Sequence[Member]) -> Summary:
     return Summary(spreads, comparisons, picture)
 
 
-def _told(value: Any) -> Any:
+def _cell(value: Any) -> Any:
     """A value in a cell of a table."""
     return json.dumps(value) if isinstance(value, dict | list) else "" if value is None else value

@@ -14,10 +14,9 @@ from jax.typing import ArrayLike
 
 from evo_cpg.analysis.verdict import Check
 from evo_cpg.api.experiment import Experiment
+from evo_cpg.api.machine import machine_changes, machine_fingerprint
 from evo_cpg.api.opened import Opened
 from evo_cpg.api.progress import Generations, working
-from evo_cpg.api.surroundings import differences as changed_surroundings
-from evo_cpg.api.surroundings import surroundings
 from evo_cpg.api.warm_start import Start
 from evo_cpg.config.build import require_genes
 from evo_cpg.config.fingerprint import fingerprint
@@ -109,7 +108,7 @@ def _train(
     begin_run(run, devices, experiment.source, given)
     if experiment.replaced:
         folder.update_meta(replaced=list(experiment.replaced))
-    least, seen = first_look_asked(experiment.config), Generations(experiment.parts.generations)
+    least, seen = first_look_limit(experiment.config), Generations(experiment.parts.generations)
     begun = ExitStack()
 
     def on_rows(rows: Rows) -> None:
@@ -126,8 +125,8 @@ def _train(
             recorder.keep(champion)
     checkpoint = folder.load()
     history = checkpoint.history if checkpoint else []
-    told = champion.genes, champion.fitness, champion.terms
-    return Trained(folder.path, *told, history, champion.expected)
+    noted = champion.genes, champion.fitness, champion.terms
+    return Trained(folder.path, *noted, history, champion.expected)
 
 
 def begin_run(
@@ -166,7 +165,7 @@ def _known(run: Opened, devices: int, source: Path, processes: int) -> dict[str,
         "processes": processes,
         "started": now(),
     }
-    meta |= surroundings(run.experiment.simulation.engine, devices)
+    meta |= machine_fingerprint(run.experiment.simulation.engine, devices)
     if name := shipped_name(source):
         meta["shipped_config"] = name
     return meta
@@ -195,7 +194,8 @@ def reopen_run(
     require_genes(run.experiment, folder.config)
     require_memory(run.experiment)
     # Before anything is written: it starts JAX, which may find no device.
-    here, before = surroundings(run.experiment.simulation.engine, devices), folder.read_meta()
+    here = machine_fingerprint(run.experiment.simulation.engine, devices)
+    before = folder.read_meta()
     folder.reopen(dump_config(run.config))
     noted = {"resumed": now(), "fingerprint": fingerprint(run.config), "processes": processes}
     noted |= here
@@ -203,7 +203,7 @@ def reopen_run(
         # It was killed before this was written.
         noted = _known(run, devices, source, processes)
     folder.update_meta(**noted)
-    found = changed_surroundings(before, here)
+    found = machine_changes(before, here)
     return [f"{folder.path}: {difference}; bits may differ" for difference in found]
 
 
@@ -323,11 +323,11 @@ class Recorder:
         if self._look is None:
             return
         self.seen = seen = self._look(champion, self._way)
-        told: dict[str, Any] | None = None
+        noted: dict[str, Any] | None = None
         if seen.passed is not None:
-            told = {"measured": seen.measured, "least": seen.limit, "passed": seen.passed}
-            told["genes_sha256"] = genes_digest(champion.genes)
-        self._folder.update_meta(half_step=told)
+            noted = {"measured": seen.measured, "least": seen.limit, "passed": seen.passed}
+            noted["genes_sha256"] = genes_digest(champion.genes)
+        self._folder.update_meta(half_step=noted)
 
     def skip(self) -> None:
         """Take no first look after all, and do not wait for what still compiles."""
@@ -379,7 +379,7 @@ class _Compilation:
         return self._program.result()(*given)
 
 
-def first_look_asked(config: ExperimentConfig) -> float | None:
+def first_look_limit(config: ExperimentConfig) -> float | None:
     """What a run's first look at its champion asks for; None where it takes none."""
     return config.audit.half_step if config.audit.after_training else None
 

@@ -66,17 +66,17 @@ def _engine() -> str:
     """What computes trials on this machine, and why where it is the slower."""
     from evo_cpg.fusion.engine import Engine, described
 
-    with warnings.catch_warnings(record=True) as told:
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
             found = described(Engine())
         except (AssertionError, RuntimeError):
             # What JAX 0.10 raises where it has no such device.
-            wanted = os.environ.get("JAX_PLATFORMS", "")
-            return f"none: JAX finds no device for JAX_PLATFORMS={wanted}"
+            platforms = os.environ.get("JAX_PLATFORMS", "")
+            return f"none: JAX finds no device for JAX_PLATFORMS={platforms}"
     if found["engine"] == "native":
         return f"native code, {found['instructions']}, LLVM {found['llvm']}"
-    return "; ".join(["plain JAX", *(str(warning.message) for warning in told)])
+    return "; ".join(["plain JAX", *(str(warning.message) for warning in caught)])
 
 
 def _git(folder: Path, *arguments: str) -> str:

@@ -87,9 +87,9 @@ def _first_population(
         width = checkpoint.genes.shape[1] // len(checkpoint.champions)
         kept = checkpoint.genes[:, width * champion.run :][:, : min(width, size)]
     count = kept.shape[1]
-    crowd = jnp.asarray(np.resize(kept.T, (size, len(kept))).T)
+    parents = jnp.asarray(np.resize(kept.T, (size, len(kept))).T)
     key = jax.random.fold_in(jax.random.key(experiment.seed + run), _AROUND)
-    return np.concatenate([kept, np.asarray(jax.jit(strategy.around)(key, crowd))[:, count:]], 1)
+    return np.concatenate([kept, np.asarray(jax.jit(strategy.around)(key, parents))[:, count:]], 1)
 
 
 def _require_same_plan(experiment: Experiment, earlier: Experiment, path: Path) -> None:
@@ -108,8 +108,8 @@ def _require_same_plan(experiment: Experiment, earlier: Experiment, path: Path) 
             "genes": of.simulation.genome.count,
         }
 
-    asked, found = plan(experiment), plan(earlier)
-    for name, value in asked.items():
+    expected, found = plan(experiment), plan(earlier)
+    for name, value in expected.items():
         if found[name] != value:
             raise RunFolderError(
                 f"{path}: animals of another plan evolved there: its {name}: {found[name]}; "

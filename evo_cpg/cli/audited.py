@@ -52,7 +52,7 @@ def audit_champions(run: Path, limits: Sequence[str], which: Which, every: bool)
     opened = open_champion(run, which)
     opened.require_configured()
     experiment, config, folder = opened.experiment, opened.config, opened.folder
-    asked = limits_from(limits, config.audit.limits())
+    allowed = limits_from(limits, config.audit.limits())
     champions = champions_of(folder) if every else [opened.champion]
     with working("auditing: compiling for each of several simulations") as work:
 
@@ -60,7 +60,7 @@ def audit_champions(run: Path, limits: Sequence[str], which: Which, every: bool)
             work.doing(f"auditing, {done + 1} of {total}: {what}")
 
         made = audit.audits(
-            experiment, champions, asked, config, folder.config, opened.class_folders, tell
+            experiment, champions, allowed, config, folder.config, opened.class_folders, tell
         )
     for champion, done in zip(champions, made, strict=True):
         of_run = f"_run{champion.run}" if every else which.of_run
@@ -78,8 +78,8 @@ def audit_champions(run: Path, limits: Sequence[str], which: Which, every: bool)
         draw_audit(folder, name, title, done)
     if every:
         show_summary(champions, made)
-    who = "the champion" if which.cell is None else f"the elite of cell {which.cell}"
-    say_verdict(run, champions, made, who)
+    subject = "the champion" if which.cell is None else f"the elite of cell {which.cell}"
+    say_verdict(run, champions, made, subject)
 
 
 def champions_of(folder: RunFolder) -> list[Champion]:
@@ -102,13 +102,15 @@ def champions_of(folder: RunFolder) -> list[Champion]:
     return found
 
 
-def say_verdict(run: Path, champions: Sequence[Champion], made: Sequence[Audit], who: str) -> None:
-    """The verdict, and the exit code that goes with it."""
+def say_verdict(
+    run: Path, champions: Sequence[Champion], made: Sequence[Audit], subject: str
+) -> None:
+    """Print the verdict, and exit with `ExitCode.NOT_PASSED` if an audit fails."""
     for each, done in zip(champions, made, strict=True):
         lines = list(done.verdict.reasons)
         if "half_step" not in done.measured:
-            way = shown(done.measured["way"], "m")
-            lines.insert(0, f"displacement {way}: too little to try what is kept of it")
+            displacement = shown(done.measured["way"], "m")
+            lines.insert(0, f"displacement {displacement}: too little to try what is kept of it")
         blind = done.measured.get("blind", 0.0)
         if blind >= UNSEEING:
             lines.append(
@@ -122,7 +124,7 @@ def say_verdict(run: Path, champions: Sequence[Champion], made: Sequence[Audit],
     if len(made) > 1:
         print(f"{run}: {passed} of {len(made)} champions pass their audit")
     else:
-        print(f"{run}: {who} {'passes' if passed else 'does not pass'} its audit")
+        print(f"{run}: {subject} {'passes' if passed else 'does not pass'} its audit")
     if passed < len(made):
         raise SystemExit(ExitCode.NOT_PASSED)
 
@@ -153,15 +155,14 @@ def show_summary(champions: Sequence[Champion], made: Sequence[Audit]) -> None:
     keys = [key for key in _KEPT if any(key in done.measured for done in made)]
     rows = []
     for each, done in zip(champions, made, strict=True):
-        ways = [one.way for one in done.opinions]
-        rights = [one.upright for one in done.opinions]
+        goes = [f"{one.way:.2g}" for one in done.opinions]
         rows.append(
             (
                 str(each.run),
                 shown(done.measured.get("way")),
                 *(shown(done.measured.get(key), "%").removesuffix(" %") for key in keys),
-                ", ".join(f"{way:.2g}" for way in ways[1:]) + f" of {ways[0]:.2g}" if ways else "",
-                ", ".join(f"{100 * right:.0f}" for right in rights),
+                f"{', '.join(goes[1:])} of {goes[0]}" if goes else "",
+                ", ".join(f"{100 * one.upright:.0f}" for one in done.opinions),
                 _WORDS[done.verdict.passed],
             )
         )

@@ -9,7 +9,7 @@ _CONFIGS = (".yaml", ".yml")
 def complete_config(incomplete: str) -> list[str]:
     """Names of shipped configurations, configuration files, and folders on the way to some."""
     names = complete_shipped(incomplete)
-    return [*names, *(_shown(path) for path in _begun(incomplete) if _leads(path, _CONFIGS))]
+    return [*names, *(_shown(path) for path in _matching(incomplete) if _leads(path, _CONFIGS))]
 
 
 def complete_shipped(incomplete: str) -> list[str]:
@@ -21,10 +21,10 @@ def complete_shipped(incomplete: str) -> list[str]:
 
 def complete_folder(incomplete: str) -> list[str]:
     """Run folders, and folders on the way to some."""
-    return [_shown(path) for path in _begun(incomplete) if path.is_dir()]
+    return [_shown(path) for path in _matching(incomplete) if path.is_dir()]
 
 
-def _begun(incomplete: str) -> Iterator[Path]:
+def _matching(incomplete: str) -> Iterator[Path]:
     """What is called so, as far as it is typed; what is hidden only where a point is typed."""
     folder, slash, start = incomplete.rpartition("/")
     try:

@@ -47,7 +47,7 @@ def require_free(output: Path, overwrite: bool) -> None:
         raise UsageError(f"{output} exists already; --overwrite replaces it")
 
 
-def told(error: Exception) -> str | None:
+def message_for(error: Exception) -> str | None:
     """Return what to print of an error that is not a fault of the program; None for a fault.
 
     Args:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from evo_cpg.analysis.gait_numbers import gait_numbers
 from evo_cpg.api.display import working
-from evo_cpg.api.opened import Life, OpenedChampion
+from evo_cpg.api.opened import OpenedChampion, Replay
 from evo_cpg.cli.champions import REPLAY_TOLERANCE, champion_motion, open_champion
 from evo_cpg.cli.errors import UsageError, warn
 from evo_cpg.cli.options import Which
@@ -65,18 +65,18 @@ def lineage_panels(
     return panels
 
 
-def _chosen(opened: OpenedChampion, wanted: list[int] | None) -> list[Champion]:
+def _chosen(opened: OpenedChampion, generations: list[int] | None) -> list[Champion]:
     """Return champions of a run in the order of generations, each once.
 
     Args:
         opened: the run, with its final champion.
-        wanted: generations; None for some that show how it came to the champion.
+        generations: generations; None for some that show how it came to the champion.
     """
     folder, champion, run = opened.folder, opened.champion, opened.champion.run
     lineage = [each for each in folder.load_lineage() if each.run == run]
     if not lineage:
         raise RunFolderError(f"{folder.lineage} knows no champion of run {run}")
-    if wanted is None:
+    if generations is None:
         if champion.expected is None:
             return telling(lineage, _SHOWN)
         # Who had the best score on the way need not be who was chosen in the end.
@@ -85,7 +85,7 @@ def _chosen(opened: OpenedChampion, wanted: list[int] | None) -> list[Champion]:
         return [*telling(others, _SHOWN - 1), champion]
     done = folder.newest
     found: list[Champion] = []
-    for generation in sorted(set(wanted)):
+    for generation in sorted(set(generations)):
         one = champion_at(lineage, generation)
         if generation >= max(done, lineage[-1].generation + 1):
             raise UsageError(
@@ -101,12 +101,12 @@ def _chosen(opened: OpenedChampion, wanted: list[int] | None) -> list[Champion]:
     return found
 
 
-def _replayed(opened: OpenedChampion, champions: Sequence[Champion], trial: int) -> list[Life]:
+def _replayed(opened: OpenedChampion, champions: Sequence[Champion], trial: int) -> list[Replay]:
     with working("replaying the champion"):
         return opened.replay(champions, trial)
 
 
-def _signals(opened: OpenedChampion, life: Life) -> Signals:
+def _signals(opened: OpenedChampion, life: Replay) -> Signals:
     """Return the signals of an individual's controller, and the contacts of its feet."""
     experiment, simulation = opened.experiment, opened.experiment.simulation
     word, _, unit = simulation.controller.signal_label.partition(" (")

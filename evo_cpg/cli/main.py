@@ -15,7 +15,7 @@ import typer
 from typer.core import TyperGroup
 
 from evo_cpg.cli import streams
-from evo_cpg.cli.errors import ExitCode, told
+from evo_cpg.cli.errors import ExitCode, message_for
 from evo_cpg.cli.interrupts import interrupts_delivered, leave_at_once, waits_for_threads
 
 # In the order of the help text; `import` is a keyword, so its file is `import_.py`.
@@ -126,21 +126,21 @@ app = typer.Typer(
 )
 
 
-def _show_version(wanted: bool) -> bool:
-    if wanted:
+def _show_version(value: bool) -> bool:
+    if value:
         from evo_cpg.api.version import version
 
         print(version())
         raise typer.Exit
-    return wanted
+    return value
 
 
-def _trust(wanted: bool) -> bool:
-    if wanted:
+def _trust(value: bool) -> bool:
+    if value:
         from evo_cpg.config.trust import trust
 
         trust()
-    return wanted
+    return value
 
 
 @app.callback()
@@ -179,7 +179,7 @@ def main() -> None:
     except KeyboardInterrupt:
         raise SystemExit(ExitCode.INTERRUPTED) from None
     except Exception as error:
-        words = told(error)
+        words = message_for(error)
         if words is None:
             raise
         print(f"evo-cpg: {words}", file=sys.stderr)

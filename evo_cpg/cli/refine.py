@@ -93,7 +93,7 @@ def _refine(
 
     recorded = champion.fitness
     try:
-        with progress("refine", "rounds", rounds, first="compiling") as show:
+        with progress("rounds", rounds) as show:
 
             def tell(done: Round) -> None:
                 keep(done)

@@ -90,7 +90,7 @@ def render(
         )
     if len(others) >= _MOST:
         raise UsageError(f"--beside: {len(others) + 1} runs are too many; {_MOST} have room")
-    wanted = None if lineage is None else _generations(lineage)
+    generations = None if lineage is None else _generations(lineage)
     name = "lineage" if lineage is not None else which.of_cell.removeprefix("_") or "champion"
     name += which.of_trial + ("_beside_others" if others else "")
     name += ("" if camera == "follow" else f"_{camera}") + "_signals" * signals
@@ -114,7 +114,7 @@ def render(
     # The folder of films is made where there is one to put there.
     film_path(output or run / name, **settings, signals=signals)
     if lineage is not None:
-        panels = lineage_panels(run, wanted, which, signals)
+        panels = lineage_panels(run, generations, which, signals)
     else:
         panels = [champion_panel(run, which, signals)]
         beside_it = which._replace(number=None)

@@ -12,7 +12,6 @@ from evo_cpg.cli.options import Cores
 
 if TYPE_CHECKING:
     from evo_cpg.studies.study import Study
-    from evo_cpg.studies.workshop import Workshop
 
 
 def reproduce(
@@ -79,32 +78,26 @@ def make(
 
     workshop = Workshop(chosen, folder, quick, devices)
     with locked(folder, make=True):
-        _make(workshop, parts, fresh)
-
-
-def _make(workshop: "Workshop", parts: Sequence[str], fresh: bool) -> None:
-    workshop.claim()
-    chosen, folder, quick = workshop.study, workshop.folder, workshop.quick
-    if fresh:
-        for part in parts:
+        workshop.claim()
+        for part in parts if fresh else ():
             workshop.forget(part)
-    for number, part in enumerate(parts):
-        if len(parts) > 1:
-            print(f"part {number + 1} of {len(parts)}: {part}", file=sys.stderr)
-        try:
-            for path in workshop.make(part):
-                print(path)
-        except KeyboardInterrupt:
-            left = f"evo-cpg reproduce {chosen.name} {' '.join(parts[number:])}"
-            if folder != default_folder(chosen.name, quick):
-                left += f" --out {folder}"
-            left += " --quick" if quick else ""
-            again = f"`{left}` makes the rest"
-            if chosen.runs:
-                # With --fresh the same command would throw away what is done.
-                again = f"`{left}` goes on" if fresh else "the same command goes on"
-            print(f"interrupted; {again}", file=sys.stderr)
-            raise
+        for number, part in enumerate(parts):
+            if len(parts) > 1:
+                print(f"part {number + 1} of {len(parts)}: {part}", file=sys.stderr)
+            try:
+                for path in workshop.make(part):
+                    print(path)
+            except KeyboardInterrupt:
+                left = f"evo-cpg reproduce {chosen.name} {' '.join(parts[number:])}"
+                if folder != default_folder(chosen.name, quick):
+                    left += f" --out {folder}"
+                left += " --quick" if quick else ""
+                again = f"`{left}` makes the rest"
+                if chosen.runs:
+                    # With --fresh the same command would throw away what is done.
+                    again = f"`{left}` goes on" if fresh else "the same command goes on"
+                print(f"interrupted; {again}", file=sys.stderr)
+                raise
 
 
 def default_folder(name: str, quick: bool) -> Path:
@@ -128,7 +121,7 @@ def _list(names: Sequence[str], out: Path | None) -> None:
     for name in names:
         known = provenance.read(out or default_folder(name, quick=False))
         for part, declared in study(name).parts.items():
-            told = known.get(part, {})
-            made = f"{told['date'][:10]}, {told['commit']}" if "date" in told else "never"
+            record = known.get(part, {})
+            made = f"{record['date'][:10]}, {record['commit']}" if "date" in record else "never"
             rows.append((name, part, declared.title, made))
     show_table(("study", "part", "about", "made"), rows, left=4)

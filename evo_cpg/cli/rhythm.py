@@ -85,12 +85,12 @@ def show_rhythm(
             lags = ", ".join(f"{lag:.1f}" for lag in cycles[members[0]].lags(members))
             names = ", ".join(tree.dof_names[member] for member in members)
             print(f"ring of {names}: {lags} deg behind the one before")
-    for reason, who in rests.items():
-        print(f"{', '.join(who)}: {reason}")
+    for reason, joints in rests.items():
+        print(f"{', '.join(joints)}: {reason}")
     warn_of_oscillators(path, simulation)
     if failures:
-        for reason, who in failures.items():
-            print(f"evo-cpg: {path}: {', '.join(who)}: {reason}", file=sys.stderr)
+        for reason, joints in failures.items():
+            print(f"evo-cpg: {path}: {', '.join(joints)}: {reason}", file=sys.stderr)
         raise SystemExit(ExitCode.FAULT)
 
 
@@ -220,9 +220,9 @@ def _chain(tree: Tree, settings: CpgSettings, joint: str | None) -> Chain:
 def _changes(settings: CpgSettings, found: Rhythm) -> dict[str, float]:
     """The keys of `controller.cpg` whose values are new; the range of b is moved about b."""
     low, high = settings.min_adaptation_gain, settings.max_adaptation_gain
-    share = 2 * found.adaptation_gain / (low + high)
+    factor = 2 * found.adaptation_gain / (low + high)
     then = {key: getattr(found.settings, key) for key in _WEIGHTS}
-    then |= {"min_adaptation_gain": share * low, "max_adaptation_gain": share * high}
+    then |= {"min_adaptation_gain": factor * low, "max_adaptation_gain": factor * high}
     return {
         key: value
         for key, value in then.items()

@@ -62,14 +62,14 @@ def sensitivity(
         print(f"{run}: of its {experiment.trials} trials the first is taken")
     rate, steps = experiment.simulation.control_rate, experiment.simulation.steps
     if seconds is not None:
-        wanted = seconds * rate
+        control_steps = seconds * rate
         # Two steps, for a way; neither infinity nor nan can be rounded.
-        if not 1.5 < wanted < steps + 0.5:
+        if not 1.5 < control_steps < steps + 0.5:
             raise UsageError(
                 f"--seconds: {seconds:g}; a trial of {run} has {steps / rate:g} s, of which "
                 f"{2 / rate:.3g} s at least are needed"
             )
-        steps = round(wanted)
+        steps = round(control_steps)
     trial = config.simulation.model_copy(update={"steps": steps})
     if isinstance(trial.trials, list):
         trial = trial.model_copy(update={"trials": trial.trials[:1]})
@@ -182,8 +182,8 @@ def _cells(row: dict[str, Any]) -> tuple[str, ...]:
         sure = row[f"{name}_confirmed"]
         size = row[f"{name}_elasticity" if sure else f"{name}_found"]
         unit = " %/%" if row["relative"] else " %/unit"
-        share = size if row["relative"] else 100 * size
+        size = size if row["relative"] else 100 * size
         # There is no per cent of a measure that is 0.
-        told = f"{share:+.3g}{unit}" if math.isfinite(share) else "\N{EN DASH}"
-        words.append(f"{'' if sure else '? '}{told}")
+        text = f"{size:+.3g}{unit}" if math.isfinite(size) else "\N{EN DASH}"
+        words.append(f"{'' if sure else '? '}{text}")
     return row["key"], f"{row['value']:.4g}", *words

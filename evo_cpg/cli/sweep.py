@@ -79,7 +79,7 @@ def sweep(
     from evo_cpg.system import as_utf8, named
     from evo_cpg.training.devices import use_cores
 
-    asked = read_jobs(jobs, job_option or [])
+    requested = read_jobs(jobs, job_option or [])
     overrides, grid = (
         [as_utf8(word) for word in overrides or []],
         [as_utf8(word) for word in grid or []],
@@ -96,9 +96,9 @@ def sweep(
     with working("building every setting"):
         members = members_of(folder, plan)
     chosen = _chosen(members, only or [])
-    with claimed(folder, asked):
+    with claimed(folder, requested):
         claim(folder, plan)
-        failed = _evolve(folder, named(plan["config"]), chosen, devices, asked, cores)
+        failed = _evolve(folder, named(plan["config"]), chosen, devices, requested, cores)
         if any(member.generation for member in members) or not failed:
             _tell(folder, members)
     if failed:

@@ -15,7 +15,7 @@ from evo_cpg.api.training import (
     Recorder,
     begin_run,
     evolve,
-    first_look_asked,
+    first_look_limit,
     follow,
     reopen_run,
 )
@@ -119,9 +119,9 @@ def require_scalars() -> None:
         raise UsageError(f"--tensorboard: {error}") from None
 
 
-def goes_on_with_scalars(run: Path, asked: bool) -> bool:
+def goes_on_with_scalars(run: Path, expected: bool) -> bool:
     """Whether scalars are written: where it is asked for, or the run has some already."""
-    if asked:
+    if expected:
         require_scalars()
         return True
     if not (run / FOLDER).is_dir():
@@ -145,13 +145,13 @@ def _require_alike(opened: Opened) -> Checkpoint | None:
         )
     if done is not None:
         runs, population = experiment.runs, experiment.strategy.population
-        asked = experiment.simulation.genome.count, runs * population, runs
+        expected = experiment.simulation.genome.count, runs * population, runs
         found = *done.genes.shape, len(done.champions)
-        if asked != found:
+        if expected != found:
             raise RunFolderError(
-                f"{folder.config} was changed: it asks for {asked[0]} genes and {asked[1]} "
-                f"individuals in {asked[2]} run(s), the checkpoint has {found[0]}, {found[1]} and "
-                f"{found[2]}; start a new run instead"
+                f"{folder.config} was changed: it asks for {expected[0]} genes and {expected[1]} "
+                f"individuals in {expected[2]} run(s), the checkpoint has {found[0]}, {found[1]} "
+                f"and {found[2]}; start a new run instead"
             )
         _require_same_columns(folder, done, experiment)
     return done
@@ -166,9 +166,9 @@ def _require_same_columns(folder: RunFolder, done: Checkpoint, experiment: Exper
     simulation = experiment.simulation
     measured = term_names(simulation.task) + simulation.measures.names
     terms = [f"best_{name}" for name in measured]
-    asked, found = [*experiment.strategy.metric_names, *terms], done.history[-1]
-    added = [name for name in asked if name not in found]
-    lost = [name for name in found if name not in (*asked, *TABLE_COLUMNS)]
+    expected, found = [*experiment.strategy.metric_names, *terms], done.history[-1]
+    added = [name for name in expected if name not in found]
+    lost = [name for name in found if name not in (*expected, *TABLE_COLUMNS)]
     if added or lost:
         parts = [("add", added), ("drop", lost)]
         changed = " and ".join(f"{verb} {', '.join(names)}" for verb, names in parts if names)
@@ -224,12 +224,11 @@ def evolve_run(opened: Opened, team: "Team | None" = None, tensorboard: bool = F
         import evo_cpg.training.loop  # noqa: F401
 
     done, animal = folder.load(), animal_digest(opened.config)
-    least, start = first_look_asked(opened.config), done.generation if done else 0
+    least, start = first_look_limit(opened.config), done.generation if done else 0
     scalars = Scalars(folder.path, done.history if done else ()) if tensorboard else None
     try:
         with Recorder(experiment, folder, least, animal) as recorder:
             with progress(
-                experiment.name,
                 "generations",
                 experiment.generations,
                 start,

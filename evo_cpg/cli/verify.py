@@ -11,8 +11,7 @@ def verify(run: Run, cores: Cores = None) -> None:
     """Replay the champion and compare it with what was recorded."""
     import numpy as np
 
-    from evo_cpg.api.surroundings import differences as changed_surroundings
-    from evo_cpg.api.surroundings import surroundings
+    from evo_cpg.api.machine import machine_changes, machine_fingerprint
     from evo_cpg.cli.champions import REPLAY_TOLERANCE, open_and_build, replayed, use_cores_of
     from evo_cpg.training.checkpoint import genes_digest, outcome_digest
 
@@ -48,8 +47,8 @@ def verify(run: Run, cores: Cores = None) -> None:
         now = found[name]
         if not np.isclose(now, value, REPLAY_TOLERANCE, REPLAY_TOLERANCE, equal_nan=True):
             differences.append(f"{name}: recorded {value:.6g}, replayed {now:.6g}")
-    here = surroundings(experiment.simulation.engine, opened.devices)
-    for changed in changed_surroundings(folder.read_meta(), here):
+    here = machine_fingerprint(experiment.simulation.engine, opened.devices)
+    for changed in machine_changes(folder.read_meta(), here):
         print(f"{run}: {changed}; bits may differ", file=sys.stderr)
     _report(run, differences)
     same = all(np.array_equal(found[name], recorded[name], True) for name in recorded)

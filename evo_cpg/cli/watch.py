@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
-from evo_cpg.cli.errors import told, warn
+from evo_cpg.cli.errors import message_for, warn
 from evo_cpg.cli.options import Run
 from evo_cpg.cli.streams import is_read
 
@@ -142,15 +142,15 @@ def _in_lines(
 ) -> None:
     """Elsewhere than on a terminal: a line for every generation."""
     seen: Standing | None = None
-    told = 0
+    printed = 0
     while True:
         now = standing(folder, seen)
         if now is not seen or once:
             history = now.checkpoint.history if now.checkpoint else []
-            for row in [row for row in history if row["generation"] >= told]:
+            for row in [row for row in history if row["generation"] >= printed]:
                 print(_line(row, now), flush=True)
             if history:
-                told = int(history[-1]["generation"]) + 1
+                printed = int(history[-1]["generation"]) + 1
             elif once:
                 print(f"{folder.path}: not one generation is finished", flush=True)
             seen = now
@@ -200,7 +200,7 @@ class _Pictures:
             made = self._make(champion, now)
         except OSError as error:
             # Who looks on may have no permission to write there.
-            warn(f"no picture: {told(error)}")
+            warn(f"no picture: {message_for(error)}")
             self._next = math.inf
             return None
         took = time.monotonic() - began

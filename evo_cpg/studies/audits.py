@@ -80,11 +80,11 @@ def audit_table(title: str, rows: dict[str, list[dict[str, Any]]]) -> Table:
     programs = list(dict.fromkeys(one["program"] for row in every for one in _others(row)))
     lines = []
     for name, row in ((name, row) for name, found in rows.items() for row in found):
-        measured, ways = row["measured"], {one["program"]: one["way"] for one in _others(row)}
+        measured, goes = row["measured"], {one["program"]: one["way"] for one in _others(row)}
         lines.append(
             {"": name, "seed": str(row["seed"]), "way, m": _number(measured.get("way"))}
-            | {_KEPT[key]: _share(measured.get(key)) for key in keys}
-            | {f"{program}: over ground, m": _number(ways.get(program)) for program in programs}
+            | {_KEPT[key]: _percent(measured.get(key)) for key in keys}
+            | {f"{program}: over ground, m": _number(goes.get(program)) for program in programs}
             | {"passes": "yes" if row["passed"] else "no: " + "; ".join(row["reasons"])}
         )
     return tabled(lines, title)
@@ -99,8 +99,8 @@ def kept_table(title: str, rows: dict[str, list[dict[str, Any]]]) -> Table:
     for name, found in rows.items():
         line = {"": name, "way, m": middle(_known(row["measured"].get("way") for row in found))}
         for key, head in _KEPT.items():
-            line[head] = _shares(row["measured"].get(key) for row in found)
-        line["in MuJoCo"] = _shares(map(_second_opinion, found))
+            line[head] = _percents(row["measured"].get(key) for row in found)
+        line["in MuJoCo"] = _percents(map(_second_opinion, found))
         line["pass"] = f"{sum(row['passed'] for row in found)} of {len(found)}"
         lines.append(line)
     return tabled(lines, title)
@@ -110,7 +110,7 @@ def _known(values: Iterable[float | None]) -> list[float]:
     return [value for value in values if value is not None]
 
 
-def _shares(values: Iterable[float | None]) -> str:
+def _percents(values: Iterable[float | None]) -> str:
     """Return median and range of shares, in per cent."""
     known = _known(values)
     return f"{middle(100 * np.array(known), 0)} %" if known else ""
@@ -131,5 +131,5 @@ def _number(value: float | None) -> str:
     return "" if value is None else f"{value:.2f}"
 
 
-def _share(value: float | None) -> str:
+def _percent(value: float | None) -> str:
     return "" if value is None else percent(value)

@@ -44,8 +44,8 @@ def bench_suite() -> ModuleType:
 def measure(workshop: Workshop, case: str) -> list[Table]:
     """The rows of a case."""
     suite = bench_suite()
-    wanted = suite.Wanted((case,), quick=workshop.quick)
-    machine, rows = suite.measure(wanted, workshop.devices, workshop.work)
+    request = suite.Wanted((case,), quick=workshop.quick)
+    machine, rows = suite.measure(request, workshop.devices, workshop.work)
     if case in _MOVING:
         suite.picture.draw(rows, machine, workshop.picture())
     return suite.report.page_tables(rows, machine)

@@ -31,9 +31,9 @@ def _is_sound(content: Any) -> bool:
     return all(isinstance(part["files"], dict) for part in content["parts"].values())
 
 
-def note(folder: Path, part: str, told: Mapping[str, Any]) -> None:
+def note(folder: Path, part: str, record: Mapping[str, Any]) -> None:
     """Write down how a part was made."""
-    parts = read(folder) | {part: dict(told)}
+    parts = read(folder) | {part: dict(record)}
     text = json.dumps({"parts": parts}, indent=1, allow_nan=False) + "\n"
     write_text(folder / FILE, text)
 
@@ -54,19 +54,19 @@ def problems(folder: Path) -> list[str]:
     return found
 
 
-def caption(study: str, part: str, told: Mapping[str, Any]) -> str:
+def caption(study: str, part: str, record: Mapping[str, Any]) -> str:
     """The line under every table that says how it was made."""
     words = (
-        f"*Made by `evo-cpg reproduce {study} {part}` with evo-cpg {told['versions']['evo-cpg']}"
+        f"*Made by `evo-cpg reproduce {study} {part}` with evo-cpg {record['versions']['evo-cpg']}"
     )
-    commits = told["run_commits"]
-    if told["commit"]:
-        words += f" at commit {told['commit']}"
-    elsewhere = sorted({each or "unknown" for each in commits} - {told["commit"] or "unknown"})
+    commits = record["run_commits"]
+    if record["commit"]:
+        words += f" at commit {record['commit']}"
+    elsewhere = sorted({each or "unknown" for each in commits} - {record["commit"] or "unknown"})
     if elsewhere:
         words += f" of runs evolved at {', '.join(elsewhere)}"
-    cores = "1 core" if told["devices"] == 1 else f"{told['devices']} cores"
-    words += f" on {told['date'][:10]}, {told['processor']}, {cores}.*"
-    if told["quick"]:
+    cores = "1 core" if record["devices"] == 1 else f"{record['devices']} cores"
+    words += f" on {record['date'][:10]}, {record['processor']}, {cores}.*"
+    if record["quick"]:
         words = f"**Quick: scaled down, a test of the program and no result.** {words}"
     return words

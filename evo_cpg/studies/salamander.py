@@ -75,8 +75,8 @@ def shore_random(workshop: Workshop) -> list[Table]:
 
 
 _LEFT = [
-    f"{way}: distance left"
-    for way in ("into the water", "back on land", "from the water's edge to land")
+    f"{leg}: distance left"
+    for leg in ("into the water", "back on land", "from the water's edge to land")
 ]
 
 

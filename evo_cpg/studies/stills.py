@@ -58,7 +58,7 @@ def stills(workshop: "Workshop", shown: Mapping[str, str], picture: str = "") ->
                 "seed": str(experiment.seed + champion.run),
                 "generation": str(champion.generation),
                 "fitness": f"{champion.worth:.3f}",
-                "way": _way(recording),
+                "way": _distance(recording),
                 "moments, s": ", ".join(f"{t - recording.time[0]:.1f}" for t in instants),
             }
         )
@@ -68,7 +68,7 @@ def stills(workshop: "Workshop", shown: Mapping[str, str], picture: str = "") ->
     return tabled(rows)
 
 
-def _way(recording: Recording) -> str:
+def _distance(recording: Recording) -> str:
     """In words: to the light, or over ground."""
     first, last = recording.distance[[0, -1]]
     if np.isfinite(recording.goal).all():

@@ -75,9 +75,9 @@ class Study(NamedTuple):
     parts: Mapping[str, Part]
 
 
-def percent(share: float) -> str:
+def percent(fraction: float) -> str:
     """A share as it stands in a table."""
-    return f"{100 * share:.1f} %"
+    return f"{100 * fraction:.1f} %"
 
 
 def middle(values: Sequence[float] | np.ndarray, digits: int = 2) -> str:

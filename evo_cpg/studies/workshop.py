@@ -22,7 +22,7 @@ import numpy as np
 from jaxtyping import Float
 
 from evo_cpg.api.display import Work, working
-from evo_cpg.api.surroundings import surroundings
+from evo_cpg.api.machine import machine_fingerprint
 from evo_cpg.api.sweep import Member, evolve
 from evo_cpg.api.training import now
 from evo_cpg.api.version import program_commit
@@ -83,8 +83,8 @@ class Workshop:
         """
         other = [
             name
-            for name, told in provenance.read(self.folder).items()
-            if bool(told.get("quick")) != self.quick
+            for name, record in provenance.read(self.folder).items()
+            if bool(record.get("quick")) != self.quick
         ]
         if other:
             kind = "full" if self.quick else "quick"
@@ -203,10 +203,10 @@ class Workshop:
                 return known["found"]
         except (KeyError, OSError, TypeError, ValueError):
             pass
-        told = json.loads(json.dumps(measure()))
-        text = json.dumps({"of": made_of, "found": told})
+        record = json.loads(json.dumps(measure()))
+        text = json.dumps({"of": made_of, "found": record})
         write_text(path, text)
-        return told
+        return record
 
     def _run(self, name: str) -> RunFolder:
         return RunFolder(self.folder / "runs" / name)
@@ -232,7 +232,7 @@ class Workshop:
         engine = self.experiment(runs[0]).simulation.engine if runs else Engine()
         folders = {name: self._run(name) for name in runs}
         commits = [each for run in folders.values() for each in run.read_meta().get("commits", [])]
-        told: dict[str, Any] = {
+        record: dict[str, Any] = {
             "study": self.study.name,
             "quick": self.quick,
             "commit": program_commit(),
@@ -252,14 +252,14 @@ class Workshop:
                 }
                 for name, run in folders.items()
             },
-        } | surroundings(engine, self.devices)
-        line = provenance.caption(self.study.name, part, told)
+        } | machine_fingerprint(engine, self.devices)
+        line = provenance.caption(self.study.name, part, record)
         text = "\n".join(f"{markdown(table)}\n\n{line}\n" for table in tables)
         page = self.folder / f"{part}.md"
         write_text(page, text)
         files = [page, *self._pictures]
-        told["files"] = {path.name: provenance.digest(path) for path in files}
-        provenance.note(self.folder, part, told)
+        record["files"] = {path.name: provenance.digest(path) for path in files}
+        provenance.note(self.folder, part, record)
         return files
 
     def _seconds(self, name: str) -> float:

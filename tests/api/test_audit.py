@@ -15,7 +15,7 @@ from creatures import AXES, STRUCTURES, quick_jit, random_creature, random_state
 from evo_cpg.analysis.energy import ledger, mechanical_energy
 from evo_cpg.analysis.excursions import excursions
 from evo_cpg.analysis.verdict import Limits
-from evo_cpg.api.audit import Trial, _carried, _shares, books, draws_of, lived_trials
+from evo_cpg.api.audit import Trial, _carried, _kept, books, draws_of, lived_trials
 from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, LightSensor, Material
 from evo_cpg.creature.self_collision import SelfCollision
 from evo_cpg.creature.shapes import Box, Ellipsoid
@@ -245,7 +245,7 @@ def test_what_a_current_carries_is_no_way_of_limp_motors(swimming, own, limp_way
             Kept(np.array([limp_way]), one, one > 0, {}),
         ),
     }
-    checks = {c.key: c for c in _shares(own, kept, Limits(), made.creature, carried)}
+    checks = {c.key: c for c in _kept(own, kept, Limits(), made.creature, carried)}
     assert checks["limp_way"].measured == pytest.approx(share)
 
 
@@ -256,7 +256,7 @@ def test_who_gets_nowhere_in_fresh_draws_does_so_with_motors_limp_or_not(swimmin
     fresh = Variation("other draws of chance", (made.simulation,), 2)
     both = Kept(none, none, none == 0, {})
     kept = {"pose": (fresh, both), "limp_way": (limp_ones, both)}
-    checks = {c.key: c for c in _shares(3.0, kept, Limits(), made.creature)}
+    checks = {c.key: c for c in _kept(3.0, kept, Limits(), made.creature)}
     assert checks["pose"].measured == checks["limp_way"].measured == 0.0
 
 

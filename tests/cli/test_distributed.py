@@ -385,7 +385,7 @@ def test_schedulers_that_jax_knows(environment, address, monkeypatch):
             monkeypatch.delenv(name)
     for name, value in environment.items():
         monkeypatch.setenv(name, value)
-    place = distributed._place(distributed.Distribution(wanted=True))
+    place = distributed._place(distributed.Distribution(distributed=True))
     assert (place.index, place.count, place.address) == (2, 5, address)
 
 

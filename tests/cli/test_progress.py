@@ -145,7 +145,7 @@ def test_work_in_a_pipe_is_lines_on_standard_error(impatient, capsys):
 
 
 def test_steps_in_a_pipe_are_lines_with_what_comes_first(impatient, capsys):
-    with module.progress("mine", "generations", 3, 1, "compiling") as show:
+    with module.progress("generations", 3, 1, "compiling") as show:
         time.sleep(0.8)
         show("best 2", 0.5)
     _, err = capsys.readouterr()
@@ -167,12 +167,12 @@ def test_on_a_terminal_it_is_one_line_that_moves(monkeypatch):
         work.doing("drawing")
         time.sleep(0.8)
     assert "drawing" in screen.getvalue()
-    with module.progress("mine", "generations", 3) as show:
+    with module.progress("generations", 3) as show:
         show("best 2", 0.5)
         time.sleep(0.8)
     assert "best 2" in screen.getvalue() and "1/3" in screen.getvalue()
     assert "about" not in screen.getvalue()
-    with module.progress("mine", "generations", 3, expected=40.0):
+    with module.progress("generations", 3, expected=40.0):
         time.sleep(0.3)
     with module.working("recording", expected=20.0):
         time.sleep(0.3)

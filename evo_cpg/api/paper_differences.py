@@ -19,7 +19,7 @@ _WHOSE = re.compile(r"\bours\b|\bpaper\b(?!')")
 _CONTINUED = re.compile(r"^\s+# ?(.*)$")
 
 
-def departures(config: ExperimentConfig) -> Departures | None:
+def paper_differences(config: ExperimentConfig) -> Departures | None:
     """See `Departures`; None where no configuration of this name is shipped."""
     if config.name not in shipped_names():
         return None

@@ -23,7 +23,7 @@ _ROUNDING = {
 _ROUNDING_PACKAGES = ("jax", "jaxlib", "numpy", "evo-cpg")
 
 
-def surroundings(engine: Engine, devices: int) -> dict[str, Any]:
+def machine_fingerprint(engine: Engine, devices: int) -> dict[str, Any]:
     """What there is to note of a machine and its software, for meta.json."""
     return {
         "versions": {package: version_of(package) for package in _PACKAGES},
@@ -35,12 +35,12 @@ def surroundings(engine: Engine, devices: int) -> dict[str, Any]:
     } | described(engine)
 
 
-def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
+def machine_changes(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
     """What changes bits and is not as it was.
 
     Args:
         before: from meta.json; nothing is known of what it lacks.
-        now: `surroundings` here.
+        now: `machine_fingerprint` here.
     """
     pairs = [(words, before.get(key), now.get(key)) for key, words in _ROUNDING.items()]
     old = before.get("versions")
@@ -56,9 +56,9 @@ def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
 def _processor() -> str:
     """Its name and number; where the system does not tell, its kind."""
     parts = [line.partition(":") for line in told_by(Path("/proc/cpuinfo")).splitlines()]
-    told = {name.strip(): value.strip() for name, _, value in parts}
-    name = told.get("model name") or platform.processor() or platform.machine()
-    numbers = [told[key] for key in ("cpu family", "model", "stepping") if key in told]
+    found = {name.strip(): value.strip() for name, _, value in parts}
+    name = found.get("model name") or platform.processor() or platform.machine()
+    numbers = [found[key] for key in ("cpu family", "model", "stepping") if key in found]
     return f"{name} {'.'.join(numbers)}".strip()
 
 
