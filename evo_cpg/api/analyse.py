@@ -25,7 +25,7 @@ from evo_cpg.training.run_folder import RunFolder
 if TYPE_CHECKING:
     from PIL import Image
 
-# Of the picture for paper, pixels, and the quality of its JPEG.
+# Size of the picture for print, pixels, and quality of its JPEG.
 _STILL, _QUALITY = (1280, 720), 88
 
 
@@ -38,8 +38,9 @@ def analyse(run: Path | str, trial: int = 0, trust: bool = False) -> Path:
         trust: see `load`.
 
     Returns:
-        The page in the run folder, ``analysis.html``; one that was there is replaced. Where
-        ``config.yaml`` is not what the champion evolved in, the page says so, and a warning does.
+        The page in the run folder, ``analysis.html``, which replaces an earlier one. If
+        ``config.yaml`` is not what the champion evolved in, the page says so, and so does a
+        warning.
 
     Raises:
         ConfigError: the configuration of the run is wrong.
@@ -155,7 +156,7 @@ def page(opened: OpenedChampion, trial: int, doing: Callable[[str], object]) -> 
 
 
 def _kept_at_half_the_step(meta: Mapping[str, Any], champion: Champion) -> float | None:
-    """What `train` noted of this champion, and not of another one."""
+    """Return the fraction that `train` measured at half the step, if for this champion."""
     first = meta.get("half_step")
     if not isinstance(first, Mapping) or first.get("genes_sha256") != genes_digest(champion.genes):
         return None
@@ -164,7 +165,7 @@ def _kept_at_half_the_step(meta: Mapping[str, Any], champion: Champion) -> float
 
 
 def _expected(champion: Champion) -> dict[str, float]:
-    """What it came to in fresh draws of chance, if there were any."""
+    """Return the mean fitness in fresh draws, if there were any."""
     if champion.expected is None:
         return {}
     return {f"mean fitness in {champion.lives} fresh draws": champion.expected}

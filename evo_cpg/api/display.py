@@ -1,8 +1,8 @@
-"""What long work says while it goes on: a moving line on a terminal, plain lines elsewhere.
+"""Progress of long work of the commands: a moving line on a terminal, plain lines elsewhere.
 
-Everything goes to standard error. Elsewhere than on a terminal, in a log or a pipe, work that is
-soon done says nothing, and other work is never silent for more than `LONGEST_SILENCE` seconds: a
-thread says what is being done and for how long where the work itself has nothing to say.
+Everything goes to standard error. In a log or a pipe, short work prints nothing, and longer work is
+never silent for more than `LONGEST_SILENCE` seconds: if the work prints nothing itself, a thread
+prints its name and duration. The library itself is quieter, see `evo_cpg.api.progress`.
 """
 
 import contextlib
@@ -25,34 +25,34 @@ from rich.progress import (
 )
 from typing_extensions import override
 
-# Nobody has to wonder for longer than this whether anything goes on, s.
+# Longest time without a line, s.
 LONGEST_SILENCE = 10.0
 
 # Before the first line, and between two, s. Shorter than the longest silence, since the thread may
 # have to wait for its turn.
 FIRST, BETWEEN = 5.0, 8.0
 
-# How often the thread looks at the clock, s.
+# Interval between two looks of the thread at the clock, s.
 _LOOK = 0.25
 
-# From so much of the work on it can be said how long the rest takes.
+# The remaining time is estimated from this fraction of the work on.
 _LEAST_SHARE = 0.02
 
 
 class Work:
-    """Work that goes on: what it calls to report its progress."""
+    """Reports of work on its progress."""
 
     def say(self, line: str) -> None:
         """Print a line that stays."""
 
     def doing(self, what: str, expected: float | None = None) -> None:
-        """Name what is done from now on; expected by measurement to take so long, s."""
+        """Name the next part of the work, and its expected duration, s, if measured before."""
 
     def reached(self, done: int, total: int) -> None:
         """Report how much of it is done."""
 
     def step(self, line: str, onward: str, done: int, total: int) -> None:
-        """Report a step that is done, and what is done from now on."""
+        """Report a finished step, and name the next part of the work."""
 
 
 class Heartbeat(Work):
@@ -176,16 +176,16 @@ class _Line(Work):
 def working(
     what: str, counted: bool = False, expected: float | None = None, stays: bool = False
 ) -> Iterator[Work]:
-    """Say what is being done for as long as the block lasts, and for how long it has been.
+    """Show some work and its duration while the block lasts.
 
     Args:
-        what: is being done.
-        counted: whether the work says how far it is.
-        expected: duration by what was measured before, s; None where nothing was.
+        what: name of the work.
+        counted: whether the work reports how far it is.
+        expected: duration that was measured before, s; None if nothing was.
         stays: whether the line stays on a terminal after the work.
 
     Yields:
-        What the work may call.
+        Reports that the work may call.
     """
     console = Console(stderr=True)
     if not console.is_terminal:
@@ -197,7 +197,7 @@ def working(
         TextColumn("{task.description}", markup=False),
     ]
     columns += [BarColumn(bar_width=24), TimeRemainingColumn()] if counted else []
-    # What is printed meanwhile goes above the line, but stays out of it in a pipe.
+    # Printed text goes above the line, unless standard output is a pipe.
     redirect = sys.stdout.isatty()
     with Progress(
         *columns,
@@ -221,14 +221,13 @@ def progress(
     """Show every step of some work.
 
     Args:
-        step: what several steps are called. How many are done is said, never which one this is:
-            generations and the like have numbers of their own, from 0.
+        step: name of several steps. The number of finished steps is shown, never the number of
+            this one: generations and the like have numbers of their own, from 0.
         total: steps in all.
         completed: steps done before.
-        first: what is done before the first of them.
-        last: what is done after the last one.
-        expected: duration of what comes first by what was measured before, s; None where nothing
-            was.
+        first: name of the work before the first step.
+        last: name of the work after the last step.
+        expected: duration of the work before the first step, s; None if it was not measured.
 
     Yields:
         A function to call after every step, with a line about the state and the duration of the
@@ -251,7 +250,7 @@ def progress(
         yield show
 
 
-# When the last line was said.
+# When the last line was printed.
 _said_at = -math.inf
 
 

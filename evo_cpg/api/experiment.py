@@ -39,7 +39,7 @@ from evo_cpg.training.devices import population_mesh
 
 Terms = Mapping[str, Float[Array, " *n"]]
 
-# As many individuals a fitness is tried on, before anybody lives.
+# Number of individuals that a fitness function is tried on first.
 _SEVERAL = 7
 
 
@@ -101,7 +101,7 @@ class Experiment:
 
     def __getstate__(self) -> dict[str, Any]:
         """Return what it is made of, without compiled programs, which no other process can use."""
-        # Measuring the scales anew takes a generation, and another machine may round otherwise.
+        # Measuring the scales again takes a generation, and another machine may round differently.
         kept = ("parts", "config", "source", "replaced", "scales")
         return {name: value for name, value in vars(self).items() if name in kept}
 
@@ -111,7 +111,7 @@ class Experiment:
 
     @property
     def name(self) -> str:
-        """What the configuration calls it."""
+        """Name in the configuration."""
         return self.parts.name
 
     @property
@@ -126,7 +126,7 @@ class Experiment:
 
     @property
     def task(self) -> Task:
-        """What it is judged by."""
+        """The task that gives its fitness."""
         return self.parts.simulation.task
 
     @property

@@ -33,8 +33,8 @@ def fitness_function(
         parts: of the experiment.
         scales: the task's yardsticks.
         keys: of the noise in its trials.
-        horizon: in which slopes fade, s; None for slopes that are exact in water and cut on the
-            ground, infinity for exact ones.
+        horizon: time constant with which derivatives fade, s; None for derivatives that are exact
+            in water and cut on the ground, infinity for exact ones.
         parameters: numbers of the configuration that the function takes as well.
         task: instead of the configuration's.
     """

@@ -1,4 +1,4 @@
-"""From files or dictionaries to an experiment that can be called."""
+"""Load an experiment from a file, a run folder or a dictionary."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -16,7 +16,7 @@ from evo_cpg.training.run_folder import RunFolder
 
 Overrides = Sequence[str] | Mapping[str, Any]
 
-# Where the contents of a configuration come from that no file holds.
+# Source of a configuration that no file holds.
 _NO_FILE = Path("configuration")
 
 

@@ -1,4 +1,4 @@
-"""What the bits of a run depend on besides its configuration: processor, cores, versions."""
+"""Fingerprint of the machine: processor, cores and versions, on which the bits of a run depend."""
 
 import platform
 from collections.abc import Mapping
@@ -24,7 +24,7 @@ _ROUNDING_PACKAGES = ("jax", "jaxlib", "numpy", "evo-cpg")
 
 
 def machine_fingerprint(engine: Engine, devices: int) -> dict[str, Any]:
-    """What there is to note of a machine and its software, for meta.json."""
+    """Return the fingerprint of a machine and its software, for meta.json."""
     return {
         "versions": {package: version_of(package) for package in _PACKAGES},
         "python": platform.python_version(),
@@ -36,10 +36,10 @@ def machine_fingerprint(engine: Engine, devices: int) -> dict[str, Any]:
 
 
 def machine_changes(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
-    """What changes bits and is not as it was.
+    """Return changes of the machine that change bits.
 
     Args:
-        before: from meta.json; nothing is known of what it lacks.
+        before: from meta.json; missing keys count as unchanged.
         now: `machine_fingerprint` here.
     """
     pairs = [(words, before.get(key), now.get(key)) for key, words in _ROUNDING.items()]
@@ -54,7 +54,7 @@ def machine_changes(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[s
 
 
 def _processor() -> str:
-    """Its name and number; where the system does not tell, its kind."""
+    """Return name and number of the processor, or its kind if the system does not tell."""
     parts = [line.partition(":") for line in told_by(Path("/proc/cpuinfo")).splitlines()]
     found = {name.strip(): value.strip() for name, _, value in parts}
     name = found.get("model name") or platform.processor() or platform.machine()

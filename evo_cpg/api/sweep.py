@@ -1,15 +1,15 @@
 """Many settings of one experiment: a run folder for each, a table of all, and one figure.
 
-    sweep.json       what is varied, so that the sweep can be gone on with
+    sweep.json       the settings, to continue the sweep
     NAME/            a run folder for every setting, for all commands that take one
-    runs.csv         a row for every run: what was set, and what its champion came to
+    runs.csv         a row for every run: its setting and its champion
     settings.csv     a row for every setting: median, quartiles, extremes
-    tests.csv        a row for every two settings: who wins how often, and how sure that is
-    sweep.png        how fitness rose, and what the runs came to
+    tests.csv        a row for every two settings: how often the first wins, with a p value
+    sweep.png        fitness over generations, and final fitness
 
-Settings with the same animal in the same trial run side by side in one program, whatever searches
-(`evo_cpg.training.together`); others in turn, each with a program of its own: numbers of a body
-are constants of it, which makes an evaluation faster and lets a champion live again to the bit.
+Settings with the same animal in the same trial run side by side in one program, with any searches
+(`evo_cpg.training.together`). Others run in turn, each with a program of its own. The numbers of a
+body are constants of the program, so that evaluations are fast and replays exact to the bit.
 """
 
 import contextlib
@@ -42,7 +42,7 @@ from evo_cpg.training.run_folder import RunFolder, RunFolderError, read_json
 
 _PLAN = "sweep.json"
 
-# What of a configuration does not change the trials.
+# Sections of a configuration that do not change the trials.
 _SEARCH = ("name", "seed", "runs", "evolution", "audit")
 
 
@@ -77,7 +77,7 @@ class Member(Opened):
 
 
 class Summary(NamedTuple):
-    """What a sweep came to.
+    """Result of a sweep.
 
     Attributes:
         spreads: of every setting.
@@ -91,7 +91,7 @@ class Summary(NamedTuple):
 
 
 def new_plan(source: Path, overrides: Sequence[str], settings: Sequence[Setting]) -> dict[str, Any]:
-    """What a sweep is about, for its folder.
+    """Return the plan of a sweep, for its folder.
 
     Raises:
         ConfigError: the configuration is wrong.
@@ -136,12 +136,12 @@ def claim(folder: Path, plan: Mapping[str, Any]) -> None:
 
 
 def _others(folder: Path) -> Iterator[Path]:
-    """What a folder holds beside its lock."""
+    """Return the files of a folder, without its lock."""
     return (path for path in folder.iterdir() if path.name != locks.FILE)
 
 
 def read_plan(folder: Path) -> dict[str, Any] | None:
-    """What a sweep's folder is about; None where it is none.
+    """Read the plan of a sweep; None if the folder holds no sweep.
 
     Raises:
         RunFolderError: its file is damaged.
@@ -165,7 +165,7 @@ def _is_plan(plan: Any) -> bool:
 def members_of(
     folder: Path, plan: Mapping[str, Any], names: Sequence[str] | None = None
 ) -> list[Member]:
-    """The settings of a sweep, built.
+    """Build the settings of a sweep.
 
     Args:
         folder: of the sweep.
@@ -198,7 +198,7 @@ def members_of(
 
 
 def _digest(source: Path, overrides: Sequence[str]) -> str:
-    """Of what all settings change something of."""
+    """Return a digest of the configuration that the settings change."""
     config = load_config(source, overrides)
     text = json.dumps(fingerprint(config)["config"], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
@@ -231,7 +231,7 @@ def run_group(
         source: file that the configuration came from.
         devices: that share the population.
         on_generation: called after every generation of each.
-        warn: called with what is otherwise than before, in words for the user.
+        warn: called with differences from before, in words for the user.
 
     Raises:
         LockedError: another process evolves one of them.
@@ -366,5 +366,5 @@ def summarise(folder: Path, members: Sequence[Member]) -> Summary:
 
 
 def _cell(value: Any) -> Any:
-    """A value in a cell of a table."""
+    """Return a value as a cell of a table."""
     return json.dumps(value) if isinstance(value, dict | list) else "" if value is None else value

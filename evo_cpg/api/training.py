@@ -41,7 +41,7 @@ Rows = list[dict[str, float]]
 
 @dataclasses.dataclass(frozen=True)
 class Trained:
-    """What evolution came to.
+    """Result of evolution.
 
     Attributes:
         folder: the run folder, for `evo-cpg render` and the other commands.
@@ -132,7 +132,7 @@ def _train(
 def begin_run(
     run: Opened, devices: int, source: Path, start: Start | None = None, processes: int = 1
 ) -> None:
-    """Make a run folder, with what there is to know of the run.
+    """Make a run folder, with its configuration and meta.json.
 
     Args:
         run: whose folder is made.
@@ -174,7 +174,7 @@ def _known(run: Opened, devices: int, source: Path, processes: int) -> dict[str,
 def reopen_run(
     run: Opened, devices: int, processes: int = 1, source: Path | None = None
 ) -> list[str]:
-    """Note with what a run is continued.
+    """Note the configuration and machine that a run continues with.
 
     Args:
         run: with the configuration that it continues with.
@@ -252,7 +252,7 @@ class Recorder:
         self.looks, self.skipped = least is not None, False
         self._experiment, self._folder, self._least = experiment, folder, least
         self._animal = animal
-        # Without noise the recording is the life whose way is compared.
+        # Without noise, the recording measures the displacement to compare with.
         self._measures_way = self.looks and experiment.simulation.noise.silent
         self._way: float | None = None
         self._thread = ThreadPoolExecutor(1, "recording")
@@ -263,7 +263,7 @@ class Recorder:
         return self
 
     def __exit__(self, error: type[BaseException] | None, *rest: object) -> None:
-        # Who interrupts is told so at once, and not when the compiler is done.
+        # An interrupt ends the run at once, and does not wait for the compiler.
         self._thread.shutdown(wait=error is None and not self.skipped, cancel_futures=True)
 
     def compile(self, spent: Spent | None = None) -> None:
@@ -287,7 +287,7 @@ class Recorder:
         if self._least is not None:
             from evo_cpg.api.audit import compile_first_look
 
-            # With noise the way at the own step takes another program.
+            # With noise, the displacement at the original step takes another program.
             programs = 1 if self._measures_way else 2
             expected = None if took is None else programs * took
             self._look = _Compilation(
@@ -380,7 +380,7 @@ class _Compilation:
 
 
 def first_look_limit(config: ExperimentConfig) -> float | None:
-    """What a run's first look at its champion asks for; None where it takes none."""
+    """Return the limit of the first look at a run's champion; None if it takes none."""
     return config.audit.half_step if config.audit.after_training else None
 
 
@@ -451,5 +451,5 @@ def follow(experiment: parts.Experiment, folder: RunFolder, team: "Team") -> Non
 
 
 def now() -> str:
-    """The time of day, with the zone."""
+    """Return date and time, with the zone."""
     return time.strftime("%Y-%m-%dT%H:%M:%S%z")

@@ -35,9 +35,9 @@ class Start(NamedTuple):
 def warm_start(experiment: Experiment, path: Path, what: What) -> Start:
     """The first populations of an experiment, from an earlier run of the same plan.
 
-    Run by run where both have as many, else all from the best run. About a champion, all but the
-    first are changed a little, as the strategy changes genomes; of a population that is too large
-    the last are left out, and one that is too small is filled up in this way.
+    If both have the same number of runs, each run starts from its own, else all start from the
+    best. All genomes but the first are variations of the champion, made by the strategy. A
+    population that is too large is cut, and one that is too small is filled with variations.
 
     Args:
         experiment: that begins.
@@ -71,7 +71,7 @@ def warm_start(experiment: Experiment, path: Path, what: What) -> Start:
 
 
 def _of_run(checkpoint: Checkpoint, experiment: Experiment, run: int) -> Champion:
-    """Whose line a run goes on."""
+    """Return the champion that a run continues from."""
     own = checkpoint.champions[run] if len(checkpoint.champions) == experiment.runs else None
     best = own or checkpoint.champion
     assert best is not None

@@ -1,4 +1,4 @@
-"""What a user should know of an animal before it evolves: dead oscillators, and what it costs."""
+"""Advice on an animal before it evolves: oscillators that do nothing, and high costs."""
 
 import hashlib
 import json
@@ -14,7 +14,7 @@ from evo_cpg.simulation.operations import Operations, estimate_operations
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.training.compile_times import expected_seconds
 
-# Operations below which nothing is said. No shipped configuration has more.
+# Operations below which there is no warning. No shipped configuration has more.
 _MANY = 200_000
 
 # Operations of the shipped swimmer, to compare with.
@@ -26,7 +26,7 @@ _ERROR = 0.15
 # Sections of a configuration that make no difference to the program of a trial.
 _NO_CODE = ("name", "seed", "evolution", "audit")
 
-# What the parts of a trial are, and what would lower each.
+# Parts of a trial: a name, and changes that lower its cost.
 _CAUSES = {
     "bodies": ("bodies and joints", "fewer creature.bodies and joint axes"),
     "ground": (
@@ -73,7 +73,7 @@ def warn_of_oscillators(path: Path, simulation: Simulation) -> None:
     if oscillators is None:
         return
     cpg, network, rate_gain = oscillators
-    # Others move nothing, whether they swing or not.
+    # The other oscillators move nothing.
     driven = (tree.servo_gain > 0) | (tree.servo_stiffness > 0)
     driven = driven & (rate_gain != 0)
     gains = cpg.min_adaptation_gain, cpg.max_adaptation_gain
@@ -142,7 +142,7 @@ def animal_digest(config: ExperimentConfig) -> str:
 
 
 def _line(operations: Operations) -> str:
-    """Name the cost, its main cause and the cure; nothing for an animal that costs little."""
+    """Return the cost, its main cause and the cure; empty for an animal that costs little."""
     total = operations.total
     if total < _MANY:
         return ""

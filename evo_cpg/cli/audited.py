@@ -31,7 +31,7 @@ _KEPT = {
     "precision": "float64",
 }
 
-# Of the summary, characters.
+# Width of the summary, characters.
 _WIDTH = 110
 
 _WORDS = {True: "passed", False: "FAILED", None: ""}
@@ -151,7 +151,7 @@ def draw_audit(folder: RunFolder, name: str, title: str, done: Audit) -> None:
 
 
 def show_summary(champions: Sequence[Champion], made: Sequence[Audit]) -> None:
-    """Print a line for each champion: which part of its way it keeps, and what MuJoCo says."""
+    """Print a row for each champion: fractions of the displacement kept, and results of MuJoCo."""
     keys = [key for key in _KEPT if any(key in done.measured for done in made)]
     rows = []
     for each, done in zip(champions, made, strict=True):
@@ -172,7 +172,7 @@ def show_summary(champions: Sequence[Champion], made: Sequence[Audit]) -> None:
 
 
 def show_checks(checks: tuple[Check, ...]) -> None:
-    """Print the checks with what was measured and what is allowed."""
+    """Print the checks, each with its result and its limit."""
     rows = []
     for check in checks:
         allowed = shown(check.limit, check.unit)
@@ -184,8 +184,8 @@ def show_checks(checks: tuple[Check, ...]) -> None:
 
 
 def show_opinions(opinions: Sequence[Opinion]) -> None:
-    """Print what two programs make of the same commands."""
-    # Without ground, or with water everywhere, nothing flies.
+    """Print the trial as it came out in two programs with the same commands."""
+    # Nothing flies without ground, or with water everywhere.
     flight = [] if opinions[0].airborne is None else ["airborne"]
     rows = []
     for one in opinions:

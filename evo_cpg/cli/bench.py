@@ -61,7 +61,7 @@ def bench(
     if numbers and not any(suite.CASES[case].sized for case in chosen):
         raise UsageError(f"--sizes: {', '.join(chosen)} has a size of its own")
     if json is not None:
-        # Measuring takes minutes; a path that cannot be written is better known before.
+        # Measuring takes minutes, so check first that the path can be written.
         try:
             json.parent.mkdir(parents=True, exist_ok=True)
             json.open("a").close()
@@ -79,7 +79,7 @@ def bench(
 
 
 def _sizes(text: str) -> tuple[int, ...]:
-    """Population sizes from a list such as 1,15,200."""
+    """Read population sizes from a list such as 1,15,200."""
     words = [word.strip() for word in text.split(",")]
     for word in words:
         if not word.isascii() or not word.isdigit() or not 1 <= int(word) <= _LARGEST:

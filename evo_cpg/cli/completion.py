@@ -1,4 +1,4 @@
-"""What a shell offers to complete: shipped configurations, files, folders."""
+"""Completions for a shell: shipped configurations, files, folders."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -25,7 +25,7 @@ def complete_folder(incomplete: str) -> list[str]:
 
 
 def _matching(incomplete: str) -> Iterator[Path]:
-    """What is called so, as far as it is typed; what is hidden only where a point is typed."""
+    """Yield paths that begin as typed; hidden ones only if a point is typed."""
     folder, slash, start = incomplete.rpartition("/")
     try:
         found = sorted(Path(folder + slash or ".").iterdir())
@@ -41,6 +41,6 @@ def _leads(path: Path, suffixes: tuple[str, ...]) -> bool:
 
 
 def _shown(path: Path) -> str:
-    """A run as it is; another folder so that one can go on typing."""
+    """Return the name of a run, or of another folder with a slash, to type on."""
     onward = path.is_dir() and not (path / "config.yaml").is_file()
     return f"{path}/" if onward else str(path)

@@ -29,7 +29,7 @@ class Distribution(NamedTuple):
         distributed: whether there are several.
         hosts: a list of hosts or the name of a file; None to ask the scheduler.
         process: index of this process; None to find it by the name of the host.
-        local: number of processes to start on this machine; None for none.
+        local: number of processes to start on this machine, if any.
         join_timeout: longest time until all have joined, s.
         patience: time beyond twice its own trials that each waits for the others, s; None for the
             default.
@@ -105,7 +105,7 @@ class Distribution(NamedTuple):
         """Whether this process is the lead, or the only one.
 
         Raises:
-            UsageError: what was distribution for does not tell.
+            UsageError: the options do not tell.
         """
         return not self.distributed or _place(self).index == 0
 
@@ -115,13 +115,13 @@ ONE_PROCESS = Distribution()
 
 @contextlib.contextmanager
 def together(distribution: Distribution, run: Path) -> Iterator["Team"]:
-    """Become one of the processes that were distribution for, and part after the block.
+    """Become one of the processes of a team, and leave it after the block.
 
     If another process is lost, this one ends at once, also in the middle of a generation.
 
     Args:
         distribution: the options of the command line.
-        run: folder of the run, for the line that says how to go on.
+        run: folder of the run, for the line that says how to continue.
     """
     from evo_cpg.training import processes
 

@@ -9,22 +9,22 @@ from evo_cpg.errors import UserError
 
 
 class ExitCode(IntEnum):
-    """Other than 0, which says that all was done."""
+    """Exit codes other than 0; docs/cli.md lists them for users."""
 
     FAULT = 1
-    """Of the program's own; a job of a sweep, or the search for a rhythm, failed."""
+    """A fault of the program; or a job of a sweep, or the search for a rhythm, failed."""
 
     WRONG_INPUT = 2
-    """Of the user's; what is wrong was said."""
+    """The input is wrong, as a message says."""
 
     NOT_PASSED = 3
-    """What was to be checked was, and is not so: an audit, a verification, a comparison."""
+    """An audit, a verification or a comparison failed."""
 
     LOST = 4
-    """Another process of the same run."""
+    """Another process of the same run was lost."""
 
     INTERRUPTED = 130
-    """By the user, as shells have it."""
+    """The user interrupted; shells use this number."""
 
 
 class UsageError(UserError):
@@ -37,18 +37,18 @@ def warn(words: object) -> None:
 
 
 def require_free(output: Path, overwrite: bool) -> None:
-    """Check that a file of the user's is not replaced without being told.
+    """Check that no file of the user is replaced without `--overwrite`.
 
     Raises:
         UsageError: it is there.
     """
-    # Unlike a path's own method this does not complain of names that no file can have.
+    # Path.exists raises an error for names that no file can have.
     if os.path.exists(output) and not overwrite:
         raise UsageError(f"{output} exists already; --overwrite replaces it")
 
 
 def message_for(error: Exception) -> str | None:
-    """Return what to print of an error that is not a fault of the program; None for a fault.
+    """Return the message for an error that is not a fault of the program; None for a fault.
 
     Args:
         error: that a command ended with.
@@ -60,7 +60,7 @@ def message_for(error: Exception) -> str | None:
 
 
 def _of_system(error: Exception) -> str | None:
-    """About what the operating system refused."""
+    """Return the message for a refusal of the operating system."""
     if isinstance(error, UnicodeEncodeError):
         return (
             f"{error.object[:100]!a} cannot be written in {error.encoding}; choose a locale with "
@@ -73,7 +73,7 @@ def _of_system(error: Exception) -> str | None:
 
 
 def _of_platform() -> str | None:
-    """About the devices that JAX was to compute on, where it has none of them."""
+    """Return the message if JAX finds no device to compute on."""
     jax = sys.modules.get("jax")
     if jax is None:
         return None

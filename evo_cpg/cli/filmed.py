@@ -79,7 +79,7 @@ def _chosen(opened: OpenedChampion, generations: list[int] | None) -> list[Champ
     if generations is None:
         if champion.expected is None:
             return telling(lineage, _SHOWN)
-        # Who had the best score on the way need not be who was chosen in the end.
+        # The best score on the way may be another individual than the final champion.
         places = (champion.generation, champion.index)
         others = [each for each in lineage if (each.generation, each.index) != places]
         return [*telling(others, _SHOWN - 1), champion]

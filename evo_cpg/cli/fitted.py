@@ -36,17 +36,17 @@ from evo_cpg.view.parameter_plots import fit_figure
 INITIAL = "initial."
 UNITS = {"position": "m", "attitude": "rad", "angle": "rad"}
 
-# Where columns of several kinds are told apart by their noise, a kind needs so many numbers more
-# than there are parameters. With that intervals hold the truth in 92 % or more; with one number
-# less than there are parameters in 78 % (docs/models/gradients.md).
+# If columns of several kinds have noise of their own, each kind needs so many more numbers than
+# there are parameters. Then intervals hold the truth in at least 92 % of cases. With one number
+# less than there are parameters, they hold it in 78 % (docs/models/gradients.md).
 _OF_A_KIND = 5
 
-# The search is repeated about its result until that moves by less than this share of its error.
+# The search is repeated from its result until that moves by less than this fraction of its error.
 _STILL, _MOST_SEARCHES = 0.05, 6
 
 
 class Problem(NamedTuple):
-    """What is to be estimated.
+    """An estimation problem.
 
     Attributes:
         recording: the recorded motion.

@@ -1,4 +1,4 @@
-"""Lists of hosts: what `--hosts` says, and which of them this machine is."""
+"""Lists of hosts: read `--hosts`, and find this machine among them."""
 
 import socket
 from collections.abc import Sequence
@@ -7,14 +7,14 @@ from pathlib import Path
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.training.roll_call import Place
 
-# Where the lead listens unless the list says otherwise; of the range that nobody registers.
+# Default port of the lead, from the range of unregistered ports.
 DEFAULT_PORT = 61440
 
 _LARGEST_PORT = 65535
 
 
 def place_in(text: str, process: int | None = None) -> Place:
-    """The place of this process among those of a list.
+    """Return the place of this process in a list of hosts.
 
     Args:
         text: ``HOST[:PORT],HOST,...``, or a file with a host on each line; the first leads.
@@ -54,7 +54,7 @@ def _words(text: str) -> list[str]:
 
 
 def _parted(word: str) -> tuple[str, int]:
-    """Host and port of the lead; an IPv6 address with a port stands in brackets."""
+    """Return host and port of the lead; an IPv6 address with a port stands in brackets."""
     if word.startswith("["):
         host, bracket, rest = word[1:].partition("]")
         port = rest.removeprefix(":")
@@ -82,7 +82,7 @@ def _name(word: str, number: int) -> str:
 
 
 def _own(names: Sequence[str]) -> int:
-    """The only one of the hosts that is this machine."""
+    """Return the index of the one host that is this machine."""
     found = [index for index, name in enumerate(names) if _is_here(name)]
     if len(found) == 1:
         return found[0]
@@ -98,7 +98,7 @@ def _own(names: Sequence[str]) -> int:
 
 
 def _is_here(name: str) -> bool:
-    """Whether an address of a host belongs to this machine: then a socket can be bound to it."""
+    """Return whether an address of a host belongs to this machine: a socket can be bound to it."""
     if name == socket.gethostname():
         return True
     try:

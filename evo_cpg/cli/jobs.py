@@ -1,13 +1,13 @@
 """`evo-cpg sweep --jobs`: settings that share no program as jobs, by submitit.
 
-    SWEEP/.lock              held by whoever works on the sweep, see `claimed`
+    SWEEP/.lock              held by the processes that work on the sweep, see `claimed`
     SWEEP/.jobs/slurm.json   jobs of SLURM that have not been seen to end
-    SWEEP/.jobs/TIME_.../    what submitit writes for the jobs of one command, and what they say;
-                             gone when all have come to their ends
+    SWEEP/.jobs/TIME_.../    files of submitit for the jobs of one command, with their output;
+                             deleted when all jobs have succeeded
 
-A job is a group of settings (`evo_cpg.api.sweep.groups`) and does what happens to it in turn, so it
-comes to the same, and goes on where it was stopped. How far it is, and whether it is done, is seen
-by the checkpoints: no result is handed back, and no pickle of a job is read but by the job itself.
+A job evolves a group of settings (`evo_cpg.api.sweep.groups`) as the sweep does without jobs, so
+the results are the same, and a stopped job can be continued. The checkpoints show how far a job is
+and whether it is done. No result is handed back, and only the job itself reads its pickle.
 submitit is installed with the extra ``jobs``, and imported when there are jobs.
 """
 
@@ -35,20 +35,20 @@ from evo_cpg.training.run_folder import RunFolderError, read_json
 
 _HIDDEN, _SLURM = ".jobs", "slurm.json"
 
-# How often it looks at local jobs, and at those of SLURM, s.
+# Interval between two looks at local jobs, and at jobs of SLURM, s.
 _LOOK, _LOOK_AT_SLURM = 0.25, 5.0
 
-# Once interrupted, local jobs have so long to end, s; submitit kills them after one.
+# Time that interrupted local jobs have to end, s. submitit kills them after one.
 _GRACE = 10.0
 
 # submitit ends local jobs after two minutes unless told otherwise, min. A year.
 _LONGEST = 60 * 24 * 365
 
-# What SLURM gives a job unless told otherwise, min. When that is over the job is queued anew, and
-# goes on from its checkpoints, so many times.
+# Default time limit of a job of SLURM, min. When it is over, the job is queued again and continues
+# from its checkpoints, at most so many times.
 _TIMEOUT, _TIMES = 60, 1000
 
-# Of what a failed job wrote to standard error.
+# Lines of the standard error of a failed job that are shown.
 _LAST_LINES = 5
 
 
@@ -65,7 +65,7 @@ Running = tuple[Any, list[Member]]
 
 
 class Jobs(NamedTuple):
-    """What is asked for.
+    """The jobs that the command line requests.
 
     Attributes:
         count: local processes at a time; None for SLURM.
@@ -108,12 +108,12 @@ class Job(NamedTuple):
                 run_group(group, named(plan["config"]), devices, lambda member, rows: None)
 
     def checkpoint(self) -> Any:
-        """What submitit queues when SLURM takes its place away, or its time is over: the same."""
+        """Return the same job, for submitit to queue if SLURM preempts it or its time is over."""
         return importlib.import_module("submitit").helpers.DelayedSubmission(self)
 
 
 def read_jobs(word: str | None, options: Sequence[str]) -> Jobs | None:
-    """What ``--jobs`` and ``--job-option`` say; None where they say nothing.
+    """Read ``--jobs`` and ``--job-option``; return None without them.
 
     Raises:
         UsageError: it cannot be had here, or is no such thing.
@@ -143,14 +143,14 @@ def read_jobs(word: str | None, options: Sequence[str]) -> Jobs | None:
 
 @contextlib.contextmanager
 def claimed(folder: Path, jobs: Jobs | None) -> Iterator[None]:
-    """Keep others off a sweep: two at work would overwrite each other's checkpoints.
+    """Keep other commands off a sweep: they would overwrite each other's checkpoints.
 
-    Local jobs hold a lock that others may share, so that it is held until the last has ended,
-    whatever becomes of this command. Those of SLURM are on a list.
+    Local jobs share the lock, so it is held until the last job has ended, even if this command ends
+    first. Jobs of SLURM are on a list.
 
     Args:
         folder: of the sweep.
-        jobs: what is asked for: with those of SLURM one may go on with SLURM.
+        jobs: the requested jobs. `--jobs slurm` may continue a sweep that has jobs with SLURM.
 
     Raises:
         LockedError: another command is at work, or a job that it has started.
@@ -184,7 +184,7 @@ def run_jobs(
     Args:
         folder: of the sweep.
         found: the groups.
-        jobs: what is asked for.
+        jobs: the requested jobs.
         cores: of all local jobs together, None for all of this machine; on SLURM, of each.
 
     Returns:
@@ -266,7 +266,7 @@ class _Slurm:
     Args:
         folder: of the sweep.
         logs: of new jobs.
-        jobs: what is asked for.
+        jobs: the requested jobs.
         cores: of each.
 
     Raises:
@@ -393,7 +393,7 @@ def _of_slurm(entry: _Entry) -> Any:
 
 
 def _new_folder(folder: Path) -> Path:
-    """For the jobs of one command: submitit would take what it finds by the number of a process."""
+    """Make a folder for one command: submitit would reuse files with the number of its process."""
     (folder / _HIDDEN).mkdir(exist_ok=True)
     prefix = time.strftime("%Y%m%d_%H%M%S_")
     return Path(tempfile.mkdtemp(prefix=prefix, dir=folder / _HIDDEN)).resolve()

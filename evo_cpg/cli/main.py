@@ -1,4 +1,4 @@
-"""`evo-cpg`: the list of its commands, and what its process does with errors and interrupts.
+"""`evo-cpg`: its commands, and how its process handles errors and interrupts.
 
 A command is a function of its own name in a file of that name, which declares the options. The file
 is imported when the command is called, and JAX and VTK when it runs: `--help` must be quick.
@@ -18,7 +18,7 @@ from evo_cpg.cli import streams
 from evo_cpg.cli.errors import ExitCode, message_for
 from evo_cpg.cli.interrupts import interrupts_delivered, leave_at_once, waits_for_threads
 
-# In the order of the help text; `import` is a keyword, so its file is `import_.py`.
+# The help text lists them in this order. `import` is a keyword, so its file is `import_.py`.
 COMMANDS = (
     "train",
     "resume",
@@ -109,7 +109,7 @@ class _Commands(TyperGroup):
         self.commands: Any = _Files()
 
     def invoke(self, ctx: typer.Context) -> Any:
-        """Run a command; leave Pydantic's own words out of what Typer says of a wrong option."""
+        """Run a command, and drop Pydantic's prefix from messages about wrong options."""
         try:
             return super().invoke(ctx)
         except typer.BadParameter as error:
@@ -164,7 +164,7 @@ def options(
 
 
 def _command() -> str:
-    """Name of the command that this process was started with."""
+    """Return the name of the command that this process was started with."""
     return next((word for word in sys.argv[1:] if not word.startswith("-")), "")
 
 
@@ -187,7 +187,7 @@ def main() -> None:
 
 
 def program() -> None:
-    """`main` as a process: after an interrupt nobody waits for what still compiles."""
+    """Run `main` as a process, which after an interrupt does not wait for compilations."""
     streams.protect()
     try:
         main()

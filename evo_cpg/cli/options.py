@@ -12,14 +12,14 @@ from evo_cpg.cli.errors import UsageError
 
 
 class What(enum.StrEnum):
-    """What a run begins with."""
+    """Genomes that a run begins with."""
 
     CHAMPION = "champion"
     POPULATION = "population"
 
 
 class View(enum.StrEnum):
-    """From where a film shows the animal; those of `evo_cpg.view.camera.CAMERAS`."""
+    """Positions of the camera, as in `evo_cpg.view.camera.CAMERAS`."""
 
     FOLLOW = "follow"
     SIDE = "side"
@@ -34,7 +34,7 @@ def _find_config(given: Path) -> Path:
 
 
 def find_config_or_folder(given: Path) -> Path:
-    """The file of a configuration, or a folder: a run or a sweep."""
+    """Return the file of a configuration, or the folder of a run or sweep."""
     from evo_cpg.config.shipped import find_config
 
     return find_config(given, folders=True)

@@ -1,4 +1,4 @@
-"""What a champion did in new situations, in rows and words, for the command `probe`."""
+"""The probe of a champion, its rows and its warnings, for the command `probe`."""
 
 import time
 from pathlib import Path
@@ -113,7 +113,7 @@ def _numbers(option: str, text: str) -> list[float]:
 
 
 def missed(found: Probe, reach: float) -> str:
-    """Return what to say of an animal that misses most of its lights; empty if it does not."""
+    """Return a warning of an animal that misses most of its lights; empty if it does not."""
     reached, turned = found.reached(reach), [seen_from_start(s)[1] for s in found.situations]
     count, sides = int(reached.sum()), np.sign(np.round(turned, 9))
     if count >= len(reached) / 2:
@@ -126,7 +126,7 @@ def missed(found: Probe, reach: float) -> str:
 
 
 def unseeing(seeing: Probe, blind: Probe) -> str:
-    """Return what to say of an animal that does without its eyes; empty if it does not."""
+    """Return a warning of an animal that does not use its eyes; empty if it does."""
     if not seeing.displacement > 0:
         return "it comes no nearer to the lights with its eyes, so there is nothing to compare"
     kept = max(0.0, blind.displacement) / seeing.displacement
@@ -136,11 +136,11 @@ def unseeing(seeing: Probe, blind: Probe) -> str:
 
 
 def probe_rows(found: Probe, reach: float) -> list[dict[str, float | int]]:
-    """The rows of probe.csv, one for each situation.
+    """Return the rows of probe.csv, one for each situation.
 
     Args:
         found: what became of the animal.
-        reach: share of the distance that may be left where a light counts as reached.
+        reach: fraction of the distance that may be left to a light that counts as reached.
     """
     reached = found.reached(reach)
     rows = []
@@ -217,5 +217,5 @@ def show_probe(rows: list[dict[str, float | int]]) -> None:
 
 
 def _degrees(angle: float) -> float:
-    """Without the last digits, in which 60 becomes 59.99999999999999; never -0."""
+    """Return degrees, rounded: 60 and not 59.99999999999999; never -0."""
     return round(float(np.rad2deg(angle)), 9) + 0.0

@@ -153,14 +153,14 @@ def _free(parameters: "Parameters") -> "Free":
             parameters.require(values)
             return experiment
         except ConfigError:
-            # Beyond what is allowed, or where the simulation is laid out differently.
+            # The values are not allowed, or give a simulation of another layout.
             return None
 
     return Free(parameters.values, parameters.simulation, rebuild)
 
 
 def _row(done: "Round", keys: Sequence[str]) -> dict[str, float]:
-    """A line of the table file."""
+    """Return a row of refine.csv."""
     own = {
         "round": done.number,
         "fitness": done.champion.fitness,
@@ -169,7 +169,7 @@ def _row(done: "Round", keys: Sequence[str]) -> dict[str, float]:
         "finite_slopes": done.finite,
         "seconds": done.seconds,
     }
-    # A task of one's own may have a term of such a name.
+    # A user's own task may have a term of such a name.
     return own | done.champion.terms | dict(zip(keys, done.values.tolist(), strict=True)) | own
 
 

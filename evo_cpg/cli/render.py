@@ -111,7 +111,7 @@ def render(
     from evo_cpg.view.film import film_path, side_by_side
 
     RunFolder(run).require()
-    # The folder of films is made where there is one to put there.
+    # Check the path first: the folder of films is made only for a film.
     film_path(output or run / name, **settings, signals=signals)
     if lineage is not None:
         panels = lineage_panels(run, generations, which, signals)
@@ -134,7 +134,7 @@ def render(
 
 
 def _generations(lineage: str) -> list[int] | None:
-    """What is asked for; None for a choice of ours."""
+    """Return the requested generations; None to choose them here."""
     if lineage == "auto":
         return None
     if not re.fullmatch(r"\d{1,9}(,\d{1,9})*", lineage):

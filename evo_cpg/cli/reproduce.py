@@ -94,14 +94,14 @@ def make(
                 left += " --quick" if quick else ""
                 again = f"`{left}` makes the rest"
                 if chosen.runs:
-                    # With --fresh the same command would throw away what is done.
+                    # The same command with --fresh would delete the finished runs.
                     again = f"`{left}` goes on" if fresh else "the same command goes on"
                 print(f"interrupted; {again}", file=sys.stderr)
                 raise
 
 
 def default_folder(name: str, quick: bool) -> Path:
-    """Where a study's files go: in a checkout beside its page, else into the working folder."""
+    """Return the folder of a study: in a checkout beside its page, else in the working folder."""
     if quick:
         return Path("reproduction") / f"{name}_quick"
     from evo_cpg.api.version import checkout

@@ -36,6 +36,6 @@ def resume(
     with contextlib.ExitStack() as lock:
         if distribution.leads:
             lock.enter_context(RunFolder(run).locked())
-            # What was interrupted is put in order here, before the others come to read it.
+            # Finish interrupted writes here, before the other processes read the run.
             RunFolder(run).require()
         resume_run(run, generations, devices, distribution, tensorboard)

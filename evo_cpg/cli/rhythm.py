@@ -95,8 +95,8 @@ def show_rhythm(
 
 
 def _words(cycle: LimitCycle) -> tuple[str, ...]:
-    """A row of the table."""
-    # Beside an oscillator that rests there is no lag.
+    """Return a row of the table."""
+    # An oscillator beside one at rest has no lag.
     lags = cycle.lag[np.isfinite(cycle.lag)]
     lag = f"{lags.min():.1f} to {lags.max():.1f}" if len(lags) else ""
     return (
@@ -108,12 +108,12 @@ def _words(cycle: LimitCycle) -> tuple[str, ...]:
 
 
 def hertz(cycle: LimitCycle) -> str:
-    """The frequency, with four digits after those of a whole number, however slow it is."""
+    """Return the frequency with four or five significant digits."""
     return f"{cycle.frequency:#.5g}" if cycle.frequency >= 1 else f"{cycle.frequency:#.4g}"
 
 
 def stability(cycle: LimitCycle, unit: str) -> tuple[str, str]:
-    """The largest multiplier, and the time of recovery with its unit."""
+    """Return the largest multiplier, and the time of recovery with its unit."""
     size = np.abs(cycle.multipliers[0])
     if np.isnan(size):
         return "unknown", "unknown"
@@ -121,7 +121,7 @@ def stability(cycle: LimitCycle, unit: str) -> tuple[str, str]:
     return f"{size:.3g}", recovery
 
 
-# What the search may change, but for the range of b.
+# Keys that the search may change, besides the range of b.
 _WEIGHTS = ("time_scale", "parent_weight", "child_weight")
 
 
@@ -208,7 +208,7 @@ def _check(
 
 
 def _chain(tree: Tree, settings: CpgSettings, joint: str | None) -> Chain:
-    """The longest, or the longest through an oscillator."""
+    """Return the longest chain, or the longest through an oscillator."""
     if joint is None:
         return chains(tree, settings)[0]
     if joint not in tree.dof_names:
@@ -218,7 +218,7 @@ def _chain(tree: Tree, settings: CpgSettings, joint: str | None) -> Chain:
 
 
 def _changes(settings: CpgSettings, found: Rhythm) -> dict[str, float]:
-    """The keys of `controller.cpg` whose values are new; the range of b is moved about b."""
+    """Return keys of `controller.cpg` with new values; the range of b is scaled about b."""
     low, high = settings.min_adaptation_gain, settings.max_adaptation_gain
     factor = 2 * found.adaptation_gain / (low + high)
     then = {key: getattr(found.settings, key) for key in _WEIGHTS}
@@ -255,7 +255,7 @@ _NAMES = (
 
 
 def _rhythm_words(found: Rhythm | str) -> tuple[str, ...]:
-    """A rhythm's numbers, or a word for what there is in its place."""
+    """Return the numbers of a rhythm, or a word if there is none."""
     if isinstance(found, str):
         return (found, *[""] * (len(_NAMES) - 1))
     cycle, lags = found.cycle, found.lags

@@ -63,7 +63,7 @@ def sensitivity(
     rate, steps = experiment.simulation.control_rate, experiment.simulation.steps
     if seconds is not None:
         control_steps = seconds * rate
-        # Two steps, for a way; neither infinity nor nan can be rounded.
+        # A displacement takes two steps. Neither infinity nor nan can be rounded.
         if not 1.5 < control_steps < steps + 0.5:
             raise UsageError(
                 f"--seconds: {seconds:g}; a trial of {run} has {steps / rate:g} s, of which "
@@ -116,7 +116,7 @@ def sensitivity(
 
 
 def _measure(parameters: "Parameters", champion: "Champion", scaled: bool, work: "Work") -> tuple:
-    """Sensitivities of speed and fitness, in float64."""
+    """Compute the sensitivities of speed and fitness, in float64."""
     import jax
     import jax.numpy as jnp
     import numpy as np
@@ -159,7 +159,7 @@ def _measure(parameters: "Parameters", champion: "Champion", scaled: bool, work:
 
 
 def _row(speed: "Sensitivity", fitness: "Sensitivity") -> dict[str, str | float | int]:
-    """A line of the table file."""
+    """Return a row of the table file."""
     row: dict[str, str | float | int] = {
         "key": speed.key,
         "value": speed.value,
@@ -183,7 +183,7 @@ def _cells(row: dict[str, Any]) -> tuple[str, ...]:
         size = row[f"{name}_elasticity" if sure else f"{name}_found"]
         unit = " %/%" if row["relative"] else " %/unit"
         size = size if row["relative"] else 100 * size
-        # There is no per cent of a measure that is 0.
+        # A measure of 0 has no percentage.
         text = f"{size:+.3g}{unit}" if math.isfinite(size) else "\N{EN DASH}"
         words.append(f"{'' if sure else '? '}{text}")
     return row["key"], f"{row['value']:.4g}", *words

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from evo_cpg.cli.jobs import Jobs
     from evo_cpg.config.settings import Setting
 
-# More rows of a table than anybody reads on a terminal; the file has all.
+# Most rows of a table on a terminal; the file has all.
 _MOST_ROWS = 30
 
 # Level of significance that is marked.
@@ -127,7 +127,7 @@ def _varied(grid: Sequence[str], settings: Path | None) -> "list[Setting]":
 
 
 def _axis(word: str) -> tuple[str, list[Any]]:
-    """A key and its values, of ``key=a,b,c``."""
+    """Return key and values of ``key=a,b,c``."""
     import yaml
 
     from evo_cpg.config.yaml_text import parse_yaml

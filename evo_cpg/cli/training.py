@@ -1,4 +1,4 @@
-"""What the commands `train` and `resume` share: a run that evolves."""
+"""Evolve a run, for the commands `train` and `resume`."""
 
 import contextlib
 import math
@@ -97,7 +97,7 @@ def resume_run(
         require_same(team, fingerprint(config))
         if team.leads:
             done = _require_alike(opened)
-            # Several processes part when all have been through the loop.
+            # Several processes leave the team after the loop.
             by_itself = team.count == 1 and not tensorboard
             if by_itself and _finished(folder, done, experiment):
                 _say_finished(folder, experiment.generations)
@@ -120,7 +120,7 @@ def require_scalars() -> None:
 
 
 def goes_on_with_scalars(run: Path, expected: bool) -> bool:
-    """Whether scalars are written: where it is asked for, or the run has some already."""
+    """Return whether to write scalars: they are requested, or the run has some already."""
     if expected:
         require_scalars()
         return True
@@ -180,7 +180,7 @@ def _require_same_columns(folder: RunFolder, done: Checkpoint, experiment: Exper
 
 
 def _finished(folder: RunFolder, done: Checkpoint | None, experiment: Experiment) -> bool:
-    """Whether nothing is left to do, and nothing that a run leaves was lost or changed since."""
+    """Return whether nothing is left to do, and no file of the run was lost or changed since."""
     if done is None or not is_finished(experiment, done):
         return False
     try:
@@ -292,8 +292,8 @@ def _say_first_look(seen: Check, folder: RunFolder) -> None:
 
 
 def _standing(rows: list[dict[str, float]]) -> str:
-    """How the runs stand after a generation, in a line."""
-    # A run of which nobody lives has no best.
+    """Return a line about the runs after a generation."""
+    # A run in which every individual diverged has no best.
     best = [row["best"] for row in rows if math.isfinite(row["best"])] or [math.nan]
     if len(rows) > 1:
         fitness = f"best of {len(rows)} runs {max(best):8.4f}  median {np.median(best):8.4f}"

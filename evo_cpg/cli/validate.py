@@ -1,4 +1,4 @@
-"""`evo-cpg validate`: build configurations and report their sizes, or what is wrong."""
+"""`evo-cpg validate`: build configurations, and report their sizes or errors."""
 
 import sys
 from pathlib import Path
@@ -57,7 +57,7 @@ def validate(
 
 
 def _exists(word: str) -> bool:
-    """Whether a word is a file; one that no file can be called is none."""
+    """Return whether a word is the name of a file."""
     try:
         return Path(word).exists()
     except (OSError, ValueError):

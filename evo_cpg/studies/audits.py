@@ -10,7 +10,7 @@ from evo_cpg.studies.study import Part, Table, middle, percent, tabled
 if TYPE_CHECKING:
     from evo_cpg.studies.workshop import Workshop
 
-# Checks that a table shows as shares of the way, and what each is called there.
+# Checks that a table shows as fractions of the displacement, and their heads.
 _KEPT = {
     "pose": "in other poses or draws",
     "half_step": "at half the step",
@@ -39,7 +39,7 @@ def audit_part(title: str, shown: Mapping[str, str], *, medians: bool = False) -
 
 
 def audited(workshop: "Workshop", name: str) -> list[dict[str, Any]]:
-    """What the audits of a run's champions found, a row for each; the first alone where quick."""
+    """Return the audits of a run's champions, a row for each; only the first if quick."""
 
     def measure() -> list[dict[str, Any]]:
         from evo_cpg.api.audit import audits
@@ -69,7 +69,7 @@ def audited(workshop: "Workshop", name: str) -> list[dict[str, Any]]:
 
 
 def audit_table(title: str, rows: dict[str, list[dict[str, Any]]]) -> Table:
-    """A line for every champion.
+    """Return a table with a row for each champion.
 
     Args:
         title: above the table.
@@ -91,9 +91,9 @@ def audit_table(title: str, rows: dict[str, list[dict[str, Any]]]) -> Table:
 
 
 def kept_table(title: str, rows: dict[str, list[dict[str, Any]]]) -> Table:
-    """A line for every run: medians and ranges of what its champions keep.
+    """Return a table with a row for each run: medians and ranges of its champions.
 
-    In MuJoCo they are asked as nearly as can be what they are asked here: the last of its opinions.
+    The column for MuJoCo is the last of its opinions, which is closest to our own simulation.
     """
     lines = []
     for name, found in rows.items():
@@ -117,12 +117,12 @@ def _percents(values: Iterable[float | None]) -> str:
 
 
 def _others(row: dict[str, Any]) -> list[dict[str, Any]]:
-    """Opinions of other programs than ours, which is the first."""
+    """Return the opinions of other programs; the first is ours."""
     return row["opinions"][1:]
 
 
 def _second_opinion(row: dict[str, Any]) -> float | None:
-    """Share of our own way of the same trial that is made in the last program."""
+    """Return the displacement in the last program, relative to our own in the same trial."""
     others = _others(row)
     return others[-1]["way"] / row["opinions"][0]["way"] if others else None
 

@@ -12,7 +12,7 @@ from evo_cpg.installation import command_for
 from evo_cpg.studies.study import Part, Study, Table
 from evo_cpg.studies.workshop import Workshop
 
-# What moves is drawn as well.
+# Cases with an animal that moves, which is drawn.
 _MOVING = ("swimmer", "salamander-water", "salamander-land", "quadruped")
 
 

@@ -22,7 +22,7 @@ from evo_cpg.training.experiment import compile_trials
 
 TORSO = 0.6  # m
 _LEGS = range(1, 9)  # bodies of Model 1 after its torso; every second one is a lower box
-# Of a fall of the best distance from its highest so far that counts as the loss of a lineage.
+# Relative fall of the best distance from its highest so far that counts as the loss of a lineage.
 COLLAPSE = 0.25
 HELD_ANGLE = 170.0  # degrees; of the allowed angles one of the two next to straight down
 
@@ -242,12 +242,12 @@ def _best(workshop: Workshop, name: str) -> np.ndarray:
 
 
 def _ends(workshop: Workshop, name: str) -> list[float]:
-    """What the runs came to, m."""
+    """Return the final distances of the runs, m."""
     return [champion.terms["distance"] for champion in workshop.champions(name)]
 
 
 def _differ(values: Sequence[Sequence[float]]) -> bool:
-    """Whether not all are the same; there would be nothing to test."""
+    """Return whether the values differ; otherwise there is nothing to test."""
     return len({value for each in values for value in each}) > 1
 
 
@@ -295,7 +295,7 @@ def _held(workshop: Workshop, model: str) -> float:
 
 
 def _measured(workshop: Workshop, world: str, name: str) -> dict[str, list[float]]:
-    """What champions of some runs are worth where others evolved."""
+    """Evaluate champions of some runs in the simulation of others."""
 
     def measure() -> dict[str, list[float]]:
         simulation = workshop.experiment(world).simulation

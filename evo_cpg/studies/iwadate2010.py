@@ -94,7 +94,7 @@ def drives(workshop: Workshop) -> list[Table]:
 
 
 def audit(workshop: Workshop) -> list[Table]:
-    """The champions audited, and what their motors are asked for."""
+    """The champions audited, and the load of their motors."""
     found = audited(workshop, "shared")
     columns = {
         "largest torque, N m": "peak_torque",

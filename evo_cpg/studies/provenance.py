@@ -18,7 +18,7 @@ def digest(path: Path) -> str:
 
 
 def read(folder: Path) -> dict[str, Any]:
-    """What is known of a folder's parts, by name; empty where there is no file.
+    """Read how the parts of a folder were made, by name; empty without a file.
 
     Raises:
         RunFolderError: the file is damaged.
@@ -39,7 +39,7 @@ def note(folder: Path, part: str, record: Mapping[str, Any]) -> None:
 
 
 def problems(folder: Path) -> list[str]:
-    """Of the tables and pictures in a folder, which do not come from where its file says."""
+    """Return tables and pictures of a folder that differ from its provenance."""
     parts, found, known = read(folder), [], set()
     for name, part in parts.items():
         for file, sha256 in part["files"].items():

@@ -131,21 +131,21 @@ def eyes(workshop: Workshop) -> list[Table]:
 
 
 def _angle(tilt: float | np.ndarray) -> np.ndarray:
-    """Of a mean of 1 - cos, degrees."""
+    """Return the angle of a mean of 1 - cos, degrees."""
     return np.rad2deg(np.arccos(1 - np.asarray(tilt)))
 
 
 def _lived_in(workshop: Workshop, world: str, name: str) -> dict[str, list[list[float]]]:
-    """What becomes of champions in each of a world's situations, without noise.
+    """Evaluate champions in each situation of a world, without noise.
 
-    That is the share of the distance that is left, and the tilt: the mean of 1 - cos(angle of the
-    head's up to the vertical).
+    Returns the fraction of the distance left, and the tilt: the mean of 1 - cos(angle of the head's
+    up axis to the vertical).
     """
 
     def measure() -> dict[str, list[list[float]]]:
         simulation = workshop.experiment(world).simulation
         if world == "shore" and not name.startswith("shore"):
-            # Who did not evolve at the shore has no depth gauge.
+            # Animals that did not evolve at the shore have no depth sensor.
             declared, source = workshop.member(world).config, workshop.source(world)
             steps = f"simulation.steps={declared.simulation.steps}"
             config = load_config(source, ["creature.depth_sensors=[]", steps])
@@ -153,7 +153,7 @@ def _lived_in(workshop: Workshop, world: str, name: str) -> dict[str, list[list[
         genes = np.stack([each.genes for each in workshop.champions(name)], axis=1)
         measured = dataclasses.replace(simulation, measures=measures("tilt"))
         terms = {key: x.astype(float) for key, x in lived(measured, genes).items()}
-        # Who diverged is far away, and on its back.
+        # A diverged animal counts as far away and on its back.
         return {
             "distance": np.nan_to_num(terms["distance"], nan=9.0).tolist(),
             "tilt": np.nan_to_num(terms["tilt"], nan=2.0).tolist(),

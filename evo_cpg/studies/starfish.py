@@ -12,7 +12,7 @@ from evo_cpg.studies.stills import pictures_part
 from evo_cpg.studies.study import Part, Runs, Study, Table, tabled
 from evo_cpg.studies.workshop import Workshop
 
-# Of the second half of a trial, in which lags are looked at one by one.
+# Windows of the second half of a trial, each with lags of its own.
 _WINDOWS = 3
 
 RUNS = {name: Runs(name, (), 5) for name in ("starfish", "starfish_land")}

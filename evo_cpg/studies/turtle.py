@@ -1,4 +1,4 @@
-"""The turtle of the tutorial: what its three lights and the twist of its flippers are good for."""
+"""The turtle of the tutorial: the effect of its three lights and of the twist of its flippers."""
 
 import dataclasses
 

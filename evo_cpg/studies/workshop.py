@@ -1,4 +1,4 @@
-"""Where a study is made: its runs are evolved, and its parts' tables and pictures written.
+"""Make a study: evolve its runs, and write the tables and pictures of its parts.
 
     runs/NAME/         a run folder for each of the study's runs
     runs/KEY.json      what was measured of finished runs
@@ -6,8 +6,8 @@
     PART*.png          pictures
     provenance.json    how each part was made
 
-Everything may be stopped at any moment: runs that are finished are taken as they are, one that was
-interrupted goes on to the same bits.
+Everything may be stopped at any moment: finished runs are reused, and an interrupted run continues
+to the same bits.
 """
 
 import hashlib
@@ -45,14 +45,14 @@ from evo_cpg.training.run_folder import RunFolder, RunFolderError
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# What a run is cut down to with --quick. A second of a trial, for the terms of its last second.
+# Size of a run with --quick: a second of a trial, for the terms of its last second.
 _QUICK_RUNS, _QUICK_GENERATIONS, _QUICK_STEPS = 2, 2, 60
 # Five islands of four.
 _QUICK_POPULATION, _QUICK_ELITES = 20, 2
 
 
 class Workshop:
-    """Where the parts of a study are made.
+    """Maker of the parts of a study.
 
     Args:
         study: which.
@@ -118,7 +118,7 @@ class Workshop:
         return self._write(part, declared, tables, time.perf_counter() - began)
 
     def member(self, name: str) -> Member:
-        """A run as it is declared, built."""
+        """Build a run as it is declared."""
         if name not in self._members:
             declared = self.study.runs[name]
             source = shipped(declared.config).path
@@ -136,11 +136,11 @@ class Workshop:
         return shipped(self.study.runs[name].config).path
 
     def experiment(self, name: str) -> Experiment:
-        """What a run evolved in."""
+        """Return the experiment of a run."""
         return self.member(name).experiment
 
     def checkpoint(self, name: str) -> Checkpoint:
-        """How a run ended.
+        """Return the last checkpoint of a run.
 
         Raises:
             RunFolderError: it has not.
@@ -153,7 +153,7 @@ class Workshop:
         return self._loaded[name]
 
     def champions(self, name: str) -> list[Champion]:
-        """Of the runs in which anybody lives."""
+        """Return the champions of runs that have one."""
         return [champion for champion in self.checkpoint(name).champions if champion is not None]
 
     def column(self, name: str, column: str) -> Float[np.ndarray, "generations runs"]:
@@ -171,7 +171,7 @@ class Workshop:
             yield champion, live(champion)[2]
 
     def picture(self, name: str = "") -> Path:
-        """Where a picture of the part that is being made goes."""
+        """Return the path of a picture of the part that is being made."""
         path = self.folder / f"{self._part}{f'_{name}' if name else ''}.png"
         self._pictures.append(path)
         return path
@@ -183,7 +183,7 @@ class Workshop:
         save_figure(figure, self.picture(name))
 
     def kept(self, key: str, names: Sequence[str], measure: Callable[[], Any]) -> Any:
-        """What was measured of the champions of runs; measured once, and kept as JSON.
+        """Return measurements of champions of runs; measured once, and kept as JSON.
 
         Of a program that was changed since its commit nothing is kept: the next change has no other
         name.
@@ -223,7 +223,7 @@ class Workshop:
                 member.folder.update_meta(commits=[*known, here])
 
         if members:
-            # All were built from files of one folder, which is all that is noted of the source.
+            # All were built from files of one folder, and only the folder is noted.
             source = self.source(declared.runs[0])
             evolve(members, source, self.devices, f"{self.study.name} {part}", note_commit)
 
@@ -263,7 +263,7 @@ class Workshop:
         return files
 
     def _seconds(self, name: str) -> float:
-        """That a run took; every run's row has the time that all of them took."""
+        """Return the duration of a run; every row has the duration of all runs together."""
         return float(self.column(name, "seconds")[:, 0].sum())
 
 
@@ -275,7 +275,7 @@ def markdown(table: Table) -> str:
 
 
 def _smaller(source: Path, overrides: Sequence[str], count: int) -> list[str]:
-    """What makes a run small."""
+    """Return overrides that make a run small."""
     evolution = load_config(source, overrides).evolution.model_dump()
     small = [f"runs={min(count, _QUICK_RUNS)}", f"simulation.steps={_QUICK_STEPS}"]
     small.append(f"evolution.generations={_QUICK_GENERATIONS}")
