@@ -15,7 +15,7 @@ import chromium
 import evo_cpg as evo
 from evo_cpg.api import analyse as analysing
 from evo_cpg.api import paper_differences as module
-from evo_cpg.api.paper_differences import notes
+from evo_cpg.api.paper_differences import notes, paper_differences
 from evo_cpg.config.load import dump_config, load_config
 from evo_cpg.training.checkpoint import genes_digest
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
