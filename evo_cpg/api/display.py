@@ -51,8 +51,8 @@ class Work:
     def reached(self, done: int, total: int) -> None:
         """Report how much of it is done."""
 
-    def step(self, line: str, onward: str, done: int, total: int) -> None:
-        """Report a finished step, and name the next part of the work."""
+    def step(self, line: str, seconds: float, onward: str, done: int, total: int) -> None:
+        """Report a finished step and its duration, s, and name the next part of the work."""
 
 
 class Heartbeat(Work):
@@ -97,8 +97,8 @@ class Heartbeat(Work):
             self._done = done, total
 
     @override
-    def step(self, line: str, onward: str, done: int, total: int) -> None:
-        self.say(line)
+    def step(self, line: str, seconds: float, onward: str, done: int, total: int) -> None:
+        self.say(f"{line}  {seconds:6.2f} s")
         self.doing(onward)
 
     def due(self) -> str | None:
@@ -167,7 +167,7 @@ class _Line(Work):
     def reached(self, done: int, total: int) -> None:
         self._bars.update(self._bar, completed=done, total=total)
 
-    def step(self, line: str, onward: str, done: int, total: int) -> None:
+    def step(self, line: str, seconds: float, onward: str, done: int, total: int) -> None:
         self.doing(line)
         self.reached(done, total)
 
@@ -243,7 +243,7 @@ def progress(
             done = f"{number:4d}/{total} {step}"
             took = since - before if seconds is None else seconds
             onward = f"{done}, and the next one" if number < total else done
-            work.step(f"{done}  {state}  {took:6.2f} s", onward, number, total)
+            work.step(f"{done}  {state}", took, onward, number, total)
             if last and number == total:
                 work.doing(last)
 
