@@ -247,13 +247,8 @@ def compile_first_look(
     return look
 
 
-def lived_trials(experiment: Experiment, champion: Champion) -> tuple[Trial, ...]:
-    """Return all trials of a champion as it evolved, step by step."""
-    return compile_lived_trials(experiment)(champion)
-
-
 def compile_lived_trials(experiment: Experiment) -> Callable[[Champion], tuple[Trial, ...]]:
-    """Return `lived_trials` for any champion; it compiles at the first call."""
+    """Return a function that replays all trials of a champion, step by step."""
     simulation, numbers = experiment.simulation, situation_numbers(experiment)
     live = jax.jit(functools.partial(rollout, simulation, observers=EachPhysicsStep()))
 

@@ -17,7 +17,7 @@ import dataclasses
 import hashlib
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -130,14 +130,11 @@ def claim(folder: Path, plan: Mapping[str, Any]) -> None:
                 f"`evo-cpg sweep {folder}` or choose another --out"
             )
         return
-    if folder.is_file() or (folder.is_dir() and any(_others(folder))):
+    if folder.is_file() or (
+        folder.is_dir() and any(path.name != locks.FILE for path in folder.iterdir())
+    ):
         raise RunFolderError(f"{folder} is not empty and holds no sweep; choose another --out")
     write_text(make_folder(folder) / _PLAN, json.dumps(plan, indent=2))
-
-
-def _others(folder: Path) -> Iterator[Path]:
-    """Return the files of a folder, without its lock."""
-    return (path for path in folder.iterdir() if path.name != locks.FILE)
 
 
 def read_plan(folder: Path) -> dict[str, Any] | None:

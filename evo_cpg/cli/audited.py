@@ -65,7 +65,8 @@ def audit_champions(run: Path, limits: Sequence[str], which: Which, every: bool)
     for champion, done in zip(champions, made, strict=True):
         of_run = f"_run{champion.run}" if every else which.of_run
         name = f"audit{which.of_cell}{of_run}"
-        write_audit(folder, name, champion, done)
+        folder.write_json(f"{name}.json", done.as_dict(champion) | {"made": now()})
+        print(run / f"{name}.json")
         if not every:
             show_checks(done.verdict.checks)
             if done.opinions:
@@ -127,12 +128,6 @@ def say_verdict(
         print(f"{run}: {subject} {'passes' if passed else 'does not pass'} its audit")
     if passed < len(made):
         raise SystemExit(ExitCode.NOT_PASSED)
-
-
-def write_audit(folder: RunFolder, name: str, champion: Champion, done: Audit) -> None:
-    """Write an audit to the run folder as JSON."""
-    folder.write_json(f"{name}.json", done.as_dict(champion) | {"made": now()})
-    print(folder.path / f"{name}.json")
 
 
 def draw_audit(folder: RunFolder, name: str, title: str, done: Audit) -> None:

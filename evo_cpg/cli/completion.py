@@ -9,7 +9,8 @@ _CONFIGS = (".yaml", ".yml")
 def complete_config(incomplete: str) -> list[str]:
     """Names of shipped configurations, configuration files, and folders on the way to some."""
     names = complete_shipped(incomplete)
-    return [*names, *(_shown(path) for path in _matching(incomplete) if _leads(path, _CONFIGS))]
+    found = [path for path in _matching(incomplete) if path.suffix in _CONFIGS or path.is_dir()]
+    return [*names, *map(_shown, found)]
 
 
 def complete_shipped(incomplete: str) -> list[str]:
@@ -34,10 +35,6 @@ def _matching(incomplete: str) -> Iterator[Path]:
     for path in found:
         if path.name.startswith(start) and (start or not path.name.startswith(".")):
             yield path
-
-
-def _leads(path: Path, suffixes: tuple[str, ...]) -> bool:
-    return path.suffix in suffixes or path.is_dir()
 
 
 def _shown(path: Path) -> str:

@@ -1,5 +1,6 @@
 """Lists of hosts: read `--hosts`, and find this machine among them."""
 
+import re
 import socket
 from collections.abc import Sequence
 from pathlib import Path
@@ -55,18 +56,15 @@ def _words(text: str) -> list[str]:
 
 def _parted(word: str) -> tuple[str, int]:
     """Return host and port of the lead; an IPv6 address with a port stands in brackets."""
-    if word.startswith("["):
-        host, bracket, rest = word[1:].partition("]")
-        port = rest.removeprefix(":")
-        if not bracket or (rest and not rest.startswith(":")):
-            raise UsageError(f"--hosts: {word}: an address in brackets is written [HOST]:PORT")
-    elif word.count(":") == 1:
-        host, _, port = word.partition(":")
-        rest = f":{port}"
-    else:
-        host, port, rest = word, "", ""
+    bracketed = word.startswith("[")
+    form = r"\[([^]]*)\](?::(.*))?" if bracketed else r"([^:]*)(?::([^:]*))?"
+    match = re.fullmatch(form, word)
+    if match is None and bracketed:
+        raise UsageError(f"--hosts: {word}: an address in brackets is written [HOST]:PORT")
+    # Any other word with several colons is an IPv6 address without a port.
+    host, port = match.groups() if match else (word, None)
     host = _name(host, 1)
-    if not rest:
+    if port is None:
         return host, DEFAULT_PORT
     if not (port.isascii() and port.isdigit() and 0 < int(port) <= _LARGEST_PORT):
         raise UsageError(f"--hosts: {word}: the port must be from 1 to {_LARGEST_PORT}")

@@ -80,10 +80,8 @@ def sweep(
     from evo_cpg.training.devices import use_cores
 
     requested = read_jobs(jobs, job_option or [])
-    overrides, grid = (
-        [as_utf8(word) for word in overrides or []],
-        [as_utf8(word) for word in grid or []],
-    )
+    overrides = [as_utf8(word) for word in overrides or []]
+    grid = [as_utf8(word) for word in grid or []]
     folder, plan = config, read_plan(config)
     if plan is None:
         folder = out or Path("runs") / f"{config.stem}_sweep"
