@@ -42,14 +42,14 @@ _SHAKE, _DRAWS = 0.01, 8
 
 # Trials that a displacement is the mean of, with noise; and the key of the check that compares
 # them with the trials that made the champion.
-_LIVES, _CHANCE = 16, "pose"
+_TRIALS, _CHANCE = 16, "pose"
 
 # Unaccounted energy is summed over stretches of this length, s: in single steps much of it comes
 # and goes.
 _STRETCH = 0.25
 
 # A shorter displacement, in lengths of the animal, is too short to try variations.
-_SOME_WAY = 0.1
+_LEAST_DISPLACEMENT = 0.1
 
 # The replayed fitness must agree with the recorded one to this fraction.
 _REPLAY = 1e-3
@@ -146,10 +146,10 @@ def audits(
     total = len(others) + 3
     tell("living as it evolved", 0, total)
     live = variations.compile_lives(experiment, own)
-    lived = [live(champion) for champion in champions]
-    champions = [_complete(*both) for both in zip(champions, lived, strict=True)]
+    replayed = [live(champion) for champion in champions]
+    champions = [_complete(*both) for both in zip(champions, replayed, strict=True)]
     tell("step by step", 1, total)
-    step_by_step = compile_lived_trials(experiment)
+    step_by_step = compile_steps(experiment)
     trials = [step_by_step(champion) for champion in champions]
     kept: list[dict[str, tuple[Variation, Kept]]] = [{} for _ in champions]
     for done, (key, other) in enumerate(others.items(), 2):
@@ -159,7 +159,7 @@ def audits(
             found[key] = other, live(champion)
     tell("in MuJoCo", total - 1, total)
     made = []
-    for champion, alive, steps, found in zip(champions, lived, trials, kept, strict=True):
+    for champion, alive, steps, found in zip(champions, replayed, trials, kept, strict=True):
         opinions, missing = _opinions(experiment, champion, steps[0].steps)
         checks = [
             _replay(champion, alive),
@@ -177,9 +177,9 @@ def audits(
     return made
 
 
-def _complete(champion: Champion, lived: Kept) -> Champion:
+def _complete(champion: Champion, replayed: Kept) -> Champion:
     """Return a champion with all its terms: a map keeps only those of its axes."""
-    terms = {name: float(values[0]) for name, values in lived.terms.items()}
+    terms = {name: float(values[0]) for name, values in replayed.terms.items()}
     return champion._replace(terms=terms | champion.terms)
 
 
@@ -228,7 +228,7 @@ def compile_first_look(
         simulations.insert(0, own)
     places = [Variation("", (simulation,), draws_of(own)) for simulation in simulations]
     programs = [variations.compile_lives(experiment, place) for place in places]
-    shortest = _SOME_WAY * length_of(experiment.creature)
+    shortest = _LEAST_DISPLACEMENT * length_of(experiment.creature)
 
     def look(champion: Champion, own_displacement: float | None) -> Check:
         displacements = [
@@ -247,7 +247,7 @@ def compile_first_look(
     return look
 
 
-def compile_lived_trials(experiment: Experiment) -> Callable[[Champion], tuple[Trial, ...]]:
+def compile_steps(experiment: Experiment) -> Callable[[Champion], tuple[Trial, ...]]:
     """Return a function that replays all trials of a champion, step by step."""
     simulation, numbers = experiment.simulation, situation_numbers(experiment)
     live = jax.jit(functools.partial(rollout, simulation, observers=EachPhysicsStep()))
@@ -414,7 +414,7 @@ def _variations(
 
 def draws_of(simulation: Simulation) -> int:
     """Return how many trials a displacement is the mean of: one without noise."""
-    return 1 if simulation.noise.silent else _LIVES
+    return 1 if simulation.noise.silent else _TRIALS
 
 
 def _other_points(config: ExperimentConfig, source: Path, folders: tuple[Path, ...]) -> Simulation:
@@ -433,8 +433,8 @@ def _other_points(config: ExperimentConfig, source: Path, folders: tuple[Path, .
     return build_experiment(changed, source, folders).simulation
 
 
-def _replay(champion: Champion, lived: Kept) -> Check:
-    off = abs(float(lived.fitness[0]) - champion.fitness) / max(abs(champion.fitness), _REPLAY)
+def _replay(champion: Champion, replayed: Kept) -> Check:
+    off = abs(float(replayed.fitness[0]) - champion.fitness) / max(abs(champion.fitness), _REPLAY)
     return Check("replay", "replayed fitness off by", off, _REPLAY, unit="%")
 
 
@@ -472,7 +472,7 @@ def _kept(
         carried: displacement by the water alone, m.
     """
     checks = [Check("way", "way as it evolved", own, unit="m")]
-    if not own > _SOME_WAY * length_of(creature):
+    if not own > _LEAST_DISPLACEMENT * length_of(creature):
         return checks
     chance, drawn = kept[_CHANCE]
     # Without noise, only the variation of poses has several draws.
@@ -485,7 +485,7 @@ def _kept(
         if key == "limp_way":
             # Without the water's part. No animal drifts against a current.
             swum, limp = reference - carried, float(displacements.max()) - max(0.0, carried)
-            if carried > 0 and swum <= _SOME_WAY * length_of(creature):
+            if carried > 0 and swum <= _LEAST_DISPLACEMENT * length_of(creature):
                 # The water carries it, and it does no more.
                 fraction = 1.0
             else:

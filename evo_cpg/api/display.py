@@ -36,7 +36,7 @@ FIRST, BETWEEN = 5.0, 8.0
 _LOOK = 0.25
 
 # The remaining time is estimated from this fraction of the work on.
-_LEAST_SHARE = 0.02
+_LEAST_FRACTION = 0.02
 
 
 class Work:
@@ -60,7 +60,7 @@ class Heartbeat(Work):
 
     Args:
         what: is being done.
-        said: when the last line before was printed, s; minus infinity if there was none.
+        printed: when the last line before was printed, s; minus infinity if there was none.
         expected: duration that was measured before, s; None if nothing was.
         clock: tells the time, s.
     """
@@ -68,7 +68,7 @@ class Heartbeat(Work):
     def __init__(
         self,
         what: str,
-        said: float = -math.inf,
+        printed: float = -math.inf,
         expected: float | None = None,
         clock: Callable[[], float] = time.monotonic,
     ):
@@ -76,8 +76,8 @@ class Heartbeat(Work):
         self.doing(what, expected)
         # Work that follows other work adds to its silence.
         self._next = self._start + FIRST
-        if math.isfinite(said):
-            self._next = min(self._next, said + BETWEEN)
+        if math.isfinite(printed):
+            self._next = min(self._next, printed + BETWEEN)
 
     @override
     def say(self, line: str) -> None:
@@ -142,7 +142,7 @@ def _standing(elapsed: float, done: tuple[int, int] | None, expected: float | No
         return f"{words}, about {left:.0f} s to go" if left >= 1 else f"{words} so far"
     count, total = done
     words = f"{count}/{total}, {words}"
-    if _LEAST_SHARE * total < count < total:
+    if _LEAST_FRACTION * total < count < total:
         words += f", about {elapsed * (total - count) / count:.0f} s to go"
     return words
 
@@ -189,7 +189,7 @@ def working(
     """
     console = Console(stderr=True)
     if not console.is_terminal:
-        with Heartbeat(what, _said_at, expected).beating() as heartbeat:
+        with Heartbeat(what, _printed_at, expected).beating() as heartbeat:
             yield heartbeat
         return
     columns: list[ProgressColumn] = [
@@ -251,11 +251,11 @@ def progress(
 
 
 # When the last line was printed.
-_said_at = -math.inf
+_printed_at = -math.inf
 
 
 def say(line: str) -> None:
     """Print a line about work that goes on."""
-    global _said_at
-    _said_at = time.monotonic()
+    global _printed_at
+    _printed_at = time.monotonic()
     print(line, file=sys.stderr, flush=True)

@@ -109,15 +109,15 @@ def _train(
     if experiment.replaced:
         folder.update_meta(replaced=list(experiment.replaced))
     least, seen = first_look_limit(experiment.config), Generations(experiment.parts.generations)
-    begun = ExitStack()
+    compiling = ExitStack()
 
     def on_rows(rows: Rows) -> None:
-        begun.close()
+        compiling.close()
         seen.add(max(row["champion"] for row in rows))
         on_generation(rows)
 
-    with Recorder(experiment.parts, folder, least) as recorder, begun:
-        begun.enter_context(
+    with Recorder(experiment.parts, folder, least) as recorder, compiling:
+        compiling.enter_context(
             working(f"compiling the search of {experiment.name!r} (first call only)")
         )
         champion = evolve(experiment.parts, folder, on_rows, recorder)

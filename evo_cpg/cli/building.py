@@ -28,7 +28,7 @@ def read_config(
         UsageError: a value is implausible, and that is refused.
     """
     config = load_config(path, overrides)
-    found = [f"{path}: {doubt}" for doubt in doubts(config, path)]
+    found = [f"{path}: {warning}" for warning in doubts(config, path)]
     if found and strict:
         raise UsageError("\n".join(found))
     for line in found if warned else ():

@@ -60,8 +60,8 @@ def champion_record(run: Path, which: Which = BEST) -> "Record":
     from evo_cpg.api.record import as_record
 
     with working("replaying the champion"):
-        (life,) = opened.replay([opened.champion], which.trial, full=True)
-    return as_record(opened.experiment.simulation, life.frames, life.recording)
+        (replay,) = opened.replay([opened.champion], which.trial, full=True)
+    return as_record(opened.experiment.simulation, replay.frames, replay.recording)
 
 
 def champion_of(folder: RunFolder, number: int) -> Champion:

@@ -26,8 +26,8 @@ def champion_panel(run: Path, which: Which, signals: bool) -> Panel:
     strip = None
     if signals:
         opened = open_champion(run, which)
-        (life,) = _replayed(opened, [opened.champion], which.trial)
-        recording, strip = life.recording, _signals(opened, life)
+        (replay,) = _replayed(opened, [opened.champion], which.trial)
+        recording, strip = replay.recording, _signals(opened, replay)
     else:
         opened, recording = champion_motion(run, which)
     experiment = opened.experiment
@@ -48,20 +48,20 @@ def lineage_panels(
         wrong = opened.experiment.simulation.genome.misfit(one.genes)
         if wrong:
             raise RunFolderError(f"{opened.folder.lineage}: generation {one.generation}: {wrong}")
-    for one, life in zip(chosen, _replayed(opened, chosen, which.trial), strict=True):
+    for one, replay in zip(chosen, _replayed(opened, chosen, which.trial), strict=True):
         if not math.isclose(
-            life.fitness, one.fitness, rel_tol=REPLAY_TOLERANCE, abs_tol=REPLAY_TOLERANCE
+            replay.fitness, one.fitness, rel_tol=REPLAY_TOLERANCE, abs_tol=REPLAY_TOLERANCE
         ):
             warn(
                 f"{run}: the champion of generation {one.generation} comes to "
-                f"{life.fitness:.4f} and not to {one.fitness:.4f} as recorded: "
+                f"{replay.fitness:.4f} and not to {one.fitness:.4f} as recorded: "
                 f"{opened.folder.config} or the machine is another one than it evolved with"
             )
         title = f"generation {one.generation}: fitness {one.fitness:.3g}"
         if one.expected is not None:
             title = f"champion: fitness {one.expected:.3g} in fresh draws"
-        shown = _signals(opened, life) if signals else None
-        panels.append(panel_of(opened.experiment, life.recording, title, shown))
+        shown = _signals(opened, replay) if signals else None
+        panels.append(panel_of(opened.experiment, replay.recording, title, shown))
     return panels
 
 
@@ -106,10 +106,10 @@ def _replayed(opened: OpenedChampion, champions: Sequence[Champion], trial: int)
         return opened.replay(champions, trial)
 
 
-def _signals(opened: OpenedChampion, life: Replay) -> Signals:
+def _signals(opened: OpenedChampion, replay: Replay) -> Signals:
     """Return the signals of an individual's controller, and the contacts of its feet."""
     experiment, simulation = opened.experiment, opened.experiment.simulation
     word, _, unit = simulation.controller.signal_label.partition(" (")
-    feet = gait_numbers(simulation, experiment.creature, life.frames, life.recording).feet
+    feet = gait_numbers(simulation, experiment.creature, replay.frames, replay.recording).feet
     names, touched = ((), None) if feet is None else (feet.names, feet.steady)
-    return signals_of(life.recording, word, unit == "rad)", names, touched)
+    return signals_of(replay.recording, word, unit == "rad)", names, touched)

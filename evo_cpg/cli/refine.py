@@ -98,7 +98,7 @@ def _refine(
             def tell(done: Round) -> None:
                 keep(done)
                 gained = f"gained {done.champion.fitness - done.began:+.4f}"
-                state = f"fitness {done.champion.fitness:8.4f}  {gained}  {_slopes(done)}"
+                state = f"fitness {done.champion.fitness:8.4f}  {gained}  {_derivatives(done)}"
                 show(state, done.seconds)
 
             refine = compile_refinement(
@@ -173,6 +173,6 @@ def _row(done: "Round", keys: Sequence[str]) -> dict[str, float]:
     return own | done.champion.terms | dict(zip(keys, done.values.tolist(), strict=True)) | own
 
 
-def _slopes(done: "Round") -> str:
+def _derivatives(done: "Round") -> str:
     lost = done.slopes - done.finite
     return f"{done.slopes} slopes" + (f", {lost} not finite" if lost else "")

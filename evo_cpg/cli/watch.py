@@ -28,7 +28,7 @@ PICTURE = "watch.png"
 # Between two looks at the folder, s.
 LOOK = 1.0
 # Least time between two pictures, s, and largest fraction of the time that they take.
-_SELDOM, _SHARE = 10.0, 0.2
+_SELDOM, _LARGEST_FRACTION = 10.0, 0.2
 # The trainer has the first claim on the cores.
 _NICE = 15
 
@@ -74,7 +74,7 @@ def watch(
     # `require` would put in order what was interrupted, which is for the trainer to do.
     if not folder.config.is_file():
         raise RunFolderError(f"{run} is not a run folder (it has no config.yaml)")
-    give_way()
+    lower_priority()
     draw = _Pictures(folder).draw if picture else lambda champion, standing: None
     console = Console()
     if once or not console.is_terminal:
@@ -94,7 +94,7 @@ def watch(
             time.sleep(LOOK)
 
 
-def give_way() -> None:
+def lower_priority() -> None:
     """Give the cores to all other processes first, above all to the trainer.
 
     If the system has a class for idle cores, join it: a nice process still takes a share.
@@ -204,7 +204,7 @@ class _Pictures:
             self._next = math.inf
             return None
         took = time.monotonic() - began
-        self._next = time.monotonic() + max(_SELDOM, took / _SHARE)
+        self._next = time.monotonic() + max(_SELDOM, took / _LARGEST_FRACTION)
         return made
 
     def _make(self, champion: "Champion", now: Standing) -> Path:

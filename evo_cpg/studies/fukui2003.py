@@ -155,8 +155,8 @@ def halving(workshop: Workshop) -> list[Table]:
     rows = []
     for model, gone in workshop.kept("halving", MODELS, measure).items():
         own, half, quarter, hair = (np.array(each, float) for each in gone)
-        shares = f"{100 * kept(own, half):.0f}", f"{100 * kept(own, hair):.0f}"
-        rows.append([_title(model), *(middle(each) for each in (own, half, quarter)), *shares])
+        fractions = f"{100 * kept(own, half):.0f}", f"{100 * kept(own, hair):.0f}"
+        rows.append([_title(model), *(middle(each) for each in (own, half, quarter)), *fractions])
     head = ["", "goes at its step (1/240 s), m", "at half of it, m", "at a quarter, m",
             "kept at half (median), %", "kept after a hair, %"]  # fmt: skip
     return [Table("", head, rows)]
@@ -220,7 +220,7 @@ def noise(workshop: Workshop) -> list[Table]:
     return [_collapse(workshop, _NOISES, "noise_7")]
 
 
-def choices(workshop: Workshop, names: dict[str, str]) -> list[Table]:
+def alternatives(workshop: Workshop, names: dict[str, str]) -> list[Table]:
     """What the thesis leaves open, beside what was chosen."""
     best = {title: _ends(workshop, name) for name, title in names.items()}
     first = next(iter(best))
@@ -310,7 +310,7 @@ def _measured(workshop: Workshop, world: str, name: str) -> dict[str, list[float
 
 
 def _choice(title: str, names: dict[str, str]) -> Part:
-    return Part(title, tuple(names), partial(choices, names=names))
+    return Part(title, tuple(names), partial(alternatives, names=names))
 
 
 STUDY = Study(

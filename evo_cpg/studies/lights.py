@@ -77,14 +77,14 @@ def still(workshop: "Workshop", name: str) -> dict[str, str]:
     simulation = workshop.experiment(name).simulation
     terms = {
         key: x.mean()
-        for key, x in lived(simulation, silent_genes(simulation.controller)[:, None]).items()
+        for key, x in evaluate(simulation, silent_genes(simulation.controller)[:, None]).items()
     }
     scales = {key: jnp.asarray(x) for key, x in workshop.champions(name)[0].scales.items()}
     fitness = simulation.task.fitness({key: jnp.asarray(x) for key, x in terms.items()}, scales)
     return {"": "brain gives no drive", "fitness": f"{float(fitness):.3f}", **_terms(terms)}
 
 
-def lived(simulation: Simulation, genes: np.ndarray) -> dict[str, np.ndarray]:
+def evaluate(simulation: Simulation, genes: np.ndarray) -> dict[str, np.ndarray]:
     """Terms of animals ``(genes, n)`` without noise, NaN of those that diverged.
 
     A row for each animal and a column for each situation.

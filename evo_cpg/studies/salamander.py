@@ -8,7 +8,7 @@ from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import load_config
 from evo_cpg.simulation.measures import measures
 from evo_cpg.studies.audits import audit_part
-from evo_cpg.studies.lights import light_table, lived, still
+from evo_cpg.studies.lights import evaluate, light_table, still
 from evo_cpg.studies.stills import pictures_part
 from evo_cpg.studies.study import Part, Runs, Study, Table, beside, middle, percent, tabled
 from evo_cpg.studies.workshop import Workshop
@@ -37,7 +37,7 @@ RUNS = {
 
 def water(workshop: Workshop) -> list[Table]:
     """Champions in water, random search, and champions of land put into water."""
-    left = 100 * np.array(_lived_in(workshop, "water", "land")["distance"])
+    left = 100 * np.array(_evaluated_in(workshop, "water", "land")["distance"])
     guests = {"": "champions of land", "seed": "all", "distance left": f"{middle(left, 1)} %"}
     return [light_table(workshop, "water", "water_random", still(workshop, "water"), guests)]
 
@@ -57,7 +57,7 @@ _AUDITED = {
 
 def shore(workshop: Workshop) -> list[Table]:
     """Champions across the shore, in each of its situations, and others put there."""
-    left = 100 * np.array(_lived_in(workshop, "shore", "land")["distance"])
+    left = 100 * np.array(_evaluated_in(workshop, "shore", "land")["distance"])
     cells = [f"{middle(column, 1)} %" for column in left.T]
     guests = {"": "champions of land"} | dict(zip(_LEFT, cells, strict=True))
     return [tabled([*_crossings(workshop, "shore"), guests])]
@@ -82,7 +82,7 @@ _LEFT = [
 
 def _crossings(workshop: Workshop, name: str) -> list[dict[str, str]]:
     """Return the distance that champions leave in each situation, and their tilt, as rows."""
-    found = _lived_in(workshop, "shore", name)
+    found = _evaluated_in(workshop, "shore", name)
     rows = []
     for champion, left, tilt in zip(
         workshop.champions(name), found["distance"], found["tilt"], strict=True
@@ -135,7 +135,7 @@ def _angle(tilt: float | np.ndarray) -> np.ndarray:
     return np.rad2deg(np.arccos(1 - np.asarray(tilt)))
 
 
-def _lived_in(workshop: Workshop, world: str, name: str) -> dict[str, list[list[float]]]:
+def _evaluated_in(workshop: Workshop, world: str, name: str) -> dict[str, list[list[float]]]:
     """Evaluate champions in each situation of a world, without noise.
 
     Returns the fraction of the distance left, and the tilt: the mean of 1 - cos(angle of the head's
@@ -152,7 +152,7 @@ def _lived_in(workshop: Workshop, world: str, name: str) -> dict[str, list[list[
             simulation = build_experiment(config, source).simulation
         genes = np.stack([each.genes for each in workshop.champions(name)], axis=1)
         measured = dataclasses.replace(simulation, measures=measures("tilt"))
-        terms = {key: x.astype(float) for key, x in lived(measured, genes).items()}
+        terms = {key: x.astype(float) for key, x in evaluate(measured, genes).items()}
         # A diverged animal counts as far away and on its back.
         return {
             "distance": np.nan_to_num(terms["distance"], nan=9.0).tolist(),

@@ -66,8 +66,8 @@ def test_long_work_is_never_silent_for_longer_than_that():
 
 def test_work_that_follows_other_work_adds_to_its_silence():
     """What was said last counts, not when this work began."""
-    assert Timed("b", 7.0, said=1.0).due_at(1.0 + BETWEEN) == f"b: {BETWEEN - 6:.0f} s so far"
-    assert Timed("b", 7.0, said=6.0).due_at(7.0 + FIRST - 0.1) is None
+    assert Timed("b", 7.0, printed=1.0).due_at(1.0 + BETWEEN) == f"b: {BETWEEN - 6:.0f} s so far"
+    assert Timed("b", 7.0, printed=6.0).due_at(7.0 + FIRST - 0.1) is None
 
 
 def test_a_line_says_how_far_it_is_and_how_long_it_will_take():

@@ -153,7 +153,7 @@ def test_who_may_not_write_looks_on_without_a_picture(cli, finished_run, monkeyp
     def refuse(self, champion, now):
         raise OutputError("cannot write watch.png (Permission denied)")
 
-    monkeypatch.setattr(watch, "give_way", lambda: None)
+    monkeypatch.setattr(watch, "lower_priority", lambda: None)
     monkeypatch.setattr(watch._Pictures, "_make", refuse)
     code, out, err = cli("watch", finished_run, "--once")
     assert code == 0 and out.count(" generations  champion") == 30
