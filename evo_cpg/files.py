@@ -1,8 +1,9 @@
-"""Files that are written whole or not at all, whatever interrupts it."""
+"""Files that are written whole or not at all, and .json files that are checked as they are read."""
 
 import contextlib
 import csv
 import io
+import json
 import os
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -89,6 +90,31 @@ def write_whole(path: Path, write: Callable[[IO[bytes]], object]) -> None:
 def write_text(path: Path, text: str) -> None:
     """`write_whole` of a text, in UTF-8; bytes of names that are not UTF-8 stay as they are."""
     write_whole(path, lambda file: file.write(text.encode(errors="surrogateescape")))
+
+
+def read_json(path: Path, kind: Any) -> Any:
+    """Return the contents of a .json file.
+
+    Args:
+        path: path of the file.
+        kind: the type that the contents must have, for a `pydantic.TypeAdapter`.
+
+    Raises:
+        OSError: the file cannot be read.
+        ValueError: it is no JSON, or has another type; the message is one line.
+    """
+    from pydantic import TypeAdapter, ValidationError
+
+    try:
+        # Pydantic's own reader refuses file names that are not UTF-8 (`evo_cpg.system.name_of`).
+        content = json.loads(path.read_bytes())
+        return TypeAdapter(kind).validate_python(content, strict=True)
+    except RecursionError:
+        raise ValueError("it is nested too deeply") from None
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        place = "".join(f"{part}: " for part in first["loc"])
+        raise ValueError(f"{place}{first['msg']}") from None
 
 
 def write_table(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:

@@ -18,7 +18,7 @@ from evo_cpg.config.build import build_experiment
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.creature.creature import Creature, length_of
 from evo_cpg.creature.self_collision import pairs_that_touch_at_rest
-from evo_cpg.exchange.errors import ExchangeError
+from evo_cpg.exchange.refusals import ExchangeError
 from evo_cpg.exchange.second_opinion import Brain, Opinion, own_opinion, second_opinion
 from evo_cpg.fusion.engine import Engine, described
 from evo_cpg.physics.pairs import make_pairs
@@ -29,7 +29,7 @@ from evo_cpg.training import variations
 from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.experiment import Experiment, champion_keys, situation_numbers
 from evo_cpg.training.probe import blinded
-from evo_cpg.training.variations import Kept, Variation
+from evo_cpg.training.variations import Variation, Varied
 
 # Most names of pairs of bodies that are not checked.
 _NAMED = 5
@@ -109,7 +109,7 @@ class Audit:
             "second_opinion": [
                 {
                     "program": one.program,
-                    "way_m": one.way,
+                    "way_m": one.displacement,
                     "heading_deg": math.degrees(one.heading),
                     "upright": one.upright,
                     "nothing_touches": one.airborne,
@@ -145,16 +145,16 @@ def audits(
     others = _variations(experiment, config, source, tuple(folders))
     total = len(others) + 3
     tell("living as it evolved", 0, total)
-    live = variations.compile_lives(experiment, own)
+    live = variations.compile_variation(experiment, own)
     replayed = [live(champion) for champion in champions]
     champions = [_complete(*both) for both in zip(champions, replayed, strict=True)]
     tell("step by step", 1, total)
     step_by_step = compile_steps(experiment)
     trials = [step_by_step(champion) for champion in champions]
-    kept: list[dict[str, tuple[Variation, Kept]]] = [{} for _ in champions]
+    kept: list[dict[str, tuple[Variation, Varied]]] = [{} for _ in champions]
     for done, (key, other) in enumerate(others.items(), 2):
         tell(other.name, done, total)
-        live = variations.compile_lives(experiment, other)
+        live = variations.compile_variation(experiment, other)
         for champion, found in zip(champions, kept, strict=True):
             found[key] = other, live(champion)
     tell("in MuJoCo", total - 1, total)
@@ -164,7 +164,7 @@ def audits(
         checks = [
             _replay(champion, alive),
             *_kept(
-                float(np.nanmean(alive.way)),
+                float(np.nanmean(alive.displacement)),
                 found,
                 limits,
                 experiment.creature,
@@ -177,7 +177,7 @@ def audits(
     return made
 
 
-def _complete(champion: Champion, replayed: Kept) -> Champion:
+def _complete(champion: Champion, replayed: Varied) -> Champion:
     """Return a champion with all its terms: a map keeps only those of its axes."""
     terms = {name: float(values[0]) for name, values in replayed.terms.items()}
     return champion._replace(terms=terms | champion.terms)
@@ -227,12 +227,12 @@ def compile_first_look(
     if not own.noise.silent:
         simulations.insert(0, own)
     places = [Variation("", (simulation,), draws_of(own)) for simulation in simulations]
-    programs = [variations.compile_lives(experiment, place) for place in places]
+    programs = [variations.compile_variation(experiment, place) for place in places]
     shortest = _LEAST_DISPLACEMENT * length_of(experiment.creature)
 
     def look(champion: Champion, own_displacement: float | None) -> Check:
         displacements = [
-            float(live(champion).mean_ways(place)[0])
+            float(live(champion).mean_displacements(place)[0])
             for live, place in zip(programs, places, strict=True)
         ]
         if own_displacement is not None:
@@ -433,7 +433,7 @@ def _other_points(config: ExperimentConfig, source: Path, folders: tuple[Path, .
     return build_experiment(changed, source, folders).simulation
 
 
-def _replay(champion: Champion, replayed: Kept) -> Check:
+def _replay(champion: Champion, replayed: Varied) -> Check:
     off = abs(float(replayed.fitness[0]) - champion.fitness) / max(abs(champion.fitness), _REPLAY)
     return Check("replay", "replayed fitness off by", off, _REPLAY, unit="%")
 
@@ -457,7 +457,7 @@ def _carried(experiment: Experiment, trials: Sequence[Trial]) -> float:
 
 def _kept(
     own: float,
-    kept: dict[str, tuple[Variation, Kept]],
+    kept: dict[str, tuple[Variation, Varied]],
     limits: Limits,
     creature: Creature,
     carried: float = 0.0,
@@ -476,11 +476,11 @@ def _kept(
         return checks
     chance, drawn = kept[_CHANCE]
     # Without noise, only the variation of poses has several draws.
-    usual = float(drawn.mean_ways(chance)[0])
+    usual = float(drawn.mean_displacements(chance)[0])
     for key, (variation, one) in kept.items():
         of_own = variation.draws == 1 or key == _CHANCE
         reference = own if of_own else usual
-        displacements = one.mean_ways(variation)
+        displacements = one.mean_displacements(variation)
         detail = ", ".join(f"{x:.3g}" for x in displacements) + f" of {reference:.3g} m"
         if key == "limp_way":
             # Without the water's part. No animal drifts against a current.

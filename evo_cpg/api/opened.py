@@ -115,9 +115,9 @@ class Opened:
             full: see `evo_cpg.simulation.recording.Recorder`.
         """
         # Importing the loop starts nothing, but it takes JAX a second.
-        from evo_cpg.training.loop import compile_life
+        from evo_cpg.training.replay import compile_frames
 
-        live = compile_life(self.experiment, self.devices, trial, full)
+        live = compile_frames(self.experiment, self.devices, trial, full)
         names = [body.name for body in self.experiment.creature.bodies]
         found = []
         for champion in champions:

@@ -8,7 +8,7 @@
     sweep.png        fitness over generations, and final fitness
 
 Settings with the same animal in the same trial run side by side in one program, with any searches
-(`evo_cpg.training.together`). Others run in turn, each with a program of its own. The numbers of a
+(`evo_cpg.training.loop`). Others run in turn, each with a program of its own. The numbers of a
 body are constants of the program, so that evaluations are fast and replays exact to the bit.
 """
 
@@ -38,7 +38,7 @@ from evo_cpg.system import name_of, named, resolved
 from evo_cpg.training.checkpoint import Checkpoint
 from evo_cpg.training.memory import require_memory
 from evo_cpg.training.reevaluation import is_finished
-from evo_cpg.training.run_folder import RunFolder, RunFolderError, read_json
+from evo_cpg.training.run_folder import RunFolder, RunFolderError, read_checked
 
 _PLAN = "sweep.json"
 
@@ -143,7 +143,7 @@ def read_plan(folder: Path) -> dict[str, Any] | None:
     Raises:
         RunFolderError: its file is damaged.
     """
-    return read_json(folder / _PLAN, _is_plan)
+    return read_checked(folder / _PLAN, _is_plan)
 
 
 def _is_plan(plan: Any) -> bool:
@@ -234,7 +234,7 @@ def run_group(
         LockedError: another process evolves one of them.
         OutputError: a folder cannot be written.
     """
-    from evo_cpg.training.together import train_together
+    from evo_cpg.training.loop import train_together
 
     with contextlib.ExitStack() as stack:
         for member in group:

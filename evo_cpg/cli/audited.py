@@ -150,7 +150,7 @@ def show_summary(champions: Sequence[Champion], made: Sequence[Audit]) -> None:
     keys = [key for key in _KEPT if any(key in done.measured for done in made)]
     rows = []
     for each, done in zip(champions, made, strict=True):
-        goes = [f"{one.way:.2g}" for one in done.opinions]
+        goes = [f"{one.displacement:.2g}" for one in done.opinions]
         rows.append(
             (
                 str(each.run),
@@ -188,7 +188,7 @@ def show_opinions(opinions: Sequence[Opinion]) -> None:
         rows.append(
             (
                 one.program,
-                f"{one.way:.3g} m",
+                f"{one.displacement:.3g} m",
                 f"{math.degrees(one.heading):.0f} deg",
                 shown(one.upright, "%"),
                 *([] if one.airborne is None else [shown(one.airborne, "%")]),

@@ -90,7 +90,7 @@ def use_cores_of(run: Path, cores: int | None = None) -> int:
 def replayed(opened: Opened, champion: Champion, trial: int = 0) -> Any:
     """Return fitness, terms and motion of a champion, replayed."""
     # Importing the loop starts nothing, but it takes JAX a second.
-    from evo_cpg.training.loop import replay_champion
+    from evo_cpg.training.replay import replay_champion
 
     with working("replaying the champion"):
         return replay_champion(opened.experiment, champion, opened.devices, trial)

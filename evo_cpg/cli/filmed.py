@@ -11,11 +11,11 @@ from evo_cpg.cli.champions import REPLAY_TOLERANCE, champion_motion, open_champi
 from evo_cpg.cli.errors import UsageError, warn
 from evo_cpg.cli.options import Which
 from evo_cpg.training.checkpoint import Champion
-from evo_cpg.training.lineage import champion_at, telling
+from evo_cpg.training.lineage import champion_at, representatives
 from evo_cpg.training.run_folder import RunFolderError
-from evo_cpg.view.panel import Panel, panel_of
+from evo_cpg.view.scene import Panel, panel_of
 from evo_cpg.view.signals import Signals, signals_of
-from evo_cpg.view.units import told
+from evo_cpg.view.units import terms_text
 
 # Champions of a lineage that are shown if no generations are given.
 _SHOWN = 4
@@ -35,7 +35,7 @@ def champion_panel(run: Path, which: Which, signals: bool) -> Panel:
         return panel_of(experiment, recording, experiment.name, strip)
     # The map keeps the terms of an elite that are its axes, and nothing else.
     title = f"{experiment.name}, cell {which.cell}"
-    return panel_of(experiment, recording, title, strip, told(opened.champion.terms))
+    return panel_of(experiment, recording, title, strip, terms_text(opened.champion.terms))
 
 
 def lineage_panels(
@@ -78,11 +78,11 @@ def _chosen(opened: OpenedChampion, generations: list[int] | None) -> list[Champ
         raise RunFolderError(f"{folder.lineage} knows no champion of run {run}")
     if generations is None:
         if champion.expected is None:
-            return telling(lineage, _SHOWN)
+            return representatives(lineage, _SHOWN)
         # The best score on the way may be another individual than the final champion.
         places = (champion.generation, champion.index)
         others = [each for each in lineage if (each.generation, each.index) != places]
-        return [*telling(others, _SHOWN - 1), champion]
+        return [*representatives(others, _SHOWN - 1), champion]
     done = folder.newest
     found: list[Champion] = []
     for generation in sorted(set(generations)):

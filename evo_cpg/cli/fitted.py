@@ -291,7 +291,10 @@ def search(problem: Problem, work: Work) -> tuple[Fit, np.ndarray]:
             name.removeprefix(INITIAL): jnp.asarray(value, theta.dtype)
             for name, value in (problem.initial | found).items()
         }
-        own = jnp.asarray(np.zeros(0) if problem.genes is None else problem.genes, theta.dtype)
+        genes = problem.genes
+        if genes is None:
+            genes = np.zeros(simulation.genome.count)
+        own = jnp.asarray(genes, theta.dtype)
         return track(simulation, own, recording.time, recording.columns, begin)
 
     def fit_to(start: Any, data: Any) -> Any:

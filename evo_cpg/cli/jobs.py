@@ -31,7 +31,7 @@ from evo_cpg.installation import command_for
 from evo_cpg.locks import LockedError, joined, locked
 from evo_cpg.system import named, told_by
 from evo_cpg.training.devices import available_cores, use_cores
-from evo_cpg.training.run_folder import RunFolderError, read_json
+from evo_cpg.training.run_folder import RunFolderError, read_checked
 
 _HIDDEN, _SLURM = ".jobs", "slurm.json"
 
@@ -378,7 +378,7 @@ def _recorded(folder: Path) -> list[_Entry]:
     Raises:
         RunFolderError: the list is damaged.
     """
-    return read_json(folder / _HIDDEN / _SLURM, _is_list) or []
+    return read_checked(folder / _HIDDEN / _SLURM, _is_list) or []
 
 
 def _of_slurm(entry: _Entry) -> Any:

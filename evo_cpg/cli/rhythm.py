@@ -16,7 +16,7 @@ from evo_cpg.analysis.limit_cycle import (
     limit_cycle,
     parts,
 )
-from evo_cpg.analysis.wanted_rhythm import Rhythm, rhythm, wanted_rhythm
+from evo_cpg.analysis.reference_rhythm import Rhythm, reference_rhythm, rhythm
 from evo_cpg.cli.advice import warn_of_oscillators
 from evo_cpg.cli.building import build
 from evo_cpg.cli.errors import ExitCode, UsageError
@@ -159,7 +159,7 @@ def find_rhythm(
     except RhythmSearchError:
         before = "not found"
     try:
-        found = wanted_rhythm(
+        found = reference_rhythm(
             tree, settings, chain, b, frequency, lag, gain is not None, tonic_input
         )
     except UnreachableRhythmError as error:

@@ -21,6 +21,7 @@ from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.numbers import are_allowed, are_checked_alone, number_at, with_numbers
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.creature.self_collision import PairNames, PlanPairs
+from evo_cpg.creature.surface import PointLayout
 from evo_cpg.physics.pairs import Pairs
 from evo_cpg.simulation.batched import BatchedSimulation, LayoutError, batch
 from evo_cpg.simulation.simulation import Simulation
@@ -49,9 +50,9 @@ class BodyPlan:
     ):
         """Plan by some bodies; see `build_batch` for the arguments, and what it raises."""
         self._config, self._keys = config, tuple(numbers)
-        self.batched, apart = _build(config, source, numbers, (), None, task)
+        self.batched, layout = _build(config, source, numbers, (), None, task)
         pairs = _pairs(self.batched.common)
-        self._building = Building(config, source, apart, pairs, task)
+        self._building = Building(config, source, layout, pairs, task)
         self.hindrance = ""
         if not are_checked_alone(config, self._keys):
             self.hindrance = "numbers are checked together"
@@ -148,8 +149,8 @@ def _build(
     folders: Iterable[Path],
     like: BatchedSimulation | None,
     task: Task | None,
-) -> tuple[BatchedSimulation, bool]:
-    """See `build_batch`; also whether bodies with equal surfaces are treated one by one."""
+) -> tuple[BatchedSimulation, PointLayout]:
+    """See `build_batch`; also return the layout of the surface points."""
     folders = tuple(folders)
     for key in numbers:
         number_at(config, key, source)
@@ -162,12 +163,13 @@ def _build(
         for row in zip(*columns, strict=True)
     ]
     problem, pairs = "", None
-    # Bodies with surfaces that are alike may come to differ, and are then treated one by one.
-    for apart in (False, True):
+    # Bodies with surfaces that are alike may come to differ, and others may cover other points.
+    layouts: tuple[PointLayout, ...] = "merged", "separate", "complete"
+    for layout in layouts:
 
-        def build(pairs: PlanPairs | None, apart: bool = apart) -> list[Simulation]:
+        def build(pairs: PlanPairs | None, layout: PointLayout = layout) -> list[Simulation]:
             return [
-                _with_task(build_experiment(each, source, folders, apart, pairs).simulation, task)
+                _with_task(build_experiment(each, source, folders, layout, pairs).simulation, task)
                 for each in (config, *configs)
             ]
 
@@ -182,7 +184,7 @@ def _build(
             pairs = every
             common, *simulations = build(pairs)
         try:
-            return batch(common, simulations, like), apart
+            return batch(common, simulations, like), layout
         except LayoutError as error:
             problem = str(error)
         except ValueError as error:

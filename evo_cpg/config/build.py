@@ -11,7 +11,7 @@ from evo_cpg.config.errors import ConfigError, nearest
 from evo_cpg.config.lines import with_line
 from evo_cpg.config.numbers import unchecked
 from evo_cpg.config.own_classes import build_own, require_code
-from evo_cpg.config.own_returns import check_own_forces, check_own_returns, check_own_strategy
+from evo_cpg.config.own_returns import check_own_forces, check_own_returns
 from evo_cpg.config.schema.choice import CustomConfig
 from evo_cpg.config.schema.evolution import RealEvolutionConfig
 from evo_cpg.config.schema.experiment import ExperimentConfig
@@ -27,7 +27,7 @@ from evo_cpg.control.postures import PostureSettings, build_posture_controller
 from evo_cpg.creature.creature import Creature, CreatureError, length_of
 from evo_cpg.creature.self_collision import PlanPairs, SelfCollision
 from evo_cpg.creature.shapes import Surface
-from evo_cpg.creature.surface import outer_surfaces, random_surfaces
+from evo_cpg.creature.surface import PointLayout, outer_surfaces, random_surfaces
 from evo_cpg.creature.tree import Tree, build_tree
 from evo_cpg.fusion.engine import Engine, target, using
 from evo_cpg.fusion.unsupported import Unsupported
@@ -62,7 +62,7 @@ def build_experiment(
     config: ExperimentConfig,
     source: Path | str,
     folders: Iterable[Path] = (),
-    apart: bool = False,
+    layout: PointLayout = "merged",
     pairs: PlanPairs | None = None,
 ) -> Experiment:
     """Build what a configuration describes.
@@ -72,7 +72,7 @@ def build_experiment(
         source: file it came from, for messages; a user's own classes are looked for beside it,
             where it is trusted (`evo_cpg.config.trust`).
         folders: where else to look for them then, before the working folder.
-        apart: leave surfaces ungrouped that are alike, so that they may come to differ.
+        layout: of the surface points, in which bodies of a batch agree.
         pairs: of bodies that are looked at in all creatures of a plan; None for what the creature's
             own numbers make of it.
 
@@ -80,7 +80,7 @@ def build_experiment(
         ConfigError: parts that do not fit together.
     """
     try:
-        return _build_experiment(config, source, folders, apart, pairs)
+        return _build_experiment(config, source, folders, layout, pairs)
     except ConfigError as error:
         raise with_line(error, config.model_dump(mode="json")) from None
 
@@ -89,7 +89,7 @@ def _build_experiment(
     config: ExperimentConfig,
     source: Path | str,
     folders: Iterable[Path],
-    apart: bool,
+    layout: PointLayout,
     pairs: PlanPairs | None,
 ) -> Experiment:
     folders = (Path(source).parent, *folders)
@@ -97,7 +97,7 @@ def _build_experiment(
         if str(resolved(folder)) not in sys.path:
             sys.path.append(str(resolved(folder)))
     require_code(config, source, folders)
-    creature, simulation = build_simulation(config, source, apart, pairs)
+    creature, simulation = build_simulation(config, source, layout, pairs)
     evolution = config.evolution
     learning = None
     if isinstance(evolution, RealEvolutionConfig) and evolution.learning:
@@ -112,8 +112,7 @@ def _build_experiment(
         # One trial is as good as many.
         trials = 1
     check_own_returns(config, simulation, source)
-    strategy = build_strategy(config, simulation, source)
-    check_own_strategy(config, strategy, simulation, trials, source)
+    strategy = build_strategy(config, simulation, trials, source)
     return Experiment(
         name=config.name,
         creature=creature,
@@ -150,7 +149,7 @@ def require_genes(experiment: Experiment, source: Path | str) -> None:
 def build_simulation(
     config: ExperimentConfig,
     source: Path | str,
-    apart: bool = False,
+    layout: PointLayout = "merged",
     pairs: PlanPairs | None = None,
 ) -> tuple[Creature, Simulation]:
     """The creature that a configuration describes, and what its trials are made of.
@@ -161,7 +160,7 @@ def build_simulation(
     Args:
         config: the configuration; a user's own classes can be imported.
         source: file it came from, for messages.
-        apart: see `build_experiment`.
+        layout: see `build_experiment`.
         pairs: likewise.
 
     Raises:
@@ -170,7 +169,7 @@ def build_simulation(
     engine = _choose_engine(config, source)
     creature = build_creature(config, source)
     tree = build_tree(creature)
-    world = _build_world(config, creature, tree, apart, pairs, source)
+    world = _build_world(config, creature, tree, layout, pairs, source)
     check_own_forces(config, world, source)
     extra_sensors = _build_sensors(config, tree, source)
     custom = sum(sensor.count for sensor in extra_sensors)
@@ -312,7 +311,7 @@ def _build_world(
     config: ExperimentConfig,
     creature: Creature,
     tree: Tree,
-    apart: bool,
+    layout: PointLayout,
     pairs: PlanPairs | None,
     source: Path | str,
 ) -> World:
@@ -326,7 +325,7 @@ def _build_world(
         gravity=config.world.gravity,
         water=_build_water(water) if water else None,
         forces=(
-            *(_water_laws(water, creature, tree, apart) if water else ()),
+            *(_water_laws(water, creature, tree, layout) if water else ()),
             *_own_laws(config, creature, tree, source),
         ),
         footing=ground and make_footing(creature, tree, ground),
@@ -342,10 +341,10 @@ def _build_water(water: WaterConfig) -> Water:
 
 
 def _water_laws(
-    water: WaterConfig, creature: Creature, tree: Tree, apart: bool
+    water: WaterConfig, creature: Creature, tree: Tree, layout: PointLayout
 ) -> Iterator[ForceLaw]:
     """Force laws of the water, in the order in which they are added up."""
-    patches = _surface_points(water, creature, tree, apart)
+    patches = _surface_points(water, creature, tree, layout)
     yield Drag(water.form_drag, water.skin_drag, patches, water.law)
     if water.added_mass:
         yield AddedMass(added_inertia(creature, tree, water.density))
@@ -361,7 +360,7 @@ def _own_laws(
 
 
 def _surface_points(
-    water: WaterConfig, creature: Creature, tree: Tree, apart: bool
+    water: WaterConfig, creature: Creature, tree: Tree, layout: PointLayout
 ) -> tuple[Patch, ...]:
     def by_name(surfaces: tuple[Surface, ...]) -> dict[str, Surface]:
         return {body.name: s for body, s in zip(creature.bodies, surfaces, strict=True)}
@@ -369,12 +368,12 @@ def _surface_points(
     surfacing = water.surface is not None
     if water.points == "random":
         rng = np.random.default_rng(water.points_seed)
-        dense = outer_surfaces(creature, _DENSE_RESOLUTION, water.sheltered)
+        dense = outer_surfaces(creature, _DENSE_RESOLUTION, water.sheltered, layout)
         points = by_name(random_surfaces(dense, water.random_points, rng))
-        return make_patches(tree, points, points, water.law, surfacing, apart)
-    form = by_name(outer_surfaces(creature, water.form_resolution, water.sheltered))
-    skin = by_name(outer_surfaces(creature, water.skin_resolution, water.sheltered))
-    return make_patches(tree, form, skin, water.law, surfacing, apart)
+        return make_patches(tree, points, points, water.law, surfacing, layout)
+    form = by_name(outer_surfaces(creature, water.form_resolution, water.sheltered, layout))
+    skin = by_name(outer_surfaces(creature, water.skin_resolution, water.sheltered, layout))
+    return make_patches(tree, form, skin, water.law, surfacing, layout)
 
 
 def _build_sensors(config: ExperimentConfig, tree: Tree, source: Path | str) -> tuple[Sensor, ...]:

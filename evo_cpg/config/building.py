@@ -16,6 +16,7 @@ from evo_cpg.config.build import build_simulation
 from evo_cpg.config.numbers import put_numbers
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.creature.self_collision import PlanPairs
+from evo_cpg.creature.surface import PointLayout
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.task import Task
 from evo_cpg.spatial.choices import Choices, Condition, Undecidable, noting, repeating
@@ -55,7 +56,7 @@ class Building:
 
     Attributes:
         source: file that the configuration came from.
-        apart: whether bodies with the same surface are treated one by one.
+        layout: of the surface points (`evo_cpg.creature.surface`).
         pairs: see `evo_cpg.config.build.build_experiment`.
         task: instead of the configuration's.
         own: the simulation of the configuration itself.
@@ -65,11 +66,12 @@ class Building:
         self,
         config: ExperimentConfig,
         source: Path | str,
-        apart: bool = False,
+        layout: PointLayout = "merged",
         pairs: PlanPairs | None = None,
         task: Task | None = None,
     ):
-        self.source, self.apart, self.pairs, self.task = source, apart, pairs, task
+        self.source, self.pairs, self.task = source, pairs, task
+        self.layout: PointLayout = layout
         self.own = self.known(config)
 
     def known(self, config: ExperimentConfig) -> Built:
@@ -111,5 +113,5 @@ class Building:
         return jax.tree_util.keystr(self.own.paths[place])[1:]
 
     def _build(self, config: ExperimentConfig) -> Simulation:
-        _, simulation = build_simulation(config, self.source, self.apart, self.pairs)
+        _, simulation = build_simulation(config, self.source, self.layout, self.pairs)
         return dataclasses.replace(simulation, task=self.task) if self.task else simulation

@@ -11,8 +11,7 @@ from evo_cpg.config.errors import ConfigError, Key
 from evo_cpg.config.own_classes import own_parts
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.control.controller import Command
-from evo_cpg.evolution.islands import Islands
-from evo_cpg.evolution.map_elites import METRICS, Mapped
+from evo_cpg.evolution.map_elites import METRICS
 from evo_cpg.evolution.strategy import Evaluation, Strategy
 from evo_cpg.fusion.engine import Engine, using
 from evo_cpg.physics.kinematics import kinematics
@@ -20,7 +19,7 @@ from evo_cpg.physics.state import resting_state
 from evo_cpg.physics.world import World
 from evo_cpg.simulation.control_step import (
     Effects,
-    begin_life,
+    begin_episode,
     no_forces,
     sense,
     snapshot_of,
@@ -52,17 +51,19 @@ def check_own_returns(config: ExperimentConfig, simulation: Simulation, source: 
             "random_genes",
             lambda method: method(jax.random.key(0), (_INDIVIDUALS,), jnp.float32),
         )
-        _expect_array(checked.where("random_genes"), numbers, genes.shape)
-        checked(("controller",), simulation.controller, "decode", lambda method: method(genes))
-        life, animal = begin_life(simulation, genes, None, None)
+        shape = simulation.controller.gene_count, _INDIVIDUALS
+        _expect_array(checked.where("random_genes"), numbers, shape)
+        own_genes = jnp.asarray(numbers, genes.dtype)
+        checked(("controller",), simulation.controller, "decode", lambda method: method(own_genes))
+        constants, animal = begin_episode(simulation, genes, None, None)
         forces = no_forces(simulation, animal.state)
         for i, sensor in enumerate(simulation.extra_sensors):
-            snapshot = snapshot_of(simulation, life, animal.state)
+            snapshot = snapshot_of(simulation, constants, animal.state)
             key = "creature", "sensors", i
             read = checked(key, sensor, "sense", lambda method, s=snapshot: method(s, forces))
             _expect_array(checked.where("sense"), read, (sensor.count, _INDIVIDUALS))
-        observation = sense(simulation, life, animal)
-        given = life.phenotype.controller, animal.nerves, observation
+        observation = sense(simulation, constants, animal)
+        given = constants.phenotype.controller, animal.nerves, observation
         found = checked(("controller",), simulation.controller, "act", lambda act: act(*given))
         if not (isinstance(found, tuple) and len(found) == 2 and isinstance(found[1], Command)):
             checked.where("act").fail("must return a pair of the next state and a Command")
@@ -74,7 +75,7 @@ def check_own_returns(config: ExperimentConfig, simulation: Simulation, source: 
                 _expect_array(checked.where("act"), value, dofs, f"its {name}")
         energy = jnp.zeros(_INDIVIDUALS, genes.dtype)
         effects = Effects(animal.state, animal.state, observation, command, forces, energy, energy)
-        _check_task(checked, simulation, transition(simulation, life, effects, jnp.int32(0)))
+        _check_task(checked, simulation, transition(simulation, constants, effects, jnp.int32(0)))
 
     shape = simulation.genome.count, _INDIVIDUALS
     with using(Engine("jax")):
@@ -121,20 +122,16 @@ def check_own_strategy(
     key = ("evolution",)
     if key not in [key for key, _ in own_parts(config)]:
         return
-    shares, map_metrics = 1, ()
-    while isinstance(strategy, Islands | Mapped):
-        if isinstance(strategy, Islands):
-            shares = strategy.count
-        else:
-            map_metrics = METRICS
-        strategy = strategy.strategy
+    given = config.evolution
+    islands = getattr(given, "islands", None)
+    map_metrics = METRICS if given.axes and not strategy.map_axes else ()
     shape = simulation.genome.count, strategy.population
     names = (*term_names(simulation.task), *simulation.measures.names)
     taken = {*TABLE_COLUMNS, *map_metrics, *(f"best_{name}" for name in names)}
     checked = _Checked([key], source)
-    asked = config.evolution.population // shares
+    asked = given.population // (islands.count if islands else 1)
     if strategy.population != asked:
-        where, kind = " on each island" if shares > 1 else "", type(strategy).__name__
+        where, kind = " on each island" if islands else "", type(strategy).__name__
         problem = f"{asked}{where}: {kind} has another population, {strategy.population}"
         raise ConfigError(source, (*key, "population"), problem)
     metrics = checked(key, strategy, "metric_names", lambda names: names)

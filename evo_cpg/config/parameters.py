@@ -23,6 +23,7 @@ from evo_cpg.config.building import Building
 from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.numbers import number_at, number_keys, with_numbers
 from evo_cpg.config.schema.experiment import ExperimentConfig
+from evo_cpg.creature.surface import PointLayout
 from evo_cpg.simulation.batched import Inputs
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.spatial.numerics import TABLES, is_number, is_traced
@@ -179,9 +180,9 @@ def parametrise(
         changes = found()
     except ConfigError:
         # Grouped surfaces may part, and their points change places.
-        building = Building(config, source, apart=True)
+        building = Building(config, source, "separate")
         changes = found()
-        experiment = build_experiment(config, source, folders, apart=True)
+        experiment = build_experiment(config, source, folders, "separate")
     _require_followed(building, config, changes)
     every = changes.values()
     places = sorted({place for change in every for place in change})
@@ -209,8 +210,9 @@ def all_parameters(
     experiment = build_experiment(config, source, folders)
     paths = jax.tree_util.tree_flatten_with_path(experiment.simulation)[0]
     wet = {i for i, (path, _) in enumerate(paths) if _PATCHES in path}
-    for apart in (False, True) if surfaces else (False,):
-        building = Building(config, source, apart)
+    layouts: tuple[PointLayout, ...] = ("merged", "separate") if surfaces else ("merged",)
+    for layout in layouts:
+        building = Building(config, source, layout)
         changes = {}
         for key in number_keys(config):
             if key in found:

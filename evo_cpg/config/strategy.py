@@ -5,6 +5,7 @@ from pathlib import Path
 
 from evo_cpg.config.errors import ConfigError, nearest
 from evo_cpg.config.own_classes import build_own
+from evo_cpg.config.own_returns import check_own_strategy
 from evo_cpg.config.schema.evolution import (
     BitEvolutionConfig,
     CustomEvolutionConfig,
@@ -17,7 +18,7 @@ from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.evolution import from_evosax
 from evo_cpg.evolution.from_pyribs import Ribs
 from evo_cpg.evolution.islands import Islands
-from evo_cpg.evolution.map_elites import MapElites, Mapped, MapStrategy
+from evo_cpg.evolution.map_elites import MapElites, Mapped
 from evo_cpg.evolution.pyribs_host import UnknownPyribsError
 from evo_cpg.evolution.random_search import RandomSearch
 from evo_cpg.evolution.strategy import Strategy
@@ -29,22 +30,30 @@ _KEY = ("evolution",)
 
 
 def build_strategy(
-    config: ExperimentConfig, simulation: Simulation, source: Path | str
+    config: ExperimentConfig, simulation: Simulation, trials: int, source: Path | str
 ) -> Strategy:
-    """The search that a configuration asks for.
+    """Build the search of a configuration.
+
+    Args:
+        config: the configuration.
+        simulation: the trial.
+        trials: number of trials of an individual.
+        source: file that the configuration came from.
 
     Raises:
-        ConfigError: it cannot be had, or not for these genomes.
+        ConfigError: the search is not available, does not suit these genomes, or is the user's own
+            and returns something of the wrong kind.
     """
     given, genome = config.evolution, simulation.genome
     islands = getattr(given, "islands", None)
     population = given.population // (islands.count if islands else 1)
     strategy = _on_an_island(config, genome, population, source)
+    check_own_strategy(config, strategy, simulation, trials, source)
     if islands:
         strategy = Islands(
             given.population, strategy, islands.count, islands.every, islands.migrants
         )
-    if given.axes and not isinstance(strategy, MapStrategy):
+    if given.axes and not strategy.map_axes:
         strategy = Mapped(given.population, given.build_axes(), strategy)
     return strategy
 

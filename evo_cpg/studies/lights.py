@@ -75,10 +75,8 @@ def still(workshop: "Workshop", name: str) -> dict[str, str]:
     Its fitness is by the yardsticks of the first run.
     """
     simulation = workshop.experiment(name).simulation
-    terms = {
-        key: x.mean()
-        for key, x in evaluate(simulation, silent_genes(simulation.controller)[:, None]).items()
-    }
+    silent = simulation.genome.with_controller(silent_genes(simulation.controller)[:, None])
+    terms = {key: x.mean() for key, x in evaluate(simulation, silent).items()}
     scales = {key: jnp.asarray(x) for key, x in workshop.champions(name)[0].scales.items()}
     fitness = simulation.task.fitness({key: jnp.asarray(x) for key, x in terms.items()}, scales)
     return {"": "brain gives no drive", "fitness": f"{float(fitness):.3f}", **_terms(terms)}

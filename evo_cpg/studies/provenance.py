@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from evo_cpg.files import write_text
-from evo_cpg.training.run_folder import read_json
+from evo_cpg.training.run_folder import read_checked
 
 FILE = "provenance.json"
 
@@ -23,7 +23,7 @@ def read(folder: Path) -> dict[str, Any]:
     Raises:
         RunFolderError: the file is damaged.
     """
-    found = read_json(folder / FILE, _is_sound)
+    found = read_checked(folder / FILE, _is_sound)
     return found["parts"] if found else {}
 
 

@@ -34,7 +34,15 @@ from evo_cpg.simulation.situation import Situation
 from evo_cpg.simulation.snapshot import Snapshot
 from evo_cpg.simulation.walk import Distance
 from evo_cpg.training.checkpoint import Champion
-from evo_cpg.training.variations import Kept, Variation, finer, limp, live, with_drag, with_friction
+from evo_cpg.training.variations import (
+    Variation,
+    Varied,
+    compile_variation,
+    finer,
+    limp,
+    with_drag,
+    with_friction,
+)
 from trials import SineController, experiment
 
 # Gains of 5 % a step, and a push of 2 cm/s.
@@ -239,10 +247,10 @@ def test_what_a_current_carries_is_no_way_of_limp_motors(swimming, own, limp_way
     made, _ = swimming
     one = np.array([own])
     kept = {
-        "pose": (Variation("other poses", (made.simulation,)), Kept(one, one, one > 0, {})),
+        "pose": (Variation("other poses", (made.simulation,)), Varied(one, one, one > 0, {})),
         "limp_way": (
             Variation("limp motors", (limp(made.simulation),)),
-            Kept(np.array([limp_way]), one, one > 0, {}),
+            Varied(np.array([limp_way]), one, one > 0, {}),
         ),
     }
     checks = {c.key: c for c in _kept(own, kept, Limits(), made.creature, carried)}
@@ -254,7 +262,7 @@ def test_who_gets_nowhere_in_fresh_draws_does_so_with_motors_limp_or_not(swimmin
     none = np.zeros(2)
     limp_ones = Variation("limp motors", (limp(made.simulation),), 2)
     fresh = Variation("other draws of chance", (made.simulation,), 2)
-    both = Kept(none, none, none == 0, {})
+    both = Varied(none, none, none == 0, {})
     kept = {"pose": (fresh, both), "limp_way": (limp_ones, both)}
     checks = {c.key: c for c in _kept(3.0, kept, Limits(), made.creature)}
     assert checks["pose"].measured == checks["limp_way"].measured == 0.0
@@ -301,16 +309,16 @@ def test_a_slide_from_the_start_is_found():
     """On a slope of 40 degrees motors have no part in the way."""
     made = walker(slope=0.7)
     own, without = (
-        live(made, champion(), Variation("", (simulation,)))
+        compile_variation(made, Variation("", (simulation,)))(champion())
         for simulation in (made.simulation, limp(made.simulation))
     )
-    assert without.way[0] > 0.5 * own.way[0]
+    assert without.displacement[0] > 0.5 * own.displacement[0]
     level = walker()
     own, without = (
-        live(level, champion(), Variation("", (simulation,)))
+        compile_variation(level, Variation("", (simulation,)))(champion())
         for simulation in (level.simulation, limp(level.simulation))
     )
-    assert without.way[0] < 0.1 * own.way[0]
+    assert without.displacement[0] < 0.1 * own.displacement[0]
 
 
 def folded(made, trial):
@@ -437,10 +445,10 @@ def test_more_friction_and_drag_change_the_way(honest, swimming):
     """Two simulations that differ in numbers share a program, and each is itself."""
     for (made, _), change in ((honest, with_friction), (swimming, with_drag)):
         sims = tuple(change(made.simulation, factor) for factor in (1.0, 0.5))
-        both = live(made, champion(), Variation("", sims))
-        own = live(made, champion(), Variation("", (made.simulation,)))
-        assert both.way[0] == pytest.approx(float(own.way[0]), rel=1e-3, abs=1e-4)
-        assert abs(both.way[1] / own.way[0] - 1) > 1e-3
+        both = compile_variation(made, Variation("", sims))(champion())
+        own = compile_variation(made, Variation("", (made.simulation,)))(champion())
+        assert both.displacement[0] == pytest.approx(float(own.displacement[0]), rel=1e-3, abs=1e-4)
+        assert abs(both.displacement[1] / own.displacement[0] - 1) > 1e-3
 
 
 def test_under_chance_ways_are_means_over_the_same_fresh_draws(swimming):
@@ -451,17 +459,17 @@ def test_under_chance_ways_are_means_over_the_same_fresh_draws(swimming):
     assert draws_of(noisy) == 16 and draws_of(swimming[0].simulation) == 1
     sims = tuple(with_drag(noisy, factor) for factor in (1.0, 0.5))
     place = Variation("", sims, 16)
-    drawn = live(made, champion(), place)
-    again = live(made, champion(), Variation("", (noisy,), 16))
-    assert len(np.unique(drawn.way[:16])) == 16
-    np.testing.assert_allclose(drawn.way[:16], again.way, rtol=1e-3, atol=1e-5)
-    means = drawn.mean_ways(place)
-    assert means == pytest.approx([drawn.way[:16].mean(), drawn.way[16:].mean()])
+    drawn = compile_variation(made, place)(champion())
+    again = compile_variation(made, Variation("", (noisy,), 16))(champion())
+    assert len(np.unique(drawn.displacement[:16])) == 16
+    np.testing.assert_allclose(drawn.displacement[:16], again.displacement, rtol=1e-3, atol=1e-5)
+    means = drawn.mean_displacements(place)
+    assert means == pytest.approx([drawn.displacement[:16].mean(), drawn.displacement[16:].mean()])
     # Half of the drag changes ways by much less than chance does, draw by draw.
-    change = drawn.way[16:] - drawn.way[:16]
-    assert change.std() < 0.5 * drawn.way[:16].std()
+    change = drawn.displacement[16:] - drawn.displacement[:16]
+    assert change.std() < 0.5 * drawn.displacement[:16].std()
     dead = drawn._replace(alive=np.zeros(32, bool))
-    assert dead.mean_ways(place).tolist() == [0.0, 0.0]
+    assert dead.mean_displacements(place).tolist() == [0.0, 0.0]
 
 
 def test_changes_that_a_world_does_not_have_are_refused(honest, swimming):

@@ -101,7 +101,7 @@ def weak_motors(case: Case) -> Iterator[Doubt]:
             continue
         limit = np.inf if motor.torque_limit is None else motor.torque_limit
         # Of a rod that turns about its end: other bodies and water only add to it.
-        mass = float(body.shape.volume * body.material.density)
+        mass = float(body.mass)
         inertia = mass * (2 * float(body.shape.half_extents.max())) ** 2 / 3
         turn = float(np.rad2deg(limit / inertia * time**2 / 2))
         found.append((turn, (*key, "joint", "actuator", "torque_limit"), limit))

@@ -9,7 +9,6 @@ from evo_cpg.config.errors import Key
 from evo_cpg.config.plausible.doubt import Case, Doubt
 from evo_cpg.config.schema.ground import BoulderConfig, HillsConfig, ReliefConfig
 from evo_cpg.config.schema.shape import SolidConfig
-from evo_cpg.creature.shapes import Box
 
 # The longest edge of a body: from the limb of a small insect to a whale, m.
 _BODIES = (0.001, 30.0)
@@ -135,7 +134,7 @@ def floor_bumps(case: Case) -> Iterator[Doubt]:
     boxes = [
         (2 * float(body.shape.half_extents.max()), body.name)
         for body in case.creature.bodies
-        if isinstance(body.shape, Box)
+        if any(part.kind == "box" for part in body.shape.floor_parts())
     ]
     ground = case.config.world.ground
     if not boxes or ground is None:

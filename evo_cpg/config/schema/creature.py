@@ -12,7 +12,7 @@ from evo_cpg.config.schema.joint import JointConfig
 from evo_cpg.config.schema.plausible import SOLID, VIEW
 from evo_cpg.config.schema.section import NotNegative, Positive, Section, Share, Vector, pattern
 from evo_cpg.config.schema.sensor import SensorConfig
-from evo_cpg.config.schema.shape import MeshConfig, ShapeConfig
+from evo_cpg.config.schema.shape import ShapeConfig
 from evo_cpg.creature.creature import (
     Body,
     Creature,
@@ -324,9 +324,7 @@ class CreatureConfig(Section):
 
     def _shape(self, copy: Copy) -> ShapeConfig:
         shape = self.bodies[copy.entry].shape
-        if copy.mirror and isinstance(shape, MeshConfig):
-            return shape.mirrored(copy.mirror)
-        return shape
+        return shape.mirrored(copy.mirror) if copy.mirror else shape
 
 
 def _image(vector: Triple, copy: Copy) -> Triple:

@@ -7,9 +7,10 @@ from pydantic import Field, Tag, model_validator
 
 from evo_cpg.config.schema.choice import CustomConfig, Options, by_type
 from evo_cpg.config.schema.section import Count, Finite, NotNegative, Positive, Section, Share
+from evo_cpg.evolution.archive import Axis
 from evo_cpg.evolution.bits import BitGenetics
 from evo_cpg.evolution.generation import RealGenetics
-from evo_cpg.evolution.map_elites import AlongTheLine, Axis, OfBits
+from evo_cpg.evolution.map_elites import AlongTheLine, OfBits
 
 # Individuals that a generation may have.
 Population = Annotated[int, Field(ge=2, le=1_000_000)]
