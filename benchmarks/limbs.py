@@ -79,7 +79,8 @@ def main() -> None:
     console = Console()
     console.print(HEADER, soft_wrap=True)
     for run in parser.parse_args().runs:
-        experiment, champion, _, _ = open_champion(run)
+        opened = open_champion(run)
+        experiment, champion = opened.experiment, opened.champion
         found = walk(experiment.simulation, champion.genes)
         cells = (
             experiment.name,

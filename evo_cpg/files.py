@@ -3,6 +3,7 @@
 import contextlib
 import csv
 import io
+import json
 import os
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -105,7 +106,11 @@ def read_json(path: Path, kind: Any) -> Any:
     from pydantic import TypeAdapter, ValidationError
 
     try:
-        return TypeAdapter(kind).validate_json(path.read_bytes(), strict=True)
+        # Pydantic's own reader refuses file names that are not UTF-8 (`evo_cpg.system.name_of`).
+        content = json.loads(path.read_bytes())
+        return TypeAdapter(kind).validate_python(content, strict=True)
+    except RecursionError:
+        raise ValueError("it is nested too deeply") from None
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         place = "".join(f"{part}: " for part in first["loc"])

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from evo_cpg.errors import UserError
 from evo_cpg.spatial.numerics import Number, xp
 
 # Where no limit is given: the deepest of all, m, and of an animal's length; and how many lengths an
@@ -116,7 +117,7 @@ def limits_from(settings: Sequence[str], limits: Limits = Limits()) -> Limits:
     return dataclasses.replace(limits, **changed)
 
 
-class LimitError(ValueError):
+class LimitError(UserError, ValueError):
     """A limit that does not exist or cannot be."""
 
 

@@ -7,24 +7,24 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from evo_cpg.analysis.chains import joint_rows
-from evo_cpg.api.departures import departures
-from evo_cpg.api.load import changed_config, load
+from evo_cpg.api.opened import OpenedChampion, open_run
+from evo_cpg.api.paper_differences import paper_differences
 from evo_cpg.api.progress import working
-from evo_cpg.api.record import lives_again
-from evo_cpg.api.training import now, require_configured
+from evo_cpg.api.training import now
 from evo_cpg.api.version import version
-from evo_cpg.config.load import load_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
+from evo_cpg.config.trust import trusting
 from evo_cpg.files import read_json, write_text
 from evo_cpg.system import resolved
 from evo_cpg.training.checkpoint import Champion, genes_digest
+from evo_cpg.training.devices import use_cores
 from evo_cpg.training.experiment import Experiment
-from evo_cpg.training.run_folder import RunFolder, RunFolderError
+from evo_cpg.training.run_folder import RunFolder
 
 if TYPE_CHECKING:
     from PIL import Image
 
-# Of the picture for paper, pixels, and the quality of its JPEG.
+# Size of the picture for print, pixels, and quality of its JPEG.
 _STILL, _QUALITY = (1280, 720), 88
 
 
@@ -37,8 +37,9 @@ def analyse(run: Path | str, trial: int = 0, trust: bool = False) -> Path:
         trust: see `load`.
 
     Returns:
-        The page in the run folder, ``analysis.html``; one that was there is replaced. Where
-        ``config.yaml`` is not what the champion evolved in, the page says so, and a warning does.
+        The page in the run folder, ``analysis.html``, which replaces an earlier one. If
+        ``config.yaml`` is not what the champion evolved in, the page says so, and so does a
+        warning.
 
     Raises:
         ConfigError: the configuration of the run is wrong.
@@ -48,50 +49,55 @@ def analyse(run: Path | str, trial: int = 0, trust: bool = False) -> Path:
         ValueError: there is no such trial.
     """
     folder = RunFolder(run)
-    with folder.locked():
-        folder.require()
-        require_configured(folder)
-        experiment = load(run, trust=trust).parts
-        champion, _, _ = folder.load_champion()
-        wrong = experiment.simulation.genome.misfit(champion.genes)
-        if wrong:
-            raise RunFolderError(f"{folder.config} was changed after training: {wrong}")
-        if not 0 <= trial < experiment.trials:
-            raise ValueError(f"trial must be 0 to {experiment.trials - 1}, got {trial}")
-        changed = changed_config(folder)
-        if changed:
-            warnings.warn(f"{folder.path}: {changed}", stacklevel=2)
-        path = page_path(folder, trial)
+    with trusting(trust), folder.locked():
+        use_cores(None)
+        with working(f"building {folder.path}"):
+            opened = open_run(run).load_champion()
+        trials = opened.experiment.trials
+        if not 0 <= trial < trials:
+            raise ValueError(f"trial must be 0 to {trials - 1}, got {trial}")
+
+        def warn(words: str) -> None:
+            warnings.warn(words, stacklevel=4)
+
         with working(f"making the page of {folder.path}"):
-            text = page(experiment, champion, folder, trial)
-        write_text(path, text)
+            return write_page(opened, trial, warn=warn)
+
+
+def write_page(
+    opened: OpenedChampion,
+    trial: int = 0,
+    number: int | None = None,
+    output: Path | None = None,
+    doing: Callable[[str], object] = lambda what: None,
+    warn: Callable[[str], object] = lambda words: None,
+) -> Path:
+    """Write the page of a champion and return its path.
+
+    Args:
+        opened: the run and the champion.
+        trial: which of its trials, from 0.
+        number: of several runs the one that was chosen; None for the best.
+        output: the page; None for one in the run folder.
+        doing: called with the name of each step after the replay.
+        warn: called with a sentence if ``config.yaml`` has changed since the run.
+
+    Raises:
+        RunFolderError: the run was begun in Python with a part that only that program has.
+    """
+    opened.require_configured()
+    changed = opened.changed
+    if changed:
+        warn(f"{opened.folder.path}: {changed}")
+    which = "" if number is None else f"_run{number}"
+    name = f"analysis{which}{f'_trial{trial}' if trial else ''}.html"
+    path = output or opened.folder.path / name
+    write_text(path, page(opened, trial, doing))
     return path
 
 
-def page_path(folder: RunFolder, trial: int = 0, number: int | None = None) -> Path:
-    """Where a page goes; see `page`."""
-    which = "" if number is None else f"_run{number}"
-    return folder.path / f"analysis{which}{f'_trial{trial}' if trial else ''}.html"
-
-
-def page(
-    experiment: Experiment,
-    champion: Champion,
-    folder: RunFolder,
-    trial: int = 0,
-    number: int | None = None,
-    doing: Callable[[str], object] = lambda what: None,
-) -> str:
-    """The text of a page.
-
-    Args:
-        experiment: that the champion evolved in.
-        champion: whose page it is.
-        folder: of its run.
-        trial: which of its trials, from 0.
-        number: of several runs the one that was asked for; None where it is the best.
-        doing: is told what is being done, once the champion has lived again.
-    """
+def page(opened: OpenedChampion, trial: int, doing: Callable[[str], object]) -> str:
+    """Return the text of a page."""
     from evo_cpg.analysis.gait_numbers import chain_places, gait_numbers
     from evo_cpg.view.clip import sample
     from evo_cpg.view.film import picture
@@ -101,8 +107,10 @@ def page(
     from evo_cpg.view.page.viewer_data import RATE, viewer_data
     from evo_cpg.view.scene import panel_of
 
-    config, simulation = load_config(folder.config), experiment.simulation
-    ((_, frames, recording),) = lives_again(experiment, [champion], folder, trial)
+    folder, config, champion = opened.folder, opened.config, opened.champion
+    experiment, meta = opened.experiment, folder.read_meta()
+    simulation = experiment.simulation
+    ((_, frames, recording),) = opened.replay([champion], trial)
     doing("measuring the gait")
     numbers = gait_numbers(simulation, experiment.creature, frames, recording)
     doing("drawing")
@@ -119,7 +127,7 @@ def page(
     audit = _audit(folder, champion)
     subject = Subject(
         name=experiment.name,
-        changed=changed_config(folder),
+        changed=opened.changed,
         folder=resolved(folder.path).name,
         sentence=_sentence(experiment, config),
         champion={"fitness": champion.fitness, **_expected(champion), **champion.terms},
@@ -131,11 +139,11 @@ def page(
         chains=joint_rows(simulation),
         signal=simulation.controller.signal_label,
         config=folder.config.read_text(encoding="utf-8"),
-        meta=folder.read_meta(),
+        meta=meta,
         audit=audit,
         stale=bool(audit) and not _is_of(audit, champion),
-        half_step=_kept_at_half_the_step(folder.read_meta(), champion),
-        departures=departures(config),
+        half_step=_kept_at_half_the_step(meta, champion),
+        departures=paper_differences(config),
         program=version().splitlines()[0],
         made=now(),
     )
@@ -143,7 +151,7 @@ def page(
 
 
 def _kept_at_half_the_step(meta: Mapping[str, Any], champion: Champion) -> float | None:
-    """What `train` noted of this champion, and not of another one."""
+    """Return the fraction that `train` measured at half the step, if for this champion."""
     first = meta.get("half_step")
     if not isinstance(first, Mapping) or first.get("genes_sha256") != genes_digest(champion.genes):
         return None
@@ -152,7 +160,7 @@ def _kept_at_half_the_step(meta: Mapping[str, Any], champion: Champion) -> float
 
 
 def _expected(champion: Champion) -> dict[str, float]:
-    """What it came to in fresh draws of chance, if there were any."""
+    """Return the mean fitness in fresh draws, if there were any."""
     if champion.expected is None:
         return {}
     return {f"mean fitness in {champion.lives} fresh draws": champion.expected}
@@ -166,11 +174,11 @@ def _jpeg(picture: "Image.Image") -> bytes:
 
 def _sentence(experiment: Experiment, config: ExperimentConfig) -> str:
     simulation, creature = experiment.simulation, experiment.creature
-    surroundings = (
+    places = (
         ("in water", simulation.world.water is not None),
         ("on the ground", simulation.world.footing is not None),
     )
-    where = " and ".join(words for words, there in surroundings if there) or "in empty space"
+    where = " and ".join(words for words, there in places if there) or "in empty space"
     bodies = f"{len(creature.bodies)} bodies and {simulation.world.tree.dof_count} joint axes"
     return (
         f"An animal of {bodies} ({float(creature.mass):.3g} kg) {where}, driven by the controller "
@@ -180,14 +188,14 @@ def _sentence(experiment: Experiment, config: ExperimentConfig) -> str:
 
 
 def _audit(folder: RunFolder, champion: Champion) -> dict[str, Any] | None:
-    """What `evo-cpg audit` found, of this run's champion where it looked at that."""
-    found = []
+    """Return an audit of the run, that of the champion if there is one."""
+    audits = []
     for name in (f"audit_run{champion.run}.json", "audit.json"):
         try:
-            found.append(read_json(folder.path / name, dict[str, Any]))
+            audits.append(read_json(folder.path / name, dict[str, Any]))
         except (OSError, ValueError):
             continue
-    return next((told for told in found if _is_of(told, champion)), found[0] if found else None)
+    return next((each for each in audits if _is_of(each, champion)), next(iter(audits), None))
 
 
 def _is_of(audit: dict[str, Any] | None, champion: Champion) -> bool:

@@ -5,7 +5,7 @@ import functools
 import math
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -31,32 +31,32 @@ from evo_cpg.training.experiment import Experiment, champion_keys, situation_num
 from evo_cpg.training.probe import blinded
 from evo_cpg.training.variations import Variation, Varied
 
-# Pairs of bodies that are named, of those that are not looked at.
+# Most names of pairs of bodies that are not checked.
 _NAMED = 5
 
-# By so much friction and drag are changed.
+# Relative change of friction and drag.
 _CHANGE = 0.1
 
 # Standard deviation of joint angles, roll and pitch at the start, rad, and how many are tried.
 _SHAKE, _DRAWS = 0.01, 8
 
-# Lives that a way is the mean of, where chance has a say; and the key of the check that compares
-# them with those that made the champion.
-_LIVES, _CHANCE = 16, "pose"
+# Trials that a displacement is the mean of, with noise; and the key of the check that compares
+# them with the trials that made the champion.
+_TRIALS, _CHANCE = 16, "pose"
 
-# Energy that nobody accounts for is summed over stretches of this length, s: in single steps much
-# of it comes and goes.
+# Unaccounted energy is summed over stretches of this length, s: in single steps much of it comes
+# and goes.
 _STRETCH = 0.25
 
-# A way shorter than this, in lengths of the animal, is none that could be kept, and is not tried.
-_SOME_WAY = 0.1
+# A shorter displacement, in lengths of the animal, is too short to try variations.
+_LEAST_DISPLACEMENT = 0.1
 
-# The replayed fitness must agree with the one that was recorded to this share.
+# The replayed fitness must agree with the recorded one to this fraction.
 _REPLAY = 1e-3
 
 
 class Trial(NamedTuple):
-    """One trial of the champion, looked at step by step.
+    """One trial of the champion, step by step.
 
     Attributes:
         steps: all of its physics steps.
@@ -71,7 +71,7 @@ class Trial(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class Audit:
-    """What became of an audit.
+    """Result of an audit.
 
     Attributes:
         verdict: all checks.
@@ -87,6 +87,38 @@ class Audit:
     opinions: tuple[Opinion, ...] = ()
     missing: str = ""
 
+    @property
+    def measured(self) -> dict[str, float]:
+        """Results of the checks by their keys."""
+        return {check.key: float(check.measured) for check in self.verdict.checks}
+
+    def as_dict(self, champion: Champion) -> dict[str, Any]:
+        """Return the contents of ``audit.json``."""
+        return {
+            "passed": self.verdict.passed,
+            "reasons": self.verdict.reasons,
+            "run": champion.run,
+            "generation": champion.generation,
+            "fitness": champion.fitness,
+            "expected": champion.expected,
+            "checks": [
+                check._asdict() | {"measured": float(check.measured), "passed": check.passed}
+                for check in self.verdict.checks
+            ],
+            "energy": [_energy(trial.ledger) for trial in self.trials],
+            "second_opinion": [
+                {
+                    "program": one.program,
+                    "way_m": one.displacement,
+                    "heading_deg": math.degrees(one.heading),
+                    "upright": one.upright,
+                    "nothing_touches": one.airborne,
+                }
+                for one in self.opinions
+            ]
+            or self.missing,
+        }
+
 
 def audits(
     experiment: Experiment,
@@ -97,7 +129,7 @@ def audits(
     folders: Iterable[Path] = (),
     tell: Callable[[str, int, int], None] = lambda what, done, total: None,
 ) -> list[Audit]:
-    """Look at champions from all sides; what is compiled serves them all.
+    """Audit champions; each program is compiled once for all of them.
 
     Args:
         experiment: that they were evolved in.
@@ -106,7 +138,7 @@ def audits(
         config: what the experiment was built from.
         source: file of that.
         folders: see `evo_cpg.config.build.build_experiment`.
-        tell: called with what is done next, and how much of all is done.
+        tell: called with the name of the next step, its number and the number of steps.
     """
     simulation = experiment.simulation
     own = Variation("as it evolved", (simulation,))
@@ -114,10 +146,10 @@ def audits(
     total = len(others) + 3
     tell("living as it evolved", 0, total)
     live = variations.compile_variation(experiment, own)
-    lived = [live(champion) for champion in champions]
-    champions = [_complete(*both) for both in zip(champions, lived, strict=True)]
+    replayed = [live(champion) for champion in champions]
+    champions = [_complete(*both) for both in zip(champions, replayed, strict=True)]
     tell("step by step", 1, total)
-    step_by_step = compile_audited_trials(experiment)
+    step_by_step = compile_steps(experiment)
     trials = [step_by_step(champion) for champion in champions]
     kept: list[dict[str, tuple[Variation, Varied]]] = [{} for _ in champions]
     for done, (key, other) in enumerate(others.items(), 2):
@@ -127,11 +159,11 @@ def audits(
             found[key] = other, live(champion)
     tell("in MuJoCo", total - 1, total)
     made = []
-    for champion, alive, steps, found in zip(champions, lived, trials, kept, strict=True):
+    for champion, alive, steps, found in zip(champions, replayed, trials, kept, strict=True):
         opinions, missing = _opinions(experiment, champion, steps[0].steps)
         checks = [
             _replay(champion, alive),
-            *_shares(
+            *_kept(
                 float(np.nanmean(alive.displacement)),
                 found,
                 limits,
@@ -145,16 +177,16 @@ def audits(
     return made
 
 
-def _complete(champion: Champion, lived: Varied) -> Champion:
-    """With all its terms: of whom a map holds, only those of its axes are kept."""
-    terms = {name: float(values[0]) for name, values in lived.terms.items()}
+def _complete(champion: Champion, replayed: Varied) -> Champion:
+    """Return a champion with all its terms: a map keeps only those of its axes."""
+    terms = {name: float(values[0]) for name, values in replayed.terms.items()}
     return champion._replace(terms=terms | champion.terms)
 
 
 def _opinions(
     experiment: Experiment, champion: Champion, steps: PhysicsSteps
 ) -> tuple[tuple[Opinion, ...], str]:
-    """Ours and MuJoCo's of the first trial, and why there is none or one is missing."""
+    """Return our trial and MuJoCo's, and why one is missing."""
     simulation, creature = experiment.simulation, experiment.creature
     theirs, missing = [], ""
     try:
@@ -170,7 +202,7 @@ def _opinions(
 
 
 def _brain(experiment: Experiment, champion: Champion) -> Brain:
-    """What drives the champion in its first trial."""
+    """Return the brain that drives the champion in its first trial."""
     keys, numbers = champion_keys(experiment, champion), situation_numbers(experiment)
     own = None if keys is None else keys[:, :1]
     first = None if numbers is None else jnp.asarray(numbers[:1])
@@ -184,37 +216,39 @@ def compile_first_look(
 
     Args:
         experiment: that is being evolved.
-        least: share of its way that a champion must keep at half the physics step.
+        least: fraction of its displacement that a champion must keep at half the physics step.
 
     Returns:
-        A function of a champion and its way, m. The way is None where chance has a say, and is
-        found in fresh draws.
+        A function of a champion and its displacement, m. With noise, pass None: it is measured in
+        fresh draws.
     """
     own = experiment.simulation
     simulations = [variations.finer(own, 2)]
     if not own.noise.silent:
         simulations.insert(0, own)
     places = [Variation("", (simulation,), draws_of(own)) for simulation in simulations]
-    lives = [variations.compile_variation(experiment, place) for place in places]
-    shortest = _SOME_WAY * length_of(experiment.creature)
+    programs = [variations.compile_variation(experiment, place) for place in places]
+    shortest = _LEAST_DISPLACEMENT * length_of(experiment.creature)
 
-    def look(champion: Champion, own_way: float | None) -> Check:
-        ways = [
+    def look(champion: Champion, own_displacement: float | None) -> Check:
+        displacements = [
             float(live(champion).mean_displacements(place)[0])
-            for live, place in zip(lives, places, strict=True)
+            for live, place in zip(programs, places, strict=True)
         ]
-        way, half = ways if own_way is None else (own_way, *ways)
-        question, detail = "way kept: half the step", f"{half:.3g} of {way:.3g} m"
-        if not way > shortest:
+        if own_displacement is not None:
+            displacements.insert(0, own_displacement)
+        displacement, half = displacements
+        question, detail = "way kept: half the step", f"{half:.3g} of {displacement:.3g} m"
+        if not displacement > shortest:
             return Check("half_step", question, 1.0, detail=detail)
-        share = float(np.clip(half / way, 0.0, 1.0))
-        return Check("half_step", question, share, least, True, "%", detail)
+        fraction = float(np.clip(half / displacement, 0.0, 1.0))
+        return Check("half_step", question, fraction, least, True, "%", detail)
 
     return look
 
 
-def compile_audited_trials(experiment: Experiment) -> Callable[[Champion], tuple[Trial, ...]]:
-    """Return all trials of a champion, step by step; compiled at the first call."""
+def compile_steps(experiment: Experiment) -> Callable[[Champion], tuple[Trial, ...]]:
+    """Return a function that replays all trials of a champion, step by step."""
     simulation, numbers = experiment.simulation, situation_numbers(experiment)
     live = jax.jit(functools.partial(rollout, simulation, observers=EachPhysicsStep()))
 
@@ -242,7 +276,7 @@ def compile_audited_trials(experiment: Experiment) -> Callable[[Champion], tuple
 def books(
     experiment: Experiment, champion: Champion, trials: tuple[Trial, ...], limits: Limits
 ) -> list[Check]:
-    """What the trials themselves show; of each check the worst of them."""
+    """Return the checks of the trials themselves, each of the worst trial."""
     simulation, mass = experiment.simulation, float(experiment.creature.mass)
     length, h = float(length_of(experiment.creature)), simulation.step_length
     limits = limits.of_length(length)
@@ -265,7 +299,7 @@ def books(
         check(
             "simulator_momentum",
             "momentum balance off by, of impulses",
-            max(_momentum_share(one) for one in ledgers),
+            max(_momentum_fraction(one) for one in ledgers),
         ),
         check(
             "limit_energy",
@@ -291,7 +325,7 @@ def books(
                 max(one.push_out.sum() / _effort(one) for one in ledgers),
             ),
         ]
-        # In water everywhere nothing flies.
+        # Nothing flies with water everywhere.
         if world.water_level < math.inf:
             checks.append(check("airborne_way", "way made while airborne", worst("airborne_way")))
     if any(np.any(trial.steps.coulomb_residual) for trial in trials):
@@ -313,7 +347,7 @@ def _between_limbs(
     ledgers: Sequence[Ledger],
     check: Callable[..., Check],
 ) -> list[Check]:
-    """What the limbs do to each other; nothing of an animal that has no two that could meet."""
+    """Return the checks of limbs that may touch; none if no two can meet."""
     checks, world = [], experiment.simulation.world
     if world.pairs is not None or any(np.any(one.limbs) for one in ledgers):
         pushed = max(_given(one, one.limbs) for one in ledgers)
@@ -330,7 +364,7 @@ def _between_limbs(
 
 
 def _pairs_that_pass(experiment: Experiment) -> str:
-    """Bodies that touch in the neutral pose, and may therefore be in each other."""
+    """Name the bodies that touch in the neutral pose, whose overlap is not checked."""
     world = experiment.simulation.world
     found = pairs_that_touch_at_rest(experiment.creature, world.tree, world.watched)
     names = [f"{world.tree.names[i]} and {world.tree.names[j]}" for i, j in found]
@@ -341,10 +375,10 @@ def _pairs_that_pass(experiment: Experiment) -> str:
 def _variations(
     experiment: Experiment, config: ExperimentConfig, source: Path, folders: tuple[Path, ...]
 ) -> dict[str, Variation]:
-    """Where the champion is tried, by the key of the limit.
+    """Return the variations that the champion is tried in, by the key of the limit.
 
-    What it does in the draws of chance that made it champion is luck in part. So where there is
-    chance, all of them are lived under the same fresh draws, and compared with `_CHANCE` of those.
+    The noise that made it champion was lucky in part. So with noise, all variations use the same
+    fresh draws, and are compared with the variation `_CHANCE` in these draws.
     """
     simulation = experiment.simulation
     draws = draws_of(simulation)
@@ -379,12 +413,12 @@ def _variations(
 
 
 def draws_of(simulation: Simulation) -> int:
-    """How many lives a way is the mean of: one where chance has no say."""
-    return 1 if simulation.noise.silent else _LIVES
+    """Return how many trials a displacement is the mean of: one without noise."""
+    return 1 if simulation.noise.silent else _TRIALS
 
 
 def _other_points(config: ExperimentConfig, source: Path, folders: tuple[Path, ...]) -> Simulation:
-    """The same in water that acts on other points of the surfaces."""
+    """Return the simulation with other surface points for the water."""
     water = config.world.water
     assert water is not None
     if water.points == "random":
@@ -399,15 +433,15 @@ def _other_points(config: ExperimentConfig, source: Path, folders: tuple[Path, .
     return build_experiment(changed, source, folders).simulation
 
 
-def _replay(champion: Champion, lived: Varied) -> Check:
-    off = abs(float(lived.fitness[0]) - champion.fitness) / max(abs(champion.fitness), _REPLAY)
+def _replay(champion: Champion, replayed: Varied) -> Check:
+    off = abs(float(replayed.fitness[0]) - champion.fitness) / max(abs(champion.fitness), _REPLAY)
     return Check("replay", "replayed fitness off by", off, _REPLAY, unit="%")
 
 
 def _carried(experiment: Experiment, trials: Sequence[Trial]) -> float:
-    """The way that the water would carry the animal from where it starts, mean over trials, m."""
+    """Return how far the water alone would carry the animal, mean over trials, m."""
     simulation, numbers = experiment.simulation, situation_numbers(experiment)
-    water, ways = simulation.world.water, []
+    water, displacements = simulation.world.water, []
     if water is None:
         return 0.0
     for i, trial in enumerate(trials):
@@ -417,78 +451,89 @@ def _carried(experiment: Experiment, trials: Sequence[Trial]) -> float:
         if start[2] > simulation.world.water_level:
             flow = 0.0 * flow
         light = simulation.lights[0 if numbers is None else i]
-        ways.append(displacement(np.hstack([start, start + simulation.duration * flow]), light))
-    return float(np.mean(ways))
+        displacements.append(
+            displacement(np.hstack([start, start + simulation.duration * flow]), light)
+        )
+    return float(np.mean(displacements))
 
 
-def _shares(
+def _kept(
     own: float,
     kept: dict[str, tuple[Variation, Varied]],
     limits: Limits,
     creature: Creature,
     carried: float = 0.0,
 ) -> list[Check]:
-    """How much of its way it keeps where.
+    """Return the fractions of its displacement that a champion keeps in variations.
 
     Args:
-        own: its way as it evolved, m.
-        kept: what became of it elsewhere, by the key of the limit.
-        limits: what it must keep.
+        own: its displacement as it evolved, m.
+        kept: results of the variations, by the key of the limit.
+        limits: least fractions.
         creature: the animal.
-        carried: what of that the water would have made, m.
+        carried: displacement by the water alone, m.
     """
     checks = [Check("way", "way as it evolved", own, unit="m")]
-    if not own > _SOME_WAY * length_of(creature):
+    if not own > _LEAST_DISPLACEMENT * length_of(creature):
         return checks
     chance, drawn = kept[_CHANCE]
-    # Without chance no variation but the one of the poses has several draws.
+    # Without noise, only the variation of poses has several draws.
     usual = float(drawn.mean_displacements(chance)[0])
     for key, (variation, one) in kept.items():
         of_own = variation.draws == 1 or key == _CHANCE
-        whole = own if of_own else usual
-        ways = one.mean_displacements(variation)
-        detail = ", ".join(f"{x:.3g}" for x in ways) + f" of {whole:.3g} m"
+        reference = own if of_own else usual
+        displacements = one.mean_displacements(variation)
+        detail = ", ".join(f"{x:.3g}" for x in displacements) + f" of {reference:.3g} m"
         if key == "limp_way":
-            # What remains without the water's part. Against a current nobody drifts.
-            swum, limp = whole - carried, float(ways.max()) - max(0.0, carried)
-            if carried > 0 and swum <= _SOME_WAY * length_of(creature):
-                # It is carried, and does no more.
-                share = 1.0
+            # Without the water's part. No animal drifts against a current.
+            swum, limp = reference - carried, float(displacements.max()) - max(0.0, carried)
+            if carried > 0 and swum <= _LEAST_DISPLACEMENT * length_of(creature):
+                # The water carries it, and it does no more.
+                fraction = 1.0
             else:
-                share = float(np.clip(limp / swum, 0.0, 1.0)) if swum > 0 else 0.0
+                fraction = float(np.clip(limp / swum, 0.0, 1.0)) if swum > 0 else 0.0
             if carried:
                 detail += f", of which the water makes {carried:.3g}"
             question = f"way with {variation.name}"
-            checks.append(Check(key, question, share, limits.limp_way, unit="%", detail=detail))
+            checks.append(Check(key, question, fraction, limits.limp_way, unit="%", detail=detail))
             continue
-        shares = np.clip(ways / whole, 0.0, 1.0) if whole > 0 else np.zeros_like(ways)
+        fractions = np.zeros_like(displacements)
+        if reference > 0:
+            fractions = np.clip(displacements / reference, 0.0, 1.0)
         question, limit = f"way kept: {variation.name}", getattr(limits, key, None)
-        # Of several settings the worst.
-        checks.append(Check(key, question, float(shares.min()), limit, True, "%", detail))
+        # The worst of several settings.
+        checks.append(Check(key, question, float(fractions.min()), limit, True, "%", detail))
     return checks
 
 
 def _energy_gain(one: Ledger, h: float) -> float:
-    """Energy that nobody accounts for, over the stretches in which it is a gain, J."""
+    """Return the unaccounted energy, summed over the stretches in which it is a gain, J."""
     length = max(1, round(_STRETCH / h))
     starts = np.arange(0, len(one.stored), length)
     return float(np.maximum(np.add.reduceat(one.left_over, starts), 0.0).sum())
 
 
 def _given(one: Ledger, work: np.ndarray) -> float:
-    """What a constraint gave in all, of the motors' work; one that is passive takes."""
+    """Return the energy that a constraint gave, relative to the motors' work."""
     return max(0.0, float(work.sum())) / _effort(one)
 
 
-def _momentum_share(one: Ledger) -> float:
+def _momentum_fraction(one: Ledger) -> float:
     given = one.given.sum()
     return float(np.linalg.norm(one.impulse.sum(1)) / given) if given > 0 else 0.0
 
 
 def _effort(one: Ledger) -> float:
-    """The motors' work, J; of an animal whose motors do none, all work that is done."""
+    """Return the motors' work, J; if the motors do none, all work."""
     done = sum(np.abs(each).sum() for each in one.work.values())
     return one.effort or float(done) or np.inf
+
+
+def _energy(one: Ledger) -> dict[str, float]:
+    """Return the energies of a trial, J."""
+    parts = {name: float(value.sum()) for name, value in one.work.items()}
+    left_over = float(one.left_over.sum())
+    return {"stored": float(one.stored.sum()), **parts, "left_over": left_over}
 
 
 def _ledger_words(one: Ledger) -> str:

@@ -63,7 +63,7 @@ class Bodies:
         if not any(each.any() for each in differs.values()):
             return None
         if frozenset(columns) not in self._made:
-            # By somebody for each number who differs in it, and by the last one.
+            # One individual that differs for each number, and the last one.
             self._plan(
                 columns, np.unique([*(each.argmax() for each in differs.values()), count - 1])
             )

@@ -37,7 +37,7 @@ from evo_cpg.simulation.situation import light_places
 
 
 class EnvironmentState(eqx.Module):
-    """What goes on from step to step; fields may be added.
+    """State of an environment; fields may be added.
 
     Attributes:
         obs: what the animal senses.
@@ -189,20 +189,20 @@ class Environment:
     def _sense(
         self, animal: AnimalState, keys: Array | None, number: Array | int = 0
     ) -> tuple[AnimalState, Observation]:
-        """The animal after the push of a control step, and what it senses."""
+        """Return the animal after the push of a control step, and its observation."""
         constants = self._constants(keys)
         animal = push(self._simulation, constants, animal, jnp.asarray(number))
         return animal, sense(self._simulation, constants, animal)
 
     def _judge(self, tally: Any) -> tuple[dict[str, Array], Array]:
-        """The terms so far, and their fitness; 0 as long as it is no number."""
+        """Return the terms so far, and their fitness; 0 if it is not finite."""
         terms = finish_tally(self._simulation, tally)
         value = self._simulation.task.fitness(terms, self._scales)
         return terms, jnp.where(jnp.isfinite(value), value, 0.0)
 
 
 def _number(value: Array) -> str:
-    """A number as it prints, or the shape of what is traced or stacked."""
+    """Return a number as text, or the shape of a traced or stacked array."""
     if isinstance(value, Tracer) or jnp.ndim(value):
         return f"{value.dtype}{list(jnp.shape(value))}"
     item = np.asarray(value).item()

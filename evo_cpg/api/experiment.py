@@ -39,7 +39,7 @@ from evo_cpg.training.devices import population_mesh
 
 Terms = Mapping[str, Float[Array, " *n"]]
 
-# As many individuals a fitness is tried on, before anybody lives.
+# Number of individuals that a fitness function is tried on first.
 _SEVERAL = 7
 
 
@@ -88,7 +88,7 @@ class Experiment:
     def __repr__(self) -> str:
         simulation, strategy = self.parts.simulation, self.parts.strategy
         search = f"{type(strategy).__name__} of {self.population} for {self.parts.generations}"
-        told = {
+        parts_of = {
             "creature": self.creature,
             "world": self.world,
             "genes": self.gene_count,
@@ -96,12 +96,12 @@ class Experiment:
             "trials": f"{self.trials} of {simulation.duration:.4g} s",
             "search": f"{search} generations",
         }
-        parts = [repr(self.name), *(f"{name}={value}" for name, value in told.items())]
+        parts = [repr(self.name), *(f"{name}={value}" for name, value in parts_of.items())]
         return f"Experiment({', '.join(parts)})"
 
     def __getstate__(self) -> dict[str, Any]:
         """Return what it is made of, without compiled programs, which no other process can use."""
-        # Measuring the scales anew takes a generation, and another machine may round otherwise.
+        # Measuring the scales again takes a generation, and another machine may round differently.
         kept = ("parts", "config", "source", "replaced", "scales")
         return {name: value for name, value in vars(self).items() if name in kept}
 
@@ -111,7 +111,7 @@ class Experiment:
 
     @property
     def name(self) -> str:
-        """What the configuration calls it."""
+        """Name in the configuration."""
         return self.parts.name
 
     @property
@@ -126,7 +126,7 @@ class Experiment:
 
     @property
     def task(self) -> Task:
-        """What it is judged by."""
+        """The task that gives its fitness."""
         return self.parts.simulation.task
 
     @property

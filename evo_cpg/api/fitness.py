@@ -33,8 +33,8 @@ def fitness_function(
         parts: of the experiment.
         scales: the task's yardsticks.
         keys: of the noise in its trials.
-        horizon: in which slopes fade, s; None for slopes that are exact in water and cut on the
-            ground, infinity for exact ones.
+        horizon: time constant with which derivatives fade, s; None for derivatives that are exact
+            in water and cut on the ground, infinity for exact ones.
         parameters: numbers of the configuration that the function takes as well.
         task: instead of the configuration's.
     """
@@ -57,8 +57,8 @@ def fitness_function(
                 raise ValueError(f"values must have the shape {shape}, got {given}")
             trial = parameters.simulation(jnp.asarray(values, genome.dtype))
             trial = dataclasses.replace(trial, task=task) if task else trial
-        crowd = jnp.broadcast_to(genome[:, None], (count, parts.trials))
-        outcome = rollout(trial, crowd, keys, situations, backward=backward)
+        genomes = jnp.broadcast_to(genome[:, None], (count, parts.trials))
+        outcome = rollout(trial, genomes, keys, situations, backward=backward)
         return judge(trial.task, outcome, scales)[0]
 
     return fitness

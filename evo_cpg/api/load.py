@@ -1,22 +1,22 @@
-"""From files or dictionaries to an experiment that can be called."""
+"""Load an experiment from a file, a run folder or a dictionary."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from evo_cpg.api.experiment import Experiment
+from evo_cpg.api.opened import class_folders
 from evo_cpg.api.progress import working
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import as_overrides, complete_config, load_config
 from evo_cpg.config.shipped import find_config
 from evo_cpg.config.trust import trusting
-from evo_cpg.system import named
 from evo_cpg.training.devices import use_cores
 from evo_cpg.training.run_folder import RunFolder
 
 Overrides = Sequence[str] | Mapping[str, Any]
 
-# Where the contents of a configuration come from that no file holds.
+# Source of a configuration that no file holds.
 _NO_FILE = Path("configuration")
 
 
@@ -63,24 +63,6 @@ def _load(
     use_cores(cores)
     with working(f"building {read.name!r}"):
         return Experiment(build_experiment(read, source, folders), read, source)
-
-
-def class_folders(folder: RunFolder) -> list[Path]:
-    """Where a user's own classes lie: beside the config that the run was started with."""
-    origin = folder.read_meta().get("config")
-    return [named(origin).parent] if isinstance(origin, str) else []
-
-
-def changed_config(folder: RunFolder) -> str | None:
-    """What to say where ``config.yaml`` is not what the champion evolved in; None where it is.
-
-    Raises:
-        RunFolderError: there is no champion.
-    """
-    _, _, digests = folder.load_champion()
-    if digests["config_sha256"] == folder.config_digest():
-        return None
-    return "config.yaml is not the one that the champion was evolved with"
 
 
 def _as_on_the_command_line(overrides: Overrides) -> list[str]:

@@ -1,6 +1,6 @@
 """A line on standard error for work that takes long: on a terminal and in a notebook, or if asked.
 
-A library says nothing that its user did not ask for, so logs and pipes stay as they are. But the
+A library prints nothing that its user did not request, so logs and pipes stay clean. But the
 first call of a program compiles it, which takes seconds or, for a large animal, minutes. A user who
 watches should know what is going on.
 """
@@ -11,7 +11,7 @@ import threading
 import time
 from collections.abc import Iterator
 
-# What is done sooner is not worth a line, s.
+# Shorter work prints no line, s.
 _SOON = 1.0
 
 # Between two lines about generations, s.
@@ -21,7 +21,7 @@ _shown: bool | None = None
 
 
 def show_progress(on: bool | None = None) -> None:
-    """Choose whether long work of this library tells on standard error what it is doing.
+    """Choose whether long work of this library prints its progress to standard error.
 
     Args:
         on: True for always, False for never, None for only on a terminal and in a notebook, as it
@@ -33,19 +33,19 @@ def show_progress(on: bool | None = None) -> None:
 
 @contextlib.contextmanager
 def working(what: str) -> Iterator[None]:
-    """Tell what is being done if it takes more than a second, and afterwards how long it took.
+    """Print the name of work that takes more than a second, and afterwards its duration.
 
     Args:
-        what: is being done.
+        what: name of the work.
     """
-    if not _wanted():
+    if not _is_shown():
         yield
         return
-    start, done, said = time.monotonic(), threading.Event(), threading.Event()
+    start, done, printed = time.monotonic(), threading.Event(), threading.Event()
 
     def wait() -> None:
         if not done.wait(_SOON):
-            said.set()
+            printed.set()
             _say(f"{what} ...")
 
     waiter = threading.Thread(target=wait, name="progress", daemon=True)
@@ -55,7 +55,7 @@ def working(what: str) -> Iterator[None]:
     finally:
         done.set()
         waiter.join()
-        if said.is_set():
+        if printed.is_set():
             _say(f"{what}: {time.monotonic() - start:.1f} s")
 
 
@@ -76,20 +76,20 @@ class Generations:
             best: fitness so far.
         """
         self._done += 1
-        if time.monotonic() >= self._next and _wanted():
+        if time.monotonic() >= self._next and _is_shown():
             self._next = time.monotonic() + _BETWEEN
             _say(f"{self._done} of {self._total} generations, best fitness {best:.4g}")
 
 
-def _wanted() -> bool:
+def _is_shown() -> bool:
     """Return whether somebody watches, or asked for it."""
     if _shown is not None:
         return _shown
-    # What a notebook shows of standard error is no terminal.
+    # Standard error of a notebook is no terminal.
     return sys.stderr is not None and (sys.stderr.isatty() or "ipykernel" in sys.modules)
 
 
 def _say(line: str) -> None:
-    # A closed stream is no reason to stop working.
+    # Work continues if the stream is closed.
     with contextlib.suppress(OSError, ValueError):
         print(f"evo_cpg: {line}", file=sys.stderr, flush=True)

@@ -2,19 +2,15 @@
 
 import csv
 import io
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Array, Float
 
 from evo_cpg.files import write_text, write_whole
-from evo_cpg.simulation.recording import NERVE, SENSE, Recording, as_recording
+from evo_cpg.simulation.recording import NERVE, SENSE, Recording
 from evo_cpg.simulation.simulation import Simulation
-from evo_cpg.training.checkpoint import Champion
-from evo_cpg.training.experiment import Experiment
-from evo_cpg.training.run_folder import RunFolder
 
 _AXES = ("x", "y", "z")
 
@@ -122,46 +118,3 @@ def as_record(simulation: Simulation, frames: Mapping[str, Array], recording: Re
         if name in arrays:
             add(name, "1", arrays[name])
     return Record(columns, units, recording)
-
-
-class Life(NamedTuple):
-    """What an individual came to, and what was recorded of it.
-
-    Attributes:
-        fitness: as it counts in the run.
-        frames: see `evo_cpg.simulation.recording.Recorder`, of one individual.
-        recording: its motion.
-    """
-
-    fitness: float
-    frames: dict[str, Array]
-    recording: Recording
-
-
-def lives_again(
-    experiment: Experiment,
-    champions: Sequence[Champion],
-    folder: RunFolder,
-    trial: int,
-    full: bool = False,
-) -> list[Life]:
-    """Individuals of a run, living once more, one after the other in one program.
-
-    Args:
-        experiment: that they evolved in.
-        champions: the individuals.
-        folder: of their run.
-        trial: which of their trials is recorded, from 0.
-        full: see `evo_cpg.simulation.recording.Recorder`.
-    """
-    # Importing the loop starts nothing, but it takes JAX a second.
-    from evo_cpg.training.replay import compile_frames
-
-    live = compile_frames(experiment, folder.read_meta().get("devices", 1), trial, full)
-    names = [body.name for body in experiment.creature.bodies]
-    found = []
-    for champion in champions:
-        fitness, _, frames = live(champion)
-        recording = as_recording(experiment.simulation, frames, names, trial=trial)
-        found.append(Life(fitness, frames, recording))
-    return found

@@ -1,22 +1,23 @@
 """Many settings of one experiment: a run folder for each, a table of all, and one figure.
 
-    sweep.json       what is varied, so that the sweep can be gone on with
+    sweep.json       the settings, to continue the sweep
     NAME/            a run folder for every setting, for all commands that take one
-    runs.csv         a row for every run: what was set, and what its champion came to
+    runs.csv         a row for every run: its setting and its champion
     settings.csv     a row for every setting: median, quartiles, extremes
-    tests.csv        a row for every two settings: who wins how often, and how sure that is
-    sweep.png        how fitness rose, and what the runs came to
+    tests.csv        a row for every two settings: how often the first wins, with a p value
+    sweep.png        fitness over generations, and final fitness
 
-Settings with the same animal in the same trial run side by side in one program, whatever searches
-(`evo_cpg.training.loop`); others in turn, each with a program of its own: numbers of a body
-are constants of it, which makes an evaluation faster and lets a champion live again to the bit.
+Settings with the same animal in the same trial run side by side in one program, with any searches
+(`evo_cpg.training.loop`). Others run in turn, each with a program of its own. The numbers of a
+body are constants of the program, so that evaluations are fast and replays exact to the bit.
 """
 
 import contextlib
+import dataclasses
 import hashlib
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,41 +25,36 @@ import numpy as np
 
 from evo_cpg import locks
 from evo_cpg.analysis.compare import Comparison, Spread, compare, spread
+from evo_cpg.api.display import progress, say
+from evo_cpg.api.opened import Opened
 from evo_cpg.api.training import begin_run, reopen_run
 from evo_cpg.config.build import build_experiment, require_genes
 from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.fingerprint import fingerprint
 from evo_cpg.config.load import load_config
-from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.config.settings import Setting, is_folder_name
 from evo_cpg.files import make_folder, write_table, write_text
 from evo_cpg.system import name_of, named, resolved
 from evo_cpg.training.checkpoint import Checkpoint
-from evo_cpg.training.experiment import Experiment
 from evo_cpg.training.memory import require_memory
 from evo_cpg.training.reevaluation import is_finished
-from evo_cpg.training.run_folder import RunFolder, RunFolderError
+from evo_cpg.training.run_folder import RunFolder, RunFolderError, read_checked
 
 _PLAN = "sweep.json"
 
-# What of a configuration does not change the trials.
+# Sections of a configuration that do not change the trials.
 _SEARCH = ("name", "seed", "runs", "evolution", "audit")
 
 
-class Member(NamedTuple):
+@dataclasses.dataclass(frozen=True)
+class Member(Opened):
     """A setting of a sweep.
 
     Attributes:
         setting: its name, and what it sets.
-        config: complete.
-        experiment: built from it.
-        folder: of its runs.
     """
 
     setting: Setting
-    config: ExperimentConfig
-    experiment: Experiment
-    folder: RunFolder
 
     @property
     def checkpoint(self) -> Checkpoint | None:
@@ -81,7 +77,7 @@ class Member(NamedTuple):
 
 
 class Summary(NamedTuple):
-    """What a sweep came to.
+    """Result of a sweep.
 
     Attributes:
         spreads: of every setting.
@@ -95,7 +91,7 @@ class Summary(NamedTuple):
 
 
 def new_plan(source: Path, overrides: Sequence[str], settings: Sequence[Setting]) -> dict[str, Any]:
-    """What a sweep is about, for its folder.
+    """Return the plan of a sweep, for its folder.
 
     Raises:
         ConfigError: the configuration is wrong.
@@ -134,45 +130,39 @@ def claim(folder: Path, plan: Mapping[str, Any]) -> None:
                 f"`evo-cpg sweep {folder}` or choose another --out"
             )
         return
-    if folder.is_file() or (folder.is_dir() and any(_others(folder))):
+    if folder.is_file() or (
+        folder.is_dir() and any(path.name != locks.FILE for path in folder.iterdir())
+    ):
         raise RunFolderError(f"{folder} is not empty and holds no sweep; choose another --out")
     write_text(make_folder(folder) / _PLAN, json.dumps(plan, indent=2))
 
 
-def _others(folder: Path) -> Iterator[Path]:
-    """What a folder holds beside its lock."""
-    return (path for path in folder.iterdir() if path.name != locks.FILE)
-
-
 def read_plan(folder: Path) -> dict[str, Any] | None:
-    """What a sweep's folder is about; None where it is none.
+    """Read the plan of a sweep; None if the folder holds no sweep.
 
     Raises:
         RunFolderError: its file is damaged.
     """
-    path = folder / _PLAN
-    if not path.is_file():
-        return None
-    try:
-        plan = json.loads(path.read_text(encoding="utf-8"))
-        kinds = {"config": str, "config_sha256": str, "overrides": list, "settings": dict}
-        sound = all(isinstance(plan[key], kind) for key, kind in kinds.items())
-        sound = sound and all(isinstance(override, str) for override in plan["overrides"])
-        if not sound or not all(isinstance(values, dict) for values in plan["settings"].values()):
-            raise ValueError("something is of another kind")
-        for name in plan["settings"]:
-            # It names a folder beside the file.
-            if not is_folder_name(name):
-                raise ValueError(f"{name[:80]!r} is no name of a setting")
-    except (KeyError, OSError, RecursionError, TypeError, ValueError) as error:
-        raise RunFolderError(f"{path} is damaged ({error})") from None
-    return plan
+    return read_checked(folder / _PLAN, _is_plan)
+
+
+def _is_plan(plan: Any) -> bool:
+    for name in plan["settings"]:
+        # It names a folder beside the file.
+        if not is_folder_name(name):
+            raise ValueError(f"{name[:80]!r} is no name of a setting")
+    kinds = {"config": str, "config_sha256": str, "overrides": list, "settings": dict}
+    return (
+        all(isinstance(plan[key], kind) for key, kind in kinds.items())
+        and all(isinstance(override, str) for override in plan["overrides"])
+        and all(isinstance(values, dict) for values in plan["settings"].values())
+    )
 
 
 def members_of(
     folder: Path, plan: Mapping[str, Any], names: Sequence[str] | None = None
 ) -> list[Member]:
-    """The settings of a sweep, built.
+    """Build the settings of a sweep.
 
     Args:
         folder: of the sweep.
@@ -200,15 +190,15 @@ def members_of(
         experiment = build_experiment(config, source)
         require_genes(experiment, source)
         require_memory(experiment)
-        members.append(Member(setting, config, experiment, RunFolder(folder / named(name))))
+        members.append(Member(RunFolder(folder / named(name)), config, experiment, setting))
     return members
 
 
 def _digest(source: Path, overrides: Sequence[str]) -> str:
-    """Of what all settings change something of."""
+    """Return a digest of the configuration that the settings change."""
     config = load_config(source, overrides)
-    told = json.dumps(fingerprint(config)["config"], sort_keys=True)
-    return hashlib.sha256(told.encode()).hexdigest()
+    text = json.dumps(fingerprint(config)["config"], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def groups(members: Sequence[Member]) -> list[list[Member]]:
@@ -238,7 +228,7 @@ def run_group(
         source: file that the configuration came from.
         devices: that share the population.
         on_generation: called after every generation of each.
-        warn: called with what is otherwise than before, in words for the user.
+        warn: called with differences from before, in words for the user.
 
     Raises:
         LockedError: another process evolves one of them.
@@ -257,18 +247,65 @@ def run_group(
         )
 
 
+def evolve(
+    members: Sequence[Member],
+    source: Path,
+    devices: int,
+    title: str,
+    on_generation: Callable[[Member], object] = lambda member: None,
+    warn: Callable[[str], object] = lambda words: None,
+) -> None:
+    """Evolve settings to their ends, group by group, and show how far they are.
+
+    Args:
+        members: the settings.
+        source: see `run_group`.
+        devices: see `run_group`.
+        title: before the names of each group.
+        on_generation: called with a setting after each of its generations.
+        warn: see `run_group`.
+    """
+    found = groups(members)
+    for number, group in enumerate(found, 1):
+        if all(member.finished for member in group):
+            continue
+        total = sum(member.experiment.generations for member in group)
+        done = sum(member.generation for member in group)
+        which = f"{number} of {len(found)}: " if len(found) > 1 else ""
+        say(f"{title}: {which}{', '.join(member.setting.name for member in group)}")
+        latest: dict[str, float] = {}
+        with progress("generations", total, done) as show:
+
+            def tell(
+                member: Member, rows: list[dict[str, float]], latest: dict = latest, show=show
+            ) -> None:
+                latest[member.setting.name] = float(np.median([row["champion"] for row in rows]))
+                show(_standing(latest))
+                on_generation(member)
+
+            run_group(group, source, devices, tell, warn)
+
+
+def _standing(latest: Mapping[str, float]) -> str:
+    """Return the setting whose champions are best so far, by their median fitness."""
+    known = {name: value for name, value in latest.items() if math.isfinite(value)}
+    if not known:
+        return "nobody lives yet"
+    best = max(known, key=lambda name: known[name])
+    return f"ahead: {best}, median champion {known[best]:.4f}"
+
+
 def _reopen(
     group: Sequence[Member], source: Path, devices: int, warn: Callable[[str], object]
 ) -> None:
     """Make the run folders, or put those that are there in order."""
     for member in group:
         if not member.folder.config.is_file():
-            begin_run(member.folder, member.config, member.experiment, devices, source)
+            begin_run(member, devices, source)
             continue
         member.folder.require()
         if not member.finished:
-            run = member.folder, member.config, member.experiment
-            for words in reopen_run(*run, devices, source=source):
+            for words in reopen_run(member, devices, source=source):
                 warn(words)
 
 
@@ -299,7 +336,7 @@ def summarise(folder: Path, members: Sequence[Member]) -> Summary:
         for run, champion in enumerate(checkpoint.champions):
             found = {} if champion is None else champion.terms
             row = {"setting": name, "run": run, "seed": experiment.seed + run}
-            row |= {key: _told(member.setting.values.get(key)) for key in keys}
+            row |= {key: _cell(member.setting.values.get(key)) for key in keys}
             row |= {
                 "generations": checkpoint.generation,
                 "evaluations": int(evaluated[-1]),
@@ -325,6 +362,6 @@ def summarise(folder: Path, members: Sequence[Member]) -> Summary:
     return Summary(spreads, comparisons, picture)
 
 
-def _told(value: Any) -> Any:
-    """A value in a cell of a table."""
+def _cell(value: Any) -> Any:
+    """Return a value as a cell of a table."""
     return json.dumps(value) if isinstance(value, dict | list) else "" if value is None else value

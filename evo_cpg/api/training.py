@@ -4,7 +4,7 @@ import dataclasses
 import sys
 import time
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,9 +14,9 @@ from jax.typing import ArrayLike
 
 from evo_cpg.analysis.verdict import Check
 from evo_cpg.api.experiment import Experiment
+from evo_cpg.api.machine import machine_changes, machine_fingerprint
+from evo_cpg.api.opened import Opened
 from evo_cpg.api.progress import Generations, working
-from evo_cpg.api.surroundings import differences as changed_surroundings
-from evo_cpg.api.surroundings import surroundings
 from evo_cpg.api.warm_start import Start
 from evo_cpg.config.build import require_genes
 from evo_cpg.config.fingerprint import fingerprint
@@ -41,7 +41,7 @@ Rows = list[dict[str, float]]
 
 @dataclasses.dataclass(frozen=True)
 class Trained:
-    """What evolution came to.
+    """Result of evolution.
 
     Attributes:
         folder: the run folder, for `evo-cpg render` and the other commands.
@@ -104,19 +104,20 @@ def _train(
     import jax
 
     devices = len(jax.local_devices())
-    begin_run(folder, experiment.config, experiment.parts, devices, experiment.source, given)
+    run = Opened(folder, experiment.config, experiment.parts)
+    begin_run(run, devices, experiment.source, given)
     if experiment.replaced:
         folder.update_meta(replaced=list(experiment.replaced))
-    least, seen = first_look_asked(experiment.config), Generations(experiment.parts.generations)
-    begun = ExitStack()
+    least, seen = first_look_limit(experiment.config), Generations(experiment.parts.generations)
+    compiling = ExitStack()
 
     def on_rows(rows: Rows) -> None:
-        begun.close()
+        compiling.close()
         seen.add(max(row["champion"] for row in rows))
         on_generation(rows)
 
-    with Recorder(experiment.parts, folder, least) as recorder, begun:
-        begun.enter_context(
+    with Recorder(experiment.parts, folder, least) as recorder, compiling:
+        compiling.enter_context(
             working(f"compiling the search of {experiment.name!r} (first call only)")
         )
         champion = evolve(experiment.parts, folder, on_rows, recorder)
@@ -124,25 +125,17 @@ def _train(
             recorder.keep(champion)
     checkpoint = folder.load()
     history = checkpoint.history if checkpoint else []
-    told = champion.genes, champion.fitness, champion.terms
-    return Trained(folder.path, *told, history, champion.expected)
+    noted = champion.genes, champion.fitness, champion.terms
+    return Trained(folder.path, *noted, history, champion.expected)
 
 
 def begin_run(
-    folder: RunFolder,
-    config: ExperimentConfig,
-    experiment: parts.Experiment,
-    devices: int,
-    source: Path,
-    start: Start | None = None,
-    processes: int = 1,
+    run: Opened, devices: int, source: Path, start: Start | None = None, processes: int = 1
 ) -> None:
-    """Make a run folder, with what there is to know of the run.
+    """Make a run folder, with its configuration and meta.json.
 
     Args:
-        folder: to make.
-        config: of the run.
-        experiment: that it describes.
+        run: whose folder is made.
         devices: of this process.
         source: file that the configuration came from.
         start: what it begins with; None for random genomes.
@@ -153,74 +146,64 @@ def begin_run(
         RunFolderError: the folder holds a run or other files, or cannot be written.
         TooLargeError: the machine has not the memory for it.
     """
-    require_genes(experiment, source)
-    require_memory(experiment)
-    meta = _known(config, experiment, devices, source, processes)
+    require_genes(run.experiment, source)
+    require_memory(run.experiment)
+    meta = _known(run, devices, source, processes)
     if start is not None:
         meta["start"] = start.provenance
-    folder.create(dump_config(config), meta, None if start is None else start.genes)
+    run.folder.create(dump_config(run.config), meta, None if start is None else start.genes)
 
 
-def _known(
-    config: ExperimentConfig,
-    experiment: parts.Experiment,
-    devices: int,
-    source: Path,
-    processes: int,
-) -> dict[str, Any]:
-    """What meta.json says of a run that begins."""
+def _known(run: Opened, devices: int, source: Path, processes: int) -> dict[str, Any]:
+    """Return the contents of meta.json for a run that begins."""
     meta: dict[str, Any] = {
-        "name": config.name,
-        "seed": config.seed,
+        "name": run.config.name,
+        "seed": run.config.seed,
         "config": name_of(resolved(source)),
         "command": sys.argv[1:],
-        "fingerprint": fingerprint(config),
+        "fingerprint": fingerprint(run.config),
         "processes": processes,
         "started": now(),
     }
-    meta |= surroundings(experiment.simulation.engine, devices)
+    meta |= machine_fingerprint(run.experiment.simulation.engine, devices)
     if name := shipped_name(source):
         meta["shipped_config"] = name
     return meta
 
 
 def reopen_run(
-    folder: RunFolder,
-    config: ExperimentConfig,
-    experiment: parts.Experiment,
-    devices: int,
-    processes: int = 1,
-    source: Path | None = None,
+    run: Opened, devices: int, processes: int = 1, source: Path | None = None
 ) -> list[str]:
-    """Note with what a run is gone on with.
+    """Note the configuration and machine that a run continues with.
 
     Args:
-        folder: of the run.
-        config: with which it goes on.
-        experiment: that it describes.
+        run: with the configuration that it continues with.
         devices: of this process.
         processes: that evolve together.
-        source: file that the configuration came from, where that is known.
+        source: file that the configuration came from, if known.
 
     Returns:
-        What is otherwise than before, in words for the user.
+        Differences from before, in words for the user.
 
     Raises:
         ConfigError: there are no genes to evolve.
         RunFolderError: the folder cannot be written.
         TooLargeError: the machine has not the memory for it.
     """
-    require_genes(experiment, folder.config)
-    require_memory(experiment)
+    folder = run.folder
+    require_genes(run.experiment, folder.config)
+    require_memory(run.experiment)
     # Before anything is written: it starts JAX, which may find no device.
-    here, before = surroundings(experiment.simulation.engine, devices), folder.read_meta()
-    folder.reopen(dump_config(config))
-    noted = {"resumed": now(), "fingerprint": fingerprint(config), "processes": processes} | here
+    here = machine_fingerprint(run.experiment.simulation.engine, devices)
+    before = folder.read_meta()
+    folder.reopen(dump_config(run.config))
+    noted = {"resumed": now(), "fingerprint": fingerprint(run.config), "processes": processes}
+    noted |= here
     if not before and source is not None:
         # It was killed before this was written.
-        noted = _known(config, experiment, devices, source, processes)
+        noted = _known(run, devices, source, processes)
     folder.update_meta(**noted)
-    found = changed_surroundings(before, here)
+    found = machine_changes(before, here)
     return [f"{folder.path}: {difference}; bits may differ" for difference in found]
 
 
@@ -269,18 +252,18 @@ class Recorder:
         self.looks, self.skipped = least is not None, False
         self._experiment, self._folder, self._least = experiment, folder, least
         self._animal = animal
-        # Without noise the recording is the life whose way is compared.
+        # Without noise, the recording measures the displacement to compare with.
         self._measures_way = self.looks and experiment.simulation.noise.silent
         self._displacement: float | None = None
         self._thread = ThreadPoolExecutor(1, "recording")
-        self._program = _Job()
-        self._look = _Job()
+        self._program: _Compilation | None = None
+        self._look: _Compilation | None = None
 
     def __enter__(self) -> "Recorder":
         return self
 
     def __exit__(self, error: type[BaseException] | None, *rest: object) -> None:
-        # Who interrupts is told so at once, and not when the compiler is done.
+        # An interrupt ends the run at once, and does not wait for the compiler.
         self._thread.shutdown(wait=error is None and not self.skipped, cancel_futures=True)
 
     def compile(self, spent: Spent | None = None) -> None:
@@ -300,23 +283,24 @@ class Recorder:
         recorded = self._experiment
         if self._measures_way:
             recorded = recorded._replace(simulation=with_displacement(recorded.simulation))
-        self._program = _Job(took)
-        self._program.begin(self._thread, compile_replay, recorded, devices)
+        self._program = _Compilation(self._thread, took, compile_replay, recorded, devices)
         if self._least is not None:
             from evo_cpg.api.audit import compile_first_look
 
-            # With noise the way at the own step takes another program.
+            # With noise, the displacement at the original step takes another program.
             programs = 1 if self._measures_way else 2
-            self._look = _Job(None if took is None else programs * took)
-            self._look.begin(self._thread, compile_first_look, self._experiment, self._least)
+            expected = None if took is None else programs * took
+            self._look = _Compilation(
+                self._thread, expected, compile_first_look, self._experiment, self._least
+            )
 
     def expected_to_record(self) -> float | None:
         """Estimate how long `record` still compiles, s; None where nothing was measured."""
-        return self._program.left
+        return self._program and self._program.left
 
     def expected_to_look(self) -> float | None:
         """Estimate how long `look` still compiles, s; None where nothing was measured."""
-        return self._look.left
+        return self._look and self._look.left
 
     def keep(self, champion: Champion) -> None:
         """Record the champion, take the first look at it, and finish the run."""
@@ -326,24 +310,24 @@ class Recorder:
 
     def record(self, champion: Champion) -> None:
         """Write the champion and its motion into the run folder."""
-        if not self._program.begun:
+        if self._program is None:
             self.compile()
-        _, terms, motion = self._program.result()(champion)
+        assert self._program is not None
+        _, terms, motion = self._program(champion)
         if self._measures_way:
             self._displacement = float(np.nan_to_num(terms[DISPLACEMENT]))
         self._folder.save_champion(champion, motion)
 
     def look(self, champion: Champion) -> None:
         """Take the first look at a champion that was recorded, if one is asked for."""
-        if not self.looks:
+        if self._look is None:
             return
-        seen = self._look.result()(champion, self._displacement)
-        self.seen = seen
-        told: dict[str, Any] | None = None
+        self.seen = seen = self._look(champion, self._displacement)
+        noted: dict[str, Any] | None = None
         if seen.passed is not None:
-            told = {"measured": seen.measured, "least": seen.limit, "passed": seen.passed}
-            told["genes_sha256"] = genes_digest(champion.genes)
-        self._folder.update_meta(half_step=told)
+            noted = {"measured": seen.measured, "least": seen.limit, "passed": seen.passed}
+            noted["genes_sha256"] = genes_digest(champion.genes)
+        self._folder.update_meta(half_step=noted)
 
     def skip(self) -> None:
         """Take no first look after all, and do not wait for what still compiles."""
@@ -355,49 +339,48 @@ class Recorder:
         self._folder.update_meta(finished=now())
 
 
-class _Job:
-    """Something that compiles in a thread.
+class _Compilation:
+    """A program that a thread compiles when it has done what came before.
 
     Args:
+        thread: that compiles.
         expected: duration, s; None where nothing was measured.
+        compile_it: returns the program.
+        given: arguments of that.
     """
 
-    def __init__(self, expected: float | None = None):
+    def __init__(
+        self,
+        thread: ThreadPoolExecutor,
+        expected: float | None,
+        compile_it: Callable[..., Any],
+        *given: Any,
+    ):
         self._expected = expected
-        self._future: Future | None = None
         self._start: float | None = None
-
-    def begin(self, thread: ThreadPoolExecutor, compile_it: Callable, *args: Any) -> None:
-        """Compile when the thread has done what came before."""
 
         def work() -> Any:
             self._start = time.monotonic()
-            return compile_it(*args)
+            return compile_it(*given)
 
-        self._future = thread.submit(work)
-
-    @property
-    def begun(self) -> bool:
-        """Whether it was begun."""
-        return self._future is not None
+        self._program = thread.submit(work)
 
     @property
     def left(self) -> float | None:
         """Estimate of the time that it still takes, s; None where nothing was measured."""
-        if self._future is not None and self._future.done():
+        if self._program.done():
             return 0.0
         if self._expected is None or self._start is None:
             return self._expected
         return max(0.0, self._expected - (time.monotonic() - self._start))
 
-    def result(self) -> Any:
-        """Return what was compiled."""
-        assert self._future is not None
-        return self._future.result()
+    def __call__(self, *given: Any) -> Any:
+        """Wait for the program, and call it."""
+        return self._program.result()(*given)
 
 
-def first_look_asked(config: ExperimentConfig) -> float | None:
-    """What a run's first look at its champion asks for; None where it takes none."""
+def first_look_limit(config: ExperimentConfig) -> float | None:
+    """Return the limit of the first look at a run's champion; None if it takes none."""
     return config.audit.half_step if config.audit.after_training else None
 
 
@@ -467,23 +450,6 @@ def follow(experiment: parts.Experiment, folder: RunFolder, team: "Team") -> Non
     train_generations(experiment, folder, team=team)
 
 
-def require_configured(folder: RunFolder) -> None:
-    """Check that the configuration says all of the run.
-
-    Raises:
-        RunFolderError: it was begun in Python with a part that only that program has.
-    """
-    replaced = folder.read_meta().get("replaced")
-    if replaced:
-        raise RunFolderError(
-            f"{folder.path} was begun in Python with another {' and '.join(replaced)} or fitness "
-            "than its config.yaml names, which only that program has; commands can film and plot "
-            "it, but neither try its champion again nor go on with it. In Python "
-            "`Experiment.evaluate` tries genomes again, and `evo.train(..., start=...)` begins a "
-            "new run with them"
-        )
-
-
 def now() -> str:
-    """The time of day, with the zone."""
+    """Return date and time, with the zone."""
     return time.strftime("%Y-%m-%dT%H:%M:%S%z")

@@ -27,7 +27,7 @@ def version() -> str:
 def checkout() -> Path | None:
     """The checkout that this program lies in; None where it was installed."""
     folder = Path(evo_cpg.__file__).parents[1]
-    # An installed package may lie in a folder that is somebody else's checkout.
+    # An installed package may lie in a checkout of another project.
     return folder if os.path.exists(folder / ".git") else None
 
 
@@ -63,20 +63,20 @@ def commit_of(folder: Path, paths: Sequence[str] = (".",)) -> str | None:
 
 
 def _engine() -> str:
-    """What computes trials on this machine, and why where it is the slower."""
+    """Return the engine of this machine, and the reason if it is the slower one."""
     from evo_cpg.fusion.engine import Engine, described
 
-    with warnings.catch_warnings(record=True) as told:
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
             found = described(Engine())
         except (AssertionError, RuntimeError):
-            # What JAX 0.10 raises where it has no such device.
-            wanted = os.environ.get("JAX_PLATFORMS", "")
-            return f"none: JAX finds no device for JAX_PLATFORMS={wanted}"
+            # JAX 0.10 raises these if it has no such device.
+            platforms = os.environ.get("JAX_PLATFORMS", "")
+            return f"none: JAX finds no device for JAX_PLATFORMS={platforms}"
     if found["engine"] == "native":
         return f"native code, {found['instructions']}, LLVM {found['llvm']}"
-    return "; ".join(["plain JAX", *(str(warning.message) for warning in told)])
+    return "; ".join(["plain JAX", *(str(warning.message) for warning in caught)])
 
 
 def _git(folder: Path, *arguments: str) -> str:

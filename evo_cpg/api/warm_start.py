@@ -8,13 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from evo_cpg.api.load import class_folders
-from evo_cpg.config.build import build_experiment
-from evo_cpg.config.load import load_config
+from evo_cpg.api.opened import open_run
 from evo_cpg.system import name_of, resolved
 from evo_cpg.training.checkpoint import Champion, Checkpoint, genes_digest
 from evo_cpg.training.experiment import Experiment
-from evo_cpg.training.run_folder import RunFolder, RunFolderError
+from evo_cpg.training.run_folder import RunFolderError
 
 What = Literal["champion", "population"]
 
@@ -37,9 +35,9 @@ class Start(NamedTuple):
 def warm_start(experiment: Experiment, path: Path, what: What) -> Start:
     """The first populations of an experiment, from an earlier run of the same plan.
 
-    Run by run where both have as many, else all from the best run. About a champion, all but the
-    first are changed a little, as the strategy changes genomes; of a population that is too large
-    the last are left out, and one that is too small is filled up in this way.
+    If both have the same number of runs, each run starts from its own, else all start from the
+    best. All genomes but the first are variations of the champion, made by the strategy. A
+    population that is too large is cut, and one that is too small is filled with variations.
 
     Args:
         experiment: that begins.
@@ -50,11 +48,9 @@ def warm_start(experiment: Experiment, path: Path, what: What) -> Start:
         RunFolderError: there is no such run, or animals of another plan evolved in it.
         ConfigError: its configuration is wrong.
     """
-    folder = RunFolder(path)
-    folder.require()
-    earlier = build_experiment(load_config(folder.config), folder.config, class_folders(folder))
-    _require_same_plan(experiment, earlier, path)
-    checkpoint = folder.load()
+    earlier = open_run(path)
+    _require_same_plan(experiment, earlier.experiment, path)
+    checkpoint = earlier.folder.load()
     if checkpoint is None or checkpoint.champion is None:
         raise RunFolderError(f"{path} has no champion yet; train it first")
     chosen = [_of_run(checkpoint, experiment, run) for run in range(experiment.runs)]
@@ -68,14 +64,14 @@ def warm_start(experiment: Experiment, path: Path, what: What) -> Start:
         "what": what,
         "generation": best.generation if what == "champion" else checkpoint.generation,
         "fitness": best.fitness,
-        "config_sha256": folder.config_digest(),
+        "config_sha256": earlier.folder.config_digest(),
         "genes_sha256": genes_digest(best.genes if what == "champion" else checkpoint.genes),
     }
     return Start(np.concatenate(genes, axis=1), provenance)
 
 
 def _of_run(checkpoint: Checkpoint, experiment: Experiment, run: int) -> Champion:
-    """Whose line a run goes on."""
+    """Return the champion that a run continues from."""
     own = checkpoint.champions[run] if len(checkpoint.champions) == experiment.runs else None
     best = own or checkpoint.champion
     assert best is not None
@@ -91,9 +87,9 @@ def _first_population(
         width = checkpoint.genes.shape[1] // len(checkpoint.champions)
         kept = checkpoint.genes[:, width * champion.run :][:, : min(width, size)]
     count = kept.shape[1]
-    crowd = jnp.asarray(np.resize(kept.T, (size, len(kept))).T)
+    parents = jnp.asarray(np.resize(kept.T, (size, len(kept))).T)
     key = jax.random.fold_in(jax.random.key(experiment.seed + run), _AROUND)
-    return np.concatenate([kept, np.asarray(jax.jit(strategy.around)(key, crowd))[:, count:]], 1)
+    return np.concatenate([kept, np.asarray(jax.jit(strategy.around)(key, parents))[:, count:]], 1)
 
 
 def _require_same_plan(experiment: Experiment, earlier: Experiment, path: Path) -> None:
@@ -112,8 +108,8 @@ def _require_same_plan(experiment: Experiment, earlier: Experiment, path: Path) 
             "genes": of.simulation.genome.count,
         }
 
-    asked, found = plan(experiment), plan(earlier)
-    for name, value in asked.items():
+    expected, found = plan(experiment), plan(earlier)
+    for name, value in expected.items():
         if found[name] != value:
             raise RunFolderError(
                 f"{path}: animals of another plan evolved there: its {name}: {found[name]}; "

@@ -5,7 +5,7 @@ from typing import Annotated
 import typer
 
 from evo_cpg.cli.errors import UsageError
-from evo_cpg.cli.options import Cell, Number, Run
+from evo_cpg.cli.options import Cell, Number, Run, Which
 from evo_cpg.cli.writing import writes_to_run
 
 
@@ -23,58 +23,12 @@ def audit(
     cell: Cell = None,
 ) -> None:
     """Check whether the champion exploits the simulation."""
-    from evo_cpg.api.audit import audits
-    from evo_cpg.api.load import class_folders
-    from evo_cpg.api.training import require_configured
-    from evo_cpg.cli.audited import (
-        champions_of,
-        draw_audit,
-        read_limits,
-        say_verdict,
-        show_checks,
-        show_opinions,
-        show_summary,
-        write_audit,
-    )
-    from evo_cpg.cli.champions import open_champion
-    from evo_cpg.cli.progress import working
-    from evo_cpg.config.load import load_config
+    from evo_cpg.analysis.verdict import limits_from
+    from evo_cpg.cli.audited import audit_champions
 
     # Before anything that takes long.
-    read_limits(limits or [])
-    if every and number is not None:
-        raise UsageError("--all and --run: give one of them")
-    if every and cell is not None:
-        raise UsageError("--all and --cell: give one of them")
-    experiment, champion, _, folder = open_champion(run, number, cell)
-    require_configured(folder)
-    config = load_config(folder.config)
-    asked = read_limits(limits or [], config.audit.limits())
-    champions = [champion]
-    if every:
-        champions = champions_of(folder)
-    with working("auditing: compiling for each of several simulations") as work:
-
-        def tell(what: str, done: int, total: int) -> None:
-            work.doing(f"auditing, {done + 1} of {total}: {what}")
-
-        beside = class_folders(folder)
-        made = audits(experiment, champions, asked, config, folder.config, beside, tell)
-    for each, done in zip(champions, made, strict=True):
-        name = "audit" if cell is None else f"audit_cell_{cell.replace(',', '_')}"
-        name += f"_run{each.run}" if every or number is not None else ""
-        write_audit(folder, name, each, done)
-        if not every:
-            show_checks(done.verdict.checks)
-            if done.opinions:
-                show_opinions(done.opinions)
-            if done.missing:
-                none = "one opinion is missing" if done.opinions else "no second opinion"
-                print(f"{none}: {done.missing}")
-        title = f"{experiment.name}: audit" + (f" of run {each.run}" if every else "")
-        draw_audit(folder, name, title + ("" if cell is None else f" of cell {cell}"), done)
-    if every:
-        show_summary(champions, made)
-    say_verdict(
-        run, champions, made, "the champion" if cell is None else f"the elite of cell {cell}"
-    )
+    limits_from(limits or [])
+    for option, value in (("--run", number), ("--cell", cell)):
+        if every and value is not None:
+            raise UsageError(f"--all and {option}: give one of them")
+    audit_champions(run, limits or [], Which(number, cell=cell), every)

@@ -4,21 +4,22 @@ import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from evo_cpg.analysis.verdict import Check, LimitError, Limits, limits_from, shown
+from evo_cpg.analysis.verdict import Check, limits_from, shown
+from evo_cpg.api import audit
+from evo_cpg.api.audit import Audit
+from evo_cpg.api.display import working
 from evo_cpg.api.training import now
-from evo_cpg.cli.errors import UsageError
-from evo_cpg.cli.exit_codes import ExitCode
+from evo_cpg.cli.champions import open_champion
+from evo_cpg.cli.errors import ExitCode, UsageError
+from evo_cpg.cli.options import Which
 from evo_cpg.cli.tables import show_table
+from evo_cpg.exchange.second_opinion import Opinion
 from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.probe import UNSEEING
 from evo_cpg.training.run_folder import RunFolder
-
-if TYPE_CHECKING:
-    from evo_cpg.api.audit import Audit
 
 # Columns of the summary, by the key of the check.
 _KEPT = {
@@ -30,14 +31,60 @@ _KEPT = {
     "precision": "float64",
 }
 
-# Of the summary, characters.
+# Width of the summary, characters.
 _WIDTH = 110
 
 _WORDS = {True: "passed", False: "FAILED", None: ""}
 
 
+def audit_champions(run: Path, limits: Sequence[str], which: Which, every: bool) -> None:
+    """Audit one champion or all, and write, draw and print what was found.
+
+    Args:
+        run: the run folder.
+        limits: changed ones, ``key=value``.
+        which: the champion or elite.
+        every: audit the champions of all runs side by side instead.
+
+    Raises:
+        SystemExit: with `ExitCode.NOT_PASSED`, if an audit fails.
+    """
+    opened = open_champion(run, which)
+    opened.require_configured()
+    experiment, config, folder = opened.experiment, opened.config, opened.folder
+    allowed = limits_from(limits, config.audit.limits())
+    champions = champions_of(folder) if every else [opened.champion]
+    with working("auditing: compiling for each of several simulations") as work:
+
+        def tell(what: str, done: int, total: int) -> None:
+            work.doing(f"auditing, {done + 1} of {total}: {what}")
+
+        made = audit.audits(
+            experiment, champions, allowed, config, folder.config, opened.class_folders, tell
+        )
+    for champion, done in zip(champions, made, strict=True):
+        of_run = f"_run{champion.run}" if every else which.of_run
+        name = f"audit{which.of_cell}{of_run}"
+        folder.write_json(f"{name}.json", done.as_dict(champion) | {"made": now()})
+        print(run / f"{name}.json")
+        if not every:
+            show_checks(done.verdict.checks)
+            if done.opinions:
+                show_opinions(done.opinions)
+            if done.missing:
+                none = "one opinion is missing" if done.opinions else "no second opinion"
+                print(f"{none}: {done.missing}")
+        title = f"{experiment.name}: audit" + (f" of run {champion.run}" if every else "")
+        title += "" if which.cell is None else f" of cell {which.cell}"
+        draw_audit(folder, name, title, done)
+    if every:
+        show_summary(champions, made)
+    subject = "the champion" if which.cell is None else f"the elite of cell {which.cell}"
+    say_verdict(run, champions, made, subject)
+
+
 def champions_of(folder: RunFolder) -> list[Champion]:
-    """Those of all runs in which anybody lived; of the others it is said that they have none.
+    """Return the champions of all runs, and print which runs have none.
 
     Raises:
         UsageError: no run has one.
@@ -57,59 +104,33 @@ def champions_of(folder: RunFolder) -> list[Champion]:
 
 
 def say_verdict(
-    run: Path, champions: Sequence[Champion], made: Sequence["Audit"], who: str
+    run: Path, champions: Sequence[Champion], made: Sequence[Audit], subject: str
 ) -> None:
-    """The verdict, and the exit code that goes with it."""
+    """Print the verdict, and exit with `ExitCode.NOT_PASSED` if an audit fails."""
     for each, done in zip(champions, made, strict=True):
-        if _measured(done, "half_step") is None:
-            print(
-                f"{run}: {_of(each, made)}displacement {shown(_measured(done, 'way'), 'm')}: too "
-                "little to try what is kept of it",
-                file=sys.stderr,
+        lines = list(done.verdict.reasons)
+        if "half_step" not in done.measured:
+            displacement = shown(done.measured["way"], "m")
+            lines.insert(0, f"displacement {displacement}: too little to try what is kept of it")
+        blind = done.measured.get("blind", 0.0)
+        if blind >= UNSEEING:
+            lines.append(
+                "note: the champion does not use its eyes: blind it keeps "
+                f"{blind:.0%} of its displacement"
             )
-        for reason in done.verdict.reasons:
-            print(f"{run}: {_of(each, made)}{reason}", file=sys.stderr)
-        blind = _measured(done, "blind")
-        if blind is not None and blind >= UNSEEING:
-            print(
-                f"{run}: {_of(each, made)}note: the champion does not use its eyes: blind it keeps "
-                f"{blind:.0%} of its displacement",
-                file=sys.stderr,
-            )
+        whose = f"{run}: run {each.run}" if len(made) > 1 else run
+        for line in lines:
+            print(f"{whose}: {line}", file=sys.stderr)
     passed = sum(done.verdict.passed for done in made)
     if len(made) > 1:
         print(f"{run}: {passed} of {len(made)} champions pass their audit")
     else:
-        print(f"{run}: {who} {'passes' if passed else 'does not pass'} its audit")
+        print(f"{run}: {subject} {'passes' if passed else 'does not pass'} its audit")
     if passed < len(made):
         raise SystemExit(ExitCode.NOT_PASSED)
 
 
-def _of(champion: Champion, made: Sequence["Audit"]) -> str:
-    """Whose a line is, where there are several."""
-    return f"run {champion.run}: " if len(made) > 1 else ""
-
-
-def write_audit(folder: RunFolder, name: str, champion: Champion, done: "Audit") -> None:
-    """Write an audit to the run folder as JSON."""
-    verdict = done.verdict
-    told: dict[str, Any] = {
-        "passed": verdict.passed,
-        "reasons": verdict.reasons,
-        "run": champion.run,
-        "generation": champion.generation,
-        "fitness": champion.fitness,
-        "expected": champion.expected,
-        "checks": [_as_dict(check) for check in verdict.checks],
-        "energy": [_energy(trial.ledger) for trial in done.trials],
-        "second_opinion": [_opinion(each) for each in done.opinions] or done.missing,
-        "made": now(),
-    }
-    folder.write_json(f"{name}.json", told)
-    print(folder.path / f"{name}.json")
-
-
-def draw_audit(folder: RunFolder, name: str, title: str, done: "Audit") -> None:
+def draw_audit(folder: RunFolder, name: str, title: str, done: Audit) -> None:
     """Draw the energy and the paths of an audit into the run folder."""
     from evo_cpg.view.audit_plot import audit_figure
     from evo_cpg.view.figure import save_figure
@@ -124,20 +145,19 @@ def draw_audit(folder: RunFolder, name: str, title: str, done: "Audit") -> None:
     print(save_figure(figure, folder.path / "plots" / f"{name}.png"))
 
 
-def show_summary(champions: Sequence[Champion], made: Sequence["Audit"]) -> None:
-    """Print a line for each champion: which part of its way it keeps, and what MuJoCo says."""
-    keys = [key for key in _KEPT if any(_measured(done, key) is not None for done in made)]
+def show_summary(champions: Sequence[Champion], made: Sequence[Audit]) -> None:
+    """Print a row for each champion: fractions of the displacement kept, and results of MuJoCo."""
+    keys = [key for key in _KEPT if any(key in done.measured for done in made)]
     rows = []
     for each, done in zip(champions, made, strict=True):
-        ways = [one.displacement for one in done.opinions]
-        rights = [one.upright for one in done.opinions]
+        goes = [f"{one.displacement:.2g}" for one in done.opinions]
         rows.append(
             (
                 str(each.run),
-                shown(_measured(done, "way")),
-                *(shown(_percent(_measured(done, key))) for key in keys),
-                ", ".join(f"{way:.2g}" for way in ways[1:]) + f" of {ways[0]:.2g}" if ways else "",
-                ", ".join(f"{100 * right:.0f}" for right in rights),
+                shown(done.measured.get("way")),
+                *(shown(done.measured.get(key), "%").removesuffix(" %") for key in keys),
+                f"{', '.join(goes[1:])} of {goes[0]}" if goes else "",
+                ", ".join(f"{100 * one.upright:.0f}" for one in done.opinions),
                 _WORDS[done.verdict.passed],
             )
         )
@@ -146,28 +166,8 @@ def show_summary(champions: Sequence[Champion], made: Sequence["Audit"]) -> None
     show_table(heads, rows, width=_WIDTH)
 
 
-def _percent(share: float | None) -> float | None:
-    return None if share is None else 100 * share
-
-
-def _measured(done: "Audit", key: str) -> float | None:
-    return next((check.measured for check in done.verdict.checks if check.key == key), None)
-
-
-def read_limits(settings: Sequence[str], others: Limits | None = None) -> Limits:
-    """Return limits with some changed by ``key=value``.
-
-    Raises:
-        UsageError: a limit does not exist.
-    """
-    try:
-        return limits_from(settings, others or Limits())
-    except LimitError as error:
-        raise UsageError(str(error)) from None
-
-
 def show_checks(checks: tuple[Check, ...]) -> None:
-    """Print the checks with what was measured and what is allowed."""
+    """Print the checks, each with its result and its limit."""
     rows = []
     for check in checks:
         allowed = shown(check.limit, check.unit)
@@ -178,52 +178,21 @@ def show_checks(checks: tuple[Check, ...]) -> None:
     show_table(("check", "measured", "allowed", ""), rows)
 
 
-def show_opinions(opinions: tuple) -> None:
-    """Print what two programs make of the same commands."""
-    # Without ground, or with water everywhere, nothing flies.
+def show_opinions(opinions: Sequence[Opinion]) -> None:
+    """Print the trial as it came out in two programs with the same commands."""
+    # Nothing flies without ground, or with water everywhere.
     flight = [] if opinions[0].airborne is None else ["airborne"]
     rows = []
     for one in opinions:
-        told = _opinion(one)
         off = np.sqrt(np.mean((one.joint_angle - opinions[0].joint_angle) ** 2))
         rows.append(
             (
                 one.program,
-                f"{told['way_m']:.3g} m",
-                f"{told['heading_deg']:.0f} deg",
+                f"{one.displacement:.3g} m",
+                f"{math.degrees(one.heading):.0f} deg",
                 shown(one.upright, "%"),
                 *([] if one.airborne is None else [shown(one.airborne, "%")]),
                 f"{math.degrees(off):.2g} deg" if one is not opinions[0] else "",
             )
         )
     show_table(("program", "displacement", "heading", "upright", *flight, "joints off by"), rows)
-
-
-def _opinion(one: Any) -> dict[str, Any]:
-    return {
-        "program": one.program,
-        "way_m": one.displacement,
-        "heading_deg": math.degrees(one.heading),
-        "upright": one.upright,
-        "nothing_touches": one.airborne,
-    }
-
-
-def _energy(ledger: Any) -> dict[str, float]:
-    """Sums over a trial, J."""
-    parts = {name: float(value.sum()) for name, value in ledger.work.items()}
-    left_over = float(ledger.left_over.sum())
-    return {"stored": float(ledger.stored.sum()), **parts, "left_over": left_over}
-
-
-def _as_dict(check: Check) -> dict[str, Any]:
-    return {
-        "key": check.key,
-        "question": check.question,
-        "measured": float(check.measured),
-        "limit": check.limit,
-        "least": check.least,
-        "unit": check.unit,
-        "passed": check.passed,
-        "detail": check.detail,
-    }

@@ -5,8 +5,7 @@ from typing import Annotated, Any
 
 import typer
 
-from evo_cpg.cli.errors import UsageError
-from evo_cpg.cli.exit_codes import ExitCode
+from evo_cpg.cli.errors import ExitCode, UsageError
 
 # Largest population that fits the memory of common machines.
 _LARGEST = 1_000_000
@@ -62,7 +61,7 @@ def bench(
     if numbers and not any(suite.CASES[case].sized for case in chosen):
         raise UsageError(f"--sizes: {', '.join(chosen)} has a size of its own")
     if json is not None:
-        # Measuring takes minutes; a path that cannot be written is better known before.
+        # Measuring takes minutes, so check first that the path can be written.
         try:
             json.parent.mkdir(parents=True, exist_ok=True)
             json.open("a").close()
@@ -70,9 +69,9 @@ def bench(
             raise UsageError(f"--json: {json} cannot be written ({error.strerror})") from None
     if plot is not None:
         output_path(plot, suite.picture.SUFFIXES)
-    wanted: Any = suite.Wanted(cases or [], numbers, quick, limit, json, plot, compare, tolerance)
+    request: Any = suite.Wanted(cases or [], numbers, quick, limit, json, plot, compare, tolerance)
     try:
-        fine = suite.main(wanted)
+        fine = suite.main(request)
     except suite.rows.RowsError as error:
         raise UsageError(f"--compare: {error}") from None
     if not fine:
@@ -80,7 +79,7 @@ def bench(
 
 
 def _sizes(text: str) -> tuple[int, ...]:
-    """Population sizes from a list such as 1,15,200."""
+    """Read population sizes from a list such as 1,15,200."""
     words = [word.strip() for word in text.split(",")]
     for word in words:
         if not word.isascii() or not word.isdigit() or not 1 <= int(word) <= _LARGEST:

@@ -1,10 +1,10 @@
-"""From a configuration file to an experiment, with what the user should know on the way."""
+"""Read a configuration and build its experiment, with warnings and progress for the user."""
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+from evo_cpg.api.display import working
 from evo_cpg.cli.errors import UsageError, warn
-from evo_cpg.cli.progress import working
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import load_config
 from evo_cpg.config.plausible import doubts
@@ -15,20 +15,20 @@ from evo_cpg.training.experiment import Experiment
 def read_config(
     path: Path, overrides: Sequence[str] = (), strict: bool = False, warned: bool = True
 ) -> ExperimentConfig:
-    """A configuration; what of it is hardly meant is said.
+    """Read a configuration, and warn of implausible values.
 
     Args:
         path: the file.
         overrides: ``key=value`` settings.
-        strict: refuse what is hardly meant.
-        warned: say it otherwise. Of several processes one does.
+        strict: refuse implausible values.
+        warned: print the warnings. Of several processes only one does.
 
     Raises:
         ConfigError: it is wrong.
-        UsageError: something is hardly meant, and that is refused.
+        UsageError: a value is implausible, and that is refused.
     """
     config = load_config(path, overrides)
-    found = [f"{path}: {doubt}" for doubt in doubts(config, path)]
+    found = [f"{path}: {warning}" for warning in doubts(config, path)]
     if found and strict:
         raise UsageError("\n".join(found))
     for line in found if warned else ():
@@ -37,12 +37,12 @@ def read_config(
 
 
 def build(config: ExperimentConfig, source: Path, folders: Iterable[Path] = ()) -> Experiment:
-    """`build_experiment`, which says what it does where it takes long.
+    """`build_experiment`, with a line if it takes long.
 
     Args:
         config: the configuration.
         source: file it came from.
-        folders: where else to look for a user's own classes.
+        folders: further folders with a user's own classes.
 
     Raises:
         ConfigError: parts that do not fit together.

@@ -1,18 +1,16 @@
-"""The champion of a run, as commands take it: opened, chosen among several, lived again."""
+"""Open a run and choose one of its champions or elites, as the options of a command say."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from evo_cpg.api.load import class_folders
+from evo_cpg.api.display import working
+from evo_cpg.api.opened import Opened, OpenedChampion, open_run
 from evo_cpg.cli.building import build
 from evo_cpg.cli.errors import UsageError
-from evo_cpg.cli.progress import working
-from evo_cpg.config.load import load_config
-from evo_cpg.config.schema.experiment import ExperimentConfig
+from evo_cpg.cli.options import BEST, Which
 from evo_cpg.training.checkpoint import Champion
 from evo_cpg.training.devices import use_cores
-from evo_cpg.training.experiment import Experiment
-from evo_cpg.training.run_folder import RunFolder, RunFolderError
+from evo_cpg.training.run_folder import RunFolder
 
 if TYPE_CHECKING:
     from evo_cpg.api.record import Record
@@ -22,93 +20,52 @@ if TYPE_CHECKING:
 REPLAY_TOLERANCE = 1e-3
 
 
-def open_run(run: Path) -> tuple[RunFolder, ExperimentConfig, Experiment]:
-    """A run folder with its configuration, built.
+def open_and_build(run: Path) -> Opened:
+    """`open_run`, with a line about what takes long."""
+    return open_run(run, build)
+
+
+def open_champion(run: Path, which: Which = BEST) -> OpenedChampion:
+    """Open a run with a champion or elite.
 
     Raises:
-        RunFolderError: there is no run.
-        ConfigError: its configuration is wrong.
-    """
-    folder = RunFolder(run)
-    folder.require()
-    config = load_config(folder.config)
-    return folder, config, build(config, folder.config, class_folders(folder))
-
-
-def open_champion(
-    run: Path, number: int | None = None, cell: str | None = None
-) -> tuple[Experiment, Champion, Any, RunFolder]:
-    """The champion of a run, with its motion in its first trial where the folder has that.
-
-    Args:
-        run: the run folder.
-        number: whose champion, where the folder holds several runs; None for the best.
-        cell: of the run's map, whose elite is wanted instead, as ``3,0,7``; None for the champion.
+        UsageError: the run has no such trial, champion or cell.
     """
     use_cores_of(run)
-    folder, _, experiment = open_run(run)
-    champion, recording, digests = folder.load_champion()
-    if cell is not None:
-        of_run = champion.run if number is None else number
-        champion, recording = _elite_of(folder, experiment, cell, of_run), None
-    elif number is not None and number != champion.run:
-        champion, recording = champion_of(folder, number), None
-    wrong = experiment.simulation.genome.misfit(champion.genes)
-    if wrong:
-        raise RunFolderError(f"{folder.config} was changed after training: {wrong}")
-    if digests["config_sha256"] != folder.config_digest():
-        recording = None
-    return experiment, champion, recording, folder
+    opened = open_and_build(run)
+    found = opened.load_champion()
+    own = found.champion.run if which.number is None else which.number
+    if which.cell is not None:
+        found = opened.with_champion(_elite_of(opened, which.cell, own))
+    elif own != found.champion.run:
+        found = opened.with_champion(champion_of(opened.folder, own))
+    trials = opened.experiment.trials
+    if which.trial >= trials:
+        raise UsageError(f"--trial: an individual of {run} has {trials} trial(s), counted from 0")
+    return found
 
 
-def champion_motion(
-    run: Path, number: int | None = None, trial: int = 0, cell: str | None = None
-) -> tuple[Experiment, Champion, Any, RunFolder]:
-    """The champion of a run with its motion, which is replayed where it was not recorded.
-
-    Args:
-        run: the run folder.
-        number: whose champion, where the folder holds several runs; None for the best.
-        trial: in which of its trials, from 0.
-        cell: see `open_champion`.
-    """
-    experiment, champion, recording, folder = open_champion(run, number, cell)
-    require_trial(experiment, folder, trial)
+def champion_motion(run: Path, which: Which = BEST) -> tuple[OpenedChampion, Any]:
+    """Open a run with a champion and the motion of a trial, which is replayed if not recorded."""
+    opened = open_champion(run, which)
     # The folder keeps the motion in the first.
-    if recording is None or trial > 0:
-        devices = folder.read_meta().get("devices", 1)
-        _, _, recording = live_again(experiment, champion, devices, trial)
-    return experiment, champion, recording, folder
+    if opened.recording is None or which.trial > 0:
+        return opened, replayed(opened, opened.champion, which.trial)[2]
+    return opened, opened.recording
 
 
-def champion_record(
-    run: Path, number: int | None = None, trial: int = 0, cell: str | None = None
-) -> "Record":
-    """All that can be told of the champion's trial, lived again; see `champion_motion`."""
-    experiment, champion, _, folder = open_champion(run, number, cell)
-    require_trial(experiment, folder, trial)
-    from evo_cpg.api.record import as_record, lives_again
+def champion_record(run: Path, which: Which = BEST) -> "Record":
+    """Replay a champion's trial and record everything."""
+    opened = open_champion(run, which)
+    from evo_cpg.api.record import as_record
 
     with working("replaying the champion"):
-        ((_, frames, motion),) = lives_again(experiment, [champion], folder, trial, full=True)
-    return as_record(experiment.simulation, frames, motion)
-
-
-def require_trial(experiment: Experiment, folder: RunFolder, trial: int) -> None:
-    """Check that an individual has a trial of that number, from 0.
-
-    Raises:
-        UsageError: it has not.
-    """
-    if trial >= experiment.trials:
-        raise UsageError(
-            f"--trial: an individual of {folder.path} has {experiment.trials} trial(s), counted "
-            "from 0"
-        )
+        (replay,) = opened.replay([opened.champion], which.trial, full=True)
+    return as_record(opened.experiment.simulation, replay.frames, replay.recording)
 
 
 def champion_of(folder: RunFolder, number: int) -> Champion:
-    """The champion of one of several runs, as the newest checkpoint knows it."""
+    """Return the champion of one of several runs, from the newest checkpoint."""
     checkpoint = folder.load()
     champions = checkpoint.champions if checkpoint else ()
     if number >= len(champions):
@@ -120,27 +77,27 @@ def champion_of(folder: RunFolder, number: int) -> Champion:
 
 
 def use_cores_of(run: Path, cores: int | None = None) -> int:
-    """As many cores as the run was trained on, unless told otherwise.
+    """Use as many cores as the run was trained on, unless told otherwise.
 
-    Before it is built: finding a place to stand on uneven ground starts JAX.
+    Call this before the run is built: finding a place to stand on uneven ground starts JAX.
     """
     meta = RunFolder(run).read_meta()
-    # Of several processes those of one say nothing.
+    # If several processes trained it, the cores of one say nothing.
     noted = meta.get("devices") if meta.get("processes", 1) == 1 else None
     return use_cores(cores or noted)
 
 
-def live_again(experiment: Experiment, champion: Champion, devices: int, trial: int = 0) -> Any:
-    """The champion's fitness, terms and motion, lived again; says so where it takes long."""
+def replayed(opened: Opened, champion: Champion, trial: int = 0) -> Any:
+    """Return fitness, terms and motion of a champion, replayed."""
     # Importing the loop starts nothing, but it takes JAX a second.
     from evo_cpg.training.replay import replay_champion
 
     with working("replaying the champion"):
-        return replay_champion(experiment, champion, devices, trial)
+        return replay_champion(opened.experiment, champion, opened.devices, trial)
 
 
-def _elite_of(folder: RunFolder, experiment: Experiment, cell: str, number: int) -> Champion:
-    """The elite of a cell, as the newest checkpoint knows it."""
+def _elite_of(opened: Opened, cell: str, number: int) -> Champion:
+    """Return the elite of a cell, from the newest checkpoint."""
     from evo_cpg.training.elites import elite
 
     try:
@@ -149,7 +106,7 @@ def _elite_of(folder: RunFolder, experiment: Experiment, cell: str, number: int)
         raise UsageError(
             f"--cell: {cell!r} is not a list of whole numbers, such as 3,0,7"
         ) from None
-    champion_of(folder, number)
-    checkpoint = folder.load()
+    champion_of(opened.folder, number)
+    checkpoint = opened.folder.load()
     assert checkpoint is not None
-    return elite(experiment, checkpoint, place, number)
+    return elite(opened.experiment, checkpoint, place, number)

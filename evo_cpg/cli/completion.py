@@ -1,4 +1,4 @@
-"""What a shell offers to complete: shipped configurations, files, folders."""
+"""Completions for a shell: shipped configurations, files, folders."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -9,7 +9,8 @@ _CONFIGS = (".yaml", ".yml")
 def complete_config(incomplete: str) -> list[str]:
     """Names of shipped configurations, configuration files, and folders on the way to some."""
     names = complete_shipped(incomplete)
-    return [*names, *(_shown(path) for path in _begun(incomplete) if _leads(path, _CONFIGS))]
+    found = [path for path in _matching(incomplete) if path.suffix in _CONFIGS or path.is_dir()]
+    return [*names, *map(_shown, found)]
 
 
 def complete_shipped(incomplete: str) -> list[str]:
@@ -21,11 +22,11 @@ def complete_shipped(incomplete: str) -> list[str]:
 
 def complete_folder(incomplete: str) -> list[str]:
     """Run folders, and folders on the way to some."""
-    return [_shown(path) for path in _begun(incomplete) if path.is_dir()]
+    return [_shown(path) for path in _matching(incomplete) if path.is_dir()]
 
 
-def _begun(incomplete: str) -> Iterator[Path]:
-    """What is called so, as far as it is typed; what is hidden only where a point is typed."""
+def _matching(incomplete: str) -> Iterator[Path]:
+    """Yield paths that begin as typed; hidden ones only if a point is typed."""
     folder, slash, start = incomplete.rpartition("/")
     try:
         found = sorted(Path(folder + slash or ".").iterdir())
@@ -36,11 +37,7 @@ def _begun(incomplete: str) -> Iterator[Path]:
             yield path
 
 
-def _leads(path: Path, suffixes: tuple[str, ...]) -> bool:
-    return path.suffix in suffixes or path.is_dir()
-
-
 def _shown(path: Path) -> str:
-    """A run as it is; another folder so that one can go on typing."""
+    """Return the name of a run, or of another folder with a slash, to type on."""
     onward = path.is_dir() and not (path / "config.yaml").is_file()
     return f"{path}/" if onward else str(path)

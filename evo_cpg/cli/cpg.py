@@ -33,11 +33,10 @@ def cpg(
     ] = None,
 ) -> None:
     """Show the rhythm of the oscillators, or find settings for one."""
-    if frequency is not None or lag is not None or chain is not None:
-        from evo_cpg.cli.wanted import find_rhythm
+    from evo_cpg.cli.rhythm import find_rhythm, show_rhythm
 
-        find_rhythm(config, overrides or [], gain, tonic_input, frequency, lag, chain)
-        return
-    from evo_cpg.cli.rhythm import show_rhythm
-
-    show_rhythm(config, overrides or [], gain, tonic_input)
+    given = config, overrides or [], gain, tonic_input
+    if frequency is None and lag is None and chain is None:
+        show_rhythm(*given)
+    else:
+        find_rhythm(*given, frequency, lag, chain)

@@ -9,10 +9,11 @@ import json
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
-from evo_cpg.cli.errors import UsageError
-from evo_cpg.cli.exit_codes import ExitCode
+import typer
+
+from evo_cpg.cli.errors import ExitCode, UsageError
 from evo_cpg.cli.interrupts import leave_at_once
 from evo_cpg.errors import UserError
 from evo_cpg.installation import version_of
@@ -21,43 +22,75 @@ if TYPE_CHECKING:
     from evo_cpg.training.processes import Team
     from evo_cpg.training.roll_call import Place
 
-JOIN_TIMEOUT = 60.0
-"""So long the processes may take to come together, s."""
-
 
 class Disagreement(UserError):
     """Processes with different configurations; the message says what differs."""
 
 
 class Distribution(NamedTuple):
-    """What the command line says of several processes.
+    """Options: the processes that evolve a run together.
 
     Attributes:
-        wanted: whether there are any.
+        distributed: whether there are several.
         hosts: a list of hosts or the name of a file; None to ask the scheduler.
-        process: the number of this one; None to find it by the name of the host.
-        local: how many to start on this machine; None for none.
-        join_timeout: so long they may take to come together, s.
-        patience: so much longer than twice its own trials each waits for the others, s; None for
-            what suits most.
+        process: index of this process; None to find it by the name of the host.
+        local: number of processes to start on this machine, if any.
+        join_timeout: longest time until all have joined, s.
+        patience: time beyond twice its own trials that each waits for the others, s; None for the
+            default.
     """
 
-    wanted: bool = False
-    hosts: str | None = None
-    process: int | None = None
-    local: int | None = None
-    join_timeout: float = JOIN_TIMEOUT
-    patience: float | None = None
+    distributed: Annotated[
+        bool,
+        typer.Option(
+            "--distributed",
+            help="Evolve with other processes: those of SLURM or Open MPI, of --hosts or of "
+            "--local.",
+        ),
+    ] = False
+    hosts: Annotated[
+        str | None,
+        typer.Option(
+            metavar="HOST[:PORT],HOST,...",
+            help="Hosts of the processes, or a file with one on each line; the first leads.",
+        ),
+    ] = None
+    process: Annotated[
+        int | None,
+        typer.Option(
+            min=0,
+            help="Which of --hosts this process is, from 0; by the name of its host by default.",
+        ),
+    ] = None
+    local: Annotated[
+        int | None, typer.Option(min=1, help="Start so many processes on this machine.")
+    ] = None
+    join_timeout: Annotated[
+        float, typer.Option(min=0.1, help="Seconds that the processes may take to come together.")
+    ] = 60.0
+    patience: Annotated[
+        float | None,
+        typer.Option(
+            min=0,
+            help="Seconds, beyond twice what its own part took, that a process waits for the "
+            "others; 20 by default.",
+        ),
+    ] = None
 
-    def checked(self) -> "Distribution":
-        """The same, where it makes sense.
+    def begin(self, cores: int | None, check: Callable[[], object]) -> None:
+        """Check the options; with `--local`, start the processes and exit when they are done.
+
+        Args:
+            cores: of all processes of `--local` together; None for all of this machine.
+            check: raises what all these processes would otherwise complain of, one by one.
 
         Raises:
-            UsageError: it does not.
+            UsageError: the options contradict each other.
+            SystemExit: the local processes are done.
         """
         given = {"--hosts": self.hosts, "--process": self.process, "--local": self.local}
         named = [option for option, value in given.items() if value is not None]
-        if named and not self.wanted:
+        if named and not self.distributed:
             raise UsageError(f"{named[0]} goes with --distributed")
         if self.local is not None and self.hosts is not None:
             raise UsageError(
@@ -66,42 +99,34 @@ class Distribution(NamedTuple):
             )
         if self.process is not None and self.hosts is None:
             raise UsageError("--process goes with --hosts: it is a place in that list")
-        return self
-
-    def start_local(self, cores: int | None, check: Callable[[], object]) -> None:
-        """Have the processes of this machine do it all, where they are asked for.
-
-        Args:
-            cores: of all together; None for all of this machine.
-            check: raises what all would otherwise complain of, one by one.
-
-        Raises:
-            SystemExit: when they are done.
-        """
         if self.local is not None:
             from evo_cpg.cli.local import run_local
 
-            raise SystemExit(run_local(self.local, sys.argv[1:], cores, check))
+            check()
+            raise SystemExit(run_local(self.local, sys.argv[1:], cores))
 
     @property
     def leads(self) -> bool:
         """Whether this process is the lead, or the only one.
 
         Raises:
-            UsageError: what was asked for does not tell.
+            UsageError: the options do not tell.
         """
-        return not self.wanted or _place(self).index == 0
+        return not self.distributed or _place(self).index == 0
+
+
+ONE_PROCESS = Distribution()
 
 
 @contextlib.contextmanager
-def together(asked: Distribution, run: Path) -> Iterator["Team"]:
-    """Become one of the processes that were asked for, and part after the block.
+def together(distribution: Distribution, run: Path) -> Iterator["Team"]:
+    """Become one of the processes of a team, and leave it after the block.
 
     If another process is lost, this one ends at once, also in the middle of a generation.
 
     Args:
-        asked: the options of the command line.
-        run: folder of the run, for the line that says how to go on.
+        distribution: the options of the command line.
+        run: folder of the run, for the line that says how to continue.
     """
     from evo_cpg.training import processes
 
@@ -110,12 +135,12 @@ def together(asked: Distribution, run: Path) -> Iterator["Team"]:
         print(f"evo-cpg: {message}; {advice}", file=sys.stderr, flush=True)
         leave_at_once(ExitCode.LOST)
 
-    place = _place(asked) if asked.wanted else None
+    place = _place(distribution) if distribution.distributed else None
     if place is None or place.count == 1:
         yield processes.ALONE
         return
-    patience = processes.PATIENCE if asked.patience is None else asked.patience
-    team = processes.join(place, _versions(), asked.join_timeout, patience, end)
+    patience = processes.PATIENCE if distribution.patience is None else distribution.patience
+    team = processes.join(place, _versions(), distribution.join_timeout, patience, end)
     try:
         yield team
     except processes.TeamError as error:
@@ -152,14 +177,14 @@ def require_same(team: "Team", own: Mapping[str, Mapping[str, str]]) -> None:
         )
 
 
-def _place(asked: Distribution) -> "Place":
+def _place(distribution: Distribution) -> "Place":
     from evo_cpg.cli.hosts import place_in
     from evo_cpg.fusion.jax_internals import detected_cluster
     from evo_cpg.training.roll_call import Place
 
-    if asked.hosts is not None:
-        return place_in(asked.hosts, asked.process)
-    found = detected_cluster(asked.join_timeout)
+    if distribution.hosts is not None:
+        return place_in(distribution.hosts, distribution.process)
+    found = detected_cluster(distribution.join_timeout)
     if found is None:
         raise UsageError(
             "--distributed: no scheduler that JAX knows (SLURM, Open MPI) has started this; say "

@@ -1,10 +1,30 @@
-"""Errors that are about the command line itself, and what to print of others."""
+"""Errors of the command line itself, what to print of others, and the exit codes."""
 
 import os
 import sys
+from enum import IntEnum
 from pathlib import Path
 
 from evo_cpg.errors import UserError
+
+
+class ExitCode(IntEnum):
+    """Exit codes other than 0; docs/cli.md lists them for users."""
+
+    FAULT = 1
+    """A fault of the program; or a job of a sweep, or the search for a rhythm, failed."""
+
+    WRONG_INPUT = 2
+    """The input is wrong, as a message says."""
+
+    NOT_PASSED = 3
+    """An audit, a verification or a comparison failed."""
+
+    LOST = 4
+    """Another process of the same run was lost."""
+
+    INTERRUPTED = 130
+    """The user interrupted; shells use this number."""
 
 
 class UsageError(UserError):
@@ -17,18 +37,18 @@ def warn(words: object) -> None:
 
 
 def require_free(output: Path, overwrite: bool) -> None:
-    """Check that a file of the user's is not replaced without being told.
+    """Check that no file of the user is replaced without `--overwrite`.
 
     Raises:
         UsageError: it is there.
     """
-    # Unlike a path's own method this does not complain of names that no file can have.
+    # Path.exists raises an error for names that no file can have.
     if os.path.exists(output) and not overwrite:
         raise UsageError(f"{output} exists already; --overwrite replaces it")
 
 
-def told(error: Exception) -> str | None:
-    """Return what to print of an error that is not a fault of the program; None for a fault.
+def message_for(error: Exception) -> str | None:
+    """Return the message for an error that is not a fault of the program; None for a fault.
 
     Args:
         error: that a command ended with.
@@ -40,7 +60,7 @@ def told(error: Exception) -> str | None:
 
 
 def _of_system(error: Exception) -> str | None:
-    """About what the operating system refused."""
+    """Return the message for a refusal of the operating system."""
     if isinstance(error, UnicodeEncodeError):
         return (
             f"{error.object[:100]!a} cannot be written in {error.encoding}; choose a locale with "
@@ -53,7 +73,7 @@ def _of_system(error: Exception) -> str | None:
 
 
 def _of_platform() -> str | None:
-    """About the devices that JAX was to compute on, where it has none of them."""
+    """Return the message if JAX finds no device to compute on."""
     jax = sys.modules.get("jax")
     if jax is None:
         return None

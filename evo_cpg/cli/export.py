@@ -9,7 +9,7 @@ import typer
 
 from evo_cpg.cli.completion import complete_config
 from evo_cpg.cli.errors import UsageError, require_free
-from evo_cpg.cli.options import Cell, Number, Overwrite, Trial, find_config_or_folder
+from evo_cpg.cli.options import BEST, Overwrite, Which, find_config_or_folder
 
 
 def export(
@@ -30,9 +30,7 @@ def export(
             "the motion.",
         ),
     ],
-    number: Number = None,
-    trial: Trial = 0,
-    cell: Cell = None,
+    which: Which = BEST,
     overwrite: Overwrite = False,
 ) -> None:
     """Export a creature to MuJoCo, or a motion as a scene or table."""
@@ -41,30 +39,29 @@ def export(
     require_free(output, overwrite)
     suffix = output_path(output, (".xml", ".glb", ".csv", ".npz")).suffix.lower()
     if suffix == ".xml":
-        if number is not None or trial or cell is not None:
+        if which != BEST:
             raise UsageError(f"{output}: has no motion; leave out --run, --trial, --cell")
         _export_model(source, output)
     elif not os.path.isdir(source):
         raise UsageError(f"{source} is no run folder: only a run has a motion for {output.name}")
     elif suffix == ".glb":
-        _export_scene(source, output, number, trial, cell)
+        _export_scene(source, output, which)
     else:
         from evo_cpg.cli.champions import champion_record
 
-        record = champion_record(source, number, trial, cell)
+        record = champion_record(source, which)
         record.to_csv(output) if suffix == ".csv" else record.to_npz(output)
     print(output)
 
 
-def _export_scene(
-    run: Path, output: Path, number: int | None, trial: int, cell: str | None
-) -> None:
+def _export_scene(run: Path, output: Path, which: Which) -> None:
     """Write an animated scene."""
+    from evo_cpg.api.display import working
     from evo_cpg.cli.champions import champion_motion
-    from evo_cpg.cli.progress import working
     from evo_cpg.files import write_whole
 
-    experiment, _, recording, _ = champion_motion(run, number, trial, cell)
+    opened, recording = champion_motion(run, which)
+    experiment = opened.experiment
     with working("writing the scene"):
         from evo_cpg.exchange.gltf_film import gltf_film
         from evo_cpg.view.scene import panel_of
@@ -76,13 +73,13 @@ def _export_scene(
 def _export_model(source: Path, output: Path) -> None:
     """Write a MuJoCo model."""
     from evo_cpg.cli.building import build
-    from evo_cpg.cli.champions import open_run
+    from evo_cpg.cli.champions import open_and_build
     from evo_cpg.config.load import load_config
     from evo_cpg.exchange.mjcf_export import mjcf_model, mjcf_text
     from evo_cpg.files import write_text
 
     if os.path.isdir(source):
-        _, _, experiment = open_run(source)
+        experiment = open_and_build(source).experiment
     else:
         experiment = build(load_config(source), source)
     simulation = experiment.simulation

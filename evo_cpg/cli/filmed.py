@@ -5,19 +5,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from evo_cpg.analysis.gait_numbers import gait_numbers
-from evo_cpg.api.record import Life, lives_again
-from evo_cpg.cli.champions import (
-    REPLAY_TOLERANCE,
-    champion_motion,
-    open_champion,
-    require_trial,
-)
+from evo_cpg.api.display import working
+from evo_cpg.api.opened import OpenedChampion, Replay
+from evo_cpg.cli.champions import REPLAY_TOLERANCE, champion_motion, open_champion
 from evo_cpg.cli.errors import UsageError, warn
-from evo_cpg.cli.progress import working
+from evo_cpg.cli.options import Which
 from evo_cpg.training.checkpoint import Champion
-from evo_cpg.training.experiment import Experiment
 from evo_cpg.training.lineage import champion_at, representatives
-from evo_cpg.training.run_folder import RunFolder, RunFolderError
+from evo_cpg.training.run_folder import RunFolderError
 from evo_cpg.view.scene import Panel, panel_of
 from evo_cpg.view.signals import Signals, signals_of
 from evo_cpg.view.units import terms_text
@@ -26,75 +21,71 @@ from evo_cpg.view.units import terms_text
 _SHOWN = 4
 
 
-def champion_panel(
-    run: Path, number: int | None, trial: int, cell: str | None, signals: bool
-) -> Panel:
-    """The champion of a run, or the elite of a cell."""
+def champion_panel(run: Path, which: Which, signals: bool) -> Panel:
+    """Return the champion of a run, or the elite of a cell."""
     strip = None
     if signals:
-        experiment, champion, _, folder = open_champion(run, number, cell)
-        require_trial(experiment, folder, trial)
-        (life,) = _replayed(experiment, [champion], folder, trial)
-        recording, strip = life.recording, _signals(experiment, life)
+        opened = open_champion(run, which)
+        (replay,) = _replayed(opened, [opened.champion], which.trial)
+        recording, strip = replay.recording, _signals(opened, replay)
     else:
-        experiment, champion, recording, _ = champion_motion(run, number, trial, cell)
-    if cell is None:
+        opened, recording = champion_motion(run, which)
+    experiment = opened.experiment
+    if which.cell is None:
         return panel_of(experiment, recording, experiment.name, strip)
-    # Of an elite the map keeps what it is told apart by, and nothing else.
-    title = f"{experiment.name}, cell {cell}"
-    return panel_of(experiment, recording, title, strip, terms_text(champion.terms))
+    # The map keeps the terms of an elite that are its axes, and nothing else.
+    title = f"{experiment.name}, cell {which.cell}"
+    return panel_of(experiment, recording, title, strip, terms_text(opened.champion.terms))
 
 
 def lineage_panels(
-    run: Path, wanted: list[int] | None, number: int | None, trial: int, signals: bool
+    run: Path, generations: list[int] | None, which: Which, signals: bool
 ) -> list[Panel]:
-    """Those who were champion on the way, each with its generation and fitness."""
-    experiment, champion, _, folder = open_champion(run, number)
-    require_trial(experiment, folder, trial)
-    chosen, panels = _chosen(folder, champion, wanted), []
+    """Return champions of a lineage, each with its generation and fitness."""
+    opened = open_champion(run, which)
+    chosen, panels = _chosen(opened, generations), []
     for one in chosen:
-        wrong = experiment.simulation.genome.misfit(one.genes)
+        wrong = opened.experiment.simulation.genome.misfit(one.genes)
         if wrong:
-            raise RunFolderError(f"{folder.lineage}: generation {one.generation}: {wrong}")
-    for one, life in zip(chosen, _replayed(experiment, chosen, folder, trial), strict=True):
+            raise RunFolderError(f"{opened.folder.lineage}: generation {one.generation}: {wrong}")
+    for one, replay in zip(chosen, _replayed(opened, chosen, which.trial), strict=True):
         if not math.isclose(
-            life.fitness, one.fitness, rel_tol=REPLAY_TOLERANCE, abs_tol=REPLAY_TOLERANCE
+            replay.fitness, one.fitness, rel_tol=REPLAY_TOLERANCE, abs_tol=REPLAY_TOLERANCE
         ):
             warn(
                 f"{run}: the champion of generation {one.generation} comes to "
-                f"{life.fitness:.4f} and not to {one.fitness:.4f} as recorded: {folder.config} or "
-                "the machine is another one than it evolved with"
+                f"{replay.fitness:.4f} and not to {one.fitness:.4f} as recorded: "
+                f"{opened.folder.config} or the machine is another one than it evolved with"
             )
         title = f"generation {one.generation}: fitness {one.fitness:.3g}"
         if one.expected is not None:
             title = f"champion: fitness {one.expected:.3g} in fresh draws"
-        shown = _signals(experiment, life) if signals else None
-        panels.append(panel_of(experiment, life.recording, title, shown))
+        shown = _signals(opened, replay) if signals else None
+        panels.append(panel_of(opened.experiment, replay.recording, title, shown))
     return panels
 
 
-def _chosen(folder: RunFolder, champion: Champion, wanted: list[int] | None) -> list[Champion]:
-    """Champions of a run, in the order of generations, nobody twice.
+def _chosen(opened: OpenedChampion, generations: list[int] | None) -> list[Champion]:
+    """Return champions of a run in the order of generations, each once.
 
     Args:
-        folder: of the run.
-        champion: in the end.
-        wanted: generations; None for some that tell how it came to the champion.
+        opened: the run, with its final champion.
+        generations: generations; None for some that show how it came to the champion.
     """
-    run = champion.run
+    folder, champion, run = opened.folder, opened.champion, opened.champion.run
     lineage = [each for each in folder.load_lineage() if each.run == run]
     if not lineage:
         raise RunFolderError(f"{folder.lineage} knows no champion of run {run}")
-    if wanted is None:
+    if generations is None:
         if champion.expected is None:
             return representatives(lineage, _SHOWN)
-        # Who had the best score on the way need not be who was chosen in the end.
+        # The best score on the way may be another individual than the final champion.
         places = (champion.generation, champion.index)
         others = [each for each in lineage if (each.generation, each.index) != places]
         return [*representatives(others, _SHOWN - 1), champion]
     done = folder.newest
     found: list[Champion] = []
-    for generation in sorted(set(wanted)):
+    for generation in sorted(set(generations)):
         one = champion_at(lineage, generation)
         if generation >= max(done, lineage[-1].generation + 1):
             raise UsageError(
@@ -110,17 +101,15 @@ def _chosen(folder: RunFolder, champion: Champion, wanted: list[int] | None) -> 
     return found
 
 
-def _replayed(
-    experiment: Experiment, champions: Sequence[Champion], folder: RunFolder, trial: int
-) -> list[Life]:
+def _replayed(opened: OpenedChampion, champions: Sequence[Champion], trial: int) -> list[Replay]:
     with working("replaying the champion"):
-        return lives_again(experiment, champions, folder, trial)
+        return opened.replay(champions, trial)
 
 
-def _signals(experiment: Experiment, life: Life) -> Signals:
-    """What the controller of an individual did, and its feet."""
-    simulation = experiment.simulation
+def _signals(opened: OpenedChampion, replay: Replay) -> Signals:
+    """Return the signals of an individual's controller, and the contacts of its feet."""
+    experiment, simulation = opened.experiment, opened.experiment.simulation
     word, _, unit = simulation.controller.signal_label.partition(" (")
-    feet = gait_numbers(simulation, experiment.creature, life.frames, life.recording).feet
+    feet = gait_numbers(simulation, experiment.creature, replay.frames, replay.recording).feet
     names, touched = ((), None) if feet is None else (feet.names, feet.steady)
-    return signals_of(life.recording, word, unit == "rad)", names, touched)
+    return signals_of(replay.recording, word, unit == "rad)", names, touched)

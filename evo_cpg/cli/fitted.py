@@ -3,36 +3,165 @@
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, NamedTuple
 
+import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
 
-from evo_cpg.cli.errors import UsageError
-from evo_cpg.cli.measured_motion import TARGET, MeasuredMotion, commands
-from evo_cpg.cli.progress import Work
+from evo_cpg.analysis.fit import Fit, fit, fit_warnings
+from evo_cpg.api.display import Work, working
+from evo_cpg.cli.champions import open_champion
+from evo_cpg.cli.errors import UsageError, warn
+from evo_cpg.cli.measured_motion import (
+    TARGET,
+    MeasuredMotion,
+    commands,
+    late_commands,
+    read_motion,
+)
 from evo_cpg.cli.tables import show_table
 from evo_cpg.config.errors import ConfigError, nearest
+from evo_cpg.config.load import dump_config, load_config
 from evo_cpg.config.numbers import number_at, with_numbers
-from evo_cpg.config.parameters import Parameters
+from evo_cpg.config.parameters import Parameters, parametrise
 from evo_cpg.config.schema.experiment import ExperimentConfig
-
-if TYPE_CHECKING:
-    from evo_cpg.analysis.fit import Fit
-    from evo_cpg.simulation.simulation import Simulation
+from evo_cpg.files import write_text
+from evo_cpg.simulation.simulation import Simulation
+from evo_cpg.simulation.track import ATTITUDE, POSITION, beginning_names, column_names, track
+from evo_cpg.view.figure import save_figure
+from evo_cpg.view.parameter_plots import fit_figure
 
 INITIAL = "initial."
-KINDS = ("position", "attitude", "angle")
+UNITS = {"position": "m", "attitude": "rad", "angle": "rad"}
 
-# Where columns of several kinds are told apart by their noise, a kind needs so many numbers more
-# than there are parameters. With that intervals hold the truth in 92 % or more; with one number
-# less than there are parameters in 78 % (docs/models/gradients.md).
+# If columns of several kinds have noise of their own, each kind needs so many more numbers than
+# there are parameters. Then intervals hold the truth in at least 92 % of cases. With one number
+# less than there are parameters, they hold it in 78 % (docs/models/gradients.md).
 _OF_A_KIND = 5
 
-# The search is repeated about its result until that moves by less than this share of its error.
+# The search is repeated from its result until that moves by less than this fraction of its error.
 _STILL, _MOST_SEARCHES = 0.05, 6
 
 
-def number_in(text: str) -> float:
+class Problem(NamedTuple):
+    """An estimation problem.
+
+    Attributes:
+        recording: the recorded motion.
+        parameters: the simulation as a function of the numbers of its configuration.
+        names: of all parameters: the numbers of the configuration, then initial values.
+        start: value of each at the start of the search.
+        positive: whether each is positive and must be.
+        initial: initial values that are set.
+        genes: of the champion that moves the joints; None for the recorded commands.
+        noise: standard deviation by kind of column; empty to estimate it.
+    """
+
+    recording: MeasuredMotion
+    parameters: Parameters
+    names: tuple[str, ...]
+    start: np.ndarray
+    positive: np.ndarray
+    initial: dict[str, float]
+    genes: np.ndarray | None
+    noise: dict[str, float]
+
+    @property
+    def kinds(self) -> list[str]:
+        """Kind of each column."""
+        return [_kind(name) for name in self.recording.columns]
+
+    @property
+    def present(self) -> list[str]:
+        """Kinds of which there are columns."""
+        return [kind for kind in UNITS if kind in self.kinds]
+
+
+def fit_motion(
+    config: Path,
+    data: Path,
+    keys: Sequence[str],
+    settings: Sequence[str],
+    run: Path | None,
+    noise: Sequence[str],
+    out: Path | None,
+    plot: Path | None,
+) -> None:
+    """Estimate parameters, print them, and write what is requested.
+
+    Args:
+        config: the configuration.
+        data: table with the recorded motion.
+        keys: of the parameters, each perhaps with ``=START``.
+        settings: other values, ``key=value``.
+        run: whose champion moves the joints; None for the recorded commands.
+        noise: standard deviations by kind of column, ``kind=value``.
+        out: file for the fitted configuration, if any.
+        plot: file for a picture of data and fit, if any.
+
+    Raises:
+        UsageError: an argument is wrong, or there is no estimate.
+    """
+    recording = read_motion(data)
+    set_here = {text.partition("=")[0]: text for text in settings}
+    whole = load_config(
+        config, [text for name, text in set_here.items() if not name.startswith(INITIAL)]
+    )
+    initial = {n: _number_in(text) for n, text in set_here.items() if n.startswith(INITIAL)}
+    given = [key.partition("=")[0] for key in keys]
+    start = {key.partition("=")[0]: _number_in(key) for key in keys if "=" in key}
+    inner = tuple(name for name in given if not name.startswith(INITIAL))
+    outer = tuple(name for name in given if name.startswith(INITIAL))
+    for name in inner:
+        number_at(whole, name, config)
+    _check_keys(given, set_here, run)
+    genes = None
+    if run is not None:
+        if recording.targets:
+            raise UsageError("--run: the champion moves the joints; leave out the target columns")
+        # Before anything starts JAX.
+        genes = np.asarray(open_champion(run).champion.genes, float)
+    begins = with_numbers(whole, {k: v for k, v in start.items() if k in inner}, config)
+    parameters = parametrise(_trial_of(recording, begins), config, inner)
+    simulation = parameters.experiment.simulation
+    _check_names(recording, simulation, [*initial, *outer], data)
+    if genes is not None and (wrong := simulation.genome.misfit(genes)):
+        raise UsageError(f"--run: the champion of {run} does not fit {config}: {wrong}")
+    values = [number_at(begins, name) for name in inner]
+    values += [start.get(name, 0.0) for name in outer]
+    names = (*inner, *outer)
+    problem = Problem(
+        recording,
+        parameters,
+        names,
+        np.array(values),
+        np.array([_is_positive(parameters, name) for name in names]),
+        initial,
+        genes,
+        {text.partition("=")[0]: _number_in(text) for text in noise},
+    )
+    _require_numbers(problem, data)
+    late = late_commands(recording, simulation)
+    if late:
+        warn(
+            f"{data}: {late} commands come between two control steps, of which "
+            f"there are {simulation.control_rate:g} a second, and take effect at the next"
+        )
+    with working("compiling the search") as work:
+        result, shown = search(problem, work)
+    _report(problem, result)
+    if out is not None:
+        found = dict(zip(inner, map(float, result.values), strict=False))
+        write_text(out, dump_config(with_numbers(whole, found, config)))
+        print(out)
+    if plot is not None:
+        figure = fit_figure(recording.time, recording.columns, recording.data, shown)
+        print(save_figure(figure, plot))
+
+
+def _number_in(text: str) -> float:
     """Return the number in ``KEY=VALUE``.
 
     Raises:
@@ -48,24 +177,37 @@ def number_in(text: str) -> float:
     return number
 
 
-def trial_of(recording: MeasuredMotion, config: ExperimentConfig) -> ExperimentConfig:
-    """The configuration with a single trial, as long as the recording."""
+def _check_keys(names: Sequence[str], set_here: dict[str, str], run: Path | None) -> None:
+    for i, name in enumerate(names):
+        if name in set_here:
+            raise UsageError(
+                f"{name}: is searched for and set; give its start as {name}=VALUE alone"
+            )
+        if name in names[:i]:
+            raise UsageError(f"{name}: is given twice")
+        if run is None and name.startswith("controller."):
+            raise UsageError(
+                f"{name}: the recorded commands move the joints, not the controller; "
+                "--run RUN takes a champion's"
+            )
+
+
+def _trial_of(recording: MeasuredMotion, config: ExperimentConfig) -> ExperimentConfig:
+    """Return the configuration with a single trial, as long as the recording."""
     rate = config.simulation.control_rate_hz
     steps = max(1, math.ceil(float(recording.time.max()) * rate - 1e-9))
     trial = config.simulation.model_copy(update={"steps": steps, "trials": 1})
     return config.model_copy(update={"simulation": trial})
 
 
-def check_names(
-    recording: MeasuredMotion, simulation: "Simulation", beginnings: Sequence[str], path: Path
+def _check_names(
+    recording: MeasuredMotion, simulation: Simulation, beginnings: Sequence[str], path: Path
 ) -> None:
     """Check the names of columns and of initial values against the creature.
 
     Raises:
         UsageError: one does not exist.
     """
-    from evo_cpg.simulation.track import beginning_names, column_names
-
     dofs = simulation.world.tree.dof_names
     for valid, given, prefix in (
         (column_names(simulation), recording.columns, ""),
@@ -81,8 +223,8 @@ def check_names(
             raise UsageError(f"{name}: does not exist; {nearest(short, valid)}")
 
 
-def is_positive(parameters: Parameters, name: str) -> bool:
-    """Whether a number of the configuration is positive and must be."""
+def _is_positive(parameters: Parameters, name: str) -> bool:
+    """Return whether a number of the configuration is positive and must be."""
     if name not in parameters.keys:
         return False
     value = number_at(parameters.config, name)
@@ -93,17 +235,19 @@ def is_positive(parameters: Parameters, name: str) -> bool:
     return False
 
 
-def require_many(
-    recording: MeasuredMotion, parameters: int, noise: Sequence[str], path: Path
-) -> None:
-    """Check that there are numbers enough of each kind to tell how noisy it is."""
-    counts: dict[str, int] = dict.fromkeys(KINDS, 0)
-    for name, count in zip(recording.columns, np.isfinite(recording.data).sum(0), strict=True):
-        counts[_kind(name)] += int(count)
-    present = {kind: count for kind, count in counts.items() if count}
+def _require_numbers(problem: Problem, path: Path) -> None:
+    """Check that there are enough numbers in all, and of each kind to tell how noisy it is."""
+    present, parameters = problem.present, len(problem.names)
+    counts = dict.fromkeys(present, 0)
+    measured = np.isfinite(problem.recording.data).sum(0)
+    for kind, count in zip(problem.kinds, measured, strict=True):
+        counts[kind] += int(count)
+    total = sum(counts.values())
+    if total <= parameters:
+        raise UsageError(f"{path}: {total} numbers cannot determine {parameters} parameters")
     least = parameters + _OF_A_KIND
-    for kind, count in present.items():
-        if len(present) > 1 and count < least and not noise:
+    for kind, count in counts.items():
+        if len(present) > 1 and count < least and not problem.noise:
             raise UsageError(
                 f"{path}: {count} number(s) of kind {kind} are too few to tell how noisy they are, "
                 f"beside {parameters} parameter(s) {least} are needed; give "
@@ -111,63 +255,47 @@ def require_many(
             )
 
 
-def _noise(given: Sequence[str], present: Sequence[str]) -> np.ndarray | None:
-    if not given:
+def _noise(problem: Problem) -> np.ndarray | None:
+    known, present = problem.noise, problem.present
+    if not known:
         return None
-    known = {text.partition("=")[0]: number_in(text) for text in given}
     for kind, size in known.items():
-        if kind not in KINDS or not size > 0:
-            raise UsageError(f"--noise: {kind}={size:g}; give {'=.., '.join(KINDS)}=.. above 0")
+        if kind not in UNITS or not size > 0:
+            raise UsageError(f"--noise: {kind}={size:g}; give {'=.., '.join(UNITS)}=.. above 0")
     missing = [kind for kind in present if kind not in known]
     if missing:
         raise UsageError(f"--noise: also give that of {', '.join(missing)}, or none at all")
     return np.array([known[kind] for kind in present])
 
 
-def search(
-    parameters: Parameters,
-    recording: MeasuredMotion,
-    names: tuple[str, ...],
-    values: np.ndarray,
-    positive: np.ndarray,
-    begun: dict[str, float],
-    genes: np.ndarray | None,
-    given: Sequence[str],
-    work: Work,
-) -> tuple["Fit", np.ndarray]:
-    """The estimate, and the motion that it gives; ``genes`` of a champion, if one moves the joints.
+def search(problem: Problem, work: Work) -> tuple[Fit, np.ndarray]:
+    """Return the estimate, and the motion that it gives.
 
     Raises:
         UsageError: there is no estimate, or it is not allowed.
     """
-    import equinox as eqx
-    import jax
-    import jax.numpy as jnp
-
-    from evo_cpg.analysis.fit import fit
-    from evo_cpg.simulation.track import ATTITUDE, track
-
-    kinds = [_kind(name) for name in recording.columns]
-    present = [kind for kind in KINDS if kind in kinds]
-    kind_numbers = np.array([present.index(kind) for kind in kinds])
+    recording, parameters, names = problem.recording, problem.parameters, problem.names
+    positive, values, inner = problem.positive, problem.start, len(problem.parameters.keys)
+    kind_numbers = np.array([problem.present.index(kind) for kind in problem.kinds])
     wrapped = np.array([name in ATTITUDE for name in recording.columns])
-    noise = _noise(given, present)
-    inner = len(parameters.keys)
-    fixed = {name.removeprefix(INITIAL): value for name, value in begun.items()}
+    noise = _noise(problem)
 
     def observe(theta: Any) -> Any:
         simulation = parameters.simulation(theta[:inner])
-        if genes is None:
+        if problem.genes is None:
             driver = commands(recording, parameters.experiment.simulation)
             driver = eqx.tree_at(lambda d: d.tree, driver, simulation.world.tree)
             simulation = eqx.tree_at(lambda s: s.controller, simulation, driver)
-        initial: dict[str, Any] = {k: jnp.asarray(v, theta.dtype) for k, v in fixed.items()}
-        for name, value in zip(names[inner:], theta[inner:], strict=True):
-            initial[name.removeprefix(INITIAL)] = value
-        own = jnp.asarray(
-            np.zeros(simulation.genome.count) if genes is None else genes, theta.dtype
-        )
-        return track(simulation, own, recording.time, recording.columns, initial)
+        found = dict(zip(names[inner:], theta[inner:], strict=True))
+        begin = {
+            name.removeprefix(INITIAL): jnp.asarray(value, theta.dtype)
+            for name, value in (problem.initial | found).items()
+        }
+        genes = problem.genes
+        if genes is None:
+            genes = np.zeros(simulation.genome.count)
+        own = jnp.asarray(genes, theta.dtype)
+        return track(simulation, own, recording.time, recording.columns, begin)
 
     def fit_to(start: Any, data: Any) -> Any:
         return fit(observe, data, start, positive, kind_numbers, wrapped, noise)
@@ -214,33 +342,19 @@ def _forbidden(
 
 
 def _kind(name: str) -> str:
-    from evo_cpg.simulation.track import ATTITUDE, POSITION
-
     return "position" if name in POSITION else "attitude" if name in ATTITUDE else "angle"
 
 
-def report(
-    names: tuple[str, ...],
-    start: np.ndarray,
-    positive: np.ndarray,
-    result: "Fit",
-    recording: MeasuredMotion,
-) -> None:
+def _report(problem: Problem, result: Fit) -> None:
     """Print the estimates with their intervals, the noise and what is doubtful."""
-    from evo_cpg.analysis.fit import fit_warnings
-
-    found = zip(names, start, result.values, result.lower, result.upper, strict=True)
+    columns = problem.names, problem.start, result.values, result.lower, result.upper
     rows = [
         (name, f"{first:.4g}", f"{value:.5g}", f"{low:.5g} to {high:.5g}")
-        for name, first, value, low, high in found
+        for name, first, value, low, high in zip(*columns, strict=True)
     ]
     show_table(("parameter", "start", "estimate", "95 % interval"), rows)
-    units = {"position": "m", "attitude": "rad", "angle": "rad"}
-    kinds = [_kind(name) for name in recording.columns]
-    present = [kind for kind in KINDS if kind in kinds]
-    noise = [
-        f"{kind} {size:.3g} {units[kind]}" for kind, size in zip(present, result.noise, strict=True)
-    ]
-    print(f"noise: {', '.join(noise)}; {int(result.freedom)} degrees of freedom")
-    for words in fit_warnings(names, positive, result):
+    sizes = zip(problem.present, result.noise, strict=True)
+    noise = ", ".join(f"{kind} {size:.3g} {UNITS[kind]}" for kind, size in sizes)
+    print(f"noise: {noise}; {int(result.freedom)} degrees of freedom")
+    for words in fit_warnings(problem.names, problem.positive, result):
         print(f"beware: {words}")

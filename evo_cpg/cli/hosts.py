@@ -1,5 +1,6 @@
-"""Lists of hosts: what `--hosts` says, and which of them this machine is."""
+"""Lists of hosts: read `--hosts`, and find this machine among them."""
 
+import re
 import socket
 from collections.abc import Sequence
 from pathlib import Path
@@ -7,14 +8,14 @@ from pathlib import Path
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.training.roll_call import Place
 
-# Where the lead listens unless the list says otherwise; of the range that nobody registers.
+# Default port of the lead, from the range of unregistered ports.
 DEFAULT_PORT = 61440
 
 _LARGEST_PORT = 65535
 
 
 def place_in(text: str, process: int | None = None) -> Place:
-    """The place of this process among those of a list.
+    """Return the place of this process in a list of hosts.
 
     Args:
         text: ``HOST[:PORT],HOST,...``, or a file with a host on each line; the first leads.
@@ -54,19 +55,16 @@ def _words(text: str) -> list[str]:
 
 
 def _parted(word: str) -> tuple[str, int]:
-    """Host and port of the lead; an IPv6 address with a port stands in brackets."""
-    if word.startswith("["):
-        host, bracket, rest = word[1:].partition("]")
-        port = rest.removeprefix(":")
-        if not bracket or (rest and not rest.startswith(":")):
-            raise UsageError(f"--hosts: {word}: an address in brackets is written [HOST]:PORT")
-    elif word.count(":") == 1:
-        host, _, port = word.partition(":")
-        rest = f":{port}"
-    else:
-        host, port, rest = word, "", ""
+    """Return host and port of the lead; an IPv6 address with a port stands in brackets."""
+    bracketed = word.startswith("[")
+    form = r"\[([^]]*)\](?::(.*))?" if bracketed else r"([^:]*)(?::([^:]*))?"
+    match = re.fullmatch(form, word)
+    if match is None and bracketed:
+        raise UsageError(f"--hosts: {word}: an address in brackets is written [HOST]:PORT")
+    # Any other word with several colons is an IPv6 address without a port.
+    host, port = match.groups() if match else (word, None)
     host = _name(host, 1)
-    if not rest:
+    if port is None:
         return host, DEFAULT_PORT
     if not (port.isascii() and port.isdigit() and 0 < int(port) <= _LARGEST_PORT):
         raise UsageError(f"--hosts: {word}: the port must be from 1 to {_LARGEST_PORT}")
@@ -82,7 +80,7 @@ def _name(word: str, number: int) -> str:
 
 
 def _own(names: Sequence[str]) -> int:
-    """The only one of the hosts that is this machine."""
+    """Return the index of the one host that is this machine."""
     found = [index for index, name in enumerate(names) if _is_here(name)]
     if len(found) == 1:
         return found[0]
@@ -98,7 +96,7 @@ def _own(names: Sequence[str]) -> int:
 
 
 def _is_here(name: str) -> bool:
-    """Whether an address of a host belongs to this machine: then a socket can be bound to it."""
+    """Return whether an address of a host belongs to this machine: a socket can be bound to it."""
     if name == socket.gethostname():
         return True
     try:

@@ -1,9 +1,9 @@
 """Control-C: a KeyboardInterrupt that is neither lost nor ends the process in a crash.
 
-JAX has Python called from where no exception may come out. One that is raised in a callback of the
-garbage collector, which is often, is printed and forgotten, and the program goes on; one that is
-raised while a cache of C++ hashes or compares its keys ends the process. So there the interrupt
-waits for a moment.
+JAX calls Python from places that no exception may leave. An exception in a callback of the garbage
+collector, which is frequent, is printed and dropped, and the program continues. An exception while
+a cache of C++ hashes or compares its keys ends the process. In these places the interrupt waits for
+a moment.
 """
 
 import contextlib
@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from types import FrameType
 from typing import Any, NoReturn
 
-# Functions from which, and from what they call, no exception may come out.
+# No exception may leave these functions, nor the functions that they call.
 _SILENT = frozenset({"__hash__", "__eq__", "__del__", "_xla_gc_callback"})
 
 _MOMENT = 0.01  # s
@@ -23,7 +23,7 @@ _MOMENT = 0.01  # s
 
 @contextlib.contextmanager
 def interrupts_delivered() -> Iterator[None]:
-    """For as long as the block lasts; where interrupts are ignored, they still are."""
+    """Deliver interrupts during the block; ignored interrupts stay ignored."""
     ours = threading.current_thread() is threading.main_thread()
     ours &= hasattr(signal, "pthread_kill")  # Windows has none
     if not ours or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
@@ -74,7 +74,7 @@ def leave_at_once(code: int) -> NoReturn:
 
 
 class _Again:
-    """Interrupts once more, in a moment, however often that is asked for until then."""
+    """A request for one more interrupt in a moment; further requests until then change nothing."""
 
     def __init__(self) -> None:
         self._timer: threading.Timer | None = None
@@ -96,7 +96,7 @@ class _Again:
         signal.pthread_kill(main, signal.SIGINT)
 
     def cancel(self) -> None:
-        """Not, if there is still time."""
+        """Cancel the interrupt, if there is still time."""
         if self._timer is not None:
             self._timer.cancel()
 

@@ -1,13 +1,13 @@
 """`evo-cpg sweep --jobs`: settings that share no program as jobs, by submitit.
 
-    SWEEP/.lock              held by whoever works on the sweep, see `claimed`
+    SWEEP/.lock              held by the processes that work on the sweep, see `claimed`
     SWEEP/.jobs/slurm.json   jobs of SLURM that have not been seen to end
-    SWEEP/.jobs/TIME_.../    what submitit writes for the jobs of one command, and what they say;
-                             gone when all have come to their ends
+    SWEEP/.jobs/TIME_.../    files of submitit for the jobs of one command, with their output;
+                             deleted when all jobs have succeeded
 
-A job is a group of settings (`evo_cpg.api.sweep.groups`) and does what happens to it in turn, so it
-comes to the same, and goes on where it was stopped. How far it is, and whether it is done, is seen
-by the checkpoints: no result is handed back, and no pickle of a job is read but by the job itself.
+A job evolves a group of settings (`evo_cpg.api.sweep.groups`) as the sweep does without jobs, so
+the results are the same, and a stopped job can be continued. The checkpoints show how far a job is
+and whether it is done. No result is handed back, and only the job itself reads its pickle.
 submitit is installed with the extra ``jobs``, and imported when there are jobs.
 """
 
@@ -18,42 +18,54 @@ import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypedDict
 
+from evo_cpg.api.display import Work, working
 from evo_cpg.api.sweep import Member, groups, members_of, read_plan, run_group
 from evo_cpg.cli.errors import UsageError
-from evo_cpg.cli.progress import Work, working
 from evo_cpg.config.trust import is_trusted, trusting
 from evo_cpg.files import write_text
 from evo_cpg.installation import command_for
 from evo_cpg.locks import LockedError, joined, locked
 from evo_cpg.system import named, told_by
 from evo_cpg.training.devices import available_cores, use_cores
-from evo_cpg.training.run_folder import RunFolderError
+from evo_cpg.training.run_folder import RunFolderError, read_checked
 
 _HIDDEN, _SLURM = ".jobs", "slurm.json"
 
-# How often it looks at local jobs, and at those of SLURM, s.
+# Interval between two looks at local jobs, and at jobs of SLURM, s.
 _LOOK, _LOOK_AT_SLURM = 0.25, 5.0
 
-# Once interrupted, local jobs have so long to end, s; submitit kills them after one.
+# Time that interrupted local jobs have to end, s. submitit kills them after one.
 _GRACE = 10.0
 
 # submitit ends local jobs after two minutes unless told otherwise, min. A year.
 _LONGEST = 60 * 24 * 365
 
-# What SLURM gives a job unless told otherwise, min. When that is over the job is queued anew, and
-# goes on from its checkpoints, so many times.
+# Default time limit of a job of SLURM, min. When it is over, the job is queued again and continues
+# from its checkpoints, at most so many times.
 _TIMEOUT, _TIMES = 60, 1000
 
-# Of what a failed job wrote to standard error.
+# Lines of the standard error of a failed job that are shown.
 _LAST_LINES = 5
 
 
+class _Entry(TypedDict):
+    """A job of SLURM in the list."""
+
+    id: str
+    logs: str
+    settings: list
+
+
+# A job of submitit, and its settings.
+Running = tuple[Any, list[Member]]
+
+
 class Jobs(NamedTuple):
-    """What is asked for.
+    """The jobs that the command line requests.
 
     Attributes:
         count: local processes at a time; None for SLURM.
@@ -96,28 +108,12 @@ class Job(NamedTuple):
                 run_group(group, named(plan["config"]), devices, lambda member, rows: None)
 
     def checkpoint(self) -> Any:
-        """What submitit queues when SLURM takes its place away, or its time is over: the same."""
+        """Return the same job, for submitit to queue if SLURM preempts it or its time is over."""
         return importlib.import_module("submitit").helpers.DelayedSubmission(self)
 
 
-class _Running(NamedTuple):
-    """A job that goes on.
-
-    Attributes:
-        job: submitit's.
-        group: its settings.
-    """
-
-    job: Any
-    group: list[Member]
-
-    @property
-    def names(self) -> list[str]:
-        return [member.setting.name for member in self.group]
-
-
 def read_jobs(word: str | None, options: Sequence[str]) -> Jobs | None:
-    """What ``--jobs`` and ``--job-option`` say; None where they say nothing.
+    """Read ``--jobs`` and ``--job-option``; return None without them.
 
     Raises:
         UsageError: it cannot be had here, or is no such thing.
@@ -147,14 +143,14 @@ def read_jobs(word: str | None, options: Sequence[str]) -> Jobs | None:
 
 @contextlib.contextmanager
 def claimed(folder: Path, jobs: Jobs | None) -> Iterator[None]:
-    """Keep others off a sweep: two at work would overwrite each other's checkpoints.
+    """Keep other commands off a sweep: they would overwrite each other's checkpoints.
 
-    Local jobs hold a lock that others may share, so that it is held until the last has ended,
-    whatever becomes of this command. Those of SLURM are on a list.
+    Local jobs share the lock, so it is held until the last job has ended, even if this command ends
+    first. Jobs of SLURM are on a list.
 
     Args:
         folder: of the sweep.
-        jobs: what is asked for: with those of SLURM one may go on with SLURM.
+        jobs: the requested jobs. `--jobs slurm` may continue a sweep that has jobs with SLURM.
 
     Raises:
         LockedError: another command is at work, or a job that it has started.
@@ -188,7 +184,7 @@ def run_jobs(
     Args:
         folder: of the sweep.
         found: the groups.
-        jobs: what is asked for.
+        jobs: the requested jobs.
         cores: of all local jobs together, None for all of this machine; on SLURM, of each.
 
     Returns:
@@ -202,26 +198,31 @@ def run_jobs(
     if not waiting:
         return []
     logs = _new_folder(folder)
-    crowd = _Slurm(folder, logs, jobs, cores) if jobs.count is None else _Local(folder, logs)
-    places = len(waiting) if jobs.count is None else min(jobs.count, len(waiting))
-    own = cores if jobs.count is None else max(1, (cores or available_cores()) // places)
+    places, own = len(waiting), cores
+    if jobs.count is None:
+        queue = _Slurm(folder, logs, jobs, cores)
+    else:
+        queue = _Local(folder, logs)
+        places = min(jobs.count, places)
+        own = max(1, (cores or available_cores()) // places)
     total = sum(member.experiment.generations for group in found for member in group)
     failed: list[str] = []
-    running: list[_Running] = []
+    running: list[Running] = []
     with working(f"{folder.name}: generations of all settings", counted=True) as work:
         try:
             while waiting or running:
                 while waiting and len(running) < places:
-                    running.append(crowd.start(waiting.pop(0), own))
-                    work.say(f"job {running[-1].job.job_id}: {', '.join(running[-1].names)}")
-                time.sleep(crowd.look)
-                for one in [one for one in running if one.job.done()]:
+                    group = waiting.pop(0)
+                    running.append((queue.start(group, own), group))
+                    work.say(f"job {running[-1][0].job_id}: {', '.join(_names(group))}")
+                time.sleep(queue.look)
+                for one in [one for one in running if one[0].done()]:
                     running.remove(one)
-                    crowd.ended(one)
-                    failed += _fallen(one, work)
+                    queue.ended(one[0])
+                    failed += _failed(*one, work)
                 work.reached(sum(m.folder.newest for group in found for m in group), total)
         except BaseException:
-            crowd.leave(running)
+            queue.leave([job for job, _ in running])
             raise
     if not failed:
         shutil.rmtree(logs, ignore_errors=True)
@@ -243,19 +244,19 @@ class _Local:
         self._executor = importlib.import_module("submitit").LocalExecutor(folder=logs)
         self._executor.update_parameters(timeout_min=_LONGEST)
 
-    def start(self, group: list[Member], cores: int | None) -> _Running:
+    def start(self, group: list[Member], cores: int | None) -> Any:
         """Give a group to a process of its own."""
-        return _Running(self._executor.submit(_job(self._folder, group, cores, True)), group)
+        return self._executor.submit(_job(self._folder, group, cores, True))
 
-    def ended(self, one: _Running) -> None:
-        """Nothing is left of it."""
+    def ended(self, job: Any) -> None:
+        """Do nothing: a local process leaves nothing behind."""
 
-    def leave(self, running: Sequence[_Running]) -> None:
-        """End all."""
-        for one in running:
-            one.job.cancel()
+    def leave(self, running: Sequence[Any]) -> None:
+        """End all jobs."""
+        for job in running:
+            job.cancel()
         end = time.monotonic() + _GRACE
-        while time.monotonic() < end and not all(one.job.done() for one in running):
+        while time.monotonic() < end and not all(job.done() for job in running):
             time.sleep(_LOOK)
 
 
@@ -265,7 +266,7 @@ class _Slurm:
     Args:
         folder: of the sweep.
         logs: of new jobs.
-        jobs: what is asked for.
+        jobs: the requested jobs.
         cores: of each.
 
     Raises:
@@ -290,9 +291,9 @@ class _Slurm:
             shutil.rmtree(logs, ignore_errors=True)
             raise UsageError(f"--job-option: {str(error).splitlines()[0]}") from None
 
-    def start(self, group: list[Member], cores: int | None) -> _Running:
-        """Look at the job that a group has, or give it to SLURM."""
-        names = [member.setting.name for member in group]
+    def start(self, group: list[Member], cores: int | None) -> Any:
+        """Return the job that a group has, or give the group to SLURM."""
+        names = _names(group)
         for entry in self._entries:
             shared = set(names) & set(entry["settings"])
             if not shared:
@@ -301,7 +302,7 @@ class _Slurm:
             if job.done(force_check=True):
                 self._forget(entry["id"])
             elif entry["settings"] == names:
-                return _Running(job, group)
+                return job
             else:
                 raise UsageError(
                     f"--jobs slurm: job {entry['id']} evolves {', '.join(sorted(shared))} already, "
@@ -315,19 +316,19 @@ class _Slurm:
                 shutil.rmtree(logs, ignore_errors=True)
             reason = next(iter(str(error).split("\n")), "") or "without a word"
             raise UsageError(f"--jobs slurm: sbatch refuses the job: {reason}") from None
-        entry = {"id": job.job_id, "logs": str(self._logs.resolve()), "settings": names}
+        entry = _Entry(id=job.job_id, logs=str(self._logs.resolve()), settings=names)
         self._record([*self._entries, entry])
-        return _Running(job, group)
+        return job
 
-    def ended(self, one: _Running) -> None:
-        """Take it from the list."""
-        self._forget(one.job.job_id)
+    def ended(self, job: Any) -> None:
+        """Take a job from the list."""
+        self._forget(job.job_id)
 
-    def leave(self, running: Sequence[_Running]) -> None:
-        """They go on; say so."""
+    def leave(self, running: Sequence[Any]) -> None:
+        """Let the jobs go on, and say so."""
         if not running:
             return
-        ids = [one.job.job_id for one in running]
+        ids = [job.job_id for job in running]
         print(
             f"jobs {', '.join(ids)} go on; look at them with `evo-cpg sweep {self._folder} --jobs "
             f"slurm`, end them with `scancel {' '.join(ids)}`",
@@ -337,54 +338,50 @@ class _Slurm:
     def _forget(self, job: str) -> None:
         self._record([entry for entry in self._entries if entry["id"] != job])
 
-    def _record(self, entries: list[dict[str, Any]]) -> None:
+    def _record(self, entries: list[_Entry]) -> None:
         self._entries = entries
         text = json.dumps(entries, indent=2)
         write_text(self._folder / _HIDDEN / _SLURM, text)
 
 
+def _names(group: Sequence[Member]) -> list[str]:
+    return [member.setting.name for member in group]
+
+
 def _job(folder: Path, group: Sequence[Member], cores: int | None, locks: bool) -> Job:
-    names = tuple(member.setting.name for member in group)
-    return Job(str(folder.resolve()), names, cores, is_trusted(), locks)
+    return Job(str(folder.resolve()), tuple(_names(group)), cores, is_trusted(), locks)
 
 
-def _fallen(one: _Running, work: Work) -> list[str]:
-    """Which settings of a job that has ended are not done; it is said why."""
-    left = [member.setting.name for member in one.group if not member.finished]
+def _failed(job: Any, group: Sequence[Member], work: Work) -> list[str]:
+    """Return settings of a job that has ended and that are not done, and say why."""
+    left = _names([member for member in group if not member.finished])
     if left:
-        path = Path(one.job.paths.stderr)
-        text = told_by(path)
-        last = [line for line in text.splitlines() if line.strip()][-_LAST_LINES:]
-        work.say(f"job {one.job.job_id} failed ({', '.join(left)}); {path} ends:")
+        path = Path(job.paths.stderr)
+        last = [line for line in told_by(path).splitlines() if line.strip()][-_LAST_LINES:]
+        work.say(f"job {job.job_id} failed ({', '.join(left)}); {path} ends:")
         for line in last or ["(nothing)"]:
             work.say(f"    {line}")
     return left
 
 
-def _recorded(folder: Path) -> list[dict[str, Any]]:
-    """Jobs of SLURM that have not been seen to end.
+def _is_list(entries: Any) -> bool:
+    return all(
+        isinstance(entry[key], kind)
+        for entry in entries
+        for key, kind in _Entry.__annotations__.items()
+    )
+
+
+def _recorded(folder: Path) -> list[_Entry]:
+    """Return jobs of SLURM that have not been seen to end.
 
     Raises:
         RunFolderError: the list is damaged.
     """
-    path = folder / _HIDDEN / _SLURM
-    if not path.is_file():
-        return []
-    try:
-        entries = json.loads(path.read_text(encoding="utf-8"))
-        if not all(
-            isinstance(entry["id"], str)
-            and isinstance(entry["logs"], str)
-            and isinstance(entry["settings"], list)
-            for entry in entries
-        ):
-            raise ValueError("something is of another kind")
-    except (KeyError, OSError, RecursionError, TypeError, ValueError) as error:
-        raise RunFolderError(f"{path} is damaged ({error})") from None
-    return entries
+    return read_checked(folder / _HIDDEN / _SLURM, _is_list) or []
 
 
-def _of_slurm(entry: Mapping[str, Any]) -> Any:
+def _of_slurm(entry: _Entry) -> Any:
     try:
         submitit: Any = importlib.import_module("submitit")
     except ImportError:
@@ -396,7 +393,7 @@ def _of_slurm(entry: Mapping[str, Any]) -> Any:
 
 
 def _new_folder(folder: Path) -> Path:
-    """For the jobs of one command: submitit would take what it finds by the number of a process."""
+    """Make a folder for one command: submitit would reuse files with the number of its process."""
     (folder / _HIDDEN).mkdir(exist_ok=True)
     prefix = time.strftime("%Y%m%d_%H%M%S_")
     return Path(tempfile.mkdtemp(prefix=prefix, dir=folder / _HIDDEN)).resolve()

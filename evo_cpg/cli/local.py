@@ -6,17 +6,17 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 from evo_cpg.training.devices import available_cores
 
-# How often it looks whether they live, s.
+# Interval between two looks at the processes, s.
 _LOOK = 0.05
 
-# Once one has failed, or was interrupted, the others have so long to see that for themselves, s.
+# Time that the others have to end by themselves after one has failed or was interrupted, s.
 _GRACE = 10.0
 
-# What a shell adds to the number of the signal that ended a program.
+# A shell adds this to the number of the signal that ended a program.
 _BY_SIGNAL = 128
 
 
@@ -24,7 +24,6 @@ def run_local(
     count: int,
     arguments: Sequence[str],
     cores: int | None,
-    check: Callable[[], object] = lambda: None,
 ) -> int:
     """Start the processes, and wait until they have ended.
 
@@ -32,12 +31,10 @@ def run_local(
         count: of the processes.
         arguments: of this command, without its name.
         cores: of all together; None for all of this machine.
-        check: raises what all the processes would otherwise complain of, one by one.
 
     Returns:
         The exit code: the lead's where that failed, else of the first other that did.
     """
-    check()
     own = max(1, (cores or available_cores()) // count)
     with socket.create_server(("", 0)) as server:
         port = server.getsockname()[1]
@@ -47,7 +44,7 @@ def run_local(
     processes: list[subprocess.Popen] = []
     with _ended(processes):
         for index in range(count):
-            # A group of its own: what the terminal interrupts is this command, which hands it on.
+            # A process group of its own: the terminal interrupts this command, which passes it on.
             processes.append(
                 subprocess.Popen([*command, str(index)], stdin=subprocess.DEVNULL, process_group=0)
             )
@@ -99,7 +96,7 @@ def _codes(processes: Sequence[subprocess.Popen]) -> list[int | None]:
 
 
 def _code(codes: Sequence[int]) -> int:
-    """Of the command, from those of its processes, the lead's first."""
+    """Return the exit code of the lead if it failed, else of the first process that did."""
     ends = [code for code in codes if code > 0]
     if codes[0] > 0 or not ends:
         ends = [code for code in codes if code] or [0]
@@ -107,7 +104,7 @@ def _code(codes: Sequence[int]) -> int:
 
 
 def _without_local(arguments: Sequence[str]) -> list[str]:
-    """The arguments without ``--local N`` and the cores, of which each process has a part."""
+    """Return the arguments without ``--local N`` and ``--cores N``."""
     kept: list[str] = []
     words = iter(arguments)
     for word in words:

@@ -1,23 +1,24 @@
-"""`evo-cpg`: the list of its commands, and what its process does with errors and interrupts.
+"""`evo-cpg`: its commands, and how its process handles errors and interrupts.
 
 A command is a function of its own name in a file of that name, which declares the options. The file
 is imported when the command is called, and JAX and VTK when it runs: `--help` must be quick.
 """
 
+import functools
 import importlib
+import inspect
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Annotated, Any
 
 import typer
 from typer.core import TyperGroup
 
 from evo_cpg.cli import streams
-from evo_cpg.cli.errors import told
-from evo_cpg.cli.exit_codes import ExitCode
+from evo_cpg.cli.errors import ExitCode, message_for
 from evo_cpg.cli.interrupts import interrupts_delivered, leave_at_once, waits_for_threads
 
-# In the order of the help text; `import` is a keyword, so its file is `import_.py`.
+# The help text lists them in this order. `import` is a keyword, so its file is `import_.py`.
 COMMANDS = (
     "train",
     "resume",
@@ -48,6 +49,36 @@ _EVOLVING = frozenset({"train", "resume", "refine", "sweep", "reproduce"})
 _PLAIN: dict[str, Any] = {"pretty_exceptions_enable": False, "rich_markup_mode": None}
 
 
+def with_options(function: Callable[..., None]) -> Callable[..., None]:
+    """Return a command that takes the fields of a group of options in place of the group.
+
+    Args:
+        function: a command. The annotation of a parameter that is a group is a named tuple, whose
+            fields are annotated as options.
+    """
+    signature = inspect.signature(function)
+    groups = {
+        parameter.name: parameter.annotation
+        for parameter in signature.parameters.values()
+        if hasattr(parameter.annotation, "_field_defaults")
+    }
+
+    @functools.wraps(function)
+    def command(**given: Any) -> None:
+        for name, group in groups.items():
+            given[name] = group(**{field: given.pop(field) for field in group._fields})
+        function(**given)
+
+    parameters: list[inspect.Parameter] = []
+    for parameter in signature.parameters.values():
+        group = groups.get(parameter.name)
+        own = inspect.signature(group).parameters.values() if group else [parameter]
+        parameters += own
+    command.__signature__ = signature.replace(parameters=parameters)  # pyright: ignore
+    command.__annotations__ = {each.name: each.annotation for each in parameters}
+    return command
+
+
 class _Files(Mapping[str, Any]):
     """The commands by name; each is imported when it is looked up."""
 
@@ -58,7 +89,7 @@ class _Files(Mapping[str, Any]):
         found = getattr(importlib.import_module(f"evo_cpg.cli.{place}"), place)
         if not isinstance(found, typer.Typer):
             function, found = found, typer.Typer(add_completion=False, **_PLAIN)
-            found.command(name)(function)
+            found.command(name)(with_options(function))
         command = typer.main.get_command(found)
         command.name = name
         return command
@@ -78,7 +109,7 @@ class _Commands(TyperGroup):
         self.commands: Any = _Files()
 
     def invoke(self, ctx: typer.Context) -> Any:
-        """Run a command; leave Pydantic's own words out of what Typer says of a wrong option."""
+        """Run a command, and drop Pydantic's prefix from messages about wrong options."""
         try:
             return super().invoke(ctx)
         except typer.BadParameter as error:
@@ -95,21 +126,21 @@ app = typer.Typer(
 )
 
 
-def _show_version(wanted: bool) -> bool:
-    if wanted:
+def _show_version(value: bool) -> bool:
+    if value:
         from evo_cpg.api.version import version
 
         print(version())
         raise typer.Exit
-    return wanted
+    return value
 
 
-def _trust(wanted: bool) -> bool:
-    if wanted:
+def _trust(value: bool) -> bool:
+    if value:
         from evo_cpg.config.trust import trust
 
         trust()
-    return wanted
+    return value
 
 
 @app.callback()
@@ -133,7 +164,7 @@ def options(
 
 
 def _command() -> str:
-    """Name of the command that this process was started with."""
+    """Return the name of the command that this process was started with."""
     return next((word for word in sys.argv[1:] if not word.startswith("-")), "")
 
 
@@ -148,7 +179,7 @@ def main() -> None:
     except KeyboardInterrupt:
         raise SystemExit(ExitCode.INTERRUPTED) from None
     except Exception as error:
-        words = told(error)
+        words = message_for(error)
         if words is None:
             raise
         print(f"evo-cpg: {words}", file=sys.stderr)
@@ -156,7 +187,7 @@ def main() -> None:
 
 
 def program() -> None:
-    """`main` as a process: after an interrupt nobody waits for what still compiles."""
+    """Run `main` as a process, which after an interrupt does not wait for compilations."""
     streams.protect()
     try:
         main()

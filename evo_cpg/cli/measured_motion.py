@@ -1,4 +1,4 @@
-"""A motion that was measured: reading it from a CSV file, and the commands that drove it."""
+"""A measured motion: read it from a CSV file, and replay the commands that drove it."""
 
 import csv
 import math
@@ -22,23 +22,23 @@ TARGET = "target."
 _ON_TIME = 0.05
 
 _UNIT = re.compile(r"\s*\[([^]]*)\]$")
-# Units of what is measured, in SI.
+# Units, in SI.
 _TIMES = {"s": 1.0, "ms": 1e-3}
 _LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 _ANGLES = {"rad": 1.0, "deg": math.pi / 180, "mrad": 1e-3}
 _RATES = {f"{angle}/s": size for angle, size in _ANGLES.items()}
-# By this a motion is known that `evo-cpg export` wrote; the root's comes first.
+# A column with this suffix shows that `evo-cpg export` wrote the file. The root's comes first.
 _EXPORTED = ".rotation_xx"
 _ATTITUDE = ("xx", "yx", "zx", "zy", "zz")
 
 
 class MeasuredMotion(NamedTuple):
-    """What was measured.
+    """A measured motion.
 
     Attributes:
         time: s.
-        columns: names of what was measured.
-        data: a column of each; NaN where nothing was.
+        columns: names of the measured quantities.
+        data: a column of each; NaN where nothing was measured.
         targets: commanded rates of joint axes by name, rad/s.
     """
 
@@ -49,7 +49,7 @@ class MeasuredMotion(NamedTuple):
 
 
 def read_motion(path: Path) -> MeasuredMotion:
-    """A recorded motion from a CSV file.
+    """Read a recorded motion from a CSV file.
 
     Raises:
         UsageError: it cannot be read, or is not one.
@@ -95,9 +95,9 @@ def read_motion(path: Path) -> MeasuredMotion:
 
 
 def _in_si(name: str, unit: str | None, root: str, path: Path) -> float:
-    """The unit of a column in that which is meant where none is written.
+    """Return the unit of a column, in the default unit of its kind.
 
-    Of an exported motion, which has the name of a root, not all columns are taken.
+    An exported motion has a root, and only some of its columns are used.
     """
     from evo_cpg.simulation.track import POSITION
 
@@ -120,7 +120,7 @@ def _in_si(name: str, unit: str | None, root: str, path: Path) -> float:
 
 
 def _of_export(columns: dict[str, np.ndarray], root: str, path: Path) -> dict[str, np.ndarray]:
-    """What a motion tracker would have seen of an exported motion.
+    """Return an exported motion as a motion tracker would see it.
 
     The attitude is yaw, then pitch, then roll about the root's own axes.
     """
@@ -145,7 +145,7 @@ def _of_export(columns: dict[str, np.ndarray], root: str, path: Path) -> dict[st
 
 
 def commands(recording: MeasuredMotion, simulation: "Simulation") -> Commanded:
-    """The recorded commands as a controller: each is held from its row to the next."""
+    """Return the recorded commands as a controller: each is held from its row to the next."""
     tree, rate = simulation.world.tree, float(simulation.control_rate)
     step = (np.arange(simulation.steps) + _ON_TIME) / rate
     row = np.searchsorted(recording.time, step, side="right") - 1
@@ -156,7 +156,7 @@ def commands(recording: MeasuredMotion, simulation: "Simulation") -> Commanded:
 
 
 def late_commands(recording: MeasuredMotion, simulation: "Simulation") -> int:
-    """How many commands change between two control steps."""
+    """Count the commands that change between two control steps."""
     if not recording.targets:
         return 0
     table = np.stack(list(recording.targets.values()), 1)
@@ -166,7 +166,7 @@ def late_commands(recording: MeasuredMotion, simulation: "Simulation") -> int:
 
 
 def _measured(cell: str, where: str) -> float:
-    """The number in a cell; NaN where there is none."""
+    """Return the number in a cell; NaN if the cell is empty."""
     try:
         value = float(cell) if cell.strip() else math.nan
     except ValueError:

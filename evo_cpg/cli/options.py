@@ -3,7 +3,7 @@
 import enum
 import re
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import typer
 
@@ -12,14 +12,14 @@ from evo_cpg.cli.errors import UsageError
 
 
 class What(enum.StrEnum):
-    """What a run begins with."""
+    """Genomes that a run begins with."""
 
     CHAMPION = "champion"
     POPULATION = "population"
 
 
 class View(enum.StrEnum):
-    """From where a film shows the animal; those of `evo_cpg.view.camera.CAMERAS`."""
+    """Positions of the camera, as in `evo_cpg.view.camera.CAMERAS`."""
 
     FOLLOW = "follow"
     SIDE = "side"
@@ -34,7 +34,7 @@ def _find_config(given: Path) -> Path:
 
 
 def find_config_or_folder(given: Path) -> Path:
-    """The file of a configuration, or a folder: a run or a sweep."""
+    """Return the file of a configuration, or the folder of a run or sweep."""
     from evo_cpg.config.shipped import find_config
 
     return find_config(given, folders=True)
@@ -78,42 +78,43 @@ Cell = Annotated[
         "each axis from 0, such as 3,0,7.",
     ),
 ]
+
+
+class Which(NamedTuple):
+    """Options: a champion or elite of a run, and one of its trials.
+
+    Attributes:
+        number: of one of several runs; None for the best.
+        trial: from 0.
+        cell: of the run's map, as ``3,0,7``; None for the champion.
+    """
+
+    number: Number = None
+    trial: Trial = 0
+    cell: Cell = None
+
+    @property
+    def of_run(self) -> str:
+        """End of the names of files about the run: ``_run1``."""
+        return "" if self.number is None else f"_run{self.number}"
+
+    @property
+    def of_trial(self) -> str:
+        """End of the names of files about the trial: ``_run1_trial2``."""
+        return self.of_run + (f"_trial{self.trial}" if self.trial else "")
+
+    @property
+    def of_cell(self) -> str:
+        """End of the names of files about the elite: ``_cell_3_0_7``."""
+        return "" if self.cell is None else f"_cell_{self.cell.replace(',', '_')}"
+
+
+BEST = Which()
+
 Strict = Annotated[
     bool, typer.Option("--strict", help="Refuse values that are allowed but not plausible.")
 ]
 Cores = Annotated[int | None, typer.Option(min=1, help="Cores to use; all by default.")]
-Distributed = Annotated[
-    bool,
-    typer.Option(
-        "--distributed",
-        help="Evolve with other processes: those of SLURM or Open MPI, of --hosts or of --local.",
-    ),
-]
-Hosts = Annotated[
-    str | None,
-    typer.Option(
-        metavar="HOST[:PORT],HOST,...",
-        help="Hosts of the processes, or a file with one on each line; the first leads.",
-    ),
-]
-Process = Annotated[
-    int | None,
-    typer.Option(
-        min=0, help="Which of --hosts this process is, from 0; by the name of its host by default."
-    ),
-]
-Local = Annotated[int | None, typer.Option(min=1, help="Start so many processes on this machine.")]
-JoinTimeout = Annotated[
-    float, typer.Option(min=0.1, help="Seconds that the processes may take to come together.")
-]
-Patience = Annotated[
-    float | None,
-    typer.Option(
-        min=0,
-        help="Seconds, beyond twice what its own part took, that a process waits for the others; "
-        "20 by default.",
-    ),
-]
 Tensorboard = Annotated[
     bool,
     typer.Option("--tensorboard", help="Write RUN/tensorboard, with the columns of metrics.csv."),
@@ -121,11 +122,6 @@ Tensorboard = Annotated[
 Folder = Annotated[
     Path | None, typer.Option("--out", "-o", help="Folder for the files; RUN by default.")
 ]
-
-
-def of_trial(trial: int) -> str:
-    """Return what is added to the name of a picture for any trial but the first."""
-    return f"_trial{trial}" if trial else ""
 
 
 def pixels_of(size: str) -> tuple[int, int]:

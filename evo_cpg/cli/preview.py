@@ -19,8 +19,8 @@ def preview(
     strict: Strict = False,
 ) -> None:
     """Draw the creature of a config at rest."""
+    from evo_cpg.api.display import working
     from evo_cpg.cli.building import read_config
-    from evo_cpg.cli.progress import working
     from evo_cpg.config.build import build_creature, build_experiment
     from evo_cpg.config.schema.ground import PlaneConfig
     from evo_cpg.simulation.situation import starting_pose

@@ -1,18 +1,119 @@
-"""What a champion did in new situations, in rows and words, for the command `probe`."""
+"""The probe of a champion, its rows and its warnings, for the command `probe`."""
+
+import time
+from pathlib import Path
 
 import numpy as np
 
-from evo_cpg.cli.errors import UsageError
+from evo_cpg.api.display import working
+from evo_cpg.api.opened import Opened
+from evo_cpg.cli.champions import open_champion
+from evo_cpg.cli.errors import UsageError, warn
+from evo_cpg.cli.options import Which
 from evo_cpg.cli.tables import show_table
 from evo_cpg.config.situations import out_of_reach
+from evo_cpg.files import make_folder, write_table
 from evo_cpg.simulation.situation import Situation
 from evo_cpg.training.experiment import Experiment
-from evo_cpg.training.probe import UNSEEING, Probe, seen_from_start
-from evo_cpg.training.run_folder import RunFolder
+from evo_cpg.training.probe import UNSEEING, Probe, around, blinded, probe, seen_from_start
+from evo_cpg.view.figure import save_figure
+from evo_cpg.view.probe_plot import probe_figure
+
+_BEARINGS = "-75:75:11"
+_MOST = 10_000
+
+
+def probe_champion(
+    run: Path,
+    which: Which,
+    lights: tuple[str | None, str | None] | None,
+    blind: bool,
+    reach: float,
+    place: Path,
+) -> None:
+    """Probe a champion, and print, write and draw what became of it.
+
+    Args:
+        run: the run folder.
+        which: the champion.
+        lights: their bearings and distances, as on the command line; None for the configuration's.
+        blind: set all light sensors to 0.
+        reach: fraction of the distance that may be left to a light that counts as reached.
+        place: folder for the files.
+
+    Raises:
+        UsageError: the lights are wrong, or cannot be reached.
+    """
+    given = None if lights is None else _places(*lights)
+    opened = open_champion(run, which)
+    experiment, situations = opened.experiment, own_situations(opened)
+    if given is not None:
+        situations = around(situations[0], *given)
+        require_reachable(experiment, situations)
+    make_folder(place)
+    simulation, genes = experiment.simulation, opened.champion.genes
+    with working(f"compiling, and probing {len(situations)} lights") as work:
+        start = time.monotonic()
+        found = seeing = probe(simulation, genes, situations)
+        if blind:
+            took = time.monotonic() - start
+            work.doing(f"compiling, and probing {len(situations)} lights blind", expected=took)
+            found = probe(blinded(simulation), genes, situations)
+    reached = found.reached(reach)
+    rows = probe_rows(found, reach)
+    result = f"{reached.sum()} of {len(rows)} lights reached"
+    table = place / f"probe{which.of_run}{'_blind' if blind else ''}.csv"
+    write_table(table, rows)
+    name = f"{experiment.name}, blind" if blind else experiment.name
+    figure = probe_figure(found, reach, f"{name}: {result}")
+    picture = save_figure(figure, table.with_suffix(".png"))
+    show_probe(rows)
+    if blind and seeing.displacement > 0:
+        kept = max(0.0, found.displacement) / seeing.displacement
+        print(f"blind it keeps {kept:.0%} of its displacement towards the lights")
+    print(f"{result} ({reached.mean():.0%}): at most {reach:g} of the distance left")
+    print(table)
+    print(picture)
+    words = missed(found, reach)
+    if blind:
+        words = unseeing(seeing, found) if simulation.sensors.eye_bodies else "it has no eyes"
+    if words:
+        warn(f"{run}: the champion: {words}")
+
+
+def _places(bearings: str | None, distances: str | None) -> tuple[np.ndarray, list[float]]:
+    """Return bearings (rad) and distances (m) of lights; no distance for the configuration's."""
+    turned = _numbers("--bearings", _BEARINGS if bearings is None else bearings)
+    away = [] if distances is None else _numbers("--distances", distances)
+    lights = len(turned) * max(len(away), 1)
+    if lights > _MOST:
+        raise UsageError(f"--bearings, --distances: {lights} lights; allowed: up to {_MOST}")
+    if min(away, default=1.0) <= 0:
+        raise UsageError(f"--distances: must be greater than 0, got {min(away):g}")
+    return np.deg2rad(turned), away
+
+
+def _numbers(option: str, text: str) -> list[float]:
+    """Return the numbers of START:STOP:COUNT or a list."""
+    try:
+        if ":" not in text:
+            numbers = [float(part) for part in text.split(",")]
+        else:
+            start, stop, count = text.split(":")
+            many = min(int(count), _MOST + 1)
+            numbers = np.linspace(float(start), float(stop), many).tolist()
+    except ValueError:
+        numbers = []
+    if not numbers or len(numbers) > _MOST or not np.isfinite(numbers).all():
+        raise UsageError(
+            f"{option}: {text!r} is neither START:STOP:COUNT, such as {_BEARINGS}, nor a list, "
+            f"such as -60,0,60; at most {_MOST} numbers"
+        )
+    return numbers
 
 
 def missed(found: Probe, reach: float) -> str:
-    """Return what to say of an animal that misses most of its lights; empty if it does not."""
+    """Return a warning of an animal that misses most of its lights; empty if it does not."""
     reached, turned = found.reached(reach), [seen_from_start(s)[1] for s in found.situations]
     count, sides = int(reached.sum()), np.sign(np.round(turned, 9))
     if count >= len(reached) / 2:
@@ -25,7 +126,7 @@ def missed(found: Probe, reach: float) -> str:
 
 
 def unseeing(seeing: Probe, blind: Probe) -> str:
-    """Return what to say of an animal that does without its eyes; empty if it does not."""
+    """Return a warning of an animal that does not use its eyes; empty if it does."""
     if not seeing.displacement > 0:
         return "it comes no nearer to the lights with its eyes, so there is nothing to compare"
     kept = max(0.0, blind.displacement) / seeing.displacement
@@ -35,11 +136,11 @@ def unseeing(seeing: Probe, blind: Probe) -> str:
 
 
 def probe_rows(found: Probe, reach: float) -> list[dict[str, float | int]]:
-    """The rows of probe.csv, one for each situation.
+    """Return the rows of probe.csv, one for each situation.
 
     Args:
         found: what became of the animal.
-        reach: share of the distance that may be left where a light counts as reached.
+        reach: fraction of the distance that may be left to a light that counts as reached.
     """
     reached = found.reached(reach)
     rows = []
@@ -64,11 +165,13 @@ def probe_rows(found: Probe, reach: float) -> list[dict[str, float | int]]:
     return rows
 
 
-def own_situations(experiment: Experiment, folder: RunFolder) -> tuple[Situation, ...]:
-    """Those that the animal evolved in, with their lights."""
-    simulation = experiment.simulation
+def own_situations(opened: Opened) -> tuple[Situation, ...]:
+    """Return the situations that the animal evolved in, with their lights."""
+    simulation = opened.experiment.simulation
     if None in simulation.lights:
-        raise UsageError(f"{folder.path}: its task has no light, so there is none to look for")
+        raise UsageError(
+            f"{opened.folder.path}: its task has no light, so there is none to look for"
+        )
     return tuple(
         situation._replace(light=light)
         for situation, light in zip(simulation.situations, simulation.lights, strict=True)
@@ -114,5 +217,5 @@ def show_probe(rows: list[dict[str, float | int]]) -> None:
 
 
 def _degrees(angle: float) -> float:
-    """Without the last digits, in which 60 becomes 59.99999999999999; never -0."""
+    """Return degrees, rounded: 60 and not 59.99999999999999; never -0."""
     return round(float(np.rad2deg(angle)), 9) + 0.0

@@ -48,26 +48,24 @@ def refine(
 def _refine(
     run: Path, keys: Sequence[str], rounds: int, steps: int, number: int | None, seed: int
 ) -> None:
-    from evo_cpg.api.load import class_folders
-    from evo_cpg.api.training import now, require_configured
+    from evo_cpg.api.display import progress
+    from evo_cpg.api.training import now
     from evo_cpg.cli.building import build
-    from evo_cpg.cli.champions import REPLAY_TOLERANCE, champion_of, live_again, open_run
-    from evo_cpg.cli.progress import progress
+    from evo_cpg.cli.champions import REPLAY_TOLERANCE, champion_of, open_and_build, replayed
     from evo_cpg.config.fingerprint import fingerprint
     from evo_cpg.config.load import dump_config
     from evo_cpg.config.parameters import parametrise
     from evo_cpg.training.refine import Refinement, Round, compile_refinement
-    from evo_cpg.training.run_folder import RunFolderError, refinements
+    from evo_cpg.training.run_folder import refinements
 
-    folder, config, experiment = open_run(run)
-    require_configured(folder)
+    opened = open_and_build(run)
+    opened.require_configured()
+    folder, config, experiment = opened.folder, opened.config, opened.experiment
     champion, motion, _ = folder.load_champion()
     if number is not None and number != champion.run:
         champion, motion = champion_of(folder, number), None
-    wrong = experiment.simulation.genome.misfit(champion.genes)
-    if wrong:
-        raise RunFolderError(f"{folder.config} was changed after training: {wrong}")
-    beside = class_folders(folder)
+    opened.with_champion(champion)
+    beside = opened.class_folders
     if not getattr(config.controller, "graded", True):
         controller = config.controller.model_copy(update={"graded": True})
         config = config.model_copy(update={"controller": controller})
@@ -82,7 +80,6 @@ def _refine(
             "configuration; free numbers take a run of its own"
         )
     parameters = parametrise(config, folder.config, keys, beside) if keys else None
-    devices = folder.read_meta().get("devices", 1)
     history: list[Round] = []
 
     def keep(done: Round) -> None:
@@ -96,18 +93,18 @@ def _refine(
 
     recorded = champion.fitness
     try:
-        with progress("refine", "rounds", rounds, first="compiling") as show:
+        with progress("rounds", rounds) as show:
 
             def tell(done: Round) -> None:
                 keep(done)
                 gained = f"gained {done.champion.fitness - done.initial_fitness:+.4f}"
-                state = f"fitness {done.champion.fitness:8.4f}  {gained}  {_slopes(done)}"
-                show(done.number, state, done.seconds)
+                state = f"fitness {done.champion.fitness:8.4f}  {gained}  {_derivatives(done)}"
+                show(state, done.seconds)
 
             refine = compile_refinement(
                 experiment,
                 Refinement(rounds, steps, seed=seed),
-                devices=devices,
+                devices=opened.devices,
                 free=parameters and _free(parameters),
             )
             refine(champion, tell)
@@ -133,12 +130,12 @@ def _refine(
         print(folder.path)
         return
     best, _, _ = folder.load_champion()
-    _, config, experiment = open_run(run)
-    folder.save_champion(best, live_again(experiment, best, devices)[2])
+    opened = open_and_build(run)
+    folder.save_champion(best, replayed(opened, best)[2])
     done = {"finished": now(), "command": sys.argv[1:], "from": last.initial_fitness}
     done["to"] = last.champion.fitness
     before = refinements(folder.read_meta())
-    folder.update_meta(refined=[*before, done], fingerprint=fingerprint(config))
+    folder.update_meta(refined=[*before, done], fingerprint=fingerprint(opened.config))
     terms = ", ".join(f"{name} {value:.3g}" for name, value in last.champion.terms.items())
     for key, value in zip(keys, last.values, strict=True):
         print(f"{key}: {value:.6g}", file=sys.stderr)
@@ -161,14 +158,14 @@ def _free(parameters: "Parameters") -> "Free":
             parameters.require(values)
             return experiment
         except ConfigError:
-            # Beyond what is allowed, or where the simulation is laid out differently.
+            # The values are not allowed, or give a simulation of another layout.
             return None
 
     return Free(parameters.values, parameters.simulation, rebuild)
 
 
 def _row(done: "Round", keys: Sequence[str]) -> dict[str, float]:
-    """A line of the table file."""
+    """Return a row of refine.csv."""
     own = {
         "round": done.number,
         "fitness": done.champion.fitness,
@@ -177,10 +174,10 @@ def _row(done: "Round", keys: Sequence[str]) -> dict[str, float]:
         "finite_slopes": done.finite,
         "seconds": done.seconds,
     }
-    # A task of one's own may have a term of such a name.
+    # A user's own task may have a term of such a name.
     return own | done.champion.terms | dict(zip(keys, done.values.tolist(), strict=True)) | own
 
 
-def _slopes(done: "Round") -> str:
+def _derivatives(done: "Round") -> str:
     lost = done.gradients - done.finite
     return f"{done.gradients} slopes" + (f", {lost} not finite" if lost else "")

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from evo_cpg.cli.errors import UsageError
-from evo_cpg.cli.options import Cell, Cores, Number, Run, Trial, View, of_trial, pixels_of
+from evo_cpg.cli.options import BEST, Cores, Run, View, Which, pixels_of
 from evo_cpg.cli.writing import writes_to_run
 
 # Animals side by side at most.
@@ -71,9 +71,7 @@ def render(
     seconds: Annotated[
         float | None, typer.Option(min=0.1, help="Show only the first seconds of the trial.")
     ] = None,
-    number: Number = None,
-    trial: Trial = 0,
-    cell: Cell = None,
+    which: Which = BEST,
     cores: Cores = None,
 ) -> None:
     """Film the champion of a run, or an elite of its map."""
@@ -81,8 +79,8 @@ def render(
     moments = None if sheet is None else _moments(sheet)
     several = lineage is not None or bool(others)
     pixels = pixels_of(size or ("640x360" if several or moments else "1280x720"))
-    if lineage is not None and (cell is not None or others):
-        wrong = "--cell" if cell is not None else "--beside"
+    if lineage is not None and (which.cell is not None or others):
+        wrong = "--cell" if which.cell is not None else "--beside"
         raise UsageError(f"--lineage: the champions of a run on its way; leave {wrong} out")
     if title and lineage is not None:
         raise UsageError("--title: of a lineage every one has its generation and fitness")
@@ -92,15 +90,13 @@ def render(
         )
     if len(others) >= _MOST:
         raise UsageError(f"--beside: {len(others) + 1} runs are too many; {_MOST} have room")
-    wanted = None if lineage is None else _generations(lineage)
-    name = "champion" if cell is None else f"cell_{cell.replace(',', '_')}"
-    name = name if lineage is None else "lineage"
-    name += "" if number is None else f"_run{number}"
-    name += of_trial(trial) + ("_beside_others" if others else "")
+    generations = None if lineage is None else _generations(lineage)
+    name = "lineage" if lineage is not None else which.of_cell.removeprefix("_") or "champion"
+    name += which.of_trial + ("_beside_others" if others else "")
     name += ("" if camera == "follow" else f"_{camera}") + "_signals" * signals
     name += ".mp4" if moments is None else "_sheet.png"
+    from evo_cpg.api.display import working
     from evo_cpg.cli.filmed import champion_panel, lineage_panels
-    from evo_cpg.cli.progress import working
     from evo_cpg.files import make_folder
     from evo_cpg.training.devices import available_cores
     from evo_cpg.training.run_folder import RunFolder
@@ -109,15 +105,14 @@ def render(
 
     film = Film(pixels, fps, seconds, speed, camera.value, moments)
     RunFolder(run).require()
-    # The folder of films is made where there is one to put there.
+    # Check the path first: the folder of films is made only for a film.
     film_path(output or run / name, film, signals)
     if lineage is not None:
-        panels = lineage_panels(run, wanted, number, trial, signals)
+        panels = lineage_panels(run, generations, which, signals)
     else:
-        panels = []
-        for place in (run, *others):
-            which = number if place == run else None
-            panels.append(champion_panel(place, which, trial, cell, signals))
+        panels = [champion_panel(run, which, signals)]
+        beside_it = which._replace(number=None)
+        panels += [champion_panel(other, beside_it, signals) for other in others]
     if title:
         panels = [one._replace(title=words) for one, words in zip(panels, title, strict=True)]
     path = output or make_folder(run / "videos") / name
@@ -129,7 +124,7 @@ def render(
 
 
 def _generations(lineage: str) -> list[int] | None:
-    """What is asked for; None for a choice of ours."""
+    """Return the requested generations; None to choose them here."""
     if lineage == "auto":
         return None
     if not re.fullmatch(r"\d{1,9}(,\d{1,9})*", lineage):

@@ -1,8 +1,7 @@
 """`evo-cpg reproduce`: the tables and pictures of a study, computed anew."""
 
 import sys
-from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,7 +12,6 @@ from evo_cpg.cli.options import Cores
 
 if TYPE_CHECKING:
     from evo_cpg.studies.study import Study
-    from evo_cpg.studies.workshop import Work, Workshop
 
 
 def reproduce(
@@ -80,36 +78,30 @@ def make(
 
     workshop = Workshop(chosen, folder, quick, devices)
     with locked(folder, make=True):
-        _make(workshop, parts, fresh)
-
-
-def _make(workshop: "Workshop", parts: Sequence[str], fresh: bool) -> None:
-    workshop.claim()
-    chosen, folder, quick = workshop.study, workshop.folder, workshop.quick
-    if fresh:
-        for part in parts:
+        workshop.claim()
+        for part in parts if fresh else ():
             workshop.forget(part)
-    for number, part in enumerate(parts):
-        if len(parts) > 1:
-            print(f"part {number + 1} of {len(parts)}: {part}", file=sys.stderr)
-        try:
-            for path in workshop.make(part, _Shown()):
-                print(path)
-        except KeyboardInterrupt:
-            left = f"evo-cpg reproduce {chosen.name} {' '.join(parts[number:])}"
-            if folder != default_folder(chosen.name, quick):
-                left += f" --out {folder}"
-            left += " --quick" if quick else ""
-            again = f"`{left}` makes the rest"
-            if chosen.runs:
-                # With --fresh the same command would throw away what is done.
-                again = f"`{left}` goes on" if fresh else "the same command goes on"
-            print(f"interrupted; {again}", file=sys.stderr)
-            raise
+        for number, part in enumerate(parts):
+            if len(parts) > 1:
+                print(f"part {number + 1} of {len(parts)}: {part}", file=sys.stderr)
+            try:
+                for path in workshop.make(part):
+                    print(path)
+            except KeyboardInterrupt:
+                left = f"evo-cpg reproduce {chosen.name} {' '.join(parts[number:])}"
+                if folder != default_folder(chosen.name, quick):
+                    left += f" --out {folder}"
+                left += " --quick" if quick else ""
+                again = f"`{left}` makes the rest"
+                if chosen.runs:
+                    # The same command with --fresh would delete the finished runs.
+                    again = f"`{left}` goes on" if fresh else "the same command goes on"
+                print(f"interrupted; {again}", file=sys.stderr)
+                raise
 
 
 def default_folder(name: str, quick: bool) -> Path:
-    """Where a study's files go: in a checkout beside its page, else into the working folder."""
+    """Return the folder of a study: in a checkout beside its page, else in the working folder."""
     if quick:
         return Path("reproduction") / f"{name}_quick"
     from evo_cpg.api.version import checkout
@@ -118,25 +110,6 @@ def default_folder(name: str, quick: bool) -> Path:
     if here is None:
         return Path("reproduction") / name
     return here / "docs" / "reproduction" / name
-
-
-class _Shown:
-    """How far the work is, on the terminal."""
-
-    def evolving(
-        self, title: str, total: int, done: int
-    ) -> AbstractContextManager[Callable[[int, str, float], None]]:
-        """A bar with the time that is left, or lines."""
-        from evo_cpg.cli.progress import progress
-
-        print(title, file=sys.stderr)
-        return progress(title.partition(",")[0], "generations", total, done)
-
-    def measuring(self, title: str) -> "AbstractContextManager[Work]":
-        """A line that moves."""
-        from evo_cpg.cli.progress import working
-
-        return working(title)
 
 
 def _list(names: Sequence[str], out: Path | None) -> None:
@@ -148,7 +121,7 @@ def _list(names: Sequence[str], out: Path | None) -> None:
     for name in names:
         known = provenance.read(out or default_folder(name, quick=False))
         for part, declared in study(name).parts.items():
-            told = known.get(part, {})
-            made = f"{told['date'][:10]}, {told['commit']}" if "date" in told else "never"
+            record = known.get(part, {})
+            made = f"{record['date'][:10]}, {record['commit']}" if "date" in record else "never"
             rows.append((name, part, declared.title, made))
     show_table(("study", "part", "about", "made"), rows, left=4)

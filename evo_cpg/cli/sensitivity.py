@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from evo_cpg.cli.errors import UsageError
-from evo_cpg.cli.options import Folder, Number, Run
+from evo_cpg.cli.options import Folder, Number, Run, Which
 from evo_cpg.cli.writing import writes_to_run
 
 if TYPE_CHECKING:
     import numpy as np
 
     from evo_cpg.analysis.sensitivity import Sensitivity
-    from evo_cpg.cli.progress import Work
+    from evo_cpg.api.display import Work
     from evo_cpg.config.parameters import Parameters
     from evo_cpg.training.checkpoint import Champion
 
@@ -47,30 +47,29 @@ def sensitivity(
     out: Folder = None,
 ) -> None:
     """Rank the parameters that speed and fitness depend on."""
-    from evo_cpg.api.load import class_folders
+    from evo_cpg.api.display import working
     from evo_cpg.cli.champions import open_champion
-    from evo_cpg.cli.progress import working
     from evo_cpg.cli.tables import show_table
-    from evo_cpg.config.load import load_config
     from evo_cpg.config.parameters import all_parameters, parametrise
     from evo_cpg.files import make_folder, write_table
     from evo_cpg.view.figure import save_figure
     from evo_cpg.view.parameter_plots import sensitivity_figure
 
-    experiment, champion, _, folder = open_champion(run, number)
+    which = Which(number)
+    opened = open_champion(run, which)
+    experiment, config, beside = opened.experiment, opened.config, opened.class_folders
     if experiment.simulation.situations[1:]:
         print(f"{run}: of its {experiment.trials} trials the first is taken")
-    config, beside = load_config(folder.config), class_folders(folder)
     rate, steps = experiment.simulation.control_rate, experiment.simulation.steps
     if seconds is not None:
-        wanted = seconds * rate
-        # Two steps, for a way; neither infinity nor nan can be rounded.
-        if not 1.5 < wanted < steps + 0.5:
+        control_steps = seconds * rate
+        # A displacement takes two steps. Neither infinity nor nan can be rounded.
+        if not 1.5 < control_steps < steps + 0.5:
             raise UsageError(
                 f"--seconds: {seconds:g}; a trial of {run} has {steps / rate:g} s, of which "
                 f"{2 / rate:.3g} s at least are needed"
             )
-        steps = round(wanted)
+        steps = round(control_steps)
     trial = config.simulation.model_copy(update={"steps": steps})
     if isinstance(trial.trials, list):
         trial = trial.model_copy(update={"trials": trial.trials[:1]})
@@ -81,19 +80,18 @@ def sensitivity(
             f"{GENES}: bits count as 0 or 1, so that 1 % more of them is the same; allowed: the "
             "keys of numbers, or controller.graded: true"
         )
-    chosen = tuple(key for key in keys or [] if key != GENES)
+    source, chosen = opened.folder.config, tuple(key for key in keys or [] if key != GENES)
     if not keys:
         with working("finding the numbers that can be changed"):
-            chosen = all_parameters(config, folder.config, beside, shapes)
+            chosen = all_parameters(config, source, beside, shapes)
     with working("finding what each number changes"):
-        parameters = parametrise(config, folder.config, chosen, beside)
-    place = make_folder(out or folder.path)
+        parameters = parametrise(config, source, chosen, beside)
+    place = make_folder(out or run)
     scaled = not bits and (not keys or GENES in keys)
     with working("compiling and differentiating the trial") as work:
-        speed, fitness = _measure(parameters, champion, scaled, work)
+        speed, fitness = _measure(parameters, opened.champion, scaled, work)
     rows = [_row(one, other) for one in speed for other in fitness if one.key == other.key]
-    name = "sensitivity" if number is None else f"sensitivity_run{number}"
-    table = place / f"{name}.csv"
+    table = place / f"sensitivity{which.of_run}.csv"
     write_table(table, rows)
     time = steps / rate
     title = f"{experiment.name}: speed {speed[0].measure:.3g} m/s over {time:.3g} s"
@@ -118,7 +116,7 @@ def sensitivity(
 
 
 def _measure(parameters: "Parameters", champion: "Champion", scaled: bool, work: "Work") -> tuple:
-    """Sensitivities of speed and fitness, in float64."""
+    """Compute the sensitivities of speed and fitness, in float64."""
     import jax
     import jax.numpy as jnp
     import numpy as np
@@ -161,7 +159,7 @@ def _measure(parameters: "Parameters", champion: "Champion", scaled: bool, work:
 
 
 def _row(speed: "Sensitivity", fitness: "Sensitivity") -> dict[str, str | float | int]:
-    """A line of the table file."""
+    """Return a row of the table file."""
     row: dict[str, str | float | int] = {
         "key": speed.key,
         "value": speed.value,
@@ -184,8 +182,8 @@ def _cells(row: dict[str, Any]) -> tuple[str, ...]:
         sure = row[f"{name}_confirmed"]
         size = row[f"{name}_elasticity" if sure else f"{name}_found"]
         unit = " %/%" if row["relative"] else " %/unit"
-        share = size if row["relative"] else 100 * size
-        # There is no per cent of a measure that is 0.
-        told = f"{share:+.3g}{unit}" if math.isfinite(share) else "\N{EN DASH}"
-        words.append(f"{'' if sure else '? '}{told}")
+        size = size if row["relative"] else 100 * size
+        # A measure of 0 has no percentage.
+        text = f"{size:+.3g}{unit}" if math.isfinite(size) else "\N{EN DASH}"
+        words.append(f"{'' if sure else '? '}{text}")
     return row["key"], f"{row['value']:.4g}", *words

@@ -1,6 +1,6 @@
 """Standard output and error that never end a command.
 
-What a full disk or a closed pipe does not take is lost, and the work goes on. Characters that the
+If a disk is full or a pipe is closed, output is lost and the work continues. Characters that the
 locale lacks are escaped.
 """
 
@@ -48,7 +48,7 @@ def opened(descriptor: int, like: TextIO | None) -> TextIO:
 
     Args:
         descriptor: to write to.
-        like: the stream in whose place it is, for its encoding; None where that was closed.
+        like: the stream that it replaces, for its encoding; None if that was closed.
     """
     # Python makes standard error unbuffered rather than line-buffered if PYTHONUNBUFFERED is set.
     by_line = getattr(like, "line_buffering", True) or getattr(like, "write_through", False)
@@ -61,13 +61,13 @@ def opened(descriptor: int, like: TextIO | None) -> TextIO:
 
 
 def output_error() -> OSError | None:
-    """Return why standard output was lost; None where it was not, or nobody reads on."""
+    """Return why standard output was lost; None if it was not, or if its reader has left."""
     error = _error()
     return None if error is None or error.errno == errno.EPIPE else error
 
 
 def is_read() -> bool:
-    """Return whether somebody may still read standard output, as far as writing to it has shown."""
+    """Return whether standard output may still have a reader; only writing shows it."""
     error = _error()
     return error is None or error.errno != errno.EPIPE
 

@@ -1,17 +1,14 @@
 """`evo-cpg sweep`: compare settings."""
 
-import math
 import sys
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from evo_cpg.cli.completion import complete_config
-from evo_cpg.cli.errors import UsageError, warn
-from evo_cpg.cli.exit_codes import ExitCode
+from evo_cpg.cli.errors import ExitCode, UsageError, warn
 from evo_cpg.cli.options import Cores, Overrides, find_config_or_folder
 
 if TYPE_CHECKING:
@@ -19,7 +16,7 @@ if TYPE_CHECKING:
     from evo_cpg.cli.jobs import Jobs
     from evo_cpg.config.settings import Setting
 
-# More rows of a table than anybody reads on a terminal; the file has all.
+# Most rows of a table on a terminal; the file has all.
 _MOST_ROWS = 30
 
 # Level of significance that is marked.
@@ -76,17 +73,15 @@ def sweep(
     ] = None,
 ) -> None:
     """Evolve with many settings and compare the results."""
+    from evo_cpg.api.display import working
     from evo_cpg.api.sweep import claim, members_of, new_plan, read_plan
     from evo_cpg.cli.jobs import claimed, read_jobs
-    from evo_cpg.cli.progress import working
     from evo_cpg.system import as_utf8, named
     from evo_cpg.training.devices import use_cores
 
-    asked = read_jobs(jobs, job_option or [])
-    overrides, grid = (
-        [as_utf8(word) for word in overrides or []],
-        [as_utf8(word) for word in grid or []],
-    )
+    requested = read_jobs(jobs, job_option or [])
+    overrides = [as_utf8(word) for word in overrides or []]
+    grid = [as_utf8(word) for word in grid or []]
     folder, plan = config, read_plan(config)
     if plan is None:
         folder = out or Path("runs") / f"{config.stem}_sweep"
@@ -99,9 +94,9 @@ def sweep(
     with working("building every setting"):
         members = members_of(folder, plan)
     chosen = _chosen(members, only or [])
-    with claimed(folder, asked):
+    with claimed(folder, requested):
         claim(folder, plan)
-        failed = _evolve(folder, named(plan["config"]), chosen, devices, asked, cores)
+        failed = _evolve(folder, named(plan["config"]), chosen, devices, requested, cores)
         if any(member.generation for member in members) or not failed:
             _tell(folder, members)
     if failed:
@@ -130,7 +125,7 @@ def _varied(grid: Sequence[str], settings: Path | None) -> "list[Setting]":
 
 
 def _axis(word: str) -> tuple[str, list[Any]]:
-    """A key and its values, of ``key=a,b,c``."""
+    """Return key and values of ``key=a,b,c``."""
     import yaml
 
     from evo_cpg.config.yaml_text import parse_yaml
@@ -164,73 +159,24 @@ def _evolve(
     jobs: "Jobs | None",
     cores: int | None,
 ) -> list[str]:
-    """Names of settings that did not come to their ends."""
-    from evo_cpg.api.sweep import groups, run_group
+    """Evolve settings and return the names of those that failed."""
+    from evo_cpg.api.sweep import evolve, groups
     from evo_cpg.cli.jobs import run_jobs
-    from evo_cpg.cli.progress import progress
 
-    found = groups(members)
-    if jobs is not None:
-        try:
-            return run_jobs(folder, found, jobs, cores)
-        except KeyboardInterrupt:
-            if jobs.count is not None:
-                _say_interrupted(folder)
-            raise
-    for number, group in enumerate(found):
-        names = ", ".join(member.setting.name for member in group)
-        head = f"{number + 1} of {len(found)}: {names}" if len(found) > 1 else names
-        if all(member.finished for member in group):
-            continue
-        total = sum(member.experiment.generations for member in group)
-        done = sum(member.generation for member in group)
-        print(f"{folder}: {head}", file=sys.stderr)
-        with progress(folder.name, "generations", total, done, "compiling") as show:
-            watch = _Watch(show, done)
-            try:
-                run_group(group, source, devices, watch.tell, warn)
-            except KeyboardInterrupt:
-                _say_interrupted(folder)
-                raise
+    try:
+        if jobs is not None:
+            return run_jobs(folder, groups(members), jobs, cores)
+        evolve(members, source, devices, folder.name, warn=warn)
+    except KeyboardInterrupt:
+        if jobs is None or jobs.count is not None:
+            print(f"interrupted; go on with `evo-cpg sweep {folder}`", file=sys.stderr)
+        raise
     return []
 
 
-def _say_interrupted(folder: Path) -> None:
-    print(f"interrupted; go on with `evo-cpg sweep {folder}`", file=sys.stderr)
-
-
-class _Watch:
-    """Shows the generations of a group as they come.
-
-    Args:
-        show: from `progress`.
-        done: generations that are done before.
-    """
-
-    def __init__(self, show: Callable[[int, str, float], None], done: int):
-        self._show, self._done, self._clock = show, done, time.perf_counter()
-        self._latest: dict[str, float] = {}
-
-    def tell(self, member: "Member", rows: list[dict[str, float]]) -> None:
-        """A generation of a setting is done."""
-        import numpy as np
-
-        self._latest[member.setting.name] = float(np.median([row["champion"] for row in rows]))
-        before, self._clock = self._clock, time.perf_counter()
-        self._show(self._done, self._standing(), self._clock - before)
-        self._done += 1
-
-    def _standing(self) -> str:
-        known = {name: value for name, value in self._latest.items() if math.isfinite(value)}
-        if not known:
-            return "nobody lives yet"
-        best = max(known, key=lambda name: known[name])
-        return f"ahead: {best}, median champion {known[best]:.4f}"
-
-
 def _tell(folder: Path, members: "Sequence[Member]") -> None:
+    from evo_cpg.api.display import working
     from evo_cpg.api.sweep import summarise
-    from evo_cpg.cli.progress import working
     from evo_cpg.cli.tables import show_table
 
     with working("tables and figure"):

@@ -1,4 +1,4 @@
-"""What the commands `train` and `resume` share: a run that evolves."""
+"""Evolve a run, for the commands `train` and `resume`."""
 
 import contextlib
 import math
@@ -9,20 +9,23 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from evo_cpg.analysis.verdict import Check, shown
+from evo_cpg.api.display import progress, working
+from evo_cpg.api.opened import Opened
 from evo_cpg.api.training import (
     Recorder,
+    begin_run,
     evolve,
-    first_look_asked,
+    first_look_limit,
     follow,
     reopen_run,
-    require_configured,
 )
-from evo_cpg.cli.champions import open_run
-from evo_cpg.cli.costs import animal_digest, expected_to_compile
+from evo_cpg.api.warm_start import What, warm_start
+from evo_cpg.cli.advice import advise, animal_digest, expected_to_compile
+from evo_cpg.cli.building import build
+from evo_cpg.cli.champions import open_and_build
 from evo_cpg.cli.distributed import Distribution, require_same, together
 from evo_cpg.cli.errors import UsageError, warn
 from evo_cpg.cli.interrupts import wait_for_no_thread
-from evo_cpg.cli.progress import progress, working
 from evo_cpg.config.fingerprint import changes, fingerprint
 from evo_cpg.config.load import load_config
 from evo_cpg.config.schema.experiment import ExperimentConfig
@@ -37,13 +40,50 @@ if TYPE_CHECKING:
     from evo_cpg.training.processes import Team
 
 
+def train_run(
+    source: Path,
+    config: ExperimentConfig,
+    run: Path,
+    devices: int,
+    earlier: tuple[Path, What] | None,
+    distribution: Distribution,
+    tensorboard: bool,
+) -> None:
+    """Start a run, as one of the processes that were requested.
+
+    Args:
+        source: file that the configuration came from.
+        config: of the run.
+        run: its folder.
+        devices: of this process.
+        earlier: run folder to start from, and what of it; None for random genomes.
+        distribution: the processes.
+        tensorboard: write scalars.
+    """
+    folder = RunFolder(run)
+    with together(distribution, run) as team, contextlib.ExitStack() as lock:
+        experiment = build(config, source)
+        opened = Opened(folder, config, experiment)
+        require_same(team, fingerprint(config))
+        if team.leads:
+            lock.enter_context(folder.locked(new=True))
+            start = None
+            if earlier is not None:
+                with working("reading the earlier run"):
+                    start = warm_start(experiment, *earlier)
+            begin_run(opened, devices, source, start, team.count)
+            advise(source, experiment.simulation)
+        evolve_run(opened, team, tensorboard)
+
+
 def resume_run(
-    run: Path, generations: int | None, devices: int, asked: Distribution, tensorboard: bool
+    run: Path, generations: int | None, devices: int, distribution: Distribution, tensorboard: bool
 ) -> None:
     """Continue a run, as one of the processes that were requested."""
-    with together(asked, run) as team:
-        folder, config, experiment = open_run(run)
-        require_configured(folder)
+    with together(distribution, run) as team:
+        opened = open_and_build(run)
+        opened.require_configured()
+        folder, config, experiment = opened.folder, opened.config, opened.experiment
         changed = changes(folder.read_meta().get("fingerprint"), fingerprint(config))
         if changed and team.leads:
             warn(
@@ -53,18 +93,18 @@ def resume_run(
         if generations is not None:
             config = load_config(folder.config, [f"evolution.generations={generations}"])
             experiment = experiment._replace(generations=generations)
+            opened = Opened(folder, config, experiment)
         require_same(team, fingerprint(config))
         if team.leads:
-            done = _require_alike(folder, config, experiment)
-            # Several processes part when all have been through the loop.
+            done = _require_alike(opened)
+            # Several processes leave the team after the loop.
             by_itself = team.count == 1 and not tensorboard
             if by_itself and _finished(folder, done, experiment):
                 _say_finished(folder, experiment.generations)
                 return
-            for words in reopen_run(folder, config, experiment, devices, team.count):
+            for words in reopen_run(opened, devices, team.count):
                 warn(words)
-        animal = animal_digest(config)
-        evolve_run(experiment, folder, first_look_asked(config), team, tensorboard, animal)
+        evolve_run(opened, team, tensorboard)
 
 
 def require_scalars() -> None:
@@ -79,9 +119,9 @@ def require_scalars() -> None:
         raise UsageError(f"--tensorboard: {error}") from None
 
 
-def goes_on_with_scalars(run: Path, asked: bool) -> bool:
-    """Whether scalars are written: where it is asked for, or the run has some already."""
-    if asked:
+def goes_on_with_scalars(run: Path, expected: bool) -> bool:
+    """Return whether to write scalars: they are requested, or the run has some already."""
+    if expected:
         require_scalars()
         return True
     if not (run / FOLDER).is_dir():
@@ -94,12 +134,10 @@ def goes_on_with_scalars(run: Path, asked: bool) -> bool:
     return True
 
 
-def _require_alike(
-    folder: RunFolder, config: ExperimentConfig, experiment: Experiment
-) -> Checkpoint | None:
-    """Check that a run can be gone on with so; its newest checkpoint."""
-    run = folder.path
-    done = folder.load()
+def _require_alike(opened: Opened) -> Checkpoint | None:
+    """Check that a run can be continued so, and return its newest checkpoint."""
+    folder, config, experiment = opened.folder, opened.config, opened.experiment
+    run, done = folder.path, folder.load()
     if done is not None and done.generation > config.evolution.generations:
         raise UsageError(
             f"{run}: {done.generation} generations are done already, "
@@ -107,13 +145,13 @@ def _require_alike(
         )
     if done is not None:
         runs, population = experiment.runs, experiment.strategy.population
-        asked = experiment.simulation.genome.count, runs * population, runs
+        expected = experiment.simulation.genome.count, runs * population, runs
         found = *done.genes.shape, len(done.champions)
-        if asked != found:
+        if expected != found:
             raise RunFolderError(
-                f"{folder.config} was changed: it asks for {asked[0]} genes and {asked[1]} "
-                f"individuals in {asked[2]} run(s), the checkpoint has {found[0]}, {found[1]} and "
-                f"{found[2]}; start a new run instead"
+                f"{folder.config} was changed: it asks for {expected[0]} genes and {expected[1]} "
+                f"individuals in {expected[2]} run(s), the checkpoint has {found[0]}, {found[1]} "
+                f"and {found[2]}; start a new run instead"
             )
         _require_same_columns(folder, done, experiment)
     return done
@@ -128,9 +166,9 @@ def _require_same_columns(folder: RunFolder, done: Checkpoint, experiment: Exper
     simulation = experiment.simulation
     measured = term_names(simulation.task) + simulation.measures.names
     terms = [f"best_{name}" for name in measured]
-    asked, found = [*experiment.strategy.metric_names, *terms], done.history[-1]
-    added = [name for name in asked if name not in found]
-    lost = [name for name in found if name not in (*asked, *TABLE_COLUMNS)]
+    expected, found = [*experiment.strategy.metric_names, *terms], done.history[-1]
+    added = [name for name in expected if name not in found]
+    lost = [name for name in found if name not in (*expected, *TABLE_COLUMNS)]
     if added or lost:
         parts = [("add", added), ("drop", lost)]
         changed = " and ".join(f"{verb} {', '.join(names)}" for verb, names in parts if names)
@@ -142,7 +180,7 @@ def _require_same_columns(folder: RunFolder, done: Checkpoint, experiment: Exper
 
 
 def _finished(folder: RunFolder, done: Checkpoint | None, experiment: Experiment) -> bool:
-    """Whether nothing is left to do, and nothing that a run leaves was lost or changed since."""
+    """Return whether nothing is left to do, and no file of the run was lost or changed since."""
     if done is None or not is_finished(experiment, done):
         return False
     try:
@@ -170,37 +208,27 @@ def _say_finished(folder: RunFolder, done: int) -> None:
     print(folder.path)
 
 
-def evolve_run(
-    experiment: Experiment,
-    folder: RunFolder,
-    least: float | None,
-    team: "Team | None" = None,
-    tensorboard: bool = False,
-    animal: str | None = None,
-) -> None:
+def evolve_run(opened: Opened, team: "Team | None" = None, tensorboard: bool = False) -> None:
     """Evolve, show how it goes, record the champion and report it.
 
     Args:
-        experiment: what evolves.
-        folder: of the run.
-        least: smallest way of a champion that is tried at half the step; None for no trial.
+        opened: the run.
         team: of processes; None for this one alone.
         tensorboard: write scalars.
-        animal: digest of the program of a trial, see `animal_digest`.
     """
+    experiment, folder = opened.experiment, opened.folder
     if team is not None and not team.leads:
         follow(experiment, folder, team)
         return
     with working("starting JAX"):
         import evo_cpg.training.loop  # noqa: F401
 
-    done = folder.load()
-    start = done.generation if done else 0
+    done, animal = folder.load(), animal_digest(opened.config)
+    least, start = first_look_limit(opened.config), done.generation if done else 0
     scalars = Scalars(folder.path, done.history if done else ()) if tensorboard else None
     try:
         with Recorder(experiment, folder, least, animal) as recorder:
             with progress(
-                experiment.name,
                 "generations",
                 experiment.generations,
                 start,
@@ -210,7 +238,7 @@ def evolve_run(
             ) as show:
 
                 def tell(rows: list[dict[str, float]]) -> None:
-                    show(int(rows[0]["generation"]), _standing(rows), rows[0]["seconds"])
+                    show(_standing(rows), rows[0]["seconds"])
                     if scalars is not None:
                         scalars.add(rows)
 
@@ -264,8 +292,8 @@ def _say_first_look(seen: Check, folder: RunFolder) -> None:
 
 
 def _standing(rows: list[dict[str, float]]) -> str:
-    """How the runs stand after a generation, in a line."""
-    # A run of which nobody lives has no best.
+    """Return a line about the runs after a generation."""
+    # A run in which every individual diverged has no best.
     best = [row["best"] for row in rows if math.isfinite(row["best"])] or [math.nan]
     if len(rows) > 1:
         fitness = f"best of {len(rows)} runs {max(best):8.4f}  median {np.median(best):8.4f}"

@@ -1,4 +1,4 @@
-"""`evo-cpg validate`: build configurations and report their sizes, or what is wrong."""
+"""`evo-cpg validate`: build configurations, and report their sizes or errors."""
 
 import sys
 from pathlib import Path
@@ -7,8 +7,7 @@ from typing import Annotated
 import typer
 
 from evo_cpg.cli.completion import complete_config
-from evo_cpg.cli.errors import UsageError
-from evo_cpg.cli.exit_codes import ExitCode
+from evo_cpg.cli.errors import ExitCode, UsageError
 from evo_cpg.cli.options import Strict
 
 
@@ -25,9 +24,8 @@ def validate(
     strict: Strict = False,
 ) -> None:
     """Check configuration files without running them."""
+    from evo_cpg.cli.advice import advise
     from evo_cpg.cli.building import build, read_config
-    from evo_cpg.cli.costs import warn_of_cost
-    from evo_cpg.cli.oscillators import warn_of_oscillators
     from evo_cpg.config.build import require_genes
     from evo_cpg.config.errors import ConfigError
     from evo_cpg.config.shipped import find_config
@@ -53,14 +51,13 @@ def validate(
                 f"{experiment.creature.mass:.3g} kg, "
                 f"{experiment.simulation.genome.count} genes"
             )
-            warn_of_oscillators(given, experiment.simulation)
-            warn_of_cost(given, experiment.simulation)
+            advise(given, experiment.simulation)
     if wrong:
         raise SystemExit(ExitCode.WRONG_INPUT)
 
 
 def _exists(word: str) -> bool:
-    """Whether a word is a file; one that no file can be called is none."""
+    """Return whether a word is the name of a file."""
     try:
         return Path(word).exists()
     except (OSError, ValueError):

@@ -3,7 +3,7 @@
 import sys
 from pathlib import Path
 
-from evo_cpg.cli.exit_codes import ExitCode
+from evo_cpg.cli.errors import ExitCode
 from evo_cpg.cli.options import Cores, Run
 
 
@@ -11,25 +11,22 @@ def verify(run: Run, cores: Cores = None) -> None:
     """Replay the champion and compare it with what was recorded."""
     import numpy as np
 
-    from evo_cpg.api.load import changed_config
-    from evo_cpg.api.surroundings import differences as changed_surroundings
-    from evo_cpg.api.surroundings import surroundings
-    from evo_cpg.api.training import require_configured
-    from evo_cpg.cli.champions import REPLAY_TOLERANCE, live_again, open_run, use_cores_of
+    from evo_cpg.api.machine import machine_changes, machine_fingerprint
+    from evo_cpg.cli.champions import REPLAY_TOLERANCE, open_and_build, replayed, use_cores_of
     from evo_cpg.training.checkpoint import genes_digest, outcome_digest
 
     use_cores_of(run, cores)
-    folder, _, experiment = open_run(run)
-    require_configured(folder)
+    opened = open_and_build(run)
+    opened.require_configured()
+    folder, experiment = opened.folder, opened.experiment
     champion, _, digests = folder.load_champion()
     differences = []
     if digests["genes_sha256"] != genes_digest(champion.genes):
         differences.append("champion.npz: the genome is not the one that was evolved")
     if digests["outcome_sha256"] != outcome_digest(champion):
         differences.append("champion.npz: fitness or terms are not those that were recorded")
-    changed = changed_config(folder)
-    if changed:
-        differences.append(changed)
+    if opened.changed:
+        differences.append(opened.changed)
     checkpoint = folder.load()
     kept = checkpoint.champion if checkpoint else None
     if kept and kept.generation == champion.generation:
@@ -40,22 +37,21 @@ def verify(run: Run, cores: Cores = None) -> None:
     wrong = experiment.simulation.genome.misfit(champion.genes)
     if wrong:
         _report(run, [*differences, wrong])
-    devices = folder.read_meta().get("devices", 1)
-    fitness, terms, _ = live_again(experiment, champion, devices)
+    fitness, terms, _ = replayed(opened, champion)
     recorded = {"fitness": champion.fitness, **champion.terms}
-    replayed = {"fitness": fitness, **terms}
+    found = {"fitness": fitness, **terms}
     for name, value in recorded.items():
-        if name not in replayed:
+        if name not in found:
             differences.append(f"{name}: recorded {value:.6g}, and not replayed")
             continue
-        now = replayed[name]
+        now = found[name]
         if not np.isclose(now, value, REPLAY_TOLERANCE, REPLAY_TOLERANCE, equal_nan=True):
             differences.append(f"{name}: recorded {value:.6g}, replayed {now:.6g}")
-    here = surroundings(experiment.simulation.engine, devices)
-    for changed in changed_surroundings(folder.read_meta(), here):
+    here = machine_fingerprint(experiment.simulation.engine, opened.devices)
+    for changed in machine_changes(folder.read_meta(), here):
         print(f"{run}: {changed}; bits may differ", file=sys.stderr)
     _report(run, differences)
-    same = all(np.array_equal(replayed[name], recorded[name], True) for name in recorded)
+    same = all(np.array_equal(found[name], recorded[name], True) for name in recorded)
     exact = "exactly" if same else f"to {REPLAY_TOLERANCE:g}"
     print(f"{run}: the champion's fitness {champion.fitness:.6f} comes out as recorded ({exact})")
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
-from evo_cpg.cli.errors import told, warn
+from evo_cpg.cli.errors import message_for, warn
 from evo_cpg.cli.options import Run
 from evo_cpg.cli.streams import is_read
 
@@ -27,14 +27,14 @@ if TYPE_CHECKING:
 PICTURE = "watch.png"
 # Between two looks at the folder, s.
 LOOK = 1.0
-# A picture is made at most so often, s, and takes at most this share of the time.
-_SELDOM, _SHARE = 10.0, 0.2
+# Least time between two pictures, s, and largest fraction of the time that they take.
+_SELDOM, _LARGEST_FRACTION = 10.0, 0.2
 # The trainer has the first claim on the cores.
 _NICE = 15
 
 
 class Standing(NamedTuple):
-    """How a run stands.
+    """State of a run.
 
     Attributes:
         checkpoint: the newest; None before the first generation is done.
@@ -74,7 +74,7 @@ def watch(
     # `require` would put in order what was interrupted, which is for the trainer to do.
     if not folder.config.is_file():
         raise RunFolderError(f"{run} is not a run folder (it has no config.yaml)")
-    give_way()
+    lower_priority()
     draw = _Pictures(folder).draw if picture else lambda champion, standing: None
     console = Console()
     if once or not console.is_terminal:
@@ -94,10 +94,10 @@ def watch(
             time.sleep(LOOK)
 
 
-def give_way() -> None:
-    """Let everybody else have the cores first, the trainer above all.
+def lower_priority() -> None:
+    """Give the cores to all other processes first, above all to the trainer.
 
-    Where the system knows work for idle cores only, it is that; being nice still takes a share.
+    If the system has a class for idle cores, join it: a nice process still takes a share.
     """
     if hasattr(os, "nice"):
         with contextlib.suppress(OSError):
@@ -108,7 +108,7 @@ def give_way() -> None:
 
 
 def standing(folder: "RunFolder", before: Standing | None = None) -> Standing:
-    """How the run stands; what was read before where nothing is new.
+    """Return how the run stands; return ``before`` if nothing is new.
 
     Args:
         folder: of the run.
@@ -117,7 +117,7 @@ def standing(folder: "RunFolder", before: Standing | None = None) -> Standing:
     done = folder.newest
     if before is not None and before.checkpoint:
         same = before.checkpoint.generation == done
-        # Of the last generation comes a second checkpoint, which knows who was chosen.
+        # The last generation has a second checkpoint, with the chosen champion.
         if same and (done < before.generations or before.finished):
             return before
     # The trainer may take a checkpoint away while it is read, and then there is a newer one.
@@ -130,7 +130,7 @@ def standing(folder: "RunFolder", before: Standing | None = None) -> Standing:
 
 
 def _plan(folder: "RunFolder") -> tuple[int, bool]:
-    """Generations, as the configuration has them (`resume` writes it anew); is there chance?"""
+    """Return generations and noise of the configuration, which `resume` may change."""
     from evo_cpg.config.load import load_config
 
     config = load_config(folder.config)
@@ -140,17 +140,17 @@ def _plan(folder: "RunFolder") -> tuple[int, bool]:
 def _in_lines(
     folder: "RunFolder", console: "Console", draw: "Callable[[Champion, Standing], Any]", once: bool
 ) -> None:
-    """Elsewhere than on a terminal: a line for every generation."""
+    """Print a line for each generation, for a log or pipe."""
     seen: Standing | None = None
-    told = 0
+    printed = 0
     while True:
         now = standing(folder, seen)
         if now is not seen or once:
             history = now.checkpoint.history if now.checkpoint else []
-            for row in [row for row in history if row["generation"] >= told]:
+            for row in [row for row in history if row["generation"] >= printed]:
                 print(_line(row, now), flush=True)
             if history:
-                told = int(history[-1]["generation"]) + 1
+                printed = int(history[-1]["generation"]) + 1
             elif once:
                 print(f"{folder.path}: not one generation is finished", flush=True)
             seen = now
@@ -190,7 +190,7 @@ class _Pictures:
         self._built: Any = None
 
     def draw(self, champion: "Champion", now: Standing) -> Path | None:
-        """Draw a champion that was not drawn before, if it is time; the picture's path."""
+        """Draw a new champion, if it is time, and return the path of the picture."""
         which = (champion.run, champion.generation, champion.fitness)
         began = time.monotonic()
         if which == self._drawn or (began < self._next and not now.finished):
@@ -199,12 +199,12 @@ class _Pictures:
         try:
             made = self._make(champion, now)
         except OSError as error:
-            # Who looks on may have no permission to write there.
-            warn(f"no picture: {told(error)}")
+            # An onlooker may have no permission to write there.
+            warn(f"no picture: {message_for(error)}")
             self._next = math.inf
             return None
         took = time.monotonic() - began
-        self._next = time.monotonic() + max(_SELDOM, took / _SHARE)
+        self._next = time.monotonic() + max(_SELDOM, took / _LARGEST_FRACTION)
         return made
 
     def _make(self, champion: "Champion", now: Standing) -> Path:
@@ -226,8 +226,8 @@ class _Pictures:
         )
 
     def _build(self) -> tuple[Any, Any]:
-        """The experiment and its compiled replay, on one core."""
-        from evo_cpg.api.load import class_folders
+        """Build the experiment and compile its replay, on one core."""
+        from evo_cpg.api.opened import class_folders
         from evo_cpg.cli.building import build
         from evo_cpg.config.load import load_config
         from evo_cpg.training.devices import use_cores

@@ -1,4 +1,4 @@
-"""What `watch` shows on a terminal: numbers, and curves of Braille dots, 2 by 4 to a character."""
+"""The display of `watch` on a terminal: numbers, and curves of Braille dots, 2 by 4 a character."""
 
 import math
 import time
@@ -39,7 +39,7 @@ def panel(folder: RunFolder, now: "Standing", width: int) -> RenderableType:
 
 
 def _over_generations(history: list[dict[str, float]]) -> dict[str, np.ndarray]:
-    """Of several runs the best champion and the mean of the means of every generation."""
+    """Return the best champion and the mean of the means of each generation, over several runs."""
     instants = np.array([row["generation"] for row in history])
     found = {}
     for key, over in (("champion", np.nanmax), ("mean", np.nanmean)):
@@ -54,7 +54,7 @@ def _over_generations(history: list[dict[str, float]]) -> dict[str, np.ndarray]:
 
 
 def _plot(key: str, values: np.ndarray, width: int, color: str) -> list[Text]:
-    """A curve with its highest and lowest value beside it."""
+    """Return a curve with its highest and lowest value beside it."""
     lines = curve(values.tolist(), max(width, 10), _HEIGHT // (1 if key == "champion" else 2))
     finite = values[np.isfinite(values)]
     marks = [""] * len(lines)
@@ -103,7 +103,7 @@ def _duration(seconds: float) -> str:
 
 
 def curve(values: Sequence[float], width: int, height: int) -> list[str]:
-    """Lines of text in which a curve runs from left to right.
+    """Return lines of text in which a curve runs from left to right.
 
     Args:
         values: at equal steps; those that are not finite are gaps.

@@ -53,6 +53,6 @@ def _locked(run: Path, output: Path | None, option: str) -> Iterator[None]:
         try:
             lock.enter_context(folder.locked())
         except LockedError as error:
-            way_out = f", or write elsewhere with {option}" if option else ""
-            raise LockedError(f"{error}{way_out}") from None
+            advice = f", or write elsewhere with {option}" if option else ""
+            raise LockedError(f"{error}{advice}") from None
         yield

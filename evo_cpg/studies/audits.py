@@ -1,16 +1,16 @@
 """The audits of a study's champions, as a table."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from evo_cpg.studies.study import Part, Table, middle, percent
+from evo_cpg.studies.study import Part, Table, middle, percent, tabled
 
 if TYPE_CHECKING:
     from evo_cpg.studies.workshop import Workshop
 
-# Checks that a table shows as shares of the way, and what each is called there.
+# Checks that a table shows as fractions of the displacement, and their heads.
 _KEPT = {
     "pose": "in other poses or draws",
     "half_step": "at half the step",
@@ -39,7 +39,7 @@ def audit_part(title: str, shown: Mapping[str, str], *, medians: bool = False) -
 
 
 def audited(workshop: "Workshop", name: str) -> list[dict[str, Any]]:
-    """What the audits of a run's champions found, a row for each; the first alone where quick."""
+    """Return the audits of a run's champions, a row for each; only the first if quick."""
 
     def measure() -> list[dict[str, Any]]:
         from evo_cpg.api.audit import audits
@@ -54,8 +54,8 @@ def audited(workshop: "Workshop", name: str) -> list[dict[str, Any]]:
                 "passed": done.verdict.passed,
                 "reasons": done.verdict.reasons,
                 "measured": {
-                    each.key: float(each.measured) if np.isfinite(each.measured) else None
-                    for each in done.verdict.checks
+                    key: value if np.isfinite(value) else None
+                    for key, value in done.measured.items()
                 },
                 "opinions": [
                     {"program": one.program, "way": one.displacement, "upright": one.upright}
@@ -69,7 +69,7 @@ def audited(workshop: "Workshop", name: str) -> list[dict[str, Any]]:
 
 
 def audit_table(title: str, rows: dict[str, list[dict[str, Any]]]) -> Table:
-    """A line for every champion.
+    """Return a table with a row for each champion.
 
     Args:
         title: above the table.
@@ -78,56 +78,51 @@ def audit_table(title: str, rows: dict[str, list[dict[str, Any]]]) -> Table:
     every = [row for found in rows.values() for row in found]
     keys = [key for key in _KEPT if any(key in row["measured"] for row in every)]
     programs = list(dict.fromkeys(one["program"] for row in every for one in _others(row)))
-    head = ["", "seed", "way, m", *(_KEPT[key] for key in keys)]
-    head += [*(f"{program}: over ground, m" for program in programs), "passes"]
-    lines = [
-        [
-            name,
-            str(row["seed"]),
-            _number(row["measured"].get("way")),
-            *(_share(row["measured"].get(key)) for key in keys),
-            *(_number(_ways(row).get(program)) for program in programs),
-            "yes" if row["passed"] else "no: " + "; ".join(row["reasons"]),
-        ]
-        for name, found in rows.items()
-        for row in found
-    ]
-    return Table(title, head, lines)
+    lines = []
+    for name, row in ((name, row) for name, found in rows.items() for row in found):
+        measured, goes = row["measured"], {one["program"]: one["way"] for one in _others(row)}
+        lines.append(
+            {"": name, "seed": str(row["seed"]), "way, m": _number(measured.get("way"))}
+            | {_KEPT[key]: _percent(measured.get(key)) for key in keys}
+            | {f"{program}: over ground, m": _number(goes.get(program)) for program in programs}
+            | {"passes": "yes" if row["passed"] else "no: " + "; ".join(row["reasons"])}
+        )
+    return tabled(lines, title)
 
 
 def kept_table(title: str, rows: dict[str, list[dict[str, Any]]]) -> Table:
-    """A line for every run: medians and ranges of what its champions keep.
+    """Return a table with a row for each run: medians and ranges of its champions.
 
-    In MuJoCo they are asked as nearly as can be what they are asked here: the last of its opinions.
+    The column for MuJoCo is the last of its opinions, which is closest to our own simulation.
     """
-    head = ["", "way, m", *_KEPT.values(), "in MuJoCo", "pass"]
     lines = []
     for name, found in rows.items():
-        columns = [[row["measured"].get(key) for row in found] for key in ("way", *_KEPT)]
-        columns.append([_second_opinion(row) for row in found])
-        known = [[value for value in column if value is not None] for column in columns]
-        lines.append(
-            [
-                name,
-                middle(known[0]),
-                *(f"{middle(100 * np.array(each), 0)} %" if each else "" for each in known[1:]),
-                f"{sum(row['passed'] for row in found)} of {len(found)}",
-            ]
-        )
-    return Table(title, head, lines)
+        line = {"": name, "way, m": middle(_known(row["measured"].get("way") for row in found))}
+        for key, head in _KEPT.items():
+            line[head] = _percents(row["measured"].get(key) for row in found)
+        line["in MuJoCo"] = _percents(map(_second_opinion, found))
+        line["pass"] = f"{sum(row['passed'] for row in found)} of {len(found)}"
+        lines.append(line)
+    return tabled(lines, title)
+
+
+def _known(values: Iterable[float | None]) -> list[float]:
+    return [value for value in values if value is not None]
+
+
+def _percents(values: Iterable[float | None]) -> str:
+    """Return median and range of shares, in per cent."""
+    known = _known(values)
+    return f"{middle(100 * np.array(known), 0)} %" if known else ""
 
 
 def _others(row: dict[str, Any]) -> list[dict[str, Any]]:
-    """Opinions of other programs than ours, which is the first."""
+    """Return the opinions of other programs; the first is ours."""
     return row["opinions"][1:]
 
 
-def _ways(row: dict[str, Any]) -> dict[str, float]:
-    return {one["program"]: one["way"] for one in _others(row)}
-
-
 def _second_opinion(row: dict[str, Any]) -> float | None:
-    """Share of our own way of the same trial that is made in the last program."""
+    """Return the displacement in the last program, relative to our own in the same trial."""
     others = _others(row)
     return others[-1]["way"] / row["opinions"][0]["way"] if others else None
 
@@ -136,5 +131,5 @@ def _number(value: float | None) -> str:
     return "" if value is None else f"{value:.2f}"
 
 
-def _share(value: float | None) -> str:
+def _percent(value: float | None) -> str:
     return "" if value is None else percent(value)

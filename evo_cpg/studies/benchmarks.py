@@ -12,7 +12,7 @@ from evo_cpg.installation import command_for
 from evo_cpg.studies.study import Part, Study, Table
 from evo_cpg.studies.workshop import Workshop
 
-# What moves is drawn as well.
+# Cases with an animal that moves, which is drawn.
 _MOVING = ("swimmer", "salamander-water", "salamander-land", "quadruped")
 
 
@@ -44,8 +44,8 @@ def bench_suite() -> ModuleType:
 def measure(workshop: Workshop, case: str) -> list[Table]:
     """The rows of a case."""
     suite = bench_suite()
-    wanted = suite.Wanted((case,), quick=workshop.quick)
-    machine, rows = suite.measure(wanted, workshop.devices, workshop.work)
+    request = suite.Wanted((case,), quick=workshop.quick)
+    machine, rows = suite.measure(request, workshop.devices, workshop.work)
     if case in _MOVING:
         suite.picture.draw(rows, machine, workshop.picture())
     return suite.report.page_tables(rows, machine)

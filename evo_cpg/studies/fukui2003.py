@@ -13,7 +13,7 @@ from scipy import stats
 
 from evo_cpg.control.postures import one_posture
 from evo_cpg.studies.audits import audit_part
-from evo_cpg.studies.halving import kept, ways
+from evo_cpg.studies.halving import displacements, kept
 from evo_cpg.studies.stills import pictures_part
 from evo_cpg.studies.study import Part, Runs, Study, Table, beside, in_order, middle
 from evo_cpg.studies.workshop import Workshop
@@ -22,7 +22,7 @@ from evo_cpg.training.experiment import compile_trials
 
 TORSO = 0.6  # m
 _LEGS = range(1, 9)  # bodies of Model 1 after its torso; every second one is a lower box
-# Of a fall of the best distance from its highest so far that counts as the loss of a lineage.
+# Relative fall of the best distance from its highest so far that counts as the loss of a lineage.
 COLLAPSE = 0.25
 HELD_ANGLE = 170.0  # degrees; of the allowed angles one of the two next to straight down
 
@@ -101,9 +101,9 @@ def models(workshop: Workshop) -> list[Table]:
     best = {_title(model): _ends(workshop, model) for model in MODELS}
     against = beside(best, _title("model2"))
     rows = [
-        [name, in_order(ways), f"{np.median(ways):.2f}", f"{np.median(ways) / TORSO:.1f}",
+        [name, in_order(ends), f"{np.median(ends):.2f}", f"{np.median(ends) / TORSO:.1f}",
          against[name]]
-        for name, ways in best.items()
+        for name, ends in best.items()
     ]  # fmt: skip
     head = ["", "best of each run, m (sorted)", "median, m", "torso lengths", "beats Model 2"]
     p = float(stats.kruskal(*best.values()).pvalue) if _differ(list(best.values())) else 1.0
@@ -132,10 +132,10 @@ def single(workshop: Workshop) -> list[Table]:
     workshop.draw(generations_figure(curves, _LABEL))
     rows = []
     for name, own in curves.items():
-        falls, share = _falls(own)
+        falls, fraction = _falls(own)
         deepest = float(np.nanmin(own[len(own) // 10 :] / _highest(own)[len(own) // 10 :]))
-        cells = f"{np.nanmax(own):.2f}", f"{own[-1, 0]:.2f}", f"{falls[0]}", f"{100 * share:.0f} %"
-        rows.append([name, *cells, f"{100 * deepest:.0f} %"])
+        cells = f"{np.nanmax(own):.2f}", f"{own[-1, 0]:.2f}", f"{falls[0]}"
+        rows.append([name, *cells, f"{100 * fraction:.0f} %", f"{100 * deepest:.0f} %"])
     head = ["", "best ever, m", "best of the last generation, m", "falls", "generations fallen",
             "lowest, of the highest before"]  # fmt: skip
     return [Table("", head, rows)]
@@ -148,15 +148,15 @@ def halving(workshop: Workshop) -> list[Table]:
         found = {}
         for model in MODELS:
             genes = np.stack([each.genes for each in workshop.champions(model)]).astype(np.float32)
-            gone = ways(workshop.experiment(model).simulation, genes)
-            found[model] = [way.tolist() for way in gone]
+            gone = displacements(workshop.experiment(model).simulation, genes)
+            found[model] = [each.tolist() for each in gone]
         return found
 
     rows = []
     for model, gone in workshop.kept("halving", MODELS, measure).items():
-        own, half, quarter, hair = (np.array(way, float) for way in gone)
-        shares = f"{100 * kept(own, half):.0f}", f"{100 * kept(own, hair):.0f}"
-        rows.append([_title(model), *(middle(way) for way in (own, half, quarter)), *shares])
+        own, half, quarter, hair = (np.array(each, float) for each in gone)
+        fractions = f"{100 * kept(own, half):.0f}", f"{100 * kept(own, hair):.0f}"
+        rows.append([_title(model), *(middle(each) for each in (own, half, quarter)), *fractions])
     head = ["", "goes at its step (1/240 s), m", "at half of it, m", "at a quarter, m",
             "kept at half (median), %", "kept after a hair, %"]  # fmt: skip
     return [Table("", head, rows)]
@@ -220,12 +220,12 @@ def noise(workshop: Workshop) -> list[Table]:
     return [_collapse(workshop, _NOISES, "noise_7")]
 
 
-def choices(workshop: Workshop, names: dict[str, str]) -> list[Table]:
+def alternatives(workshop: Workshop, names: dict[str, str]) -> list[Table]:
     """What the thesis leaves open, beside what was chosen."""
     best = {title: _ends(workshop, name) for name, title in names.items()}
     first = next(iter(best))
     against = beside(best, first)
-    rows = [[name, middle(ways), in_order(ways), against[name]] for name, ways in best.items()]
+    rows = [[name, middle(ends), in_order(ends), against[name]] for name, ends in best.items()]
     head = ["", "median (range), m", "best of each run, m (sorted)", f"beats {first}"]
     return [Table("", head, rows)]
 
@@ -242,12 +242,12 @@ def _best(workshop: Workshop, name: str) -> np.ndarray:
 
 
 def _ends(workshop: Workshop, name: str) -> list[float]:
-    """What the runs came to, m."""
+    """Return the final distances of the runs, m."""
     return [champion.terms["distance"] for champion in workshop.champions(name)]
 
 
 def _differ(values: Sequence[Sequence[float]]) -> bool:
-    """Whether not all are the same; there would be nothing to test."""
+    """Return whether the values differ; otherwise there is nothing to test."""
     return len({value for each in values for value in each}) > 1
 
 
@@ -271,14 +271,14 @@ def _collapse(workshop: Workshop, names: dict[str, str], first: str | None = Non
     tests = beside(ever, first), beside(held, first)
     rows = []
     for name, title in names.items():
-        falls, share = _falls(best[name])
+        falls, fraction = _falls(best[name])
         rows.append(
             [
                 title,
                 middle(ever[name]),
                 middle(held[name]),
                 f"{np.median(falls):g}",
-                f"{100 * share:.0f} %",
+                f"{100 * fraction:.0f} %",
                 *(test[name] for test in tests),
             ]
         )
@@ -296,7 +296,7 @@ def _held(workshop: Workshop, model: str) -> float:
 
 
 def _measured(workshop: Workshop, world: str, name: str) -> dict[str, list[float]]:
-    """What champions of some runs are worth where others evolved."""
+    """Evaluate champions of some runs in the simulation of others."""
 
     def measure() -> dict[str, list[float]]:
         simulation = workshop.experiment(world).simulation
@@ -304,14 +304,14 @@ def _measured(workshop: Workshop, world: str, name: str) -> dict[str, list[float
         outcome = compile_trials(simulation, population_mesh())(genes)
         terms = {key: np.where(outcome.alive, x, np.nan) for key, x in outcome.terms.items()}
         score = simulation.task.fitness(jax.tree.map(jax.numpy.asarray, terms), {})
-        wanted = {"distance": terms["distance"], "tilt": terms["tilt"], "score": score}
-        return {key: np.nan_to_num(np.asarray(x, float)).tolist() for key, x in wanted.items()}
+        measured = {"distance": terms["distance"], "tilt": terms["tilt"], "score": score}
+        return {key: np.nan_to_num(np.asarray(x, float)).tolist() for key, x in measured.items()}
 
     return workshop.kept(f"{name}_in_{world}", [name], measure)
 
 
 def _choice(title: str, names: dict[str, str]) -> Part:
-    return Part(title, tuple(names), partial(choices, names=names))
+    return Part(title, tuple(names), partial(alternatives, names=names))
 
 
 STUDY = Study(

@@ -23,7 +23,7 @@ from evo_cpg.training.variations import finer
 HAIR = 1e-6
 
 
-class Ways(NamedTuple):
+class Displacements(NamedTuple):
     """How far each of some champions gets, m.
 
     Attributes:
@@ -39,10 +39,10 @@ class Ways(NamedTuple):
     hair: Float[np.ndarray, " n"]
 
 
-def ways(simulation: Simulation, genes: Float[np.ndarray, "n g"]) -> Ways:
+def displacements(simulation: Simulation, genes: Float[np.ndarray, "n g"]) -> Displacements:
     """How far champions get, without noise, in the first of their situations."""
 
-    def way(times: int, turned: float = 0.0) -> np.ndarray:
+    def displacement(times: int, turned: float = 0.0) -> np.ndarray:
 
         def begin(state: State) -> State:
             return dataclasses.replace(state, q=state.q + turned)
@@ -52,7 +52,7 @@ def ways(simulation: Simulation, genes: Float[np.ndarray, "n g"]) -> Ways:
         place = np.asarray(states.position)
         return np.linalg.norm(place[-1, :2] - place[0, :2], axis=0)
 
-    return Ways(way(1), way(2), way(4), way(1, HAIR))
+    return Displacements(displacement(1), displacement(2), displacement(4), displacement(1, HAIR))
 
 
 def kept(own: Float[np.ndarray, " n"], other: Float[np.ndarray, " n"]) -> float:

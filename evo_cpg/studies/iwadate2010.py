@@ -11,7 +11,7 @@ from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.studies.audits import audit_table, audited
 from evo_cpg.studies.lights import light_table, still
 from evo_cpg.studies.stills import pictures_part
-from evo_cpg.studies.study import Part, Runs, Study, Table, percent
+from evo_cpg.studies.study import Part, Runs, Study, Table, percent, tabled
 from evo_cpg.studies.workshop import Workshop
 from evo_cpg.training.experiment import first_population
 
@@ -38,8 +38,7 @@ def swim(workshop: Workshop) -> list[Table]:
     for champion, recording in workshop.recordings("shared"):
         if best is not None and champion.run == best.run:
             workshop.draw(path_figure(recording), "path")
-    table = light_table(workshop, "shared", "random")
-    return [table._replace(rows=[*table.rows, still(workshop, "shared")])]
+    return [light_table(workshop, "shared", "random", still(workshop, "shared"))]
 
 
 def lags(workshop: Workshop) -> list[Table]:
@@ -50,28 +49,25 @@ def lags(workshop: Workshop) -> list[Table]:
     simulation = workshop.experiment("shared").simulation
     for champion, recording in workshop.recordings("shared"):
         found = _gait(simulation, recording)
-        frequency, lag = found.frequency, found.lag
-        middle = float(np.median(frequency))
+        middle = float(np.median(found.frequency))
+        spread = np.abs(found.frequency - middle).max()
         size = np.rad2deg(found.amplitude)
         rows.append(
-            [
-                str(workshop.experiment("shared").seed + champion.run),
-                found.axis,
-                f"{middle:.2f}",
-                percent(float(np.abs(frequency - middle).max()) / middle) if middle else "",
-                " ".join(f"{each:.0f}" for each in lag),
-                f"{size.min():.0f} to {size.max():.0f}",
-                "yes" if found.has_wave() else "no",
-            ]
+            {
+                "seed": str(workshop.experiment("shared").seed + champion.run),
+                "axis": found.axis,
+                "frequency (Hz)": f"{middle:.2f}",
+                "spread": percent(float(spread) / middle) if middle else "",
+                "lags from head to tail (degrees)": " ".join(f"{each:.0f}" for each in found.lag),
+                "amplitude (degrees)": f"{size.min():.0f} to {size.max():.0f}",
+                "orderly wave": "yes" if found.has_wave() else "no",
+            }
         )
         if best is not None and champion.run == best.run:
             workshop.draw(joint_signals_figure(recording))
-    head = ["seed", "axis", "frequency (Hz)", "spread", "lags from head to tail (degrees)",
-            "amplitude (degrees)", "orderly wave"]  # fmt: skip
     waves = workshop.kept("untrained", ["shared"], lambda: _untrained(workshop))
     words = f"{waves['waves']} of {waves['animals']}"
-    rows.append(["untrained", "", "", "", "", "", words])
-    return [Table("", head, rows)]
+    return [tabled([*rows, {"seed": "untrained", "orderly wave": words}])]
 
 
 def drives(workshop: Workshop) -> list[Table]:
@@ -83,36 +79,35 @@ def drives(workshop: Workshop) -> list[Table]:
             found = _gait(experiment.simulation, recording)
             low, high = found.frequency.min(), found.frequency.max()
             rows.append(
-                [
-                    f"`{name}`",
-                    str(experiment.simulation.genome.count),
-                    str(experiment.seed + champion.run),
-                    f"{champion.worth:.3f}",
-                    percent(champion.terms["distance"]),
-                    f"{low:.2f} to {high:.2f}",
-                    " ".join(f"{each:.0f}" for each in found.lag),
-                    "yes" if found.has_wave() else "no",
-                ]
+                {
+                    "drive": f"`{name}`",
+                    "genes": str(experiment.simulation.genome.count),
+                    "seed": str(experiment.seed + champion.run),
+                    "fitness": f"{champion.worth:.3f}",
+                    "distance left": percent(champion.terms["distance"]),
+                    "frequency (Hz)": f"{low:.2f} to {high:.2f}",
+                    "lags (degrees)": " ".join(f"{each:.0f}" for each in found.lag),
+                    "orderly wave": "yes" if found.has_wave() else "no",
+                }
             )
-    head = ["drive", "genes", "seed", "fitness", "distance left", "frequency (Hz)",
-            "lags (degrees)", "orderly wave"]  # fmt: skip
-    return [Table("", head, rows)]
+    return [tabled(rows)]
 
 
 def audit(workshop: Workshop) -> list[Table]:
-    """The champions audited, and what their motors are asked for."""
+    """The champions audited, and the load of their motors."""
     found = audited(workshop, "shared")
-    rows = []
-    for row in found:
-        measured = row["measured"]
-        keys = ("peak_torque", "mean_power", "power", "peak_rate")
-        rows.append([str(row["seed"]), *(f"{measured[key] or 0:.3g}" for key in keys)])
-    head = ["seed", "largest torque, N m", "power, mean, W/kg", "power, largest, W/kg",
-            "fastest joint, rad/s"]  # fmt: skip
-    return [
-        audit_table("", {"swimmer": found}),
-        Table("What the motors are asked for:", head, rows),
+    columns = {
+        "largest torque, N m": "peak_torque",
+        "power, mean, W/kg": "mean_power",
+        "power, largest, W/kg": "power",
+        "fastest joint, rad/s": "peak_rate",
+    }
+    rows = [
+        {"seed": str(row["seed"])}
+        | {head: f"{row['measured'][key] or 0:.3g}" for head, key in columns.items()}
+        for row in found
     ]
+    return [audit_table("", {"swimmer": found}), tabled(rows, "What the motors are asked for:")]
 
 
 def _untrained(workshop: Workshop) -> dict[str, int]:

@@ -1,6 +1,7 @@
 """Tables of champions that came to a light, beside random search and an animal that is still."""
 
 import dataclasses
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import jax.numpy as jnp
@@ -9,7 +10,7 @@ import numpy as np
 from evo_cpg.control.brain_cpg import silent_genes
 from evo_cpg.simulation.noise import Noise
 from evo_cpg.simulation.simulation import Simulation
-from evo_cpg.studies.study import Table, beside, middle, percent
+from evo_cpg.studies.study import Table, beside, middle, percent, tabled
 from evo_cpg.training.devices import population_mesh
 from evo_cpg.training.experiment import compile_trials
 
@@ -20,17 +21,16 @@ if TYPE_CHECKING:
 NEAR = 0.1
 
 
-HEAD = ["", "seed", "fitness", "distance left", "light seen", "energy (J)",
-        "under 10 % after generation"]  # fmt: skip
-
-
-def light_table(workshop: "Workshop", evolved: str, random: str | None = None) -> Table:
-    """A line for every champion, then medians.
+def light_table(
+    workshop: "Workshop", evolved: str, random: str | None = None, *more: Mapping[str, str]
+) -> Table:
+    """Return a table with a row for each champion, then medians.
 
     Args:
         workshop: where the runs are.
         evolved: name of the runs.
         random: name of those of random search.
+        more: further rows.
     """
     rows, fitness = [], {}
     for title, name in (("evolved", evolved), ("random search", random)):
@@ -40,44 +40,49 @@ def light_table(workshop: "Workshop", evolved: str, random: str | None = None) -
         seed = workshop.experiment(name).seed
         for champion in found:
             under = near[:, champion.run]
-            terms = champion.terms
             rows.append(
-                [
-                    title,
-                    str(seed + champion.run),
-                    f"{champion.worth:.3f}",
-                    percent(terms["distance"]),
-                    f"{terms['light']:.2f}",
-                    f"{terms['energy']:.0f}",
-                    str(int(under.argmax())) if under.any() else "never",
-                ]
+                {
+                    "": title,
+                    "seed": str(seed + champion.run),
+                    "fitness": f"{champion.worth:.3f}",
+                    **_terms(champion.terms),
+                    "under 10 % after generation": str(under.argmax()) if under.any() else "never",
+                }
             )
             title = ""
         fitness[name] = [champion.worth for champion in found]
         left = [100 * champion.terms["distance"] for champion in found]
-        cells = middle(fitness[name], 3), f"{middle(left, 1)} %", "", "", ""
-        rows.append(["median (range)", "", *cells])
+        cells = {"fitness": middle(fitness[name], 3), "distance left": f"{middle(left, 1)} %"}
+        rows.append({"": "median (range)"} | cells)
     if random is not None:
         words = beside(fitness, random)[evolved]
-        rows.append(["evolution beats random search", "", words, "", "", "", ""])
-    return Table("", HEAD, rows)
+        rows.append({"": "evolution beats random search", "fitness": words})
+    return tabled([*rows, *more])
 
 
-def still(workshop: "Workshop", name: str) -> list[str]:
+def _terms(terms: Mapping[str, float]) -> dict[str, str]:
+    """Return the cells of terms of the task."""
+    return {
+        "distance left": percent(terms["distance"]),
+        "light seen": f"{terms['light']:.2f}",
+        "energy (J)": f"{terms['energy']:.0f}",
+    }
+
+
+def still(workshop: "Workshop", name: str) -> dict[str, str]:
     """The line of an animal whose brain gives its spinal cord no drive at all.
 
     Its fitness is by the yardsticks of the first run.
     """
     simulation = workshop.experiment(name).simulation
     silent = simulation.genome.with_controller(silent_genes(simulation.controller)[:, None])
-    terms = {key: x.mean() for key, x in lived(simulation, silent).items()}
+    terms = {key: x.mean() for key, x in evaluate(simulation, silent).items()}
     scales = {key: jnp.asarray(x) for key, x in workshop.champions(name)[0].scales.items()}
     fitness = simulation.task.fitness({key: jnp.asarray(x) for key, x in terms.items()}, scales)
-    shown = f"{float(fitness):.3f}", percent(terms["distance"]), f"{terms['light']:.2f}"
-    return ["brain gives no drive", "", *shown, f"{terms['energy']:.0f}", ""]
+    return {"": "brain gives no drive", "fitness": f"{float(fitness):.3f}", **_terms(terms)}
 
 
-def lived(simulation: Simulation, genes: np.ndarray) -> dict[str, np.ndarray]:
+def evaluate(simulation: Simulation, genes: np.ndarray) -> dict[str, np.ndarray]:
     """Terms of animals ``(genes, n)`` without noise, NaN of those that diverged.
 
     A row for each animal and a column for each situation.

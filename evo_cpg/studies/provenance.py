@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from evo_cpg.files import write_text
-from evo_cpg.training.run_folder import RunFolderError
+from evo_cpg.training.run_folder import read_checked
 
 FILE = "provenance.json"
 
@@ -18,32 +18,28 @@ def digest(path: Path) -> str:
 
 
 def read(folder: Path) -> dict[str, Any]:
-    """What is known of a folder's parts, by name; empty where there is no file.
+    """Read how the parts of a folder were made, by name; empty without a file.
 
     Raises:
         RunFolderError: the file is damaged.
     """
-    path = folder / FILE
-    if not path.is_file():
-        return {}
-    try:
-        parts = json.loads(path.read_text(encoding="utf-8"))["parts"]
-        if not all(isinstance(part["files"], dict) for part in parts.values()):
-            raise ValueError("files are no mapping")
-    except (AttributeError, KeyError, OSError, RecursionError, TypeError, ValueError) as error:
-        raise RunFolderError(f"{path} is damaged ({error})") from None
-    return parts
+    found = read_checked(folder / FILE, _is_sound)
+    return found["parts"] if found else {}
 
 
-def note(folder: Path, part: str, told: Mapping[str, Any]) -> None:
+def _is_sound(content: Any) -> bool:
+    return all(isinstance(part["files"], dict) for part in content["parts"].values())
+
+
+def note(folder: Path, part: str, record: Mapping[str, Any]) -> None:
     """Write down how a part was made."""
-    parts = read(folder) | {part: dict(told)}
+    parts = read(folder) | {part: dict(record)}
     text = json.dumps({"parts": parts}, indent=1, allow_nan=False) + "\n"
     write_text(folder / FILE, text)
 
 
 def problems(folder: Path) -> list[str]:
-    """Of the tables and pictures in a folder, which do not come from where its file says."""
+    """Return tables and pictures of a folder that differ from its provenance."""
     parts, found, known = read(folder), [], set()
     for name, part in parts.items():
         for file, sha256 in part["files"].items():
@@ -58,19 +54,19 @@ def problems(folder: Path) -> list[str]:
     return found
 
 
-def caption(study: str, part: str, told: Mapping[str, Any]) -> str:
+def caption(study: str, part: str, record: Mapping[str, Any]) -> str:
     """The line under every table that says how it was made."""
     words = (
-        f"*Made by `evo-cpg reproduce {study} {part}` with evo-cpg {told['versions']['evo-cpg']}"
+        f"*Made by `evo-cpg reproduce {study} {part}` with evo-cpg {record['versions']['evo-cpg']}"
     )
-    commits = told["run_commits"]
-    if told["commit"]:
-        words += f" at commit {told['commit']}"
-    elsewhere = sorted({each or "unknown" for each in commits} - {told["commit"] or "unknown"})
+    commits = record["run_commits"]
+    if record["commit"]:
+        words += f" at commit {record['commit']}"
+    elsewhere = sorted({each or "unknown" for each in commits} - {record["commit"] or "unknown"})
     if elsewhere:
         words += f" of runs evolved at {', '.join(elsewhere)}"
-    cores = "1 core" if told["devices"] == 1 else f"{told['devices']} cores"
-    words += f" on {told['date'][:10]}, {told['processor']}, {cores}.*"
-    if told["quick"]:
+    cores = "1 core" if record["devices"] == 1 else f"{record['devices']} cores"
+    words += f" on {record['date'][:10]}, {record['processor']}, {cores}.*"
+    if record["quick"]:
         words = f"**Quick: scaled down, a test of the program and no result.** {words}"
     return words

@@ -8,11 +8,11 @@ from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import load_config
 from evo_cpg.simulation.measures import measures
 from evo_cpg.studies.audits import audit_part
-from evo_cpg.studies.lights import light_table, lived, still
+from evo_cpg.studies.lights import evaluate, light_table, still
 from evo_cpg.studies.stills import pictures_part
-from evo_cpg.studies.study import Part, Runs, Study, Table, beside, middle, percent
+from evo_cpg.studies.study import Part, Runs, Study, Table, beside, middle, percent, tabled
 from evo_cpg.studies.workshop import Workshop
-from evo_cpg.training.probe import Probe, around, blinded, probe
+from evo_cpg.training.probe import around, blinded, probe
 
 _REACHED = 0.2  # of the distance left
 _BELLY_DOWN = 60  # degrees of tilt, from mean cosine
@@ -37,14 +37,14 @@ RUNS = {
 
 def water(workshop: Workshop) -> list[Table]:
     """Champions in water, random search, and champions of land put into water."""
-    table = light_table(workshop, "water", "water_random")
-    return [table._replace(rows=[*table.rows, still(workshop, "water"), _guests(workshop)])]
+    left = 100 * np.array(_evaluated_in(workshop, "water", "land")["distance"])
+    guests = {"": "champions of land", "seed": "all", "distance left": f"{middle(left, 1)} %"}
+    return [light_table(workshop, "water", "water_random", still(workshop, "water"), guests)]
 
 
 def land(workshop: Workshop) -> list[Table]:
     """Champions on land, and random search."""
-    table = light_table(workshop, "land", "land_random")
-    return [table._replace(rows=[*table.rows, still(workshop, "land")])]
+    return [light_table(workshop, "land", "land_random", still(workshop, "land"))]
 
 
 _AUDITED = {
@@ -57,10 +57,10 @@ _AUDITED = {
 
 def shore(workshop: Workshop) -> list[Table]:
     """Champions across the shore, in each of its situations, and others put there."""
-    table = _crossings(workshop, "shore")
-    left = np.array(_lived_in(workshop, "shore", "land")["distance"])
-    cells = [f"{middle(100 * column, 1)} %" for column in left.T]
-    return [table._replace(rows=[*table.rows, ["champions of land", "", *cells, ""]])]
+    left = 100 * np.array(_evaluated_in(workshop, "shore", "land")["distance"])
+    cells = [f"{middle(column, 1)} %" for column in left.T]
+    guests = {"": "champions of land"} | dict(zip(_LEFT, cells, strict=True))
+    return [tabled([*_crossings(workshop, "shore"), guests])]
 
 
 def shore_random(workshop: Workshop) -> list[Table]:
@@ -69,29 +69,34 @@ def shore_random(workshop: Workshop) -> list[Table]:
         name: [champion.worth for champion in workshop.champions(name)]
         for name in ("shore", "shore_random")
     }
-    table = _crossings(workshop, "shore_random")
-    blank = [""] * (len(table.head) - 2)
-    row = ["evolution beats it", beside(fitness, "shore_random")["shore"], *blank]
-    return [table._replace(rows=[*table.rows, row])]
+    words = beside(fitness, "shore_random")["shore"]
+    rows = _crossings(workshop, "shore_random")
+    return [tabled([*rows, {"": "evolution beats it", "fitness": words}])]
 
 
-def _crossings(workshop: Workshop, name: str) -> Table:
-    """What champions of some runs leave of the way in each situation, and how they hold."""
-    found = _lived_in(workshop, "shore", name)
+_LEFT = [
+    f"{leg}: distance left"
+    for leg in ("into the water", "back on land", "from the water's edge to land")
+]
+
+
+def _crossings(workshop: Workshop, name: str) -> list[dict[str, str]]:
+    """Return the distance that champions leave in each situation, and their tilt, as rows."""
+    found = _evaluated_in(workshop, "shore", name)
     rows = []
     for champion, left, tilt in zip(
         workshop.champions(name), found["distance"], found["tilt"], strict=True
     ):
-        cells = *map(percent, left), f"{_angle(max(tilt)):.0f}"
         seed = workshop.experiment(name).seed + champion.run
-        rows.append([f"seed {seed}", f"{champion.worth:.3f}", *cells])
+        rows.append(
+            {"": f"seed {seed}", "fitness": f"{champion.worth:.3f}"}
+            | dict(zip(_LEFT, map(percent, left), strict=True))
+            | {"largest tilt of the head, degrees": f"{_angle(max(tilt)):.0f}"}
+        )
     both = (np.array(found["distance"])[:, :2] <= _REACHED).all(1)
     both &= _angle(np.max(found["tilt"], 1)) < _BELLY_DOWN
-    words = f"both ways (20 % left) under {_BELLY_DOWN} degrees", f"{both.sum()} of {both.size}"
-    ways = ["into the water", "back on land", "from the water's edge to land"]
-    heads = [*(f"{way}: distance left" for way in ways), "largest tilt of the head, degrees"]
-    head = ["", "fitness", *heads]
-    return Table("", head, [*rows, [*words, *[""] * len(heads)]])
+    words = f"both ways (20 % left) under {_BELLY_DOWN} degrees"
+    return [*rows, {"": words, "fitness": f"{both.sum()} of {both.size}"}]
 
 
 def boulders(workshop: Workshop) -> list[Table]:
@@ -112,49 +117,43 @@ def eyes(workshop: Workshop) -> list[Table]:
         ("blind", "blind", blinded(simulation)),
     ):
         found = probe(animal, champion.genes, lights)
-        rows.append([title, *_probed(found)])
+        reached, left = found.reached(_REACHED), found.distance
+        rows.append(
+            {
+                "": title,
+                "lights reached (20 % left or less)": f"{reached.sum()} of {reached.size}",
+                "distance left, median": percent(float(np.nanmedian(left))),
+                "worst": percent(float(np.nanmax(left))),
+            }
+        )
         workshop.draw(probe_figure(found, _REACHED, f"two-eyed swimmer, {title}"), name)
-    head = ["", "lights reached (20 % left or less)", "distance left, median", "worst"]
-    return [Table("", head, rows)]
-
-
-def _probed(found: Probe) -> list[str]:
-    reached = found.reached(_REACHED)
-    left = found.distance
-    ends = percent(float(np.nanmedian(left))), percent(float(np.nanmax(left)))
-    return [f"{reached.sum()} of {reached.size}", *ends]
-
-
-def _guests(workshop: Workshop) -> list[str]:
-    """The line of land's champions in water."""
-    left = np.array(_lived_in(workshop, "water", "land")["distance"])
-    return ["champions of land", "all", "", f"{middle(100 * left, 1)} %", "", "", ""]
+    return [tabled(rows)]
 
 
 def _angle(tilt: float | np.ndarray) -> np.ndarray:
-    """Of a mean of 1 - cos, degrees."""
+    """Return the angle of a mean of 1 - cos, degrees."""
     return np.rad2deg(np.arccos(1 - np.asarray(tilt)))
 
 
-def _lived_in(workshop: Workshop, world: str, name: str) -> dict[str, list[list[float]]]:
-    """What becomes of champions in each of a world's situations, without noise.
+def _evaluated_in(workshop: Workshop, world: str, name: str) -> dict[str, list[list[float]]]:
+    """Evaluate champions in each situation of a world, without noise.
 
-    That is the share of the distance that is left, and the tilt: the mean of 1 - cos(angle of the
-    head's up to the vertical).
+    Returns the fraction of the distance left, and the tilt: the mean of 1 - cos(angle of the head's
+    up axis to the vertical).
     """
 
     def measure() -> dict[str, list[list[float]]]:
         simulation = workshop.experiment(world).simulation
         if world == "shore" and not name.startswith("shore"):
-            # Who did not evolve at the shore has no depth gauge.
+            # Animals that did not evolve at the shore have no depth sensor.
             declared, source = workshop.member(world).config, workshop.source(world)
             steps = f"simulation.steps={declared.simulation.steps}"
             config = load_config(source, ["creature.depth_sensors=[]", steps])
             simulation = build_experiment(config, source).simulation
         genes = np.stack([each.genes for each in workshop.champions(name)], axis=1)
         measured = dataclasses.replace(simulation, measures=measures("tilt"))
-        terms = {key: x.astype(float) for key, x in lived(measured, genes).items()}
-        # Who diverged is far away, and on its back.
+        terms = {key: x.astype(float) for key, x in evaluate(measured, genes).items()}
+        # A diverged animal counts as far away and on its back.
         return {
             "distance": np.nan_to_num(terms["distance"], nan=9.0).tolist(),
             "tilt": np.nan_to_num(terms["tilt"], nan=2.0).tolist(),

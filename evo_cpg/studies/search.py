@@ -38,7 +38,7 @@ RUNS = {name: runs for part in _FILES for name, runs in _declared(part).items()}
 
 
 def searches(workshop: Workshop, part: str) -> list[Table]:
-    """Every search beside the genetic algorithm and random search."""
+    """Compare each search with the genetic algorithm and with random search."""
     from evo_cpg.view.search_plots import Curves, sweep_figure
 
     names = [name for name in RUNS if name.startswith(f"{part} ")]
@@ -81,7 +81,7 @@ def maps(workshop: Workshop, part: str) -> list[Table]:
 
 
 def _own(name: str) -> str:
-    """A setting's name without that of its part."""
+    """Return the name of a setting without its part."""
     return name.partition(" ")[2]
 
 

@@ -9,10 +9,10 @@ from evo_cpg.control.couplings import ring_members
 from evo_cpg.simulation.recording import Recording
 from evo_cpg.studies.audits import audit_part
 from evo_cpg.studies.stills import pictures_part
-from evo_cpg.studies.study import Part, Runs, Study, Table
+from evo_cpg.studies.study import Part, Runs, Study, Table, tabled
 from evo_cpg.studies.workshop import Workshop
 
-# Of the second half of a trial, in which lags are looked at one by one.
+# Windows of the second half of a trial, each with lags of its own.
 _WINDOWS = 3
 
 RUNS = {name: Runs(name, (), 5) for name in ("starfish", "starfish_land")}
@@ -20,7 +20,7 @@ RUNS = {name: Runs(name, (), 5) for name in ("starfish", "starfish_land")}
 
 def lags(workshop: Workshop) -> list[Table]:
     """Mean lags over the second half of the trial, and the least and largest in its thirds."""
-    rows, head = [], []
+    rows = []
     for name in RUNS:
         simulation = workshop.experiment(name).simulation
         oscillators, tree = simulation.controller.rhythm_generator, simulation.world.tree
@@ -31,15 +31,16 @@ def lags(workshop: Workshop) -> list[Table]:
                 whole = ring_lags(recording, joints)
                 pieces = [ring_lags(part, joints, last=1.0) for part in _parts(recording)]
                 low, high = np.min(pieces, 0), np.max(pieces, 0)
-                cells = [
-                    f"{a:.1f} ({b:.1f} to {c:.1f})"
-                    for a, b, c in zip(whole, low, high, strict=True)
-                ]
-                way = f"{recording.distance[0]:.2f} to {recording.distance[-1]:.2f}"
-                rows.append([f"`{name}`", str(champion.run), f"{champion.worth:.3f}", way, *cells])
-                lags = [f"`{joint}`, degrees" for joint in joints]
-                head = ["", "seed", "fitness", "distance, m", *lags]
-    return [Table("", head, rows)]
+                row = {
+                    "": f"`{name}`",
+                    "seed": str(champion.run),
+                    "fitness": f"{champion.worth:.3f}",
+                    "distance, m": "{:.2f} to {:.2f}".format(*recording.distance[[0, -1]]),
+                }
+                for joint, *lag in zip(joints, whole, low, high, strict=True):
+                    row[f"`{joint}`, degrees"] = "{:.1f} ({:.1f} to {:.1f})".format(*lag)
+                rows.append(row)
+    return [tabled(rows)]
 
 
 def _parts(recording: Recording) -> list[Recording]:

@@ -6,12 +6,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from evo_cpg.simulation.recording import Recording
-from evo_cpg.studies.study import Part, Table
+from evo_cpg.studies.study import Part, Table, tabled
 
 if TYPE_CHECKING:
     from evo_cpg.studies.workshop import Workshop
 
-HEAD = ["", "seed", "generation", "fitness", "way", "moments, s"]
 # Size of each moment, pixels, and how many there are, from the start of a trial to its end.
 _SIZE, _MOMENTS = (480, 270), 3
 
@@ -49,28 +48,28 @@ def stills(workshop: "Workshop", shown: Mapping[str, str], picture: str = "") ->
     for title, name in shown.items():
         experiment, champion = workshop.experiment(name), workshop.checkpoint(name).champion
         if champion is None:
-            rows.append([title, "nobody lives", "", "", "", ""])
+            rows.append({"": title, "seed": "nobody lives"})
             continue
         _, _, recording = compile_replay(experiment, workshop.devices)(champion)
         panels.append(panel_of(experiment, recording, title))
         instants = np.linspace(recording.time[0], recording.time[-1], _MOMENTS)
         rows.append(
-            [
-                title,
-                str(experiment.seed + champion.run),
-                str(champion.generation),
-                f"{champion.worth:.3f}",
-                _way(recording),
-                ", ".join(f"{instant - recording.time[0]:.1f}" for instant in instants),
-            ]
+            {
+                "": title,
+                "seed": str(experiment.seed + champion.run),
+                "generation": str(champion.generation),
+                "fitness": f"{champion.worth:.3f}",
+                "way": _distance(recording),
+                "moments, s": ", ".join(f"{t - recording.time[0]:.1f}" for t in instants),
+            }
         )
     if panels:
         path = workshop.picture(picture)
         side_by_side(panels, path, Film(_SIZE, sheet=(_MOMENTS, 1), columns=1))
-    return Table("", HEAD, rows)
+    return tabled(rows)
 
 
-def _way(recording: Recording) -> str:
+def _distance(recording: Recording) -> str:
     """In words: to the light, or over ground."""
     first, last = recording.distance[[0, -1]]
     if np.isfinite(recording.goal).all():

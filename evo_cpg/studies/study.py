@@ -39,6 +39,12 @@ class Table(NamedTuple):
     rows: Sequence[Sequence[str]]
 
 
+def tabled(rows: Sequence[Mapping[str, str]], title: str = "") -> Table:
+    """Return a table of rows by the heads of their columns; a cell that a row lacks is empty."""
+    head = list(dict.fromkeys(column for row in rows for column in row))
+    return Table(title, head, [[row.get(column, "") for column in head] for row in rows])
+
+
 class Part(NamedTuple):
     """What can be renewed by itself.
 
@@ -69,9 +75,9 @@ class Study(NamedTuple):
     parts: Mapping[str, Part]
 
 
-def percent(share: float) -> str:
+def percent(fraction: float) -> str:
     """A share as it stands in a table."""
-    return f"{100 * share:.1f} %"
+    return f"{100 * fraction:.1f} %"
 
 
 def middle(values: Sequence[float] | np.ndarray, digits: int = 2) -> str:

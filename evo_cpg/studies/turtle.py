@@ -1,11 +1,11 @@
-"""The turtle of the tutorial: what its three lights and the twist of its flippers are good for."""
+"""The turtle of the tutorial: the effect of its three lights and of the twist of its flippers."""
 
 import dataclasses
 
 import numpy as np
 
 from evo_cpg.studies.audits import audit_part
-from evo_cpg.studies.lights import lived
+from evo_cpg.studies.lights import evaluate
 from evo_cpg.studies.study import Part, Runs, Study, Table, beside, middle
 from evo_cpg.studies.workshop import Workshop
 from evo_cpg.training.probe import around
@@ -35,7 +35,9 @@ def changes(workshop: Workshop) -> list[Table]:
         simulation, champions = workshop.experiment(name).simulation, workshop.champions(name)
         first = simulation.situations[0]._replace(light=simulation.lights[0])
         before = dataclasses.replace(simulation, situations=around(first, _BEARINGS))
-        found = lived(before, np.stack([champion.genes for champion in champions], 1))["distance"]
+        found = evaluate(before, np.stack([champion.genes for champion in champions], 1))[
+            "distance"
+        ]
         found = np.nan_to_num(found, nan=_LOST)
         mean_left[name] = found.mean(1)
         own = [100 * champion.terms["distance"] for champion in champions]

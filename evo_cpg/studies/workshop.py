@@ -1,4 +1,4 @@
-"""Where a study is made: its runs are evolved, and its parts' tables and pictures written.
+"""Make a study: evolve its runs, and write the tables and pictures of its parts.
 
     runs/NAME/         a run folder for each of the study's runs
     runs/KEY.json      what was measured of finished runs
@@ -6,8 +6,8 @@
     PART*.png          pictures
     provenance.json    how each part was made
 
-Everything may be stopped at any moment: runs that are finished are taken as they are, one that was
-interrupted goes on to the same bits.
+Everything may be stopped at any moment: finished runs are reused, and an interrupted run continues
+to the same bits.
 """
 
 import hashlib
@@ -15,15 +15,15 @@ import json
 import shutil
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float
 
-from evo_cpg.api.surroundings import surroundings
-from evo_cpg.api.sweep import Member, groups, run_group
+from evo_cpg.api.display import Work, working
+from evo_cpg.api.machine import machine_fingerprint
+from evo_cpg.api.sweep import Member, evolve
 from evo_cpg.api.training import now
 from evo_cpg.api.version import program_commit
 from evo_cpg.config.build import build_experiment
@@ -45,42 +45,14 @@ from evo_cpg.training.run_folder import RunFolder, RunFolderError
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# What a run is cut down to with --quick. A second of a trial, for the terms of its last second.
+# Size of a run with --quick: a second of a trial, for the terms of its last second.
 _QUICK_RUNS, _QUICK_GENERATIONS, _QUICK_STEPS = 2, 2, 60
 # Five islands of four.
 _QUICK_POPULATION, _QUICK_ELITES = 20, 2
 
 
-@runtime_checkable
-class Work(Protocol):
-    """Making tables and pictures: what may be called to say how far it is."""
-
-    def say(self, line: str) -> None:
-        """A line that stays."""
-        ...
-
-    def doing(self, what: str) -> None:
-        """From now on something else is being done."""
-        ...
-
-
-@runtime_checkable
-class Show(Protocol):
-    """Who shows how far the work is."""
-
-    def evolving(
-        self, title: str, total: int, done: int
-    ) -> AbstractContextManager[Callable[[int, str, float], None]]:
-        """Generations of a group of runs; what is yielded is told of each."""
-        ...
-
-    def measuring(self, title: str) -> AbstractContextManager[Work]:
-        """Tables and pictures are made; what is yielded may be told of it."""
-        ...
-
-
 class Workshop:
-    """Where the parts of a study are made.
+    """Maker of the parts of a study.
 
     Args:
         study: which.
@@ -111,8 +83,8 @@ class Workshop:
         """
         other = [
             name
-            for name, told in provenance.read(self.folder).items()
-            if bool(told.get("quick")) != self.quick
+            for name, record in provenance.read(self.folder).items()
+            if bool(record.get("quick")) != self.quick
         ]
         if other:
             kind = "full" if self.quick else "quick"
@@ -128,7 +100,7 @@ class Workshop:
             self._loaded.pop(name, None)
             shutil.rmtree(self._run(name).path, ignore_errors=True)
 
-    def make(self, part: str, show: Show) -> list[Path]:
+    def make(self, part: str) -> list[Path]:
         """Make a part: evolve what is missing of its runs, and write its files.
 
         Returns:
@@ -139,14 +111,14 @@ class Workshop:
         """
         began = time.perf_counter()
         declared = self.study.parts[part]
-        self._evolve(part, declared, show)
+        self._evolve(part, declared)
         self._pictures, self._part = [], part
-        with show.measuring(f"{self.study.name} {part}: tables and pictures") as self.work:
+        with working(f"{self.study.name} {part}: tables and pictures") as self.work:
             tables = declared.report(self)
         return self._write(part, declared, tables, time.perf_counter() - began)
 
     def member(self, name: str) -> Member:
-        """A run as it is declared, built."""
+        """Build a run as it is declared."""
         if name not in self._members:
             declared = self.study.runs[name]
             source = shipped(declared.config).path
@@ -156,7 +128,7 @@ class Workshop:
             config = load_config(source, overrides)
             config = config.model_copy(update={"name": name})
             experiment = build_experiment(config, source)
-            self._members[name] = Member(Setting(name, {}), config, experiment, self._run(name))
+            self._members[name] = Member(self._run(name), config, experiment, Setting(name, {}))
         return self._members[name]
 
     def source(self, name: str) -> Path:
@@ -164,11 +136,11 @@ class Workshop:
         return shipped(self.study.runs[name].config).path
 
     def experiment(self, name: str) -> Experiment:
-        """What a run evolved in."""
+        """Return the experiment of a run."""
         return self.member(name).experiment
 
     def checkpoint(self, name: str) -> Checkpoint:
-        """How a run ended.
+        """Return the last checkpoint of a run.
 
         Raises:
             RunFolderError: it has not.
@@ -181,7 +153,7 @@ class Workshop:
         return self._loaded[name]
 
     def champions(self, name: str) -> list[Champion]:
-        """Of the runs in which anybody lives."""
+        """Return the champions of runs that have one."""
         return [champion for champion in self.checkpoint(name).champions if champion is not None]
 
     def column(self, name: str, column: str) -> Float[np.ndarray, "generations runs"]:
@@ -199,7 +171,7 @@ class Workshop:
             yield champion, live(champion)[2]
 
     def picture(self, name: str = "") -> Path:
-        """Where a picture of the part that is being made goes."""
+        """Return the path of a picture of the part that is being made."""
         path = self.folder / f"{self._part}{f'_{name}' if name else ''}.png"
         self._pictures.append(path)
         return path
@@ -211,7 +183,7 @@ class Workshop:
         save_figure(figure, self.picture(name))
 
     def kept(self, key: str, names: Sequence[str], measure: Callable[[], Any]) -> Any:
-        """What was measured of the champions of runs; measured once, and kept as JSON.
+        """Return measurements of champions of runs; measured once, and kept as JSON.
 
         Of a program that was changed since its commit nothing is kept: the next change has no other
         name.
@@ -231,48 +203,36 @@ class Workshop:
                 return known["found"]
         except (KeyError, OSError, TypeError, ValueError):
             pass
-        told = json.loads(json.dumps(measure()))
-        text = json.dumps({"of": made_of, "found": told})
+        record = json.loads(json.dumps(measure()))
+        text = json.dumps({"of": made_of, "found": record})
         write_text(path, text)
-        return told
+        return record
 
     def _run(self, name: str) -> RunFolder:
         return RunFolder(self.folder / "runs" / name)
 
-    def _evolve(self, part: str, declared: Part, show: Show) -> None:
+    def _evolve(self, part: str, declared: Part) -> None:
         members = [self.member(name) for name in declared.runs]
         for member in members:
             _require_same(member)
-        found = groups([member for member in members if not member.finished])
-        for number, group in enumerate(found):
-            total = sum(member.experiment.generations for member in group)
-            done = sum(member.generation for member in group)
-            names = ", ".join(member.setting.name for member in group)
-            title = f"{self.study.name} {part}, {number + 1} of {len(found)}: {names}"
-            with show.evolving(title, total, done) as tell:
-                watch = _Watch(tell, done)
-                self._run_group(group, watch)
+        here = program_commit()
 
-    def _run_group(self, group: Sequence[Member], watch: "_Watch") -> None:
-        # All were built from files of one folder, which is all that is noted of the source.
-        source = self.source(group[0].setting.name)
-        here, noted = program_commit(), set()
+        def note_commit(member: Member) -> None:
+            known = member.folder.read_meta().get("commits", [])
+            if here not in known:
+                member.folder.update_meta(commits=[*known, here])
 
-        def tell(member: Member, rows: list[dict[str, float]]) -> None:
-            if member.setting.name not in noted:
-                noted.add(member.setting.name)
-                known = member.folder.read_meta().get("commits", [])
-                member.folder.update_meta(commits=list(dict.fromkeys([*known, here])))
-            watch.tell(member, rows)
-
-        run_group(group, source, self.devices, tell)
+        if members:
+            # All were built from files of one folder, and only the folder is noted.
+            source = self.source(declared.runs[0])
+            evolve(members, source, self.devices, f"{self.study.name} {part}", note_commit)
 
     def _write(self, part: str, declared: Part, tables: list[Table], seconds: float) -> list[Path]:
         runs = declared.runs
         engine = self.experiment(runs[0]).simulation.engine if runs else Engine()
         folders = {name: self._run(name) for name in runs}
         commits = [each for run in folders.values() for each in run.read_meta().get("commits", [])]
-        told: dict[str, Any] = {
+        record: dict[str, Any] = {
             "study": self.study.name,
             "quick": self.quick,
             "commit": program_commit(),
@@ -292,33 +252,19 @@ class Workshop:
                 }
                 for name, run in folders.items()
             },
-        } | surroundings(engine, self.devices)
-        line = provenance.caption(self.study.name, part, told)
+        } | machine_fingerprint(engine, self.devices)
+        line = provenance.caption(self.study.name, part, record)
         text = "\n".join(f"{markdown(table)}\n\n{line}\n" for table in tables)
         page = self.folder / f"{part}.md"
         write_text(page, text)
         files = [page, *self._pictures]
-        told["files"] = {path.name: provenance.digest(path) for path in files}
-        provenance.note(self.folder, part, told)
+        record["files"] = {path.name: provenance.digest(path) for path in files}
+        provenance.note(self.folder, part, record)
         return files
 
     def _seconds(self, name: str) -> float:
-        """That a run took; every run's row has the time that all of them took."""
+        """Return the duration of a run; every row has the duration of all runs together."""
         return float(self.column(name, "seconds")[:, 0].sum())
-
-
-class _Watch:
-    """Tells of every generation of a group, with the time since the one before."""
-
-    def __init__(self, tell: Callable[[int, str, float], None], done: int):
-        self._tell, self._done, self._clock = tell, done, time.perf_counter()
-
-    def tell(self, member: Member, rows: list[dict[str, float]]) -> None:
-        before, self._clock = self._clock, time.perf_counter()
-        best = float(np.median([row["champion"] for row in rows]))
-        state = f"{member.setting.name}: median champion {best:.3f}"
-        self._tell(self._done, state, self._clock - before)
-        self._done += 1
 
 
 def markdown(table: Table) -> str:
@@ -329,7 +275,7 @@ def markdown(table: Table) -> str:
 
 
 def _smaller(source: Path, overrides: Sequence[str], count: int) -> list[str]:
-    """What makes a run small."""
+    """Return overrides that make a run small."""
     evolution = load_config(source, overrides).evolution.model_dump()
     small = [f"runs={min(count, _QUICK_RUNS)}", f"simulation.steps={_QUICK_STEPS}"]
     small.append(f"evolution.generations={_QUICK_GENERATIONS}")

@@ -457,6 +457,27 @@ class RunFolder:
         write_text(self.metrics, self._table[1])
 
 
+def read_checked(path: Path, is_sound: Callable[[Any], bool]) -> Any:
+    """Return the contents of a JSON file; None if there is no file.
+
+    Args:
+        path: of the file.
+        is_sound: whether the contents are what they should be.
+
+    Raises:
+        RunFolderError: the file is damaged.
+    """
+    if not path.is_file():
+        return None
+    try:
+        content = read_json(path, Any)
+        if not is_sound(content):
+            raise ValueError("something is of another kind")
+    except (AttributeError, KeyError, OSError, TypeError, ValueError) as error:
+        raise RunFolderError(f"{path} is damaged ({error})") from None
+    return content
+
+
 def refinements(meta: Mapping[str, Any]) -> list[dict[str, Any]]:
     """What `evo-cpg refine` did to a run, as meta.json has it: when, the command, and the gain."""
     found = meta.get("refined")

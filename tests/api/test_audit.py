@@ -15,14 +15,7 @@ from creatures import AXES, STRUCTURES, quick_jit, random_creature, random_state
 from evo_cpg.analysis.energy import ledger, mechanical_energy
 from evo_cpg.analysis.excursions import excursions
 from evo_cpg.analysis.verdict import Limits
-from evo_cpg.api.audit import (
-    Trial,
-    _carried,
-    _shares,
-    books,
-    compile_audited_trials,
-    draws_of,
-)
+from evo_cpg.api.audit import Trial, _carried, _kept, books, compile_steps, draws_of
 from evo_cpg.creature.creature import Actuator, Body, Creature, Joint, LightSensor, Material
 from evo_cpg.creature.self_collision import SelfCollision
 from evo_cpg.creature.shapes import Box, Ellipsoid
@@ -107,14 +100,14 @@ def walker(slope=0.0, height=0.0, torque_limit=5.0, light=None, short=False):
 def honest():
     """A row that crawls on level ground, under a light."""
     made = walker(light=(2.0, 0.0, 0.5))
-    return made, compile_audited_trials(made)(champion())
+    return made, compile_steps(made)(champion())
 
 
 @pytest.fixture(scope="module")
 def swimming():
     """The pair of `trials`, in water."""
     made = experiment(steps=60)
-    return made, compile_audited_trials(made)(champion())
+    return made, compile_steps(made)(champion())
 
 
 def test_energy_is_mujocos():
@@ -188,14 +181,14 @@ def test_a_solver_that_gives_is_found(monkeypatch, cheat):
 
     monkeypatch.setattr(evo_cpg.physics.step, "integrate", wrong)
     made = experiment(steps=60)
-    assert f"simulator_{cheat}" in failed((made, compile_audited_trials(made)(champion())))
+    assert f"simulator_{cheat}" in failed((made, compile_steps(made)(champion())))
 
 
 @pytest.fixture(scope="module")
 def buried():
     """A row that starts in the ground, in which its light lies too."""
     made = walker(height=-0.05, light=(2.0, 0.0, -0.5))
-    return made, compile_audited_trials(made)(champion())
+    return made, compile_steps(made)(champion())
 
 
 def test_who_starts_in_the_ground_is_found(buried):
@@ -207,7 +200,7 @@ def test_who_stands_is_not_lifted():
     """A point that rests presses as hard as the law wants it out, and does not move."""
     made = walker()
     still = champion()._replace(genes=np.zeros(2, np.float32))
-    (trial,) = compile_audited_trials(made)(still)
+    (trial,) = compile_steps(made)(still)
     weight = 9.81 * made.creature.mass
     assert trial.steps.contact_force[2].sum(0).mean() == pytest.approx(weight, rel=0.05)
     # By less than a hundredth of a millimetre in all.
@@ -260,7 +253,7 @@ def test_what_a_current_carries_is_no_way_of_limp_motors(swimming, own, limp_way
             Varied(np.array([limp_way]), one, one > 0, {}),
         ),
     }
-    checks = {c.key: c for c in _shares(own, kept, Limits(), made.creature, carried)}
+    checks = {c.key: c for c in _kept(own, kept, Limits(), made.creature, carried)}
     assert checks["limp_way"].measured == pytest.approx(share)
 
 
@@ -271,7 +264,7 @@ def test_who_gets_nowhere_in_fresh_draws_does_so_with_motors_limp_or_not(swimmin
     fresh = Variation("other draws of chance", (made.simulation,), 2)
     both = Varied(none, none, none == 0, {})
     kept = {"pose": (fresh, both), "limp_way": (limp_ones, both)}
-    checks = {c.key: c for c in _shares(3.0, kept, Limits(), made.creature)}
+    checks = {c.key: c for c in _kept(3.0, kept, Limits(), made.creature)}
     assert checks["pose"].measured == checks["limp_way"].measured == 0.0
 
 
@@ -367,7 +360,7 @@ def test_ellipsoids_overlap_where_they_do_and_not_where_the_boxes_around_them_do
         substeps=4,
     )
     made = base._replace(creature=creature, simulation=simulation)
-    (trial,) = compile_audited_trials(made)(champion())
+    (trial,) = compile_steps(made)(champion())
     at = np.radians(np.tile([[-17.0], [17.0]], trial.steps.after.q.shape[1]))
 
     def overlap(q):
@@ -387,7 +380,7 @@ def test_ellipsoids_overlap_where_they_do_and_not_where_the_boxes_around_them_do
 @pytest.mark.slow
 def test_limbs_that_touch_at_rest_are_named_and_looked_at_where_they_are_kept_apart():
     made = walker(short=True)
-    (trial,) = folded(made, *compile_audited_trials(made)(champion()))
+    (trial,) = folded(made, *compile_steps(made)(champion()))
     checks = {check.key: check for check in books(made, champion(), (trial,), Limits())}
     left_out = "not looked at, as they touch in the neutral pose: head and b"
     assert (checks["overlap"].measured, checks["overlap"].detail) == (0, left_out)
@@ -409,7 +402,7 @@ def test_who_swims_above_a_floor_does_not_fly():
         world = made.simulation.world
         water = Water(1000.0, surface)
         world = dataclasses.replace(world, water=water)
-        trial = compile_audited_trials(walker(height=0.5))(champion())[0]
+        trial = compile_steps(walker(height=0.5))(champion())[0]
         steps = trial.steps._replace(contact_force=0 * trial.steps.contact_force)
         wet = made._replace(simulation=dataclasses.replace(made.simulation, world=world))
         (found,) = judged(wet, (trial._replace(steps=steps),))

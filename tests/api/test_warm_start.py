@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import evo_cpg as evo
+from evo_cpg.api.opened import Opened
 from evo_cpg.api.training import begin_run
 from evo_cpg.api.warm_start import warm_start
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
@@ -69,7 +70,7 @@ def test_it_is_the_first_population_whatever_happens(earlier, tmp_path):
     experiment, given = start(earlier, "population", "seed=3")
     folder = RunFolder(tmp_path / "run")
     config = evo.load(CONFIG, (*SHORT, "seed=3"))
-    begin_run(folder, config.config, experiment, 2, CONFIG, given)
+    begin_run(Opened(folder, config.config, experiment), 2, CONFIG, given)
     assert json.loads(folder.meta.read_text())["start"] == given.provenance
     np.testing.assert_array_equal(RunFolder(folder.path).load_start(), given.genes)
     from evo_cpg.training.loop import train

@@ -11,7 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from evo_cpg.cli import champions, progress
+from evo_cpg.api import display
+from evo_cpg.cli import champions
 from evo_cpg.cli.main import main
 from evo_cpg.training import devices
 from shared_programs import programs_of_its_own, remember_programs
@@ -40,8 +41,8 @@ def called(*arguments: object, folder: Path | None = None) -> Called:
         for module in (champions, devices):
             patch.setattr(module, "use_cores", lambda count=None: 2)
         # How long anything takes on a busy machine says nothing.
-        patch.setattr(progress, "FIRST", math.inf)
-        patch.setattr(progress, "BETWEEN", math.inf)
+        patch.setattr(display, "FIRST", math.inf)
+        patch.setattr(display, "BETWEEN", math.inf)
         patch.setattr(sys, "argv", ["evo-cpg", *map(str, arguments)])
         if folder is not None:
             patch.chdir(folder)

@@ -14,8 +14,8 @@ from PIL import Image
 import chromium
 import evo_cpg as evo
 from evo_cpg.api import analyse as analysing
-from evo_cpg.api import departures as departing
-from evo_cpg.api.departures import departures, notes
+from evo_cpg.api import paper_differences as module
+from evo_cpg.api.paper_differences import notes, paper_differences
 from evo_cpg.config.load import dump_config, load_config
 from evo_cpg.training.checkpoint import genes_digest
 from evo_cpg.training.run_folder import RunFolder, RunFolderError
@@ -233,7 +233,7 @@ def test_departures_are_those_of_the_run(walker):
     page = page_of(walker)
     row = "<tr><td><code>simulation.steps</code></td><td>1200</td><td>{}</td>"
     assert row.format("120") in page and row.format("paper") in page
-    found = departures(load_config(WALKER, SMALL_WALK))
+    found = paper_differences(load_config(WALKER, SMALL_WALK))
     assert found is not None
     changed = {each.key: (each.shipped, each.own) for each in found.differences}
     assert changed["simulation.steps"] == (1200, 120)
@@ -267,16 +267,16 @@ population: 400  # paper: 200; ours: more seeds find a way
 
 def test_a_name_that_nothing_shipped_has_departs_from_nothing(walker, monkeypatch):
     config = load_config(walker / "config.yaml")
-    assert departures(config.model_copy(update={"name": "mine"})) is None
-    assert departures(config.model_copy(update={"name": "../configs/hexapod"})) is None
-    monkeypatch.setattr(departing, "shipped_names", lambda: [])
-    assert departures(config) is None
+    assert paper_differences(config.model_copy(update={"name": "mine"})) is None
+    assert paper_differences(config.model_copy(update={"name": "../configs/hexapod"})) is None
+    monkeypatch.setattr(module, "shipped_names", lambda: [])
+    assert paper_differences(config) is None
 
 
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("--out", "page.txt"), "is not the name of a page; let it end in .html"),
+        (("--out", "page.txt"), "the name ends in '.txt'; use .html or .htm"),
         (("--out", "nowhere/page.html"), "there is no folder nowhere; create it first"),
         (("--out", "folder.html"), "is a folder; give the name of a file"),
         (("--out", "there.html"), "there.html exists already; --overwrite replaces it"),

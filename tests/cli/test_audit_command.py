@@ -70,7 +70,7 @@ def test_a_verdict_says_why():
 def test_train_takes_a_first_look_at_its_champion(cli, tmp_path, monkeypatch):
     """Its result for half the step equals that of a variation; a limit out of reach warns."""
     # Two bodies on a hinge get nowhere much.
-    monkeypatch.setattr(audit, "_SOME_WAY", 1e-9)
+    monkeypatch.setattr(audit, "_LEAST_DISPLACEMENT", 1e-9)
     run = tmp_path / "run"
     settings = (
         *PAIR,
@@ -141,7 +141,7 @@ def audited(cli, finished_run, tmp_path_factory) -> Audited:
     shutil.copytree(finished_run, run)
     with pytest.MonkeyPatch.context() as patch:
         # Two bodies on a hinge get nowhere much.
-        patch.setattr(audit, "_SOME_WAY", -1e9)
+        patch.setattr(audit, "_LEAST_DISPLACEMENT", -1e9)
         one = cli("audit", run, "half_step=0", "quarter_step=0")
         return Audited(run, one, cli("audit", run, "--all"))
 

@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from evo_cpg.cli import costs
-from evo_cpg.cli.costs import animal_digest, warn_of_cost
+from evo_cpg.cli import advice
+from evo_cpg.cli.advice import animal_digest, warn_of_cost
 from evo_cpg.config.load import load_config
 from evo_cpg.fusion.engine import Engine, EngineName
 from evo_cpg.simulation.operations import Operations
@@ -21,8 +21,8 @@ def said(monkeypatch, capsys):
     """What is said of an animal."""
 
     def of(operations: Operations, measured: float | None = None, name: EngineName = "auto") -> str:
-        monkeypatch.setattr(costs, "estimate_operations", lambda simulation: operations)
-        monkeypatch.setattr(costs, "expected_seconds", lambda operations: measured)
+        monkeypatch.setattr(advice, "estimate_operations", lambda simulation: operations)
+        monkeypatch.setattr(advice, "expected_seconds", lambda operations: measured)
         simulation: Any = SimpleNamespace(engine=Engine(name))
         warn_of_cost(Path("a.yaml"), simulation)
         return capsys.readouterr().err

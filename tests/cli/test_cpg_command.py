@@ -5,7 +5,7 @@ import shlex
 
 import pytest
 
-from evo_cpg.cli import wanted
+from evo_cpg.cli import rhythm
 from tiny_run import REPOSITORY
 
 SWIMMER = REPOSITORY / "configs" / "iwadate2010_swimmer.yaml"
@@ -50,7 +50,7 @@ def test_the_lags_around_a_ring_are_shown(cli, gain):
 @pytest.fixture
 def nothing_kept(monkeypatch):
     """Leave the compiled programs of the user alone."""
-    monkeypatch.setattr(wanted, "keep_compiled_programs", lambda: None)
+    monkeypatch.setattr(rhythm, "keep_compiled_programs", lambda: None)
 
 
 @pytest.mark.slow

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from evo_cpg.cli import distributed, local
-from evo_cpg.cli.exit_codes import ExitCode
+from evo_cpg.cli.errors import ExitCode
 from evo_cpg.training.loop import TIMING_COLUMNS
 from evo_cpg.training.run_folder import RunFolder
 from loopback import free_port, loopback
@@ -385,7 +385,7 @@ def test_schedulers_that_jax_knows(environment, address, monkeypatch):
             monkeypatch.delenv(name)
     for name, value in environment.items():
         monkeypatch.setenv(name, value)
-    place = distributed._place(distributed.Distribution(wanted=True))
+    place = distributed._place(distributed.Distribution(distributed=True))
     assert (place.index, place.count, place.address) == (2, 5, address)
 
 

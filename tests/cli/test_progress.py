@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from evo_cpg.cli import progress as module
-from evo_cpg.cli.progress import BETWEEN, FIRST, LONGEST_SILENCE, Heartbeat
+from evo_cpg.api import display as module
+from evo_cpg.api.display import BETWEEN, FIRST, LONGEST_SILENCE, Heartbeat
 
 
 @pytest.fixture
@@ -66,8 +66,8 @@ def test_long_work_is_never_silent_for_longer_than_that():
 
 def test_work_that_follows_other_work_adds_to_its_silence():
     """What was said last counts, not when this work began."""
-    assert Timed("b", 7.0, said=1.0).due_at(1.0 + BETWEEN) == f"b: {BETWEEN - 6:.0f} s so far"
-    assert Timed("b", 7.0, said=6.0).due_at(7.0 + FIRST - 0.1) is None
+    assert Timed("b", 7.0, printed=1.0).due_at(1.0 + BETWEEN) == f"b: {BETWEEN - 6:.0f} s so far"
+    assert Timed("b", 7.0, printed=6.0).due_at(7.0 + FIRST - 0.1) is None
 
 
 def test_a_line_says_how_far_it_is_and_how_long_it_will_take():
@@ -145,9 +145,9 @@ def test_work_in_a_pipe_is_lines_on_standard_error(impatient, capsys):
 
 
 def test_steps_in_a_pipe_are_lines_with_what_comes_first(impatient, capsys):
-    with module.progress("mine", "generations", 3, 1, "compiling") as show:
+    with module.progress("generations", 3, 1, "compiling") as show:
         time.sleep(0.8)
-        show(1, "best 2", 0.5)
+        show("best 2", 0.5)
     _, err = capsys.readouterr()
     assert err == (
         "   1/3 generations  compiling: 0 s so far\n   2/3 generations  best 2    0.50 s\n"
@@ -167,12 +167,12 @@ def test_on_a_terminal_it_is_one_line_that_moves(monkeypatch):
         work.doing("drawing")
         time.sleep(0.8)
     assert "drawing" in screen.getvalue()
-    with module.progress("mine", "generations", 3) as show:
-        show(0, "best 2", 0.5)
+    with module.progress("generations", 3) as show:
+        show("best 2", 0.5)
         time.sleep(0.8)
     assert "best 2" in screen.getvalue() and "1/3" in screen.getvalue()
     assert "about" not in screen.getvalue()
-    with module.progress("mine", "generations", 3, expected=40.0):
+    with module.progress("generations", 3, expected=40.0):
         time.sleep(0.3)
     with module.working("recording", expected=20.0):
         time.sleep(0.3)

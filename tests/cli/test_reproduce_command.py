@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from evo_cpg.api import version
+from evo_cpg.api import sweep, version
 from evo_cpg.cli import reproduce
 from evo_cpg.cli.errors import UsageError
 from evo_cpg.cli.reproduce import default_folder, make
@@ -73,7 +73,7 @@ def test_what_is_finished_is_not_evolved_again(made, tmp_path, monkeypatch):
     folder = tmp_path / "again"
     shutil.copytree(made, folder)
     before = RunFolder(folder / "runs" / "few").load()
-    monkeypatch.setattr(workshop, "run_group", lambda *_: pytest.fail("evolved again"))
+    monkeypatch.setattr(sweep, "run_group", lambda *_: pytest.fail("evolved again"))
     monkeypatch.setattr(workshop, "program_commit", lambda: "0ther")
     make(TWIN, ["ends"], folder, False, False, 2)
     after = RunFolder(folder / "runs" / "few").load()
@@ -98,29 +98,29 @@ def test_who_interrupts_is_told_what_goes_on_without_throwing_away_what_is_done(
     def stop(*arguments):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(workshop, "run_group", stop)
+    monkeypatch.setattr(sweep, "run_group", stop)
     with pytest.raises(KeyboardInterrupt):
         make(TWIN, ["ends"], tmp_path / "twin", quick, fresh, 2)
     assert capsys.readouterr().err.endswith(words.format(tmp_path / "twin"))
 
 
 def test_what_was_stopped_goes_on_to_the_same_bits(made, tmp_path, monkeypatch, capsys):
-    folder, group = tmp_path / "stopped", workshop.run_group
+    folder, group = tmp_path / "stopped", sweep.run_group
 
-    def stopping(members, source, devices, tell):
+    def stopping(members, source, devices, tell, warn):
         def stop(member, rows):
             tell(member, rows)
             if member.setting.name == "few" and rows[0]["generation"] == 1:
                 raise KeyboardInterrupt
 
-        group(members, source, devices, stop)
+        group(members, source, devices, stop, warn)
 
-    monkeypatch.setattr(workshop, "run_group", stopping)
+    monkeypatch.setattr(sweep, "run_group", stopping)
     with pytest.raises(KeyboardInterrupt):
         make(TWIN, ["ends"], folder, False, False, 2)
     assert "the same command goes on" in capsys.readouterr().err
     assert not (folder / "ends.md").exists()
-    monkeypatch.setattr(workshop, "run_group", group)
+    monkeypatch.setattr(sweep, "run_group", group)
     make(TWIN, ["ends"], folder, False, False, 2)
     for name in TWIN.runs:
         one, other = (RunFolder(place / "runs" / name).load() for place in (made, folder))

@@ -1,12 +1,12 @@
 """`evo-cpg sensitivity` on a tiny run: its table and picture, and what it refuses."""
 
 import csv
+import dataclasses
 
 import pytest
 
 from evo_cpg.analysis.sensitivity import Sensitivity
-from evo_cpg.cli import sensitivity
-from evo_cpg.config import load
+from evo_cpg.cli import champions, sensitivity
 from evo_cpg.config.schema.controller import PosturesConfig
 from pictures import ink
 
@@ -52,12 +52,14 @@ def test_wrong_keys_and_times_are_refused(finished_run, cli, arguments, words):
 
 def test_bits_have_no_sensitivity(finished_run, cli, monkeypatch):
     """1 % more of a bit is the same bit, which is no reason to call the genes unimportant."""
-    real = load.load_config
+    open_champion = champions.open_champion
 
-    def with_postures(path):
-        return real(path).model_copy(update={"controller": PosturesConfig(type="postures")})
+    def with_postures(run, which):
+        opened = open_champion(run, which)
+        postures = {"controller": PosturesConfig(type="postures")}
+        return dataclasses.replace(opened, config=opened.config.model_copy(update=postures))
 
-    monkeypatch.setattr(load, "load_config", with_postures)
+    monkeypatch.setattr(champions, "open_champion", with_postures)
     code, _, complaint = cli("sensitivity", finished_run, "genes")
     assert code == 2
     assert "genes: bits count as 0 or 1" in complaint and "controller.graded: true" in complaint

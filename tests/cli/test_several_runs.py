@@ -79,10 +79,10 @@ def test_the_champion_of_any_run_is_plotted(noisy_run, cli, tmp_path, monkeypatc
     other = 1 - kept.run
     whose = []
 
-    def seen(run, number, trial, cell):
-        experiment, champion, recording, folder = champion_motion(run, number, trial, cell)
-        whose.append(champion.run)
-        return experiment, champion, recording, folder
+    def seen(run, which):
+        opened, recording = champion_motion(run, which)
+        whose.append(opened.champion.run)
+        return opened, recording
 
     monkeypatch.setattr(champions, "champion_motion", seen)
     code, out, err = cli("plot", noisy_run, "--run", other, "-o", tmp_path)

@@ -20,7 +20,7 @@ import yaml
 from evo_cpg import system
 from evo_cpg.api.version import version
 from evo_cpg.cli import streams, watch
-from evo_cpg.cli.errors import UsageError, told
+from evo_cpg.cli.errors import UsageError, message_for
 from evo_cpg.cli.main import program
 from evo_cpg.files import OutputError, write_text
 from evo_cpg.training.devices import available_cores
@@ -153,7 +153,7 @@ def test_who_may_not_write_looks_on_without_a_picture(cli, finished_run, monkeyp
     def refuse(self, champion, now):
         raise OutputError("cannot write watch.png (Permission denied)")
 
-    monkeypatch.setattr(watch, "give_way", lambda: None)
+    monkeypatch.setattr(watch, "lower_priority", lambda: None)
     monkeypatch.setattr(watch._Pictures, "_make", refuse)
     code, out, err = cli("watch", finished_run, "--once")
     assert code == 0 and out.count(" generations  champion") == 30
@@ -380,8 +380,8 @@ def test_a_platform_that_is_absent_is_one_line(monkeypatch):
         "JAX finds no device to compute on (JAX_PLATFORMS is 'cuda'); set JAX_PLATFORMS to 'cpu', "
         "or unset it"
     )
-    assert told(AssertionError()) == expected
-    assert told(RuntimeError("Unable to initialize backend 'cuda'")) == expected
+    assert message_for(AssertionError()) == expected
+    assert message_for(RuntimeError("Unable to initialize backend 'cuda'")) == expected
 
 
 def test_version_is_told_without_a_device(monkeypatch):
@@ -422,4 +422,4 @@ def test_training_without_a_device_writes_nothing(tmp_path):
     ],
 )
 def test_what_the_system_refuses_is_said_and_faults_are_not_hidden(error, words):
-    assert told(error) == words
+    assert message_for(error) == words

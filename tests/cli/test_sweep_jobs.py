@@ -13,8 +13,7 @@ import typer
 
 from evo_cpg.api.sweep import claim, new_plan
 from evo_cpg.cli import jobs as sweep_jobs
-from evo_cpg.cli.errors import UsageError
-from evo_cpg.cli.exit_codes import ExitCode
+from evo_cpg.cli.errors import ExitCode, UsageError
 from evo_cpg.cli.sweep import sweep as run_sweep
 from evo_cpg.config.settings import Setting
 from evo_cpg.locks import LockedError

@@ -5,7 +5,7 @@ import pytest
 import yaml
 
 from evo_cpg.cli import champions
-from evo_cpg.cli.options import View
+from evo_cpg.cli.options import View, Which
 from evo_cpg.cli.plot import plot
 from evo_cpg.training import replay as replay_module
 from evo_cpg.training.run_folder import RunFolder
@@ -72,7 +72,7 @@ def test_the_first_trial_is_shown_from_the_folder_and_others_are_replayed(
     monkeypatch.setattr(replay_module, "replay_champion", replay)
     monkeypatch.setattr(champions, "use_cores", lambda count=None: 2)
     for trial in (0, 2):
-        plot(situated_run, tmp_path, None, trial)
+        plot(situated_run, tmp_path, Which(trial=trial))
     assert asked == [(champion.fitness, 2)]
 
 

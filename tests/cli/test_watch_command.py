@@ -29,7 +29,7 @@ def run(cli, tmp_path_factory):
 @pytest.fixture(autouse=True)
 def polite(monkeypatch):
     """This process stays as it is."""
-    monkeypatch.setattr(watch, "give_way", lambda: None)
+    monkeypatch.setattr(watch, "lower_priority", lambda: None)
     monkeypatch.setattr(devices, "use_cores", lambda count=None: 2)
 
 

@@ -1,11 +1,11 @@
-"""Ways of champions at smaller steps: of what keeps its way, and of what does not."""
+"""Displacements of champions at smaller steps: of what keeps its way, and of what does not."""
 
 import jax
 import numpy as np
 
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import load_config
-from evo_cpg.studies.halving import Ways, kept, ways
+from evo_cpg.studies.halving import Displacements, displacements, kept
 from tiny_run import CONFIG, PAIR
 
 
@@ -14,10 +14,10 @@ def test_a_swimmer_goes_as_far_at_half_the_step():
     config = load_config(CONFIG, [*PAIR, "simulation.steps=240"])
     simulation = build_experiment(config, CONFIG).simulation
     genes = np.asarray(simulation.genome.random(jax.random.key(1), (16,), np.float32)).T
-    found = ways(simulation, genes)
+    found = displacements(simulation, genes)
     moves = found.own > 1e-3
     assert moves.sum() > 3
-    found = Ways(*(way[moves] for way in found))
+    found = Displacements(*(way[moves] for way in found))
     np.testing.assert_allclose(found.hair, found.own, rtol=1e-3)
     first, second = np.abs(found.half - found.own), np.abs(found.quarter - found.half)
     assert first.max() > 1e-6

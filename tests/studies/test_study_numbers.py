@@ -14,7 +14,7 @@ from evo_cpg.control.brain_cpg import BrainCpg, silent_genes
 from evo_cpg.control.postures import PostureController, one_posture
 from evo_cpg.studies import fukui2003, search
 from evo_cpg.studies.audits import audit_table, kept_table
-from evo_cpg.studies.lights import lived
+from evo_cpg.studies.lights import evaluate
 from evo_cpg.studies.study import Table
 from evo_cpg.studies.workshop import Workshop, markdown
 from evo_cpg.training.checkpoint import Champion
@@ -63,7 +63,7 @@ def test_an_animal_without_drive_stays_where_it_is():
     controller = simulation.controller
     genes = silent_genes(controller)[:, None]
     assert isinstance(controller, BrainCpg)
-    assert np.abs(lived(simulation, genes)["distance"] - 1).item() < 1e-3
+    assert np.abs(evaluate(simulation, genes)["distance"] - 1).item() < 1e-3
     inputs = np.linspace(-1, 1, controller.brain.sizes[0], dtype=np.float32)[:, None]
     outputs = think(controller.brain, controller.decode(jnp.asarray(genes)), jnp.asarray(inputs))
     assert np.abs(controller.cpg_inputs(outputs)[0]).max() < 1e-12

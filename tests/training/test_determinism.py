@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import xla_flags
-from evo_cpg.api.surroundings import differences, surroundings
+from evo_cpg.api.machine import machine_changes, machine_fingerprint
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.load import dump_config, load_config
 from evo_cpg.training.loop import TIMING_COLUMNS, train
@@ -64,7 +64,7 @@ def digest(kind: str, folder: Path) -> str:
 
 def machine(engine) -> str:
     """What bits depend on, in the tests."""
-    here = surroundings(engine, 2)
+    here = machine_fingerprint(engine, 2)
     versions = [f"{name} {here['versions'][name]}" for name in ("jaxlib", "numpy")]
     flags = []
     if CPUINFO.exists():
@@ -112,15 +112,15 @@ def test_run_has_the_noted_bits(kind, first):
 def test_what_changes_bits_is_named_where_it_differs():
     from evo_cpg.fusion.engine import Engine
 
-    here = surroundings(Engine(), 2)
-    assert differences(here, here) == []
-    assert differences({}, here) == []
+    here = machine_fingerprint(Engine(), 2)
+    assert machine_changes(here, here) == []
+    assert machine_changes({}, here) == []
     then = here | {
         "processor": "Another 9000",
         "devices": 7,
         "versions": here["versions"] | {"jaxlib": "0.0.1", "equinox": "0"},
     }
-    told = differences(then, here)
+    told = machine_changes(then, here)
     assert told == [
         "cores: then 7, here 2",
         f"processor: then Another 9000, here {here['processor'][:80]}",

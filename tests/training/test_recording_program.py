@@ -9,6 +9,7 @@ import pytest
 
 from evo_cpg.api import audit
 from evo_cpg.api import training as api_training
+from evo_cpg.api.opened import Opened
 from evo_cpg.api.training import Recorder
 from evo_cpg.cli import interrupts, training
 from evo_cpg.config.build import build_experiment
@@ -44,8 +45,9 @@ def folder_of(path, overrides):
 
 
 def test_nothing_large_is_compiled_after_the_last_generation(tmp_path, lowered, capsys):
-    experiment, folder = folder_of(tmp_path / "run", (*TINY, "seed=76"))
-    training.evolve_run(experiment, folder, None)
+    settings = (*TINY, "seed=76", "audit.after_training=false")
+    experiment, folder = folder_of(tmp_path / "run", settings)
+    training.evolve_run(Opened(folder, load_config(CONFIG, settings), experiment))
     who = {name: thread for name, thread in lowered if "replay" in name}
     assert who and all(thread.startswith("recording") for thread in who.values()), lowered
     mine = [name for name, thread in lowered if thread == threading.main_thread().name]

@@ -3,6 +3,7 @@
 import csv
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -359,12 +360,15 @@ def test_a_damaged_meta_counts_as_empty(folder, text):
 
 @pytest.mark.parametrize(
     ("text", "words"),
-    [("[1,", "^Invalid JSON: EOF"), ('{"a": [1, "2"]}', "^a: 1: Input should be a valid integer$")],
+    [("[1,", "^Expecting value"), ('{"a": [1, "2"]}', "^a: 1: Input should be a valid integer$")],
 )
 def test_json_of_another_type_is_named(tmp_path, text, words):
     path = tmp_path / "x.json"
     path.write_text('{"a": [1, 2]}')
     assert read_json(path, dict[str, list[int]]) == {"a": [1, 2]}
+    # The name of a file that is not UTF-8.
+    path.write_text('{"a": "\\udcff"}')
+    assert read_json(path, dict[str, Any]) == {"a": "\udcff"}
     path.write_text(text)
     with pytest.raises(ValueError, match=words):
         read_json(path, dict[str, list[int]])

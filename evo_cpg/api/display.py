@@ -1,8 +1,8 @@
-"""What long work says while it goes on: a moving line on a terminal, plain lines elsewhere.
+"""Progress of long work of the commands: a moving line on a terminal, plain lines elsewhere.
 
-Everything goes to standard error. Elsewhere than on a terminal, in a log or a pipe, work that is
-soon done says nothing, and other work is never silent for more than `LONGEST_SILENCE` seconds: a
-thread says what is being done and for how long where the work itself has nothing to say.
+Everything goes to standard error. In a log or a pipe, short work prints nothing, and longer work is
+never silent for more than `LONGEST_SILENCE` seconds: if the work prints nothing itself, a thread
+prints its name and duration. The library itself is quieter, see `evo_cpg.api.progress`.
 """
 
 import contextlib
@@ -11,12 +11,10 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from typing import Any
 
 from rich.console import Console
 from rich.progress import (
     BarColumn,
-    MofNCompleteColumn,
     Progress,
     ProgressColumn,
     SpinnerColumn,
@@ -27,31 +25,34 @@ from rich.progress import (
 )
 from typing_extensions import override
 
-# Nobody has to wonder for longer than this whether anything goes on, s.
+# Longest time without a line, s.
 LONGEST_SILENCE = 10.0
 
 # Before the first line, and between two, s. Shorter than the longest silence, since the thread may
 # have to wait for its turn.
 FIRST, BETWEEN = 5.0, 8.0
 
-# How often the thread looks at the clock, s.
+# Interval between two looks of the thread at the clock, s.
 _LOOK = 0.25
 
-# From so much of the work on it can be said how long the rest takes.
-_LEAST_SHARE = 0.02
+# The remaining time is estimated from this fraction of the work on.
+_LEAST_FRACTION = 0.02
 
 
 class Work:
-    """Work that goes on: what it calls to report its progress."""
+    """Reports of work on its progress."""
 
     def say(self, line: str) -> None:
         """Print a line that stays."""
 
     def doing(self, what: str, expected: float | None = None) -> None:
-        """Name what is done from now on; expected by measurement to take so long, s."""
+        """Name the next part of the work, and its expected duration, s, if measured before."""
 
     def reached(self, done: int, total: int) -> None:
         """Report how much of it is done."""
+
+    def step(self, line: str, seconds: float, onward: str, done: int, total: int) -> None:
+        """Report a finished step and its duration, s, and name the next part of the work."""
 
 
 class Heartbeat(Work):
@@ -59,7 +60,7 @@ class Heartbeat(Work):
 
     Args:
         what: is being done.
-        said: when the last line before was printed, s; minus infinity if there was none.
+        printed: when the last line before was printed, s; minus infinity if there was none.
         expected: duration that was measured before, s; None if nothing was.
         clock: tells the time, s.
     """
@@ -67,7 +68,7 @@ class Heartbeat(Work):
     def __init__(
         self,
         what: str,
-        said: float = -math.inf,
+        printed: float = -math.inf,
         expected: float | None = None,
         clock: Callable[[], float] = time.monotonic,
     ):
@@ -75,12 +76,12 @@ class Heartbeat(Work):
         self.doing(what, expected)
         # Work that follows other work adds to its silence.
         self._next = self._start + FIRST
-        if math.isfinite(said):
-            self._next = min(self._next, said + BETWEEN)
+        if math.isfinite(printed):
+            self._next = min(self._next, printed + BETWEEN)
 
     @override
     def say(self, line: str) -> None:
-        _say(line)
+        say(line)
         with self._lock:
             self._next = self._clock() + BETWEEN
 
@@ -95,6 +96,11 @@ class Heartbeat(Work):
         with self._lock:
             self._done = done, total
 
+    @override
+    def step(self, line: str, seconds: float, onward: str, done: int, total: int) -> None:
+        self.say(f"{line}  {seconds:6.2f} s")
+        self.doing(onward)
+
     def due(self) -> str | None:
         """Return the line that is due, if one is; it counts as printed."""
         with self._lock:
@@ -105,11 +111,11 @@ class Heartbeat(Work):
             return f"{self._what}: {_standing(now - self._start, self._done, self._expected)}"
 
     @contextlib.contextmanager
-    def beating(self, say: Callable[[str], None] | None = None) -> Iterator["Heartbeat"]:
+    def beating(self, write: Callable[[str], None] | None = None) -> Iterator["Heartbeat"]:
         """Print what is due, in a thread, for as long as the block lasts.
 
         Args:
-            say: writes a line; None for standard error.
+            write: takes a line; None for standard error.
         """
         over = threading.Event()
 
@@ -117,7 +123,7 @@ class Heartbeat(Work):
             while not over.wait(_LOOK):
                 line = self.due()
                 if line is not None:
-                    (say or _say)(line)
+                    (write or say)(line)
 
         thread = threading.Thread(target=watch, name="heartbeat", daemon=True)
         thread.start()
@@ -136,7 +142,7 @@ def _standing(elapsed: float, done: tuple[int, int] | None, expected: float | No
         return f"{words}, about {left:.0f} s to go" if left >= 1 else f"{words} so far"
     count, total = done
     words = f"{count}/{total}, {words}"
-    if _LEAST_SHARE * total < count < total:
+    if _LEAST_FRACTION * total < count < total:
         words += f", about {elapsed * (total - count) / count:.0f} s to go"
     return words
 
@@ -147,7 +153,7 @@ def _announced(what: str, expected: float | None) -> str:
 
 
 class _Line(Work):
-    """On a terminal."""
+    """Work on a terminal."""
 
     def __init__(self, bars: Progress, bar: TaskID):
         self._bars, self._bar = bars, bar
@@ -161,105 +167,95 @@ class _Line(Work):
     def reached(self, done: int, total: int) -> None:
         self._bars.update(self._bar, completed=done, total=total)
 
+    def step(self, line: str, seconds: float, onward: str, done: int, total: int) -> None:
+        self.doing(line)
+        self.reached(done, total)
+
 
 @contextlib.contextmanager
-def working(what: str, counted: bool = False, expected: float | None = None) -> Iterator[Work]:
-    """Say what is being done for as long as the block lasts, and for how long it has been.
+def working(
+    what: str, counted: bool = False, expected: float | None = None, stays: bool = False
+) -> Iterator[Work]:
+    """Show some work and its duration while the block lasts.
 
     Args:
-        what: is being done.
-        counted: whether the work says how far it is.
-        expected: duration by what was measured before, s; None where nothing was.
+        what: name of the work.
+        counted: whether the work reports how far it is.
+        expected: duration that was measured before, s; None if nothing was.
+        stays: whether the line stays on a terminal after the work.
 
     Yields:
-        What the work may call.
+        Reports that the work may call.
     """
     console = Console(stderr=True)
     if not console.is_terminal:
-        with Heartbeat(what, _said_at, expected).beating() as heartbeat:
+        with Heartbeat(what, _printed_at, expected).beating() as heartbeat:
             yield heartbeat
         return
     columns: list[ProgressColumn] = [
-        SpinnerColumn(),
+        SpinnerColumn(finished_text=""),
         TextColumn("{task.description}", markup=False),
     ]
     columns += [BarColumn(bar_width=24), TimeRemainingColumn()] if counted else []
-    with Progress(*columns, TimeElapsedColumn(), **_settings(console), transient=True) as bars:
+    # Printed text goes above the line, unless standard output is a pipe.
+    redirect = sys.stdout.isatty()
+    with Progress(
+        *columns,
+        TimeElapsedColumn(),
+        console=console,
+        redirect_stdout=redirect,
+        transient=not stays,
+    ) as bars:
         yield _Line(bars, bars.add_task(_announced(what, expected), total=None))
 
 
 @contextlib.contextmanager
 def progress(
-    title: str,
     step: str,
     total: int,
     completed: int = 0,
     first: str = "compiling",
     last: str = "",
     expected: float | None = None,
-) -> Iterator[Callable[[int, str, float], None]]:
+) -> Iterator[Callable[..., None]]:
     """Show every step of some work.
 
     Args:
-        title: of the bar.
-        step: what several steps are called. How many are done is said, never which one this is:
-            generations and the like have numbers of their own, from 0.
+        step: name of several steps. The number of finished steps is shown, never the number of
+            this one: generations and the like have numbers of their own, from 0.
         total: steps in all.
         completed: steps done before.
-        first: what is done before the first of them.
-        last: what is done after the last one.
-        expected: duration of what comes first by what was measured before, s; None where nothing
-            was.
+        first: name of the work before the first step.
+        last: name of the work after the last step.
+        expected: duration of the work before the first step, s; None if it was not measured.
 
     Yields:
-        A function to call after every step, with its number (from 0), how things stand, and the
-        seconds that it took.
+        A function to call after every step, with a line about the state and the duration of the
+        step, s; by default the time since the step before.
     """
-    console = Console(stderr=True)
-    if not console.is_terminal:
-        with Heartbeat(
-            f"{completed:4d}/{total} {step}  {first}", _said_at, expected
-        ).beating() as heartbeat:
+    number, since = completed, time.perf_counter()
+    start = f"{completed:4d}/{total} {step}  {first}"
+    with working(start, counted=True, expected=expected, stays=True) as work:
 
-            def tell(number: int, state: str, seconds: float) -> None:
-                done = f"{number + 1:4d}/{total} {step}"
-                heartbeat.say(f"{done}  {state}  {seconds:6.2f} s")
-                more = number + 1 < total
-                heartbeat.doing(f"{done}, and the next one" if more else last or done)
+        def show(state: str, seconds: float | None = None) -> None:
+            nonlocal number, since
+            number, before, since = number + 1, since, time.perf_counter()
+            done = f"{number:4d}/{total} {step}"
+            took = since - before if seconds is None else seconds
+            onward = f"{done}, and the next one" if number < total else done
+            work.step(f"{done}  {state}", took, onward, number, total)
+            if last and number == total:
+                work.doing(last)
 
-            yield tell
-        return
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(bar_width=24),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-        TextColumn("{task.fields[state]}"),
-    )
-    with Progress(*columns, **_settings(console)) as bars:
-        begun = _announced(first, expected)
-        bar = bars.add_task(title, total=total, completed=completed, state=begun)
-
-        def advance(number: int, state: str, seconds: float) -> None:
-            del seconds
-            bars.update(bar, advance=1, state=state)
-            if last and number + 1 == total:
-                bars.update(bar, description=last)
-
-        yield advance
+        yield show
 
 
-def _settings(console: Console) -> dict[str, Any]:
-    """Of a moving line: what is printed meanwhile goes above it, but stays out of it in a pipe."""
-    return {"console": console, "redirect_stdout": sys.stdout.isatty()}
+# When the last line was printed.
+_printed_at = -math.inf
 
 
-# When the last line was said.
-_said_at = -math.inf
-
-
-def _say(line: str) -> None:
-    global _said_at
-    _said_at = time.monotonic()
+def say(line: str) -> None:
+    """Print a line about work that goes on."""
+    global _printed_at
+    _printed_at = time.monotonic()
     print(line, file=sys.stderr, flush=True)

@@ -1,4 +1,4 @@
-"""How a configuration departs from the shipped one of its name, and that one from its paper.
+"""Differences of a configuration from the shipped one of its name, and of that from its paper.
 
 The shipped files say beside every value whether it is the paper's or ours, in comments: "# paper:
 2000 steps", "# ours". They are read here, so that nothing has to be said twice.
@@ -12,14 +12,14 @@ from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.config.shipped import shipped, shipped_names
 from evo_cpg.view.page.subject import Departures, Difference, Note
 
-# `  steps: 2000   # paper`; what stands before the comment, and the comment.
+# `  steps: 2000   # paper`: indent, key, value and comment.
 _LINE = re.compile(r"^( *)([A-Za-z_]\w*):\s*(.*?)\s*(?:# ?(.*))?$")
 # "paper: not said" and "paper: 200; ours: 400" are ours; "ours: half the paper's times" is, too.
 _WHOSE = re.compile(r"\bours\b|\bpaper\b(?!')")
 _CONTINUED = re.compile(r"^\s+# ?(.*)$")
 
 
-def departures(config: ExperimentConfig) -> Departures | None:
+def paper_differences(config: ExperimentConfig) -> Departures | None:
     """See `Departures`; None where no configuration of this name is shipped."""
     if config.name not in shipped_names():
         return None
@@ -60,7 +60,7 @@ def notes(text: str) -> list[Note]:
     """
     found: list[Note] = []
     above: list[tuple[int, str]] = []
-    # Of the comment that a line may continue.
+    # Whether the next line may continue the comment.
     open_note = False
     for line in text.splitlines():
         more = _CONTINUED.match(line)

@@ -1,4 +1,4 @@
-"""What an animal costs: how long its code takes to compile, and what to change."""
+"""Advice on an animal before it evolves: oscillators that do nothing, and high costs."""
 
 import hashlib
 import json
@@ -7,12 +7,14 @@ from pathlib import Path
 from evo_cpg.cli.errors import warn
 from evo_cpg.config.fingerprint import fingerprint
 from evo_cpg.config.schema.experiment import ExperimentConfig
+from evo_cpg.control.couplings import uncoupled
+from evo_cpg.control.rest import resting
 from evo_cpg.fusion.machine_constants import MOST_OPERATIONS
 from evo_cpg.simulation.operations import Operations, estimate_operations
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.training.compile_times import expected_seconds
 
-# Operations below which nothing is said. No shipped configuration has more.
+# Operations below which there is no warning. No shipped configuration has more.
 _MANY = 200_000
 
 # Operations of the shipped swimmer, to compare with.
@@ -24,7 +26,7 @@ _ERROR = 0.15
 # Sections of a configuration that make no difference to the program of a trial.
 _NO_CODE = ("name", "seed", "evolution", "audit")
 
-# What the parts of a trial are, and what would lower each.
+# Parts of a trial: a name, and changes that lower its cost.
 _CAUSES = {
     "bodies": ("bodies and joints", "fewer creature.bodies and joint axes"),
     "ground": (
@@ -47,6 +49,62 @@ _CAUSES = {
     "controller": ("the controller", "fewer neurons in controller.brain.hidden"),
     "noise": ("noise", "fewer keys in noise"),
 }
+
+
+def advise(path: Path, simulation: Simulation) -> None:
+    """Warn of oscillators that do nothing, and of an animal that costs much.
+
+    Args:
+        path: the configuration.
+        simulation: that it describes.
+    """
+    warn_of_oscillators(path, simulation)
+    warn_of_cost(path, simulation)
+
+
+def warn_of_oscillators(path: Path, simulation: Simulation) -> None:
+    """Warn of oscillators that are coupled to nothing or come to rest, and name keys to change.
+
+    Args:
+        path: the configuration.
+        simulation: that it describes.
+    """
+    oscillators, tree = simulation.controller.rhythm_generator, simulation.world.tree
+    if oscillators is None:
+        return
+    cpg, network, rate_gain = oscillators
+    # The other oscillators move nothing.
+    driven = (tree.servo_gain > 0) | (tree.servo_stiffness > 0)
+    driven = driven & (rate_gain != 0)
+    gains = cpg.min_adaptation_gain, cpg.max_adaptation_gain
+    alone = [i for i in uncoupled(network.matrix) if driven[i]]
+    still = [i for i in resting(network, cpg.max_tonic_input, *gains) if driven[i]]
+    drive = cpg.max_tonic_input + cpg.sensory_feedback
+    least = 1 + network.rise_time / network.adaptation_time
+    if drive <= 0:
+        total = "controller.cpg.max_tonic_input + sensory_feedback"
+        cure = f"{total} is {drive:g}; it must be positive"
+    else:
+        cure = (
+            f"a pair alone swings where controller.cpg.pair_weight ({cpg.pair_weight:.3g}) is more "
+            f"than {least:.3g} (constants: {cpg.constants}) and less than 1 + the adaptation gain "
+            f"({gains[0]:g} to {gains[1]:g})"
+        )
+    couple = "controller.cpg.couplings and rings couple them"
+    rest = "at rest under a constant drive"
+    matters = (
+        ("coupled to no other oscillator", couple, [i for i in alone if i not in still]),
+        (
+            f"coupled to no other oscillator, and {rest}",
+            f"{couple}; {cure}",
+            [i for i in alone if i in still],
+        ),
+        (rest, cure, [i for i in still if i not in alone]),
+    )
+    for what, change, found in matters:
+        if found:
+            names = ", ".join(tree.dof_names[i] for i in found)
+            warn(f"{path}: {what}: {names}; {change}")
 
 
 def warn_of_cost(path: Path, simulation: Simulation) -> None:
@@ -84,7 +142,7 @@ def animal_digest(config: ExperimentConfig) -> str:
 
 
 def _line(operations: Operations) -> str:
-    """Name the cost, its main cause and the cure; nothing for an animal that costs little."""
+    """Return the cost, its main cause and the cure; empty for an animal that costs little."""
     total = operations.total
     if total < _MANY:
         return ""

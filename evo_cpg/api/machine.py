@@ -1,4 +1,4 @@
-"""What the bits of a run depend on besides its configuration: processor, cores, versions."""
+"""Fingerprint of the machine: processor, cores and versions, on which the bits of a run depend."""
 
 import platform
 from collections.abc import Mapping
@@ -23,8 +23,8 @@ _ROUNDING = {
 _ROUNDING_PACKAGES = ("jax", "jaxlib", "numpy", "evo-cpg")
 
 
-def surroundings(engine: Engine, devices: int) -> dict[str, Any]:
-    """What there is to note of a machine and its software, for meta.json."""
+def machine_fingerprint(engine: Engine, devices: int) -> dict[str, Any]:
+    """Return the fingerprint of a machine and its software, for meta.json."""
     return {
         "versions": {package: version_of(package) for package in _PACKAGES},
         "python": platform.python_version(),
@@ -35,12 +35,12 @@ def surroundings(engine: Engine, devices: int) -> dict[str, Any]:
     } | described(engine)
 
 
-def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
-    """What changes bits and is not as it was.
+def machine_changes(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
+    """Return changes of the machine that change bits.
 
     Args:
-        before: from meta.json; nothing is known of what it lacks.
-        now: `surroundings` here.
+        before: from meta.json; missing keys count as unchanged.
+        now: `machine_fingerprint` here.
     """
     pairs = [(words, before.get(key), now.get(key)) for key, words in _ROUNDING.items()]
     old = before.get("versions")
@@ -54,11 +54,11 @@ def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
 
 
 def _processor() -> str:
-    """Its name and number; where the system does not tell, its kind."""
+    """Return name and number of the processor, or its kind if the system does not tell."""
     parts = [line.partition(":") for line in told_by(Path("/proc/cpuinfo")).splitlines()]
-    told = {name.strip(): value.strip() for name, _, value in parts}
-    name = told.get("model name") or platform.processor() or platform.machine()
-    numbers = [told[key] for key in ("cpu family", "model", "stepping") if key in told]
+    found = {name.strip(): value.strip() for name, _, value in parts}
+    name = found.get("model name") or platform.processor() or platform.machine()
+    numbers = [found[key] for key in ("cpu family", "model", "stepping") if key in found]
     return f"{name} {'.'.join(numbers)}".strip()
 
 

@@ -1,0 +1,163 @@
+"""A run folder, read and built, and a champion or elite of it."""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from jaxtyping import Array
+
+from evo_cpg.config.build import build_experiment
+from evo_cpg.config.load import load_config
+from evo_cpg.config.schema.experiment import ExperimentConfig
+from evo_cpg.simulation.recording import Recording, as_recording
+from evo_cpg.system import named
+from evo_cpg.training.checkpoint import Champion
+from evo_cpg.training.experiment import Experiment
+from evo_cpg.training.run_folder import RunFolder, RunFolderError
+
+
+class Replay(NamedTuple):
+    """A replayed trial.
+
+    Attributes:
+        fitness: as it counts in the run.
+        frames: see `evo_cpg.simulation.recording.Recorder`, of one individual.
+        recording: its motion.
+    """
+
+    fitness: float
+    frames: dict[str, Array]
+    recording: Recording
+
+
+@dataclasses.dataclass(frozen=True)
+class Opened:
+    """A run.
+
+    Attributes:
+        folder: of the run.
+        config: read from it.
+        experiment: built from that.
+    """
+
+    folder: RunFolder
+    config: ExperimentConfig
+    experiment: Experiment
+
+    @property
+    def devices(self) -> int:
+        """Devices that shared the population."""
+        return self.folder.read_meta().get("devices", 1)
+
+    @property
+    def class_folders(self) -> list[Path]:
+        """Folders of a user's own classes."""
+        return class_folders(self.folder)
+
+    @property
+    def changed(self) -> str | None:
+        """A sentence if ``config.yaml`` is not what the champion evolved in; None if it is.
+
+        Raises:
+            RunFolderError: there is no champion.
+        """
+        _, _, digests = self.folder.load_champion()
+        if digests["config_sha256"] == self.folder.config_digest():
+            return None
+        return "config.yaml is not the one that the champion was evolved with"
+
+    def require_configured(self) -> None:
+        """Check that the configuration describes the whole run.
+
+        Raises:
+            RunFolderError: the run was begun in Python with a part that only that program has.
+        """
+        replaced = self.folder.read_meta().get("replaced")
+        if replaced:
+            raise RunFolderError(
+                f"{self.folder.path} was begun in Python with another {' and '.join(replaced)} or "
+                "fitness than its config.yaml names, which only that program has; commands can "
+                "film and plot it, but neither try its champion again nor go on with it. In Python "
+                "`Experiment.evaluate` tries genomes again, and `evo.train(..., start=...)` begins "
+                "a new run with them"
+            )
+
+    def load_champion(self) -> "OpenedChampion":
+        """Return the run with its champion.
+
+        Raises:
+            RunFolderError: there is none, or it does not fit the configuration.
+        """
+        champion, recording, digests = self.folder.load_champion()
+        same = digests["config_sha256"] == self.folder.config_digest()
+        return self.with_champion(champion, recording if same else None)
+
+    def with_champion(
+        self, champion: Champion, recording: Recording | None = None
+    ) -> "OpenedChampion":
+        """Return the run with an individual of it.
+
+        Raises:
+            RunFolderError: the individual does not fit the configuration.
+        """
+        wrong = self.experiment.simulation.genome.misfit(champion.genes)
+        if wrong:
+            raise RunFolderError(f"{self.folder.config} was changed after training: {wrong}")
+        return OpenedChampion(self.folder, self.config, self.experiment, champion, recording)
+
+    def replay(self, champions: Sequence[Champion], trial: int, full: bool = False) -> list[Replay]:
+        """Replay individuals of the run, one after the other in one program.
+
+        Args:
+            champions: the individuals.
+            trial: which of their trials is recorded, from 0.
+            full: see `evo_cpg.simulation.recording.Recorder`.
+        """
+        # Importing the loop starts nothing, but it takes JAX a second.
+        from evo_cpg.training.replay import compile_frames
+
+        live = compile_frames(self.experiment, self.devices, trial, full)
+        names = [body.name for body in self.experiment.creature.bodies]
+        found = []
+        for champion in champions:
+            fitness, _, frames = live(champion)
+            recording = as_recording(self.experiment.simulation, frames, names, trial=trial)
+            found.append(Replay(fitness, frames, recording))
+        return found
+
+
+@dataclasses.dataclass(frozen=True)
+class OpenedChampion(Opened):
+    """A run and a champion or elite of it.
+
+    Attributes:
+        champion: the individual.
+        recording: of its first trial; None where that was not kept, or is of another configuration.
+    """
+
+    champion: Champion
+    recording: Recording | None
+
+
+def open_run(run: Path | str, build: Callable[..., Experiment] = build_experiment) -> Opened:
+    """Read a run folder and build its experiment.
+
+    Args:
+        run: the folder.
+        build: `build_experiment`, or the same with a line about what it does.
+
+    Raises:
+        RunFolderError: there is no run.
+        ConfigError: its configuration is wrong.
+    """
+    folder = RunFolder(run)
+    folder.require()
+    config = load_config(folder.config)
+    return Opened(folder, config, build(config, folder.config, class_folders(folder)))
+
+
+def class_folders(folder: RunFolder) -> list[Path]:
+    """Return the folder of a user's own classes: that of the config which the run began with."""
+    origin = folder.read_meta().get("config")
+    return [named(origin).parent] if isinstance(origin, str) else []
