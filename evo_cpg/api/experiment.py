@@ -24,7 +24,7 @@ from evo_cpg.api.progress import working
 from evo_cpg.api.record import Record, as_record
 from evo_cpg.config.build import build_experiment
 from evo_cpg.config.numbers import number_at, with_numbers
-from evo_cpg.config.own_returns import described, is_real
+from evo_cpg.config.own_checks import described, is_real
 from evo_cpg.config.parameters import parametrise
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.creature.creature import Creature

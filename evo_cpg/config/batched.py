@@ -8,7 +8,6 @@ import dataclasses
 import itertools
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -16,20 +15,16 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from evo_cpg.config.build import build_experiment
-from evo_cpg.config.building import Building
 from evo_cpg.config.errors import ConfigError
 from evo_cpg.config.numbers import are_allowed, are_checked_alone, number_at, with_numbers
 from evo_cpg.config.schema.experiment import ExperimentConfig
+from evo_cpg.config.traced_build import Building, values_of
 from evo_cpg.creature.self_collision import PairNames, PlanPairs
 from evo_cpg.physics.pairs import Pairs
 from evo_cpg.simulation.batched import BatchedSimulation, LayoutError, batch
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.task import Task
 from evo_cpg.spatial.choices import Condition, Undecidable, all_hold
-from evo_cpg.spatial.numerics import is_traced
-
-# What does not differ may do so by this share of the largest number in its array: rounding.
-_ROUNDING = 1e-9
 
 
 class BodyPlan:
@@ -49,9 +44,8 @@ class BodyPlan:
     ):
         """Plan by some bodies; see `build_batch` for the arguments, and what it raises."""
         self._config, self._keys = config, tuple(numbers)
-        self.batched, apart = _build(config, source, numbers, (), None, task)
-        pairs = _pairs(self.batched.common)
-        self._building = Building(config, source, apart, pairs, task)
+        self.batched, ungrouped = _build(config, source, numbers, (), None, task)
+        self._building = Building(config, ungrouped, _pairs(self.batched.common), task)
         self.hindrance = ""
         if not are_checked_alone(config, self._keys):
             self.hindrance = "numbers are checked together"
@@ -86,30 +80,10 @@ class BodyPlan:
         """Build one body, and tell whether it fits the plan."""
         conditions: list[Condition] = []
         given = dict(zip(self._keys, numbers, strict=True))
+        inputs = self.batched.inputs
         leaves = self._building.traced(self._config, given, conditions)
-        inputs, own = self.batched.inputs, self._building.own.leaves
-        moving = dict(zip(inputs.places, inputs.elements, strict=True))
-        conditions += [
-            _is_same(leaf, other, moving.get(place, np.array([], int)))
-            for place, (leaf, other) in enumerate(zip(leaves, own, strict=True))
-        ]
-        values = [
-            jnp.asarray(leaves[place], numbers.dtype).reshape(-1)[elements]
-            for place, elements in moving.items()
-        ]
-        return values, jnp.asarray(all_hold(conditions))
-
-
-def _is_same(leaf: Any, own: Any, moving: np.ndarray) -> Condition:
-    """Whether a leaf has the plan's numbers, but for the elements that may differ."""
-    if not is_traced(leaf):
-        return np.array_equal(leaf, own)
-    if leaf.shape != np.shape(own):
-        raise Undecidable("the shape of an array would change")
-    rest = np.delete(np.arange(np.size(own)), moving)
-    found, known = jnp.ravel(leaf)[rest], np.ravel(own)[rest]
-    slack = _ROUNDING * np.abs(own, where=np.isfinite(own), out=np.zeros(np.shape(own))).max()
-    return ((found == known) | (abs(found - known) <= slack)).all()
+        conditions += self._building.own.agrees(leaves, inputs)
+        return values_of(leaves, inputs, numbers.dtype), jnp.asarray(all_hold(conditions))
 
 
 def build_batch(
@@ -163,11 +137,13 @@ def _build(
     ]
     problem, pairs = "", None
     # Bodies with surfaces that are alike may come to differ, and are then treated one by one.
-    for apart in (False, True):
+    for ungrouped in (False, True):
 
-        def build(pairs: PlanPairs | None, apart: bool = apart) -> list[Simulation]:
+        def build(pairs: PlanPairs | None, ungrouped: bool = ungrouped) -> list[Simulation]:
             return [
-                _with_task(build_experiment(each, source, folders, apart, pairs).simulation, task)
+                _with_task(
+                    build_experiment(each, source, folders, ungrouped, pairs).simulation, task
+                )
                 for each in (config, *configs)
             ]
 
@@ -182,7 +158,7 @@ def _build(
             pairs = every
             common, *simulations = build(pairs)
         try:
-            return batch(common, simulations, like), apart
+            return batch(common, simulations, like), ungrouped
         except LayoutError as error:
             problem = str(error)
         except ValueError as error:

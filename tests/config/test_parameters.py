@@ -131,8 +131,8 @@ def check_derivatives(config, keys):
 
     def rebuilt(values):
         parameters.require(values)
-        apart = parameters.building.apart
-        return inputs.of(build_simulation(parameters.config_at(values), CONFIG, apart)[1])
+        ungrouped = parameters.building.ungrouped
+        return inputs.of(build_simulation(parameters.config_at(values), ungrouped)[1])
 
     with_elements = quick_jit(lambda elements: terms(inputs.put(simulation, elements)))
     values = parameters.values

@@ -40,10 +40,10 @@ def check_elements(config, keys, accuracy=1e-14):
 
     def known(values):
         building = parameters.building
-        leaves = building.known(parameters.config_at(values)).same_layout(building.own)
-        assert leaves is not None
+        built = building.known(parameters.config_at(values))
+        assert built.has_layout_of(building.own)
         changed = zip(inputs.places, inputs.elements, strict=True)
-        return [np.ravel(leaves[place])[own] for place, own in changed]
+        return [np.ravel(built.leaves[place])[own] for place, own in changed]
 
     def around(values, step):
         """What is built on either side, or on one where the other is not allowed."""
@@ -159,7 +159,7 @@ def test_numbers_of_every_shape_over_a_slope():
 def test_bodies_that_cross_a_surface():
     water = {"surface": 0.0, "added_mass": True}
     keys = ["creature.bodies.1.shape.radius", "creature.bodies.2.shape.size.0"]
-    assert not check_elements(shapes(water=water), keys).building.apart
+    assert not check_elements(shapes(water=water), keys).building.ungrouped
 
 
 @pytest.mark.usefixtures("x64")
@@ -172,7 +172,7 @@ def test_bodies_that_become_different_are_treated_one_by_one():
         body["joint"] = body["joint"] | {"at": [0.0, 0.4 * side, 0.0]}
     config = shapes(water={}).model_dump(mode="json") | {"creature": creature}
     parameters = check_elements(check_config(config, CONFIG), ["creature.bodies.1.shape.radius"])
-    assert parameters.building.apart
+    assert parameters.building.ungrouped
 
 
 @pytest.mark.slow

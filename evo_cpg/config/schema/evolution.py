@@ -1,15 +1,22 @@
 """The search: a genetic algorithm, or another strategy."""
 
+import abc
+import functools
 import math
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, Tag, model_validator
 
+from evo_cpg.config.errors import KeyProblem, nearest
 from evo_cpg.config.schema.choice import CustomConfig, Options, by_type
 from evo_cpg.config.schema.section import Count, Finite, NotNegative, Positive, Section, Share
 from evo_cpg.evolution.bits import BitGenetics
 from evo_cpg.evolution.generation import RealGenetics
-from evo_cpg.evolution.map_elites import AlongTheLine, Axis, OfBits
+from evo_cpg.evolution.map_elites import AlongTheLine, Axis, MapElites, OfBits
+from evo_cpg.evolution.random_search import RandomSearch
+from evo_cpg.evolution.strategy import Strategy
+from evo_cpg.installation import command_for
+from evo_cpg.simulation.genome import Genome
 
 # Individuals that a generation may have.
 Population = Annotated[int, Field(ge=2, le=1_000_000)]
@@ -114,6 +121,18 @@ class MapSection(Section):
                 "axes: at least one is needed, such as {name: speed, range: [0, 1], cells: 10}"
             )
 
+    @abc.abstractmethod
+    def build(self, genome: Genome, population: int) -> Strategy:
+        """Build the search on one island.
+
+        Args:
+            genome: what evolves.
+            population: of one island.
+
+        Raises:
+            KeyProblem: the search is not installed, or does not fit the genome.
+        """
+
     def build_axes(self) -> tuple[Axis, ...]:
         """The axes as the search has them."""
         return tuple(Axis(axis.name, *axis.range, axis.cells) for axis in self.axes)
@@ -166,22 +185,10 @@ class RealEvolutionConfig(MapSection):
     learning: LearningConfig | None = None
     islands: IslandsConfig | None = None
 
-    def build(self, population: int) -> RealGenetics:
-        """The settings of the generation step.
-
-        Args:
-            population: of one island.
-        """
-        return RealGenetics(
-            population=population,
-            elite_count=self.elites,
-            parent_fraction=self.parent_fraction,
-            crossover_probability=self.crossover_probability,
-            mutation_rate=self.mutation_rate,
-            mutation_sigma=self.mutation_sigma,
-            gene_bound=self.gene_bound,
-            selection=self.selection,
-        )
+    def build(self, genome: Genome, population: int) -> RealGenetics:
+        """Build the search; see `MapSection.build`."""
+        del genome
+        return self.into(RealGenetics, population=population)
 
     @model_validator(mode="after")
     def _check(self) -> "RealEvolutionConfig":
@@ -226,30 +233,15 @@ class BitEvolutionConfig(MapSection):
     mutation: Literal["redraw", "flip"] = "redraw"
     islands: IslandsConfig | None = None
 
-    def build(self, population: int) -> BitGenetics:
-        """The settings of the generation step.
-
-        Args:
-            population: of one island.
-
-        Raises:
-            ValueError: values that do not go together.
-        """
-        fewest, most = self.mutated_genes
-        return BitGenetics(
-            population=population,
-            elite_count=self.elites,
-            best_copies=self.best_copies,
-            rank_probabilities=self.rank_probabilities,
-            mutation_probability=self.mutation_probability,
-            mutated_genes_min=fewest,
-            mutated_genes_max=most,
-            mutation=self.mutation,
-        )
+    def build(self, genome: Genome, population: int) -> BitGenetics:
+        """Build the search; see `MapSection.build`."""
+        _require_enough(genome, self.mutated_genes)
+        return self.into(BitGenetics, population=population)
 
     @model_validator(mode="after")
     def _check(self) -> "BitEvolutionConfig":
-        self.build(self.population // (self.islands.count if self.islands else 1))
+        each = self.population // (self.islands.count if self.islands else 1)
+        self.into(BitGenetics, population=each)
         return self
 
 
@@ -281,13 +273,12 @@ class MapElitesConfig(MapSection):
     mutated_genes: tuple[Count, Count] = (2, 30)
     mutation: Literal["redraw", "flip"] = "redraw"
 
-    def of_numbers(self) -> AlongTheLine:
-        """How real-valued genomes vary."""
-        return AlongTheLine(self.iso_sigma, self.line_sigma, self.gene_bound)
-
-    def of_bits(self) -> OfBits:
-        """How bits vary."""
-        return OfBits(self.crossover, self.mutation_probability, *self.mutated_genes, self.mutation)
+    def build(self, genome: Genome, population: int) -> MapElites:
+        """Build the search; see `MapSection.build`."""
+        if genome.binary:
+            _require_enough(genome, self.mutated_genes)
+        vary = self.into(OfBits if genome.binary else AlongTheLine)
+        return MapElites(population, self.build_axes(), vary)
 
     @model_validator(mode="after")
     def _check(self) -> "MapElitesConfig":
@@ -327,6 +318,26 @@ class PyribsConfig(MapSection):
     threshold_min: Finite | None = None
     gene_bound: Positive = 8.0
     options: dict[str, bool | int | Finite] = Field(default_factory=dict)
+
+    def build(self, genome: Genome, population: int) -> Strategy:
+        """Build the search; see `MapSection.build`."""
+        from evo_cpg.evolution.from_pyribs import Ribs
+        from evo_cpg.evolution.pyribs_host import UnknownPyribsError
+
+        try:
+            return self.into(
+                Ribs,
+                **_of_genome(genome, self.gene_bound),
+                population=population,
+                axes=self.build_axes(),
+                options=tuple(sorted(self.options.items())),
+            )
+        except ImportError as error:
+            raise _missing("pyribs", error) from None
+        except UnknownPyribsError as error:
+            raise KeyProblem(("type",), str(error)) from None
+        except (TypeError, ValueError) as error:
+            raise KeyProblem((), f"{self.es} cannot be built ({error})") from None
 
     @model_validator(mode="after")
     def _check(self) -> "PyribsConfig":
@@ -371,6 +382,30 @@ class EvosaxConfig(MapSection):
     options: Options = Field(default_factory=dict)
     islands: IslandsConfig | None = None
 
+    def build(self, genome: Genome, population: int) -> Strategy:
+        """Build the search; see `MapSection.build`."""
+        from evo_cpg.evolution import from_evosax
+
+        try:
+            known = from_evosax.algorithms()
+        except ImportError as error:
+            raise _missing("evosax", error) from None
+        if self.algorithm not in known:
+            problem = f"evosax has no {self.algorithm!r}; {nearest(self.algorithm, known)}"
+            raise KeyProblem(("algorithm",), problem)
+        try:
+            return self.into(
+                from_evosax.Evosax,
+                **_of_genome(genome, self.gene_bound),
+                population=population,
+                params=tuple(sorted(self.params.items())),
+                options=tuple(sorted(self.options.items())),
+            )
+        except (AssertionError, TypeError, ValueError) as error:
+            whose = f"{population} individuals" + (" on each island" if self.islands else "")
+            problem = f"{self.algorithm} of {whose} cannot be built ({error})"
+            raise KeyProblem((), problem) from None
+
 
 class RandomSearchConfig(MapSection):
     """Random search, which any other search has to beat.
@@ -384,6 +419,10 @@ class RandomSearchConfig(MapSection):
     type: Literal["random"] = "random"
     generations: Count = 50
     population: Population = 200
+
+    def build(self, genome: Genome, population: int) -> RandomSearch:
+        """Build the search; see `MapSection.build`."""
+        return RandomSearch(population, functools.partial(genome.random, batch=(population,)))
 
 
 class CustomEvolutionConfig(CustomConfig, MapSection):
@@ -400,6 +439,37 @@ class CustomEvolutionConfig(CustomConfig, MapSection):
     generations: Count = 50
     population: Population = 200
     islands: IslandsConfig | None = None
+
+    def build(self, genome: Genome, population: int) -> Strategy:
+        """Build the search; see `MapSection.build`."""
+        about = {"population": population, "gene_count": genome.count, "binary": genome.binary}
+        return self.instance(Strategy, **about)
+
+
+def _of_genome(genome: Genome, bound: float) -> dict[str, Any]:
+    """What strategies that compute with numbers need to know of genomes."""
+    return {
+        "gene_count": genome.count,
+        "binary": genome.binary,
+        "gene_bound": genome.bound(bound),
+    }
+
+
+def _require_enough(genome: Genome, mutated: tuple[int, int]) -> None:
+    """Check that a mutation can change so many genes.
+
+    Raises:
+        KeyProblem: the genome has fewer.
+    """
+    if mutated[1] > genome.count:
+        problem = f"at most {genome.count}, the bits in a genome of this creature, can change"
+        raise KeyProblem(("mutated_genes",), f"{problem}, got {mutated[1]}")
+
+
+def _missing(extra: str, error: ImportError) -> KeyProblem:
+    """Return what to say if the package of an extra cannot be imported."""
+    problem = f"'{extra}' is not installed here ({error}); `{command_for(extra)}` installs it"
+    return KeyProblem(("type",), problem)
 
 
 EvolutionConfig = Annotated[

@@ -1,6 +1,7 @@
 """How the shapes of bodies are written: lengths in m, in the frame of the body."""
 
-from typing import Annotated, Literal
+from collections.abc import Callable
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -20,6 +21,12 @@ Index = Annotated[int, Field(ge=0, lt=2**31)]
 class SolidConfig(Section):
     """A kind of shape."""
 
+    kind: ClassVar[Callable[..., Shape]]
+
+    def build(self) -> Shape:
+        """The shape, centred on its own frame."""
+        return self.into(self.kind)
+
     @property
     def centre(self) -> np.ndarray:
         """Centre of mass ``(3,)`` in the body's frame, m; a mesh's alone is not at 0."""
@@ -37,9 +44,7 @@ class BoxConfig(SolidConfig):
     type: Literal["box"]
     size: Size
 
-    def build(self) -> Shape:
-        """The shape."""
-        return Box(self.size)
+    kind: ClassVar = Box
 
 
 class SphereConfig(SolidConfig):
@@ -53,9 +58,7 @@ class SphereConfig(SolidConfig):
     type: Literal["sphere"]
     radius: Positive
 
-    def build(self) -> Shape:
-        """The shape."""
-        return Sphere(self.radius)
+    kind: ClassVar = Sphere
 
 
 class EllipsoidConfig(SolidConfig):
@@ -69,9 +72,7 @@ class EllipsoidConfig(SolidConfig):
     type: Literal["ellipsoid"]
     radii: Size
 
-    def build(self) -> Shape:
-        """The shape."""
-        return Ellipsoid(self.radii)
+    kind: ClassVar = Ellipsoid
 
 
 class CapsuleConfig(SolidConfig):
@@ -87,9 +88,7 @@ class CapsuleConfig(SolidConfig):
     radius: Positive
     length: Positive
 
-    def build(self) -> Shape:
-        """The shape."""
-        return Capsule(self.radius, self.length)
+    kind: ClassVar = Capsule
 
 
 class MeshConfig(SolidConfig):
@@ -121,8 +120,8 @@ class MeshConfig(SolidConfig):
         faces = tuple((a, c, b) for a, b, c in self.faces)
         return self.model_copy(update={"vertices": vertices, "faces": faces})
 
+    @override
     def build(self) -> Shape:
-        """The shape, centred on its own frame."""
         return self._made()[0]
 
     def _made(self) -> tuple[ConvexMesh, np.ndarray]:
