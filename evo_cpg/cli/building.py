@@ -6,8 +6,8 @@ from pathlib import Path
 from evo_cpg.cli.errors import UsageError, warn
 from evo_cpg.cli.progress import working
 from evo_cpg.config.build import build_experiment
+from evo_cpg.config.lint import lint
 from evo_cpg.config.load import load_config
-from evo_cpg.config.plausible import doubts
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.training.experiment import Experiment
 
@@ -15,20 +15,20 @@ from evo_cpg.training.experiment import Experiment
 def read_config(
     path: Path, overrides: Sequence[str] = (), strict: bool = False, warned: bool = True
 ) -> ExperimentConfig:
-    """A configuration; what of it is hardly meant is said.
+    """Return a configuration; warn about values that are hardly meant.
 
     Args:
         path: the file.
         overrides: ``key=value`` settings.
-        strict: refuse what is hardly meant.
-        warned: say it otherwise. Of several processes one does.
+        strict: refuse such values instead.
+        warned: whether this process is the one that warns.
 
     Raises:
         ConfigError: it is wrong.
-        UsageError: something is hardly meant, and that is refused.
+        UsageError: a value is hardly meant, and ``strict`` is set.
     """
     config = load_config(path, overrides)
-    found = [f"{path}: {doubt}" for doubt in doubts(config, path)]
+    found = [f"{path}: {warning}" for warning in lint(config, path)]
     if found and strict:
         raise UsageError("\n".join(found))
     for line in found if warned else ():

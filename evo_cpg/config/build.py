@@ -13,7 +13,7 @@ from evo_cpg.config.lines import located
 from evo_cpg.config.own_checks import check_own_forces, check_own_returns, check_own_strategy
 from evo_cpg.config.own_classes import require_code
 from evo_cpg.config.schema.choice import CustomConfig
-from evo_cpg.config.schema.evolution import EvolutionConfig, RealEvolutionConfig
+from evo_cpg.config.schema.evolution import RealEvolutionConfig
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.config.schema.world import WaterConfig
 from evo_cpg.config.situations import build_situations, require_light
@@ -96,15 +96,9 @@ def _build_experiment(
         elites = given.elites or min(_LEARNERS, evolution.elites)
         learning = Learning(given.every, elites, given.steps)
     require_light(config, simulation.task)
-    trials = config.simulation.trials
-    if isinstance(trials, list):
-        trials = len(trials)
-    elif simulation.noise.silent:
-        # One trial is as good as many.
-        trials = 1
     check_own_returns(config, simulation)
     with under("evolution"):
-        strategy = _build_strategy(evolution, simulation, trials)
+        strategy = _build_strategy(config, simulation)
     return Experiment(
         name=config.name,
         creature=creature,
@@ -113,20 +107,21 @@ def _build_experiment(
         generations=evolution.generations,
         seed=config.seed,
         runs=config.runs,
-        trials=trials,
+        trials=config.trial_count,
         learning=learning,
     )
 
 
-def _build_strategy(given: EvolutionConfig, simulation: Simulation, trials: int) -> Strategy:
+def _build_strategy(config: ExperimentConfig, simulation: Simulation) -> Strategy:
     """The search, on its islands and with its map."""
+    given = config.evolution
     islands = getattr(given, "islands", None)
     population = given.population // (islands.count if islands else 1)
     strategy = given.build(simulation.genome, population)
     mapped = bool(given.axes and (islands or not isinstance(strategy, MapStrategy)))
     if isinstance(given, CustomConfig):
         where, metrics = " on each island" if islands else "", METRICS if mapped else ()
-        check_own_strategy(strategy, population, simulation, trials, metrics, where)
+        check_own_strategy(strategy, population, simulation, config.trial_count, metrics, where)
     if islands:
         strategy = Islands(
             given.population, strategy, islands.count, islands.every, islands.migrants

@@ -49,8 +49,7 @@ def build_situations(
     settling = functools.cache(lambda: Settling(world, h))
     situations: list[Situation] = []
     begins: list[Situation] = []
-    entries = settings.trials if isinstance(settings.trials, list) else [SituationConfig()]
-    for i, entry in enumerate(entries):
+    for i, entry in enumerate(settings.situations or [SituationConfig()]):
         key = ("simulation", "trials", i)
         x, y = settings.start if entry.start is None else entry.start
         turn = entry.start_heading_deg
@@ -117,8 +116,7 @@ def require_light(config: ExperimentConfig, task: Task) -> None:
     Raises:
         KeyProblem: one does.
     """
-    trials = config.simulation.trials
-    for i, entry in enumerate(trials if isinstance(trials, list) else []):
+    for i, entry in enumerate(config.simulation.situations):
         if entry.light is not None and task.light is None:
             problem = f"a task of type {config.task.type!r} has no light"
             raise KeyProblem(("simulation", "trials", i, "light"), problem)

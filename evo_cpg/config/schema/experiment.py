@@ -59,6 +59,14 @@ class ExperimentConfig(Section):
     engine: EngineName = "auto"
     instruction_set: InstructionSet = "host"
 
+    @property
+    def trial_count(self) -> int:
+        """Trials of every individual; without noise, one in each situation."""
+        trials = self.simulation.trials
+        if isinstance(trials, list):
+            return len(trials)
+        return 1 if self.noise.silent else trials
+
     @model_validator(mode="after")
     def _check(self) -> "ExperimentConfig":
         if self.seed + self.runs > 2**31:

@@ -4,6 +4,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Discriminator, Field, Tag, field_validator, model_validator
+from typing_extensions import override
 
 from evo_cpg.config.schema.choice import by_type
 from evo_cpg.config.schema.plausible import Direction
@@ -18,7 +19,16 @@ MOST_HEIGHTS = 256
 Place = tuple[Finite, Finite]
 
 
-class PlaneConfig(Section):
+class FloorSection(Section):
+    """A kind of floor."""
+
+    @property
+    def lowest(self) -> float | None:
+        """Height of its lowest place, m; None if that is unknown, or it has no end."""
+        return None
+
+
+class PlaneConfig(FloorSection):
     """Flat ground.
 
     Attributes:
@@ -33,6 +43,11 @@ class PlaneConfig(Section):
     downhill_deg: Annotated[Finite, Direction()] = 0.0
     height: Finite = 0.0
 
+    @property
+    @override
+    def lowest(self) -> float | None:
+        return None if self.slope_deg else self.height
+
     def build(self) -> Part:
         """The floor."""
         slope, downhill = xp.deg2rad(self.slope_deg), xp.deg2rad(self.downhill_deg)
@@ -41,7 +56,7 @@ class PlaneConfig(Section):
         return Plane(normal, self.height * normal[2])
 
 
-class ShoreConfig(Section):
+class ShoreConfig(FloorSection):
     """A level, a slope, and a level: land that runs into water.
 
     Attributes:
@@ -64,6 +79,11 @@ class ShoreConfig(Section):
         """The floor."""
         return self.into(Shore)
 
+    @property
+    @override
+    def lowest(self) -> float:
+        return min(self.start_height, self.stop_height)
+
     @model_validator(mode="after")
     def _check(self) -> "ShoreConfig":
         if not self.stop > self.start:
@@ -71,7 +91,7 @@ class ShoreConfig(Section):
         return self
 
 
-class HillsConfig(Section):
+class HillsConfig(FloorSection):
     """Rolling ground, smooth and random.
 
     Attributes:
@@ -118,7 +138,7 @@ class HillsConfig(Section):
         return self
 
 
-class ReliefConfig(Section):
+class ReliefConfig(FloorSection):
     """Heights of one's own on a regular grid.
 
     Attributes:
@@ -136,6 +156,11 @@ class ReliefConfig(Section):
     def build(self) -> Part:
         """The floor."""
         return _relief(np.array(self.heights), self.spacing, self.corner)
+
+    @property
+    @override
+    def lowest(self) -> float:
+        return min(map(min, self.heights))
 
     @field_validator("heights")
     @classmethod

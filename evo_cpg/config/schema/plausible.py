@@ -1,7 +1,7 @@
 """Metadata of fields: the values that people mean, which are fewer than those that are allowed.
 
 A field carries it in its annotation, as ``gravity: Annotated[NotNegative, Plausible(0, 30, ...)]``.
-`evo_cpg.config.plausible` reads it and warns of other values.
+`evo_cpg.config.lint` reads it and warns of other values.
 """
 
 from collections.abc import Mapping

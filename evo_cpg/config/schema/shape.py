@@ -22,6 +22,8 @@ class SolidConfig(Section):
     """A kind of shape."""
 
     kind: ClassVar[Callable[..., Shape]]
+    # The key that says how large it is; None if there is none.
+    size_key: ClassVar[str | None] = None
 
     def build(self) -> Shape:
         """The shape, centred on its own frame."""
@@ -44,7 +46,7 @@ class BoxConfig(SolidConfig):
     type: Literal["box"]
     size: Size
 
-    kind: ClassVar = Box
+    kind, size_key = Box, "size"
 
 
 class SphereConfig(SolidConfig):
@@ -58,7 +60,7 @@ class SphereConfig(SolidConfig):
     type: Literal["sphere"]
     radius: Positive
 
-    kind: ClassVar = Sphere
+    kind, size_key = Sphere, "radius"
 
 
 class EllipsoidConfig(SolidConfig):
@@ -72,7 +74,7 @@ class EllipsoidConfig(SolidConfig):
     type: Literal["ellipsoid"]
     radii: Size
 
-    kind: ClassVar = Ellipsoid
+    kind, size_key = Ellipsoid, "radii"
 
 
 class CapsuleConfig(SolidConfig):
@@ -88,7 +90,7 @@ class CapsuleConfig(SolidConfig):
     radius: Positive
     length: Positive
 
-    kind: ClassVar = Capsule
+    kind, size_key = Capsule, "length"
 
 
 class MeshConfig(SolidConfig):

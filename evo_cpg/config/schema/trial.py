@@ -67,6 +67,11 @@ class SimulationConfig(Section):
     start_pose: Literal["neutral", "settled"] = "neutral"
     trials: TrialsConfig = 1
 
+    @property
+    def situations(self) -> list[SituationConfig]:
+        """The trials that are listed one by one; none if there is but their number."""
+        return self.trials if isinstance(self.trials, list) else []
+
     @field_validator("trials", mode="before")
     @classmethod
     def _is_no_mapping(cls, trials: Any) -> Any:
