@@ -118,6 +118,27 @@ class Parameters:
                 place = ", ".join(f"{key}={value:g}" for key, value in named)
                 raise KeyProblem((), f"at {place} the simulation is laid out differently")
 
+    def checked(self, values: Float[Array, " k"]) -> Float[Array, " k"]:
+        """Return the values, and raise the error of `require` as soon as they are known.
+
+        In a compiled function that is when it runs. JAX then raises an error of its own, with the
+        words of this one.
+        """
+
+        def check(given: Array) -> np.ndarray:
+            # In the precision of the trial the configuration's own values are rounded.
+            known = np.asarray(given)
+            own = self.values.astype(known.dtype)
+            self.require(np.where(known == own, self.values, known))
+            return np.zeros((), np.int8)
+
+        if not isinstance(values, jax.core.Tracer):
+            check(values)
+            return values
+        shape, known = jax.ShapeDtypeStruct((), np.int8), jax.lax.stop_gradient(values)
+        zero = jax.pure_callback(check, shape, known, vmap_method="sequential")
+        return values + zero.astype(values.dtype)
+
     def config_at(self, values: Float[np.ndarray, " k"]) -> ExperimentConfig:
         """The configuration with other values.
 
