@@ -24,6 +24,7 @@ from evo_cpg.config.lines import located
 from evo_cpg.config.numbers import number_at, number_keys, with_numbers
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.config.traced_build import Building, Built, values_of
+from evo_cpg.fusion.jax_internals import Tracer
 from evo_cpg.simulation.batched import Inputs
 from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.spatial.choices import all_hold
@@ -132,7 +133,7 @@ class Parameters:
             self.require(np.where(known == own, self.values, known))
             return np.zeros((), np.int8)
 
-        if not isinstance(values, jax.core.Tracer):
+        if not isinstance(values, Tracer):
             check(values)
             return values
         shape, known = jax.ShapeDtypeStruct((), np.int8), jax.lax.stop_gradient(values)
