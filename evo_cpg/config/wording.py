@@ -14,33 +14,11 @@ _Section = TypeVar("_Section", bound=pydantic.BaseModel)
 _UNKNOWN_KEY = ("extra_forbidden", "unexpected_keyword_argument")
 _LENGTH = ("too_short", "too_long")
 
-# A value of another kind than the place takes.
-_WRONG_KIND = (
-    "bool_parsing",
-    "bool_type",
-    "dataclass_type",
-    "dict_type",
-    "float_parsing",
-    "float_type",
-    "int_from_float",
-    "int_parsing",
-    "int_type",
-    "list_type",
-    "literal_error",
-    "mapping_type",
-    "model_attributes_type",
-    "model_type",
-    "string_type",
-    "tuple_type",
-)
-
 _TRUTHS = "YAML reads yes, no, on, off, true and false as truth values; in quotes they are text"
 
 
 def worded(
-    error: pydantic.ValidationError,
-    model: type[pydantic.BaseModel],
-    data: dict[str, Any],
+    error: pydantic.ValidationError, model: type[pydantic.BaseModel], data: dict[str, Any]
 ) -> KeyProblem:
     """Return the first problem, in words.
 
@@ -79,13 +57,11 @@ def worded(
         return KeyProblem((*key, "type"), f"{found!r} is not known; allowed: {expected}")
     if kind in _LENGTH:
         limits = problem.get("ctx", {})
-        if kind == "too_short":
-            words = f"at least {limits.get('min_length')}"
-        else:
-            words = f"at most {limits.get('max_length')}"
-        count = limits.get("actual_length")
-        return KeyProblem(key, f"{short(given)}: must have {words}, has {count}")
-    if kind in _WRONG_KIND or kind.startswith("union_tag"):
+        least, most = limits.get("min_length"), limits.get("max_length")
+        words = f"at least {least}" if kind == "too_short" else f"at most {most}"
+        problem = f"must have {words}, has {limits.get('actual_length')}"
+        return KeyProblem(key, f"{short(given)}: {problem}")
+    if _is_wrong_kind(problem) or kind.startswith("union_tag"):
         return KeyProblem(key, f"{short(given)}: {_about_kind(allowed, key, given)}")
     keys = {key_of(each, data) for each in problems}
     more = f" ({len(keys)} problems in all)" if len(keys) > 1 else ""
@@ -129,6 +105,12 @@ def _about_key(given: Any, value: Any) -> str:
     return f"the key {given} must be text; write it in quotes: '{given}'"
 
 
+def _is_wrong_kind(problem: Any) -> bool:
+    """Return whether a value is of another kind than its place takes."""
+    named = ("literal_error", "int_from_float")
+    return problem["type"].endswith(("_type", "_parsing")) or problem["type"] in named
+
+
 def _near_key(allowed: Allowed, key: tuple[str | int, ...]) -> str:
     """Return the valid keys beside an unknown one, or the sections that have one of its name."""
     valid = allowed.keys(key[:-1])
@@ -144,7 +126,7 @@ def _closest(problems: list[Any], data: dict[str, Any]) -> Any:
     Where a place takes several kinds, pydantic reports what is wrong with each of them.
     """
     first = problems[0]
-    if first["type"] not in _WRONG_KIND or not isinstance(first.get("input"), (dict, list)):
+    if not _is_wrong_kind(first) or not isinstance(first.get("input"), (dict, list)):
         return first
     key = key_of(first, data)
     inner = [each for each in problems if key_of(each, data)[: len(key)] == key]
