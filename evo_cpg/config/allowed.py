@@ -105,10 +105,10 @@ class Allowed:
             return options
         kinds = [self._kind(option) for option in options]
         written = given.get("type")
-        asked = {written} if written is not None else self._tags.intersection(filter(None, kinds))
-        if not asked:
+        found = {written} if written is not None else self._tags.intersection(filter(None, kinds))
+        if not found:
             return options
-        exact = [option for option, kind in zip(options, kinds, strict=True) if kind in asked]
+        exact = [option for option, kind in zip(options, kinds, strict=True) if kind in found]
         return exact or [o for o, kind in zip(options, kinds, strict=True) if kind is None]
 
     def _kind(self, option: Schema) -> str | None:

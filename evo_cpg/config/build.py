@@ -206,7 +206,7 @@ def build_simulation(
 
 
 def _build_measures(config: ExperimentConfig, task: Task, world: World) -> Measures:
-    """What is measured of the gait: what is asked for, and the axes of a map.
+    """What is measured of the gait: what is requested for, and the axes of a map.
 
     Raises:
         KeyProblem: there is no such measure, or not in this world.
@@ -219,11 +219,11 @@ def _build_measures(config: ExperimentConfig, task: Task, world: World) -> Measu
         # A task of the user's own that fails; `check_own_returns` will say so.
         own = ()
     axes = [axis.name for axis in config.evolution.axes]
-    asked: list[tuple[Key, str]] = [
+    requested: list[tuple[Key, str]] = [
         *((("measures", i), name) for i, name in enumerate(config.measures)),
         *((("evolution", "axes", i, "name"), x) for i, x in enumerate(axes) if x not in own),
     ]
-    for key, name in asked:
+    for key, name in requested:
         problem = None
         if name not in MEASURES:
             known = [*MEASURES, *(own if key[0] == "evolution" else ())]
@@ -236,7 +236,7 @@ def _build_measures(config: ExperimentConfig, task: Task, world: World) -> Measu
             problem = "means nothing: there is no gravity"
         if problem:
             raise KeyProblem(key, f"{name!r} {problem}")
-    return measures(*dict.fromkeys(name for _, name in asked))
+    return measures(*dict.fromkeys(name for _, name in requested))
 
 
 def _build_rules(

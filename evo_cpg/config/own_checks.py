@@ -27,7 +27,7 @@ from evo_cpg.simulation.simulation import Simulation
 from evo_cpg.simulation.task import term_names
 from evo_cpg.training.experiment import TABLE_COLUMNS, descriptors
 
-# As many as two individuals are told from one, and from what a creature has two of.
+# As many as two individuals are updated from one, and from what a creature has two of.
 _INDIVIDUALS = 7
 _BATCH = (_INDIVIDUALS,)
 
@@ -133,7 +133,7 @@ def check_own_strategy(
 
     Args:
         strategy: on one island.
-        population: that it was told to have.
+        population: that it was updated to have.
         simulation: the trial.
         trials: of each individual.
         metrics: names of those that a map adds to metrics.csv.
@@ -165,24 +165,24 @@ def check_own_strategy(
     def are_declared(found: Any) -> str | None:
         problem = _is_dict("metric", ())(found)
         if problem is None and set(found) != set(declared):
-            wanted, given = (", ".join(names) or "nothing" for names in (declared, found))
-            problem = f"must return what metric_names has, {wanted}; got {given}"
+            expected, given = (", ".join(names) or "nothing" for names in (declared, found))
+            problem = f"must return what metric_names has, {expected}; got {given}"
         return problem
 
     def go(random: jax.Array, fitness: jax.Array) -> None:
-        def is_asked(found: Any) -> str | None:
+        def is_generation(found: Any) -> str | None:
             if not _is_pair(found):
                 return "must return a pair of genomes and a state"
             like = found[1] if kept is None else kept
             return _is_array(shape)(found[0]) or _is_like("the state", like)(found[1])
 
         draw, kept = jax.random.key(0), None
-        _, kept = own.call("ask", draw, own.call("init", draw, random), test=is_asked)
+        _, kept = own.call("ask", draw, own.call("init", draw, random), test=is_generation)
         terms = dict.fromkeys(names, fitness)
         in_trials = jnp.tile(fitness, (trials, 1))
         worth = Evaluation(fitness, terms, descriptors(simulation, terms), in_trials)
-        told = own.call("tell", draw, kept, random, worth)
-        _, kept = own.call("ask", draw, told, test=is_asked)
+        updated = own.call("tell", draw, kept, random, worth)
+        _, kept = own.call("ask", draw, updated, test=is_generation)
         # Of a state after trials, as in a run.
         own.call("metrics", kept, test=are_declared)
 
@@ -254,7 +254,7 @@ def _is_dict(kind: str, shape: tuple[int, ...]) -> Test:
     return test
 
 
-def _is_like(what: str, wanted: Any) -> Test:
+def _is_like(what: str, model: Any) -> Test:
     """Test for a pytree of the same structure, shapes and types as another one."""
 
     def kinds(tree: Any) -> Any:
@@ -263,10 +263,10 @@ def _is_like(what: str, wanted: Any) -> Test:
     def test(value: Any) -> str | None:
         if any(_type_of(leaf) is None for leaf in jax.tree.leaves(value)):
             return f"must return {what} as a pytree of arrays; got {described(value)}"
-        if jax.tree.structure(value) != jax.tree.structure(wanted) or kinds(value) != kinds(wanted):
+        if jax.tree.structure(value) != jax.tree.structure(model) or kinds(value) != kinds(model):
             return (
                 f"must return {what} with the same structure, shapes and types as it began with, "
-                f"{described(wanted)}; got {described(value)}"
+                f"{described(model)}; got {described(value)}"
             )
         return None
 

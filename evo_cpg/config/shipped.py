@@ -127,10 +127,10 @@ def copy_shipped(name: str, folder: Path) -> Path:
         RunFolderError: a file cannot be written.
     """
     from evo_cpg.config.load import load_config
-    from evo_cpg.config.trust import noting_files
+    from evo_cpg.config.trust import recording_files
 
     source = shipped(name).path
-    with noting_files() as named:
+    with recording_files() as named:
         load_config(source)
     root = source.parent.resolve()
     parts = {path: path.resolve().relative_to(root) for path in (source, *named)}

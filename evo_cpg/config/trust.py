@@ -38,7 +38,7 @@ def trusting(own: bool = True) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def noting_files() -> Iterator[list[Path]]:
+def recording_files() -> Iterator[list[Path]]:
     """Within it, the files that configurations name are added to a list, each once."""
     files: list[Path] = []
     token = _noted.set(files)

@@ -1,6 +1,6 @@
 """Warnings about values of a configuration that are allowed but hardly meant.
 
-The plausible range of a single field is metadata of the field (`config.schema.plausible`). A rule
+The plausible range of a single field is metadata of the field (`config.schema.typical`). A rule
 compares several fields: it is a function, decorated with `rule`, that takes a `Case` and yields a
 warning for each value that was hardly meant. A new rule goes into the file of its kind; importing
 the files below fills `RULES`.
@@ -19,7 +19,7 @@ from evo_cpg.config.lint import senses as senses
 from evo_cpg.config.lint import world as world
 from evo_cpg.config.lint.rule import RULES, Case, LintWarning
 from evo_cpg.config.schema.experiment import ExperimentConfig
-from evo_cpg.config.schema.plausible import Direction, Plausible
+from evo_cpg.config.schema.typical import Direction, TypicalRange
 
 
 def lint(config: ExperimentConfig, source: Path | str) -> list[LintWarning]:
@@ -57,7 +57,7 @@ def _of_fields(key: Key, value: Any) -> Iterator[tuple[Key, str]]:
         for name, field in type(value).model_fields.items():
             own, given = (*key, name), getattr(value, name)
             for mark in field.metadata:
-                if isinstance(mark, (Plausible, Direction)) and given is not None:
+                if isinstance(mark, (TypicalRange, Direction)) and given is not None:
                     problem = mark.problem(given)
                     if problem:
                         yield own, problem

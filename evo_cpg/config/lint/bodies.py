@@ -7,7 +7,7 @@ import numpy as np
 
 from evo_cpg.config.errors import Key
 from evo_cpg.config.lint.rule import Case, LintWarning, rule
-from evo_cpg.config.schema.plausible import ROUNDING, TURN
+from evo_cpg.config.schema.typical import ROUNDING, TURN
 from evo_cpg.creature.creature import Body
 from evo_cpg.creature.shapes import Shape
 from evo_cpg.spatial.numerics import Triple

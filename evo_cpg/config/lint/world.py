@@ -213,9 +213,9 @@ def trials_alike(case: Case) -> Iterator[LintWarning]:
     """Several trials that differ in nothing."""
     trials = case.config.simulation.trials
     if isinstance(trials, int):
-        alike, count, told = True, trials, "one is run"
+        alike, count, hint = True, trials, "one is run"
     else:
-        alike, count, told = trials.count(trials[0]) == len(trials), len(trials), "one would do"
+        alike, count, hint = trials.count(trials[0]) == len(trials), len(trials), "one would do"
     if case.config.noise.silent and alike and count > 1:
-        problem = f"without noise all {count} trials are alike, so {told}; give noise, or a list of"
+        problem = f"without noise all {count} trials are alike, so {hint}; give noise, or a list of"
         yield case.warning(("simulation", "trials"), f"{problem} situations that differ", count)

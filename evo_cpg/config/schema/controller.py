@@ -9,16 +9,16 @@ from typing_extensions import override
 
 from evo_cpg.config.keys import unchecked
 from evo_cpg.config.schema.choice import CustomConfig, by_type
-from evo_cpg.config.schema.plausible import RATE
 from evo_cpg.config.schema.section import Section
+from evo_cpg.config.schema.typical import RATE
 from evo_cpg.control.brain_cpg import BrainCpgSettings, build_brain_cpg
 from evo_cpg.control.controller import Controller
 from evo_cpg.control.postures import PostureSettings, build_posture_controller
 from evo_cpg.creature.tree import Tree
 from evo_cpg.spatial.choices import chosen
 
-# Plausible values of settings, which know of no configuration.
-_PLAUSIBLE = {"max_rate": RATE, "rate_gain": RATE}
+# TypicalRange values of settings, which know of no configuration.
+_TYPICAL = {"max_rate": RATE, "rate_gain": RATE}
 
 
 class _ControllerSection(Section):
@@ -81,8 +81,8 @@ def _section_of(base: type[_ControllerSection], name: str, kind: str) -> type[Se
             assert field.default_factory is not dataclasses.MISSING
             default = field.default_factory()
         hint = hints[field.name]
-        if field.name in _PLAUSIBLE:
-            hint = Annotated[hint, _PLAUSIBLE[field.name]]
+        if field.name in _TYPICAL:
+            hint = Annotated[hint, _TYPICAL[field.name]]
         fields[field.name] = (hint, default)
     return create_model(name, __base__=base, __doc__=base.settings.__doc__, **fields)
 

@@ -12,10 +12,10 @@ from evo_cpg.config.errors import Key, KeyProblem, nearest
 from evo_cpg.config.schema.copies import SIDES, Copy, Entry, MirrorAxis, copies, copies_named
 from evo_cpg.config.schema.frames import moved, reflected, unit
 from evo_cpg.config.schema.joint import JointConfig
-from evo_cpg.config.schema.plausible import SOLID
-from evo_cpg.config.schema.section import NotNegative, Positive, Section, Share, pattern
+from evo_cpg.config.schema.section import Fraction, NotNegative, Positive, Section, pattern
 from evo_cpg.config.schema.sensor import DepthSensorConfig, LightSensorConfig, SensorConfig
 from evo_cpg.config.schema.shape import MeshConfig, ShapeConfig
+from evo_cpg.config.schema.typical import SOLID
 from evo_cpg.creature.creature import (
     Body,
     Creature,
@@ -63,7 +63,7 @@ class MaterialConfig(Section):
     """
 
     density: Annotated[Positive, SOLID]
-    restitution: Share = 0.1
+    restitution: Fraction = 0.1
     static_friction: NotNegative = 0.5
     dynamic_friction: NotNegative = 0.4
 

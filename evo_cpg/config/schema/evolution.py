@@ -9,7 +9,7 @@ from pydantic import Field, Tag, model_validator
 
 from evo_cpg.config.errors import KeyProblem, nearest
 from evo_cpg.config.schema.choice import CustomConfig, Options, by_type
-from evo_cpg.config.schema.section import Count, Finite, NotNegative, Positive, Section, Share
+from evo_cpg.config.schema.section import Count, Finite, Fraction, NotNegative, Positive, Section
 from evo_cpg.evolution.bits import BitGenetics
 from evo_cpg.evolution.generation import RealGenetics
 from evo_cpg.evolution.map_elites import AlongTheLine, Axis, MapElites, OfBits
@@ -178,8 +178,8 @@ class RealEvolutionConfig(MapSection):
     elites: Annotated[int, Field(ge=0)] = 20
     selection: Literal["rank", "lexicase"] = "rank"
     parent_fraction: Annotated[float, Field(gt=0, le=1)] = 0.5
-    crossover_probability: Share = 0.2
-    mutation_rate: Share = 0.05
+    crossover_probability: Fraction = 0.2
+    mutation_rate: Fraction = 0.05
     mutation_sigma: NotNegative = 0.5
     gene_bound: Positive = 8.0
     learning: LearningConfig | None = None
@@ -227,8 +227,8 @@ class BitEvolutionConfig(MapSection):
     population: Population = 15
     elites: Annotated[int, Field(ge=0)] = 7
     best_copies: Count = 1
-    rank_probabilities: tuple[Share, ...] = BitGenetics().rank_probabilities
-    mutation_probability: Share = 0.5
+    rank_probabilities: tuple[Fraction, ...] = BitGenetics().rank_probabilities
+    mutation_probability: Fraction = 0.5
     mutated_genes: tuple[Count, Count] = (2, 30)
     mutation: Literal["redraw", "flip"] = "redraw"
     islands: IslandsConfig | None = None
@@ -268,8 +268,8 @@ class MapElitesConfig(MapSection):
     iso_sigma: NotNegative = 0.05
     line_sigma: NotNegative = 0.2
     gene_bound: Positive = 8.0
-    crossover: Share = 1.0
-    mutation_probability: Share = 0.5
+    crossover: Fraction = 1.0
+    mutation_probability: Fraction = 0.5
     mutated_genes: tuple[Count, Count] = (2, 30)
     mutation: Literal["redraw", "flip"] = "redraw"
 
@@ -314,7 +314,7 @@ class PyribsConfig(MapSection):
     emitters: Count = 5
     es: Literal["sep_cma_es", "lm_ma_es", "openai_es", "cma_es"] = "sep_cma_es"
     sigma: Positive = 0.5
-    learning_rate: Share = 0.01
+    learning_rate: Fraction = 0.01
     threshold_min: Finite | None = None
     gene_bound: Positive = 8.0
     options: dict[str, bool | int | Finite] = Field(default_factory=dict)

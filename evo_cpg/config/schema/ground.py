@@ -7,8 +7,8 @@ from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 from typing_extensions import override
 
 from evo_cpg.config.schema.choice import by_type
-from evo_cpg.config.schema.plausible import Direction
-from evo_cpg.config.schema.section import Finite, NotNegative, Positive, Section, Share, Vector
+from evo_cpg.config.schema.section import Finite, Fraction, NotNegative, Positive, Section, Vector
+from evo_cpg.config.schema.typical import Direction
 from evo_cpg.physics.footing import Combination, Ground
 from evo_cpg.physics.terrain import Axis, Block, Boulder, Obstacle, Part, Plane, Relief, Shore
 from evo_cpg.spatial.numerics import Number, xp
@@ -266,7 +266,7 @@ class GroundConfig(Section):
         obstacles: that stand on it.
     """
 
-    restitution: Share = 0.5
+    restitution: Fraction = 0.5
     static_friction: NotNegative = 0.8
     dynamic_friction: NotNegative = 0.8
     restitution_rule: Combination = "multiply"

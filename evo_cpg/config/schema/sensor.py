@@ -5,8 +5,8 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field, Tag, model_validator
 
 from evo_cpg.config.schema.choice import CustomConfig, by_type
-from evo_cpg.config.schema.plausible import VIEW
 from evo_cpg.config.schema.section import Positive, Section, Vector
+from evo_cpg.config.schema.typical import VIEW
 from evo_cpg.simulation.sensor import Sensor
 from evo_cpg.simulation.velocity_sensor import VelocitySensor
 

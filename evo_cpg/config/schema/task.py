@@ -6,7 +6,6 @@ import numpy as np
 from pydantic import Field, Tag, field_validator, model_validator
 
 from evo_cpg.config.schema.choice import CustomConfig, by_type
-from evo_cpg.config.schema.plausible import Direction
 from evo_cpg.config.schema.section import (
     Finite,
     NotNegative,
@@ -15,6 +14,7 @@ from evo_cpg.config.schema.section import (
     Section,
     Vector,
 )
+from evo_cpg.config.schema.typical import Direction
 from evo_cpg.creature.creature import Creature
 from evo_cpg.simulation.reach_light import ReachLight
 from evo_cpg.simulation.task import Task

@@ -6,8 +6,8 @@ from pydantic import Field, field_validator
 
 from evo_cpg.config.schema.choice import CustomConfig
 from evo_cpg.config.schema.ground import GroundConfig
-from evo_cpg.config.schema.plausible import GRAVITY, LIQUID
 from evo_cpg.config.schema.section import Finite, NotNegative, Positive, Section, Vector
+from evo_cpg.config.schema.typical import GRAVITY, LIQUID
 from evo_cpg.physics.fluid import DragLaw
 from evo_cpg.physics.water import Current, Vortex, Water
 
