@@ -13,7 +13,6 @@ from evo_cpg.config.lines import located
 from evo_cpg.config.own_checks import check_own_forces, check_own_returns, check_own_strategy
 from evo_cpg.config.own_classes import require_code
 from evo_cpg.config.schema.choice import CustomConfig
-from evo_cpg.config.schema.evolution import RealEvolutionConfig
 from evo_cpg.config.schema.experiment import ExperimentConfig
 from evo_cpg.config.schema.world import WaterConfig
 from evo_cpg.config.situations import build_situations, require_light
@@ -47,13 +46,10 @@ from evo_cpg.simulation.task import Task, term_names
 from evo_cpg.spatial.choices import chosen
 from evo_cpg.spatial.numerics import Triple, xp
 from evo_cpg.system import resolved, with_working_folder
-from evo_cpg.training.experiment import Experiment, Learning
+from evo_cpg.training.experiment import Experiment
 
 # Random surface points are drawn from a quadrature this fine.
 _DENSE_RESOLUTION = 24
-
-# Elites that learn unless the configuration says how many: a full vector on one core.
-_LEARNERS = 16
 
 
 def build_experiment(
@@ -90,11 +86,6 @@ def _build_experiment(
     require_code(config, folders)
     creature, simulation = build_simulation(config, ungrouped, pairs)
     evolution = config.evolution
-    learning = None
-    if isinstance(evolution, RealEvolutionConfig) and evolution.learning:
-        given = evolution.learning
-        elites = given.elites or min(_LEARNERS, evolution.elites)
-        learning = Learning(given.every, elites, given.steps)
     require_light(config, simulation.task)
     check_own_returns(config, simulation)
     with under("evolution"):
@@ -108,7 +99,7 @@ def _build_experiment(
         seed=config.seed,
         runs=config.runs,
         trials=config.trial_count,
-        learning=learning,
+        learning=evolution.build_learning(),
     )
 
 

@@ -6,6 +6,7 @@ import math
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, Tag, model_validator
+from typing_extensions import override
 
 from evo_cpg.config.errors import KeyProblem, nearest
 from evo_cpg.config.schema.choice import CustomConfig, Options, by_type
@@ -17,9 +18,13 @@ from evo_cpg.evolution.random_search import RandomSearch
 from evo_cpg.evolution.strategy import Strategy
 from evo_cpg.installation import command_for
 from evo_cpg.simulation.genome import Genome
+from evo_cpg.training.experiment import Learning
 
 # Individuals that a generation may have.
 Population = Annotated[int, Field(ge=2, le=1_000_000)]
+
+# Elites that learn unless the configuration says how many: a full vector on one core.
+_LEARNERS = 16
 
 # Cells of a map, each of which holds a genome.
 _MOST_CELLS = 100_000
@@ -133,6 +138,10 @@ class MapSection(Section):
             KeyProblem: the search is not installed, or does not fit the genome.
         """
 
+    def build_learning(self) -> Learning | None:
+        """Which elites learn; None if none do."""
+        return None
+
     def build_axes(self) -> tuple[Axis, ...]:
         """The axes as the search has them."""
         return tuple(Axis(axis.name, *axis.range, axis.cells) for axis in self.axes)
@@ -189,6 +198,11 @@ class RealEvolutionConfig(MapSection):
         """Build the search; see `MapSection.build`."""
         del genome
         return self.into(RealGenetics, population=population)
+
+    @override
+    def build_learning(self) -> Learning | None:
+        given = self.learning
+        return given and given.into(Learning, elites=given.elites or min(_LEARNERS, self.elites))
 
     @model_validator(mode="after")
     def _check(self) -> "RealEvolutionConfig":
